@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import importlib
 from collections.abc import Iterator
 
 import numpy as np
@@ -257,3 +258,10 @@ def test_frictions_shape_is_learned_where_the_path_is_known_beforehand(q_d: np.n
     law = feedforward("adapted", MODEL, KR6, q_d=q_d)
     assert isinstance(law, AdaptedIdeal)
     assert (law.curve is not None) == learns
+
+
+def test_the_package_is_called_as_the_function_of_its_name() -> None:
+    package = importlib.import_module("ideal_robot.feedforward")
+    made = package("none", Model.nominal(ROBOT), ROBOT)
+    q_c, _ = made.step(made.init(ROBOT.home), np.tile(ROBOT.home, (3, 1)))
+    np.testing.assert_array_equal(q_c, ROBOT.home)

@@ -121,6 +121,7 @@ def test_law_and_path_must_fit():
 def test_playback_plays_and_holds():
     q_c = motion()
     playback = Playback(q_c, T)
+    assert playback.t_ipo == T
     played = commands(playback, np.zeros((len(q_c) + 5, 6)))
     np.testing.assert_array_equal(played[: len(q_c)], q_c)
     np.testing.assert_array_equal(played[-1], q_c[-1])

@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 
 from ideal_robot.arrays import eased
+from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.learning import AXES, joint_errors, pose_errors
 from ideal_robot.feedforward.precorrection import Precorrection, at_cycle, command_inverse, spline_operators
@@ -139,6 +140,23 @@ def test_precorrection_is_the_equations_of_the_paper():
         u = (state.tau - before.tau + before.u) / (1 + gains.k_i)
         dq = (u + gains.k_d * before.correction / T - gains.k_1 * qd - gains.k_2 * qdd) / (gains.k_p + gains.k_d / T)
         np.testing.assert_allclose(q_c, q_d[k] + dq, atol=1e-8)
+
+
+@pytest.mark.parametrize("speed", [-0.0005, 0.0005, 0.4])
+def test_friction_of_load_that_is_driven_counts_from_the_least_power_on(speed):
+    model = dataclasses.replace(nominal_model(), stiffness=None, damping=None)
+    driven = model.with_effects([FittedEffect("load_direction_friction", 2, "tau_2", (0.05,))])
+    q_d = ROBOT.home + np.array([0.0, speed, 0.0, 0.0, 0.0, 0.0]) * (T * np.arange(80))[:, None]
+    torques = []
+    for one in (model, driven):
+        feedforward = Precorrection(one, ROBOT)
+        state = feedforward.init(q_d[0])
+        for k in range(60):
+            _, state = feedforward.step(state, q_d[k : k + 10])
+        torques.append(state.tau[1])
+    load = float(pin.computeGeneralizedGravity(ROBOT.pinocchio, ROBOT.pinocchio.createData(), q_d[59])[1])
+    expected = 0.05 * abs(load) * np.sign(speed) if load * speed > 0.0 else 0.0
+    assert torques[1] - torques[0] == pytest.approx(expected, rel=0.15, abs=1e-9)
 
 
 @pytest.mark.parametrize("elastic", [False, True])

@@ -373,3 +373,11 @@ def test_what_friction_hides_as_the_tip_begins_to_slide_is_no_slope() -> None:
                                     np.array([[0.0, 1.0]]), "force", np.array([[0.0, 0.0, slides]]), at=s))
     without, told = (abs(float(one.mean(np.array([0.008]))[0, 1])) for one in banks)
     assert told < 0.5 * without
+
+
+def test_lifting_is_planned_ahead_at_its_speed(follower: SurfaceFollower) -> None:
+    follower.phase, follower._t_lift, follower._lift_from, follower._contact_since = Phase.LIFT, 1.0, np.zeros(2), 0.5
+    rows = np.zeros(follower._plan.samples, dtype=int)
+    T = follower.robot.t_ipo
+    rise = follower._estimate(1.0, 1, rows)[:, 1]
+    np.testing.assert_allclose(rise, np.minimum(0.05 * T * (2 + np.arange(len(rise))), follower.settings.clearance))

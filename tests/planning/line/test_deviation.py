@@ -254,3 +254,11 @@ def test_how_far_a_line_leaves_its_reference_is_found_from_a_few_places(drawn: t
     right = SHAPES.index(drawn)
     assert np.mean(np.array(found) == right) > 0.5
     assert np.mean(np.abs(np.array(found) - right) > 1) < 0.05
+
+
+@pytest.mark.parametrize(("shape", "bow"), [(0.003, 0.001), (0.002, 0.02)])
+def test_line_and_surface_leave_their_reference_by_as_much_as_each_is_told(shape: float, bow: float) -> None:
+    model = PathDeviation(reference(), directions=2, shape=shape, bow=bow, bow_length=0.3)
+    H, P = model.basis(np.array([0.1])), model.prior()[1]
+    H[:, :, : model.rigid] = 0.0
+    np.testing.assert_allclose(np.sqrt(np.diag(H[0] @ P @ H[0].T)), [shape, bow], rtol=0.02)

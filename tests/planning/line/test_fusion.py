@@ -386,3 +386,21 @@ def test_of_a_map_that_was_replaced_nothing_is_looked_back_on() -> None:
     mean, _ = fusion.looked_back(np.array([0.05, 0.35]))
     assert np.isnan(mean[0]).all()
     assert mean[1, 0] == pytest.approx(0.012, abs=1e-4)
+
+
+def test_without_a_doubt_no_sensor_is_thought_to_be_moved() -> None:
+    """Each such thought is a filter of its own in every cycle."""
+    rng = np.random.default_rng(5)
+    truth = Truth(rng)
+    fusion = DeviationFilter(path_model(), biases={"camera": (0.003,)}, moved={"camera": (0.01,)})
+    begun = []
+    for k in range(60):
+        s = 0.014 * k
+        truth.travel(s)
+        fusion.travel(s)
+        at = s + AHEAD
+        before = len(fusion._shaken)
+        value = truth.at(at)[:, 0] + NOISE * rng.normal(size=5)
+        fused = fusion.update(points(0.02 * k, at, value, bias=AHEAD[:, None]))
+        begun.append((len(fusion._shaken) > before, fused.nis))
+    assert not any(more for more, nis in begun if nis < 5.0)

@@ -285,3 +285,22 @@ def test_five_joints_keep_the_place_and_as_much_of_the_tool_axis_as_they_can(tmp
             assert np.arccos(min(1.0, float(reached.rotation[:, 2] @ pose.rotation[:, 2]))) < lean + 1e-3
     with pytest.raises(OutOfReachError):
         kinematics.solve(pin.SE3(pin.exp3(np.array([0.6, 0.0, 0.0])) @ poses[0].rotation, poses[0].translation), q[0])
+
+
+def test_a_search_begins_within_the_limits_and_all_over_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, starts = kr6(), []
+
+    def nowhere(self: InverseKinematics, target: pin.SE3, guess: Array) -> Array:
+        starts.append(guess)
+        raise OutOfReachError(np.zeros(3), 1.0)
+
+    monkeypatch.setattr(InverseKinematics, "solve", nowhere)
+    with pytest.raises(OutOfReachError):
+        InverseKinematics(robot).search(pin.SE3.Identity(), robot.home)
+    low, high = np.maximum(robot.q_min, robot.home - np.pi), np.minimum(robot.q_max, robot.home + np.pi)
+    begun = np.array(starts)
+    np.testing.assert_array_equal(begun[0], robot.home)
+    assert np.all((begun >= low - 1e-9) & (begun <= high + 1e-9))
+    # Half of the way from home to either limit.
+    np.testing.assert_allclose(begun.min(axis=0), 0.5 * (low + robot.home), atol=0.2)
+    np.testing.assert_allclose(begun.max(axis=0), 0.5 * (high + robot.home), atol=0.2)

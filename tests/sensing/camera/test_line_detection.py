@@ -11,12 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from planning.line.deviation_model import matern
 from sensing.camera.camera_device import Field
 from sensing.camera.camera_model import CameraModel
+from sensing.camera.line_appearance import _ahead_of_the_tool
 from sensing.camera.line_detection import (
     DetectionSettings,
     LineField,
@@ -25,7 +27,7 @@ from sensing.camera.line_detection import (
     detect_line,
     search_windows,
 )
-from sensing.camera.line_profile import find_sections, fit_section
+from sensing.camera.line_profile import _edges, find_sections, fit_section
 from tests.sensing.camera.synthetic import NORMAL, GrayAt, make_field, stroke
 
 CAMERA = CameraModel.default()
@@ -369,3 +371,23 @@ def test_stated_standard_deviation_is_the_true_one(noise: float) -> None:
         scaled.append((found - u0) / (spread * residual))
     assert np.std(scaled) == pytest.approx(1.0, abs=0.12)
     assert abs(np.mean(scaled)) < 0.2
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(30.0, 31.0), st.floats(12.0, 20.0), st.floats(1.0, 2.0))
+def test_edges_are_found_to_a_fraction_of_a_pixel(at: float, width: float, blur: float) -> None:
+    x = np.arange(80.0)
+    profile = 200.0 - 120.0 * (norm.cdf((x - at) / blur) - norm.cdf((x - at - width) / blur))
+    falling, rising, _, _ = _edges(profile, 3.0)
+    assert (len(falling), len(rising)) == (1, 1)
+    assert abs(falling[0] - at) < 0.1
+    assert abs(rising[0] - at - width) < 0.1
+
+
+def test_a_picture_that_shows_little_ahead_of_the_tool_is_looked_at_whole() -> None:
+    """Little in one direction is enough: a strip has no room for a line that leads across it."""
+    rows, columns = _ahead_of_the_tool(CAMERA)
+    assert (rows.start, columns) == (0, slice(0, CAMERA.width))
+    assert rows.stop < CAMERA.height
+    tall = replace(CAMERA, height=1000)
+    assert _ahead_of_the_tool(tall) == (slice(0, 1000), slice(0, CAMERA.width))
