@@ -6,7 +6,7 @@ import os
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -17,10 +17,20 @@ from ideal_robot.bounded_values import kept_words
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.file_limits import PICTURE_PIXELS
 from scenes.report.page import Report
-from sensing.camera.picture_line import PictureLine
+from sensing.camera.line_track import track
+from sensing.camera.picture_line import PictureLine, detect_in_picture
 
 Picture = NDArray[np.uint8]
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm")
+
+
+class Detected(NamedTuple):
+    """Name, picture and finding; and in a film what has become of the line, see ``Track.state``."""
+
+    name: str
+    picture: Picture
+    found: PictureLine
+    state: str | None = None
 
 
 def pictures(source: str, *, every: int = 1, most: int = 100) -> Iterator[tuple[str, Picture]]:
@@ -48,6 +58,35 @@ def pictures(source: str, *, every: int = 1, most: int = 100) -> Iterator[tuple[
         yield path.name, _read(path)
     else:
         yield from _frames(source, every, most)
+
+
+def is_film(source: str) -> bool:
+    """Whether a source's pictures follow each other: those of a video, a camera or a stream."""
+    return not os.path.isdir(source) and Path(source).suffix.lower() not in PICTURES
+
+
+def detected(source: str, *, every: int, most: int, kind: str | None, near: tuple[float, float] | None,
+             points: int) -> Iterator[Detected]:
+    """What is found in each picture of a source; in a film the line is followed from picture to picture.
+
+    Args:
+        source: see ``pictures``.
+        every: see ``pictures``.
+        most: see ``pictures``.
+        kind: see ``detect_in_picture``.
+        near: see ``detect_in_picture``.
+        points: see ``detect_in_picture``.
+
+    Raises:
+        InputError: as ``pictures`` and ``detect_in_picture``.
+    """
+    film, last = is_film(source), None
+    for name, picture in pictures(source, every=every, most=most):
+        if film:
+            last = track(picture, last, kind=kind, near=near, points=points)
+            yield Detected(name, picture, last.line, last.state)
+        else:
+            yield Detected(name, picture, detect_in_picture(picture, kind=kind, near=near, points=points))
 
 
 def pixel(words: str) -> tuple[float, float]:
@@ -138,18 +177,15 @@ _CONFIDENT = 0.5
 """Share of the line's usual contrast from which on a point is drawn as sure."""
 
 
-def figures(name: str, found: PictureLine) -> dict[str, Any]:
-    """A finding as plain values for JSON; lengths in pixels.
-
-    Args:
-        name: of the picture.
-        found: what the detector says.
-    """
+def figures(one: Detected) -> dict[str, Any]:
+    """A finding as plain values for JSON; lengths in pixels."""
+    found = one.found
     points = [] if found.strip is None else [
         {"u": float(u), "v": float(v), "width": float(width), "sigma": float(sigma), "confidence": float(sure)}
         for (u, v), width, sigma, sure in zip(found.strip.points, found.strip.widths, found.strip.sigmas,
                                               found.strip.confidence, strict=True)]
-    return {"picture": name, "size": list(found.size), "found": found.found, "reason": found.reason or None,
+    return {"picture": one.name, "state": one.state, "size": list(found.size), "found": found.found,
+            "reason": found.reason or None,
             "width_px": found.width, "polarity": ("dark" if found.dark else "bright") if found.found else None,
             "contrast_gray": found.contrast, "sigma_px": found.sigma, "log_odds": found.evidence,
             "others": found.others, "points": points}
@@ -182,37 +218,37 @@ def drawn(picture: Picture, found: PictureLine) -> bytes:
     return bytes(data)
 
 
-def detection_page(source: str, kind: str | None, results: list[tuple[str, Picture, PictureLine]]) -> Report:
+def detection_page(source: str, kind: str | None, results: list[Detected]) -> Report:
     """The page about all pictures of a source.
 
     Args:
         source: where they came from.
         kind: of line that was looked for.
-        results: name, picture and finding of each.
+        results: of each picture.
     """
-    count = sum(found.found for _, _, found in results)
-    sigmas = [found.sigma for _, _, found in results if found.found]
+    count = sum(one.found.found for one in results)
+    sigmas = [one.found.sigma for one in results if one.found.found]
     sure = f"; its points are known to {np.median(sigmas):.2f} px (median standard deviation)" if sigmas else ""
     report = Report("Line detection", f"A {kind or 'line'} was found in {count} of {len(results)} pictures of "
                                       f"{source}{sure}.")
     report.table(*table(results), caption="Odds: logarithm of how much likelier a line is than none. σ: standard "
                                           "deviation of a point across the line.")
-    for name, picture, found in results[:_SHOWN]:
-        said = found.reason if not found.found else f"σ = {found.sigma:.2f} px"
-        report.image(drawn(picture, found), f"{name}: {said}. Orange: edges of the line; green: points; red: points "
-                                            "where it hardly shows.")
+    for name, picture, found, state in results[:_SHOWN]:
+        said = [state] * bool(state) + [f"σ = {found.sigma:.2f} px" if found.found else found.reason]
+        report.image(drawn(picture, found), f"{name}: {', '.join(map(str, said))}. Orange: edges of the line; green: "
+                                            "points; red: points where it hardly shows.")
     if len(results) > _SHOWN:
         report.text(f"The first {_SHOWN} of {len(results)} pictures are shown; all are in the JSON file.")
     return report
 
 
-def table(results: list[tuple[str, Picture, PictureLine]]) -> tuple[list[str], list[list[Any]]]:
+def table(results: list[Detected]) -> tuple[list[str], list[list[Any]]]:
     """One row a picture.
 
     Args:
-        results: name, picture and finding of each.
+        results: of each picture.
     """
-    rows = [[name, found.found, found.evidence if np.isfinite(found.evidence) else None,
+    rows = [[name, state or found.found, found.evidence if np.isfinite(found.evidence) else None,
              *([found.width, "dark" if found.dark else "bright", found.contrast, found.sigma, found.others, None]
-               if found.found else [None] * 5 + [found.reason])] for name, _, found in results]
+               if found.found else [None] * 5 + [found.reason])] for name, _, found, state in results]
     return ["picture", "found", "odds", "width [px]", "polarity", "contrast", "σ [px]", "other lines", "why not"], rows

@@ -201,32 +201,32 @@ class DetectOptions:
 def detect(options: DetectOptions) -> None:
     """Finds the line in pictures of your own cell, before anything moves: points, widths, how sure, why not.
 
-    Width, colour and course of the line are found in the picture. Exit code 1 where no picture shows a line.
+    Width, colour and course of the line are found in the picture. In a film it is followed; what is lost, found again
+    or another line is said. Exit code 1 where no picture shows a line.
 
     Example, with your pictures in a folder: `ideal-robot detect pictures/ --json line.json`
     """
     from ideal_robot.whole_file import whole_files
-    from scenes.detection import Picture, detection_page, figures, pictures, pixel, table
+    from scenes.detection import Detected, detected, detection_page, figures, pixel, table
     from scenes.outputs import check_outputs
-    from sensing.camera.picture_line import PictureLine, detect_in_picture
 
     place = None if options.near is None else pixel(options.near)
-    results: list[tuple[str, Picture, PictureLine]] = []
+    results: list[Detected] = []
     check_outputs({"--out": options.out}, json=options.json)
     with progress_bar("detect") as progress:
-        for name, picture in pictures(options.source, every=options.every, most=options.most):
-            progress(min(0.9, len(results) / options.most), name)
-            results.append((name, picture,
-                            detect_in_picture(picture, kind=options.kind, near=place, points=options.points)))
+        for one in detected(options.source, every=options.every, most=options.most, kind=options.kind, near=place,
+                            points=options.points):
+            progress(min(0.9, len(results) / options.most), one.name)
+            results.append(one)
         progress(0.95, "page")
         report = options.out / "report.html"
         with whole_files(report, options.json) as (page_file, json_file):
             detection_page(options.source, options.kind, results).write(page_file)
             write_signed(json_file, {"source": options.source, "kind": options.kind,
-                                     "pictures": [figures(name, found) for name, _, found in results]})
+                                     "pictures": [figures(one) for one in results]})
     show_table("detect", *table(results))
     typer.echo(f"report: {report}")
-    if not any(found.found for _, _, found in results):
+    if not any(one.found.found for one in results):
         typer.echo("ideal-robot: no picture shows a line", err=True)
         raise typer.Exit(1)
 

@@ -30,6 +30,10 @@ _CANDIDATES = 6
 _ABOUT = (0.4, 0.08)
 """Standard deviation of where a line is meant, about the middle and about a point that was told, as shares of the
 shorter side."""
+EXPECTED = 4.6
+"""Log odds of a line about a point that was told, or where it was before: it is there in 99 of 100."""
+_REACH = 0.3
+"""Share of the picture's shorter side beyond which a path is not about the place where the line is expected."""
 _CERTAIN = 6.0
 """Log odds beyond which a line is no better than another."""
 
@@ -96,6 +100,24 @@ def detect_in_picture(picture: NDArray[np.uint8], *, kind: str | None = None,
     Raises:
         InputError: no picture of at least 32 × 32 pixels, no such kind, or fewer than five points asked for.
     """
+    check_asked(picture, kind, points)
+    small, scale = reduced(picture)
+    value, strip, reason, others = likeliest(small, kind, None if near is None else np.array(near) * scale)
+    full = None if strip is None else measured(picture, strip, scale, points)
+    return PictureLine(_size(picture), full, value, others, reason)
+
+
+def check_asked(picture: NDArray[np.uint8], kind: str | None, points: int) -> None:
+    """Refuses what ``detect_in_picture`` refuses.
+
+    Args:
+        picture: gray or BGR.
+        kind: of line.
+        points: along the line.
+
+    Raises:
+        InputError: as ``detect_in_picture``.
+    """
     if picture.ndim not in (2, 3) or picture.dtype != np.uint8 or min(picture.shape[:2]) < 32:
         raise InputError("expected a picture of 8 bits, gray or BGR, and at least 32 × 32 pixels", field="picture",
                          value=(picture.shape, str(picture.dtype)))
@@ -103,39 +125,87 @@ def detect_in_picture(picture: NDArray[np.uint8], *, kind: str | None = None,
         raise InputError("five points are needed at least", field="points", value=points)
     if kind is not None and kind not in KINDS:
         raise InputError(f"expected one of {', '.join(KINDS)}", field="kind", value=kind)
-    size = (picture.shape[1], picture.shape[0])
-    scale = min(1.0, LONGEST / max(size))
-    small = picture if scale == 1.0 else np.asarray(
-        cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    lines = find_lines(small, kind=kind)
+
+
+def likeliest(picture: NDArray[np.uint8], kind: str | None, near: Array | None
+              ) -> tuple[float, Strip | None, str, int]:
+    """The line of a reduced picture: its log odds, it or the reason why none is, and how many others there are.
+
+    Args:
+        picture: of ``reduced``.
+        kind: see ``detect_in_picture``.
+        near: pixel ``(2,)`` that the line passes, or None.
+    """
+    middle = 0.5 * np.array(picture.shape[1::-1]) if near is None else near
+    about = _ABOUT[near is not None] * min(picture.shape[:2])
+    lines = find_lines(picture, kind=kind, about=None if near is None else near[None])
+    if near is not None:
+        # Whoever tells a point says that there is a line.
+        lines = [(value + max(0.0, EXPECTED - 0.5 * (_distance(strip, middle) / about) ** 2), strip)
+                 for value, strip in lines]
     accepted = [one for one in lines if one[0] > 0.0]
     if not accepted:
         best = max((value for value, _ in lines), default=-np.inf)
-        return PictureLine(size, None, best, 0, "nothing crosses the picture between two edges" if not lines else
-                           f"what is most like a line is likelier none (log odds {best:.1f})")
-    middle = np.array(near if near is not None else (0.5 * size[0], 0.5 * size[1])) * scale
-    about = _ABOUT[near is not None] * min(small.shape[:2])
+        return best, None, ("nothing crosses the picture between two edges" if not lines else
+                            f"what is most like a line is likelier none (log odds {best:.1f})"), 0
     value, strip = max(accepted, key=lambda one: _meant(one[0], one[1], middle, about))
-    path = Path((strip.points + 0.5) / scale - 0.5, strip.widths / scale, 0.0, 0)
-    full = straightened(lab_picture(picture), path, sections=max(SECTIONS, points)).thinned(points)
-    return PictureLine(size, full, value, len(accepted) - 1, "")
+    return value, strip, "", len(accepted) - 1
+
+
+def reduced(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
+    """A picture no larger than ``LONGEST``, and by what it is smaller.
+
+    Args:
+        picture: gray or BGR.
+    """
+    scale = min(1.0, LONGEST / max(picture.shape[:2]))
+    small = picture if scale == 1.0 else cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return np.asarray(small, dtype=np.uint8), scale
+
+
+def measured(picture: NDArray[np.uint8], strip: Strip, scale: float, points: int) -> Strip:
+    """A line of the reduced picture, measured in the whole one.
+
+    Args:
+        picture: the whole one.
+        strip: the line.
+        scale: of ``reduced``.
+        points: how many along it.
+    """
+    if scale < 1.0 or points > len(strip.points):
+        path = Path((strip.points + 0.5) / scale - 0.5, strip.widths / scale, 0.0, 0)
+        strip = straightened(lab_picture(picture), path, sections=max(SECTIONS, points))
+    return strip.thinned(points)
+
+
+def _size(picture: NDArray[np.uint8]) -> tuple[int, int]:
+    return picture.shape[1], picture.shape[0]
 
 
 def _meant(value: float, strip: Strip, middle: Array, about: float) -> float:
     """How likely a line is the one that is meant, up to a constant: what is drawn to be seen has contrast."""
-    distance = float(np.min(np.linalg.norm(strip.points - middle, axis=1)))
-    return min(value, _CERTAIN) + 2.0 * float(np.log(np.linalg.norm(strip.color))) - 0.5 * (distance / about) ** 2
+    contrast = float(np.log(np.linalg.norm(strip.color)))
+    return min(value, _CERTAIN) + 2.0 * contrast - 0.5 * (_distance(strip, middle) / about) ** 2
 
 
-def find_lines(picture: NDArray[np.uint8], *, kind: str | None = None) -> list[tuple[float, Strip]]:
+def _distance(strip: Strip, place: Array) -> float:
+    return float(np.min(np.linalg.norm(strip.points - place, axis=1)))
+
+
+def find_lines(picture: NDArray[np.uint8], *, kind: str | None = None, about: Array | None = None
+               ) -> list[tuple[float, Strip]]:
     """Candidates for lines with the logarithm of their odds, each place of the picture once, the likeliest first.
 
     Args:
         picture: gray or BGR, no larger than ``LONGEST``.
         kind: see ``detect_in_picture``.
+        about: points ``(m, 2)`` [px] about which they lie; anywhere if None.
     """
     lab = lab_picture(picture)
     found = sorted(paths(lab, edges=kind == "edge"), key=lambda path: -path.score)
+    if about is not None:
+        reach = _REACH * min(picture.shape[:2])
+        found = [path for path in found if np.linalg.norm(path.points[:, None] - about, axis=2).min() < reach]
     least, most = (np.array(KINDS[kind or "seam"]) if kind else np.array([0.0, 0.45])) * min(picture.shape[:2])
     lines: list[tuple[float, Strip]] = []
     for path in found[:_CANDIDATES]:

@@ -79,6 +79,10 @@ def test_frames_of_a_video(tmp_path: Path) -> None:
         writer.write(cv2.cvtColor(drawn_line(seed=seed)[0], cv2.COLOR_GRAY2BGR))
     writer.release()
     assert [name for name, _ in pictures(str(path), every=2)] == ["frame 0", "frame 2"]
+    done = CliRunner().invoke(app, [str(path), "--json", str(tmp_path / "line.json"), "--out", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    states = [one["state"] for one in json.loads((tmp_path / "line.json").read_text())["pictures"]]
+    assert states == ["found", *["followed"] * 3]
 
 
 @pytest.mark.parametrize("source", ["missing.png", "nowhere", "empty", "broken.png", "broken.avi"])

@@ -15,6 +15,7 @@ from sensing.camera.detector import DETECTORS, LineDetector
 from sensing.camera.line_detection import LineField
 from sensing.camera.line_polynomial import Polyline, fit_line_polynomial, fit_of_lowest_order
 from sensing.camera.line_search import DetectionSettings, PredictedLine, search_windows
+from sensing.camera.line_track import PATIENCE, track
 from sensing.camera.opencv_detector import OpenCVProfiles
 from sensing.camera.picture_line import detect_in_picture
 from tests.sensing.camera.synthetic import NORMAL, drawn_line, make_field, stroke
@@ -172,6 +173,38 @@ def test_pictures_without_a_line_are_refused_with_a_reason() -> None:
         found = detect_in_picture(picture)
         assert not found.found
         assert found.reason
+
+
+def _film(frame: int, *, hidden: bool = False, other: bool = False) -> np.ndarray:
+    """A dark line that moves by 6 px a frame over a paler one that rests; noise."""
+    picture = np.full((240, 320, 3), 190, np.uint8)
+    if other:
+        cv2.line(picture, (0, 200), (320, 205), (60, 120, 60), 7, cv2.LINE_AA)
+    if not hidden:
+        v = 60 + 6 * frame
+        cv2.line(picture, (0, v), (320, v - 30), (40, 40, 40), 7, cv2.LINE_AA)
+    noisy = picture + np.random.default_rng(frame).normal(0.0, 3.0, picture.shape)
+    return np.clip(noisy, 0, 255).astype(np.uint8)
+
+
+def test_a_line_is_followed_lost_and_found_again_and_another_is_not_taken_for_it() -> None:
+    last, states, places = None, [], []
+    for frame in range(14):
+        last = track(_film(frame, hidden=5 <= frame < 8, other=True), last, near=(160.0, 45.0))
+        states.append(last.state)
+        places.append(float(np.median(last.line.points[:, 1])) if last.line.found else np.nan)
+    assert states == ["found", *["followed"] * 4, *["lost"] * 3, "found again", *["followed"] * 5]
+    expected = np.array([45.0 + 6.0 * frame if not 5 <= frame < 8 else np.nan for frame in range(14)])
+    np.testing.assert_allclose(places, expected, atol=2.0)
+
+
+def test_another_line_is_taken_late_and_said() -> None:
+    last, states = None, []
+    for frame in range(16):
+        last = track(_film(frame, hidden=frame > 1, other=True), last, near=(160.0, 45.0))
+        states.append(last.state)
+    assert states == ["found", "followed", *["lost"] * PATIENCE, "another line", *["followed"] * 3]
+    assert abs(np.median(last.line.points[:, 1]) - 202.5) < 2.0
 
 
 def test_what_is_no_picture_is_refused() -> None:
