@@ -121,14 +121,14 @@ def meaning(rule: str) -> str:
 
 
 @contextmanager
-def _set(owner: Any, name: str, value: Any) -> Iterator[None]:
+def altered(owner: Any, name: str, value: Any) -> Iterator[None]:
     """An attribute with another value for a time."""
-    own = vars(owner).get(name, _set)
+    own = vars(owner).get(name, altered)
     setattr(owner, name, value)
     try:
         yield
     finally:
-        if own is _set:
+        if own is altered:
             delattr(owner, name)
         else:
             setattr(owner, name, own)
@@ -147,10 +147,10 @@ def without(rule: str) -> Iterator[None]:
     with ExitStack() as stack:
         if rule in FLAGS:
             for kind in _setters(rule):
-                stack.enter_context(_set(kind, rule, FLAGS[rule]))
+                stack.enter_context(altered(kind, rule, FLAGS[rule]))
         for step in STEPS:
             if step.name == rule:
-                stack.enter_context(_set(step.owner, step.name, _instead(step)))
+                stack.enter_context(altered(step.owner, step.name, _instead(step)))
         yield
 
 
@@ -194,10 +194,10 @@ def watched() -> Iterator[set[str]]:
             for kind in _setters(flag):
                 if vars(kind)[flag] != neutral:
                     note = functools.partial(active.add, flag)
-                    stack.enter_context(_set(kind, flag, _Read(vars(kind)[flag], note)))
+                    stack.enter_context(altered(kind, flag, _Read(vars(kind)[flag], note)))
         for step in STEPS:
-            stack.enter_context(_set(step.owner, step.name, _noting(step, getattr(step.owner, step.name), active)))
-        stack.enter_context(_set(Scoring, "_is_large_here", _noting_sizes(Scoring._is_large_here, active)))
+            stack.enter_context(altered(step.owner, step.name, _noting(step, getattr(step.owner, step.name), active)))
+        stack.enter_context(altered(Scoring, "_is_large_here", _noting_sizes(Scoring._is_large_here, active)))
         yield active
 
 
@@ -240,7 +240,7 @@ def _kept_columns(signals: Any) -> Iterator[None]:
             kept[key] = original(problem, candidate)
         return kept[key]
 
-    with _set(Problem, "columns", columns):
+    with altered(Problem, "columns", columns):
         yield
 
 
@@ -249,7 +249,7 @@ _STAGES = (stages.effects_of_motor_torque, stages.found_but_not_added, stages.jo
 """What a diagnosis goes through after its regression stands."""
 
 
-def _said(case: Case, found: Findings) -> SimpleNamespace:
+def said(case: Case, found: Findings) -> SimpleNamespace:
     """What is named after a search about a prepared regression; what is left above the noise is not looked at."""
     for stage in _STAGES:
         found = stage(case, found)
@@ -272,7 +272,7 @@ def _played(trial: Trial) -> Iterator[tuple[str, Score]]:
         found = stages.baseline(case(""), stages.prepared(case(""), ()))
         with _kept_columns(found.problem.regression.signals):
             with watched() as active:
-                yield "", score(trial, _said(case(""), found))
+                yield "", score(trial, said(case(""), found))
             if model is None:
                 # Changes of parameters are looked for against a given model alone.
                 active.discard("smallest_absorbed")
@@ -280,7 +280,7 @@ def _played(trial: Trial) -> Iterator[tuple[str, Score]]:
                 if rule in active:
                     try:
                         with without(rule):
-                            yield rule, score(trial, _said(case(rule), found))
+                            yield rule, score(trial, said(case(rule), found))
                     except (IdealRobotError, ArithmeticError, ValueError):
                         yield rule, score(trial, GAVE_UP)
 

@@ -167,9 +167,8 @@ def _searched(case: Case, found: Findings) -> Findings:
 
 
 _AS_GOOD = 1.05
-_NEARLY_AS_GOOD = 1.1
-"""Ratio of the mean squares with held parameters to those with free ones up to which the model holds: for the same
-effects, and after a search of its own. Where it takes learned curves to hold it has to be better by as much."""
+"""Ratio of the mean squares with held parameters to those with free ones up to which the model holds, for the same
+effects; its square after a search of its own. Where it takes learned curves to hold it has to be better by as much."""
 
 
 @dataclass(frozen=True)
@@ -214,7 +213,7 @@ def _selected_against(case: Case, found: Findings, prior: Array, effects: Sequen
                         if not (c.candidate.effect.absorbed_by_base or c.candidate.effect.learned)])
     error = held.model.mean_squares()
     curved = any(c.candidate.effect.learned for c in held.model.choices)
-    as_good, nearly = (1.0 / _AS_GOOD, 1.0 / _AS_GOOD) if curved else (_AS_GOOD, _NEARLY_AS_GOOD)
+    as_good, nearly = (1.0 / _AS_GOOD, 1.0 / _AS_GOOD) if curved else (_AS_GOOD, _AS_GOOD**2)
     if error < as_good * free.model.mean_squares():
         return Selection(tuple(held.model.choices), True)
     # The search begins without effects, but with the weights that they leave.

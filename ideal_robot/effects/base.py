@@ -25,6 +25,8 @@ from ideal_robot.errors import InputError
 
 Theta = tuple[float, ...]
 """Nonlinear parameters of an effect."""
+REACH = 3.0
+"""By what a single theta is refined about its start, at most."""
 
 
 @dataclass(frozen=True)
@@ -246,7 +248,7 @@ class Effect(ABC):
         if len(bounds) == 1:
             if theta[0] == 0.0:
                 return []
-            (low, high), (near, far) = bounds[0], sorted((theta[0] / 3.0, theta[0] * 3.0))
+            (low, high), (near, far) = bounds[0], sorted((theta[0] / REACH, theta[0] * REACH))
             return [(max(low, near), min(high, far))]
         return bounds
 

@@ -207,7 +207,12 @@ class Signals:
         """
         if self.sliding is not None and len(self.t) and np.isfinite(self.sliding[0, joint - 1]):
             return np.asarray(self.sliding[:, joint - 1])
-        return self.direction(self.qd[:, joint - 1], joint)
+        return np.asarray(self._directions[joint - 1])
+
+    @cached_property
+    def _directions(self) -> Array:
+        """Directions of motion ``(n, N)``; many effects ask for them, with many values of theta."""
+        return np.array([self.direction(qd, j + 1) for j, qd in enumerate(self.qd.T)])
 
     def on_joint(self, joint: int, *columns: Array) -> Array:
         """Columns ``(N,)`` that act on one joint (from 1) only, as ``(N, n, m)``."""

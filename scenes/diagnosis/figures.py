@@ -9,7 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.validation.argument import NOT_TOLD, Argument
+from ideal_robot.diagnosis.statistics.least_squares import TOLD
+from ideal_robot.diagnosis.validation.argument import Argument
 from ideal_robot.diagnosis.validation.result import Diagnosis, FoundEffect, Traces
 from ideal_robot.effects.base import TCP_POSITION, prefix_of
 
@@ -58,7 +59,7 @@ def arguments_figure(arguments: Sequence[Argument]) -> Figure:
     panels = figure.subplots(len(rows), 1, squeeze=False, sharex=True, height_ratios=[2 + len(one) for one in rows])
     for axes, one, sets in zip(panels[:, 0], arguments, rows, strict=True):
         for place, other in enumerate(sets):
-            axes.errorbar(other.nats, place, xerr=NOT_TOLD * other.std, color=_AFTER if other.told else _EFFECT,
+            axes.errorbar(other.nats, place, xerr=TOLD * other.std, color=_AFTER if other.told else _EFFECT,
                           marker="o", ms=4.5, lw=0, elinewidth=1.4)
         axes.set_yticks(range(len(sets)), [other.words for other in sets], fontsize=9)
         axes.set_ylim(len(sets) - 0.4, -0.6)

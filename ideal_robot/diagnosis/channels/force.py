@@ -13,7 +13,7 @@ from scipy import ndimage
 from ideal_robot.arrays import GRAVITY, Array, G
 from ideal_robot.diagnosis.channels.arm import frames_along
 from ideal_robot.diagnosis.channels.blocks import Blocks, time_blocks
-from ideal_robot.diagnosis.channels.regression import Regression, noise_in_band
+from ideal_robot.diagnosis.channels.regression import FEWEST, Regression, noise_in_band
 from ideal_robot.effects import SENSOR
 from ideal_robot.effects.fitted import spline_basis
 from ideal_robot.effects.force import ASSUMED_GIVE, CONTACT_FORCE, MOMENTS
@@ -27,8 +27,6 @@ from ideal_robot.signals.recording import Recording
 
 TURNS = 0.1
 """Spread of the direction of gravity in the sensor [rad] from which on weight and bias are distinguished."""
-FEWEST = 20
-"""Rows a regression needs."""
 _CHUNK = 0.1
 
 

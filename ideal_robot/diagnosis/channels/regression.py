@@ -189,8 +189,8 @@ def small_velocity(recording: Recording, filtered: FilteredSignals) -> Array:
     return np.maximum(np.minimum(2.0 * noise * share, 0.02 * top), 1e-4 * top + 1e-9)
 
 
-_FEWEST = 20
-"""Differences from which a level is estimated, at least."""
+FEWEST = 20
+"""Samples from which a level is estimated, or a regression made, at least."""
 
 
 def noise_above_band(filtered: FilteredSignals) -> Array:
@@ -231,7 +231,7 @@ def noise_left(residual: Array, use: np.ndarray) -> Array:
     third, whole = _third_differences(residual, use)
     count = whole.sum(axis=0)
     squares = (third**2 * whole).sum(axis=0) / np.maximum(count, 1)
-    return np.where(count >= _FEWEST, np.sqrt(squares / 20.0), np.inf)
+    return np.where(count >= FEWEST, np.sqrt(squares / 20.0), np.inf)
 
 
 def usual_noise(residual: Array, use: np.ndarray) -> Array:
@@ -242,7 +242,7 @@ def usual_noise(residual: Array, use: np.ndarray) -> Array:
     that the spectrum there does not show them.
     """
     third, whole = _third_differences(residual, use)
-    sizes = [np.median(np.abs(d[w])) if w.sum() >= _FEWEST else 0.0 for d, w in zip(third.T, whole.T, strict=True)]
+    sizes = [np.median(np.abs(d[w])) if w.sum() >= FEWEST else 0.0 for d, w in zip(third.T, whole.T, strict=True)]
     return np.asarray(1.4826 * np.array(sizes) / np.sqrt(20.0))
 
 

@@ -53,11 +53,9 @@ KINDS = (Kind(1.0, 5, 6, 0.75, 0.8), Kind(2.0, 3, 5, 0.75, 0.8), Kind(6.0, 1, 5,
          Kind(8.0, 1, 4, 0.2, 0.5), Kind(8.0, 1, 3, 0.06, 0.5))
 """From fast, short strokes, which show gears and delays, to wide and to slow ones, which show springs and friction."""
 _DRAWN = 6
-"""Parts of each kind to choose from."""
+"""Parts of each kind to choose from, and draws of each until one lies within limits and workspace."""
 _REFINED = 30
 """Changes of the chosen parts that are tried."""
-_TRIES = 6
-"""Draws of a part until one lies within limits and workspace."""
 _REST = 0.2
 """Rest before and after each part [s]."""
 
@@ -175,7 +173,7 @@ class MotionSearch:
     def _drawn(self, kind: Kind) -> Part | None:
         # Half of them near where the arm is, so that little time is lost on the way.
         centre = self.start if self.rng.random() < 0.5 else None
-        for _ in range(_TRIES):
+        for _ in range(_DRAWN):
             coefficients = self.rng.uniform(-1, 1, (2, kind.harmonics, self.robot.n))
             motion = self.spaces[kind].scaled(coefficients, self.rng, centre)
             if motion is not None:

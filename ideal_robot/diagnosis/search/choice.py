@@ -8,7 +8,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.statistics.dependence import Dependence
-from ideal_robot.diagnosis.statistics.least_squares import UNTESTED, Fit, HeldOutTest, weights_of_channels
+from ideal_robot.diagnosis.statistics.least_squares import TOLD, UNTESTED, Fit, HeldOutTest, weights_of_channels
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 
 
@@ -177,6 +177,8 @@ _NEARLY = 0.9
 """Share of a reduction from which on a cause is a rival, or is taken if it is likelier."""
 _NOT_TOLD = 0.8
 """The same where the difference is no more than what scatters from block to block."""
+FINALISTS = 6
+"""Candidates of a round that are looked at closely, at most: effects that are refined over theta, or curves."""
 SIMPLER = 0.95
 """Share of a reduction from which on a law with fewer parameters may stand for one with more."""
 
@@ -233,7 +235,7 @@ def indistinguishable(model: PresentModel, best: Choice, other: Choice, share: f
     difference = best.test.reduction - other.test.reduction
     difference = difference[np.isfinite(difference)]
     error = float(np.std(difference, ddof=1)) * np.sqrt(len(difference))
-    return bool(float(difference.sum()) < 2.0 * error)
+    return bool(float(difference.sum()) < TOLD * error)
 
 
 def likelier(model: PresentModel, best: Choice, others: list[Choice]) -> Choice:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.search.choice import (
+    FINALISTS,
     SIMPLER,
     Choice,
     Options,
@@ -57,8 +58,6 @@ def candidates(effects: Sequence[Effect], signals: Signals, undecided: dict[int,
 
 Only = tuple[tuple[str, int], ...]
 """Names and joints of the effects that may be looked for."""
-_REFINED = 6
-"""Candidates of a round that are refined over theta, at most."""
 
 
 class Search:
@@ -148,7 +147,7 @@ class Search:
         passed.sort(key=lambda s: -s.test.total)
         refined: list[Choice] = []
         for s in passed:
-            if len(refined) == _REFINED or (refined and s.test.total < 0.4 * refined[0].test.total):
+            if len(refined) == FINALISTS or (refined and s.test.total < 0.4 * refined[0].test.total):
                 break
             better = self.scoring.refined(fit, s)
             if self.scoring.holds(fit, better):

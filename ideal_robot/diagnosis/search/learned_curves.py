@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.search.choice import Choice
+from ideal_robot.diagnosis.search.choice import FINALISTS, Choice
 from ideal_robot.diagnosis.search.scoring import Scoring
 from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms, time_period
 from ideal_robot.diagnosis.statistics.least_squares import Fit
@@ -15,9 +15,6 @@ from ideal_robot.diagnosis.statistics.problem import Candidate
 from ideal_robot.effects import TCP_POSITION, Effect, Signals
 from ideal_robot.effects.fitted import Unknown
 from ideal_robot.effects.loads import flexible
-
-_TESTED = 6
-"""Curves of a channel that are tested on blocks left out, at most."""
 
 
 class LearnedCurves:
@@ -118,7 +115,7 @@ class LearnedCurves:
         # Only a first choice: what is promising is tested on blocks left out, corrected for all curves looked at.
         promising = [d for d in tests if d.p_value < 0.05 and 3.0 * d.share * squares > least]
         scored = []
-        for d in promising[:_TESTED]:
+        for d in promising[:FINALISTS]:
             candidate = Candidate(d.term, j + 1, (), len(tests) * self.model.problem.products.c)
             self.model.design.add(candidate.key, self.model.problem.columns(candidate))
             scored.append(self.scoring.tested(fit, candidate, d))
@@ -149,9 +146,6 @@ class LearnedCurves:
 
 _PLACES = np.linspace(0.1, 0.9, 17)
 """Where in the range a pull may begin: in what was seen it both is slack and pulls."""
-
-_ORDERS = np.arange(1, 4)
-"""Powers of the angle beyond the one where it begins."""
 
 
 @dataclass(frozen=True)
@@ -199,4 +193,5 @@ class OneSidedPull(Effect):
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
         """See ``Effect.plausible``. At the end of what was seen it pulls back, and the more the further."""
         x = float(np.max(self.side * (signals.q[:, joint - 1] - theta[0])))
-        return bool(coefficients @ x**_ORDERS > 0.0 and coefficients @ (_ORDERS * x ** (_ORDERS - 1)) > 0.0)
+        orders = np.arange(1, len(coefficients) + 1)
+        return bool(coefficients @ x**orders > 0.0 and coefficients @ (orders * x ** (orders - 1)) > 0.0)

@@ -12,17 +12,15 @@ from scipy import optimize
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.search.choice import Choice, Options, PresentModel
 from ideal_robot.diagnosis.statistics.dependence import Dependence
-from ideal_robot.diagnosis.statistics.least_squares import Fit
+from ideal_robot.diagnosis.statistics.least_squares import TOLD, Fit
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.effects.drive import DeadTime
 from ideal_robot.effects.kinematics import GeometryChange
 
-_ITERATIONS = 4
+ITERATIONS = 4
 """Steps that bring a computational theta to where its coefficients are exact; each leaves a small share of the last."""
 _PARTS = 4
 """Parts of the range in each of which a ripple has to be there, at most; each holds a period or more."""
-_PROMISING = 4.0
-"""Weighted squares that a start has to take away in sample to be tested on blocks left out."""
 
 
 class Scoring:
@@ -255,7 +253,7 @@ class Scoring:
 
     def _made_consistent(self, fit: Fit, s: Choice) -> Choice:
         """Theta that agrees with the coefficients, by fixed-point iteration."""
-        for _ in range(_ITERATIONS):
+        for _ in range(ITERATIONS):
             theta = s.candidate.effect.consistent_theta(s.test.coefficients, s.candidate.theta)
             if np.allclose(theta, s.candidate.theta, rtol=0.01):
                 break
@@ -287,7 +285,7 @@ class Scoring:
                 gain = self.plausible_gain(fit, candidate)
                 if gain is not None and (best is None or gain > best[0]):
                     best = gain, candidate
-            if best is not None and best[0] > _PROMISING:
+            if best is not None and best[0] > TOLD**2:
                 scored.append(self.tested(fit, best[1]))
         return scored
 

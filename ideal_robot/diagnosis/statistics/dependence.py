@@ -15,7 +15,7 @@ from scipy import linalg, optimize, special
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.motor_torque import direction_of
-from ideal_robot.diagnosis.statistics.least_squares import Design, weights_of_channels
+from ideal_robot.diagnosis.statistics.least_squares import TOLD, Design, weights_of_channels
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.effects import MOTOR_TORQUE, Domain, Signals
 from ideal_robot.effects.fitted import Unknown, signal_of, spline_basis
@@ -207,8 +207,6 @@ def _knots(x: Array, intervals: int) -> tuple[float, ...]:
 
 _WIDTHS = (0.0003, 0.001, 0.002, 0.004, 0.008)
 """Shares of the top speed that are tried, before the best is refined."""
-_SMALL = 4.0
-"""Squares over their variance that a width has to take away to replace the one that the position's noise asks for."""
 
 
 def reversal_widths(problem: Problem, model: Model) -> Array:
@@ -232,7 +230,7 @@ def reversal_widths(problem: Problem, model: Model) -> Array:
         left = partial(_remaining, problem, design, weights, law, j, first)
         remaining = [left(speed) for speed in speeds]
         best = int(np.argmin(remaining))
-        if left(reversal_width[j]) - remaining[best] < _SMALL:
+        if left(reversal_width[j]) - remaining[best] < TOLD**2:
             continue
         around = (max(0.5 * speeds[best], reversal_width[j]), min(2.0 * speeds[best], speeds[-1]))
         found = optimize.minimize_scalar(lambda x, of=left: of(np.exp(x)), bounds=np.log(around), method="bounded",

@@ -21,8 +21,11 @@ _OWN = 1e-5
 """Share of a column's squares that the others have to leave for it to have something of its own."""
 _ROUNDED = 0.01
 """Least share of a column that counts for that: of less the ridge and rounding leave as much."""
-_NOTHING = 1e-20
-"""Squares of a column over those of the candidate's largest below which it is rounding."""
+ROUNDING = 1e-9
+"""Size of a column over the largest, or share of its squares, below which it is rounding."""
+TOLD = 2.0
+"""Standard deviations from which on two things are told from each other, a number from none: 95 % of a normal
+distribution. What takes away less than its square in weighted squares is not looked at closer."""
 
 LEFT_OUT = 0.05
 """Weight of a fold in the fit that leaves it out. Working cycles go to some places and speeds once: what other folds
@@ -123,16 +126,14 @@ class Fit:
         self._precision = precision
         self._inverse: list[Array] = []
         self._beta: list[Array] = []
-        self._training: list[Array] = []
-        for k in range(-1, self.folds):
-            training = np.where(self.fold == k, LEFT_OUT, 1.0) * (self.fold >= 0)
-            H = np.tensordot(training, weighted, 1)
+        self._training = np.array([np.where(self.fold == k, LEFT_OUT, 1.0) * (self.fold >= 0)
+                                   for k in range(-1, self.folds)])
+        for H in np.tensordot(self._training, weighted, 1):
             A = H[: self.P, : self.P] + precision
             A = A + RIDGE * np.diag(np.maximum(np.diag(A), 1e-12 * (np.max(np.diag(A)) + 1e-300)))
             # Zero throughout where no sample is left to train on: nothing is known then, and nothing found.
             scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
             inverse = _inverse(A * np.outer(scale, scale)) * np.outer(scale, scale)
-            self._training.append(training)
             self._inverse.append(inverse)
             self._beta.append(inverse @ H[: self.P, self.P])
 
@@ -228,19 +229,20 @@ class Fit:
     def gain(self, key: str) -> tuple[float, Array]:
         """In-sample gain and coefficients of one more group."""
         group = self.design.groups[key]
-        return self._joined(0, *self._weighted(self._products(key), list(group.channels)), group)[:2]
+        products = self._weighted(self._products(key), list(group.channels))
+        return self._joined(0, tuple(np.tensordot(self._training[0], part, 1) for part in products), group)[:2]
 
     def held_out_test(self, key: str) -> HeldOutTest:
         """Held-out gain of one more group, everything refitted without each fold in turn."""
         group = self.design.groups[key]
         channels = list(group.channels)
         of_blocks = self._products(key)
-        CX, Cy, CC = self._weighted(of_blocks, channels)
-        gain, coefficients = self._joined(0, CX, Cy, CC, group)[:2]
+        folds = [np.tensordot(self._training, part, 1) for part in self._weighted(of_blocks, channels)]
+        gain, coefficients = self._joined(0, tuple(part[0] for part in folds), group)[:2]
         B, c = self.G.shape[:2]
         reduction, score, left = np.full((B, c), np.nan), np.full(B, np.nan), np.full(B, np.nan)
         for k, (mine, G, L0) in enumerate(self._left_out):
-            _, gamma, beta = self._joined(k + 1, CX, Cy, CC, group)
+            _, gamma, beta = self._joined(k + 1, tuple(part[k + 1] for part in folds), group)
             after = np.append(-beta, 1.0)
             step = np.append(beta - self._beta[k + 1], 0.0)
             CX_block, Cy_block, CC_block = (part[mine] for part in of_blocks)
@@ -271,16 +273,21 @@ class Fit:
         CX, Cy, CC = (np.einsum("c,bcij->bij", self.weights[channels], part) for part in products)
         return CX, Cy, CC
 
-    def _joined(self, k: int, CX: Array, Cy: Array, CC: Array, group: Columns) -> tuple[float, Array, Array]:
-        """Schur complement: gain, coefficients of the group, and the refitted other parameters."""
-        training = self._training[k]
-        CX, Cy, CC = (np.tensordot(training, part, 1) for part in (CX, Cy[:, :, 0], CC))
+    def _joined(self, k: int, products: tuple[Array, ...], group: Columns) -> tuple[float, Array, Array]:
+        """Schur complement: gain, coefficients of the group, and the refitted other parameters.
+
+        Args:
+            k: 0 for the fit to all blocks, then the fold that is left out, from 1.
+            products: of the group with the groups fitted, ``y`` and itself, weighted and summed over the blocks of k.
+            group: that joins.
+        """
+        CX, Cy, CC = products[0], products[1][:, 0], products[2]
         Z = CX @ self._inverse[k]
         S = CC - Z @ CX.T
         part = 1.0 if group.own is None else np.maximum(group.own, _ROUNDED)
         # A column that the others explain all but a hundred-thousandth of has nothing of its own. What of it is of the
         # form of the model's own parameters does not count, down to what rounding leaves.
-        own = (np.diag(S) > _OWN * part * np.diag(CC)) & (np.diag(CC) > _NOTHING * np.max(np.diag(CC), initial=0.0))
+        own = (np.diag(S) > _OWN * part * np.diag(CC)) & (np.diag(CC) > ROUNDING**2 * np.max(np.diag(CC), initial=0.0))
         if group.alike and len(Cy) > 6:
             S = S + _SMOOTH * float(np.mean(np.diag(CC))) * np.eye(len(Cy))
         m = len(Cy)

@@ -18,7 +18,7 @@ from scipy import signal
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.blocks import BlockProducts, Blocks, Columns
 from ideal_robot.diagnosis.channels.regression import Regression
-from ideal_robot.diagnosis.statistics.least_squares import Design, Fit, weights_of_channels
+from ideal_robot.diagnosis.statistics.least_squares import ROUNDING, Design, Fit, weights_of_channels
 from ideal_robot.dynamics.base_parameters import consistent_parameters
 from ideal_robot.effects import Effect, FittedEffect
 from ideal_robot.friction import PerJointFriction
@@ -160,8 +160,6 @@ def with_possible_inertias(model: Model, near: Array) -> Model:
 
 _FEWEST = 64
 """Rows from which on a part of the band can be told from the rest."""
-_ROUNDING = 1e-9
-"""Share of a column's squares that is rounding."""
 _HELD = 1e4
 """Times the prior's precision with which parameters are held while their changes are effects."""
 
@@ -213,7 +211,10 @@ class Problem:
 
     def prepared(self, columns: Array) -> Columns:
         """Raw columns ``(N_raw, c, m)`` filtered, decimated and masked; channels that are zero are not touched."""
-        channels = np.flatnonzero(np.any(np.any(columns, axis=0), axis=1))
+        there = columns[len(columns) // 2].any(axis=1)
+        for j in np.flatnonzero(~there):
+            there[j] = columns[:, j].any()
+        channels = np.flatnonzero(there)
         small = self._in_band(self.regression.decimate(np.ascontiguousarray(columns[:, channels])))
         values = small * self.regression.use[:, channels, None]
         return Columns(np.ascontiguousarray(values), tuple(int(j) for j in channels))
@@ -234,7 +235,7 @@ class Problem:
         left, whole = ((values**2).sum(axis=(0, 1)) for values in (made.without(form), made.values))
         share = left / np.maximum(whole, 1e-300)
         # A column that is all of that form is judged as any other.
-        return replace(made, own=np.where(share > _ROUNDING, share, 1.0))
+        return replace(made, own=np.where(share > ROUNDING, share, 1.0))
 
     def form_of_model(self, candidate: Candidate) -> Columns | None:
         """Columns that the model's own parameters make and that a candidate is partly like; None where it is not."""

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-NOT_TOLD = 2.0
-"""Standard errors below which a difference is none: 95 % of a normal distribution."""
+from ideal_robot.diagnosis.statistics.least_squares import TOLD
 
 
 @dataclass(frozen=True)
@@ -31,7 +30,7 @@ class Weighed:
     @property
     def told(self) -> bool:
         """Whether the data tell it from the named one."""
-        return abs(self.nats) > NOT_TOLD * self.std
+        return abs(self.nats) > TOLD * self.std
 
     @property
     def words(self) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.regression import Regression, noise_left, usual_noise
 from ideal_robot.diagnosis.search.choice import Choice
+from ideal_robot.diagnosis.statistics.least_squares import TOLD
 from ideal_robot.diagnosis.statistics.problem import Candidate, Estimate, Problem, fitted_effect
 from ideal_robot.diagnosis.validation.evidence import (
     at_standstill,
@@ -24,21 +25,19 @@ from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION
 from ideal_robot.effects.kinematics import GeometryChange
 
 CLEAR = 3.0
-"""Standard deviations by which a lag of all channels has to differ from none, and a change of a model's parameter in
-one coefficient at least; of the difference of two recordings, as the one that the model was made of bent its parameters
-no less than this one."""
-_DISTINGUISHED = 2.0
-"""Reported standard deviations by which a single coefficient has to differ from none: what may as well be nothing is
-not claimed. Several coefficients, or one and its theta, may each be loose and all of them together certain; but not
-where none of several differs by one and the error hardly falls, for they cancel, nor where theta may be twice itself or
-nothing as well."""
-_MOST = 0.5
+"""Standard deviations by which a lag of all channels has to differ from none, a change of a model's parameter in one
+coefficient at least, and a parameter or a torque that refitting alone moves from what was known; of the difference of
+two recordings, as the one that the model was made of bent its parameters no less than this one."""
+_HALF = 0.5
 """Share of the held-out squares from which on coefficients that are loose each are certain together, and those of a
-body tell it without its mass."""
-_KEPT = 0.5
-"""Of the share that was asked of an effect where it was found, what is asked of it on held-out data: against a given
-model, where what needs other parameters than the model's own to show is a change of these, and in a torque of the same
-recording, in blocks that nobody looked at."""
+body tell it without its mass. Of the share that was asked of an effect where it was found, what is asked of it on
+held-out data: against a given model, where what needs other parameters than the model's own to show is a change of
+these, and in a torque of the same recording, in blocks that nobody looked at."""
+
+# A single coefficient has to differ from none by ``TOLD`` reported standard deviations: what may as well be nothing is
+# not claimed. Several coefficients, or one and its theta, may each be loose and all of them together certain; but
+# not where none of several differs by one and the error hardly falls, for they cancel, nor where theta may be twice
+# itself or nothing as well.
 
 
 @dataclass(frozen=True)
@@ -148,15 +147,15 @@ class DomainDiagnosis:
             searched = effect.theta_is_physical and bool(effect.bounds(signals, candidate.joint))
             known = searched and not np.all(widened.theta_std[k] > np.abs(candidate.theta))
             # Shares are of squares: what has to take away more of them has to be as much clearer.
-            least = _DISTINGUISHED * np.sqrt(effect.caution if signals.n > 1 else 1.0)
+            least = TOLD * np.sqrt(effect.caution if signals.n > 1 else 1.0)
             return (searched and self.validation is not None) or effect.certain(np.abs(own) > least * wide, own, known)
-        least, sigma = _DISTINGUISHED, wide
+        least, sigma = TOLD, wide
         if effect.absorbed_by_base:
             # What the model's own recording told is in the prior; only what bends parameters counts once for each.
             least, sigma = CLEAR, np.sqrt(wide**2 + np.maximum(wide**2 - self.final.std[k] ** 2, 0.0))
         large = np.abs(own) > least * sigma
         return effect.certain(large, own, False) or (
-            effect.certain(large, own, True) and self._shares(self._ladder()[1])[k] > _MOST)
+            effect.certain(large, own, True) and self._shares(self._ladder()[1])[k] > _HALF)
 
     def _worthless(self) -> tuple[int, NotTransferred] | None:
         """The effect that falls shortest of what it has to take away from the held-out error of its channel, if any."""
@@ -184,7 +183,7 @@ class DomainDiagnosis:
         blocks scatter by; in another motion it may show less. What friction does not hide has only to take something.
         """
         alike = self.validation is None and self.reported.domain == MOTOR_TORQUE
-        return _KEPT * choice.asked if alike or self.problem.prior is not None else 0.0
+        return _HALF * choice.asked if alike or self.problem.prior is not None else 0.0
 
     def _not_added(self, k: int, levels: Sequence[Array], why: str) -> NotTransferred:
         candidate = self.effects[k]

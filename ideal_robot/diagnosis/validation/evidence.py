@@ -13,6 +13,7 @@ from ideal_robot.diagnosis.statistics.dependence import Dependence, DependenceTe
 from ideal_robot.diagnosis.statistics.problem import Candidate, Estimate, Problem
 from ideal_robot.diagnosis.validation.result import Structure
 from ideal_robot.effects import EffectParameter, FittedEffect, Signals, library
+from ideal_robot.effects.base import REACH
 
 
 def discriminating_motion(name: str, rivals: tuple[str, ...]) -> str:
@@ -52,8 +53,6 @@ def ranked_structure(problem: Problem, residual: Array, rng: np.random.Generator
 
 _NEAR = 0.05
 """A value within this share of itself from a bound stands at it: the search ends a little before."""
-_REACH = 3.0
-"""By what a single theta is refined about its start, at most (``Effect.bounds_near``)."""
 
 
 def with_limits(fitted: FittedEffect, candidate: Candidate, signals: Signals) -> FittedEffect:
@@ -94,7 +93,7 @@ def sides(candidate: Candidate, signals: Signals) -> list[int]:
         starts = [start[0] for start in effect.starts(signals, candidate.joint) if start and start[0] > 0.0]
         if starts and bounds[0][0] >= 0.0:
             (low, high) = bounds[0]
-            bounds = [(max(low, min(starts) / _REACH), min(high, max(starts) * _REACH))]
+            bounds = [(max(low, min(starts) / REACH), min(high, max(starts) * REACH))]
     return [_side(value, low, high) for value, (low, high) in zip(theta, bounds, strict=True)]
 
 

@@ -12,6 +12,7 @@ from ideal_robot.diagnosis.case import Case, Findings
 from ideal_robot.diagnosis.channels.blocks import time_blocks
 from ideal_robot.diagnosis.channels.motor_torque import about_model
 from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.diagnosis.search.scoring import ITERATIONS
 from ideal_robot.diagnosis.statistics.problem import Candidate, Estimate, Problem, prior_precision, with_parameters
 from ideal_robot.diagnosis.validation.domain_diagnosis import CLEAR, DomainDiagnosis
 from ideal_robot.effects import FittedEffect
@@ -145,8 +146,6 @@ def _held(found: Findings, index: np.ndarray) -> Findings:
                    held=(*found.held, *(int(i) for i in index)))
 
 
-_ITERATIONS = 3
-"""Fits after which the chord of the delay has become the delay."""
 _START = 1e-3
 """Chord to begin with [s]."""
 
@@ -165,7 +164,7 @@ def beside_lag(torque: DomainDiagnosis) -> Estimate:
     if not lag.usable(signals, 0) or any(isinstance(c.effect, CommonDelay) for c in effects):
         return torque.final
     candidate = Candidate(lag, 0, (_START,))
-    for _ in range(_ITERATIONS):
+    for _ in range(ITERATIONS):
         found = torque.problem.on_all_blocks().fit([*effects, candidate], uncertainty=True)
         theta = lag.consistent_theta(found.coefficients[-1], candidate.theta)
         candidate = Candidate(lag, 0, theta)

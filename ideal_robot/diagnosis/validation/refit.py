@@ -18,8 +18,9 @@ from ideal_robot.diagnosis.channels.force import blocks_of, force_regressions
 from ideal_robot.diagnosis.channels.line import line_blocks, line_regression
 from ideal_robot.diagnosis.channels.motor_torque import in_position_band, torque_regression
 from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.diagnosis.statistics.least_squares import ROUNDING
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem, fitted_effect, torque_left_open
-from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
+from ideal_robot.diagnosis.validation.domain_diagnosis import CLEAR, DomainDiagnosis
 from ideal_robot.diagnosis.validation.final_fit import held_problem
 from ideal_robot.diagnosis.validation.result import ChannelResult, MovedParameter, RefitExplains
 from ideal_robot.effects import (
@@ -45,12 +46,8 @@ _LARGE = 0.03
 1 %."""
 _FALLS = 0.7
 """Error after over error before down to which refitting, or an effect, explains little."""
-_FAR = 3.0
-"""Standard deviations by which a parameter, or the torque that refitting changes, has moved."""
 _FLOOR = 0.02
 """A parameter is never known better than this share of itself."""
-_ROUNDING = 1e-12
-"""Size of a derivative over the largest below which it is rounding."""
 _MOST = 4
 
 
@@ -70,7 +67,7 @@ def explained_by_refitting(model: Model, torque: DomainDiagnosis,
     for j, c in enumerate(channels):
         explained = np.sqrt(max(c.rms_before**2 - c.rms_refit**2, 0.0))
         with_effects = float(levels[-1][j])
-        least = max(_LARGE * c.spread, _FAR * left_open[j])
+        least = max(_LARGE * c.spread, CLEAR * left_open[j])
         if (j + 1 in regression.undecided or c.rms_refit > _FALLS * c.rms_before or explained < least
                 or (with_effects < _FALLS * c.rms_before and torque.problem.prior is not None)):
             continue
@@ -93,11 +90,11 @@ def _moved(model: Model, change: Array, W: Array, visible: float) -> tuple[Moved
     value = parameter_vector(model.base_values, model.friction)
     size = np.sqrt(np.mean(W**2, axis=0))
     # A parameter that moves nothing here may be anything.
-    seen = size > _ROUNDING * np.max(size, initial=0.0)
+    seen = size > ROUNDING * np.max(size, initial=0.0)
     unseen = np.divide(visible, size, out=np.full_like(size, np.inf), where=seen)
     sigma = np.sqrt(np.diag(model.covariance) + (_FLOOR * value) ** 2 + unseen**2)
     weight = np.abs(change) * size
-    far = [int(i) for i in np.argsort(-weight) if abs(change[i]) > _FAR * sigma[i] and weight[i] > 0.0]
+    far = [int(i) for i in np.argsort(-weight) if abs(change[i]) > CLEAR * sigma[i] and weight[i] > 0.0]
     names = model.parameters
     return tuple(MovedParameter(names[i].name, names[i].unit, float(value[i]), float(value[i] + change[i]),
                                 float(change[i] / sigma[i])) for i in far[:_MOST])

@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.search.choice import Choice, Options, PresentModel, overlap
+from ideal_robot.diagnosis.search.choice import FINALISTS, Choice, Options, PresentModel, overlap
 from ideal_robot.diagnosis.search.forward_selection import candidates
 from ideal_robot.diagnosis.search.learned_curves import LearnedCurves
 from ideal_robot.diagnosis.search.scoring import Scoring
@@ -29,8 +29,6 @@ from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, Effect, library
 from ideal_robot.effects.fitted import Unknown
 
-_REFINED = 4
-"""Rivals whose theta is refined: those beside which the others are far behind already at a coarse theta."""
 _BANDS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, np.inf)
 """Octaves in which the difference is looked at [Hz]."""
 
@@ -63,7 +61,7 @@ def _instead(scoring: Scoring, choice: Choice, effects: Sequence[Effect]) -> lis
             if (not own.joint or starts[0].joint in (own.joint, 0)) and starts[0].place != own.place]
     scored = [s for s in scoring.scored(fit, pool) if overlap(model, own, s.candidate)]
     scored.sort(key=lambda s: -s.test.total)
-    return [(scoring.refined(fit, s) if k < _REFINED else s).candidate for k, s in enumerate(scored)]
+    return [(scoring.refined(fit, s) if k < FINALISTS else s).candidate for k, s in enumerate(scored)]
 
 
 def _curve_instead(curves: LearnedCurves, choice: Choice) -> list[Candidate]:
