@@ -41,7 +41,7 @@ GROUPS = {
         "measured": "measured", "measured-adapted": "measured", "twins": "measured", "twin-arms": "measured",
     },
     "strangers": {"strangers": "diagnoses", "sensors": "diagnoses", "planned": "diagnoses",
-                  "ablation": "ablation", "rules": "ablation"},
+                  "ablation": "ablation", "rules": "ablation", "one-score": "one_score"},
     "closings": {"closings": "closings", "outside": "closings", "true-friction": "closings"},
     "robustness": {
         "findings": "findings", "limits": "limits", "fuzz": "broken", "kill": "broken",
