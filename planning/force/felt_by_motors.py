@@ -79,18 +79,16 @@ class FeltByMotors:
 
 HEARD = 0.01
 """Time after which the motors are asked again [s]; a cycle of 12 ms asks each time."""
-COARSE = 1.1
-"""Noise of what the motors feel within a second, in standard deviations of the model's residual [√s]: vibrations and
-friction that turns count, too."""
+SPAN = 0.012
+"""Time between the motor angles that speed and acceleration are taken from [s]: shorter, and encoders are heard."""
+LASTS, WAY = 0.3, 0.02
+"""Time and way over which the torque that a model does not know stays as it is [s, rad]."""
 STILL = 1e-6
 """Speed below which a joint stands still [rad/s]."""
-DRY, OVER = 0.1, 0.005
-"""Share of dry friction that a model does not know, and the way over which that changes [rad]."""
-CREEPS = 0.003
-"""Speed of a joint below which what is not known lasts so long that it no longer averages out [rad/s]."""
-GROWS = 17.0
-"""By how much more a sensor may be wrong a second later, one standard deviation [N/√s]. With the others, sound
-sensors come to 9 N on the simulated KR 6, at 0.2 m/s as at 20, 4 and 0.3 mm/s (``force_wave``)."""
+GROWS = 55.0
+"""By how much more a sensor may be wrong a metre further on, one standard deviation [N/√m]. With the others, sound
+sensors come to 11.5 N on the simulated KR 6: ``force_wave`` at 0.2, 0.05 and 0.02 m/s, ``glue`` at 0.3, 0.05 and 0.013,
+``contour``."""
 
 
 class BeyondSensor:
@@ -99,14 +97,14 @@ class BeyondSensor:
     With the torque :math:`g_j` of one newton of contact in joint j and the rest that neither model nor sensor explain,
 
     .. math:: z = - \frac{\sum_j w_j g_j r_j}{\sum_j w_j g_j^2}, \qquad r = \tau - \tau_M + g F, \qquad
-              w_j = \frac{T}{c^2 \sigma_j^2 + 2 \tau_{U,j}^2\, x / |\dot q_j|\, (1 + v_0 / |\dot q_j|)}, \qquad
+              w_j = \frac{T}{2\, u_j^2\, (t_0 + x_0 / |\dot q_j|)}, \qquad
               \mathrm{var}\, z = \frac{1}{\sum_j w_j g_j^2}
 
-    The direction of sliding ζ in :math:`\tau_M` is followed along the commands (Dahl, see
-    ``ideal_robot.friction.presliding``), however slowly the joints creep. Of the sliding friction :math:`\tau_F` the
-    model does not know :math:`\tau_U = (d + 1 - |\zeta|)\, \tau_F`: a share d, and what there is left to turn. That
-    stays as it is over a way x, so it is noise with that density; below :math:`v_0` it lasts longer than a fault may.
-    The slower a joint, the less it tells, and at rest nothing.
+    :math:`\tau_M` is what the model says of the motion that the motors made, not of what was wanted: the arm swings on
+    its gears, and a joint turns round earlier or later. The direction of sliding ζ is followed along the motor angles
+    (Dahl, see ``ideal_robot.friction.presliding``). What the model does not know is its residual, and of the friction
+    :math:`\tau_F` what there is left to turn, :math:`u = \sigma + (1 - |\zeta|)\, \tau_F`; that stays as it is for a
+    time and a way. The slower a joint, the less it tells, and at rest nothing.
 
     Args:
         model: of the arm, which says how large its residual σ is.
@@ -115,57 +113,54 @@ class BeyondSensor:
 
     def __init__(self, model: Model, T: float) -> None:
         self._model, self._T = model, T
-        self._commands: deque[Array] = deque(maxlen=round(BEHIND / T) + 2)
+        self._apart = max(round(SPAN / T), 1)
+        self._heard: deque[tuple[Array, Array, Array, Array]] = deque(maxlen=2 * self._apart + 1)
         laws = model.friction.laws
         # Friction without presliding turns at once.
         self._distance = np.array([float(law.shape[-1, 0]) if law.presliding else 1e-12 for law in laws])
         self._sliding = np.zeros(model.n)
-        self._heard: tuple[RobotState, Array, Array, Array, float] | None = None
-        self._waited = 0.0
+        self._waited = self._travelled = 0.0
         self.excess = 0.0
         """The force now [N]."""
         self._variance = 0.0
 
-    def commanded(self, q_d: Array) -> None:
-        """Takes the desired joint angles of a cycle ``(n,)`` [rad]."""
-        self._commands.append(q_d)
-        if len(self._commands) > 1:
-            step = self._commands[1] - self._commands[0]
-            end = np.sign(step)
-            self._sliding = end + (self._sliding - end) * np.exp(-np.abs(step) / self._distance)
-
-    def hear(self, measured: RobotState, torque: Array, felt: float) -> None:
+    def hear(self, measured: RobotState, torque: Array, felt: float, speed: float) -> None:
         """One cycle in contact, of which ``weigh`` makes something.
 
         Args:
             measured: at its end; torques that are NaN say nothing.
             torque: joint torques of one newton of contact ``(n,)`` [N m/N].
             felt: normal force that the sensor tells [N].
+            speed: of the tip along the surface [m/s].
         """
-        if len(self._commands) < 3 or not np.isfinite(measured.tau).all():
+        if not np.isfinite(measured.tau).all():
             return
-        before, here, after = list(self._commands)[:3]
-        v, a = (after - before) / (2 * self._T), (after - 2 * here + before) / self._T**2
-        self._heard, self._waited = (measured, v, a, torque, felt), self._waited + self._T
+        if self._heard:
+            step = measured.q - self._heard[-1][0]
+            end = np.sign(step)
+            self._sliding = end + (self._sliding - end) * np.exp(-np.abs(step) / self._distance)
+        self._heard.append((measured.q, self._sliding, measured.tau, torque * felt))
+        self._torque = torque
+        self._waited, self._travelled = self._waited + self._T, self._travelled + abs(speed) * self._T
 
     def weigh(self) -> None:
         """Makes of what was heard last how much more the motors feel, if it is time."""
-        if self._heard is None or self._waited < HEARD:
+        if self._waited < HEARD or len(self._heard) < 2 * self._apart + 1:
             return
-        (measured, v, a, torque, felt), waited = self._heard, self._waited
-        self._heard, self._waited = None, 0.0
-        model, one = self._model, self._sliding[None]
-        expected = model.inverse_dynamics(measured.q, v, a, direction=one)[0]
-        rest = measured.tau - expected + torque * felt
-        weight = waited / (COARSE**2 * model.noise_std**2 + self._unknown_friction(v))
-        self._variance += GROWS**2 * waited
+        waited, torque, apart = self._waited, self._torque, self._apart * self._T
+        (before, *_), (q, sliding, tau, sensed), (after, *_) = (self._heard[i * self._apart] for i in range(3))
+        v, a = (after - before) / (2 * apart), (after - 2 * q + before) / apart**2
+        rest = tau - self._model.inverse_dynamics(q, v, a, direction=sliding[None])[0] + sensed
+        weight = waited / self._unknown(v, sliding)
+        self._variance += GROWS**2 * self._travelled
+        self._waited = self._travelled = 0.0
         known = 1.0 + self._variance * float(torque @ (weight * torque))
         self.excess -= self._variance * float(torque @ (weight * (rest + torque * self.excess))) / known
         self._variance /= known
 
-    def _unknown_friction(self, v: Array) -> Array:
-        """Spectral density ``(n,)`` [N² m² s] of the friction that is not known, at speeds ``(n,)`` [rad/s]."""
+    def _unknown(self, v: Array, sliding: Array) -> Array:
+        """Spectral density ``(n,)`` [N² m² s] of the torque that is not known, at speeds ``(n,)`` [rad/s]."""
         at, one = np.maximum(np.abs(v), STILL), np.ones((1, len(v)))
-        share = DRY + 1.0 - np.abs(self._sliding)
-        unknown = share * self._model.friction.torque(at[None], None, None, one)[0]
-        return np.asarray(2.0 * unknown**2 * OVER / at * (1.0 + CREEPS / at))
+        friction = self._model.friction.torque(at[None], None, None, one)[0]
+        unknown = self._model.noise_std + (1.0 - np.abs(sliding)) * friction
+        return np.asarray(2.0 * unknown**2 * (LASTS + WAY / at))

@@ -155,7 +155,6 @@ class LiveForceTask(ForceTask):
         """See ``scenes.online.cycle.Task``."""
         if self.arm is not None:
             self.arm.q_d = q_d[0]
-        self.motors.commanded(q_d[0])
         return super().command(t, q_d)
 
     def collect(self, t0: float, t1: float, measured: RobotState) -> None:
@@ -168,7 +167,8 @@ class LiveForceTask(ForceTask):
         """
         super().collect(t0, t1, measured)
         if self.follower.phase is Phase.TRAVEL:
-            self.motors.hear(measured, self._torque[0] / self.cell.scene.force, self.follower.force)
+            self.motors.hear(measured, self._torque[0] / self.cell.scene.force, self.follower.force,
+                             self.follower.speed_at(t0))
             if not self.ahead:
                 self.motors.weigh()
 

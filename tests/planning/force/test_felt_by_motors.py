@@ -15,20 +15,18 @@ from scenes.scene_file import load_scene
 T, UP = 0.004, np.eye(3)[2]
 
 
-def heard(way: Array, unfelt: float, currents: bool = True) -> float:
+def heard(way: Array, unfelt: float, currents: bool = True, speed: float = 0.2) -> float:
     """What is heard of a force that the sensor does not tell [N], the joints swinging so far ``(n,)`` [rad]."""
     known = set_up(load_scene("force_wave")).known
     robot, model, rng = known.robot, known.model, np.random.default_rng(1)
     motors, kinematics = BeyondSensor(model, T), InverseKinematics(robot)
     t = T * np.arange(800)[:, None]
     q, v, a = (robot.home + way * np.sin(3 * t), 3 * way * np.cos(3 * t), -9 * way * np.sin(3 * t))
-    late = round(BEHIND / T)
-    for k in range(late, len(t)):
-        motors.commanded(q[k])
-        torque = kinematics.torque(q[k - late], UP)
-        tau = model.inverse_dynamics(q[k - late], v[k - late], a[k - late])[0] - torque * (20.0 + unfelt)
+    for k in range(len(t)):
+        torque = kinematics.torque(q[k], UP)
+        tau = model.inverse_dynamics(q[k], v[k], a[k])[0] - torque * (20.0 + unfelt)
         tau = tau + model.noise_std * rng.standard_normal(robot.n)
-        motors.hear(RobotState(T * k, q[k - late], tau if currents else np.full(robot.n, np.nan)), torque, 20.0)
+        motors.hear(RobotState(T * k, q[k], tau if currents else np.full(robot.n, np.nan)), torque, 20.0, speed)
         motors.weigh()
     return motors.excess
 
@@ -38,9 +36,38 @@ def test_a_force_that_the_sensor_does_not_tell_is_found(unfelt: float) -> None:
     assert heard(np.full(6, 0.1), unfelt) == pytest.approx(unfelt, abs=1.0)
 
 
-def test_joints_at_rest_and_controllers_without_currents_say_nothing() -> None:
+def test_joints_at_rest_a_tip_at_rest_and_controllers_without_currents_say_nothing() -> None:
     assert abs(heard(np.zeros(6), 10.0)) < 1.0
+    assert heard(np.full(6, 0.1), 10.0, speed=0.0) == 0.0
     assert heard(np.full(6, 0.1), 10.0, currents=False) == 0.0
+
+
+@pytest.mark.parametrize(("cycle", "needed"), [(0.012, 3), (0.004, 7)])
+@pytest.mark.parametrize(("sense", "speed"), [(1.0, 0.3), (-1.0, -0.1)])
+def test_the_first_word_of_the_motors_is_what_a_random_walk_lets_expect(cycle: float, needed: int, sense: float,
+                                                                       speed: float) -> None:
+    """Joints that slide on: the weights of the joints, the prior, and the instant whose motion counts."""
+    known = set_up(load_scene("force_wave")).known
+    robot, model = known.robot, known.model
+    motors, torque = BeyondSensor(model, cycle), InverseKinematics(robot).torque(robot.home, UP)
+    rate, rest = sense * np.array([0.2, 0.05, -0.1, 0.02, 0.3, 0.1]), np.array([90.0, -120.0, 60.0, 3.0, -6.0, 3.0])
+    q = robot.home + rate * cycle * np.arange(needed)[:, None]
+    distance = np.array([float(law.shape[-1, 0]) for law in model.friction.laws])
+    for k in range(needed):
+        assert motors.excess == 0.0
+        turned = 1.0 - np.exp(-k * np.abs(rate) * cycle / distance)
+        tau = model.inverse_dynamics(q[k], rate, 0.0 * rate, direction=(np.sign(rate) * turned)[None])[0]
+        motors.hear(RobotState(cycle * k, q[k], tau - 20.0 * torque + rest), torque, 20.0, speed)
+        motors.weigh()
+    middle = needed // 2
+    left = np.exp(-middle * np.abs(rate) * cycle / distance)
+    friction = model.friction.torque(np.abs(rate)[None], None, None, np.ones((1, 6)))[0]
+    waited = needed * cycle
+    weight = waited / (2.0 * (model.noise_std + left * friction) ** 2 * (0.3 + 0.02 / np.abs(rate)))
+    prior = 55.0**2 * abs(speed) * waited
+    expected = -prior * torque @ (weight * rest) / (1.0 + prior * torque @ (weight * torque))
+    assert motors.excess == pytest.approx(expected, rel=1e-6)
+    assert abs(expected) > 0.1
 
 
 @pytest.mark.parametrize("force", [0.0, 15.0, -8.0])
