@@ -35,6 +35,7 @@ GROUPS = {
         "world": "paths", "heating": "paths", "camera": "camera", "calibration": "camera", "detectors": "camera",
         "photographs": "photographs", "real-camera": "photographs",
         "line-photographs": "line_photographs", "line-weights": "line_photographs",
+        "line-films": "line_photographs",
         "fusion": "fusion", "fusion-banks": "fusion",
         "force": "force", "force-parts": "force", "stability": "force", "surface-shapes": "force",
         "line-shapes": "line",

@@ -19,6 +19,7 @@ from scipy.optimize import minimize
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from sensing.camera.line_evidence import FEATURES
+from sensing.camera.line_track import track
 from sensing.camera.picture_line import detect_in_picture, find_lines
 from studies.report import head, row
 
@@ -87,6 +88,33 @@ def line_photographs(folder: Folder, kept: bool = True, seed: int = 1) -> None:
             for what in ("found", "another") if of is not sets[2] else ("another",):
                 cells.append(f"{100.0 * np.mean([one == what for one in verdicts]):.0f}")
         row(name, *cells, f"{1e3 * (time.process_time() - begun) / count:.0f}")
+
+
+def line_films(folder: Folder, most: int = 250) -> None:
+    """A line followed through films: pictures in which it was followed, lost, found again, and another one taken.
+
+    The files of `studies/line_photographs.toml` below FOLDER, see `line-photographs`; the pixel that the line passes in
+    the first picture is told. What is called followed was looked at, not marked.
+    """
+    states = ("followed", "lost", "found again", "another line")
+    head("film", "pictures", *states, "ms")
+    for entry in tomllib.loads(LISTING.read_text(encoding="utf-8"))["film"]:
+        path = next(iter(sorted(folder.rglob(entry["file"]))), None)
+        if path is None:
+            raise InputError(f"get it from the package {entry['package']}", field="FOLDER", value=entry["file"])
+        capture = cv2.VideoCapture(str(path.parent / entry.get("frames", path.name)))
+        seen: list[str] = []
+        last, begun = None, time.process_time()
+        while len(seen) < most:
+            there, picture = capture.read()
+            if not there:
+                break
+            near = tuple(entry["near"]) if "near" in entry else None
+            last = track(np.asarray(picture, dtype=np.uint8), last, kind=entry.get("kind"), near=near)
+            seen.append(last.state)
+        capture.release()
+        row(entry["file"], len(seen), *(seen.count(one) for one in states),
+            f"{1e3 * (time.process_time() - begun) / len(seen):.0f}")
 
 
 def line_weights(folder: Folder, seed: int = 1) -> None:
