@@ -251,4 +251,5 @@ def table(results: list[Detected]) -> tuple[list[str], list[list[Any]]]:
     rows = [[name, state or found.found, found.evidence if np.isfinite(found.evidence) else None,
              *([found.width, "dark" if found.dark else "bright", found.contrast, found.sigma, found.others, None]
                if found.found else [None] * 5 + [found.reason])] for name, _, found, state in results]
-    return ["picture", "found", "odds", "width [px]", "polarity", "contrast", "σ [px]", "other lines", "why not"], rows
+    return ["picture", "found", "log odds", "width [px]", "polarity", "contrast", "σ [px]", "other lines",
+            "why not"], rows
