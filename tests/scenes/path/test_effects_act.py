@@ -18,6 +18,7 @@ from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, SENSOR, TCP_POSITION, FittedEffect, library
 from ideal_robot.effects.camera import CameraErrors
 from ideal_robot.effects.force import ForceErrors
+from ideal_robot.effects.kinematics import GeometryChange
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.loop.from_model import loop_model, with_effects
 from ideal_robot.loop.loop_model import LoopModel
@@ -78,7 +79,7 @@ def apart(one: Play, other: Play) -> float:
 
 def fitted(recording: Recording, known: Model, true: FittedEffect) -> FittedEffect:
     """The effect with the size that a recording says, the model's parameters held."""
-    if true.domain == TCP_POSITION and not true.effect.geometric:
+    if true.domain == TCP_POSITION and not isinstance(true.effect, GeometryChange):
         # With arm angles gears would show there.
         columns = {name: values for name, values in recording.columns.items() if not name.startswith("qa_")}
         recording = dataclasses.replace(recording, columns=columns)
