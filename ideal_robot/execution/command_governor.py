@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, eased
 from ideal_robot.errors import InputError, LimitError
 from ideal_robot.jit import jit
 from ideal_robot.robots.robot import Robot
@@ -193,18 +193,16 @@ def stopping_rows(planned: Array, T: float, speed: float, deceleration: float) -
 
 _STEEPEST = 10.0 / math.sqrt(3.0)
 """Largest acceleration of a quintic from rest to rest, over a way of one in a time of one."""
-
-
 _SHARE = 0.25
 """Of the joints' accelerations that moving away takes. On the simulated KR 6 the commands of ``contour``, whose
 feedforward knows the gears, then have up to 0.8 of the limits."""
 
 
 def moved_away(horizons: Iterator[Array], way: Array, a_max: Array, T: float) -> Iterator[Array]:
-    r"""The same horizons ``(n_d, n)``, on which every joint is moved by a way in the end.
+    """The same horizons ``(n_d, n)``, on which every joint is moved by a way in the end.
 
-    By :math:`10u^3 - 15u^4 + 6u^5` of it, without a step of the acceleration, with ``_SHARE`` of what the joints may
-    have: the rest is for braking, and for what a feedforward adds to the command.
+    It begins without a step of the acceleration and takes ``_SHARE`` of what the joints may have: the rest is for
+    braking, and for what a feedforward adds to the command.
 
     Args:
         horizons: of the coming cycles, without end [rad].
@@ -215,7 +213,7 @@ def moved_away(horizons: Iterator[Array], way: Array, a_max: Array, T: float) ->
     lasts = max(float(np.sqrt(np.max(_STEEPEST * np.abs(way) / (_SHARE * a_max)))), T)
     for k, rows in enumerate(horizons):
         u = np.minimum((k + 1 + np.arange(len(rows)))[:, None] * T / lasts, 1.0)
-        yield rows + (10.0 * u**3 - 15.0 * u**4 + 6.0 * u**5) * way
+        yield rows + eased(u) * way
 
 
 # The limits of an arm along a path of commands: position, velocity, acceleration.

@@ -171,11 +171,11 @@ def _telling(robot: Robot, postures: Array, count: int, shapes: Shapes | None) -
     information = 1e-6 * np.eye(rows.shape[2])
     chosen: list[int] = []
     for _ in range(min(count, len(postures))):
-        gains = [np.linalg.slogdet(information + row.T @ row)[1] if i not in chosen else -np.inf
-                 for i, row in enumerate(rows)]
+        left = [i for i in range(len(rows)) if i not in chosen]
+        gains = [np.linalg.slogdet(information + rows[i].T @ rows[i])[1] for i in left]
         here = postures[chosen[-1]] if chosen else robot.home
-        best = next((int(i) for i in np.argsort(gains, kind="stable")[::-1] if i not in chosen
-                     and (shapes is None or shapes.touch_between(here, postures[i]) is None)), None)
+        best = next((left[k] for k in np.argsort(gains, kind="stable")[::-1]
+                     if shapes is None or shapes.touch_between(here, postures[left[k]]) is None), None)
         if best is None:
             break
         chosen.append(best)

@@ -53,9 +53,10 @@ def test_the_tip_does_not_plunge_when_the_travel_begins_on_a_stiff_surface() -> 
     start = result.log.t[result.log.phase.index("travel")]
     first = (result.history["t"] > start) & (result.history["t"] < start + 0.5)
     assert result.history["normal"][first].max() < 30.0
-    if result.failure is not None:
+    if result.failure is not None and "is above the limit 80.0 N" in result.failure:
         # On one kind of processor, with this seed of four: rounding decides whether 20 N/mm begins to swing at 10 Hz.
         pytest.xfail(f"the contact begins to swing a second later: {result.failure}")
+    assert result.failure is None
     assert result.figures.rms < 2.5
 
 
