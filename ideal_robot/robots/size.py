@@ -16,10 +16,8 @@ from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import SHIPPED, Robot, spread_postures
-from ideal_robot.robots.urdf import model_of
+from ideal_robot.robots.urdf import FEWEST, model_of
 
-FEWEST = 5
-"""Joints of an arm."""
 REACH = (0.30, 0.50, 0.90, 1.30, 1.80, 2.60, 3.30)
 """Of the arms of a class, from the second joint to the flange stretched out [m]."""
 MASS = (0.5, 8.0, 30.0, 80.0, 250.0, 900.0, 1500.0)

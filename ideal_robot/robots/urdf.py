@@ -17,6 +17,8 @@ from ideal_robot.bounded_values import kept_words, read_toml
 from ideal_robot.errors import InputError
 from ideal_robot.file_limits import URDF_BYTES, URDF_DEPTH, URDF_ELEMENTS, URDF_JOINTS
 
+FEWEST = 5
+"""Joints of an arm."""
 SLOWEST = 1e-4
 """Least speed limit of a joint [rad/s or m/s]."""
 _NUMBERS = ("xyz", "rpy", "mass", "lower", "upper", "effort", "velocity", "ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -52,7 +54,8 @@ def model_of(text: str, file: str | Path | None = None) -> pin.Model:
                                   inertia.lever, [inertia.mass]])
         if not np.all(np.isfinite(numbers)):
             raise InputError("place or inertia is not finite", file=file, field=model.names[j])
-        if not inertia.mass >= 0.0 or (np.diag(inertia.inertia) < -1e-12).any():
+        # An arm gets links of its class in their place, and says so (``ideal_robot.robots.size``).
+        if model.nv < FEWEST and (inertia.mass < 0.0 or (np.diag(inertia.inertia) < -1e-12).any()):
             raise InputError("a body of negative mass or moment of inertia", file=file, field=model.names[j],
                              value=[inertia.mass, *np.diag(inertia.inertia).tolist()])
         if not (model.velocityLimit[j - 1] <= 0.0 or model.velocityLimit[j - 1] >= SLOWEST):

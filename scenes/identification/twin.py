@@ -82,8 +82,12 @@ def twin_of(analysis: IdentificationResult, robot: Robot, name: str) -> Twin:
     seen = ["masses, rotors and offsets: identified", "friction: the identified law, as bristles and fluid"]
     assumed: list[str] = []
     body = _body(model, robot)
+    hidden = _hidden_rotors(robot, body)
+    rotor = body[10 * robot.n : 11 * robot.n] + hidden
+    if np.any(hidden):
+        assumed.append("rotors: those of a class; the torques were measured behind the gears and do not show them")
     table: dict[str, Any] = {
-        "body": body, "extra_rotor_inertia": 0.0, "thermal": False, "lubrication": 0.0,
+        "body": body, "extra_rotor_inertia": hidden, "thermal": False, "lubrication": 0.0,
         "correction_delay": bool(recordings[0].meta.get("correction_delay", False)),
         "inertia_tolerance": float(min(0.15, 0.01 * np.median([v.uncertain_percent for v in analysis.verdicts]))),
         **_friction(model, recordings, robot)}
@@ -94,10 +98,11 @@ def twin_of(analysis: IdentificationResult, robot: Robot, name: str) -> Twin:
     seen.append(f"noise of the torque: {_listed(noise)} N m")
     table |= _encoder(model, robot, seen)
     table |= _ripple(ripples, robot)
-    _controller(model, robot, body, (table, spread), (seen, assumed))
-    _gears(model, robot, body, (table, spread), (seen, assumed))
+    loads = _moments(robot, body, rotor)
+    _controller(model, robot, loads, (table, spread), (seen, assumed))
+    _gears(model, robot, (body, rotor, *loads), (table, spread), (seen, assumed))
     if table["elasticity"]:
-        _stabilised(table, spread, robot, body, name)
+        _stabilised(table, spread, (rotor, *loads), name)
     table["spread"] = spread
     without = Twin({key: _plain(value) for key, value in table.items()}, (), ())
     own = _left_of(without, robot, name, recordings[0], len(bands))
@@ -154,14 +159,47 @@ def _listed(values: Array) -> str:
 def _body(model: Model, robot: Robot) -> Array:
     """Possible bodies ``(12 n,)`` with the identified base parameters, near those of the data sheet or of the class."""
     n = robot.n
-    rotor = np.where(robot.rotor_inertia > 0.0, robot.rotor_inertia, generic_world(robot)["extra_rotor_inertia"])
-    near = np.concatenate([link_parameters(robot.pinocchio), rotor, np.zeros(n)])
+    near = np.concatenate([link_parameters(robot.pinocchio), _usual_rotors(robot), np.zeros(n)])
     b = model.base.count
     try:
         full = consistent_parameters(model.base, model.base_values, model.covariance[:b, :b], near).full
     except IdealRobotError:
         full = model.consistent
     return np.asarray(np.concatenate([full[: 11 * n], model.offset]))
+
+
+def _hidden_rotors(robot: Robot, body: Array) -> Array:
+    """Rotors ``(n,)`` [kg m²] that torques measured behind the gears do not show: those of the class; else none.
+
+    No drive is without. Behind links that are slim where two axes fall together, one would not be stable.
+    """
+    n = robot.n
+    rotor, least = body[10 * n : 11 * n], _link_moments(robot, body).min(axis=0)
+    if n == 1 or np.all(rotor >= _LEAST_ROTOR * least):
+        return np.zeros(n)
+    return np.maximum(_usual_rotors(robot) - rotor, 0.0)
+
+
+def _usual_rotors(robot: Robot) -> Array:
+    return np.where(robot.rotor_inertia > 0.0, robot.rotor_inertia, generic_world(robot)["extra_rotor_inertia"])
+
+
+def behind_gears(own: Recording, twin: Twin, filters: dict[str, Any]) -> Recording:
+    """What a twin logs along a motion, its torques without what turns the rotors that the recordings did not show.
+
+    Args:
+        own: of the twin.
+        twin: its world.
+        filters: of the identification.
+    """
+    hidden = np.asarray(twin.table["extra_rotor_inertia"])
+    if not np.any(hidden):
+        return own
+    s = preprocess(own, cutoff=filters["cutoff"], cutoff_decimation=filters["cutoff_decimation"])
+    qdd = np.column_stack([np.interp(own.t, s.t, column) for column in s.qdd.T])
+    tau = own.joints("tau") - hidden * qdd
+    columns = {**own.columns, **{f"tau_{j + 1}": tau[:, j] for j in range(own.n)}}
+    return Recording(columns, dict(own.meta), own.source)
 
 
 def _friction(model: Model, recordings: Sequence[Recording], robot: Robot) -> dict[str, Array]:
@@ -244,12 +282,12 @@ Tables = tuple[dict[str, Any], dict[str, float]]
 Words = tuple[list[str], list[str]]
 
 
-def _controller(model: Model, robot: Robot, body: Array, tables: Tables, words: Words) -> None:
+def _controller(model: Model, robot: Robot, loads: tuple[Array, Array], tables: Tables, words: Words) -> None:
     """The cascade: identified, else a given one or that of the class, with its spread."""
     table, spread = tables
     controller = model.controller
     if controller is None:
-        cascade = Cascade.of_class(_moments(robot, body)[0], robot.t_position)
+        cascade = Cascade.of_class(loads[0], robot.t_position)
         spread |= {key: SPREAD[key] for key in ("position_gain", "velocity_gain", "integral_time",
                                                  "velocity_feedforward")}
         words[1].append("controllers: those of a class, no commands in the recordings")
@@ -265,13 +303,13 @@ def _controller(model: Model, robot: Robot, body: Array, tables: Tables, words: 
               "low_pass": float(np.median(cascade.command_filter))}
 
 
-def _gears(model: Model, robot: Robot, body: Array, tables: Tables, words: Words) -> None:
-    """Stiffness of the gears: identified, else of the class; rigid where the torques were measured behind them."""
+def _gears(model: Model, robot: Robot, loads: tuple[Array, Array, Array, Array], tables: Tables, words: Words) -> None:
+    """Stiffness of the gears: identified, else of the class; of one axis rigid."""
     table, spread = tables
-    rotor, (mean, least) = body[10 * robot.n : 11 * robot.n], _moments(robot, body)
-    table["elasticity"] = bool(np.all(rotor >= _LEAST_ROTOR * least)) and robot.n > 1
+    body, rotor, mean, _ = loads
+    table["elasticity"] = robot.n > 1
     if not table["elasticity"]:
-        words[1].append("gears: rigid, the torques show no rotors of their own" if robot.n > 1 else "gear: rigid")
+        words[1].append("gear: rigid")
         return
     usual = generic_world(robot)
     table["stiffness"], table["damping"] = np.array(usual["stiffness"]), np.array(usual["damping"])
@@ -286,12 +324,17 @@ def _gears(model: Model, robot: Robot, body: Array, tables: Tables, words: Words
     table["stiffness"] = np.where(rigid, RIGID, np.minimum(table["stiffness"], RIGID))
 
 
-def _moments(robot: Robot, body: Array) -> tuple[Array, Array]:
+def _moments(robot: Robot, body: Array, rotor: Array) -> tuple[Array, Array]:
     """Mean moment of inertia of each joint, rotor included, and the least of its links, over postures ``(n,)`` each."""
-    n, model = robot.n, _with_body(robot, body)
+    found = _link_moments(robot, body)
+    return found.mean(axis=0) + rotor, found.min(axis=0)
+
+
+def _link_moments(robot: Robot, body: Array) -> Array:
+    """What the links hold against each joint in postures spread over the range ``(m, n)`` [kg m²]."""
+    model = _with_body(robot, body)
     data = model.createData()
-    found = np.array([pin.crba(model, data, q).diagonal() for q in spread_postures(robot.q_min, robot.q_max)])
-    return found.mean(axis=0) + body[10 * n : 11 * n], found.min(axis=0)
+    return np.array([pin.crba(model, data, q).diagonal() for q in spread_postures(robot.q_min, robot.q_max)])
 
 
 def _with_body(robot: Robot, body: Array) -> pin.Model:
@@ -302,13 +345,13 @@ def _with_body(robot: Robot, body: Array) -> pin.Model:
     return model
 
 
-def _stabilised(table: dict[str, Any], spread: dict[str, float], robot: Robot, body: Array, name: str) -> None:
+def _stabilised(table: dict[str, Any], spread: dict[str, float], loads: tuple[Array, Array, Array], name: str) -> None:
     """Changes what was assumed until all individuals are stable: the arm that was recorded is.
 
     Gains of a class are lowered; behind identified ones the gears that nobody measured are stiffer.
     """
-    n, rotor = robot.n, body[10 * robot.n : 11 * robot.n]
-    mean, least = _moments(robot, body)
+    rotor, mean, least = loads
+    n = len(rotor)
     for _ in range(40):
         worst = np.full(n, -np.inf)
         for individual in range(DRAWS + 1):

@@ -16,7 +16,7 @@ from ideal_robot.results import Summarised, listed, plain
 from ideal_robot.robots.size import FEWEST
 from ideal_robot.signals.recording import Recording
 from scenes.arms import arm_of
-from scenes.identification.twin import Twin, played_again, twin_of
+from scenes.identification.twin import Twin, behind_gears, played_again, twin_of
 from scenes.placing import place_line, scene_text
 from scenes.result import Progress, silent
 from scenes.scene_file import library, load_scene
@@ -92,7 +92,7 @@ def make_twin(recordings: list[Recording], robot_name: str, *, analysis: Identif
     own = played_again(twin.world(robot_name), robot, first, seed)
     progress(0.8, "identifying the twin")
     again = identify_model(own, robot, cascade=False)
-    rms, spectrum = compared(first, own)
+    rms, spectrum = compared(first, behind_gears(own, twin, analysis.model.provenance["filters"]))
     return TwinResult(twin, analysis, rms, spectrum,
                       np.array([residual_std(analysis.result.estimation[:1]), residual_std(again.result.estimation)]))
 

@@ -21,6 +21,7 @@ from planning.path.kinematics import InverseKinematics
 from scenes.online.force_known import START_HEIGHT, Known
 from scenes.online.live_arm import LiveArm, moves
 from scenes.online.live_sensors import LiveForce
+from scenes.placing import shapes_about
 from scenes.scene_files.scene import SceneError
 from sensing.force.force_calibration import (
     ContactElasticity,
@@ -34,6 +35,8 @@ LIFT = 0.15
 """How far away from the surface the tool is turned [m]."""
 TURNS = ((0.0, 0.0), (0.0, 0.4), (0.0, -0.4), (0.5, 0.3), (1.0, 0.5), (-0.5, 0.4), (-1.0, -0.3))
 """Turns of the joints before the last two [rad]."""
+LEAST = 3
+"""Postures that tell bias and weight apart."""
 REST, USED = 0.6, 0.35
 """Rest in each posture, and the end of it that counts [s]."""
 ABOVE = 0.01
@@ -66,7 +69,7 @@ def tool_by_turning(known: Known, start: Array, arm: LiveArm, force: LiveForce) 
         SensingError: what is felt does not turn as a weight does.
     """
     robot, fk = known.robot, known.robot.fk()
-    postures = _turned(known, start)
+    postures = postures_to_weigh(known, start)
     rests, times = [], []
     arm.begin()
     force.begin()
@@ -86,21 +89,32 @@ def tool_by_turning(known: Known, start: Array, arm: LiveArm, force: LiveForce) 
     return identify_tool(wrenches, rotations)
 
 
-def _turned(known: Known, start: Array) -> list[Array]:
-    """Postures above the start, the first not turned."""
-    robot, here = known.robot, known.robot.fk()(start)
+def postures_to_weigh(known: Known, start: Array) -> list[Array]:
+    """Postures above the start, the first not turned; each can be reached from the one before and the first.
+
+    Raises:
+        SceneError: what stands in the cell leaves too few of them.
+    """
+    robot, here, shapes = known.robot, known.robot.fk()(start), shapes_about(known.scene, known.robot)
     up = known.reference.frames(np.zeros(1)).up[0]
     try:
         lifted = InverseKinematics(robot).search(pin.SE3(here.rotation, here.translation + LIFT * up), start)
     except OutOfReachError as error:
         raise SceneError(f"the tool cannot be lifted to be turned: {error}") from error
-    postures = []
-    for turn, bend in TURNS:
+    hit = shapes.touch_between(start, lifted)
+    postures = [] if hit else [lifted]
+    for turn, bend in TURNS[1:] if postures else ():
         q = lifted.copy()
         q[-3] += turn
         q[-2] += bend
         if ((q > robot.q_min + _MARGIN) & (q < robot.q_max - _MARGIN)).all():
-            postures.append(q)
+            touch = shapes.touch_between(postures[-1], q) or shapes.touch_between(q, lifted)
+            hit = touch or hit
+            if touch is None:
+                postures.append(q)
+    if hit is not None and len(postures) < LEAST:
+        raise SceneError(f"the tool cannot be turned {1e3 * LIFT:.0f} mm above the start of the path: {hit}; move what "
+                         "is in the way, or let the path start elsewhere")
     return postures
 
 

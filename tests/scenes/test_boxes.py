@@ -20,12 +20,13 @@ from scenes.force.cell import set_up as set_up_force
 from scenes.identification.plan import plan
 from scenes.line.cell import set_up
 from scenes.models import cache_name
+from scenes.online.force_calibration import LEAST, TURNS, postures_to_weigh
 from scenes.online.line_known import calibration_postures
 from scenes.placing import shapes_about, shapes_in
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.path_scene import PathScene, joint_path
-from scenes.scene_files.scene import boxes_of
+from scenes.scene_files.scene import SceneError, boxes_of
 from sim.arm.world import World
 
 BESIDE = {"middle": [0.0, -1.5, 0.5], "size": [0.4, 0.4, 1.0]}
@@ -123,6 +124,40 @@ def test_an_arm_that_stands_in_a_box_is_told_so_before_a_motion_is_looked_for() 
     cell = Shapes(robot, boxes=[Obstacle("box 1", pin.SE3(np.eye(3), tip), (0.2, 0.2, 0.2))])
     with pytest.raises(InputError, match=r"home posture, and there .* touches box 1"):
         plan(robot, "joint", workspace=replace(Workspace.of(robot), cell=cell))
+
+
+@pytest.mark.parametrize("name", ["force_wave", "glue", "contour"])
+def test_postures_in_which_the_tool_is_weighed_keep_off_a_box(name: str) -> None:
+    scene = load_scene(name)
+    assert isinstance(scene, ForceScene)
+    known = set_up_force(scene).known
+    start = known.q_start()
+    free = postures_to_weigh(replace(known, scene=scene.changed(box=[BESIDE])), start)
+    assert len(free) == sum(turned_within_limits(known.robot, free[0]))
+    tips = np.array([known.robot.fk()(q).translation for q in free])
+    farthest = tips[np.argmax(np.linalg.norm(tips - tips[0], axis=1))]
+    boxed = scene.changed(box=[{"middle": farthest.tolist(), "size": [0.04, 0.04, 0.04]}])
+    shapes = shapes_about(boxed, known.robot)
+    assert shapes.first_touch(np.array(free)) is not None
+    assert shapes.touch_between(start, free[0]) is None
+    kept = postures_to_weigh(replace(known, scene=boxed), start)
+    assert LEAST <= len(kept) < len(free)
+    assert all(shapes.touch_between(one, other) is None for one, other in pairwise([start, *kept, kept[0]]))
+
+
+def turned_within_limits(robot: Robot, lifted: np.ndarray) -> list[bool]:
+    turned = [lifted + np.array([0.0, 0.0, 0.0, turn, bend, 0.0]) for turn, bend in TURNS]
+    return [bool(((q > robot.q_min + 0.05) & (q < robot.q_max - 0.05)).all()) for q in turned]
+
+
+def test_a_tool_that_cannot_be_lifted_for_a_box_is_not_turned() -> None:
+    scene = load_scene("force_wave")
+    assert isinstance(scene, ForceScene)
+    known = set_up_force(scene).known
+    x, y, z = known.reference.frames(np.zeros(1)).position[0]
+    boxed = scene.changed(box=[{"middle": [x, y, z + 0.8], "size": [0.3, 0.3, 0.3]}])
+    with pytest.raises(SceneError, match=r"cannot be turned 150 mm above the start of the path: .* touches box 1"):
+        postures_to_weigh(replace(known, scene=boxed), known.q_start())
 
 
 def test_an_own_model_of_a_cell_with_boxes_is_another_one() -> None:

@@ -5,6 +5,7 @@ At the controller what was missed is caught up under the arm's own limits of acc
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -323,6 +324,16 @@ def test_masses_that_are_not_the_arms_are_replaced_and_believable_ones_stay(tmp_
     right = Robot.load(written(tmp_path, urdf(6, mass=4.0, limit=limit), "right"))
     assert of_its_size(right).assumed == ()
     assert of_its_size(right).description == right.urdf.read_text()
+
+
+def test_moments_of_inertia_below_zero_of_an_arm_are_replaced(tmp_path: Path) -> None:
+    """A published URDF of an IRB 4600 has them in five links of six."""
+    text = urdf(6, mass=4.0)
+    wrong = re.sub(r'ixx="[^"]*"', 'ixx="-4.98"', text)
+    assert wrong != text
+    robot = of_its_size(Robot.load(written(tmp_path, wrong)))
+    assert "no arm's masses or moments of inertia behind" in robot.assumed[0]
+    assert all(np.linalg.eigvalsh(body.inertia)[0] > 0.0 for body in list(robot.pinocchio.inertias)[1:])
 
 
 @pytest.mark.parametrize("name", SHIPPED)

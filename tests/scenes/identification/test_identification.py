@@ -24,8 +24,9 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes import cli
 from scenes.identification.plan import fourier_commands, identified_model
-from scenes.identification.twin import played_again
+from scenes.identification.twin import Twin, behind_gears, played_again
 from scenes.identification.twin_play import TwinResult, make_twin, twin_text
+from scenes.line.play import play
 from scenes.scene_file import load_scene
 from scenes.scene_files.line_scene import LineScene
 from sim.arm.arm import SimulatedArm
@@ -270,6 +271,18 @@ def test_the_twin_of_a_shipped_arm_is_a_scene_whose_model_is_its_own(made: TwinR
     assert scene.arm_world["residual"] == made.twin.table["residual"]
 
 
+def test_a_sensor_behind_the_gears_does_not_feel_what_turns_the_rotors() -> None:
+    t = np.arange(0.0, 10.0, 0.002)
+    w, links, rotors = np.array([1.1, 2.3]), np.array([3.0, 0.06]), np.array([0.3, 0.4])
+    q = 0.3 * np.sin(np.outer(t, w))
+    felt = Recording.from_arrays(t, q=q, tau=-(links + rotors) * w**2 * q)
+    filters = {"cutoff": 20.0, "cutoff_decimation": 50.0}
+    inside = slice(500, -500)
+    found = behind_gears(felt, Twin({"extra_rotor_inertia": rotors.tolist()}, (), ()), filters).joints("tau")
+    np.testing.assert_allclose(found[inside], (-links * w**2 * q)[inside], atol=2e-3)
+    assert behind_gears(felt, Twin({"extra_rotor_inertia": [0.0, 0.0]}, (), ()), filters) is felt
+
+
 def test_the_verb_refuses_what_is_no_name_of_a_file(axis: Path) -> None:
     cli._register()
     answer = CliRunner().invoke(cli.app, ["twin", "none.parquet", "--robot", str(axis), "-o", "twin.json"])
@@ -329,3 +342,17 @@ def test_twins_of_measured_arms_play_their_torques(urdf: str, file: str) -> None
     found = make_twin([Recording.read(DATA / file)], str(DATA / urdf))
     np.testing.assert_allclose(found.rms[1], found.rms[0], rtol=0.2)
     assert np.all(found.spectrum < 0.2)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not DATA.exists(), reason="measured data (../shared/data) are not there")
+def test_the_twin_of_an_arm_with_torque_sensors_behind_its_gears_follows_a_line(tmp_path: Path) -> None:
+    """Once it had no rotors: loops on slim links alone were not stable, and its own controller not to be identified."""
+    robot = str(DATA / "panda/panda.urdf")
+    found = make_twin([Recording.read(DATA / "panda/panda_a.parquet")], robot)
+    assert any(text.startswith("rotors: those of a class") for text in found.twin.assumed)
+    file = tmp_path / "mine.toml"
+    file.write_text(twin_text(found.twin, robot, "mine"), encoding="utf-8")
+    scene = load_scene(str(file))
+    assert isinstance(scene, LineScene)
+    assert play(scene, "adapted").control_error.mean < 0.2e-3
