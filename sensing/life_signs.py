@@ -1,4 +1,4 @@
-"""Signs of life of a sensor: it changes, has noise, does not leap, fits the arm's motion, and its stamps are even.
+"""Signs of life of a sensor: it changes, has noise, does not leap, fits and answers the arm's motion, stamps evenly.
 
 One check for whatever tells a vector of numbers again and again. It knows nothing of what the numbers mean; who asks
 says by how much they may change from one reading to the next, and what the sensor showed while nothing happened.
@@ -26,6 +26,9 @@ otherwise, and what counts for readings that a filter refused. Of 48 values nois
 (χ²)."""
 TOGETHER = 16
 """Innovations whose mean that is."""
+ASKED_FOR, ANSWERED, ERRORS = 0.2, 0.5, 4.0
+"""Time over which a sensor is asked [s], share of what is asked that a live one answers at least, and standard errors
+by which an answer has to be less: one that answers all of it is twice as far away by chance."""
 STAMPS, FEWEST = 50, 20
 """Messages from which it is judged how even their stamps are, at most and at least."""
 UNEVEN, SURELY = 0.001, 4.0
@@ -46,12 +49,14 @@ class LifeSigns:
         noise: standard deviation of each channel while nothing happens ``(n,)``; None while it is not known.
         stuck, impossible, leapt, quiet: readings that count as missing, by cause.
         fault: why what comes is not to be trusted any more; None while it is.
+        answered: least share of what it was asked that it answered, ``ERRORS`` standard errors above.
     """
 
     def __init__(self, largest: float, channels: Sequence[str], contradicts: float = CONTRADICTS) -> None:
         self.noise: Array | None = None
         self.stuck = self.impossible = self.leapt = self.quiet = 0
         self.fault: str | None = None
+        self.answered = np.inf
         self._largest, self._channels, self._contradicts = largest, channels, contradicts
         self._times: deque[tuple[float, float]] = deque(maxlen=STAMPS)
         self.begin()
@@ -63,6 +68,7 @@ class LifeSigns:
         self._sound: Array | None = None
         self._changes: deque[Array] = deque(maxlen=HEARD)
         self._innovations: deque[float] = deque(maxlen=TOGETHER)
+        self._asked = np.zeros((0, 3))
 
     def learn(self, rests: list[Array]) -> None:
         """Takes the noise from readings ``(N, n)`` of stretches in which nothing happened."""
@@ -108,6 +114,38 @@ class LifeSigns:
         if len(self._innovations) == TOGETHER and mean > self._contradicts:
             self.fault = self.fault or ("what it tells does not change as the arm moves (innovations "
                                         f"{mean:.1f} times as large as their variance)")
+
+    def answers(self, felt: Array, stiffness: float, frequency: float) -> None:
+        r"""Takes what a tip that swings on a surface felt, and finds the fault where that does not swing.
+
+        The surface comes slowly, so a cubic takes it away, from heights and forces alike, and of both the same swing
+        remains, but for the stiffness:
+
+        .. math:: y = \sum_{i=0}^{3} c_i t^i + a \cos \omega t + b \sin \omega t
+
+        Args:
+            felt: instant [s], height [m] and force [N] of the last samples ``(m, 3)``.
+            stiffness: of the contact [N/m].
+            frequency: ω/2π, at which it swings [Hz].
+        """
+        asked = np.concatenate([self._asked, felt])
+        self._asked = asked = asked[asked[:, 0] > asked[-1, 0] - ASKED_FOR]
+        u, turned = (asked[:, 0] - asked[-1, 0]) / ASKED_FOR, 2.0 * np.pi * frequency * asked[:, 0]
+        rows = np.column_stack([np.cos(turned), np.sin(turned), np.ones(len(u)), u, u**2, u**3])
+        if len(u) < 2 * rows.shape[1]:
+            return
+        values = asked[:, 1:] * [-stiffness, 1.0]
+        known = np.linalg.pinv(rows)
+        fit = known @ values
+        swing = fit[:2, 0] / max(float(fit[:2, 0] @ fit[:2, 0]), 1e-12)
+        rest = values[:, 1] - rows @ fit[:, 1]
+        error = np.linalg.norm(swing @ known[:2]) * np.linalg.norm(rest) / np.sqrt(len(u) - rows.shape[1])
+        share = float(swing @ fit[:2, 1])
+        self.answered = min(self.answered, share + ERRORS * error)
+        if self.answered < ANSWERED:
+            self.fault = self.fault or (f"it answers {100.0 * max(share, 0.0):.0f} % of what the tip's swing on the "
+                                        "surface makes; look whether it is alive, and what its filter leaves of "
+                                        f"{frequency:.0f} Hz")
 
     def stamped(self, stamp: float, arrived: float) -> None:
         r"""Takes the stamp of a message and when it came, and finds the fault where stamps wander more than can be.

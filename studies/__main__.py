@@ -47,7 +47,7 @@ GROUPS = {
     "robustness": {
         "findings": "findings", "limits": "limits", "fuzz": "broken", "kill": "broken",
         "rsi-packets": "packets", "packets": "packets", "mutations": "mutations",
-        "faults": "faults", "camera-faults": "faults", "arm-faults": "faults",
+        "faults": "faults", "sound-forces": "faults", "camera-faults": "faults", "arm-faults": "faults",
         "sweep-kills": "sweeps", "sweep-efficiency": "sweeps", "sweep-plan": "sweeps",
         "check-suite": "sweeps", "mutants": "mutants",
         "rsi-hour": "rsi", "rsi-simulators": "rsi", "loopback": "loopback", "follow-hour": "loopback",

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 import tempfile
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -31,8 +32,9 @@ _NOTICED = {"weigh the same": "weight", "wrong sign": "weight", "does not turn":
             "stuck": "stuck", "motors feel": "motors", "leaps by": "leap", "which is no push": "no push",
             "pull with": "pull", "felt in the air": "in the air", "below the path's start": "depth",
             "felt none": "depth", "lies deeper": "forecast", "axes are not": "axes", "drifts by": "drift",
-           "not done after": "time", "no contact within": "depth", "contact lost": "contact lost",
-            "as the arm moves": "innovations", "above the limit": "limit", "allowed": "limit"}
+            "not done after": "time", "no contact within": "depth", "contact lost": "contact lost",
+            "as the arm moves": "innovations", "it answers": "no answer", "above the limit": "limit",
+            "allowed": "limit"}
 """What a failure says → the sign by which it was noticed."""
 FROM = 70
 """Cycle of a controller in which its fault begins."""
@@ -72,6 +74,27 @@ def _told(run: SimpleNamespace) -> str:
         return f"{run.force:.0f} N, goes on"
     noticed = next((sign for said, sign in _NOTICED.items() if said in run.failure), run.failure[:60])
     return f"{noticed}: {run.force:.0f} N, {run.after:.1f} s, {1e3 * run.moved:.0f} mm"
+
+
+def sound_forces(scenes: str = "force_wave,contour,glue", speeds: str = "0", seeds: str = "1,2,3") -> None:
+    """Force sensors without a fault: how near what they tell comes to each sign of a fault, as a share of its limit.
+
+    A speed of 0 is the scene's. Of what a sensor is asked on the way it has to answer half at least. Exit code 1 where
+    a sound one is stopped.
+    """
+    signs, stopped = ("motors", "sideways", "forecast"), 0
+    head("scene", "speed [m/s]", "seed", *signs, "answers at least", "rms of the felt force [N]")
+    for name, speed, seed in product(scenes.split(","), map(float, speeds.split(",")), map(int, seeds.split(","))):
+        loaded = scene_of(ForceScene, name).changed(seed=seed)
+        loaded = loaded.changed(speed=speed) if speed else loaded
+        with tempfile.TemporaryDirectory() as folder:
+            run = followed(loaded, Path(folder))
+        stopped += run.failure is not None
+        task, rms = run.job._task, run.job.figures()["force_N"]["rms_error"]
+        row(name, f"{loaded.speed:g}", str(seed), *(f"{task.nearest.get(sign, 0.0):.2f}" for sign in signs),
+            f"{task.force.signs.answered:.2f}", run.failure or f"{rms:.2f}")
+    if stopped:
+        sys.exit(1)
 
 
 def camera_faults(scene: str = "line") -> None:

@@ -34,6 +34,10 @@ BEGUN = 1.0
 GENTLEST = 0.2
 """Jerk with which a travel begins at least [m/s³]."""
 
+ASKED, ASKING = 10.0, 0.5
+"""Frequency [Hz] and amplitude [N] by which a sensor is asked on the way whether it lives: faster than the surface
+comes and slower than the arm follows; 50 samples with a noise of 0.3 N, those of 0.2 s, tell it within 0.07 N."""
+
 LEAP = 0.4
 """Share of the wanted force by which a force may change from one reading to the next. What is less, the half of it
 beyond what is wanted still holds."""
@@ -72,6 +76,7 @@ class ContactSettings:
         frozen: cycles from now on that a new sample does not change any more.
         cutoff: frequency up to which the estimate is followed [Hz].
         correction: acceleration that corrections may have [m/s²].
+        asking: amplitude of a force by which the tip's height swings on the way [N], which a live sensor has to feel.
     """
 
     force: float = 20.0
@@ -87,6 +92,7 @@ class ContactSettings:
     frozen: int = 1
     cutoff: float = 25.0
     correction: float = 4.0
+    asking: float = 0.0
 
     def __post_init__(self) -> None:
         for key in ("force", "elasticity", "descent", "reach", "touch", "plunge", "cutoff", "correction", "clearance"):

@@ -13,7 +13,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from planning import PlanningError
-from planning.force.contact import FORCE_ERRORS, SLOPE, ContactSettings, Phase
+from planning.force.contact import ASKED, FORCE_ERRORS, SLOPE, ContactSettings, Phase
 from planning.force.contour import SPARE, SlidingPlan
 from planning.force.surface_forecast import surfaces
 from planning.line.filter_bank import FilterBank
@@ -104,6 +104,8 @@ class SurfaceFollower:
         """Last instant at which there was contact [s]."""
         self.force = self.sideways = 0.0
         """Normal force of the last samples, and that along the surface [N]."""
+        self.felt = np.zeros((0, 3))
+        """Of the last samples instant [s], height of the tip over the reference [m] and normal force [N]."""
         self.slope = np.zeros(2)
         """Slopes of the surface along and across the path, as the map and the force vector show them."""
 
@@ -160,7 +162,8 @@ class SurfaceFollower:
         middle = len(t) // 2
         up, across, along = frames.up[middle], frames.normal[middle], frames.tangent[middle]
         normal = self._normal(float(s[middle]), forces.mean(axis=0), along, across, up)
-        self.force = float(np.mean(forces @ normal))
+        self.felt = np.column_stack([t, height, forces @ normal])
+        self.force = float(np.mean(self.felt[:, 2]))
         self.sideways = float(np.linalg.norm(forces.mean(axis=0) - self.force * normal))
         if self.force > self.settings.touch:
             self.last_touch = max(self.last_touch, float(np.max(t)))
@@ -290,6 +293,9 @@ class SurfaceFollower:
         estimate = self.fusion.mean(self._table.s[rows])
         if self._contact_since is None:
             estimate[:, 1] = self._height - self.settings.approach * (t + ahead)
+        elif self.phase is Phase.TRAVEL:
+            depth = self.settings.asking / self.settings.elasticity
+            estimate[:, 1] -= depth * np.sin(2.0 * np.pi * ASKED * (t + ahead - self._t_travel))
         elif self.phase in (Phase.LIFT, Phase.DONE):
             rise = np.clip((t + ahead - self._t_lift) * 0.05, 0.0, self.settings.clearance)
             estimate = self._lift_from + np.column_stack([np.zeros(len(rise)), rise])

@@ -15,7 +15,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from planning import PlanningError
-from planning.force.contact import CLEAR, EmergencyStopError, Phase, most_force
+from planning.force.contact import ASKED, ASKING, CLEAR, EmergencyStopError, Phase, most_force
 from planning.force.contour import LATELY, ContourFollower
 from planning.force.felt_by_motors import BeyondSensor
 from scenes.methods import SceneMethod
@@ -80,6 +80,8 @@ class LiveForceTask(ForceTask):
     """Whether what is felt goes into a map of the surface, which tells how well it fits."""
     motors: BeyondSensor
     """What they feel beyond what the sensor feels."""
+    nearest: dict[str, float]
+    """How near what was felt came to each limit, as a share of it."""
     floor, ceiling = -np.inf, np.inf
     """Heights at the start of the path below which the tip does not go, and above which it feels nothing [m]."""
 
@@ -112,6 +114,7 @@ class LiveForceTask(ForceTask):
         if self.force is not None:
             if len(self.log.samples) > self._told and self.follower.phase is Phase.TRAVEL and self.maps:
                 self.force.signs.fits(self.log.samples[-1][2])
+                self.force.signs.answers(self._surface.felt, self.elasticity.stiffness, ASKED)
             self._told = len(self.log.samples)
             if (trouble := self.force.trouble(t)) is not None:
                 raise EmergencyStopError("force", t, trouble)
@@ -125,19 +128,24 @@ class LiveForceTask(ForceTask):
         if follower.force < _PULLS:
             raise EmergencyStopError("force", t, f"the force sensor feels the surface pull with {-follower.force:.1f} "
                                      "N; check its sign, its axes, and whether its bias has moved")
-        if follower.phase in (Phase.SETTLE, Phase.TRAVEL) and (
-                follower.sideways > max(_TOUCHES, _SLIDES * follower.force)):
+        if follower.phase in (Phase.SETTLE, Phase.TRAVEL) and self._beyond(
+                "sideways", follower.sideways, max(_TOUCHES, _SLIDES * follower.force)):
             raise EmergencyStopError("force", t, f"{follower.force:.1f} N felt out of the surface and "
                                      f"{follower.sideways:.1f} N along it, which is no push; look whether the force "
                                      "sensor is alive, and check its axes")
-        if isinstance(follower, ContourFollower) and follower.phase is Phase.TRAVEL and (
-                follower.recedes > _RECEDES * scene.force):
+        if isinstance(follower, ContourFollower) and follower.phase is Phase.TRAVEL and self._beyond(
+                "forecast", follower.recedes, _RECEDES * scene.force):
             raise EmergencyStopError("force", t, f"the contour lies deeper by {follower.recedes:.1f} N than it was "
                                      f"felt to go on {LATELY:.2f} s ago; look whether the force sensor is alive")
-        if self.motors.excess > _BY_MOTORS * (most_force(scene.force) - scene.force):
+        if self._beyond("motors", self.motors.excess, _BY_MOTORS * (most_force(scene.force) - scene.force)):
             raise EmergencyStopError("force", t, f"the motors feel {self.motors.excess:.0f} N more than the "
                                      f"{follower.force:.0f} N of the force sensor; look whether it is alive, and "
                                      "whether its bias has moved")
+
+    def _beyond(self, sign: str, value: float, limit: float) -> bool:
+        """Whether a value is beyond its limit; keeps how near it came."""
+        self.nearest[sign] = max(self.nearest.get(sign, 0.0), value / limit)
+        return value > limit
 
     def _check_height(self, t: float) -> None:
         """Raises ``EmergencyStopError`` where the tip is higher or deeper than it can be with what is felt."""
@@ -199,7 +207,7 @@ class ForceJob:
         self.calibration = calibration
         reference, profile = force_reference(scene, robot, reference_points(scene))
         self._known = Known(scene=self.scene, robot=robot, delay=delay, model=model, reference=reference,
-                            profile=profile, camera=calibration.camera)
+                            profile=profile, camera=calibration.camera, asking=ASKING)
         self.expected = profile.duration + 4.0
         self.longest = self.expected + LONGEST
         self._task = self._new_task()
@@ -346,7 +354,7 @@ class ForceJob:
     def _new_task(self) -> LiveForceTask:
         task = LiveForceTask(self._known, self.method, None, _NO_LOAD, _GUESS, np.random.default_rng(0))
         task.maps = self.scene.task != "contour"
-        task.motors = BeyondSensor(self._known.model, self.robot.t_ipo)
+        task.motors, task.nearest = BeyondSensor(self._known.model, self.robot.t_ipo), {}
         if task.vision is not None:
             task.vision.detect = FoundBefore.points
         return task

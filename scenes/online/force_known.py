@@ -49,6 +49,7 @@ class Known:
         reference: the reference path.
         profile: travel along it.
         camera: of a ``glue`` scene, as it is believed to be.
+        asking: see ``ContactSettings``.
     """
 
     scene: ForceScene
@@ -58,6 +59,7 @@ class Known:
     reference: ReferencePath
     profile: SpeedProfile
     camera: CameraModel
+    asking: float = 0.0
 
     @property
     def n_d(self) -> int:
@@ -67,7 +69,8 @@ class Known:
     def follower(self, elasticity: float,
                  fusion: Callable[[Errors], FilterBank] | None = None) -> SurfaceFollower:
         """A fresh follower that assumes this elasticity [N/m]; with ``fusion``, a camera shows the line, too."""
-        settings = ContactSettings(force=self.scene.force, elasticity=elasticity, position_noise=POSITION_NOISE)
+        settings = ContactSettings(force=self.scene.force, elasticity=elasticity, position_noise=POSITION_NOISE,
+                                   asking=self.asking)
         estimated = self.scene.assumed.elasticity_estimated
         profile, acceleration = self.profile, self.scene.reference.acceleration
         jerk = settings.jerk(acceleration, JERK)

@@ -70,6 +70,18 @@ def test_a_contour_is_not_pressed_by_a_sensor_that_does_not_answer(fault: str, b
     assert run.force <= most_force(scene.force)
 
 
+@pytest.mark.parametrize("begins", [0.2, pytest.param(1.0, marks=pytest.mark.slow),
+                                    pytest.param(1.2, marks=pytest.mark.slow)])
+def test_a_surface_does_not_leave_a_map_that_a_stuck_sensor_goes_on_with(begins: float, tmp_path: Path,
+                                                                         monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stuck near what is wanted, with its noise: the map went on by itself, and the surface bore 65 N."""
+    scene = load_scene("glue")
+    monkeypatch.setattr(Bench, "begins", begins)
+    run = followed(scene, tmp_path, spoil=FAULTS["stuck, with its usual noise"](), stage="travel")
+    assert "of what the tip's swing on the surface makes" in str(run.failure)
+    assert run.force <= most_force(scene.force)
+
+
 @pytest.mark.parametrize("name", ["force_wave", "contour"])
 def test_a_sound_sensor_is_believed(name: str, tmp_path: Path) -> None:
     scene = load_scene(name)
