@@ -25,9 +25,10 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis import Options, stages
 from ideal_robot.diagnosis.case import Case
-from ideal_robot.diagnosis.search.choice import Choice, overlap
+from ideal_robot.diagnosis.search.choice import overlap
 from ideal_robot.diagnosis.search.forward_selection import Search
 from ideal_robot.diagnosis.statistics.least_squares import Fit
+from ideal_robot.diagnosis.statistics.problem import Candidate
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.identification.checks import checked
 from ideal_robot.progress import silent
@@ -60,20 +61,20 @@ class Weighed:
         colour: neighbouring samples that count for one ``(c,)``, of what it leaves.
     """
 
-    choices: tuple[Choice, ...]
+    choices: tuple[Candidate, ...]
     squares: Array
     colour: Array
 
     @property
     def key(self) -> frozenset[str]:
         """What it is known by: its causes without theta, but for those of which a joint may have several."""
-        return frozenset(c.candidate.key if c.candidate.effect.scanned else c.candidate.place for c in self.choices)
+        return frozenset(c.key if c.effect.scanned else c.place for c in self.choices)
 
 
 class SetSearch(Search):
     """A beam over sets in the place of forward selection; arguments as for ``Search``."""
 
-    def run(self, start: Sequence[Choice] = ()) -> list[Choice]:
+    def run(self, start: Sequence[Candidate] = ()) -> list[Candidate]:
         """See ``Search.run``."""
         products, self.selecting = self.model.problem.products, self.model.problem.blocks.selecting
         self.count = products.count[self.selecting].sum(axis=0)
@@ -93,7 +94,7 @@ class SetSearch(Search):
             self._expand(waiting[0])
         return self._named(max(self.known.values(), key=self._score))
 
-    def _weigh(self, choices: Sequence[Choice]) -> Weighed:
+    def _weigh(self, choices: Sequence[Candidate]) -> Weighed:
         """A set with its squares."""
         self.model.replace(list(choices))
         fit = self.model.fit()
@@ -128,13 +129,13 @@ class SetSearch(Search):
         return float(-(self._weight() * np.log(self._mean(one.squares.sum(axis=0)))).sum()
                      - sum(self._cost(c) for c in one.choices))
 
-    def _cost(self, choice: Choice) -> float:
-        effect, joint = choice.candidate.effect, choice.candidate.joint
+    def _cost(self, choice: Candidate) -> float:
+        effect, joint = choice.effect, choice.joint
         channel = self.model.problem.regression.channel_of(joint)
         weight = self._weight()
         weight = weight.max() if channel is None else weight[channel]
         share = VISIBLE * (2.0 if effect.learned else effect.caution if self.scoring.signals.n > 1 else 1.0)
-        return float(np.log(max(len(self.pool), 1) * max(choice.candidate.tries, 1)) - weight * np.log1p(-share))
+        return float(np.log(max(len(self.pool), 1) * max(choice.tries, 1)) - weight * np.log1p(-share))
 
     def _difference(self, a: Weighed, b: Weighed) -> tuple[float, float]:
         """By how much a set is better than another one, and the standard error over blocks."""
@@ -148,32 +149,32 @@ class SetSearch(Search):
             # Their theta was found without each other.
             self.model.replace(list(one.choices))
             for c in one.choices:
-                self._retune(c.candidate)
+                self._retune(c)
             one = self._weigh(self.model.choices)
-        before, better = self._score(one), list[Choice]()
+        before, better = self._score(one), list[Candidate]()
         for joint in range(self.model.problem.regression.signals.n + 1):
             added = [(self._weigh((*one.choices, c)), c) for c in self._promising(one, None, joint)]
             good = [(made, c) for made, c in added if self._score(made) > before]
             if good:
                 better.append(max(good, key=lambda pair: self._score(pair[0]))[1])
         if len(better) > 1:
-            self._weigh((*one.choices, *(c for c in better if c.candidate.joint)))
+            self._weigh((*one.choices, *(c for c in better if c.joint)))
             self._weigh((*one.choices, *better))
         if better:
             return
         for hole in one.choices:
             rest = tuple(c for c in one.choices if c is not hole)
             self._weigh(rest)
-            for joint in {hole.candidate.joint, 0}:
+            for joint in {hole.joint, 0}:
                 for c in self._promising(one, hole, joint):
                     self._weigh((*rest, c))
 
-    def _promising(self, one: Weighed, hole: Choice | None, joint: int) -> list[Choice]:
+    def _promising(self, one: Weighed, hole: Candidate | None, joint: int) -> list[Candidate]:
         """The most promising causes of a joint beside a set, or in the place of one of its causes, theta refined."""
         self.model.replace(list(one.choices))
         fit = self.model.fit(*(() if hole is None else (hole,)))
         pool = [starts for starts in self.pool if starts[0].joint == joint
-                and (hole is None or starts[0].place != hole.candidate.place)]
+                and (hole is None or starts[0].place != hole.place)]
         scored = sorted(self.scoring.scored(fit, pool), key=lambda s: -s.test.total)
         refined = [self.scoring.refined(fit, s) for s in scored[: 2 * PER_JOINT] if s.share > 0.5 * VISIBLE]
         best = sorted((s for s in refined if s.share > VISIBLE and self.scoring.holds(fit, s)),
@@ -187,13 +188,13 @@ class SetSearch(Search):
             best += sorted((s for s in curves if s.share > 2.0 * VISIBLE), key=lambda s: -s.test.total)[:1]
         return best
 
-    def _named(self, best: Weighed) -> list[Choice]:
+    def _named(self, best: Weighed) -> list[Candidate]:
         """Of the best set what no set lacks that the data cannot reject; with what may stand in its place."""
         while True:
             for c in best.choices:
                 without = self._weigh([other for other in best.choices if other is not c])
                 ahead, error = self._difference(best, without)
-                if ahead + self._cost(c) < REJECTED * error + np.log(len(self.pool) * c.candidate.tries):
+                if ahead + self._cost(c) < REJECTED * error + np.log(len(self.pool) * c.tries):
                     best = without
                     break
             else:
@@ -207,14 +208,14 @@ class SetSearch(Search):
         self.model.replace([self._taken(c, told) for c in best.choices])
         return self.model.choices
 
-    def _taken(self, choice: Choice, told: Sequence[Weighed]) -> Choice:
-        tested = self.scoring.tested(self.model.fit(choice), choice.candidate, choice.dependence)
-        others = {c.candidate.place for c in self.model.choices if c is not choice}
-        rivals = {(c.candidate.effect.name, c.candidate.joint, 1.0) for made in told
-                  if others <= (there := {c.candidate.place for c in made.choices})
-                  and choice.candidate.place not in there
-                  for c in made.choices if c.candidate.place not in others and not c.candidate.effect.learned
-                  and overlap(self.model, choice.candidate, c.candidate)}
+    def _taken(self, choice: Candidate, told: Sequence[Weighed]) -> Candidate:
+        tested = self.scoring.tested(self.model.fit(choice), choice)
+        others = {c.place for c in self.model.choices if c is not choice}
+        rivals = {(c.effect.name, c.joint, 1.0) for made in told
+                  if others <= (there := {c.place for c in made.choices})
+                  and choice.place not in there
+                  for c in made.choices if c.place not in others and not c.effect.learned
+                  and overlap(self.model, choice, c)}
         return dataclasses.replace(tested, rivals=tuple(sorted(rivals)), asked=VISIBLE)
 
 

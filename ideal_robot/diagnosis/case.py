@@ -9,7 +9,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.motor_torque import in_own_units, torque_regression, without_dead_channels
 from ideal_robot.diagnosis.channels.regression import Regression
-from ideal_robot.diagnosis.search.choice import Choice, Options
+from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.diagnosis.search.forward_selection import Only
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis, DomainResult, rms
@@ -89,7 +89,7 @@ class Findings:
     start: Model
     problem: Problem
     reversal_width: Array | None = None
-    choices: tuple[Choice, ...] = ()
+    choices: tuple[Candidate, ...] = ()
     validation: Regression | None = None
     not_transferred: tuple[NotTransferred, ...] = ()
     domains: tuple[DomainDiagnosis, ...] = ()

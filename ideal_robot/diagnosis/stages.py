@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.case import Case, Findings
 from ideal_robot.diagnosis.channels.arm import arm_angle_regression, tool_regression, with_loose_weights
-from ideal_robot.diagnosis.channels.blocks import Blocks, time_blocks
-from ideal_robot.diagnosis.channels.force import blocks_of, force_regressions
-from ideal_robot.diagnosis.channels.line import line_blocks, line_regression
+from ideal_robot.diagnosis.channels.force import force_regressions
+from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import about_model, in_position_band, with_reversal_width
 from ideal_robot.diagnosis.channels.regression import Regression, without_known
-from ideal_robot.diagnosis.search.choice import Choice, Options
+from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.diagnosis.search.forward_selection import Search
 from ideal_robot.diagnosis.search.scoring import with_equivalents
 from ideal_robot.diagnosis.statistics.dependence import reversal_widths
@@ -39,12 +38,11 @@ def diagnosed_channels(case: Case, found: Findings) -> Iterator[DomainDiagnosis]
             continue
         made = without_known(made, found.start.effects)
         if made.domain == ARM_POSITION:
-            made = with_loose_weights(made, [choice.candidate for choice in found.choices])
+            made = with_loose_weights(made, found.choices)
         other = None if validation is None or case.validate is None else \
             build(case.validate, case.robot, validation, case.stiffness)
         other = None if other is None else without_known(other, found.start.effects)
-        blocks = time_blocks(len(made.t), float(made.t[1] - made.t[0]), held_out=other is None)
-        yield _diagnosed(case, made, other, blocks)
+        yield _diagnosed(case, made, other)
     yield from diagnosed_sensors(case, found)
 
 
@@ -53,11 +51,11 @@ def diagnosed_sensors(case: Case, found: Findings) -> Iterator[DomainDiagnosis]:
     torque, validation = _in_position_band(case, found)
     for made, other in force_regressions(case.recording, case.validate, case.robot, torque, validation,
                                          case.stiffness):
-        yield _diagnosed(case, made, other, blocks_of(made, held_out=other is None))
+        yield _diagnosed(case, made, other)
     # The curve of another recording's line would say nothing here.
     line = line_regression(case.recording, case.robot, torque, case.stiffness)
     if line is not None:
-        yield _diagnosed(case, line, None, line_blocks(line, held_out=True))
+        yield _diagnosed(case, line, None)
 
 
 def _in_position_band(case: Case, found: Findings) -> tuple[Regression, Regression | None]:
@@ -66,7 +64,7 @@ def _in_position_band(case: Case, found: Findings) -> tuple[Regression, Regressi
     return in_position_band(found.problem.regression, case.recording), validation
 
 
-def _diagnosed(case: Case, made: Regression, validation: Regression | None, blocks: Blocks) -> DomainDiagnosis:
+def _diagnosed(case: Case, made: Regression, validation: Regression | None) -> DomainDiagnosis:
     """The search in one regression; of a sensor nothing is learned, and what is reported as before is refitted."""
     effects = [effect for effect in library() if effect.domain == made.domain]
     sensor, only = made.domain == SENSOR, case.only
@@ -77,10 +75,10 @@ def _diagnosed(case: Case, made: Regression, validation: Regression | None, bloc
                      for j in range(case.robot.n + 1) if only is None or (e.name, j) in only)
     if sensor:
         only = tuple((e.name, 0) for e in effects if only is None or (e.name, 0) in only)
-    problem = Problem(made, blocks)
+    problem = Problem.of(made, held_out=validation is None)
     choices = Search(problem, effects, case.options.finer(), case.rng, absorbed=True, only=only).run()
     choices = with_equivalents(problem, choices)
-    final = problem.on_all_blocks().fit([c.candidate for c in choices], uncertainty=True)
+    final = problem.on_all_blocks().fit(choices, uncertainty=True)
     return DomainDiagnosis(problem, choices, final, validation, not sensor, case.recording.hash)
 
 
@@ -94,9 +92,7 @@ def prepared(case: Case, warnings: tuple[str, ...]) -> Findings:
     """The regression of the motor torques about the model that is known, or about the nominal one."""
     start = case.given if case.given is not None else Model.nominal(case.robot)
     regression = case.torque_regression(case.recording, start)
-    dt = float(regression.t[1] - regression.t[0])
-    blocks = time_blocks(len(regression.t), dt, held_out=case.validate is None)
-    return Findings(start, Problem(regression, blocks), warnings=warnings)
+    return Findings(start, Problem.of(regression, held_out=case.validate is None), warnings=warnings)
 
 
 def baseline(case: Case, found: Findings) -> Findings:
@@ -136,7 +132,7 @@ def _columns_changed(before: Regression, found: Findings) -> bool:
         before: the regression in which the effects were selected.
         found: the effects, and the regression with columns that follow from the model with them in it.
     """
-    after, effects = found.problem.regression, [choice.candidate for choice in found.choices]
+    after, effects = found.problem.regression, found.choices
     fit = found.problem.fit(effects)
     residual = fit.residual(after, effects) * after.use
     changes = [(new - old) * after.use for old, new in zip(fit.contributions(before, effects),
@@ -148,7 +144,7 @@ def _searched(case: Case, found: Findings) -> Findings:
     """What a search finds that begins with the physical causes found before."""
     effects = [effect for effect in library() if effect.domain == MOTOR_TORQUE]
     problem, warnings = found.problem, found.warnings
-    start = [choice for choice in found.choices if not choice.candidate.effect.learned]
+    start = [choice for choice in found.choices if not choice.effect.learned]
     options = case.options
     if case.validate is not None:
         # The other recording decides what stays.
@@ -158,12 +154,13 @@ def _searched(case: Case, found: Findings) -> Findings:
                          refuted=found.refuted, progress=case.progress).run(start)
         return replace(found, choices=tuple(choices))
     prior = prior_precision(found.start, problem)
-    selected = _selected_against(case, found, prior, effects, options, start)
-    if not selected.holds:
-        warnings += ("the model's parameters do not hold for this recording and were fitted anew; changes of "
-                     "parameters are therefore not listed as effects",)
-    return replace(found, problem=problem.with_prior(prior if selected.holds else None), choices=selected.choices,
-                   warnings=warnings, beside_known=selected.beside_known)
+    choices, beside_known = _selected_against(case, found, prior, effects, options, start)
+    if beside_known is None:
+        return replace(found, problem=problem.with_prior(prior), choices=tuple(choices), beside_known=())
+    warnings += ("the model's parameters do not hold for this recording and were fitted anew; changes of "
+                 "parameters are therefore not listed as effects",)
+    return replace(found, problem=problem.with_prior(None), choices=tuple(choices), warnings=warnings,
+                   beside_known=beside_known)
 
 
 _AS_GOOD = 1.05
@@ -171,24 +168,9 @@ _AS_GOOD = 1.05
 effects; its square after a search of its own. Where it takes learned curves to hold it has to be better by as much."""
 
 
-@dataclass(frozen=True)
-class Selection:
-    """What was selected.
-
-    Attributes:
-        choices: the effects.
-        holds: whether the model's parameters hold.
-        beside_known: where they do not, what a search with held parameters selected all the same: all of it, and what
-            of it the parameters, as uncertain as they are, do not take over.
-    """
-
-    choices: tuple[Choice, ...]
-    holds: bool
-    beside_known: tuple[tuple[Candidate, ...], ...] = ()
-
-
 def _selected_against(case: Case, found: Findings, prior: Array, effects: Sequence[Effect], options: Options,
-                      start: Sequence[Choice]) -> Selection:
+                      start: Sequence[Candidate],
+                      ) -> tuple[list[Candidate], tuple[tuple[Candidate, ...], ...] | None]:
     """Selects effects with the known model's parameters held, or with free ones where the model does not hold.
 
     Args:
@@ -198,30 +180,34 @@ def _selected_against(case: Case, found: Findings, prior: Array, effects: Sequen
         effects: to choose from.
         options: thresholds.
         start: choices of an earlier search to begin with.
+
+    Returns:
+        The effects, and where the parameters do not hold what a search with held ones selected all the same: all of
+        it, and what of it the parameters, as uncertain as they are, do not take over; None where they hold.
     """
     def search(problem: Problem, absorbed: bool) -> Search:
         return Search(problem, effects, options, case.rng, absorbed=absorbed, only=case.only, refuted=found.refuted,
                       progress=case.progress)
 
     held = search(found.problem.with_prior(prior).held(), absorbed=True)
-    every = tuple(choice.candidate for choice in held.run(start))
+    every = tuple(held.run(start))
     held.settle(prior)
-    settled = tuple(choice.candidate for choice in held.model.choices)
+    settled = tuple(held.model.choices)
     free = search(found.problem, absorbed=False)
     # A curve without a cause is no reason to hold what other parameters explain as well.
     free.model.replace([c for c in held.model.choices
-                        if not (c.candidate.effect.absorbed_by_base or c.candidate.effect.learned)])
+                        if not (c.effect.absorbed_by_base or c.effect.learned)])
     error = held.model.mean_squares()
-    curved = any(c.candidate.effect.learned for c in held.model.choices)
+    curved = any(c.effect.learned for c in held.model.choices)
     as_good, nearly = (1.0 / _AS_GOOD, 1.0 / _AS_GOOD) if curved else (_AS_GOOD, _AS_GOOD**2)
     if error < as_good * free.model.mean_squares():
-        return Selection(tuple(held.model.choices), True)
+        return held.model.choices, None
     # The search begins without effects, but with the weights that they leave.
     free.model.choices = []
     free.run()
     if error < nearly * free.model.mean_squares():
-        return Selection(tuple(held.model.choices), True)
-    return Selection(tuple(free.model.choices), False, tuple(dict.fromkeys(own for own in (every, settled) if own)))
+        return held.model.choices, None
+    return free.model.choices, tuple(dict.fromkeys(own for own in (every, settled) if own))
 
 
 def found_but_not_added(case: Case, found: Findings) -> Findings:
@@ -254,7 +240,7 @@ def joint_fit(case: Case, found: Findings) -> Findings:
         gone += refuted
         joints = {one.joint for one in refuted}
         before = replace(before, problem=before.problem.with_prior(None), refuted=(*before.refuted, *sorted(places)),
-                         choices=tuple(c for c in torque.choices if c.candidate.joint not in joints))
+                         choices=tuple(c for c in torque.choices if c.joint not in joints))
         before = found_but_not_added(case, effects_of_motor_torque(case, before))
     dropped = tuple(one for one in dropped if one not in gone)
     if dropped:
@@ -267,7 +253,7 @@ def joint_fit(case: Case, found: Findings) -> Findings:
 
 
 def _domain_of(case: Case, found: Findings) -> DomainDiagnosis:
-    final = found.problem.on_all_blocks().fit([c.candidate for c in found.choices], uncertainty=True)
+    final = found.problem.on_all_blocks().fit(found.choices, uncertainty=True)
     return DomainDiagnosis(found.problem, list(found.choices), final, found.validation, case.given is not None,
                            case.recording.hash)
 
@@ -297,5 +283,5 @@ def _with_signals(case: Case, found: Findings, regression: Regression) -> Regres
     """A regression with the signals that follow from the model as it is with the selected effects."""
     if not found.choices or not case.shared:
         return regression
-    change = found.problem.fit([c.candidate for c in found.choices]).change
+    change = found.problem.fit(found.choices).change
     return replace(regression, signals=about_model(regression, with_parameters(found.start, change)).signals)

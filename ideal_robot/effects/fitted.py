@@ -69,6 +69,10 @@ class Unknown(Effect):
         return {"depends_on": list(self.depends_on), "directed": self.directed,
                 "knots": [list(k) for k in self.knots], "frequency": self.frequency, "prefix": self.domain.prefix}
 
+    def signals_of(self, joint: int) -> list[str]:
+        """Signals it depends on at a joint (from 1), its direction of motion among them for a directed curve."""
+        return [*self.depends_on, *([f"sign(qd_{joint})"] if self.directed else [])]
+
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
         """See ``Effect.parameters``. None: a curve has no physical numbers."""
         return []

@@ -16,7 +16,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis import diagnose
-from ideal_robot.diagnosis.channels.force import blocks_of, force_regressions
+from ideal_robot.diagnosis.channels.force import force_regressions
 from ideal_robot.diagnosis.channels.motor_torque import in_position_band, torque_regression
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.diagnosis.validation.refit import named_force_effects
@@ -108,7 +108,7 @@ class _Force(Subject[ForceResult]):
         torque = in_position_band(torque_regression(recording, self.robot, self.known), recording)
         left = dict[str, Array]()
         for made, _ in force_regressions(recording, None, self.robot, torque, None, self.known.stiffness):
-            residual = Problem(made, blocks_of(made, False)).fit([]).residual(made, [])
+            residual = Problem.of(made, False).fit([]).residual(made, [])
             left |= {channel: residual[:, k] * (self.scene.tip.stiffness if unit == "m" else 1.0)
                      for k, (channel, unit) in enumerate(zip(made.channels, made.units, strict=True)) if unit != "N m"}
         return left

@@ -12,7 +12,6 @@ from scipy import ndimage
 
 from ideal_robot.arrays import GRAVITY, Array, G
 from ideal_robot.diagnosis.channels.arm import frames_along
-from ideal_robot.diagnosis.channels.blocks import Blocks, time_blocks
 from ideal_robot.diagnosis.channels.regression import FEWEST, Regression, noise_in_band
 from ideal_robot.effects import SENSOR
 from ideal_robot.effects.fitted import spline_basis
@@ -333,9 +332,3 @@ def force_regressions(recording: Recording, validate: Recording | None, robot: R
     # The surface of another recording is another one: its curve would say nothing here.
     if contact is not None:
         yield contact, None
-
-
-def blocks_of(made: Regression, held_out: bool) -> Blocks:
-    """Blocks of a regression whose rows are few: eight or more, shorter than those of the torque."""
-    count = int(np.clip(len(made.t) / 10, 8, 32))
-    return time_blocks(len(made.t), 0.5 * count / len(made.t), held_out)

@@ -16,7 +16,7 @@ from scipy import ndimage
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.arm import arm_angles, deflection
-from ideal_robot.diagnosis.channels.blocks import Blocks
+from ideal_robot.diagnosis.channels.blocks import Blocks, numbered_blocks
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.effects import SENSOR, Signals, library
 from ideal_robot.effects.camera import CameraEffect, PointError, StampError, from_axis
@@ -48,6 +48,11 @@ class LineRegression(Regression):
     """
 
     field: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=int))
+
+    def blocks(self, held_out: bool) -> Blocks:
+        """Blocks of a few fields each."""
+        first = np.flatnonzero(np.diff(self.field, prepend=-1))
+        return numbered_blocks((*(int(e) for e in first[::BLOCK]), len(self.t)), held_out, 6)
 
     def channel_of(self, joint: int) -> int | None:
         """The only channel."""
@@ -162,19 +167,6 @@ def _finding_noise(residual: Array, number: np.ndarray) -> float:
     """Noise of finding points [m]: what differs between those next to each other in one field."""
     jumps = np.diff(residual, 2)[number[2:] == number[:-2]]
     return float(np.median(np.abs(jumps)) / 0.6745 / np.sqrt(6.0)) if len(jumps) else 0.0
-
-
-def line_blocks(made: LineRegression, held_out: bool) -> Blocks:
-    """Blocks of a few fields each."""
-    first = np.flatnonzero(np.diff(made.field, prepend=-1))
-    edges = (*(int(e) for e in first[::BLOCK]), len(made.t))
-    number = np.arange(len(edges) - 1)
-    if not held_out:
-        return Blocks(edges, number % 6, 6)
-    selecting = number % 4 != 2
-    fold = np.full(len(number), -1)
-    fold[selecting] = np.arange(int(selecting.sum())) % 6
-    return Blocks(edges, fold, 6)
 
 
 def _seen(recording: Recording) -> tuple[Array, np.ndarray, Array] | None:

@@ -10,6 +10,7 @@ import numpy as np
 from scipy import ndimage, signal
 
 from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.channels.blocks import Blocks, time_blocks
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, Domain, FittedEffect, Signals
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import FilteredSignals
@@ -50,6 +51,12 @@ class Regression:
     prismatic: tuple[bool, ...]
     domain: Domain = MOTOR_TORQUE
     absent: frozenset[int] = frozenset()
+
+    def blocks(self, held_out: bool) -> Blocks:
+        """Blocks of time of the rows; see ``time_blocks``. A sensor's are few and shorter than those of the torque."""
+        rows = len(self.t)
+        step = 0.5 * int(np.clip(rows / 10, 8, 32)) / rows if self.domain == SENSOR else float(self.t[1] - self.t[0])
+        return time_blocks(rows, step, held_out)
 
     def channel_of(self, joint: int) -> int | None:
         """Index of the channel of a joint; None where effects do not belong to one channel."""

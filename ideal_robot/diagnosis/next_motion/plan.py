@@ -12,7 +12,6 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis import stages
 from ideal_robot.diagnosis.case import Case, Findings
 from ideal_robot.diagnosis.channels.arm import arm_angle_regression, tool_regression
-from ideal_robot.diagnosis.channels.blocks import time_blocks
 from ideal_robot.diagnosis.channels.motor_torque import in_position_band
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.next_motion.motion import Foresight, MotionSearch, Part, played, require_within_limits
@@ -239,8 +238,7 @@ def _problems(case: Case, found: Findings) -> Iterator[tuple[Domain, Problem]]:
         TCP_POSITION: tool_regression(case.recording, case.robot, torque, case.stiffness)}
     for domain, regression in made.items():
         if regression is not None:
-            dt = float(regression.t[1] - regression.t[0])
-            yield domain, Problem(regression, time_blocks(len(regression.t), dt, held_out=True))
+            yield domain, Problem.of(regression, held_out=True)
 
 
 def _sum(several: Sequence[Products]) -> Products:

@@ -12,7 +12,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.next_motion.separation import Cause, Pair
-from ideal_robot.diagnosis.search.choice import Choice, Options, PresentModel, overlap
+from ideal_robot.diagnosis.search.choice import Options, PresentModel, overlap
 from ideal_robot.diagnosis.search.forward_selection import candidates
 from ideal_robot.diagnosis.search.scoring import Scoring
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
@@ -155,7 +155,7 @@ class Causes:
         """The pairs of this domain that are open, and what could not be asked."""
         made, silent = self.problem.regression, list[str]()
         named = [one for one in questions.found if any(e.domain == made.domain for e in _effects(one.name, one.prefix))]
-        taken: list[tuple[Named, Choice]] = []
+        taken: list[tuple[Named, Candidate]] = []
         for one in named:
             best = self.best(self.pool(_effects(one.name, one.prefix), one.joint))
             if best is None:
@@ -173,27 +173,24 @@ class Causes:
                     asked.append(Asked(made.domain, pair))
         return asked, silent
 
-    def _pair(self, choice: Choice, rival: str, joint: int | None) -> Pair | None:
+    def _pair(self, choice: Candidate, rival: str, joint: int | None) -> Pair | None:
         """The choice and its best rival of a name, each fitted in the other's place."""
-        own = choice.candidate
         effects = [e for e in library() if e.name == rival and e.domain == self.problem.regression.domain]
-        self.model.add_columns(own)
-        pool = [starts for starts in self.pool(effects, joint) if starts[0].place != own.place]
+        self.model.add_columns(choice)
+        pool = [starts for starts in self.pool(effects, joint) if starts[0].place != choice.place]
         best = self.best(pool, choice)
         if best is None:
             return None
         fit = self.model.fit(choice)
-        weights = self.model.weights
-        others = tuple(c.candidate for c in self.model.choices if c is not choice)
-        return Pair(self._cause(own, fit.gain(own.key)[1]),
-                    self._cause(best.candidate, fit.gain(best.candidate.key)[1]), others, weights,
-                    colour_of(self.model), self.model.problem.prior)
+        others = tuple(c for c in self.model.choices if c is not choice)
+        return Pair(self._cause(choice, fit.gain(choice.key)[1]), self._cause(best, fit.gain(best.key)[1]), others,
+                    self.model.weights, colour_of(self.model), self.model.problem.prior)
 
-    def best(self, pool: list[list[Candidate]], instead_of: Choice | None = None) -> Choice | None:
+    def best(self, pool: list[list[Candidate]], instead_of: Candidate | None = None) -> Candidate | None:
         """The candidate that takes most away, refined over theta; one that shares a channel with what it replaces."""
         fit = self.model.fit(*(() if instead_of is None else (instead_of,)))
         scored = [s for s in self.scoring.scored(fit, pool)
-                  if instead_of is None or overlap(self.model, instead_of.candidate, s.candidate)]
+                  if instead_of is None or overlap(self.model, instead_of, s)]
         if not scored:
             return None
         return self.scoring.refined(fit, max(scored, key=lambda s: s.test.total))

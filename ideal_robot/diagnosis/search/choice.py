@@ -1,14 +1,13 @@
-"""A candidate with what speaks for it, the selected ones, and the thresholds between them."""
+"""The selected candidates, and the thresholds between them and others."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.statistics.dependence import Dependence
-from ideal_robot.diagnosis.statistics.least_squares import TOLD, UNTESTED, Fit, HeldOutTest, weights_of_channels
+from ideal_robot.diagnosis.statistics.least_squares import TOLD, Fit, weights_of_channels
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 
 
@@ -64,30 +63,6 @@ class Options:
         return replace(self, smallest=self.smallest_slow)
 
 
-@dataclass(frozen=True)
-class Choice:
-    """A candidate and the evidence for it: tested beside its rivals, then as it was when it was taken.
-
-    Attributes:
-        candidate: effect, joint and theta.
-        p_value: of its held-out score, corrected for the values of theta that were tried.
-        rivals: names and joints of candidates that the data cannot tell from it, with the share of its reduction that
-            they reach; once it is taken.
-        share: share of the most affected channel's squares that it takes away on held-out blocks.
-        dependence: for a learned term, the dependence that led to it.
-        asked: share that was asked of it, once it is taken.
-        test: how much it reduces the residual.
-    """
-
-    candidate: Candidate
-    p_value: float
-    rivals: tuple[tuple[str, int, float], ...] = ()
-    share: float = 0.0
-    dependence: Dependence | None = None
-    asked: float = 0.0
-    test: HeldOutTest = field(default=UNTESTED, compare=False, repr=False)
-
-
 class PresentModel:
     """Selected effects, the weights of the channels that follow from what they leave, and fits with them.
 
@@ -98,18 +73,18 @@ class PresentModel:
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
         self.design = problem.design()
-        self.choices: list[Choice] = []
+        self.choices: list[Candidate] = []
         self.weights = self._weights()
 
-    def keys(self, *without: Choice) -> list[str]:
+    def keys(self, *without: Candidate) -> list[str]:
         """Groups of the fit."""
-        return ["W", *[c.candidate.key for c in self.choices if not any(c is other for other in without)]]
+        return ["W", *[c.key for c in self.choices if not any(c is other for other in without)]]
 
-    def fit(self, *without: Choice) -> Fit:
+    def fit(self, *without: Candidate) -> Fit:
         """Fit with the selected effects but some."""
         return Fit(self.design, self.keys(*without), self.weights, self.problem.prior)
 
-    def fit_beside(self, candidate: Candidate, *without: Choice) -> Fit:
+    def fit_beside(self, candidate: Candidate, *without: Candidate) -> Fit:
         """Fit with the selected effects but some and with one more, with the weights of these."""
         self.add_columns(candidate)
         return Fit(self.design, [*self.keys(*without), candidate.key], self.weights, self.problem.prior)
@@ -141,19 +116,19 @@ class PresentModel:
         if candidate.key not in self.design.groups:
             self.design.add(candidate.key, self.problem.columns(candidate))
 
-    def take(self, choice: Choice) -> None:
+    def take(self, choice: Candidate) -> None:
         """Adds a choice."""
         self.replace([*self.choices, choice])
 
-    def drop(self, choice: Choice) -> None:
+    def drop(self, choice: Candidate) -> None:
         """Takes a choice out."""
         self.replace([c for c in self.choices if c is not choice])
 
-    def replace(self, choices: list[Choice]) -> None:
+    def replace(self, choices: list[Candidate]) -> None:
         """Other choices, with the weights that follow from them."""
         self.choices = choices
         for choice in choices:
-            self.add_columns(choice.candidate)
+            self.add_columns(choice)
         self.weights = self._weights()
 
     def with_prior(self, prior: Array) -> None:
@@ -183,7 +158,7 @@ SIMPLER = 0.95
 """Share of a reduction from which on a law with fewer parameters may stand for one with more."""
 
 
-def discoveries(scored: list[Choice], tests: int, rate: float) -> list[Choice]:
+def discoveries(scored: list[Candidate], tests: int, rate: float) -> list[Candidate]:
     """Candidates that Benjamini–Hochberg accepts.
 
     Args:
@@ -199,7 +174,7 @@ def discoveries(scored: list[Choice], tests: int, rate: float) -> list[Choice]:
     return ordered[:last]
 
 
-def rivals_of(model: PresentModel, best: Choice, others: list[Choice]) -> tuple[tuple[str, int, float], ...]:
+def rivals_of(model: PresentModel, best: Candidate, others: list[Candidate]) -> tuple[tuple[str, int, float], ...]:
     """Candidates with nine tenths of the reduction, or not significantly less: with other data they might be ahead.
 
     Args:
@@ -215,13 +190,13 @@ def rivals_of(model: PresentModel, best: Choice, others: list[Choice]) -> tuple[
         if s is best:
             continue
         ratio = s.test.total / max(best.test.total, 1e-300)
-        nearly = ratio > _NEARLY and overlap(model, best.candidate, s.candidate)
+        nearly = ratio > _NEARLY and overlap(model, best, s)
         if nearly or indistinguishable(model, best, s, _NOT_TOLD):
-            rivals.append((s.candidate.effect.name, s.candidate.joint, ratio))
+            rivals.append((s.effect.name, s.joint, ratio))
     return tuple(rivals)
 
 
-def indistinguishable(model: PresentModel, best: Choice, other: Choice, share: float) -> bool:
+def indistinguishable(model: PresentModel, best: Candidate, other: Candidate, share: float) -> bool:
     """Whether another candidate reduces the same channel as much, but for what scatters from block to block.
 
     Args:
@@ -230,7 +205,7 @@ def indistinguishable(model: PresentModel, best: Choice, other: Choice, share: f
         other: likewise.
         share: of the best one's reduction that the other has to reach.
     """
-    if not overlap(model, best.candidate, other.candidate) or other.test.total < share * best.test.total:
+    if not overlap(model, best, other) or other.test.total < share * best.test.total:
         return False
     difference = best.test.reduction - other.test.reduction
     difference = difference[np.isfinite(difference)]
@@ -238,7 +213,7 @@ def indistinguishable(model: PresentModel, best: Choice, other: Choice, share: f
     return bool(float(difference.sum()) < TOLD * error)
 
 
-def likelier(model: PresentModel, best: Choice, others: list[Choice]) -> Choice:
+def likelier(model: PresentModel, best: Candidate, others: list[Candidate]) -> Candidate:
     """The best one, or one of the others that is taken sooner and reduces nearly as much.
 
     Args:
@@ -247,7 +222,7 @@ def likelier(model: PresentModel, best: Choice, others: list[Choice]) -> Choice:
         others: scored against the same model.
     """
     for other in others:
-        if best.candidate.effect.name in other.candidate.effect.sooner_than \
+        if best.effect.name in other.effect.sooner_than \
                 and (other.test.total > _NEARLY * best.test.total
                      or indistinguishable(model, best, other, _NOT_TOLD)):
             return other

@@ -15,7 +15,6 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.search.choice import (
     FINALISTS,
     SIMPLER,
-    Choice,
     Options,
     PresentModel,
     discoveries,
@@ -88,7 +87,7 @@ class Search:
         # Joint by joint, as several effects need how torques change with its motion, which is large to keep.
         self.pool = sorted(pool, key=lambda starts: starts[0].joint)
 
-    def run(self, start: Sequence[Choice] = ()) -> list[Choice]:
+    def run(self, start: Sequence[Candidate] = ()) -> list[Candidate]:
         """Selects; returns the choices in the order they were taken.
 
         Args:
@@ -107,11 +106,11 @@ class Search:
                     break
                 continue
             self.model.take(choice)
-            if not choice.candidate.effect.learned:
+            if not choice.effect.learned:
                 self._prune()
                 self._exchange()
-            self._retune(choice.candidate)
-            if isinstance(choice.candidate.effect, AngleLaw):
+            self._retune(choice)
+            if isinstance(choice.effect, AngleLaw):
                 self._with_needed_form()
         return self.model.choices
 
@@ -123,21 +122,20 @@ class Search:
         """
         self.model.with_prior(prior)
         for choice in sorted(self.model.choices, key=lambda c: c.share):
-            if choice.candidate.effect.absorbed_by_base:
-                if self.model.fit(choice).p_value(choice.candidate.key) > self.options.false_discovery:
+            if choice.effect.absorbed_by_base:
+                if self.model.fit(choice).p_value(choice.key) > self.options.false_discovery:
                     self.model.drop(choice)
                 continue
-            if self.model.fit(choice).share_with_prior(choice.candidate.key) < self.scoring.smallest_share(
-                    choice.candidate, choice):
+            if self.model.fit(choice).share_with_prior(choice.key) < self.scoring.smallest_share(choice, choice):
                 self._drop_if_small(choice)
 
-    def _next(self) -> Choice | None:
+    def _next(self) -> Candidate | None:
         fit = self.model.fit()
         best = self._best(fit, self.scoring.scored(fit, self.pool))
         learned = self.curves.best(fit, best) if self.learns else None
         return learned if learned is not None else best
 
-    def _best(self, fit: Fit, scored: list[Choice]) -> Choice | None:
+    def _best(self, fit: Fit, scored: list[Candidate]) -> Candidate | None:
         """The best candidate of this round: significant among all, large enough, best after refinement."""
         scored = [self._sharpened(fit, s) for s in scored]
         passed = [s for s in discoveries(scored, len(self.pool), self.options.false_discovery)
@@ -145,7 +143,7 @@ class Search:
         if not passed:
             return None
         passed.sort(key=lambda s: -s.test.total)
-        refined: list[Choice] = []
+        refined: list[Candidate] = []
         for s in passed:
             if len(refined) == FINALISTS or (refined and s.test.total < 0.4 * refined[0].test.total):
                 break
@@ -158,20 +156,20 @@ class Search:
         best = refined[0]
         # Of those that the data cannot tell apart, the one with fewest parameters.
         for other in refined[1:]:
-            if other.candidate.parameter_count < best.candidate.parameter_count \
+            if other.parameter_count < best.parameter_count \
                     and indistinguishable(self.model, refined[0], other, SIMPLER):
                 best = other
         best = likelier(self.model, best, refined)
         return dataclasses.replace(best, rivals=rivals_of(self.model, best, refined),
                                    asked=self.scoring.share_asked(best))
 
-    def _sharpened(self, fit: Fit, s: Choice) -> Choice:
+    def _sharpened(self, fit: Fit, s: Candidate) -> Candidate:
         """A candidate that is large enough, but whose start lies too far off its theta to pay the price of all starts.
 
         What happens a few times in a recording, as the crossing of a gap, a coarse theta hits in some blocks only. Its
         p-value stays multiplied by the number of starts.
         """
-        alone = s.p_value / max(s.candidate.tries, 1)
+        alone = s.p_value / max(s.tries, 1)
         if s.p_value <= self.options.false_discovery / max(len(self.pool), 1) or alone > self.options.false_discovery \
                 or not self.scoring.is_large(s):
             return s
@@ -180,14 +178,14 @@ class Search:
     def _prune(self) -> None:
         """Takes out what the others have made superfluous."""
         for choice in list(self.model.choices[:-1]):
-            s = self.scoring.tested(self.model.fit(choice), choice.candidate)
+            s = self.scoring.tested(self.model.fit(choice), choice)
             if s.p_value > self.options.false_discovery or (
                     s.share < 0.5 * self.options.smallest and not self.scoring.share_slowly(s, choice)):
                 self.model.drop(choice)
 
-    def _drop_if_small(self, choice: Choice) -> None:
+    def _drop_if_small(self, choice: Candidate) -> None:
         """Takes a choice out that the others leave too little, curves among them."""
-        s = self.scoring.tested(self.model.fit(choice), choice.candidate, choice.dependence)
+        s = self.scoring.tested(self.model.fit(choice), choice)
         if s.p_value > self.options.false_discovery or s.share < self.scoring.share_asked(s, choice):
             self.model.drop(choice)
 
@@ -201,20 +199,20 @@ class Search:
             Whether any was exchanged.
         """
         for position, choice in enumerate(self.model.choices):
-            if not isinstance(choice.candidate.effect, AngleLaw):
+            if not isinstance(choice.effect, AngleLaw):
                 continue
             fit = self.model.fit(choice)
-            present = self.scoring.tested(fit, choice.candidate)
+            present = self.scoring.tested(fit, choice)
             pool = [starts for starts in self.pool if isinstance(starts[0].effect, AngleLaw)
-                    and starts[0].joint == choice.candidate.joint and starts[0].place != choice.candidate.place]
+                    and starts[0].joint == choice.joint and starts[0].place != choice.place]
             for other in (self.scoring.refined(fit, s) for s in self.scoring.scored(fit, pool)):
-                simple, rich = sorted((present, other), key=lambda s: s.candidate.parameter_count)
-                beside = self.scoring.tested(self.model.fit_beside(simple.candidate, choice), rich.candidate)
+                simple, rich = sorted((present, other), key=lambda s: s.parameter_count)
+                beside = self.scoring.tested(self.model.fit_beside(simple, choice), rich)
                 needed = rich.test.total > simple.test.total and beside.p_value < self.options.learned_discovery
                 if needed == (rich is other) and self.scoring.is_large(other, choice) \
                         and other.test.total > SIMPLER * present.test.total:
                     better = dataclasses.replace(other, rivals=rivals_of(self.model, other, [present]),
-                                                 asked=self.scoring.smallest_share(other.candidate, choice))
+                                                 asked=self.scoring.smallest_share(other, choice))
                     self.model.replace([*self.model.choices[:position], better, *self.model.choices[position + 1 :]])
                     return True
         return False
@@ -230,27 +228,26 @@ class Search:
         Returns:
             Whether any was taken out.
         """
-        for choice in self.model.choices:
-            law = choice.candidate
-            if not flexible(law.effect) or self._exceeds_any_pull(choice):
+        for law in self.model.choices:
+            if not flexible(law.effect) or self._exceeds_any_pull(law):
                 continue
             self.pool = [starts for starts in self.pool
                          if (starts[0].effect.key, starts[0].joint) != (law.effect.key, law.joint)]
-            self.model.replace([c for c in self.model.choices if c.candidate.joint != law.joint])
+            self.model.replace([c for c in self.model.choices if c.joint != law.joint])
             curve = self.curves.over_angle(self.model.fit(), law.joint)
             if curve is not None:
                 self.model.take(curve)
             return True
         return False
 
-    def _exceeds_any_pull(self, choice: Choice) -> bool:
+    def _exceeds_any_pull(self, choice: Candidate) -> bool:
         """Whether a law takes away more than the one-sided pull that explains most in its place."""
-        joint, fit = choice.candidate.joint, self.model.fit(choice)
+        joint, fit = choice.joint, self.model.fit(choice)
         pulls = [[Candidate(pull, joint, theta) for theta in pull.starts(self.scoring.signals, joint)]
                  for pull in (OneSidedPull(1.0), OneSidedPull(-1.0))]
-        laws = [starts for starts in self.pool if starts[0].place == choice.candidate.place]
+        laws = [starts for starts in self.pool if starts[0].place == choice.place]
         tried, own = ([self.scoring.refined(fit, s) for s in self.scoring.scored(fit, pool)] for pool in (pulls, laws))
-        law = max([self.scoring.tested(fit, choice.candidate), *own], key=lambda s: s.test.total)
+        law = max([self.scoring.tested(fit, choice), *own], key=lambda s: s.test.total)
         return all(law.test.total > s.test.total for s in tried)
 
     def _retune(self, newest: Candidate) -> None:
@@ -260,25 +257,24 @@ class Search:
             newest: that was taken, or has just been exchanged.
         """
         for choice in self.model.choices:
-            candidate = choice.candidate
-            if candidate.effect.learned or not candidate.theta or not overlap(self.model, candidate, newest):
+            if choice.effect.learned or not choice.theta or not overlap(self.model, choice, newest):
                 continue
             fit = self.model.fit(choice)
-            better = self.scoring.refined(fit, self.scoring.tested(fit, candidate)).candidate
-            if better.key != candidate.key:
-                self.model.replace([dataclasses.replace(c, candidate=better) if c is choice else c
+            better = self.scoring.refined(fit, self.scoring.tested(fit, choice))
+            if better.key != choice.key:
+                self.model.replace([dataclasses.replace(c, theta=better.theta) if c is choice else c
                                     for c in self.model.choices])
 
     def _exchange(self) -> None:
         """Tries, for each selected effect, every other one that acts on the same joint in its place."""
-        newest = self.model.choices[-1].candidate
+        newest = self.model.choices[-1]
         for position, choice in enumerate(list(self.model.choices[:-1])):
-            if not overlap(self.model, choice.candidate, newest):
+            if not overlap(self.model, choice, newest):
                 continue
             fit = self.model.fit(choice)
-            present = self.scoring.tested(fit, choice.candidate)
-            pool = [starts for starts in self.pool if starts[0].joint in (choice.candidate.joint, 0)
-                    and (starts[0].place != choice.candidate.place or len(starts) > 1)]
+            present = self.scoring.tested(fit, choice)
+            pool = [starts for starts in self.pool if starts[0].joint in (choice.joint, 0)
+                    and (starts[0].place != choice.place or len(starts) > 1)]
             rivals = [s for s in self.scoring.scored(fit, pool)
                       if s.p_value < self.options.false_discovery and self.scoring.is_large(s)
                       and s.test.total > 0.8 * present.test.total]

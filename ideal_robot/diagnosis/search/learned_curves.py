@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.search.choice import FINALISTS, Choice
+from ideal_robot.diagnosis.search.choice import FINALISTS
 from ideal_robot.diagnosis.search.scoring import Scoring
 from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms, time_period
 from ideal_robot.diagnosis.statistics.least_squares import Fit
@@ -27,10 +27,12 @@ class LearnedCurves:
 
     def __init__(self, scoring: Scoring, rng: np.random.Generator) -> None:
         self.scoring, self.model, self.options = scoring, scoring.model, scoring.options
-        self.dependence = DependenceTest(scoring.at_rows, self.model.problem.blocks.edges, rng)
+        problem = self.model.problem
+        self.use = problem.products.use & problem.blocks.selecting[problem.blocks.of_samples()][:, None]
+        self.dependence = DependenceTest(scoring.at_rows, self.use, problem.blocks.edges, rng)
         self._of_signals: dict[tuple[int, bool], list[Unknown]] = {}
 
-    def best(self, fit: Fit, best: Choice | None) -> Choice | None:
+    def best(self, fit: Fit, best: Candidate | None) -> Candidate | None:
         """A learned curve, if it reduces the residual clearly more than the best effect of the library.
 
         Args:
@@ -39,37 +41,34 @@ class LearnedCurves:
         """
         least = 0.0
         if best is not None:
-            least = self._margin(best) * self.scoring.tested(fit, best.candidate).test.total
+            least = self._margin(best) * self.scoring.tested(fit, best).test.total
         problem = self.model.problem
         residual = self.model.residual(fit)
-        selecting = problem.blocks.selecting[problem.blocks.of_samples()]
-        scored: list[Choice] = []
+        scored: list[Candidate] = []
         for j in range(problem.products.c):
             if j + 1 in problem.regression.undecided and problem.regression.domain != TCP_POSITION:
                 continue
-            scored += self._of_channel(fit, residual, j, problem.products.use[:, j] & selecting, best is None, least)
+            scored += self._of_channel(fit, residual, j, best is None, least)
         scored = [s for s in scored if s.p_value < self.options.learned_discovery and self.scoring.is_large(s)
-                  and s.test.total > least and not self._taken(s.candidate)]
+                  and s.test.total > least and not self._taken(s)]
         if not scored:
             return None
         s = max(scored, key=lambda s: s.test.total)
-        if best is not None and flexible(best.candidate.effect) and not self._refutes(s, best.candidate):
+        if best is not None and flexible(best.effect) and not self._refutes(s, best):
             return None
         return self._chosen(s)
 
-    def in_channel(self, fit: Fit, channel: int) -> Choice | None:
+    def in_channel(self, fit: Fit, channel: int) -> Candidate | None:
         """The curve that takes most away in one channel, from 0, whether it is large or not.
 
         Args:
             fit: without it.
             channel: from 0.
         """
-        problem = self.model.problem
-        use = problem.products.use[:, channel] & problem.blocks.selecting[problem.blocks.of_samples()]
-        scored = self._of_channel(fit, self.model.residual(fit), channel, use, False, 0.0)
+        scored = self._of_channel(fit, self.model.residual(fit), channel, False, 0.0)
         return max(scored, key=lambda s: s.test.total, default=None)
 
-    def over_angle(self, fit: Fit, joint: int) -> Choice | None:
+    def over_angle(self, fit: Fit, joint: int) -> Candidate | None:
         """The curve over a joint's own angle, if blocks left out need it.
 
         For a torque that a law of that angle explained: in what parameters leave of it, once they take what they can,
@@ -79,38 +78,35 @@ class LearnedCurves:
             fit: of the present model.
             joint: from 1.
         """
-        residual, problem = self.model.residual(fit)[:, joint - 1], self.model.problem
-        selecting = problem.blocks.selecting[problem.blocks.of_samples()]
-        use = problem.products.use[:, joint - 1] & selecting
         curves = [term for term in self._terms(joint - 1, False)
                   if term.depends_on == (f"q_{joint}",) and not term.directed]
         scored = []
         for term in curves:
             candidate = Candidate(term, joint, (), len(curves))
             self.model.add_columns(candidate)
-            scored.append(self.scoring.tested(fit, candidate, self.dependence.test(residual, use, joint - 1, term)))
+            scored.append(self.scoring.tested(fit, candidate))
         scored = [s for s in scored if s.p_value < self.options.learned_discovery and self.scoring.is_large(s)]
         return self._chosen(max(scored, key=lambda s: s.test.total)) if scored else None
 
-    def _chosen(self, s: Choice) -> Choice:
-        return replace(s, asked=self.scoring.smallest_share(s.candidate))
+    def _chosen(self, s: Candidate) -> Candidate:
+        return replace(s, asked=self.scoring.smallest_share(s))
 
-    def _margin(self, best: Choice) -> float:
+    def _margin(self, best: Candidate) -> float:
         """How many times as much a curve has to take away as the best effect of the library."""
-        if flexible(best.candidate.effect):
+        if flexible(best.effect):
             return 1.0
         return self.options.unknown_margin
 
-    def _of_channel(self, fit: Fit, residual: np.ndarray, j: int, use: np.ndarray, pairs: bool,
-                    least: float) -> list[Choice]:
+    def _of_channel(self, fit: Fit, residual: np.ndarray, j: int, pairs: bool, least: float) -> list[Candidate]:
         """Curves of channel ``j`` tested on blocks left out; ``least`` is what they have to take away."""
         regression = self.model.problem.regression
+        use = self.use[:, j]
         squares = float(np.sum(residual[use, j] ** 2) * self.model.weights[j])
         at_rows = self.scoring.at_rows
-        tests = [self.dependence.test(residual[:, j], use, j, term) for term in self._terms(j, pairs)]
+        tests = [self.dependence.test(residual[:, j], j, term) for term in self._terms(j, pairs)]
         period = time_period(residual[:, j], use, at_rows.t, regression.domain)
         if period is not None:
-            tests.append(self.dependence.test(residual[:, j], use, j, period))
+            tests.append(self.dependence.test(residual[:, j], j, period))
         tests.sort(key=lambda d: -d.adjusted)
         # Only a first choice: what is promising is tested on blocks left out, corrected for all curves looked at.
         promising = [d for d in tests if d.p_value < 0.05 and 3.0 * d.share * squares > least]
@@ -118,7 +114,7 @@ class LearnedCurves:
         for d in promising[:FINALISTS]:
             candidate = Candidate(d.term, j + 1, (), len(tests) * self.model.problem.products.c)
             self.model.design.add(candidate.key, self.model.problem.columns(candidate))
-            scored.append(self.scoring.tested(fit, candidate, d))
+            scored.append(self.scoring.tested(fit, candidate))
             # A curve has many columns, and every round has other curves.
             self.model.design.forget_products(candidate.key)
         return scored
@@ -130,18 +126,18 @@ class LearnedCurves:
             self._of_signals[j, pairs] = terms(self.scoring.at_rows, j, pairs, domain)
         return self._of_signals[j, pairs]
 
-    def _refutes(self, curve: Choice, law: Candidate) -> bool:
+    def _refutes(self, curve: Candidate, law: Candidate) -> bool:
         """Whether beside a law blocks left out need a curve: else it says the same in more numbers.
 
         Args:
             curve: tested without the law.
             law: of the library.
         """
-        beside = self.scoring.tested(self.model.fit_beside(law), curve.candidate, curve.dependence)
+        beside = self.scoring.tested(self.model.fit_beside(law), curve)
         return beside.p_value < self.options.false_discovery
 
     def _taken(self, candidate: Candidate) -> bool:
-        return any(c.candidate.key == candidate.key for c in self.model.choices)
+        return any(c.key == candidate.key for c in self.model.choices)
 
 
 _PLACES = np.linspace(0.1, 0.9, 17)

@@ -10,8 +10,7 @@ import numpy as np
 from scipy import optimize
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.search.choice import Choice, Options, PresentModel
-from ideal_robot.diagnosis.statistics.dependence import Dependence
+from ideal_robot.diagnosis.search.choice import Options, PresentModel
 from ideal_robot.diagnosis.statistics.least_squares import TOLD, Fit
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.effects.drive import DeadTime
@@ -50,24 +49,18 @@ class Scoring:
             return None
         return gain
 
-    def tested(self, fit: Fit, candidate: Candidate, found: Dependence | None = None) -> Choice:
-        """A candidate with its test on blocks left out.
-
-        Args:
-            fit: without the candidate.
-            candidate: whose columns are part of the design.
-            found: for a learned curve, the dependence that led to it.
-        """
+    def tested(self, fit: Fit, candidate: Candidate) -> Candidate:
+        """A candidate, whose columns are part of the design, with its test on blocks left out by a fit without it."""
         test = fit.held_out_test(candidate.key)
         selecting = self.model.problem.blocks.selecting
         squares = (fit.held_out_squares[selecting] * self.model.weights).sum(axis=0)
         share = float(np.max(test.reduction_by_channel / np.maximum(squares, 1e-300)))
-        return Choice(candidate, min(1.0, test.p_value * candidate.tries), share=share, dependence=found, test=test)
+        return replace(candidate, p_value=min(1.0, test.p_value * candidate.tries), share=share, test=test)
 
-    def smallest_share(self, candidate: Candidate, own: Choice | None = None) -> float:
+    def smallest_share(self, candidate: Candidate, own: Candidate | None = None) -> float:
         """Share of the residual's squares that is asked of a candidate; ``own`` is its choice if it was taken."""
         if candidate.effect.learned:
-            occupied = any(c.candidate.joint == candidate.joint for c in self.model.choices if c is not own)
+            occupied = any(c.joint == candidate.joint for c in self.model.choices if c is not own)
             return self.options.smallest_learned * (2.0 if occupied else 1.0)
         if candidate.effect.absorbed_by_base:
             return self.options.smallest_absorbed
@@ -75,7 +68,7 @@ class Scoring:
         caution = candidate.effect.caution if self.signals.n > 1 else 1.0
         return caution * self.options.smallest
 
-    def is_large(self, s: Choice, replaced: Choice | None = None) -> bool:
+    def is_large(self, s: Candidate, replaced: Candidate | None = None) -> bool:
         """Whether a candidate reduces enough, in the whole band or where nothing vibrates.
 
         Args:
@@ -84,7 +77,7 @@ class Scoring:
         """
         return self._is_large_here(s, replaced) or self.share_slowly(s, replaced) > 0.0
 
-    def share_slowly(self, s: Choice, replaced: Choice | None = None) -> float:
+    def share_slowly(self, s: Candidate, replaced: Candidate | None = None) -> float:
         """Share that a law of speed takes away in the lower half of the band; zero where that is not enough there.
 
         Another cause sets elastic arms swinging, and that may be most of what a joint's residual is. Friction over
@@ -94,7 +87,7 @@ class Scoring:
             s: tested in the whole band.
             replaced: the choice in whose place it would be taken, if there is one.
         """
-        if not s.candidate.effect.of_slow_motion or self.model.problem.band < 1.0 \
+        if not s.effect.of_slow_motion or self.model.problem.band < 1.0 \
                 or s.p_value > self.options.learned_discovery:
             return 0.0
         slow, choices = self._in_slow_band, self.model.choices
@@ -103,10 +96,10 @@ class Scoring:
             slow.model.with_prior(prior)
         if slow.model.choices != choices:
             slow.model.replace(list(choices))
-        fit = slow.model.fit(*[c for c in choices if c.candidate.place == s.candidate.place or c is replaced])
-        if slow.plausible_gain(fit, s.candidate) is None:
+        fit = slow.model.fit(*[c for c in choices if c.place == s.place or c is replaced])
+        if slow.plausible_gain(fit, s) is None:
             return 0.0
-        found = slow.tested(fit, s.candidate)
+        found = slow.tested(fit, s)
         certain = found.p_value < self.options.learned_discovery
         return found.share if certain and slow._is_large_here(found, replaced) else 0.0
 
@@ -114,30 +107,30 @@ class Scoring:
     def _in_slow_band(self) -> Scoring:
         return Scoring(PresentModel(self.model.problem.slow()), self.options.slow())
 
-    def share_asked(self, s: Choice, own: Choice | None = None) -> float:
+    def share_asked(self, s: Candidate, own: Candidate | None = None) -> float:
         """Share of the whole band's squares that is asked of a candidate which is large.
 
         Args:
             s: tested.
             own: its choice, if it was taken.
         """
-        asked, slowly = self.smallest_share(s.candidate, own), 0.0
+        asked, slowly = self.smallest_share(s, own), 0.0
         if s.share < asked:
             slowly = self.share_slowly(s, own)
         # Vibrations may hide a slow effect. It is measured in the lower half of the band, and the share that is asked
         # for there is scaled to the whole band.
-        return asked if slowly == 0.0 else s.share * self._in_slow_band.smallest_share(s.candidate, own) / slowly
+        return asked if slowly == 0.0 else s.share * self._in_slow_band.smallest_share(s, own) / slowly
 
-    def _is_large_here(self, s: Choice, replaced: Choice | None) -> bool:
+    def _is_large_here(self, s: Candidate, replaced: Candidate | None) -> bool:
         """Whether a candidate reduces enough, and is no combination that the other parameters nearly cancel."""
-        if s.share < self.smallest_share(s.candidate, replaced):
+        if s.share < self.smallest_share(s, replaced):
             return False
-        columns = self.model.design.groups[s.candidate.key]
+        columns = self.model.design.groups[s.key]
         channels = list(columns.channels)
         own = columns.values @ s.test.coefficients
         # What the other parameters cancel almost wholly is no cause but a way of bending a curve; of columns that are
         # parameters of the model by their form nothing else is expected.
-        form = self.model.problem.form_of_model(s.candidate)
+        form = self.model.problem.form_of_model(s)
         if form is not None and form.channels == columns.channels:
             own = replace(columns, values=own[:, :, None]).without(form)[:, :, 0]
         weighted = float(((own**2).sum(axis=0) * self.model.weights[channels]).sum())
@@ -148,9 +141,9 @@ class Scoring:
         if np.max(size / self.measured_std[channels]) <= self.options.smallest_torque:
             return False
         # Beside a far larger effect of the same joint it is the form of that one, which is never quite the right one.
-        return bool(np.any(size > self.options.smallest_beside * self._sizes_at(s.candidate.joint, replaced)[channels]))
+        return bool(np.any(size > self.options.smallest_beside * self._sizes_at(s.joint, replaced)[channels]))
 
-    def holds(self, fit: Fit, s: Choice) -> bool:
+    def holds(self, fit: Fit, s: Candidate) -> bool:
         """Whether a candidate is there at all frequencies and places at which its law says it is.
 
         Args:
@@ -159,7 +152,7 @@ class Scoring:
         """
         return self.holds_slowly(s) and self.holds_everywhere(fit, s)
 
-    def holds_everywhere(self, fit: Fit, s: Choice) -> bool:
+    def holds_everywhere(self, fit: Fit, s: Candidate) -> bool:
         """Whether what repeats over the angle is in all parts of the range, half as large as in the whole at least.
 
         An odd shape at one place, or what a curve leaves of it, has a spectrum over the angle as well, but no torque
@@ -169,10 +162,10 @@ class Scoring:
             fit: without the candidate.
             s: the candidate, scored.
         """
-        effect, joint = s.candidate.effect, s.candidate.joint
+        effect, joint = s.effect, s.joint
         if not effect.scanned:
             return True
-        key, group = s.candidate.key, self.model.design.groups[s.candidate.key]
+        key, group = s.key, self.model.design.groups[s.key]
         fit = Fit(self.model.design, [*fit.keys, key], self.model.weights, self.model.problem.prior)
         channels, blocks = list(group.channels), self.model.problem.blocks
         selecting = blocks.selecting[blocks.of_samples()]
@@ -181,58 +174,58 @@ class Scoring:
         left = self.model.residual(fit)[:, channels] * use
         rows = np.flatnonzero(use.any(axis=1))
         q = self.at_rows.q[rows, joint - 1]
-        parts = int(np.clip(effect.periods(self.signals, joint, s.candidate.theta), 1, _PARTS))
+        parts = int(np.clip(effect.periods(self.signals, joint, s.theta), 1, _PARTS))
         return all(np.sum(left[part] * wave[part]) > -0.5 * np.sum(wave[part] ** 2)
                    for part in np.array_split(rows[np.argsort(q)], parts))
 
-    def holds_slowly(self, s: Choice) -> bool:
+    def holds_slowly(self, s: Candidate) -> bool:
         """Whether a cause that is the same at all frequencies is so: no less than half as large in half of the band.
 
         Vibrations of elastic arms turn phases as well, but ever less the slower the motion.
         """
-        if not s.candidate.effect.at_all_frequencies:
+        if not s.effect.at_all_frequencies:
             return True
         problem = self.model.problem
-        effects = [*(c.candidate for c in self.model.choices if c.candidate.place != s.candidate.place), s.candidate]
+        effects = [*(c for c in self.model.choices if c.place != s.place), s]
         whole, slow = (made.fit(effects).coefficients[-1] for made in (problem, problem.slow()))
         return bool(np.all(slow * np.sign(whole) > 0.5 * np.abs(whole)))
 
-    def _taken_away(self, s: Choice) -> Array:
+    def _taken_away(self, s: Candidate) -> Array:
         """RMS of what a candidate takes away from each channel on blocks left out ``(c,)``."""
         problem = self.model.problem
         squares = self.model.weights * problem.products.count[problem.blocks.selecting].sum(axis=0)
         return np.asarray(np.sqrt(np.maximum(s.test.reduction_by_channel, 0.0) / np.maximum(squares, 1e-300)))
 
-    def _sizes_at(self, joint: int, without: Choice | None) -> Array:
+    def _sizes_at(self, joint: int, without: Candidate | None) -> Array:
         """RMS of the largest effect but one that was taken at a joint in each channel ``(c,)``."""
         result = np.zeros(self.model.problem.products.c)
         at = self.model.problem.products.W.m
         fit = self.model.fit()
         for choice in self.model.choices:
-            group = self.model.design.groups[choice.candidate.key]
-            if choice.candidate.joint == joint and choice is not without:
+            group = self.model.design.groups[choice.key]
+            if choice.joint == joint and choice is not without:
                 channels = list(group.channels)
                 own = group.values @ fit.beta[at : at + group.m]
                 result[channels] = np.maximum(result[channels], np.sqrt(np.mean(own**2, axis=0)))
             at += group.m
         return result
 
-    def refined(self, fit: Fit, s: Choice) -> Choice:
+    def refined(self, fit: Fit, s: Candidate) -> Candidate:
         """Theta by bounded search from the best start, all linear parameters eliminated."""
-        effect, joint = s.candidate.effect, s.candidate.joint
+        effect, joint = s.effect, s.joint
         if not effect.theta_is_physical:
             return self._made_consistent(fit, s)
-        bounds = effect.bounds_near(self.signals, joint, s.candidate.theta)
+        bounds = effect.bounds_near(self.signals, joint, s.theta)
         if not bounds:
             return s
 
         present = self.model.keys()
 
         def loss(theta: Array) -> float:
-            candidate = replace(s.candidate, theta=tuple(float(v) for v in theta))
+            candidate = replace(s, theta=tuple(float(v) for v in theta))
             self.model.add_columns(candidate)
             gain = self.plausible_gain(fit, candidate)
-            if candidate.key != s.candidate.key and candidate.key not in present:
+            if candidate.key != s.key and candidate.key not in present:
                 self.model.design.drop(candidate.key)
             return -gain if gain is not None else 0.0
 
@@ -242,28 +235,28 @@ class Scoring:
                                              options={"maxiter": 14, "xatol": 1e-3 * (high - low)})
             theta = np.array([float(found.x)])
         else:
-            found = optimize.minimize(loss, np.array(s.candidate.theta), method="Nelder-Mead", bounds=bounds,
+            found = optimize.minimize(loss, np.array(s.theta), method="Nelder-Mead", bounds=bounds,
                                       options={"maxfev": 40, "xatol": 1e-3, "fatol": 1e-2})
             theta = np.asarray(found.x)
-        better = replace(s.candidate, theta=tuple(float(v) for v in theta))
+        better = replace(s, theta=tuple(float(v) for v in theta))
         if self.plausible_gain(fit, better) is None:
             return s
         tried = self.tested(fit, better)
         return tried if tried.test.total > s.test.total else s
 
-    def _made_consistent(self, fit: Fit, s: Choice) -> Choice:
+    def _made_consistent(self, fit: Fit, s: Candidate) -> Candidate:
         """Theta that agrees with the coefficients, by fixed-point iteration."""
         for _ in range(ITERATIONS):
-            theta = s.candidate.effect.consistent_theta(s.test.coefficients, s.candidate.theta)
-            if np.allclose(theta, s.candidate.theta, rtol=0.01):
+            theta = s.effect.consistent_theta(s.test.coefficients, s.theta)
+            if np.allclose(theta, s.theta, rtol=0.01):
                 break
-            better = replace(s.candidate, theta=theta)
+            better = replace(s, theta=theta)
             if self.plausible_gain(fit, better) is None:
                 break
             s = self.tested(fit, better)
         return s
 
-    def scored(self, fit: Fit, pool: list[list[Candidate]]) -> list[Choice]:
+    def scored(self, fit: Fit, pool: list[list[Candidate]]) -> list[Candidate]:
         """The best start of every effect at every joint, tested on blocks left out.
 
         Args:
@@ -272,7 +265,7 @@ class Scoring:
         """
         residual = self.model.residual(fit)
         use, scored = self.model.problem.products.use, []
-        taken = [c.candidate for c in self.model.choices if c.candidate.key in fit.keys]
+        taken = [c for c in self.model.choices if c.key in fit.keys]
         for starts in pool:
             first = starts[0]
             if not first.effect.scanned and any(_forms_of_one(first, other) for other in taken):
@@ -296,7 +289,7 @@ def _forms_of_one(a: Candidate, b: Candidate) -> bool:
     return a.joint == b.joint and (a.effect.name == b.effect.name or late)
 
 
-def with_equivalents(problem: Problem, choices: list[Choice], share: float = 0.95) -> list[Choice]:
+def with_equivalents(problem: Problem, choices: list[Candidate], share: float = 0.95) -> list[Candidate]:
     """The choices with what other joints' geometry could do as well: links of parallel axes are one length.
 
     Args:
@@ -304,12 +297,12 @@ def with_equivalents(problem: Problem, choices: list[Choice], share: float = 0.9
         choices: what was selected.
         share: of the squares that another joint's columns have to reproduce.
     """
-    if not any(isinstance(choice.candidate.effect, GeometryChange) for choice in choices):
+    if not any(isinstance(choice.effect, GeometryChange) for choice in choices):
         return choices
-    made, found = problem.regression, problem.fit([choice.candidate for choice in choices])
+    made, found = problem.regression, problem.fit(choices)
     result = []
     for k, choice in enumerate(choices):
-        effect, joint, theta = choice.candidate.effect, choice.candidate.joint, choice.candidate.theta
+        effect, joint, theta = choice.effect, choice.joint, choice.theta
         more: list[tuple[str, int, float]] = []
         if isinstance(effect, GeometryChange):
             own = made.decimate(effect.columns(made.signals, joint, theta) @ found.coefficients[k]).reshape(-1)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 from scipy import linalg, optimize, special
@@ -51,12 +52,6 @@ class Dependence:
     def adjusted(self) -> float:
         """Share explained of what would not be by chance: many curves follow a residual that is in few places."""
         return (self.share - self.expected) / max(1.0 - self.expected, 1e-12)
-
-    @property
-    def names(self) -> list[str]:
-        """Signals it depends on, ``sign(qd_j)`` among them for a directed curve."""
-        extra = [f"sign(qd_{self.channel + 1})"] if self.term.directed else []
-        return [*self.term.depends_on, *extra]
 
 
 def signal_names(signals: Signals, channel: int) -> list[str]:
@@ -103,41 +98,39 @@ def terms(signals: Signals, channel: int, pairs: bool, domain: Domain = MOTOR_TO
 
 
 class DependenceTest:
-    """Tests many curves on residuals at the same samples; bases are computed once.
+    """Tests many curves on residuals at the same samples; what follows from the samples alone is computed once.
 
     Args:
         signals: at the samples.
+        use: samples of each channel that count ``(N, c)``.
         edges: first sample of each block of time, and the end.
         rng: for the flips.
     """
 
-    def __init__(self, signals: Signals, edges: tuple[int, ...], rng: np.random.Generator) -> None:
-        self.signals, self.starts = signals, np.asarray(edges[:-1])
-        self._flips = rng.choice([-1.0, 1.0], size=(_FLIPS, len(self.starts)))
+    def __init__(self, signals: Signals, use: np.ndarray, edges: tuple[int, ...], rng: np.random.Generator) -> None:
+        self.signals, self.use = signals, use
+        self._blocks = [slice(a, b) for a, b in pairwise(edges)]
+        self._flips = rng.choice([-1.0, 1.0], size=(_FLIPS, len(self._blocks)))
         self._bases: dict[tuple[object, ...], Array] = {}
+        self._white: dict[tuple[Unknown, int], tuple[Array, Array]] = {}
         self._curves: dict[tuple[str, tuple[float, ...]], Array] = {}
 
-    def test(self, residual: Array, use: np.ndarray, channel: int, term: Unknown) -> Dependence:
+    def test(self, residual: Array, channel: int, term: Unknown) -> Dependence:
         """Tests one curve on one channel's residual.
 
         Args:
             residual: of the channel ``(N,)``, in its unit.
-            use: samples that count ``(N,)``.
             channel: its index.
             term: the curve.
         """
-        columns = self._basis(term, channel) * use[:, None]
-        r = np.where(use, residual, 0.0)
-        count = max(float(use.sum()), 1.0)
-        # About the mean, as a constant is in every model; the columns too, as a residual with flipped blocks has one.
-        columns -= use[:, None] * (columns.sum(axis=0) / count)
-        s, U = np.linalg.eigh(columns.T @ columns)
-        keep = s > 1e-6 * max(s[-1], 1e-300)
-        if s[-1] <= 0.0:
+        use = self.use[:, channel]
+        mean, T = self._whitened(term, channel)
+        if not T.size:
             return Dependence(channel, term, 0.0, 0.0, 1.0)
-        T = U[:, keep] / np.sqrt(s[keep])
-        r = np.where(use, r - r.sum() / count, 0.0)
-        parts = np.add.reduceat(columns * r[:, None], self.starts, axis=0) @ T
+        # About the mean, as a constant is in every model; the columns too, as a residual with flipped blocks has one.
+        r = np.where(use, residual - residual[use].mean(), 0.0)
+        basis = self._basis(term, channel)
+        parts = np.array([basis[rows].T @ r[rows] - r[rows].sum() * mean for rows in self._blocks]) @ T
         total = max(float(r @ r), 1e-300)
         observed = float(np.sum(parts.sum(axis=0) ** 2))
         null = np.sum((self._flips @ parts) ** 2, axis=1)
@@ -145,6 +138,16 @@ class DependenceTest:
         mean_null, var_null = float(null.mean()), float(null.var()) + 1e-300
         p = float(special.gammaincc(mean_null**2 / var_null, observed * mean_null / var_null))
         return Dependence(channel, term, observed / total, mean_null / total, p)
+
+    def _whitened(self, term: Unknown, channel: int) -> tuple[Array, Array]:
+        """Means of a curve's columns over the samples that count, and what makes them orthonormal about these."""
+        if (term, channel) not in self._white:
+            columns = self._basis(term, channel)[self.use[:, channel]]
+            mean = columns.mean(axis=0) if len(columns) else np.zeros(columns.shape[1])
+            s, U = np.linalg.eigh((columns - mean).T @ (columns - mean))
+            keep = s > 1e-6 * max(s[-1], 1e-300)
+            self._white[term, channel] = mean, U[:, keep] / np.sqrt(s[keep])
+        return self._white[term, channel]
 
     def _basis(self, term: Unknown, channel: int) -> Array:
         key = (term.depends_on, term.knots, term.frequency, channel if term.directed else -1)

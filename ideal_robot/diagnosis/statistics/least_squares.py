@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 
@@ -87,19 +87,16 @@ class HeldOutTest:
         p_value: one-sided, of the alignment of what it predicts with the residual of blocks it has not seen.
     """
 
-    gain: float
-    coefficients: Array
-    reduction: Array
-    reduction_by_channel: Array
-    p_value: float
+    gain: float = 0.0
+    coefficients: Array = field(default_factory=lambda: np.zeros(0))
+    reduction: Array = field(default_factory=lambda: np.zeros(0))
+    reduction_by_channel: Array = field(default_factory=lambda: np.zeros(0))
+    p_value: float = 1.0
 
     @property
     def total(self) -> float:
         """Reduction of the weighted squares over all held-out folds."""
         return float(np.nansum(self.reduction))
-
-
-UNTESTED = HeldOutTest(0.0, np.zeros(0), np.zeros(0), np.zeros(0), 1.0)
 
 
 class Fit:

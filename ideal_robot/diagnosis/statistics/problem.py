@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -18,7 +18,7 @@ from scipy import signal
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.blocks import BlockProducts, Blocks, Columns
 from ideal_robot.diagnosis.channels.regression import Regression
-from ideal_robot.diagnosis.statistics.least_squares import ROUNDING, Design, Fit, weights_of_channels
+from ideal_robot.diagnosis.statistics.least_squares import ROUNDING, Design, Fit, HeldOutTest, weights_of_channels
 from ideal_robot.dynamics.base_parameters import consistent_parameters
 from ideal_robot.effects import Effect, FittedEffect
 from ideal_robot.friction import PerJointFriction
@@ -27,17 +27,28 @@ from ideal_robot.model.model import Model
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect at a joint with fixed theta.
+    """An effect at a joint with fixed theta, and the evidence for it: as it was tested last, or when it was taken.
 
     Attributes:
         effect, joint, theta: see ``Effect``.
         tries: how many values of theta were looked at to arrive here; p-values are corrected for them.
+        p_value: of its held-out score, corrected for the values of theta that were tried.
+        share: share of the most affected channel's squares that it takes away on held-out blocks.
+        asked: share that was asked of it, once it is taken.
+        rivals: names and joints of candidates that the data cannot tell from it, with the share of its reduction that
+            they reach; once it is taken.
+        test: how much it reduces the residual.
     """
 
     effect: Effect
     joint: int
     theta: tuple[float, ...] = ()
     tries: int = 1
+    p_value: float = field(default=1.0, compare=False)
+    share: float = field(default=0.0, compare=False)
+    asked: float = field(default=0.0, compare=False)
+    rivals: tuple[tuple[str, int, float], ...] = field(default=(), compare=False)
+    test: HeldOutTest = field(default=HeldOutTest(), compare=False, repr=False)
 
     @property
     def key(self) -> str:
@@ -180,6 +191,11 @@ class Problem:
     blocks: Blocks
     prior: Array | None = None
     band: float = 1.0
+
+    @classmethod
+    def of(cls, regression: Regression, held_out: bool) -> Problem:
+        """The problem of a regression in its blocks of time, of which every fourth may only report."""
+        return cls(regression, regression.blocks(held_out))
 
     @cached_property
     def products(self) -> BlockProducts:

@@ -9,7 +9,6 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.regression import Regression, noise_left, usual_noise
-from ideal_robot.diagnosis.search.choice import Choice
 from ideal_robot.diagnosis.statistics.least_squares import TOLD
 from ideal_robot.diagnosis.statistics.problem import Candidate, Estimate, Problem, fitted_effect
 from ideal_robot.diagnosis.validation.evidence import (
@@ -22,6 +21,7 @@ from ideal_robot.diagnosis.validation.evidence import (
 from ideal_robot.diagnosis.validation.result import ChannelResult, FoundEffect, NotTransferred, Structure, Traces
 from ideal_robot.diagnosis.validation.transfer import deciding
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION
+from ideal_robot.effects.fitted import Unknown
 from ideal_robot.effects.kinematics import GeometryChange
 
 CLEAR = 3.0
@@ -65,16 +65,11 @@ class DomainDiagnosis:
     """
 
     problem: Problem
-    choices: list[Choice]
+    choices: list[Candidate]
     final: Estimate
     validation: Regression | None
     given: bool
     source: str
-
-    @property
-    def effects(self) -> list[Candidate]:
-        """The selected effects with their theta."""
-        return [choice.candidate for choice in self.choices]
 
     @property
     def reported(self) -> Regression:
@@ -109,16 +104,16 @@ class DomainDiagnosis:
                 break
             k, gone = found
             kept = [choice for i, choice in enumerate(domain.choices) if i != k]
-            final = domain.problem.on_all_blocks().fit([c.candidate for c in kept], uncertainty=True)
+            final = domain.problem.on_all_blocks().fit(kept, uncertainty=True)
             domain, dropped = replace(domain, choices=kept, final=final), [*dropped, gone]
         return domain, tuple(dropped)
 
     def _unsound(self) -> tuple[int, NotTransferred] | None:
         """The last effect that in the final fit is not plausible, as good as none, or only near standstill."""
         signals = self.problem.regression.signals
-        widened = with_misfit(self.problem, self.effects, self.final)
+        widened = with_misfit(self.problem, self.choices, self.final)
         for k in reversed(range(len(self.choices))):
-            candidate, own = self.effects[k], self.final.coefficients[k]
+            candidate, own = self.choices[k], self.final.coefficients[k]
             allowed = not np.any(own) or candidate.effect.plausible(own, candidate.theta, signals, candidate.joint)
             clear = candidate.effect.learned or self._differs(k, widened)
             near = at_standstill(candidate, signals)
@@ -139,7 +134,7 @@ class DomainDiagnosis:
             k: which.
             widened: the final fit with the misfit in its standard deviations.
         """
-        candidate, own, wide = self.effects[k], self.final.coefficients[k], widened.std[k]
+        candidate, own, wide = self.choices[k], self.final.coefficients[k], widened.std[k]
         effect, signals = candidate.effect, self.problem.regression.signals
         if len(own) == 1 and not effect.absorbed_by_base:
             # A theta that is known no better than to its own size makes nothing certain; one that only serves the
@@ -172,11 +167,11 @@ class DomainDiagnosis:
 
     def _shares(self, levels: Sequence[Array]) -> list[float]:
         """Share of the held-out squares of its channel that each effect takes away, those before it being there."""
-        places = [self._channel(k, c, levels) for k, c in enumerate(self.effects)]
+        places = [self._channel(k, c, levels) for k, c in enumerate(self.choices)]
         return [1.0 - float(after[j] / max(float(before[j]), 1e-300)) ** 2
                 for before, after, j in zip(levels, levels[1:], places, strict=False)]
 
-    def _asked_in_the_end(self, choice: Choice) -> float:
+    def _asked_in_the_end(self, choice: Candidate) -> float:
         """Share of the held-out squares that an effect has to take away.
 
         What is true of the torque of one recording takes away as much of it where nobody looked, but for what eight
@@ -186,7 +181,7 @@ class DomainDiagnosis:
         return _HALF * choice.asked if alike or self.problem.prior is not None else 0.0
 
     def _not_added(self, k: int, levels: Sequence[Array], why: str) -> NotTransferred:
-        candidate = self.effects[k]
+        candidate = self.choices[k]
         j = self._channel(k, candidate, levels)
         return NotTransferred(candidate.effect.name, candidate.joint, self.reported.channels[j],
                               self.choices[k].p_value, float(levels[k][j]), float(levels[k + 1][j]), why)
@@ -197,7 +192,7 @@ class DomainDiagnosis:
         The parameters of a model that holds stay as they were: an effect that could as well be a change of them is
         measured against it, and what refitting alone explains is no merit of any effect.
         """
-        effects, reported, problem = self.effects, self.reported, self.problem.held()
+        effects, reported, problem = self.choices, self.reported, self.problem.held()
         steps = [problem.fit(effects[:k]) for k in range(len(effects) + 1)]
         residuals = [step.residual(reported, effects[:k]) for k, step in enumerate(steps)]
         return residuals, [self._rms(residual) for residual in residuals]
@@ -208,7 +203,7 @@ class DomainDiagnosis:
 
     def result(self, rng: np.random.Generator) -> DomainResult:
         """Errors of each step, effects with their numbers, and what the residual depends on."""
-        effects, own, reported = self.effects, self.problem.regression, self.reported
+        effects, own, reported = self.choices, self.problem.regression, self.reported
         levels = self._ladder()[1]
         steps = [self.problem.fit(effects[:k]) for k in (0, len(effects))]
         residuals = [step.residual(reported, effects[:k]) for k, step in zip((0, len(effects)), steps, strict=True)]
@@ -243,11 +238,10 @@ class DomainDiagnosis:
         use = self.reported.use
         return rms(values - (values * use).sum(axis=0) / np.maximum(use.sum(axis=0), 1), use)
 
-    def _found(self, k: int, choice: Choice, levels: Sequence[Array]) -> FoundEffect:
+    def _found(self, k: int, choice: Candidate, levels: Sequence[Array]) -> FoundEffect:
         """The effect of a choice; ``levels`` are the errors ``(c,)`` with the first 0, 1, … effects."""
-        candidate = choice.candidate
-        effect = candidate.effect
-        j = self._channel(k, candidate, levels)
+        effect = choice.effect
+        j = self._channel(k, choice, levels)
         rivals = tuple(dict.fromkeys(name for name, _, _ in choice.rivals if name != effect.name))
         before, after = float(levels[k][j]), float(levels[k + 1][j])
         transfers = None if self.validation is None else bool(levels[k + 1][j] < levels[k][j])
@@ -255,11 +249,11 @@ class DomainDiagnosis:
                     "indistinguishable_from": list(rivals), "transfers": transfers, "recording": self.source,
                     "share": choice.share, "share_asked": choice.asked}
         # Geometry and curves are in units of their own, all else in those of its joint.
-        own = candidate.joint > 0 and not (isinstance(effect, GeometryChange) or effect.learned)
-        sliding = own and self.reported.prismatic[candidate.joint - 1]
-        fitted = fitted_effect(candidate, self.final, k, sliding=sliding, evidence=evidence)
-        fitted = with_limits(fitted, candidate, self.problem.regression.signals)
-        names = tuple(choice.dependence.names) if choice.dependence is not None else ()
+        own = choice.joint > 0 and not (isinstance(effect, GeometryChange) or effect.learned)
+        sliding = own and self.reported.prismatic[choice.joint - 1]
+        fitted = fitted_effect(choice, self.final, k, sliding=sliding, evidence=evidence)
+        fitted = with_limits(fitted, choice, self.problem.regression.signals)
+        names = tuple(effect.signals_of(choice.joint)) if isinstance(effect, Unknown) else ()
         return FoundEffect(fitted, before, after, choice.p_value, rivals, discriminating_motion(effect.name, rivals),
                            transfers, names)
 
@@ -271,7 +265,7 @@ class DomainDiagnosis:
             return own
         if reported.domain == SENSOR:
             # Not where it reduces most by chance, but where it is largest against the noise.
-            added = self.final.contributions(reported, self.effects)[k]
+            added = self.final.contributions(reported, self.choices)[k]
             return int(np.argmax(np.sqrt(np.mean(added**2, axis=0)) / (reported.noise_floor + 1e-300)))
         return int(np.argmax((levels[k] - levels[k + 1]) / (levels[k] + 1e-300)))
 

@@ -37,17 +37,18 @@ def ranked_structure(problem: Problem, residual: Array, rng: np.random.Generator
     """
     regression, use = problem.regression, problem.products.use
     signals = regression.decimated_signals()
-    dependence = DependenceTest(signals, problem.blocks.edges, rng)
+    dependence = DependenceTest(signals, use, problem.blocks.edges, rng)
     result = []
     for j, channel in enumerate(regression.channels):
         if not use[:, j].any():
             continue
-        tests = [dependence.test(residual[:, j], use[:, j], j, term)
+        tests = [dependence.test(residual[:, j], j, term)
                  for term in terms(signals, j, False, regression.domain)]
         limit = 0.01 / max(len(tests) * len(regression.channels), 1)
         clear: list[Dependence] = [d for d in tests if d.p_value < limit and d.share - d.expected > 0.01]
         clear.sort(key=lambda d: -(d.share - d.expected))
-        result += [Structure(channel, tuple(d.names), d.share, d.expected, d.p_value) for d in clear[:most]]
+        result += [Structure(channel, tuple(d.term.signals_of(j + 1)), d.share, d.expected, d.p_value)
+                   for d in clear[:most]]
     return tuple(result)
 
 

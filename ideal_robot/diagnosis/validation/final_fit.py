@@ -9,7 +9,6 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from ideal_robot.diagnosis.case import Case, Findings
-from ideal_robot.diagnosis.channels.blocks import time_blocks
 from ideal_robot.diagnosis.channels.motor_torque import about_model
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.search.scoring import ITERATIONS
@@ -33,8 +32,7 @@ def held_problem(regression: Regression, model: Model) -> Problem:
         regression: of the motor torques, about the model.
         model: that is known.
     """
-    blocks = time_blocks(len(regression.t), float(regression.t[1] - regression.t[0]), held_out=False)
-    problem = Problem(regression, blocks.without_folds())
+    problem = Problem.of(regression, held_out=False).on_all_blocks()
     return problem.with_prior(prior_precision(model, problem)).held()
 
 
@@ -101,7 +99,7 @@ def with_braking_friction(case: Case, found: Findings) -> Findings:
     if not case.shared or case.given is not None:
         return found
     for _ in range(case.robot.n):
-        change = found.problem.on_all_blocks().fit([c.candidate for c in found.choices]).change
+        change = found.problem.on_all_blocks().fit(found.choices).change
         driving = _driving(found.start, change) & ~np.isin(np.arange(len(change)), found.held)
         if not driving.any():
             break
@@ -159,7 +157,7 @@ def beside_lag(torque: DomainDiagnosis) -> Estimate:
     Args:
         torque: the domain of the motor torques, settled.
     """
-    effects, signals = torque.effects, torque.problem.regression.signals
+    effects, signals = torque.choices, torque.problem.regression.signals
     lag = CommonDelay()
     if not lag.usable(signals, 0) or any(isinstance(c.effect, CommonDelay) for c in effects):
         return torque.final

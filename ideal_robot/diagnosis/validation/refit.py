@@ -13,9 +13,8 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.arm import arm_angle_regression, tool_regression
-from ideal_robot.diagnosis.channels.blocks import time_blocks
-from ideal_robot.diagnosis.channels.force import blocks_of, force_regressions
-from ideal_robot.diagnosis.channels.line import line_blocks, line_regression
+from ideal_robot.diagnosis.channels.force import force_regressions
+from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import in_position_band, torque_regression
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.statistics.least_squares import ROUNDING
@@ -61,7 +60,7 @@ def explained_by_refitting(model: Model, torque: DomainDiagnosis,
         channels: its results.
     """
     levels = torque.levels_with_held_parameters()
-    regression, estimate = torque.problem.regression, torque.problem.fit(torque.effects)
+    regression, estimate = torque.problem.regression, torque.problem.fit(torque.choices)
     left_open = torque_left_open(model, torque.problem)
     result = []
     for j, c in enumerate(channels):
@@ -134,7 +133,7 @@ def with_named_effects(recording: Recording, robot: Robot, model: Model,
     for domain, regression in made:
         if regression is None or domain not in wanted:
             continue
-        problem = held_problem(regression, model) if domain == MOTOR_TORQUE else _free_problem(regression)
+        problem = held_problem(regression, model) if domain == MOTOR_TORQUE else Problem.of(regression, False)
         found += _together(problem, wanted[domain])
     return model.with_effects(tuple(found))
 
@@ -158,7 +157,7 @@ def named_camera_effects(recording: Recording, robot: Robot, model: Model,
         raise InputError("no such effect of a camera, or no line in the recording", field="effect",
                          value=", ".join(names))
     candidates = [Candidate(kind, 0) for kind in kinds]
-    found = Problem(made, line_blocks(made, False)).fit(candidates, uncertainty=True)
+    found = Problem.of(made, False).fit(candidates, uncertainty=True)
     return tuple(fitted_effect(candidate, found, k) for k, candidate in enumerate(candidates))
 
 
@@ -178,18 +177,13 @@ def named_force_effects(recording: Recording, robot: Robot, model: Model,
     for made, _ in force_regressions(recording, None, robot, torque, None, model.stiffness):
         kinds = [effect for name in names for effect in _named(name, SENSOR) if effect.usable(made.signals, 0)]
         candidates = [Candidate(kind, 0) for kind in kinds]
-        found = Problem(made, blocks_of(made, False)).fit(candidates, uncertainty=True)
+        found = Problem.of(made, False).fit(candidates, uncertainty=True)
         result += [fitted_effect(candidate, found, k) for k, candidate in enumerate(candidates)]
     return tuple(result)
 
 
 def _named(name: str, domain: Domain) -> list[Effect]:
     return [effect for effect in library() if effect.name == name and effect.domain == domain]
-
-
-def _free_problem(regression: Regression) -> Problem:
-    blocks = time_blocks(len(regression.t), float(regression.t[1] - regression.t[0]), held_out=False)
-    return Problem(regression, blocks.without_folds())
 
 
 def _together(problem: Problem, wanted: Sequence[tuple[Sequence[Effect], int]]) -> list[FittedEffect]:

@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.search.choice import FINALISTS, Choice, Options, PresentModel, overlap
+from ideal_robot.diagnosis.search.choice import FINALISTS, Options, PresentModel, overlap
 from ideal_robot.diagnosis.search.forward_selection import candidates
 from ideal_robot.diagnosis.search.learned_curves import LearnedCurves
 from ideal_robot.diagnosis.search.scoring import Scoring
@@ -52,25 +52,25 @@ def arguments(domain: DomainDiagnosis, options: Options, rng: np.random.Generato
             [*_instead(scoring, choice, effects), *_curve_instead(curves, choice)])
 
 
-def _instead(scoring: Scoring, choice: Choice, effects: Sequence[Effect]) -> list[Candidate]:
+def _instead(scoring: Scoring, choice: Candidate, effects: Sequence[Effect]) -> list[Candidate]:
     """Every cause of the library that can stand in the place of a choice, its theta as the search has it."""
-    model, own = scoring.model, choice.candidate
+    model, own = scoring.model, choice
     made, fit = model.problem.regression, model.fit(choice)
     known = model.problem.prior is not None or made.domain != MOTOR_TORQUE
     pool = [starts for starts in candidates(effects, made.signals, made.undecided, known)
             if (not own.joint or starts[0].joint in (own.joint, 0)) and starts[0].place != own.place]
-    scored = [s for s in scoring.scored(fit, pool) if overlap(model, own, s.candidate)]
+    scored = [s for s in scoring.scored(fit, pool) if overlap(model, own, s)]
     scored.sort(key=lambda s: -s.test.total)
-    return [(scoring.refined(fit, s) if k < FINALISTS else s).candidate for k, s in enumerate(scored)]
+    return [scoring.refined(fit, s) if k < FINALISTS else s for k, s in enumerate(scored)]
 
 
-def _curve_instead(curves: LearnedCurves, choice: Choice) -> list[Candidate]:
+def _curve_instead(curves: LearnedCurves, choice: Candidate) -> list[Candidate]:
     """The learned curve that explains most in the place of a cause of one joint, if there is one."""
-    channel = curves.model.problem.regression.channel_of(choice.candidate.joint)
-    if channel is None or choice.candidate.effect.learned:
+    channel = curves.model.problem.regression.channel_of(choice.joint)
+    if channel is None or choice.effect.learned:
         return []
     found = curves.in_channel(curves.model.fit(choice), channel)
-    return [] if found is None else [found.candidate]
+    return [] if found is None else [found]
 
 
 class _Weighing:
@@ -81,7 +81,7 @@ class _Weighing:
         choice: of it.
     """
 
-    def __init__(self, scoring: Scoring, choice: Choice) -> None:
+    def __init__(self, scoring: Scoring, choice: Candidate) -> None:
         self.scoring, self.model, self.choice = scoring, scoring.model, choice
         best = self.model.fit()
         blocks = self.model.problem.blocks
@@ -95,7 +95,7 @@ class _Weighing:
 
     def argument(self, others: Sequence[Candidate]) -> Argument:
         """The argument, from what can stand in the choice's place."""
-        own, made = self.choice.candidate, self.model.problem.regression
+        own, made = self.choice, self.model.problem.regression
         left = [self._left(self.model.fit(self.choice)),
                 *(self._left(self.model.fit_beside(other, self.choice)) for other in others)]
         sets = [self._weighed(r, other) for r, other in zip(left, [None, *others], strict=True)]
@@ -130,7 +130,7 @@ class _Weighing:
         gain = left**2 - self.best**2
         made, at = self.model.problem.regression, self.scoring.at_rows
         channel = int(np.argmax(gain.sum(axis=0)))
-        joint = self.choice.candidate.joint or (channel + 1 if made.domain in (MOTOR_TORQUE, ARM_POSITION) else 0)
+        joint = self.choice.joint or (channel + 1 if made.domain in (MOTOR_TORQUE, ARM_POSITION) else 0)
         signs = {"at the end": at.t, "at the beginning": -at.t}
         if joint:
             q, qd, qdd, load = (values[:, joint - 1] for values in (at.q, at.qd, at.qdd, at.load))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,10 +12,9 @@ from scipy import signal
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis import Diagnosis, diagnose
-from ideal_robot.diagnosis.channels.blocks import time_blocks
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression, with_reversal_width
 from ideal_robot.diagnosis.channels.regression import apart_from_reversals
-from ideal_robot.diagnosis.search.choice import Choice, Options
+from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.diagnosis.search.forward_selection import Only, Search
 from ideal_robot.diagnosis.search.learned_curves import OneSidedPull
 from ideal_robot.diagnosis.statistics.least_squares import Fit
@@ -67,7 +67,7 @@ def problem_of(*names: str) -> Problem:
     tau = model.inverse_dynamics(q, qd, qdd) + sum(added(name, qd, load, body) for name in names)
     tau = tau + 0.005 * np.std(tau, axis=0) * rng.normal(size=q.shape)
     made = torque_regression(Recording.from_arrays(t, q=q, tau=tau), robot, model, payload=True)
-    problem = Problem(made, time_blocks(len(made.t), float(made.t[1] - made.t[0]), held_out=True))
+    problem = Problem.of(made, held_out=True)
     return problem.with_prior(1e6 * np.eye(made.W.shape[2]))
 
 
@@ -75,8 +75,8 @@ def found(problem: Problem, absorbed: bool = True) -> dict[tuple[str, int], floa
     """Names and joints that a search takes among the neighbours, with their first coefficients."""
     only = tuple((name, joint) for name in NEIGHBOURS for joint in range(7))
     choices = Search(problem, library(), Options(), np.random.default_rng(0), absorbed=absorbed, only=only).run()
-    fit = problem.fit([choice.candidate for choice in choices])
-    return {(c.candidate.effect.name, c.candidate.joint): float(own[0])
+    fit = problem.fit(choices)
+    return {(c.effect.name, c.joint): float(own[0])
             for c, own in zip(choices, fit.coefficients, strict=True)}
 
 
@@ -268,18 +268,18 @@ def problem_with(tmp_path: Path, torque) -> Problem:
     columns = moved()[0].columns
     pulled = Recording({**columns, "tau_1": columns["tau_1"] + torque(columns["q_1"])})
     made = torque_regression(pulled, robot := arm(tmp_path), Model.nominal(robot))
-    return Problem(made, time_blocks(len(made.t), float(made.t[1] - made.t[0]), held_out=True))
+    return Problem.of(made, held_out=True)
 
 
-def searched(problem: Problem, *start: Candidate) -> list[Choice]:
+def searched(problem: Problem, *start: Candidate) -> list[Candidate]:
     effects = [effect for effect in library() if effect.domain == MOTOR_TORQUE]
     search = Search(problem, effects, Options(), np.random.default_rng(0), absorbed=False)
-    return search.run([Choice(one, 1e-9, share=0.5) for one in start])
+    return search.run([dataclasses.replace(one, p_value=1e-9, share=0.5) for one in start])
 
 
 @pytest.mark.parametrize("start", [(), (BALANCER,), (CABLE,)], ids=["nothing", "balancer", "cable"])
 def test_a_cable_stays_a_cable_where_the_search_begins_with_a_balancer(tmp_path, start):
-    names = [c.candidate.effect.name for c in searched(problem_with(tmp_path, lambda q: 1.5 * q), *start)]
+    names = [c.effect.name for c in searched(problem_with(tmp_path, lambda q: 1.5 * q), *start)]
     assert names == ["cable_spring"]
 
 
@@ -287,7 +287,7 @@ def test_a_cable_stays_a_cable_where_the_search_begins_with_a_balancer(tmp_path,
 @pytest.mark.parametrize("phi", [0.3, 2.4, -1.7])
 def test_a_balancer_is_found_from_a_cable_and_no_curve_stands_for_it(tmp_path, start, phi):
     problem = problem_with(tmp_path, lambda q: balancer(q, 20.0, phi, 0.4))
-    assert [c.candidate.effect.name for c in searched(problem, *start)] == ["gravity_spring"]
+    assert [c.effect.name for c in searched(problem, *start)] == ["gravity_spring"]
 
 
 @pytest.mark.parametrize("phi", [2.3, 2.5])
@@ -304,7 +304,7 @@ def test_a_spring_that_gravity_takes_nearly_all_of_is_not_lost_in_some_folds(tmp
 def test_a_curve_that_no_spring_has_stays_a_curve(tmp_path):
     problem = problem_with(tmp_path, lambda q: 4.0 * np.maximum(q - 0.3, 0.0))
     found = searched(problem)
-    assert [c.candidate.effect.learned for c in found] == [True]
+    assert [c.effect.learned for c in found] == [True]
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -316,14 +316,14 @@ def test_a_hose_that_is_slack_up_to_an_angle_is_no_balancer(tmp_path, side, star
 
     problem = problem_with(tmp_path, hose)
     found = searched(problem, *start)
-    assert [c.candidate.effect.learned for c in found] == [True]
-    assert found[0].candidate.effect.depends_on == ("q_1",)
+    assert [c.effect.learned for c in found] == [True]
+    assert found[0].effect.depends_on == ("q_1",)
 
 
 @pytest.mark.parametrize("phi", [0.3, 2.4, -1.7])
 def test_a_weak_balancer_is_not_taken_for_a_pull(tmp_path, phi):
     problem = problem_with(tmp_path, lambda q: balancer(q, 5.0, phi, 0.4))
-    assert [c.candidate.effect.name for c in searched(problem)] == ["gravity_spring"]
+    assert [c.effect.name for c in searched(problem)] == ["gravity_spring"]
 
 
 def test_a_pull_is_slack_up_to_its_angle_and_pulls_back_beyond_it():

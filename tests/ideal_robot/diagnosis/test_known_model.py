@@ -10,9 +10,8 @@ import pytest
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis import diagnose
-from ideal_robot.diagnosis.channels.blocks import time_blocks
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
-from ideal_robot.diagnosis.search.choice import Choice, Options
+from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.diagnosis.search.forward_selection import Search
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
@@ -239,7 +238,7 @@ def carrying(name: str, link: int, mass: float, at: np.ndarray, left: float = 0.
     share = np.where(np.arange(robot.n) < 3, left, 0.02)
     tau = tau + share * np.std(tau, axis=0) * np.sin(7.0 * q) + 0.002 * np.std(tau, axis=0) * rng.normal(size=q.shape)
     made = torque_regression(Recording.from_arrays(t, q=q, tau=tau), robot, model, payload=True)
-    problem = Problem(made, time_blocks(len(made.t), float(made.t[1] - made.t[0]), held_out=True))
+    problem = Problem.of(made, held_out=True)
     return problem.with_prior(1e9 * np.eye(made.W.shape[2])), robot
 
 
@@ -254,8 +253,8 @@ def test_a_body_on_the_flange_is_a_payload_of_its_mass(name, mass):
                    for j in e.joints(problem.regression.signals))
     search = Search(problem, library(), Options(), np.random.default_rng(0), absorbed=True, only=bodies)
     choices = search.run()
-    assert [(c.candidate.effect.name, c.candidate.joint) for c in choices] == [("payload", 0)]
-    (found,) = problem.fit([choices[0].candidate]).coefficients
+    assert [(c.effect.name, c.joint) for c in choices] == [("payload", 0)]
+    (found,) = problem.fit([choices[0]]).coefficients
     assert found[0] == pytest.approx(mass, rel=0.1)
 
 
@@ -263,7 +262,7 @@ def test_a_body_on_an_inner_link_is_a_load_of_that_link():
     problem, _ = carrying("kr6", 3, 3.0, np.array([0.2, 0.05, 0.0]))
     bodies = (("payload", 0), *(("link_load", j) for j in range(1, 6)))
     choices = Search(problem, library(), Options(), np.random.default_rng(0), absorbed=True, only=bodies).run()
-    assert (choices[0].candidate.effect.name, choices[0].candidate.joint) == ("link_load", 3)
+    assert (choices[0].effect.name, choices[0].joint) == ("link_load", 3)
 
 
 def test_a_light_body_is_a_payload_by_its_weight_at_the_wrist():
@@ -273,9 +272,9 @@ def test_a_light_body_is_a_payload_by_its_weight_at_the_wrist():
     problem, _ = carrying("kr15", robot.n, 0.1, flange + np.array([0.02, -0.04, 0.05]), left=0.05)
     payload = Candidate(find("payload", "tau"), 0)
     final = problem.on_all_blocks().fit([payload], uncertainty=True)
-    domain = DomainDiagnosis(problem, [Choice(payload, 1e-9, asked=0.1)], final, None, True, "")
+    domain = DomainDiagnosis(problem, [dataclasses.replace(payload, p_value=1e-9, asked=0.1)], final, None, True, "")
     wide = with_misfit(problem, [payload], final)
     assert abs(wide.coefficients[0][0]) < 3.0 * wide.std[0][0]
     settled, dropped = domain.settled()
-    assert [choice.candidate.effect.name for choice in settled.choices] == ["payload"]
+    assert [choice.effect.name for choice in settled.choices] == ["payload"]
     assert not dropped

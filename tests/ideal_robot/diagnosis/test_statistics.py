@@ -73,11 +73,10 @@ def test_dependence_is_seen_where_it_is_and_not_where_it_is_not():
     blocks = time_blocks(len(signals.t), signals.dt, held_out=False)
     rng = np.random.default_rng(3)
     noise = rng.normal(size=len(signals.t))
-    use = np.ones(len(noise), bool)
-    sieve = DependenceTest(signals, blocks.edges, rng)
+    sieve = DependenceTest(signals, np.ones((len(noise), 1), bool), blocks.edges, rng)
     term = next(t for t in terms(signals, 0, pairs=False) if t.depends_on == ("q_2",))
-    nothing = sieve.test(noise, use, 0, term)
-    something = sieve.test(noise + 1.5 * np.cos(3.0 * signals.q[:, 1]), use, 0, term)
+    nothing = sieve.test(noise, 0, term)
+    something = sieve.test(noise + 1.5 * np.cos(3.0 * signals.q[:, 1]), 0, term)
     assert nothing.p_value > 0.01
     assert something.p_value < 1e-3
     assert something.share > 0.3
@@ -88,13 +87,12 @@ def test_a_slow_disturbance_is_seen_over_time():
     signals = motion()
     blocks = time_blocks(len(signals.t), signals.dt, held_out=False)
     rng = np.random.default_rng(5)
-    use = np.ones(len(signals.t), bool)
-    sieve = DependenceTest(signals, blocks.edges, rng)
+    sieve = DependenceTest(signals, np.ones((len(signals.t), 1), bool), blocks.edges, rng)
     of_time = [t for t in terms(signals, 0, pairs=False) if t.depends_on == ("t",) and not t.directed]
     slow = np.sin(2.0 * np.pi * 1.7 * signals.t / signals.t[-1])
     for term in of_time:
-        nothing = sieve.test(rng.normal(size=len(slow)), use, 0, term)
-        something = sieve.test(slow + 0.5 * rng.normal(size=len(slow)), use, 0, term)
+        nothing = sieve.test(rng.normal(size=len(slow)), 0, term)
+        something = sieve.test(slow + 0.5 * rng.normal(size=len(slow)), 0, term)
         assert nothing.expected < 0.2
         assert nothing.p_value > 0.01
         assert something.expected < 0.5
@@ -190,7 +188,7 @@ def test_what_a_fold_leaves_open_says_nothing_of_candidates():
 def problem(tmp_path: Path) -> Problem:
     one = arm(tmp_path)
     made = torque_regression(rippled(one, 0.0, 1), one, Model.nominal(one))
-    return Problem(made, time_blocks(len(made.t), float(made.t[1] - made.t[0]), held_out=True))
+    return Problem.of(made, held_out=True)
 
 
 def ripple() -> Candidate:

@@ -13,9 +13,7 @@ from scipy import signal
 
 from ideal_robot.diagnosis import diagnose
 from ideal_robot.diagnosis.channels.arm import arm_angle_regression, frames_along
-from ideal_robot.diagnosis.channels.blocks import time_blocks
 from ideal_robot.diagnosis.channels.motor_torque import in_position_band, torque_regression
-from ideal_robot.diagnosis.search.choice import Choice
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem, with_parameters, with_possible_inertias
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
 from ideal_robot.diagnosis.validation.evidence import at_standstill, sides, with_limits
@@ -53,12 +51,12 @@ def one(tmp_path: Path) -> Robot:
 def domain_of(one: Robot, recording: Recording, *candidates: Candidate) -> DomainDiagnosis:
     """A domain in which a search is said to have selected these."""
     made = torque_regression(recording, one, Model.nominal(one))
-    problem = Problem(made, time_blocks(len(made.t), float(made.t[1] - made.t[0]), held_out=True))
+    problem = Problem.of(made, held_out=True)
     return with_choices(problem, *candidates)
 
 
 def with_choices(problem: Problem, *candidates: Candidate) -> DomainDiagnosis:
-    choices = [Choice(candidate, 1e-9) for candidate in candidates]
+    choices = [dataclasses.replace(one, p_value=1e-9) for one in candidates]
     final = problem.on_all_blocks().fit(list(candidates), uncertainty=True)
     return DomainDiagnosis(problem, choices, final, None, False, "")
 
@@ -169,7 +167,7 @@ def test_what_does_not_lower_the_held_out_error_is_not_added_behind_the_gear_eit
     recording = Recording({**recording.columns, "qa_1": qa})
     torque = torque_regression(recording, one, Model.nominal(one))
     made = arm_angle_regression(recording, one, in_position_band(torque, recording), None)
-    problem = Problem(made, time_blocks(len(made.t), float(made.t[1] - made.t[0]), held_out=True))
+    problem = Problem.of(made, held_out=True)
     selecting = problem.blocks.selecting[problem.blocks.of_samples()]
     # A ripple that the blocks kept apart contradict.
     ripple = find("transmission_error", "qa")
@@ -213,7 +211,8 @@ def test_what_is_never_still_is_nothing_that_a_cause_is_missing_for(one):
 def test_what_was_found_takes_away_half_as_much_where_nobody_looked(one):
     def left(asked: float) -> tuple[DomainDiagnosis, tuple]:
         domain = domain_of(one, moved(stribeck=0.1)[0], Candidate(find("stribeck", "tau"), 1, (0.3,)))
-        return dataclasses.replace(domain, choices=[Choice(domain.effects[0], 1e-9, asked=asked)]).settled()
+        choice = dataclasses.replace(domain.choices[0], p_value=1e-9, asked=asked)
+        return dataclasses.replace(domain, choices=[choice]).settled()
 
     before, after = (level[0] for level in left(0.0)[0].levels_with_held_parameters())
     share = 1.0 - (after / before) ** 2

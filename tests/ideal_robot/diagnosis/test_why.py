@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from ideal_robot.diagnosis import Diagnosis, Options, diagnose
-from ideal_robot.diagnosis.channels.blocks import time_blocks
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
-from ideal_robot.diagnosis.search.choice import Choice, PresentModel
+from ideal_robot.diagnosis.search.choice import PresentModel
 from ideal_robot.diagnosis.search.scoring import Scoring
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.diagnosis.validation.argument import Argument, Weighed
@@ -50,14 +49,14 @@ def test_the_score_is_that_of_blocks_left_out_and_vanishes_for_the_same_set() ->
     trial = draw_trial(770017, "inside", size=(3.0, 10.0), seconds=(12.0, 15.0))
     with robot_of(trial.urdf) as robot:
         made = torque_regression(trial.recording, robot, Model.nominal(robot))
-    problem = Problem(made, time_blocks(len(made.t), float(made.t[1] - made.t[0]), held_out=True))
+    problem = Problem.of(made, held_out=True)
     model = PresentModel(problem)
-    cause = Choice(Candidate(find("cable_spring", "tau"), 1), 0.0)
+    cause = Candidate(find("cable_spring", "tau"), 1, p_value=0.0)
     model.replace([cause])
     fit, selecting = model.fit(), problem.blocks.selecting
     squares = np.add.reduceat(model.left_out(fit) ** 2, problem.blocks.edges[:-1])[selecting]
     np.testing.assert_allclose(squares, fit.held_out_squares[selecting], rtol=1e-6, atol=1e-9 * squares.max())
-    argument = _Weighing(Scoring(model, Options()), cause).argument([cause.candidate])
+    argument = _Weighing(Scoring(model, Options()), cause).argument([cause])
     same = next(one for one in argument.sets if one.name)
     assert same.nats == pytest.approx(0.0, abs=1e-6)
     nothing = next(one for one in argument.sets if not one.name)
