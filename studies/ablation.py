@@ -267,7 +267,7 @@ def _played(trial: Trial) -> Iterator[tuple[str, Score]]:
         (recording,), _ = checked([shortened(trial.recording)[0]], robot)
 
         def case(rule: str) -> Case:
-            return Case(recording, robot, model, None, _options(rule), np.random.default_rng(0), silent, True, None)
+            return Case(recording, robot, model, None, _options(rule), silent, True, None)
 
         found = stages.baseline(case(""), stages.prepared(case(""), ()))
         with _kept_columns(found.problem.regression.signals):

@@ -181,9 +181,7 @@ class SetSearch(Search):
                       key=lambda s: -s.test.total)[:PER_JOINT]
         channel = self.model.problem.regression.channel_of(joint)
         if self.learns and channel is not None and self.kept[channel]:
-            use = self.model.problem.products.use[:, channel]
-            use = use & self.selecting[self.model.problem.blocks.of_samples()]
-            curves = self.curves._of_channel(fit, self.model.residual(fit), channel, use, False,
+            curves = self.curves._of_channel(fit, self.model.residual(fit), channel, False,
                                              2.0 * VISIBLE * self.count[channel])
             best += sorted((s for s in curves if s.share > 2.0 * VISIBLE), key=lambda s: -s.test.total)[:1]
         return best
@@ -250,7 +248,7 @@ def _played(trial: Trial, kind: type[Search]) -> Score:
         start = time.process_time()
         try:
             (recording,), _ = checked([shortened(trial.recording)[0]], robot)
-            case = Case(recording, robot, model, None, Options(), np.random.default_rng(0), silent, True, None)
+            case = Case(recording, robot, model, None, Options(), silent, True, None)
             found = said(case, stages.baseline(case, stages.prepared(case, ())))
         except (IdealRobotError, ArithmeticError, ValueError):
             found = GAVE_UP

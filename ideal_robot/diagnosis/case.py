@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.motor_torque import in_own_units, torque_regression, without_dead_channels
 from ideal_robot.diagnosis.channels.regression import Regression
@@ -37,7 +35,6 @@ class Case:
     given: Model | None
     validate: Recording | None
     options: Options
-    rng: np.random.Generator
     progress: Progress
     shared: bool
     only: Only | None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -18,13 +19,12 @@ from ideal_robot.diagnosis.statistics.problem import (
     with_parameters,
     with_possible_inertias,
 )
-from ideal_robot.diagnosis.validation.argument import Argument
 from ideal_robot.diagnosis.validation.domain_diagnosis import rms
 from ideal_robot.diagnosis.validation.final_fit import beside_lag, without_scatter
 from ideal_robot.diagnosis.validation.refit import explained_by_refitting
 from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, FoundEffect
 from ideal_robot.diagnosis.validation.weighing import arguments
-from ideal_robot.effects import FittedEffect
+from ideal_robot.effects import MOTOR_TORQUE, FittedEffect
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.identification.checks import checked
 from ideal_robot.model.model import Model
@@ -38,30 +38,29 @@ from ideal_robot.signals.sampling import shortened
 def diagnosis_of(case: Case, found: Findings) -> Diagnosis:
     """The answer after all stages."""
     every = [effect for result in found.results for effect in result.found]
-    effects = tuple(f for f in every if not f.fitted.effect.learned)
-    unknown = tuple(f for f in every if f.fitted.effect.learned)
+    effects, unknown = (tuple(f for f in every if f.fitted.effect.learned is learned) for learned in (False, True))
     channels = tuple(channel for result in found.results for channel in result.channels)
     refitted = () if case.given is None else explained_by_refitting(case.given, found.domains[0],
                                                                     found.results[0].channels)
     left = bool(unknown or refitted) or any(channel.unexplained for channel in channels)
     verdict = "unknown" if left else ("effects" if effects else "none")
     model, warnings = _extended(case, found, every)
-    return Diagnosis(verdict, channels, effects,
-                     unknown, _held_out(case, found), found.domains[0].held_out_seconds,
-                     found.problem.regression.undecided,
-                     before=tuple(structure for result in found.results for structure in result.before),
-                     remaining=tuple(structure for result in found.results for structure in result.remaining),
-                     warnings=found.warnings + warnings, model=model,
-                     traces=tuple(result.traces for result in found.results), not_transferred=found.not_transferred,
-                     unused=unused_columns(case.recording, tuple(d.problem.regression for d in found.domains)),
-                     refitted=refitted, beside_known=_beside_known(found), arguments=_arguments(case, found))
+    why = (one for domain in found.domains for one in arguments(domain, case.options)) if case.explain else ()
+    return Diagnosis(verdict, channels, effects, unknown, _held_out(case, found), found.domains[0].held_out_seconds,
+                     found.problem.regression.undecided, warnings=found.warnings + warnings, model=model,
+                     refitted=refitted, beside_known=_beside_known(found), arguments=tuple(why),
+                     **_of_domains(case, found))
 
 
-def _arguments(case: Case, found: Findings) -> tuple[Argument, ...]:
-    """Why each cause was named, where that is asked for."""
-    if not case.explain:
-        return ()
-    return tuple(one for domain in found.domains for one in arguments(domain, case.options, case.rng))
+def _of_domains(case: Case, found: Findings) -> dict[str, Any]:
+    """What an answer says of the domains that were searched, beside their channels and effects."""
+    results, searched = found.results, [domain.problem.regression for domain in found.domains]
+    if not any(made.domain == MOTOR_TORQUE for made in searched):
+        searched.insert(0, found.problem.regression)
+    return {"before": tuple(structure for result in results for structure in result.before),
+            "remaining": tuple(structure for result in results for structure in result.remaining),
+            "traces": tuple(result.traces for result in results), "not_transferred": found.not_transferred,
+            "unused": unused_columns(case.recording, tuple(searched))}
 
 
 def _beside_known(found: Findings) -> tuple[tuple[FittedEffect, ...], ...]:
@@ -88,12 +87,7 @@ def undecided(case: Case, found: Findings) -> Diagnosis:
         seconds = found.domains[0].held_out_seconds
     return Diagnosis("effects" if effects else "undecided",
                      channels + tuple(channel for result in found.results for channel in result.channels), effects, (),
-                     how, seconds, made.undecided,
-                     before=tuple(structure for result in found.results for structure in result.before),
-                     remaining=tuple(structure for result in found.results for structure in result.remaining),
-                     warnings=found.warnings, model=model, traces=tuple(result.traces for result in found.results),
-                     not_transferred=found.not_transferred,
-                     unused=unused_columns(case.recording, (made, *(d.problem.regression for d in found.domains))))
+                     how, seconds, made.undecided, warnings=found.warnings, model=model, **_of_domains(case, found))
 
 
 def _held_out(case: Case, found: Findings) -> str:
@@ -172,7 +166,7 @@ def _prepared(case: Case, warnings: list[str]) -> tuple[Case, Findings]:
 
 
 def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, validate: Recording | None = None,
-             options: Options | None = None, seed: int = 0, progress: Progress = silent,
+             options: Options | None = None, progress: Progress = silent,
              only: Only | None = None, cutoff: float | None = None, explain: bool = False) -> Diagnosis:
     """Says which physical effect a model misses in a recording, in which joint, and what it is worth.
 
@@ -184,7 +178,6 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
         validate: another recording of the same arm on which errors are reported; without it every fourth block of
             time of ``recording`` is kept apart for that.
         options: thresholds.
-        seed: of the null distributions.
         progress: called with the share done and a word.
         only: names and joints of the effects that may be looked for, for an oracle; then nothing is learned either.
         cutoff: of the position filter [Hz]; 20 Hz if None, or a quarter of a slower sampling rate. The band in which
@@ -203,7 +196,7 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
     recording, validate, warnings = _usable(recording, validate, robot)
     known = [finding for one in (recording, validate) if one is not None for finding in channel_findings(one)]
     warnings += [finding.warning for finding in known]
-    case = Case(recording, robot, model, validate, options or Options(), np.random.default_rng(seed), progress,
+    case = Case(recording, robot, model, validate, options or Options(), progress,
                 shared=model is not None or not amperes, only=only, dead=tuple(dead_joints(tuple(known))),
                 cutoff=cutoff, explain=explain)
     case, found = _prepared(case, warnings)

@@ -76,14 +76,12 @@ def _diagnosed(case: Case, made: Regression, validation: Regression | None) -> D
     if sensor:
         only = tuple((e.name, 0) for e in effects if only is None or (e.name, 0) in only)
     problem = Problem.of(made, held_out=validation is None)
-    choices = Search(problem, effects, case.options.finer(), case.rng, absorbed=True, only=only).run()
+    choices = Search(problem, effects, case.options.finer(), absorbed=True, only=only).run()
     choices = with_equivalents(problem, choices)
     final = problem.on_all_blocks().fit(choices, uncertainty=True)
     return DomainDiagnosis(problem, choices, final, validation, not sensor, case.recording.hash)
 
 
-_RESUMED = 3
-"""Times the effects of the motor torque are fitted together at most: again after each search without refuted ones."""
 _CHANGED = 0.2
 """RMS of a change of columns over that of a channel's residual from which on the search is resumed with new ones."""
 
@@ -150,7 +148,7 @@ def _searched(case: Case, found: Findings) -> Findings:
         # The other recording decides what stays.
         options = options.finer()
     if case.given is None or not np.any(found.start.covariance):
-        choices = Search(problem, effects, options, case.rng, absorbed=False, only=case.only,
+        choices = Search(problem, effects, options, absorbed=False, only=case.only,
                          refuted=found.refuted, progress=case.progress).run(start)
         return replace(found, choices=tuple(choices))
     prior = prior_precision(found.start, problem)
@@ -186,7 +184,7 @@ def _selected_against(case: Case, found: Findings, prior: Array, effects: Sequen
         it, and what of it the parameters, as uncertain as they are, do not take over; None where they hold.
     """
     def search(problem: Problem, absorbed: bool) -> Search:
-        return Search(problem, effects, options, case.rng, absorbed=absorbed, only=case.only, refuted=found.refuted,
+        return Search(problem, effects, options, absorbed=absorbed, only=case.only, refuted=found.refuted,
                       progress=case.progress)
 
     held = search(found.problem.with_prior(prior).held(), absorbed=True)
@@ -230,13 +228,13 @@ def joint_fit(case: Case, found: Findings) -> Findings:
     """
     before = found
     gone: tuple[NotTransferred, ...] = ()
-    for _ in range(_RESUMED):
+    while True:
         found = with_braking_friction(case, before)
         torque, dropped = _domain_of(case, found).settled()
         refuted = tuple(one for one in dropped if one.refuted)
         places = {(one.refuted, one.joint) for one in refuted} - set(before.refuted)
         if not places:
-            break
+            break  # each place is refuted once
         gone += refuted
         joints = {one.joint for one in refuted}
         before = replace(before, problem=before.problem.with_prior(None), refuted=(*before.refuted, *sorted(places)),
@@ -276,7 +274,7 @@ def sensors_alone(case: Case, found: Findings) -> Findings:
 
 def errors_before_and_after(case: Case, found: Findings) -> Findings:
     """Errors on data that had no part in finding anything, and what the residual depends on."""
-    return replace(found, results=tuple(domain.result(case.rng) for domain in found.domains))
+    return replace(found, results=tuple(domain.result() for domain in found.domains))
 
 
 def _with_signals(case: Case, found: Findings, regression: Regression) -> Regression:

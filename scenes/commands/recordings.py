@@ -157,7 +157,6 @@ class DiagnoseOptions:
     model_out: Annotated[Path | None, typer.Option(help="Write the extended model to this file.")] = None
     cutoff: Annotated[float | None, typer.Option(help="Position filter [Hz]; default: 20. The band of the torques and "
                                                       "the time left out around reversals follow it.")] = None
-    seed: Annotated[int, typer.Option(help="Seed of the null distributions.")] = 0
     explain: Annotated[bool, typer.Option("--explain", help="Say why each cause was named: what else could stand in "
                                                             "its place, by how much it is worse, and where in the "
                                                             "recording that shows.")] = False
@@ -187,7 +186,7 @@ def diagnose(options: DiagnoseOptions) -> None:
         found = diagnose(Recording.read(options.recording), arm,
                          model=None if options.model is None else Model.load(options.model),
                          validate=None if options.validate is None else Recording.read(options.validate),
-                         seed=options.seed, cutoff=options.cutoff, progress=steps.begin("reading"),
+                         cutoff=options.cutoff, progress=steps.begin("reading"),
                          explain=options.explain)
         steps.begin("drawing")
         page = options.out / "report.html"

@@ -80,7 +80,7 @@ def with_loose_weights(made: Regression, effects: Sequence[Candidate]) -> Regres
         made: of the arm angles.
         effects: of the motor torques.
     """
-    loose = [made.decimate(one.effect.columns(made.signals, one.joint, one.theta)) for one in effects
+    loose = [made.columns_of(one.effect, one.joint, one.theta) for one in effects
              if one.joint not in made.undecided and isinstance(one.effect, AngleLaw)
              and one.effect.like_the_model(made.signals, one.joint) is not None]
     if not loose:

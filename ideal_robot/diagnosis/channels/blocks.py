@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import copy
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -84,12 +86,14 @@ class Columns:
         alike: whether the columns are pieces of one curve, in one unit.
         own: of each column's squares the share ``(m,)`` that is not of the form of the model's own parameters; None
             where all of it may be the columns' own.
+        in_blocks: of channels that were asked for, the same values block by block.
     """
 
     values: Array
     channels: tuple[int, ...]
     alike: bool = False
     own: Array | None = None
+    in_blocks: dict[int, Array] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def m(self) -> int:
@@ -119,16 +123,33 @@ class BlockProducts:
         everywhere = tuple(range(self.c))
         self.W = Columns(W * use[:, :, None], everywhere)
         self.y = Columns((y * use)[:, :, None], everywhere)
-        self.count = np.array([[float(use[a:b, j].sum()) for j in range(self.c)]
-                               for a, b in zip(blocks.edges[:-1], blocks.edges[1:], strict=True)])
+        self.count = np.add.reduceat(use.astype(float), blocks.edges[:-1], axis=0)
+
+    def in_folds_of(self, blocks: Blocks) -> BlockProducts:
+        """The same rows in blocks with the same edges and other folds."""
+        made = copy.copy(self)
+        made.blocks = blocks
+        return made
+
+    @cached_property
+    def of_rows(self) -> dict[str, dict[str, Array]]:
+        """Cross-products of ``W`` and ``y``, which are in every fit."""
+        across = self.cross(self.W, self.y)
+        return {"W": {"W": self.cross(self.W, self.W), "y": across},
+                "y": {"W": np.swapaxes(across, 2, 3), "y": self.cross(self.y, self.y)}}
 
     def cross(self, a: Columns, b: Columns) -> Array:
         """``a_b' b_b`` for each block and channel, ``(B, c, m_a, m_b)``."""
         result = np.zeros((self.blocks.count, self.c, a.m, b.m))
-        edges = self.blocks.edges
         for j in set(a.channels) & set(b.channels):
-            left, right = a.values[:, a.channels.index(j)], b.values[:, b.channels.index(j)]
-            for k in range(self.blocks.count):
-                rows = slice(edges[k], edges[k + 1])
-                result[k, j] = left[rows].T @ right[rows]
+            result[:, j] = np.swapaxes(self._in_blocks(a, j), 1, 2) @ self._in_blocks(b, j)
         return result
+
+    def _in_blocks(self, columns: Columns, j: int) -> Array:
+        """Rows of columns on one channel, block by block ``(B, L, m)``; a shorter block ends with zeros."""
+        if j not in columns.in_blocks:
+            first, end = np.array(self.blocks.edges[:-1])[:, None], np.array(self.blocks.edges[1:])[:, None]
+            rows = first + np.arange(int(np.max(end - first)))
+            values = columns.values[np.minimum(rows, len(columns.values) - 1), columns.channels.index(j)]
+            columns.in_blocks[j] = np.where((rows < end)[:, :, None], values, 0.0)
+        return columns.in_blocks[j]

@@ -17,7 +17,7 @@ from scipy import ndimage
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.arm import arm_angles, deflection
 from ideal_robot.diagnosis.channels.blocks import Blocks, numbered_blocks
-from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.diagnosis.channels.regression import FEWEST, Regression
 from ideal_robot.effects import SENSOR, Signals, library
 from ideal_robot.effects.camera import CameraEffect, PointError, StampError, from_axis
 from ideal_robot.effects.fitted import spline_basis
@@ -28,11 +28,8 @@ KNOTS = 0.02
 """Distance of the curve's knots [m]."""
 FIELDS = 300
 """Fields looked at, at most."""
-FEWEST = 24
-"""Fields that are needed."""
 BLOCK = 3
 """Fields of a block."""
-_STEP = 0.002
 _WIDTH = 0.012
 _OUTLIER = 8.0
 _SEEN = 0.002
@@ -233,11 +230,12 @@ def _tool_path(recording: Recording, robot: Robot, torque: Regression, stiffness
     flat = place - np.outer((place - place[0]) @ up, up)
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(flat, axis=0), axis=1))])
     keep = np.concatenate([[True], np.diff(way) > 1e-6])
-    s = np.arange(0.0, way[-1], _STEP)
+    # Ten samples a knot, smoothed over half of one.
+    s = np.arange(0.0, way[-1], KNOTS / 10.0)
     if len(s) < 40:
         return flat[:1], np.zeros(1)
     path = np.column_stack([np.interp(s, way[keep], flat[keep, i]) for i in range(3)])
-    path = ndimage.gaussian_filter1d(path, 0.01 / _STEP, axis=0, mode="nearest")[10:-10]
+    path = ndimage.gaussian_filter1d(path, 5.0, axis=0, mode="nearest")[10:-10]
     end = (path[-1] - path[-11]) / 10.0
     path = np.vstack([path, path[-1] + np.arange(1, 100)[:, None] * end])
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])

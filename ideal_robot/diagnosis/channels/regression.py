@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy import ndimage, signal
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.blocks import Blocks, time_blocks
-from ideal_robot.effects import MOTOR_TORQUE, SENSOR, Domain, FittedEffect, Signals
+from ideal_robot.effects import MOTOR_TORQUE, SENSOR, Domain, Effect, FittedEffect, Signals
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import FilteredSignals
 from ideal_robot.signals.recording import Recording
@@ -70,6 +71,17 @@ class Regression:
     def decimate(self, columns: Array) -> Array:
         """Filters and decimates columns ``(N_raw, …)`` to the rows of ``y``; untouched zeros stay exactly zero."""
         return self.filtered.decimate(columns)
+
+    def columns_of(self, effect: Effect, joint: int, theta: tuple[float, ...]) -> Array:
+        """See ``Effect.columns``. At the rows of ``y``, shape ``(N, c, m)``."""
+        key = effect, joint, theta
+        if key not in self._columns:
+            self._columns[key] = self.decimate(effect.columns(self.signals, joint, theta))
+        return self._columns[key]
+
+    @cached_property
+    def _columns(self) -> dict[tuple[Effect, int, tuple[float, ...]], Array]:
+        return {}
 
     def decimated_signals(self) -> Signals:
         """The signals at the rows of ``y``, sampled (not filtered): for plots and dependence measures."""
@@ -197,7 +209,7 @@ def small_velocity(recording: Recording, filtered: FilteredSignals) -> Array:
 
 
 FEWEST = 20
-"""Samples from which a level is estimated, or a regression made, at least."""
+"""Samples or camera fields from which a level is estimated, or a regression made, at least."""
 
 
 def noise_above_band(filtered: FilteredSignals) -> Array:

@@ -12,7 +12,7 @@ from scipy import interpolate
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.case import Case
 from ideal_robot.diagnosis.channels.arm import arm_angle_regression, measured_axes, tool_regression
-from ideal_robot.diagnosis.channels.motor_torque import in_position_band, torque_regression
+from ideal_robot.diagnosis.channels.motor_torque import CUTOFF, in_position_band, torque_regression
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, Domain
 from ideal_robot.errors import IdealRobotError, InputError
@@ -217,10 +217,6 @@ def require_within_limits(robot: Robot, q_c: Array, workspace: Workspace) -> Non
                          "try another --seed, or a lower --z-min", field="motion")
 
 
-_STEP = 0.01
-"""Sampling of what is foreseen [s]: twice what the band that is looked at needs."""
-
-
 @dataclass(frozen=True)
 class Foresight:
     """Makes regressions of motions that have not been played.
@@ -251,7 +247,8 @@ class Foresight:
         case, start = self.case, self.start
         t = case.robot.t_ipo * np.arange(float(len(q_c)))
         spline = interpolate.CubicSpline(t, self.moved(q_c), axis=0)
-        grid = np.arange(0.0, t[-1], min(_STEP, case.robot.t_ipo))
+        # Five samples a period of what the position filter lets through.
+        grid = np.arange(0.0, t[-1], min(1.0 / (5.0 * CUTOFF), case.robot.t_ipo))
         q, qd, qdd = (spline(grid, k) for k in range(3))
         tau = start.inverse_dynamics(q, qd, qdd, t=grid) * self._units
         pose = case.robot.fk()
@@ -285,9 +282,6 @@ class Foresight:
                                              reversal_width=self.reversal_width)
         if domain == MOTOR_TORQUE:
             return torque
-        build = _BUILD[domain == ARM_POSITION]
+        build: Callable[..., Regression | None] = arm_angle_regression if domain == ARM_POSITION else tool_regression
         made = build(recording, self.case.robot, in_position_band(torque, recording), self.case.stiffness)
         return torque if made is None else made
-
-
-_BUILD: dict[bool, Callable[..., Regression | None]] = {True: arm_angle_regression, False: tool_regression}

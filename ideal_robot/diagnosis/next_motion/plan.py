@@ -15,8 +15,9 @@ from ideal_robot.diagnosis.channels.arm import arm_angle_regression, tool_regres
 from ideal_robot.diagnosis.channels.motor_torque import in_position_band
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.next_motion.motion import Foresight, MotionSearch, Part, played, require_within_limits
-from ideal_robot.diagnosis.next_motion.questions import Asked, Causes, Open, undecided_joints
+from ideal_robot.diagnosis.next_motion.questions import Causes, Open, undecided_joints
 from ideal_robot.diagnosis.next_motion.separation import (
+    Pair,
     Products,
     Separation,
     products_of,
@@ -155,7 +156,7 @@ def plan_diagnosis(recording: Recording, robot: Robot, questions: Open, *, model
     options = options or Options()
     (recording,), _ = checked([recording], robot)
     amperes = not recording.has("tau") and bool(np.all(robot.drive_gain == 1.0)) and robot.n > 1
-    case = Case(recording, robot, model, None, options, np.random.default_rng(seed), silent,
+    case = Case(recording, robot, model, None, options, silent,
                 shared=model is not None or not amperes, only=None)
     progress(0.02, "the recording")
     found = stages.prepared(case, ())
@@ -167,11 +168,11 @@ def plan_diagnosis(recording: Recording, robot: Robot, questions: Open, *, model
         return DiagnosisPlan((), np.zeros((0, robot.n)), robot.t_ipo, not_asked)
     room = (workspace or Workspace.of(robot)).widened(robot, recording.joints("q"))
     foresight = Foresight(case, found.start, found.problem.regression, found.reversal_width)
-    q_c = _best_motion(asked, foresight, room, longest, progress)
+    q_c = _best_motion(asked, foresight, room, longest, seed, progress)
     progress(0.95, "what it will tell")
     planned = _told(asked, foresight, q_c)
-    own = [products_of(one.pair, problems[one.domain].regression) for one in asked]
-    pairs_found = tuple(planned_pair(one, separation_of(one.pair, before), separation_of(one.pair, after), recording)
+    own = [products_of(one, problems[one.domain].regression) for one in asked]
+    pairs_found = tuple(planned_pair(one, separation_of(one, before), separation_of(one, after), recording)
                         for one, before, after in zip(asked, own, planned, strict=True))
     still = foresight.regression(q_c, MOTOR_TORQUE).undecided
     return DiagnosisPlan(pairs_found, q_c, robot.t_ipo, not_asked,
@@ -179,9 +180,9 @@ def plan_diagnosis(recording: Recording, robot: Robot, questions: Open, *, model
 
 
 def _asked_of(questions: Open, problems: Mapping[Domain, Problem], robot: Robot,
-              options: Options) -> tuple[list[Asked], tuple[str, ...]]:
+              options: Options) -> tuple[list[Pair], tuple[str, ...]]:
     """Pairs and joints that a motion may tell, and what no motion of the joints can answer."""
-    asked: list[Asked] = []
+    asked: list[Pair] = []
     not_asked: list[str] = []
     for problem in problems.values():
         pairs, mute = Causes(problem, options).pairs(questions)
@@ -196,30 +197,30 @@ def _asked_of(questions: Open, problems: Mapping[Domain, Problem], robot: Robot,
     return asked, tuple(not_asked)
 
 
-def _told(asked: Sequence[Asked], foresight: Foresight, q_c: Array) -> list[Products]:
+def _told(asked: Sequence[Pair], foresight: Foresight, q_c: Array) -> list[Products]:
     """What a motion ``(N, n)`` [rad] tells of each pair."""
     made = {domain: foresight.regression(q_c, domain) for domain in dict.fromkeys(one.domain for one in asked)}
-    return [products_of(one.pair, made[one.domain]) for one in asked]
+    return [products_of(one, made[one.domain]) for one in asked]
 
 
-def _best_motion(asked: Sequence[Asked], foresight: Foresight, room: Workspace, longest: float,
-                 progress: Progress) -> Array:
+def _best_motion(asked: Sequence[Pair], foresight: Foresight, room: Workspace, longest: float,
+                 seed: int, progress: Progress) -> Array:
     """The commands ``(N, n)`` [rad] that tell the pairs best, within the arm's limits and the room."""
     case = foresight.case
-    robot, options = case.robot, case.options
+    robot = case.robot
     start = np.clip(case.recording.joints("q")[0], robot.q_min, robot.q_max)
-    least = [smallest_share(one.pair, options if one.domain == MOTOR_TORQUE else options.finer()) for one in asked]
+    least = [smallest_share(one, case.options) for one in asked]
 
     def told(part: Part) -> list[Products]:
         return _told(asked, foresight, played(part, robot.t_ipo))
 
     def worth(several: Sequence[list[Products]]) -> float:
-        margins = np.array([separation_of(one.pair, _sum(own)).margin(asks)
+        margins = np.array([separation_of(one, _sum(own)).margin(asks)
                             for one, asks, own in zip(asked, least, zip(*several, strict=True), strict=True)])
         # Pairs that no motion tells must not keep the others waiting; beyond one, more is better, but not for long.
         return float(np.mean(np.minimum(margins, 1.0) + 0.1 * np.minimum(margins, _PLENTY)))
 
-    search = MotionSearch(robot, start, room, longest, case.rng)
+    search = MotionSearch(robot, start, room, longest, np.random.default_rng(seed))
     parts = search.best(told, worth, 1.0 + 0.1 * _PLENTY, lambda share, word: progress(0.05 + 0.85 * share, word))
     q_c = parts.commands()
     require_within_limits(robot, q_c, room)
@@ -248,19 +249,18 @@ def _sum(several: Sequence[Products]) -> Products:
     return total
 
 
-def planned_pair(one: Asked, before: Separation, after: Separation, recording: Recording) -> PlannedPair:
+def planned_pair(pair: Pair, before: Separation, after: Separation, recording: Recording) -> PlannedPair:
     """How far each motion tells a pair, and what else would where the planned one does not.
 
     Args:
-        one: the pair and its domain.
+        pair: which.
         before: what the recording's motion tells.
         after: what the planned motion is expected to tell.
         recording: whose columns say what is measured.
     """
-    pair = one.pair
     only = ""
     if not after.told_apart:
         names = {c.candidate.effect.name for c in (pair.cause, pair.rival) if c is not None}
         behind = any(effect.name in names and effect.domain == ARM_POSITION for effect in library())
-        only = _BEHIND if behind and one.domain == MOTOR_TORQUE and not recording.has("qa") else _NOTHING
+        only = _BEHIND if behind and pair.domain == MOTOR_TORQUE and not recording.has("qa") else _NOTHING
     return PlannedPair(pair.cause.label, pair.rival.label if pair.rival else "", before, after, only)

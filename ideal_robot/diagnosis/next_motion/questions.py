@@ -17,7 +17,7 @@ from ideal_robot.diagnosis.search.forward_selection import candidates
 from ideal_robot.diagnosis.search.scoring import Scoring
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.diagnosis.validation.result import Diagnosis
-from ideal_robot.effects import MOTOR_TORQUE, Domain, Effect, library
+from ideal_robot.effects import MOTOR_TORQUE, Effect, library
 from ideal_robot.effects.base import prefix_of
 from ideal_robot.effects.registry import names
 from ideal_robot.errors import InputError
@@ -129,15 +129,6 @@ def _rival(text: str) -> tuple[str, int | None]:
 _MOST_THETAS = 12
 
 
-@dataclass(frozen=True)
-class Asked:
-    """One pair of a domain that is to be told apart; without a rival, a joint that is to be decided."""
-
-    domain: Domain
-    pair: Pair
-    undecided: int = 0
-
-
 class Causes:
     """Fits what a diagnosis names to the recording of one domain.
 
@@ -151,7 +142,7 @@ class Causes:
         self.model = PresentModel(problem)
         self.scoring = Scoring(self.model, options)
 
-    def pairs(self, questions: Open) -> tuple[list[Asked], list[str]]:
+    def pairs(self, questions: Open) -> tuple[list[Pair], list[str]]:
         """The pairs of this domain that are open, and what could not be asked."""
         made, silent = self.problem.regression, list[str]()
         named = [one for one in questions.found if any(e.domain == made.domain for e in _effects(one.name, one.prefix))]
@@ -163,14 +154,14 @@ class Causes:
                 continue
             self.model.take(best)
             taken.append((one, best))
-        asked: list[Asked] = []
+        asked: list[Pair] = []
         for one, choice in taken:
             for rival, joint in one.rivals:
                 pair = self._pair(choice, rival, joint)
                 if pair is None:
                     silent.append(f"{rival} as a rival of {one.name} does not show in this recording")
                 else:
-                    asked.append(Asked(made.domain, pair))
+                    asked.append(pair)
         return asked, silent
 
     def _pair(self, choice: Candidate, rival: str, joint: int | None) -> Pair | None:
@@ -184,7 +175,7 @@ class Causes:
         fit = self.model.fit(choice)
         others = tuple(c for c in self.model.choices if c is not choice)
         return Pair(self._cause(choice, fit.gain(choice.key)[1]), self._cause(best, fit.gain(best.key)[1]), others,
-                    self.model.weights, colour_of(self.model), self.model.problem.prior)
+                    self.model.weights, colour_of(self.model), self.problem.prior, self.problem.regression.domain)
 
     def best(self, pool: list[list[Candidate]], instead_of: Candidate | None = None) -> Candidate | None:
         """The candidate that takes most away, refined over theta; one that shares a channel with what it replaces."""
@@ -205,7 +196,7 @@ class Causes:
         return Cause(candidate, coefficients, thetas_of(candidate, self.problem.regression))
 
 
-def undecided_joints(problem: Problem, robot: Robot, joints: Sequence[int]) -> list[Asked]:
+def undecided_joints(problem: Problem, robot: Robot, joints: Sequence[int]) -> list[Pair]:
     """Joints that moved too little: every cause of the library there, as large as the noise, against none.
 
     Args:
@@ -231,7 +222,7 @@ def undecided_joints(problem: Problem, robot: Robot, joints: Sequence[int]) -> l
                 continue  # of a partner axis where there is no other joint
             theta = starts[len(starts) // 2]
             cause = Cause(Candidate(effect, joint, theta), np.ones(len(effect.coefficient_names)), (theta,))
-            asked.append(Asked(MOTOR_TORQUE, Pair(cause, None, (), 1.0 / level**2, 1.0, None), joint))
+            asked.append(Pair(cause, None, (), 1.0 / level**2, 1.0, None))
     return asked
 
 

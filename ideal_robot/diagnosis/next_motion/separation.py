@@ -22,11 +22,10 @@ from scipy import linalg
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.search.choice import Options
-from ideal_robot.diagnosis.statistics.least_squares import RIDGE
+from ideal_robot.diagnosis.statistics.least_squares import ROUNDING, TOLD
 from ideal_robot.diagnosis.statistics.problem import Candidate
+from ideal_robot.effects import MOTOR_TORQUE, Domain
 
-SIGMAS = 4.0
-"""Separation from which two causes count as told apart: the fits differ by twice what their difference scatters."""
 OWN = 0.2
 """Share of a cause that its rival must not be able to imitate: a rival that reaches more of it stays one."""
 
@@ -54,7 +53,7 @@ class Cause:
 
 @dataclass(frozen=True)
 class Pair:
-    """A cause and the one it is to be told from; no rival means: from nothing at all.
+    """A cause and the one it is to be told from; no rival, in a joint that is to be decided: from nothing at all.
 
     Attributes:
         cause, rival: the two.
@@ -62,6 +61,7 @@ class Pair:
         weights: 1/σ² of each channel ``(c,)``.
         colour: how many samples count for one, as the noise is coloured.
         prior: precision of the model's parameters ``(p, p)`` in weighted units, or None.
+        domain: in which they show.
     """
 
     cause: Cause
@@ -70,6 +70,7 @@ class Pair:
     weights: Array
     colour: float
     prior: Array | None
+    domain: Domain = MOTOR_TORQUE
 
 
 @dataclass(frozen=True)
@@ -88,8 +89,8 @@ class Separation:
 
     @property
     def told_apart(self) -> bool:
-        """Whether a recording of the motion is expected to tell the two apart."""
-        return self.sigma >= SIGMAS and self.own_share >= OWN
+        """Whether a recording is expected to tell them: the difference of the fits' squares scatters by ``2 sigma``."""
+        return 0.5 * self.sigma >= TOLD and self.own_share >= OWN
 
     def margin(self, smallest: float) -> float:
         """What a motion is chosen by: one where a diagnosis would just see the cause and tell it, and in proportion.
@@ -97,7 +98,7 @@ class Separation:
         Args:
             smallest: share of the residual's squares that it asks of a cause.
         """
-        return min(self.sigma / SIGMAS, self.own_share / OWN, self.seen_share / smallest)
+        return min(0.5 * self.sigma / TOLD, self.own_share / OWN, self.seen_share / smallest)
 
 
 @dataclass(frozen=True)
@@ -163,7 +164,8 @@ def separation_of(pair: Pair, products: Products) -> Separation:
 
 
 def smallest_share(pair: Pair, options: Options) -> float:
-    """Share of the residual that a diagnosis asks of the pair's causes."""
+    """Share of the residual that a diagnosis with these thresholds asks of the pair's causes."""
+    options = options if pair.domain == MOTOR_TORQUE else options.finer()
     asked = [options.smallest_absorbed if one.candidate.effect.absorbed_by_base
              else one.candidate.effect.caution * options.smallest
              for one in (pair.cause, pair.rival) if one is not None]
@@ -175,8 +177,7 @@ def _cases(pair: Pair) -> Sequence[tuple[Cause, Cause | None]]:
 
 
 def _rows(made: Regression, candidate: Candidate, theta: tuple[float, ...], scale: Array) -> Array:
-    columns = candidate.effect.columns(made.signals, candidate.joint, theta)
-    return np.asarray(made.decimate(np.ascontiguousarray(columns)) * scale[:, :, None])
+    return np.asarray(made.columns_of(candidate.effect, candidate.joint, theta) * scale[:, :, None])
 
 
 def _gram(columns: Array) -> Array:
@@ -192,6 +193,6 @@ def _left(matrix: Array, prior: Array | None) -> float:
     diagonal = np.diag(A)
     used = diagonal > 0.0
     scale = 1.0 / np.sqrt(diagonal[used])
-    inner = A[np.ix_(used, used)] * np.outer(scale, scale) + RIDGE * np.eye(int(used.sum()))
+    inner = A[np.ix_(used, used)] * np.outer(scale, scale) + ROUNDING * np.eye(int(used.sum()))
     right = scale * across[used]
     return square - float(right @ linalg.solve(inner, right, assume_a="pos"))

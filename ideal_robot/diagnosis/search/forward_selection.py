@@ -9,8 +9,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Sequence
 
-import numpy as np
-
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.search.choice import (
     FINALISTS,
@@ -66,19 +64,18 @@ class Search:
         problem: the regression.
         effects: to choose from.
         options: thresholds.
-        rng: for null distributions.
         absorbed: whether effects are tried that the model's own parameters could take over.
         only: names and joints of the effects that may be looked for; then nothing is learned either.
         refuted: forms (``Effect.key``) and joints of effects that are not tried.
         progress: called with the share done and a word.
     """
 
-    def __init__(self, problem: Problem, effects: Sequence[Effect], options: Options, rng: np.random.Generator, *,
+    def __init__(self, problem: Problem, effects: Sequence[Effect], options: Options, *,
                  absorbed: bool, only: Only | None = None, refuted: Only = (), progress: Progress = silent) -> None:
         self.options, self.progress = options, progress
         self.model = PresentModel(problem)
         self.scoring = Scoring(self.model, options)
-        self.curves = LearnedCurves(self.scoring, rng)
+        self.curves = LearnedCurves(self.scoring)
         self.learns = only is None
         regression = problem.regression
         pool = [starts for starts in candidates(effects, regression.signals, regression.undecided, absorbed)

@@ -22,14 +22,13 @@ class LearnedCurves:
 
     Args:
         scoring: of the present model.
-        rng: for the null distribution.
     """
 
-    def __init__(self, scoring: Scoring, rng: np.random.Generator) -> None:
+    def __init__(self, scoring: Scoring) -> None:
         self.scoring, self.model, self.options = scoring, scoring.model, scoring.options
         problem = self.model.problem
         self.use = problem.products.use & problem.blocks.selecting[problem.blocks.of_samples()][:, None]
-        self.dependence = DependenceTest(scoring.at_rows, self.use, problem.blocks.edges, rng)
+        self.dependence = DependenceTest(scoring.at_rows, self.use, problem.blocks.edges)
         self._of_signals: dict[tuple[int, bool], list[Unknown]] = {}
 
     def best(self, fit: Fit, best: Candidate | None) -> Candidate | None:

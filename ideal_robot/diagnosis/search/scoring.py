@@ -10,6 +10,7 @@ import numpy as np
 from scipy import optimize
 
 from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.channels.blocks import Columns
 from ideal_robot.diagnosis.search.choice import Options, PresentModel
 from ideal_robot.diagnosis.statistics.least_squares import TOLD, Fit
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
@@ -132,7 +133,7 @@ class Scoring:
         # parameters of the model by their form nothing else is expected.
         form = self.model.problem.form_of_model(s)
         if form is not None and form.channels == columns.channels:
-            own = replace(columns, values=own[:, :, None]).without(form)[:, :, 0]
+            own = Columns(own[:, :, None], columns.channels).without(form)[:, :, 0]
         weighted = float(((own**2).sum(axis=0) * self.model.weights[channels]).sum())
         if s.test.gain < self.options.smallest_own * weighted:
             return False
@@ -305,12 +306,12 @@ def with_equivalents(problem: Problem, choices: list[Candidate], share: float = 
         effect, joint, theta = choice.effect, choice.joint, choice.theta
         more: list[tuple[str, int, float]] = []
         if isinstance(effect, GeometryChange):
-            own = made.decimate(effect.columns(made.signals, joint, theta) @ found.coefficients[k]).reshape(-1)
+            own = (made.columns_of(effect, joint, theta) @ found.coefficients[k]).reshape(-1)
             W = made.W.reshape(len(own), -1)
             alone = float(np.sum(_without(W, own) ** 2))
             for other in effect.joints(made.signals):
                 if other != joint and effect.usable(made.signals, other):
-                    theirs = made.decimate(effect.columns(made.signals, other, theta)).reshape(len(own), -1)
+                    theirs = made.columns_of(effect, other, theta).reshape(len(own), -1)
                     left = float(np.sum(_without(np.column_stack([W, theirs]), own) ** 2))
                     if left < (1.0 - share) * alone:
                         more.append((f"{effect.name} of joint {other}", other, 1.0 - left / alone))

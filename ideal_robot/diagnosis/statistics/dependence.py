@@ -1,8 +1,8 @@
 """What a residual depends on: splines over each signal, against a null distribution from the residual itself.
 
 Under the null hypothesis the sign of the residual in a block of time has nothing to do with the signal. Flipping the
-signs of whole blocks at random leaves all correlation within blocks as it is, and gives the distribution of the
-explained squares without dependence; also where the motion repeats itself, where shifting in time would fail.
+signs of whole blocks at random leaves all correlation within blocks as it is; mean and variance of the squares that are
+explained follow from the blocks; also where the motion repeats itself, where shifting in time would fail.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from ideal_robot.effects.fitted import Unknown, signal_of, spline_basis
 from ideal_robot.friction import FrictionModel
 from ideal_robot.model.model import Model
 
-_FLIPS = 400
 _FINE = 24
 """Intervals of a second curve of a torque over its joint's own angle, for what is narrow in the range."""
 _SLOW = (6, 14)
@@ -38,7 +37,7 @@ class Dependence:
         channel: index of the channel.
         term: the spline over the signals it was tried on.
         share: share of the residual's squares that the curve explains.
-        expected: share it explains by chance, from the flipped blocks.
+        expected: share it explains by chance, from blocks whose signs are flipped.
         p_value: of ``share`` under the null hypothesis.
     """
 
@@ -104,14 +103,11 @@ class DependenceTest:
         signals: at the samples.
         use: samples of each channel that count ``(N, c)``.
         edges: first sample of each block of time, and the end.
-        rng: for the flips.
     """
 
-    def __init__(self, signals: Signals, use: np.ndarray, edges: tuple[int, ...], rng: np.random.Generator) -> None:
+    def __init__(self, signals: Signals, use: np.ndarray, edges: tuple[int, ...]) -> None:
         self.signals, self.use = signals, use
         self._blocks = [slice(a, b) for a, b in pairwise(edges)]
-        self._flips = rng.choice([-1.0, 1.0], size=(_FLIPS, len(self._blocks)))
-        self._bases: dict[tuple[object, ...], Array] = {}
         self._white: dict[tuple[Unknown, int], tuple[Array, Array]] = {}
         self._curves: dict[tuple[str, tuple[float, ...]], Array] = {}
 
@@ -124,20 +120,22 @@ class DependenceTest:
             term: the curve.
         """
         use = self.use[:, channel]
-        mean, T = self._whitened(term, channel)
+        centre, T = self._whitened(term, channel)
         if not T.size:
             return Dependence(channel, term, 0.0, 0.0, 1.0)
         # About the mean, as a constant is in every model; the columns too, as a residual with flipped blocks has one.
         r = np.where(use, residual - residual[use].mean(), 0.0)
         basis = self._basis(term, channel)
-        parts = np.array([basis[rows].T @ r[rows] - r[rows].sum() * mean for rows in self._blocks]) @ T
+        parts = np.array([basis[rows].T @ r[rows] - r[rows].sum() * centre for rows in self._blocks]) @ T
         total = max(float(r @ r), 1e-300)
         observed = float(np.sum(parts.sum(axis=0) ** 2))
-        null = np.sum((self._flips @ parts) ** 2, axis=1)
-        # A gamma distribution of the same mean and variance carries the p-value below one in ``_FLIPS``.
-        mean_null, var_null = float(null.mean()), float(null.var()) + 1e-300
-        p = float(special.gammaincc(mean_null**2 / var_null, observed * mean_null / var_null))
-        return Dependence(channel, term, observed / total, mean_null / total, p)
+        # With signs s_b of the blocks it would be |sum_b s_b p_b|²; of its distribution a gamma of the same mean and
+        # variance stands for the tail.
+        alone = (parts**2).sum(axis=1)
+        mean = float(alone.sum())
+        variance = max(2.0 * float(np.sum((parts.T @ parts) ** 2) - np.sum(alone**2)), 1e-9 * mean**2 + 1e-300)
+        p = float(special.gammaincc(mean**2 / variance, observed * mean / variance))
+        return Dependence(channel, term, observed / total, mean / total, p)
 
     def _whitened(self, term: Unknown, channel: int) -> tuple[Array, Array]:
         """Means of a curve's columns over the samples that count, and what makes them orthonormal about these."""
@@ -150,19 +148,15 @@ class DependenceTest:
         return self._white[term, channel]
 
     def _basis(self, term: Unknown, channel: int) -> Array:
-        key = (term.depends_on, term.knots, term.frequency, channel if term.directed else -1)
-        if key not in self._bases:
-            if term.frequency:
-                basis = term.basis(self.signals)
-            else:
-                parts = [self._curve(name, knots, term.margin)
-                         for name, knots in zip(term.depends_on, term.knots, strict=True)]
-                basis = parts[0] if len(parts) == 1 else \
-                    (parts[0][:, :, None] * parts[1][:, None, :]).reshape(len(parts[0]), -1)
-            if term.directed:
-                basis = basis * self.signals.sliding_direction(channel + 1)[:, None]
-            self._bases[key] = basis
-        return self._bases[key]
+        """Its columns ``(N, m)``. Curves are kept, their products are made again: there are many."""
+        if term.frequency:
+            basis = term.basis(self.signals)
+        else:
+            basis, *other = [self._curve(name, knots, term.margin)
+                             for name, knots in zip(term.depends_on, term.knots, strict=True)]
+            for second in other:
+                basis = (basis[:, :, None] * second[:, None, :]).reshape(len(basis), -1)
+        return basis * self.signals.sliding_direction(channel + 1)[:, None] if term.directed else basis
 
     def _curve(self, name: str, knots: tuple[float, ...], margin: float) -> Array:
         if (name, knots) not in self._curves:

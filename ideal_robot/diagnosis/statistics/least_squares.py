@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -12,17 +13,16 @@ from scipy import linalg, stats
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.blocks import BlockProducts, Columns
 
-RIDGE = 1e-9
-"""Relative to the size of each column, towards the model as it is: decides what a fold leaves open."""
 _SMOOTH = 3e-3
-"""The same for the pieces of a curve, some of which a fold may hardly show. A body's ten columns are in units of their
-own: next to what a mass weighs, an inertia shows little and would be held at none."""
+"""Ridge for the pieces of a curve, relative to their mean size, as a fold hardly shows some. A body's ten columns are
+in units of their own: next to what a mass weighs, an inertia shows little and would be held at none."""
 _OWN = 1e-5
 """Share of a column's squares that the others have to leave for it to have something of its own."""
 _ROUNDED = 0.01
 """Least share of a column that counts for that: of less the ridge and rounding leave as much."""
 ROUNDING = 1e-9
-"""Size of a column over the largest, or share of its squares, below which it is rounding."""
+"""Size of a column over the largest, or share of its squares, below which it is rounding. As a ridge towards the model
+as it is, relative to each column's squares, it decides what a fold leaves open."""
 TOLD = 2.0
 """Standard deviations from which on two things are told from each other, a number from none: 95 % of a normal
 distribution. What takes away less than its square in weighted squares is not looked at closer."""
@@ -38,7 +38,9 @@ class Design:
     def __init__(self, data: BlockProducts) -> None:
         self.data = data
         self.groups: dict[str, Columns] = {"W": data.W, "y": data.y}
-        self._cross: dict[str, dict[str, Array]] = {}
+        self._cross = {key: dict(products) for key, products in data.of_rows.items()}
+        self._total: dict[str, dict[str, Array]] = {}
+        self._gram: tuple[list[str], Array] = [], np.empty(0)
 
     def add(self, key: str, columns: Columns) -> None:
         """Adds or replaces a group."""
@@ -52,8 +54,12 @@ class Design:
 
     def forget_products(self, key: str) -> None:
         """Forgets the cross-products of a group that is hardly asked for again; they are made anew where it is."""
+        self._total.pop(key, None)
         for other in self._cross.pop(key, {}):
-            self._cross.get(other, {}).pop(key, None)
+            for products in (self._cross, self._total):
+                products.get(other, {}).pop(key, None)
+        if key in self._gram[0]:
+            self._gram = [], np.empty(0)
 
     def cross(self, a: str, b: str) -> Array:
         """``a' b`` for each block and channel ``(B, c, m_a, m_b)``."""
@@ -64,15 +70,24 @@ class Design:
                 self._cross.setdefault(b, {})[a] = np.swapaxes(known[b], 2, 3)
         return known[b]
 
+    def total(self, a: str, b: str) -> Array:
+        """``a' b`` of all selecting blocks together, for each channel ``(c, m_a, m_b)``."""
+        known = self._total.setdefault(a, {})
+        if b not in known:
+            known[b] = self.cross(a, b)[self.data.blocks.selecting].sum(axis=0)
+        return known[b]
+
     def gram(self, keys: list[str]) -> Array:
         """Cross-products of several groups side by side with each other ``(B, c, m, m)``."""
-        ends = np.cumsum([0, *(self.groups[key].m for key in keys)])
-        places = [slice(a, b) for a, b in pairwise(ends)]
-        products = np.empty((self.data.blocks.count, self.data.c, ends[-1], ends[-1]))
-        for a, left in zip(keys, places, strict=True):
-            for b, right in zip(keys, places, strict=True):
-                products[:, :, left, right] = self.cross(a, b)
-        return products
+        if self._gram[0] != keys:
+            ends = np.cumsum([0, *(self.groups[key].m for key in keys)])
+            places = [slice(a, b) for a, b in pairwise(ends)]
+            products = np.empty((self.data.blocks.count, self.data.c, ends[-1], ends[-1]))
+            for a, left in zip(keys, places, strict=True):
+                for b, right in zip(keys, places, strict=True):
+                    products[:, :, left, right] = self.cross(a, b)
+            self._gram = keys, products
+        return self._gram[1]
 
 
 @dataclass(frozen=True)
@@ -115,34 +130,35 @@ class Fit:
         self.fold, self.folds = blocks.fold, blocks.folds
         self.G = design.gram([*keys, "y"])
         self.P = self.G.shape[2] - 1
-        weighted = np.einsum("c,bcij->bij", weights, self.G)
+        self._weighted = np.einsum("c,bcij->bij", weights, self.G)
         precision = np.zeros((self.P, self.P))
         if prior is not None:
             q = len(prior)
             precision[:q, :q] = prior if prior.ndim == 2 else np.diag(prior)
         self._precision = precision
-        self._inverse: list[Array] = []
-        self._beta: list[Array] = []
         self._training = np.array([np.where(self.fold == k, LEFT_OUT, 1.0) * (self.fold >= 0)
                                    for k in range(-1, self.folds)])
-        for H in np.tensordot(self._training, weighted, 1):
-            A = H[: self.P, : self.P] + precision
-            A = A + RIDGE * np.diag(np.maximum(np.diag(A), 1e-12 * (np.max(np.diag(A)) + 1e-300)))
-            # Zero throughout where no sample is left to train on: nothing is known then, and nothing found.
-            scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
-            inverse = _inverse(A * np.outer(scale, scale)) * np.outer(scale, scale)
-            self._inverse.append(inverse)
-            self._beta.append(inverse @ H[: self.P, self.P])
+        self.inverse, self.beta = self._solved(self._training[0])
 
-    @property
-    def beta(self) -> Array:
-        """Parameters fitted on all selecting blocks ``(P,)``."""
-        return self._beta[0]
+    def _solved(self, training: Array) -> tuple[Array, Array]:
+        """Inverse of the normal equations' matrix ``(P, P)`` and parameters ``(P,)``; blocks are weighted ``(B,)``."""
+        H = np.tensordot(training, self._weighted, 1)
+        A = H[: self.P, : self.P] + self._precision
+        A = A + ROUNDING * np.diag(np.maximum(np.diag(A), 1e-12 * (np.max(np.diag(A)) + 1e-300)))
+        # Zero throughout where no sample is left to train on: nothing is known then, and nothing found.
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
+        inverse = _inverse(A * np.outer(scale, scale)) * np.outer(scale, scale)
+        return inverse, inverse @ H[: self.P, self.P]
+
+    @cached_property
+    def _solutions(self) -> list[tuple[Array, Array]]:
+        """Inverse and parameters on all selecting blocks, then without each fold."""
+        return [(self.inverse, self.beta), *(self._solved(row) for row in self._training[1:])]
 
     @property
     def betas(self) -> Array:
         """Parameters fitted on all selecting blocks, then without each fold ``(1 + folds, P)``."""
-        return np.asarray(self._beta)
+        return np.array([beta for _, beta in self._solutions])
 
     def squares(self, beta: Array | None = None) -> Array:
         """Squares of the residual per block and channel ``(B, c)``, unweighted."""
@@ -153,37 +169,29 @@ class Fit:
     def held_out_squares(self) -> Array:
         """As ``squares``, each block predicted by the fit without its fold; report blocks by the fit on all others."""
         result = self.squares()
-        for mine, _, squares in self._left_out:
-            result[mine] = np.maximum(squares, 0.0)
+        for k in range(self.folds):
+            mine = self.fold == k
+            result[mine] = np.maximum(_quadratic(self.G[mine], np.append(-self._solutions[k + 1][1], 1.0)), 0.0)
         return result
 
     @cached_property
     def _left_out(self) -> list[tuple[np.ndarray, Array, Array]]:
-        """For each fold its blocks, their cross-products, and the squares that the fit without it leaves there."""
-        folds = []
-        for k in range(self.folds):
-            mine = self.fold == k
-            G = self.G[mine]
-            folds.append((mine, G, _quadratic(G, np.append(-self._beta[k + 1], 1.0))))
-        return folds
+        """For each fold its blocks, and their cross-products summed over the weighted channels, and over the blocks."""
+        return [(mine, self._weighted[mine], self.G[mine].sum(axis=0))
+                for mine in (self.fold == k for k in range(self.folds))]
 
     def refitted_weights(self) -> Array:
         """1/σ² of each channel from the squares that this fit leaves ``(c,)``; zero for an empty channel."""
         return _inverse_variance(self.squares(), self.design.data.count)
 
-    @property
-    def inverse(self) -> Array:
-        """Inverse of the normal equations' matrix on all estimating blocks ``(P, P)``."""
-        return self._inverse[0]
-
     def covariance(self) -> Array:
         """Covariance of ``beta (P, P)`` from the scatter of the blocks' scores, so that coloured noise counts."""
         selecting = self.fold >= 0
         v = np.append(-self.beta, 1.0)
-        scores = np.einsum("c,bcij,j->bi", self.weights, self.G[selecting][:, :, : self.P], v, optimize=True)
+        scores = self._weighted[selecting][:, : self.P] @ v
         B = len(scores)
         middle = scores.T @ scores * (B / max(B - 1, 1))
-        bread = self._inverse[0]
+        bread = self.inverse
         # Few blocks cannot fill a large matrix; the model-based covariance is the floor.
         dof = max(float(self.design.data.count[selecting].sum()) - self.P, 1.0)
         plain = bread * float(np.sum(self.squares()[selecting] * self.weights)) / dof
@@ -226,49 +234,39 @@ class Fit:
     def gain(self, key: str) -> tuple[float, Array]:
         """In-sample gain and coefficients of one more group."""
         group = self.design.groups[key]
-        products = self._weighted(self._products(key), list(group.channels))
-        return self._joined(0, tuple(np.tensordot(self._training[0], part, 1) for part in products), group)[:2]
+        channels, total = list(group.channels), self.design.total
+        CX = np.concatenate([total(key, other)[channels] for other in self.keys], axis=2)
+        parts = (np.tensordot(self.weights[channels], part, 1)
+                 for part in (CX, total(key, "y")[channels], total(key, key)[channels]))
+        return self._joined(0, tuple(parts), group)[:2]
 
     def held_out_test(self, key: str) -> HeldOutTest:
         """Held-out gain of one more group, everything refitted without each fold in turn."""
         group = self.design.groups[key]
-        channels = list(group.channels)
-        of_blocks = self._products(key)
-        folds = [np.tensordot(self._training, part, 1) for part in self._weighted(of_blocks, channels)]
+        channels, B = list(group.channels), len(self.fold)
+        # Outside its channels a candidate is zero; most have one of many.
+        of_channels = [np.concatenate([self.design.cross(key, other)[:, channels] for other in self.keys], axis=3),
+                       self.design.cross(key, "y")[:, channels], self.design.cross(key, key)[:, channels]]
+        of_blocks = [np.einsum("c,bcij->bij", self.weights[channels], part) for part in of_channels]
+        folds = [np.tensordot(self._training, part, 1) for part in of_blocks]
         gain, coefficients = self._joined(0, tuple(part[0] for part in folds), group)[:2]
-        B, c = self.G.shape[:2]
-        reduction, score, left = np.full((B, c), np.nan), np.full(B, np.nan), np.full(B, np.nan)
-        for k, (mine, G, L0) in enumerate(self._left_out):
+        reduction, score, left = np.full(B, np.nan), np.full(B, np.nan), np.full(B, np.nan)
+        by_channel = np.zeros(len(self.weights))
+        for k, (mine, blocks, sums) in enumerate(self._left_out):
             _, gamma, beta = self._joined(k + 1, tuple(part[k + 1] for part in folds), group)
-            after = np.append(-beta, 1.0)
-            step = np.append(beta - self._beta[k + 1], 0.0)
-            CX_block, Cy_block, CC_block = (part[mine] for part in of_blocks)
-            CX_gamma = np.swapaxes(CX_block, 2, 3) @ gamma
-            Cy_gamma = Cy_block[..., 0] @ gamma
-            CC_gamma = _quadratic(CC_block, gamma)
-            L1, size = _quadratic(G, after), _quadratic(G, step)
+            before, after = (np.append(-one, 1.0) for one in (self._solutions[k + 1][1], beta))
             # after = [-beta, 1] holds the sign of the subtraction: y - X beta - C gamma.
-            L1[:, channels] = L1[:, channels] + 2.0 * CX_gamma @ beta - 2.0 * Cy_gamma + CC_gamma
-            size[:, channels] = size[:, channels] + 2.0 * CX_gamma @ step[:-1] + CC_gamma
-            reduction[mine] = (L0 - L1) * self.weights
+            step = before - after
+            own = [part[mine] for part in of_blocks]
+            fewer = _quadratic(blocks, before) - _quadratic(blocks, after) - _added(own, after, gamma)
+            size = _quadratic(blocks, step) + _added(own, step, -gamma)
+            reduction[mine] = fewer
             # With d the change of the prediction: d'r before and d'(r - d) after, r being the held-out residual.
-            score[mine] = ((L0 - L1 + size) * self.weights).sum(axis=1) / 2.0
-            left[mine] = ((L0 - L1 - size) * self.weights).sum(axis=1) / 2.0
-        return HeldOutTest(gain, coefficients, reduction.sum(axis=1), np.nansum(reduction, axis=0),
-                           _one_sided(score, left))
-
-    def _products(self, key: str) -> tuple[Array, Array, Array]:
-        """Cross-products of a candidate with the groups fitted, ``y`` and itself, on its channels ``(B, k, m, …)``.
-
-        Outside its channels a candidate is zero; most have one of many.
-        """
-        channels = list(self.design.groups[key].channels)
-        CX = np.concatenate([self.design.cross(key, other)[:, channels] for other in self.keys], axis=3)
-        return CX, self.design.cross(key, "y")[:, channels], self.design.cross(key, key)[:, channels]
-
-    def _weighted(self, products: tuple[Array, Array, Array], channels: list[int]) -> tuple[Array, Array, Array]:
-        CX, Cy, CC = (np.einsum("c,bcij->bij", self.weights[channels], part) for part in products)
-        return CX, Cy, CC
+            score[mine], left[mine] = (fewer + size) / 2.0, (fewer - size) / 2.0
+            by_channel += self.weights * (_quadratic(sums, before) - _quadratic(sums, after))
+            by_channel[channels] -= self.weights[channels] * _added([part[mine].sum(axis=0) for part in of_channels],
+                                                                    after, gamma)
+        return HeldOutTest(gain, coefficients, reduction, by_channel, _one_sided(score, left))
 
     def _joined(self, k: int, products: tuple[Array, ...], group: Columns) -> tuple[float, Array, Array]:
         """Schur complement: gain, coefficients of the group, and the refitted other parameters.
@@ -279,7 +277,8 @@ class Fit:
             group: that joins.
         """
         CX, Cy, CC = products[0], products[1][:, 0], products[2]
-        Z = CX @ self._inverse[k]
+        inverse, present = self._solutions[k] if k else (self.inverse, self.beta)
+        Z = CX @ inverse
         S = CC - Z @ CX.T
         part = 1.0 if group.own is None else np.maximum(group.own, _ROUNDED)
         # A column that the others explain all but a hundred-thousandth of has nothing of its own. What of it is of the
@@ -289,7 +288,7 @@ class Fit:
             S = S + _SMOOTH * float(np.mean(np.diag(CC))) * np.eye(len(Cy))
         m = len(Cy)
         gamma = np.zeros(m)
-        right = Cy - CX @ self._beta[k]
+        right = Cy - CX @ present
         if own.any():
             index = np.flatnonzero(own)
             scale = 1.0 / np.sqrt(np.diag(S)[index])
@@ -297,7 +296,7 @@ class Fit:
             # Most candidates have one column, which is scaled to one.
             inverse = linalg.pinvh(inner, rtol=1e-6) if len(index) > 1 else 1.0 / inner
             gamma[index] = scale * (inverse @ (scale * right[index]))
-        return float(right @ gamma), gamma, self._beta[k] - Z.T @ gamma
+        return float(right @ gamma), gamma, present - Z.T @ gamma
 
 
 def _inverse(A: Array) -> Array:
@@ -318,6 +317,13 @@ def _inverse(A: Array) -> Array:
 def _quadratic(G: Array, v: Array) -> Array:
     """``v' G v`` for stacked matrices ``(…, m, m)``."""
     return np.asarray((G @ v) @ v)
+
+
+def _added(products: Sequence[Array], v: Array, gamma: Array) -> Array:
+    """What ``- C gamma`` adds to the squares of ``[X, y] v``, from the stacked products of C with X, y and itself."""
+    CX, Cy, CC = products
+    across = CX @ v[:-1] + Cy[..., 0] * v[-1]
+    return np.asarray(_quadratic(CC, gamma) - 2.0 * across @ gamma)
 
 
 def _one_sided(score: Array, left: Array) -> float:

@@ -17,7 +17,7 @@ from scipy import signal
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.blocks import BlockProducts, Blocks, Columns
-from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.diagnosis.channels.regression import FEWEST, Regression
 from ideal_robot.diagnosis.statistics.least_squares import ROUNDING, Design, Fit, HeldOutTest, weights_of_channels
 from ideal_robot.dynamics.base_parameters import consistent_parameters
 from ideal_robot.effects import Effect, FittedEffect
@@ -86,14 +86,11 @@ class Estimate:
 
     def residual(self, regression: Regression, effects: Sequence[Candidate]) -> Array:
         """What a regression leaves with these numbers ``(N, c)``; ``effects`` are those of the fit, in their order."""
-        r = regression.y - regression.W @ self.change
-        for added in self.contributions(regression, effects):
-            r = r - added
-        return np.asarray(r)
+        return np.asarray(regression.y - regression.W @ self.change - sum(self.contributions(regression, effects)))
 
     def contributions(self, regression: Regression, effects: Sequence[Candidate]) -> list[Array]:
         """What each effect adds at the rows of a regression ``(N, c)``."""
-        return [regression.decimate(c.effect.columns(regression.signals, c.joint, c.theta) @ own)
+        return [regression.columns_of(c.effect, c.joint, c.theta) @ own
                 for c, own in zip(effects, self.coefficients, strict=True)]
 
 
@@ -169,8 +166,6 @@ def with_possible_inertias(model: Model, near: Array) -> Model:
     return dataclasses.replace(model, consistent=possible.full)
 
 
-_FEWEST = 64
-"""Rows from which on a part of the band can be told from the rest."""
 _HELD = 1e4
 """Times the prior's precision with which parameters are held while their changes are effects."""
 
@@ -185,12 +180,14 @@ class Problem:
         prior: precision of the model's parameters about zero ``(P, P)``, in the units of the weighted squares; None
             where they are free.
         band: share of the regression's band that is looked at.
+        made: what was made of the regression so far, which is the same for all blocks and priors.
     """
 
     regression: Regression
     blocks: Blocks
     prior: Array | None = None
     band: float = 1.0
+    made: dict[object, Any] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
     def of(cls, regression: Regression, held_out: bool) -> Problem:
@@ -201,17 +198,17 @@ class Problem:
     def products(self) -> BlockProducts:
         """The rows, masked and ready for cross-products of blocks."""
         r = self.regression
-        return BlockProducts(self._in_band(r.y), self._in_band(r.W), r.use, self.blocks)
+        if self.band not in self.made:
+            self.made[self.band] = BlockProducts(self._in_band(r.y), self._in_band(r.W), r.use, self.blocks)
+        return self.made[self.band].in_folds_of(self.blocks)
 
     def with_regression(self, regression: Regression) -> Problem:
         """The same problem about another model."""
-        return replace(self, regression=regression)
+        return replace(self, regression=regression, made={})
 
     def with_prior(self, prior: Array | None) -> Problem:
-        """The same problem with other knowledge of its parameters; cross-products are kept."""
-        made = replace(self, prior=prior)
-        made.__dict__["products"] = self.products
-        return made
+        """The same problem with other knowledge of its parameters."""
+        return replace(self, prior=prior)
 
     def slow(self) -> Problem:
         """The same problem in the lower half of its band."""
@@ -237,7 +234,7 @@ class Problem:
 
     def _in_band(self, values: Array) -> Array:
         """Rows ``(N, …)`` without what is above the band."""
-        if self.band >= 1.0 or len(values) < _FEWEST:
+        if self.band >= 1.0 or len(values) < FEWEST:
             return values
         return np.asarray(signal.sosfiltfilt(signal.butter(4, self.band, output="sos"), values, axis=0))
 
@@ -255,21 +252,21 @@ class Problem:
 
     def form_of_model(self, candidate: Candidate) -> Columns | None:
         """Columns that the model's own parameters make and that a candidate is partly like; None where it is not."""
-        place = candidate.effect.name, candidate.joint
-        if place not in self._forms:
+        place = candidate.effect.name, candidate.joint, self.band
+        if place not in self.made:
             columns = candidate.effect.like_the_model(self.regression.signals, candidate.joint)
-            self._forms[place] = None if columns is None else self.prepared(columns)
-        return self._forms[place]
-
-    @cached_property
-    def _forms(self) -> dict[tuple[str, int], Columns | None]:
-        return {}
+            self.made[place] = None if columns is None else self.prepared(columns)
+        form: Columns | None = self.made[place]
+        return form
 
     def design(self, effects: Sequence[Candidate] = ()) -> Design:
         """Parameters of the model and columns of effects, with their cross-products."""
         design = Design(self.products)
         for candidate in effects:
-            design.add(candidate.key, self.columns(candidate))
+            key = candidate.key, self.band
+            if key not in self.made:
+                self.made[key] = self.columns(candidate)
+            design.add(candidate.key, self.made[key])
         return design
 
     def fit(self, effects: Sequence[Candidate] = (), *, uncertainty: bool = False,

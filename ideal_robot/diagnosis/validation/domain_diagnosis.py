@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -111,11 +111,11 @@ class DomainDiagnosis:
     def _unsound(self) -> tuple[int, NotTransferred] | None:
         """The last effect that in the final fit is not plausible, as good as none, or only near standstill."""
         signals = self.problem.regression.signals
-        widened = with_misfit(self.problem, self.choices, self.final)
+        widened = self._widened
         for k in reversed(range(len(self.choices))):
             candidate, own = self.choices[k], self.final.coefficients[k]
             allowed = not np.any(own) or candidate.effect.plausible(own, candidate.theta, signals, candidate.joint)
-            clear = candidate.effect.learned or self._differs(k, widened)
+            clear = candidate.effect.learned or self._differs(k)
             near = at_standstill(candidate, signals)
             if allowed and clear and not near:
                 continue
@@ -123,24 +123,19 @@ class DomainDiagnosis:
                    else "it is not distinguished from none" if not clear
                    else "it is how friction goes through standstill, at the end of what was searched")
             said = ", ".join(p.text for p in fitted_effect(candidate, widened, k).parameters)
-            gone = self._not_added(k, self._ladder()[1], f"in the fit of everything together {why} ({said})")
+            gone = self._not_added(k, f"in the fit of everything together {why} ({said})")
             return k, replace(gone, refuted="" if allowed else candidate.effect.key)
         return None
 
-    def _differs(self, k: int, widened: Estimate) -> bool:
-        """Whether an effect differs from none by its uncertainty.
-
-        Args:
-            k: which.
-            widened: the final fit with the misfit in its standard deviations.
-        """
-        candidate, own, wide = self.choices[k], self.final.coefficients[k], widened.std[k]
+    def _differs(self, k: int) -> bool:
+        """Whether an effect differs from none by its uncertainty, the misfit in it."""
+        candidate, own, wide = self.choices[k], self.final.coefficients[k], self._widened.std[k]
         effect, signals = candidate.effect, self.problem.regression.signals
         if len(own) == 1 and not effect.absorbed_by_base:
             # A theta that is known no better than to its own size makes nothing certain; one that only serves the
             # computation is no number at all. Where another recording decides, that is the evidence.
             searched = effect.theta_is_physical and bool(effect.bounds(signals, candidate.joint))
-            known = searched and not np.all(widened.theta_std[k] > np.abs(candidate.theta))
+            known = searched and not np.all(self._widened.theta_std[k] > np.abs(candidate.theta))
             # Shares are of squares: what has to take away more of them has to be as much clearer.
             least = TOLD * np.sqrt(effect.caution if signals.n > 1 else 1.0)
             return (searched and self.validation is not None) or effect.certain(np.abs(own) > least * wide, own, known)
@@ -150,12 +145,11 @@ class DomainDiagnosis:
             least, sigma = CLEAR, np.sqrt(wide**2 + np.maximum(wide**2 - self.final.std[k] ** 2, 0.0))
         large = np.abs(own) > least * sigma
         return effect.certain(large, own, False) or (
-            effect.certain(large, own, True) and self._shares(self._ladder()[1])[k] > _HALF)
+            effect.certain(large, own, True) and self._shares()[k] > _HALF)
 
     def _worthless(self) -> tuple[int, NotTransferred] | None:
         """The effect that falls shortest of what it has to take away from the held-out error of its channel, if any."""
-        levels = self._ladder()[1]
-        shares = self._shares(levels)
+        shares = self._shares()
         short = [share - self._asked_in_the_end(choice) for share, choice in zip(shares, self.choices, strict=True)]
         k = int(np.argmin(short))
         if short[k] > 0.0:
@@ -163,13 +157,13 @@ class DomainDiagnosis:
         why = "" if shares[k] <= 0.0 else (
             f"of the squares that had no part in finding it, it takes away {100.0 * shares[k]:.0f} % and not "
             f"{100.0 * self._asked_in_the_end(self.choices[k]):.0f} %, half of what was asked where it was found")
-        return k, self._not_added(k, levels, why)
+        return k, self._not_added(k, why)
 
-    def _shares(self, levels: Sequence[Array]) -> list[float]:
+    def _shares(self) -> list[float]:
         """Share of the held-out squares of its channel that each effect takes away, those before it being there."""
-        places = [self._channel(k, c, levels) for k, c in enumerate(self.choices)]
         return [1.0 - float(after[j] / max(float(before[j]), 1e-300)) ** 2
-                for before, after, j in zip(levels, levels[1:], places, strict=False)]
+                for before, after, j in zip(self.levels, self.levels[1:], map(self._channel, range(len(self.choices))),
+                                            strict=False)]
 
     def _asked_in_the_end(self, choice: Candidate) -> float:
         """Share of the held-out squares that an effect has to take away.
@@ -180,31 +174,29 @@ class DomainDiagnosis:
         alike = self.validation is None and self.reported.domain == MOTOR_TORQUE
         return _HALF * choice.asked if alike or self.problem.prior is not None else 0.0
 
-    def _not_added(self, k: int, levels: Sequence[Array], why: str) -> NotTransferred:
-        candidate = self.choices[k]
-        j = self._channel(k, candidate, levels)
-        return NotTransferred(candidate.effect.name, candidate.joint, self.reported.channels[j],
-                              self.choices[k].p_value, float(levels[k][j]), float(levels[k + 1][j]), why)
+    def _not_added(self, k: int, why: str) -> NotTransferred:
+        choice, j = self.choices[k], self._channel(k)
+        return NotTransferred(choice.effect.name, choice.joint, self.reported.channels[j], choice.p_value,
+                              float(self.levels[k][j]), float(self.levels[k + 1][j]), why)
 
-    def _ladder(self) -> tuple[list[Array], list[Array]]:
-        """Residuals of the reported regression with the first 0, 1, … effects, and their errors; see ``result``.
+    @cached_property
+    def levels(self) -> list[Array]:
+        """Held-out errors of the reported regression ``(c,)`` with the first 0, 1, … effects.
 
         The parameters of a model that holds stay as they were: an effect that could as well be a change of them is
         measured against it, and what refitting alone explains is no merit of any effect.
         """
-        effects, reported, problem = self.choices, self.reported, self.problem.held()
-        steps = [problem.fit(effects[:k]) for k in range(len(effects) + 1)]
-        residuals = [step.residual(reported, effects[:k]) for k, step in enumerate(steps)]
-        return residuals, [self._rms(residual) for residual in residuals]
+        problem, steps = self.problem.held(), [self.choices[:k] for k in range(len(self.choices) + 1)]
+        return [self._rms(problem.fit(some).residual(self.reported, some)) for some in steps]
 
-    def levels_with_held_parameters(self) -> list[Array]:
-        """Held-out errors ``(c,)`` with the first 0, 1, … effects, parameters of a model that holds as they were."""
-        return self._ladder()[1]
+    @cached_property
+    def _widened(self) -> Estimate:
+        """The final fit with the misfit in its standard deviations."""
+        return with_misfit(self.problem, self.choices, self.final)
 
-    def result(self, rng: np.random.Generator) -> DomainResult:
+    def result(self) -> DomainResult:
         """Errors of each step, effects with their numbers, and what the residual depends on."""
         effects, own, reported = self.choices, self.problem.regression, self.reported
-        levels = self._ladder()[1]
         steps = [self.problem.fit(effects[:k]) for k in (0, len(effects))]
         residuals = [step.residual(reported, effects[:k]) for k, step in zip((0, len(effects)), steps, strict=True)]
         before = reported.y if self.given else residuals[0]
@@ -220,11 +212,10 @@ class DomainDiagnosis:
                                        reported.domain != TCP_POSITION or not reported.absent, float(usual[j]))
                          for j, (name, unit) in enumerate(zip(reported.channels, reported.units, strict=True))
                          if j not in reported.absent)
-        wider = replace(self, final=with_misfit(self.problem, effects, self.final))
-        found = tuple(wider._found(k, choice, levels) for k, choice in enumerate(self.choices))
+        found = tuple(self._found(k) for k in range(len(effects)))
         # Dependences are looked for in the recording that the fit was made on.
         first = own.y if self.given else steps[0].residual(own, [])
-        structure = [ranked_structure(self.problem, r, rng) for r in (first, steps[-1].residual(own, effects))]
+        structure = [ranked_structure(self.problem, r) for r in (first, steps[-1].residual(own, effects))]
         at = reported.decimated_signals()
         traces = Traces(reported.t, reported.measured, before, residuals[-1], reported.use, self.held_out, at.q, at.qd,
                         tuple(steps[-1].contributions(reported, effects)))
@@ -238,10 +229,10 @@ class DomainDiagnosis:
         use = self.reported.use
         return rms(values - (values * use).sum(axis=0) / np.maximum(use.sum(axis=0), 1), use)
 
-    def _found(self, k: int, choice: Candidate, levels: Sequence[Array]) -> FoundEffect:
-        """The effect of a choice; ``levels`` are the errors ``(c,)`` with the first 0, 1, … effects."""
+    def _found(self, k: int) -> FoundEffect:
+        """What is said of a choice."""
+        choice, levels, j = self.choices[k], self.levels, self._channel(k)
         effect = choice.effect
-        j = self._channel(k, choice, levels)
         rivals = tuple(dict.fromkeys(name for name, _, _ in choice.rivals if name != effect.name))
         before, after = float(levels[k][j]), float(levels[k + 1][j])
         transfers = None if self.validation is None else bool(levels[k + 1][j] < levels[k][j])
@@ -251,23 +242,23 @@ class DomainDiagnosis:
         # Geometry and curves are in units of their own, all else in those of its joint.
         own = choice.joint > 0 and not (isinstance(effect, GeometryChange) or effect.learned)
         sliding = own and self.reported.prismatic[choice.joint - 1]
-        fitted = fitted_effect(choice, self.final, k, sliding=sliding, evidence=evidence)
+        fitted = fitted_effect(choice, self._widened, k, sliding=sliding, evidence=evidence)
         fitted = with_limits(fitted, choice, self.problem.regression.signals)
         names = tuple(effect.signals_of(choice.joint)) if isinstance(effect, Unknown) else ()
         return FoundEffect(fitted, before, after, choice.p_value, rivals, discriminating_motion(effect.name, rivals),
                            transfers, names)
 
-    def _channel(self, k: int, candidate: Candidate, levels: Sequence[Array]) -> int:
+    def _channel(self, k: int) -> int:
         """Index of the channel in which an effect is reported: its own, else where it reduces the error most."""
         reported = self.reported
-        own = reported.channel_of(candidate.joint)
+        own = reported.channel_of(self.choices[k].joint)
         if own is not None:
             return own
         if reported.domain == SENSOR:
             # Not where it reduces most by chance, but where it is largest against the noise.
             added = self.final.contributions(reported, self.choices)[k]
             return int(np.argmax(np.sqrt(np.mean(added**2, axis=0)) / (reported.noise_floor + 1e-300)))
-        return int(np.argmax((levels[k] - levels[k + 1]) / (levels[k] + 1e-300)))
+        return int(np.argmax((self.levels[k] - self.levels[k + 1]) / (self.levels[k] + 1e-300)))
 
 
 def rms(values: Array, use: np.ndarray) -> Array:

@@ -25,19 +25,17 @@ def discriminating_motion(name: str, rivals: tuple[str, ...]) -> str:
     return "; ".join(dict.fromkeys(found))
 
 
-def ranked_structure(problem: Problem, residual: Array, rng: np.random.Generator,
-                     most: int = 3) -> tuple[Structure, ...]:
+def ranked_structure(problem: Problem, residual: Array, most: int = 3) -> tuple[Structure, ...]:
     """For each channel the strongest dependences of a residual that stand out of their null distribution.
 
     Args:
         problem: with signals and blocks.
         residual: at its rows ``(N, c)``, in the units of the channels.
-        rng: of the null distribution.
         most: dependences of a channel.
     """
     regression, use = problem.regression, problem.products.use
     signals = regression.decimated_signals()
-    dependence = DependenceTest(signals, use, problem.blocks.edges, rng)
+    dependence = DependenceTest(signals, use, problem.blocks.edges)
     result = []
     for j, channel in enumerate(regression.channels):
         if not use[:, j].any():

@@ -144,10 +144,6 @@ def _held(found: Findings, index: np.ndarray) -> Findings:
                    held=(*found.held, *(int(i) for i in index)))
 
 
-_START = 1e-3
-"""Chord to begin with [s]."""
-
-
 def beside_lag(torque: DomainDiagnosis) -> Estimate:
     """The fit of everything together, beside a lag of all torques where there clearly is one.
 
@@ -161,7 +157,7 @@ def beside_lag(torque: DomainDiagnosis) -> Estimate:
     lag = CommonDelay()
     if not lag.usable(signals, 0) or any(isinstance(c.effect, CommonDelay) for c in effects):
         return torque.final
-    candidate = Candidate(lag, 0, (_START,))
+    candidate = Candidate(lag, 0, lag.starts(signals, 0)[0])
     for _ in range(ITERATIONS):
         found = torque.problem.on_all_blocks().fit([*effects, candidate], uncertainty=True)
         theta = lag.consistent_theta(found.coefficients[-1], candidate.theta)

@@ -17,8 +17,13 @@ from ideal_robot.diagnosis.channels.force import force_regressions
 from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import in_position_band, torque_regression
 from ideal_robot.diagnosis.channels.regression import Regression
-from ideal_robot.diagnosis.statistics.least_squares import ROUNDING
-from ideal_robot.diagnosis.statistics.problem import Candidate, Problem, fitted_effect, torque_left_open
+from ideal_robot.diagnosis.statistics.problem import (
+    Candidate,
+    Problem,
+    fitted_effect,
+    prior_covariance,
+    torque_left_open,
+)
 from ideal_robot.diagnosis.validation.domain_diagnosis import CLEAR, DomainDiagnosis
 from ideal_robot.diagnosis.validation.final_fit import held_problem
 from ideal_robot.diagnosis.validation.result import ChannelResult, MovedParameter, RefitExplains
@@ -45,8 +50,6 @@ _LARGE = 0.03
 1 %."""
 _FALLS = 0.7
 """Error after over error before down to which refitting, or an effect, explains little."""
-_FLOOR = 0.02
-"""A parameter is never known better than this share of itself."""
 _MOST = 4
 
 
@@ -59,9 +62,10 @@ def explained_by_refitting(model: Model, torque: DomainDiagnosis,
         torque: the domain of the motor torques, settled.
         channels: its results.
     """
-    levels = torque.levels_with_held_parameters()
+    levels = torque.levels
     regression, estimate = torque.problem.regression, torque.problem.fit(torque.choices)
     left_open = torque_left_open(model, torque.problem)
+    sigma = np.sqrt(np.diag(prior_covariance(model, torque.problem)))
     result = []
     for j, c in enumerate(channels):
         explained = np.sqrt(max(c.rms_before**2 - c.rms_refit**2, 0.0))
@@ -72,27 +76,22 @@ def explained_by_refitting(model: Model, torque: DomainDiagnosis,
             continue
         result.append(RefitExplains(
             j + 1, c.channel, c.rms_before, c.rms_refit,
-            _moved(model, estimate.change, regression.W[:, j] * regression.use[:, j, None], 2e-3 * c.spread),
+            _moved(model, estimate.change, sigma, regression.W[:, j] * regression.use[:, j, None]),
             f"joint {j + 1} uses more of its range, at other speeds and loads"))
     return tuple(result)
 
 
-def _moved(model: Model, change: Array, W: Array, visible: float) -> tuple[MovedParameter, ...]:
+def _moved(model: Model, change: Array, sigma: Array, W: Array) -> tuple[MovedParameter, ...]:
     """Parameters that moved far, those first that change the joint's torque most.
 
     Args:
         model: as given.
         change: of its parameters ``(P,)``.
+        sigma: how well they were known ``(P,)``.
         W: derivative of the joint's torque by them ``(N, P)``.
-        visible: torque that says nothing [N m]; a parameter is not known better than that either.
     """
     value = parameter_vector(model.base_values, model.friction)
-    size = np.sqrt(np.mean(W**2, axis=0))
-    # A parameter that moves nothing here may be anything.
-    seen = size > ROUNDING * np.max(size, initial=0.0)
-    unseen = np.divide(visible, size, out=np.full_like(size, np.inf), where=seen)
-    sigma = np.sqrt(np.diag(model.covariance) + (_FLOOR * value) ** 2 + unseen**2)
-    weight = np.abs(change) * size
+    weight = np.abs(change) * np.sqrt(np.mean(W**2, axis=0))
     far = [int(i) for i in np.argsort(-weight) if abs(change[i]) > CLEAR * sigma[i] and weight[i] > 0.0]
     names = model.parameters
     return tuple(MovedParameter(names[i].name, names[i].unit, float(value[i]), float(value[i] + change[i]),

@@ -73,8 +73,6 @@ class RefitExplains:
 
 _LOUD = 3.0
 """Error over noise floor from which on something remains that the floor's own uncertainty does not account for."""
-_ABOVE = 2.0**0.5
-"""Error over noise floor from which on most of its power, rms² - noise², is not the measurement's noise."""
 _MATTERS = 0.10
 """Error over the spread of a torque from which on that matters. Friction near standstill, vibrations and a rigid body
 for an elastic one leave up to 6 % in closed loops of other engines in which nothing is undeclared."""
@@ -119,7 +117,7 @@ class ChannelResult:
     @property
     def above_noise(self) -> bool:
         """Whether more of the error's power lies above the noise than in it."""
-        return self.times_noise > _ABOVE
+        return self.times_noise**2 > 2.0
 
     @property
     def loud(self) -> bool:

@@ -111,7 +111,7 @@ def transferring(problem: Problem, choices: Sequence[Candidate], validation: Reg
     problem = problem.held()
     design = problem.design(choices)
     weights = weights_of_channels(design, ["W", *[c.key for c in choices]], problem.prior, 1)
-    columns = {c.key: validation.decimate(c.effect.columns(validation.signals, c.joint, c.theta)) for c in choices}
+    columns = {c.key: validation.columns_of(c.effect, c.joint, c.theta) for c in choices}
     mask = validation.use & samples[:, None]
     p = problem.products.W.m
 

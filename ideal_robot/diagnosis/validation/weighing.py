@@ -33,19 +33,18 @@ _BANDS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, np.inf)
 """Octaves in which the difference is looked at [Hz]."""
 
 
-def arguments(domain: DomainDiagnosis, options: Options, rng: np.random.Generator) -> Iterator[Argument]:
+def arguments(domain: DomainDiagnosis, options: Options) -> Iterator[Argument]:
     """Why each cause of a domain was named, in their order.
 
     Args:
         domain: settled.
         options: thresholds of the search.
-        rng: for the null distributions of learned curves.
     """
     problem = domain.problem.held()
     model = PresentModel(problem)
     model.replace(list(domain.choices))
     scoring = Scoring(model, options)
-    curves = LearnedCurves(scoring, rng)
+    curves = LearnedCurves(scoring)
     effects = [effect for effect in library() if effect.domain == problem.regression.domain]
     for choice in domain.choices:
         yield _Weighing(scoring, choice).argument(

@@ -74,7 +74,7 @@ def problem_of(*names: str) -> Problem:
 def found(problem: Problem, absorbed: bool = True) -> dict[tuple[str, int], float]:
     """Names and joints that a search takes among the neighbours, with their first coefficients."""
     only = tuple((name, joint) for name in NEIGHBOURS for joint in range(7))
-    choices = Search(problem, library(), Options(), np.random.default_rng(0), absorbed=absorbed, only=only).run()
+    choices = Search(problem, library(), Options(), absorbed=absorbed, only=only).run()
     fit = problem.fit(choices)
     return {(c.effect.name, c.joint): float(own[0])
             for c, own in zip(choices, fit.coefficients, strict=True)}
@@ -273,7 +273,7 @@ def problem_with(tmp_path: Path, torque) -> Problem:
 
 def searched(problem: Problem, *start: Candidate) -> list[Candidate]:
     effects = [effect for effect in library() if effect.domain == MOTOR_TORQUE]
-    search = Search(problem, effects, Options(), np.random.default_rng(0), absorbed=False)
+    search = Search(problem, effects, Options(), absorbed=False)
     return search.run([dataclasses.replace(one, p_value=1e-9, share=0.5) for one in start])
 
 

@@ -251,7 +251,7 @@ def test_a_body_on_the_flange_is_a_payload_of_its_mass(name, mass):
     problem, robot = carrying(name, robot.n, mass, np.asarray(flange))
     bodies = tuple((e.name, j) for e in library() if e.domain == MOTOR_TORQUE and e.name in ("payload", "link_load")
                    for j in e.joints(problem.regression.signals))
-    search = Search(problem, library(), Options(), np.random.default_rng(0), absorbed=True, only=bodies)
+    search = Search(problem, library(), Options(), absorbed=True, only=bodies)
     choices = search.run()
     assert [(c.effect.name, c.joint) for c in choices] == [("payload", 0)]
     (found,) = problem.fit([choices[0]]).coefficients
@@ -261,7 +261,7 @@ def test_a_body_on_the_flange_is_a_payload_of_its_mass(name, mass):
 def test_a_body_on_an_inner_link_is_a_load_of_that_link():
     problem, _ = carrying("kr6", 3, 3.0, np.array([0.2, 0.05, 0.0]))
     bodies = (("payload", 0), *(("link_load", j) for j in range(1, 6)))
-    choices = Search(problem, library(), Options(), np.random.default_rng(0), absorbed=True, only=bodies).run()
+    choices = Search(problem, library(), Options(), absorbed=True, only=bodies).run()
     assert (choices[0].effect.name, choices[0].joint) == ("link_load", 3)
 
 

@@ -11,10 +11,10 @@ import pytest
 from ideal_robot.diagnosis import Open, diagnose, plan_diagnosis, read_questions
 from ideal_robot.diagnosis.next_motion.motion import require_within_limits
 from ideal_robot.diagnosis.next_motion.plan import planned_pair
-from ideal_robot.diagnosis.next_motion.questions import Asked, Named
+from ideal_robot.diagnosis.next_motion.questions import Named
 from ideal_robot.diagnosis.next_motion.separation import Cause, Pair, Separation, products_of, separation_of
 from ideal_robot.diagnosis.statistics.problem import Candidate
-from ideal_robot.effects import MOTOR_TORQUE, Effect
+from ideal_robot.effects import Effect
 from ideal_robot.effects.registry import find
 from ideal_robot.errors import InputError
 from ideal_robot.identification.excitation import Workspace
@@ -81,7 +81,7 @@ def test_gear_that_motors_cannot_show_is_left_to_a_device_on_the_arm_side(planne
     def said(name: str, after: Separation, recording: Recording = first) -> str:
         causes = [Cause(Candidate(find(one, "tau"), 2, ()), np.ones(1), ((),)) for one in (name, "dead_time")]
         pair = Pair(causes[0], causes[1], (), np.ones(2), 1.0, None)
-        return planned_pair(Asked(MOTOR_TORQUE, pair), hidden, after, recording).only
+        return planned_pair(pair, hidden, after, recording).only
 
     assert "arm's side" in said("joint_elasticity", hidden)
     assert "clamped" in said("joint_elasticity", hidden)
@@ -93,7 +93,7 @@ def test_noise_hides_what_it_is_larger_than():
     """Twice the noise halves the distance of two causes; two motions together are never worse than one."""
     rows = np.linspace(0.0, 1.0, 400)
     made = SimpleNamespace(W=np.ones((400, 1, 1)), use=np.ones((400, 1), dtype=bool), signals=rows,
-                           decimate=lambda columns: columns)
+                           columns_of=lambda effect, joint, theta: effect.columns(rows, joint, theta))
 
     def pair(weight: float) -> Pair:
         causes = [Cause(Candidate(Power(power), 1), np.ones(1), ((),)) for power in (2, 3)]

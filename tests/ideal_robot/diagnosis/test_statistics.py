@@ -73,7 +73,7 @@ def test_dependence_is_seen_where_it_is_and_not_where_it_is_not():
     blocks = time_blocks(len(signals.t), signals.dt, held_out=False)
     rng = np.random.default_rng(3)
     noise = rng.normal(size=len(signals.t))
-    sieve = DependenceTest(signals, np.ones((len(noise), 1), bool), blocks.edges, rng)
+    sieve = DependenceTest(signals, np.ones((len(noise), 1), bool), blocks.edges)
     term = next(t for t in terms(signals, 0, pairs=False) if t.depends_on == ("q_2",))
     nothing = sieve.test(noise, 0, term)
     something = sieve.test(noise + 1.5 * np.cos(3.0 * signals.q[:, 1]), 0, term)
@@ -87,7 +87,7 @@ def test_a_slow_disturbance_is_seen_over_time():
     signals = motion()
     blocks = time_blocks(len(signals.t), signals.dt, held_out=False)
     rng = np.random.default_rng(5)
-    sieve = DependenceTest(signals, np.ones((len(signals.t), 1), bool), blocks.edges, rng)
+    sieve = DependenceTest(signals, np.ones((len(signals.t), 1), bool), blocks.edges)
     of_time = [t for t in terms(signals, 0, pairs=False) if t.depends_on == ("t",) and not t.directed]
     slow = np.sin(2.0 * np.pi * 1.7 * signals.t / signals.t[-1])
     for term in of_time:
