@@ -156,8 +156,7 @@ def play_cycles(robot: RobotInterface, limits: Robot, task: Task, log: CycleLog,
 
 def _cycles(robot: RobotInterface, limits: Robot, task: Task, log: CycleLog, settings: CycleSettings,
             progress: Progress) -> None:
-    T = robot.t_ipo
-    q = task.q_start
+    T, q = robot.t_ipo, task.q_start
     q_d = np.tile(q, (task.n_d, 1))
     stopping: Iterator[Array] | None = None
     still, before = 0, q
@@ -167,55 +166,70 @@ def _cycles(robot: RobotInterface, limits: Robot, task: Task, log: CycleLog, set
         t = k * T
         begin = time.perf_counter()
         task.observe(t, q, q_d)
-        if stopping is None and k % _LOOKED == 0 and (refused := log.refused) is not None:
-            log.failure = f"stopped on the path at {t:.3f} s: {refused}"
-            stopping = stopping_rows(q_d[1:], T, task.speed(t), settings.braking)
-        if stopping is None and k >= last:
-            log.failure = f"not done after {settings.longest:.0f} s; stopped on the path"
-            stopping = stopping_rows(q_d[1:], T, task.speed(t), settings.braking)
         if stopping is None:
             try:
-                planned = task.plan(t, q_d)
-                if not np.isfinite(planned).all():
-                    raise PlanningError(f"the plan at {t:.3f} s holds values that are not numbers; stopped on the path")
-                q_d = planned
+                if k % _LOOKED == 0 and (refused := log.refused) is not None:
+                    raise PlanningError(f"stopped on the path at {t:.3f} s: {refused}")
+                if k >= last:
+                    raise PlanningError(f"not done after {settings.longest:.0f} s; stopped on the path")
+                q_d = _planned(task, t, q_d)
             except (PlanningError, LimitError) as error:
-                log.failure = str(error)
-                stopping = stopping_rows(q_d[1:], T, task.speed(t), settings.braking)
-                if isinstance(error, PlanningError) and error.away is not None:
-                    stopping = moved_away(stopping, error.away, limits.a_max, T)
+                stopping = _stopped(error, log, q_d, (task.speed(t), settings.braking), limits, T)
         if stopping is not None:
-            rows = next(stopping)
-            q_d = held(rows, after=1)
+            q_d = held(next(stopping), after=1)
         try:
             wanted = task.command(t, q_d)
             q_c = governor.allowed(wanted)
-            if stopping is None and not np.all(np.abs(q_c - wanted) < PARTED):
-                j = int(np.argmin(np.abs(q_c - wanted) < PARTED))
-                log.failure = (f"joint {j + 1}: the command {wanted[j]:.4g} leaves the arm's limits at {t:.3f} s; "
-                               "stopped on the path")
-                stopping = stopping_rows(q_d[1:], T, task.speed(t), settings.braking)
+            if stopping is None and not (allowed := np.abs(q_c - wanted) < PARTED).all():
+                j = int(np.argmin(allowed))
+                why = PlanningError(f"joint {j + 1}: the command {wanted[j]:.4g} leaves the arm's limits at {t:.3f} s; "
+                                    "stopped on the path")
+                stopping = _stopped(why, log, q_d, (task.speed(t), settings.braking), limits, T)
             log.limited += not np.array_equal(q_c, wanted)
             log.cycles.append(time.perf_counter() - begin)
             log.t.append(t)
             log.q_d.append(q_d[0].copy())
             log.q_c.append(q_c)
             task.request(t, t + T)
-            measured = robot.cycle(q_c)
-            q = measured.q
+            q = (measured := robot.cycle(q_c)).q
         except (PlanningError, LimitError) as error:
             # A command that leaves the arm's limits, as of a gain too high: the controller refuses it.
             log.failure = log.failure or str(error)
             return
         task.collect(t, t + T, measured)
         # The plan may rest while the command is still on its way to it, as the limits let it.
-        resting = stops_at_once(q_c - before, limits, T)
-        before = q_c
-        still = still + 1 if stopping is not None and resting and np.allclose(q_d, q_d[0], atol=STANDSTILL) else 0
+        resting, before = stops_at_once(q_c - before, limits, T), q_c
+        still = (still + 1) * (stopping is not None and resting and np.allclose(q_d, q_d[0], atol=STANDSTILL))
         if task.done(t) or still * T > settings.rest:
             return
         if k % 16 == 0:
             progress(min(1.0, t / settings.expected), settings.text)
+
+
+def _planned(task: Task, t: float, q_d: Array) -> Array:
+    """The task's plan ``(n_d, n)`` [rad]; refused where it holds values that are not numbers."""
+    planned = task.plan(t, q_d)
+    if not np.isfinite(planned).all():
+        raise PlanningError(f"the plan at {t:.3f} s holds values that are not numbers; stopped on the path")
+    return planned
+
+
+def _stopped(error: Exception, log: CycleLog, q_d: Array, motion: tuple[float, float], limits: Robot, T: float
+             ) -> Iterator[Array]:
+    """Notes why the arm stops; the rows of the plan on which it does, and lets go of a surface where it has to.
+
+    Args:
+        error: why.
+        log: is written to.
+        q_d: the last plan ``(n_d, n)`` [rad].
+        motion: speed on the path [m/s], and how it brakes [m/s²].
+        limits: of the arm.
+        T: cycle [s].
+    """
+    log.failure = str(error)
+    rows = stopping_rows(q_d[1:], T, *motion)
+    away = error.away if isinstance(error, PlanningError) else None
+    return rows if away is None else moved_away(rows, away, limits.a_max, T)
 
 
 # What it costs when a controller that takes absolute corrections gets none any more: it holds the last command.
