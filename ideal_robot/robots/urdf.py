@@ -148,6 +148,10 @@ def _check_numbers(element: ET.Element, file: str | Path | None) -> None:
         except ValueError as error:
             raise InputError("expected numbers", file=file, field=f"{element.tag}.{key}",
                              value=written[:40]) from error
+        count = 3 if key in ("xyz", "rpy") else 1
+        if len(numbers) != count:
+            raise InputError(f"expected {count} number{'s' * (count > 1)}", file=file, field=f"{element.tag}.{key}",
+                             value=written[:40])
         limit = math.inf if element.tag == "limit" else _LARGEST
         if any(math.isnan(number) or abs(number) > limit for number in numbers):
             raise InputError("a number that no arm has", file=file, field=f"{element.tag}.{key}", value=written[:40])

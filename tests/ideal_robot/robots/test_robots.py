@@ -44,6 +44,7 @@ def test_the_untouched_robot_is_read(tmp_path: Path) -> None:
     ('parent link="base"', 'parent link="arm"'), ('parent link="base"', 'parent link="gone"'),
     ('xyz="0 0 1"', 'xyz="0 0 0"'), ('xyz="0 0 1"', 'xyz="0 1e-200 0"'), ('value="1"', 'value="-1"'),
     ('ixx="1"', 'ixx="-1"'), ('velocity="2"', 'velocity="1e-9"'),
+    ('xyz="0 0 1"', 'xyz="0 1"'), ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 1"/><origin xyz="0 0 0" rpy="0 0"/>'),
     ("</joint>", '<mimic joint="j"/></joint>'), ("</robot>", '<a xmlns="http://www.ros.org/wiki/xacro"/></robot>'),
     ("revolute", "floating"), ("revolute", "fixed"), ('lower="-1"', 'lower="2"'), ('lower="-1"', 'lower="nan"'),
     ("<robot", "<!DOCTYPE r [<!ENTITY a 'b'>]><robot"), ("<robot", "<arm"), ("</robot>", ""), (URDF, ""),
@@ -324,6 +325,14 @@ def test_masses_that_are_not_the_arms_are_replaced_and_believable_ones_stay(tmp_
     right = Robot.load(written(tmp_path, urdf(6, mass=4.0, limit=limit), "right"))
     assert of_its_size(right).assumed == ()
     assert of_its_size(right).description == right.urdf.read_text()
+
+
+def test_a_place_in_the_arm_that_is_not_three_numbers_is_refused(tmp_path: Path) -> None:
+    """Before the place of the tool is looked for; seed 7000845 of ``python -m studies fuzz``."""
+    text = urdf(6)
+    wrong = text[: (at := text.rindex('rpy="') + 5)] + "0 " + text[text.index('"', at):]
+    with pytest.raises(InputError, match=r"origin\.rpy: expected 3 numbers"):
+        Robot.load(written(tmp_path, wrong))
 
 
 def test_moments_of_inertia_below_zero_of_an_arm_are_replaced(tmp_path: Path) -> None:
