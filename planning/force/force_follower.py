@@ -177,13 +177,10 @@ class SurfaceFollower:
             force_deviation(f, up, settings.force, settings.elasticity, sigma=settings.noise, normal=normal)
             for f in forces
         ]
-        covariance = np.diag([one.sigma**2 for one in seen]) + settings.position_noise**2
         value = np.array([one.value for one in seen])
-        settles = self.phase is Phase.SETTLE
-        if settles:
-            # At the wanted force the height is known whatever E is; on the way there E is as doubtful as at first. How
-            # the tip gives way while the force rises tells little of E along the path.
-            covariance += FORCE_ERRORS[0] ** 2 * np.outer(value, value)
+        # A tip with damping adds a share of the velocity into the surface; along it there is none.
+        sinking = float(self._velocity(float(t[middle])) @ normal)
+        covariance = np.diag([one.sigma**2 for one in seen]) + self._in_common(value, sinking)
         if self._lateral and self._lateral_sigma(s[middle : middle + 1]) < KNOWN_LATERAL:
             # With a camera the force says how far to go along the surface's normal, not along the reference's. While
             # the line is not known it says so of where the tip is: nothing lateral is to be concluded from it.
@@ -192,13 +189,28 @@ class SurfaceFollower:
         else:
             direction, origin = np.tile([0.0, 1.0], (len(t), 1)), height
         value = origin + value
-        # With E assumed too large a deviation is felt as too small, by a ratio. A tip with damping adds a share of the
-        # velocity into the surface; along it there is none.
-        sinking = float(self._velocity(float(t[middle])) @ normal)
+        # With E assumed too large a deviation is felt as too small, by a ratio.
         wrong = np.column_stack([np.zeros(len(t)), np.full(len(t), sinking),
                                  np.full(len(t), self._by_friction(float(s.mean())))])
         return self.fusion.update(Measurement(float(t[-1]), s, value, covariance, direction, "force", wrong,
-                                              origin=None if settles else origin, at=float(s.max())))
+                                              origin=None if self.phase is Phase.SETTLE else origin,
+                                              at=float(s.max())))
+
+    def _in_common(self, value: Array, sinking: float) -> Array:
+        """Covariance of what the samples of a cycle have in common ``(m, m)`` [m²].
+
+        Args:
+            value: deviations that the forces show ``(m,)`` [m].
+            sinking: velocity of the tip out of the surface [m/s].
+        """
+        if self.phase is Phase.SETTLE:
+            # At the wanted force the height is known whatever E is; on the way there E is as doubtful as at first. How
+            # the tip gives way while the force rises tells little of E along the path.
+            return self.settings.position_noise**2 + FORCE_ERRORS[0] ** 2 * np.outer(value, value)
+        # By how much the arm swings later than it is thought to is not the same all the way. Taken for surface, a
+        # forecast by a short length scale makes thirty times as much of it, and the arm swings all the more.
+        common = self.settings.position_noise**2 + (FORCE_ERRORS[1] * sinking) ** 2
+        return np.full((len(value), len(value)), common)
 
     def _velocity(self, t: float) -> Array:
         """Velocity of the tip in the base frame at ``t`` ``(3,)`` [m/s]; zero before there is a history."""

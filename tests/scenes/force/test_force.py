@@ -53,9 +53,6 @@ def test_the_tip_does_not_plunge_when_the_travel_begins_on_a_stiff_surface() -> 
     start = result.log.t[result.log.phase.index("travel")]
     first = (result.history["t"] > start) & (result.history["t"] < start + 0.5)
     assert result.history["normal"][first].max() < 30.0
-    if result.failure is not None and "is above the limit 80.0 N" in result.failure:
-        # On one kind of processor, with this seed of four: rounding decides whether 20 N/mm begins to swing at 10 Hz.
-        pytest.xfail(f"the contact begins to swing a second later: {result.failure}")
     assert result.failure is None
     assert result.figures.rms < 2.5
 
@@ -83,6 +80,16 @@ def test_no_dry_run_where_no_path_is_known_or_a_camera_helps() -> None:
     """Nor where a camera shows the line at once: there it did not help."""
     assert friction_shown(load_scene("contour")) is None
     assert friction_shown(load_scene("glue")) is None
+
+
+def test_a_short_shape_is_not_made_of_the_arms_own_swing() -> None:
+    """Faster than is asked for, so that rounding does not decide: the contact swung at 10 Hz with 12 N.
+
+    By how much the arm swings later than it is thought to was taken for a surface with a length scale of 30 mm.
+    """
+    result = play(load_scene("force_wave").changed(speed=0.3, tip={"stiffness": 2e4, "friction": 0.3}), "ideal")
+    assert result.failure is None
+    assert result.figures.rms < 4.0
 
 
 @pytest.mark.slow
