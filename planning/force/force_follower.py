@@ -257,15 +257,20 @@ class SurfaceFollower:
         """How far the approach has come down [m]."""
         return self._height - float(self._plan.position[0, 1])
 
-    def horizon(self, t: float) -> Array:
+    def horizon(self, t: float, anew: bool = True) -> Array:
         """Desired joint positions ``q_d(k) … q_d(k + n_d - 1)`` from ``t`` on, shape ``(n_d, n)`` [rad].
+
+        Args:
+            t: begin of the cycle [s].
+            anew: whether it is planned anew; a cycle that has no time for that goes on as planned before.
 
         Raises:
             OutOfReachError: the surface leads out of the arm's reach.
         """
         self.advance(t)
         k, keep = self._plan.cycle, self.settings.frozen
-        self._plan.follow(self._estimate(t, keep, self._rows(k + keep + 1 + np.arange(self._plan.samples))), keep)
+        if anew:
+            self._plan.follow(self._estimate(t, keep, self._rows(k + keep + 1 + np.arange(self._plan.samples))), keep)
         return self._plan.solve(keep, self._joint_angles)
 
     def _joint_angles(self, rows: slice, guess: Array) -> Array:

@@ -65,14 +65,16 @@ class LiveForceTask(ForceTask):
     """``ForceTask`` with devices that may fall silent and an arm that may have to be stopped.
 
     Behind short cycles an answer waits for no sensor: what has come is fused as soon as the command of a cycle has
-    gone, one thing between two cycles, forces first. Only whether a force is too large is looked at before.
+    gone, one thing between two cycles, forces first, or the next cycle is planned anew. Only whether a force is too
+    large is looked at before.
     """
 
     arm: LiveArm | None = None
     force: LiveForce | None = None
     ahead = False
-    """Whether what is sensed is fused between two cycles."""
+    """Whether what is sensed is fused, and the next cycle planned, between two cycles."""
     _unfit: IdealRobotError | None = None
+    _prepared: tuple[int, Array] | None = None
     _told = 0
     """How many fusions of forces were looked at."""
 
@@ -89,16 +91,23 @@ class LiveForceTask(ForceTask):
         """From now on with this arm, which is at rest at the start."""
         self.arm, self.ahead = arm, self.vision is not None and arm.t_ipo < AT_ONCE
         if self.ahead:
-            arm.between.append(lambda: self.fuse_between(arm.t))
+            arm.between.append(lambda: self.prepare(arm.t))
 
-    def fuse_between(self, t: float) -> None:
-        """Fuses what has arrived by ``t`` [s]; what goes wrong is told when the next cycle is planned."""
+    def prepare(self, t: float) -> None:
+        """Fuses what has arrived by ``t`` [s] and plans the next cycle, which is told if something goes wrong."""
         try:
-            if not self.fuse_forces(t):
-                self.fuse_fields(t)
+            fused = self.fuse_forces(t) or self.fuse_fields(t)
+            if not fused:
                 self.motors.weigh()
+            t += self.cell.robot.t_ipo
+            self._prepared = round(t / self.cell.robot.t_ipo), self._surface.horizon(t, anew=not fused)
         except IdealRobotError as error:
             self._unfit = error
+
+    def _horizon(self, t: float) -> Array:
+        """See ``ForceTask``: what was prepared, but for one of several lost cycles that are made good at once."""
+        number, q_d = self._prepared or (-1, None)
+        return q_d if q_d is not None and number == round(t / self.cell.robot.t_ipo) else super()._horizon(t)
 
     def fuse(self, t: float) -> None:
         """See ``ForceTask``."""

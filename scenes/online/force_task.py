@@ -257,19 +257,25 @@ class ForceTask:
         if self._direct is not None and self.follower.phase is not Phase.APPROACH:
             self._surface.advance(t)
             return q_d
-        q_d = self.follower.horizon(t)
+        q_d = self._horizon(t)
         self._stop.command(t, q_d)
         return q_d
+
+    def _horizon(self, t: float) -> Array:
+        """The horizon ``(n_d, n)`` [rad] from ``t`` [s] on."""
+        return self.follower.horizon(t)
 
     def fuse(self, t: float) -> None:
         """Fuses the forces and the fields that have arrived by ``t`` [s]."""
         self.fuse_forces(t)
         self.fuse_fields(t)
 
-    def fuse_fields(self, t: float) -> None:
-        """Fuses the fields that have arrived by ``t`` [s]."""
-        if self.vision is not None and self._camera is not None:
-            self.vision.sense(t, self._camera.arrived(t))
+    def fuse_fields(self, t: float) -> bool:
+        """Fuses the fields that have arrived by ``t`` [s]; whether there was anything to fuse."""
+        fields = [] if self.vision is None or self._camera is None else self._camera.arrived(t)
+        if self.vision is not None:
+            self.vision.sense(t, fields)
+        return bool(fields)
 
     def command(self, t: float, q_d: Array) -> Array:
         """Commanded joint positions ``(n,)``."""

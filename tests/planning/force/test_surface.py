@@ -58,6 +58,11 @@ def above_the_surface(**camera: Any) -> SurfaceFollower:
     return made
 
 
+def test_a_cycle_without_time_goes_on_as_planned(follower: SurfaceFollower) -> None:
+    planned = follower.horizon(0.012)
+    np.testing.assert_allclose(follower.horizon(0.024, anew=False)[:-1], planned[1:], atol=1e-6)
+
+
 @pytest.fixture
 def follower() -> SurfaceFollower:
     return above_the_surface(lateral=True)

@@ -134,7 +134,14 @@ def test_fields_of_a_surface_are_fused_between_packets_too(tmp_path: Path, fails
             raise PlanningError("nothing to be seen")
         return update(seen)
 
+    horizon = task._surface.horizon
+
+    def planned(t: float, anew: bool = True) -> Array:
+        link.said.append("plan" if anew else "goes on")
+        return horizon(t, anew)
+
     vision.sight.update = fused  # type: ignore[method-assign]
+    task._surface.horizon = planned  # type: ignore[method-assign]
     task.lead(arm)
     arm.begin()
     end = 40 * job.robot.t_ipo
@@ -142,6 +149,10 @@ def test_fields_of_a_surface_are_fused_between_packets_too(tmp_path: Path, fails
     before = [link.said[i - 1] for i, said in enumerate(link.said) if said == "field"]
     assert set(before) == {"answer"}
     assert len(before) >= 6 or fails
+    # Nor is anything planned there but in the first cycle, and what was fused has no plan beside it.
+    planned_behind = [link.said[i - 1] for i, said in enumerate(link.said) if said == "plan"][1:]
+    assert set(planned_behind) <= {"answer"}
+    assert fails or {link.said[i + 1] for i, said in enumerate(link.said) if said == "field"} == {"goes on"}
     assert str(job.log.failure).startswith("nothing to be seen" if fails else "not done")
     assert link.said.count("packet") > 12
 
