@@ -5,6 +5,9 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
+TIME_LIMIT = 3600.0
+"""How long a run may take unless another limit is given [s]; the longest scene of an hour takes a third of it."""
+
 
 @dataclass(frozen=True)
 class Deadline:

@@ -12,7 +12,6 @@ import warnings
 from collections.abc import Callable
 from dataclasses import MISSING, fields
 from functools import cache, wraps
-from importlib import metadata
 from typing import Annotated, Any, get_type_hints
 
 # The small matrices here lose more to thread start-up than BLAS threads win; must be set before NumPy loads.
@@ -77,7 +76,7 @@ app = typer.Typer(
 
 def _say_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"ideal-robot {metadata.version('ideal-robot')}")
+        typer.echo(f"ideal-robot {importlib.import_module('importlib.metadata').version('ideal-robot')}")
         raise typer.Exit
 
 
@@ -102,9 +101,10 @@ class Verb(TyperCommand):
 
 
 @cache
-def _register() -> None:
+def _register(only: str = "") -> None:
+    """Declares the verbs: the one that is told alone, since those that are not asked for cost as much as it does."""
     for theme, verbs in THEMES.items():
-        for verb in verbs:
+        for verb in verbs.keys() & {only} if only in VERBS else verbs:
             app.command(verb, cls=Verb, rich_help_panel=theme)(function_of(verb))
 
 
@@ -148,7 +148,7 @@ def main() -> None:
     # As after Ctrl-C, partial files and worker processes are cleared away on the way out.
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:
-        _register()
+        _register(*sys.argv[1:2])
         app()
     except KeyboardInterrupt:
         # Before a verb has begun; within it typer answers the same.

@@ -15,6 +15,7 @@ from typing import Any, Protocol
 import pandas as pd
 
 from ideal_robot.bounded_values import parsed_json
+from ideal_robot.deadline import TIME_LIMIT
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.whole_file import OutputError
 from scenes.kind import KINDS, kind_of
@@ -25,7 +26,7 @@ from scenes.report.page import plain
 from scenes.result import silent
 from scenes.scene_file import load_scene
 from scenes.scene_files.scene import Scene, chosen
-from scenes.workers import TIME_LIMIT, LostError, work_off, work_off_on
+from scenes.workers import LostError, work_off, work_off_on
 
 # Answers of a sweep as they come, one JSON line each, so that a sweep that was ended can go on.
 

@@ -21,7 +21,7 @@ from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING, Any
 
-from ideal_robot.deadline import Deadline
+from ideal_robot.deadline import TIME_LIMIT, Deadline
 from ideal_robot.errors import InputError
 
 if TYPE_CHECKING:
@@ -35,8 +35,6 @@ _NO_MEMORY = 137
 """Exit code of a process without memory, as if the system had ended it."""
 _LOOK = 0.5
 """How often a process looks whether its parent is still there [s]."""
-TIME_LIMIT = 3600.0
-"""How long a task may take unless another limit is given [s]; the longest scene of an hour takes a third of it."""
 
 
 class LostError(Exception):

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 from rich.box import HEAVY_HEAD
@@ -20,7 +20,10 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from ideal_robot.errors import InputError
-from scenes import result
+from ideal_robot.progress import Progress as Told
+
+if TYPE_CHECKING:
+    from scenes.result import RunResult
 
 
 def shown(text: object) -> str:
@@ -30,7 +33,7 @@ def shown(text: object) -> str:
 
 
 @contextmanager
-def progress_bar(title: str, rate: float = 10.0) -> Iterator[result.Progress]:
+def progress_bar(title: str, rate: float = 10.0) -> Iterator[Told]:
     """A bar on standard error while the block runs; yields the function that moves it.
 
     Args:
@@ -135,7 +138,7 @@ def write_signed(path: Path | None, content: dict[str, Any]) -> None:
         write_json(path, signed(content))
 
 
-def closed(run: result.RunResult) -> None:
+def closed(run: RunResult) -> None:
     """Prints the result of a run; exit code 1 where it ended early."""
     show_table("", ["figure", "value"], [list(pair) for pair in run.summary()])
     if run.report is not None:

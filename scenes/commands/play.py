@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ideal_robot.deadline import TIME_LIMIT
 from scenes.commands.common import (
     Horizon,
     Individual,
@@ -25,7 +26,6 @@ from scenes.commands.common import (
     whole_numbers,
     write_signed,
 )
-from scenes.workers import TIME_LIMIT
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ideal_robot.deadline import TIME_LIMIT
 from scenes.commands.common import TimeLimit
-from scenes.workers import TIME_LIMIT
 
 if TYPE_CHECKING:
     from scenes.regression.comparison import Comparison
