@@ -25,7 +25,6 @@ from ideal_robot.diagnosis import Options, stages
 from ideal_robot.diagnosis.case import Case, Findings
 from ideal_robot.diagnosis.search import forward_selection, learned_curves
 from ideal_robot.diagnosis.search.forward_selection import Search
-from ideal_robot.diagnosis.search.learned_curves import LearnedCurves
 from ideal_robot.diagnosis.search.scoring import Scoring
 from ideal_robot.diagnosis.statistics.problem import Problem, fitted_effect
 from ideal_robot.diagnosis.validation import domain_diagnosis
@@ -50,9 +49,9 @@ FLAGS: dict[str, Any] = {"caution": 1.0}
 step alone asks are switched off with it: ``sooner_than`` with ``likelier``, ``at_all_frequencies`` with
 ``holds_slowly``, ``of_slow_motion`` with ``share_slowly``."""
 OPTIONS: dict[str, Callable[[Options], float]] = {
-    "smallest_learned": lambda o: o.smallest, "smallest_absorbed": lambda o: o.smallest,
-    "smallest_torque": lambda o: 0.0, "smallest_beside": lambda o: 0.0, "smallest_own": lambda o: 0.0,
-    "learned_discovery": lambda o: o.false_discovery, "unknown_margin": lambda o: 1.0}
+    "smallest_learned": lambda o: o.smallest, "smallest_torque": lambda o: 0.0, "smallest_beside": lambda o: 0.0,
+    "smallest_own": lambda o: 0.0, "learned_discovery": lambda o: o.false_discovery,
+    "unknown_margin": lambda o: 1.0}
 """Thresholds, with the value at which they say no more than the general one."""
 _OF_SIZE = ("smallest_torque", "smallest_beside", "smallest_own")
 """Thresholds that only ``Scoring._is_large_here`` asks."""
@@ -92,7 +91,7 @@ STEPS = (
     _passes(Search, "_sharpened", 2), _passes(forward_selection, "likelier", 1),
     _says(forward_selection, "indistinguishable", False), _says(Scoring, "holds_slowly", True),
     _says(Scoring, "holds_everywhere", True), _says(Scoring, "share_slowly", 0.0),
-    _says(LearnedCurves, "_refutes", True), _says(learned_curves, "flexible", False),
+    _says(learned_curves, "flexible", False),
     Step(PreslidingHysteresis, "certain", lambda original, *a: Effect.certain(*a),
          lambda result, *a: bool(result != Effect.certain(*a))), _says(GravitySpring, "like_the_model", None),
     _says(stages, "_columns_changed", False), _passes(stages, "with_braking_friction", 1),
@@ -273,9 +272,6 @@ def _played(trial: Trial) -> Iterator[tuple[str, Score]]:
         with _kept_columns(found.problem.regression.signals):
             with watched() as active:
                 yield "", score(trial, said(case(""), found))
-            if model is None:
-                # Changes of parameters are looked for against a given model alone.
-                active.discard("smallest_absorbed")
             for rule in RULES:
                 if rule in active:
                     try:

@@ -7,6 +7,7 @@ law, then for each joint the law's shape parameters, in which the torque is not 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -48,6 +49,12 @@ def parameter_vector(base_values: Array, friction: PerJointFriction) -> Array:
     """All parameters in order ``(P,)``."""
     coefficients = [law.coefficients[:, 0] for law in friction.laws]
     return np.concatenate([base_values, *coefficients, *[law.shape[:, 0] for law in friction.laws]])
+
+
+def friction_places(base: BaseParameters, friction: PerJointFriction) -> list[slice]:
+    """Where the coefficients of each joint's friction law stand in the parameter vector."""
+    ends = base.count + np.cumsum([0, *(len(law.coefficients) for law in friction.laws)])
+    return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
 
 def described(base: BaseParameters, base_values: Array, friction: PerJointFriction, covariance: Array,

@@ -27,6 +27,7 @@ from ideal_robot.signals.recording import Recording
 TURNS = 0.1
 """Spread of the direction of gravity in the sensor [rad] from which on weight and bias are distinguished."""
 _CHUNK = 0.1
+"""Stretch that is without contact as a whole, or not [s]: long against the noise, short against a touch."""
 
 
 @dataclass(frozen=True)

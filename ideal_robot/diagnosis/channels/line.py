@@ -31,7 +31,9 @@ FIELDS = 300
 BLOCK = 3
 """Fields of a block."""
 _WIDTH = 0.012
+"""Time to either side of a picture from which its pose is taken [s]: a parabola has seven samples of a 4 ms cycle."""
 _OUTLIER = 8.0
+"""Standard deviations from the smooth line beyond which a point is none of it: of Gaussian noise none is so far."""
 _SEEN = 0.002
 """Of the squares of what an error does across the line, the share below which another line does it as well."""
 

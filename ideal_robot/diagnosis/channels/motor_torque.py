@@ -26,7 +26,7 @@ from ideal_robot.dynamics.newton_euler import chain_of, gravity_across, inverse_
 from ideal_robot.effects import MOTOR_TORQUE, Signals
 from ideal_robot.effects.signals import constant_of_weight
 from ideal_robot.model.model import Model
-from ideal_robot.model.parametrisation import sensitivity
+from ideal_robot.model.parametrisation import friction_places, sensitivity
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.channels import clipped
 from ideal_robot.signals.cutoff import thinned
@@ -46,8 +46,6 @@ _CREEPING = 3.0
 percent of its size."""
 POSITION_BAND = 50.0
 """Band in which positions and forces are looked at [Hz]."""
-_RATE = 250.0
-"""Samples a second at which signals are kept, where more were recorded [Hz]."""
 ROWS = 150_000
 """Rows of the regression (samples × joints) that are looked at, at most; longer recordings are decimated further."""
 
@@ -179,12 +177,11 @@ def with_reversal_width(made: Regression, model: Model, reversal_width: Array) -
         reversal_width: speeds ``(n,)`` [rad/s].
     """
     made = about_model(replace(made, signals=replace(made.signals, v_small=reversal_width)), model)
-    s, W, at = made.signals, made.W.copy(), model.base.count
-    for j, law in enumerate(model.friction.laws):
-        first, at = at, at + len(law.coefficients)
+    s, W, places = made.signals, made.W.copy(), friction_places(model.base, model.friction)
+    for j, (law, place) in enumerate(zip(model.friction.laws, places, strict=True)):
         if not law.presliding:
             columns = law.regressor(s.qd[:, [j]], s.load[:, [j]], s.q[:, [j]], direction_of(s, j))
-            W[:, j, first:at] = made.filtered.decimate(columns[:, 0])
+            W[:, j, place] = made.filtered.decimate(columns[:, 0])
     sliding = np.abs(made.decimated_signals().qd) > _CREEPING * reversal_width
     return replace(made, W=W, use=made.use & sliding)
 
@@ -224,8 +221,8 @@ def _measures_more(recording: Recording) -> bool:
 
 
 def _thinned(filtered: FilteredSignals) -> FilteredSignals:
-    """At no more than ``_RATE``: the filtered motion has nothing beyond, and effects are computed at every sample."""
-    stride = int(1.0 / (filtered.dt * _RATE) + 1e-6)
+    """At no more than five samples a period of the widest band: effects are computed at every sample."""
+    stride = int(1.0 / (filtered.dt * 5.0 * POSITION_BAND) + 1e-6)
     if stride < 2:
         return filtered
     columns = {name: np.ascontiguousarray(values[::stride]) for name, values in filtered.columns.items()}

@@ -126,9 +126,6 @@ def _rival(text: str) -> tuple[str, int | None]:
     return (match["name"], int(match["joint"])) if match else (text, None)
 
 
-_MOST_THETAS = 12
-
-
 class Causes:
     """Fits what a diagnosis names to the recording of one domain.
 
@@ -237,7 +234,7 @@ def thetas_of(candidate: Candidate, made: Regression) -> tuple[tuple[float, ...]
     # Without bounds theta is a choice, such as that of a partner axis, and not a number.
     near = [tuple(f * v for v in theta) for f in (0.5, 0.7, 1.4, 2.0)] if len(bounds) == len(theta) else []
     inside = [one for one in near if all(low <= v <= high for v, (low, high) in zip(one, bounds, strict=True))]
-    return tuple(dict.fromkeys([theta, *inside, *effect.starts(made.signals, candidate.joint)]))[:_MOST_THETAS]
+    return tuple(dict.fromkeys([theta, *inside, *effect.starts(made.signals, candidate.joint)]))
 
 
 def colour_of(model: PresentModel) -> float:

@@ -21,13 +21,10 @@ from scipy import linalg
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.regression import Regression
-from ideal_robot.diagnosis.search.choice import Options
+from ideal_robot.diagnosis.search.choice import NOT_TOLD, Options
 from ideal_robot.diagnosis.statistics.least_squares import ROUNDING, TOLD
 from ideal_robot.diagnosis.statistics.problem import Candidate
 from ideal_robot.effects import MOTOR_TORQUE, Domain
-
-OWN = 0.2
-"""Share of a cause that its rival must not be able to imitate: a rival that reaches more of it stays one."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +76,7 @@ class Separation:
 
     Attributes:
         sigma: expected distance of the two in standard deviations of the noise.
-        own_share: share of the cause that its rival cannot imitate.
+        own_share: share of the cause that its rival cannot imitate; what imitates more than ``NOT_TOLD`` stays a rival.
         seen_share: share of the residual's squares that the cause makes up.
     """
 
@@ -90,7 +87,7 @@ class Separation:
     @property
     def told_apart(self) -> bool:
         """Whether a recording is expected to tell them: the difference of the fits' squares scatters by ``2 sigma``."""
-        return 0.5 * self.sigma >= TOLD and self.own_share >= OWN
+        return 0.5 * self.sigma >= TOLD and self.own_share >= 1.0 - NOT_TOLD
 
     def margin(self, smallest: float) -> float:
         """What a motion is chosen by: one where a diagnosis would just see the cause and tell it, and in proportion.
@@ -98,7 +95,7 @@ class Separation:
         Args:
             smallest: share of the residual's squares that it asks of a cause.
         """
-        return min(0.5 * self.sigma / TOLD, self.own_share / OWN, self.seen_share / smallest)
+        return min(0.5 * self.sigma / TOLD, self.own_share / (1.0 - NOT_TOLD), self.seen_share / smallest)
 
 
 @dataclass(frozen=True)
@@ -166,10 +163,7 @@ def separation_of(pair: Pair, products: Products) -> Separation:
 def smallest_share(pair: Pair, options: Options) -> float:
     """Share of the residual that a diagnosis with these thresholds asks of the pair's causes."""
     options = options if pair.domain == MOTOR_TORQUE else options.finer()
-    asked = [options.smallest_absorbed if one.candidate.effect.absorbed_by_base
-             else one.candidate.effect.caution * options.smallest
-             for one in (pair.cause, pair.rival) if one is not None]
-    return max(asked)
+    return max(one.candidate.effect.caution * options.smallest for one in (pair.cause, pair.rival) if one is not None)
 
 
 def _cases(pair: Pair) -> Sequence[tuple[Cause, Cause | None]]:

@@ -19,7 +19,6 @@ class Options:
         false_discovery: rate that Benjamini–Hochberg controls over joints × effects of each round.
         smallest: share of a channel's residual squares an effect has to take away on held-out blocks.
         smallest_learned: the same for a learned curve; twice that where the channel has an effect already.
-        smallest_absorbed: the same for an effect that is a change of the model's own parameters.
         smallest_torque: rms of what an effect takes away over the torque's standard deviation below which nothing is
             claimed.
         smallest_beside: the same over the rms of the largest other effect at the same joint, at least.
@@ -36,7 +35,6 @@ class Options:
     false_discovery: float = 0.01
     smallest: float = 0.15
     smallest_learned: float = 0.30
-    smallest_absorbed: float = 0.10
     smallest_torque: float = 0.002
     smallest_beside: float = 0.05
     smallest_slow: float = 0.30
@@ -56,7 +54,7 @@ class Options:
     def scaled(self, factor: float) -> Options:
         """All shares of the residual that are asked of an effect, times a factor."""
         return replace(self, smallest=factor * self.smallest, smallest_learned=factor * self.smallest_learned,
-                       smallest_absorbed=factor * self.smallest_absorbed, smallest_slow=factor * self.smallest_slow)
+                       smallest_slow=factor * self.smallest_slow)
 
     def slow(self) -> Options:
         """The same for the lower half of the band."""
@@ -150,12 +148,12 @@ class PresentModel:
 
 _NEARLY = 0.9
 """Share of a reduction from which on a cause is a rival, or is taken if it is likelier."""
-_NOT_TOLD = 0.8
-"""The same where the difference is no more than what scatters from block to block."""
-FINALISTS = 6
-"""Candidates of a round that are looked at closely, at most: effects that are refined over theta, or curves."""
+NOT_TOLD = 0.8
+"""The same of a rival where the difference is no more than what scatters from block to block."""
 SIMPLER = 0.95
 """Share of a reduction from which on a law with fewer parameters may stand for one with more."""
+FINALISTS = 6
+"""Candidates of a round that are looked at closely, at most: effects that are refined over theta, or curves."""
 
 
 def discoveries(scored: list[Candidate], tests: int, rate: float) -> list[Candidate]:
@@ -191,7 +189,7 @@ def rivals_of(model: PresentModel, best: Candidate, others: list[Candidate]) -> 
             continue
         ratio = s.test.total / max(best.test.total, 1e-300)
         nearly = ratio > _NEARLY and overlap(model, best, s)
-        if nearly or indistinguishable(model, best, s, _NOT_TOLD):
+        if nearly or indistinguishable(model, best, s, NOT_TOLD):
             rivals.append((s.effect.name, s.joint, ratio))
     return tuple(rivals)
 
@@ -224,7 +222,7 @@ def likelier(model: PresentModel, best: Candidate, others: list[Candidate]) -> C
     for other in others:
         if best.effect.name in other.effect.sooner_than \
                 and (other.test.total > _NEARLY * best.test.total
-                     or indistinguishable(model, best, other, _NOT_TOLD)):
+                     or indistinguishable(model, best, other, NOT_TOLD)):
             return other
     return best
 

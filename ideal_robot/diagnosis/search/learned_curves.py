@@ -38,9 +38,9 @@ class LearnedCurves:
             fit: of the present model.
             best: the best effect of this round, or None.
         """
-        least = 0.0
-        if best is not None:
-            least = self._margin(best) * self.scoring.tested(fit, best).test.total
+        # A law that bends to nearly any curve has no advantage.
+        margin = self.options.unknown_margin if best is None or not flexible(best.effect) else 1.0
+        least = 0.0 if best is None else margin * best.test.total
         problem = self.model.problem
         residual = self.model.residual(fit)
         scored: list[Candidate] = []
@@ -48,14 +48,7 @@ class LearnedCurves:
             if j + 1 in problem.regression.undecided and problem.regression.domain != TCP_POSITION:
                 continue
             scored += self._of_channel(fit, residual, j, best is None, least)
-        scored = [s for s in scored if s.p_value < self.options.learned_discovery and self.scoring.is_large(s)
-                  and s.test.total > least and not self._taken(s)]
-        if not scored:
-            return None
-        s = max(scored, key=lambda s: s.test.total)
-        if best is not None and flexible(best.effect) and not self._refutes(s, best):
-            return None
-        return self._chosen(s)
+        return self._largest(scored, least)
 
     def in_channel(self, fit: Fit, channel: int) -> Candidate | None:
         """The curve that takes most away in one channel, from 0, whether it is large or not.
@@ -84,17 +77,15 @@ class LearnedCurves:
             candidate = Candidate(term, joint, (), len(curves))
             self.model.add_columns(candidate)
             scored.append(self.scoring.tested(fit, candidate))
-        scored = [s for s in scored if s.p_value < self.options.learned_discovery and self.scoring.is_large(s)]
-        return self._chosen(max(scored, key=lambda s: s.test.total)) if scored else None
+        return self._largest(scored, 0.0)
 
-    def _chosen(self, s: Candidate) -> Candidate:
-        return replace(s, asked=self.scoring.smallest_share(s))
-
-    def _margin(self, best: Candidate) -> float:
-        """How many times as much a curve has to take away as the best effect of the library."""
-        if flexible(best.effect):
-            return 1.0
-        return self.options.unknown_margin
+    def _largest(self, scored: list[Candidate], least: float) -> Candidate | None:
+        """The curve that takes most away and more than the least, if one that is not taken is certain and large."""
+        taken = {c.key for c in self.model.choices}
+        scored = [s for s in scored if s.p_value < self.options.learned_discovery and s.test.total > least
+                  and s.key not in taken and self.scoring.is_large(s)]
+        found = max(scored, key=lambda s: s.test.total, default=None)
+        return None if found is None else replace(found, asked=self.scoring.smallest_share(found))
 
     def _of_channel(self, fit: Fit, residual: np.ndarray, j: int, pairs: bool, least: float) -> list[Candidate]:
         """Curves of channel ``j`` tested on blocks left out; ``least`` is what they have to take away."""
@@ -124,19 +115,6 @@ class LearnedCurves:
             domain = self.model.problem.regression.domain
             self._of_signals[j, pairs] = terms(self.scoring.at_rows, j, pairs, domain)
         return self._of_signals[j, pairs]
-
-    def _refutes(self, curve: Candidate, law: Candidate) -> bool:
-        """Whether beside a law blocks left out need a curve: else it says the same in more numbers.
-
-        Args:
-            curve: tested without the law.
-            law: of the library.
-        """
-        beside = self.scoring.tested(self.model.fit_beside(law), curve)
-        return beside.p_value < self.options.false_discovery
-
-    def _taken(self, candidate: Candidate) -> bool:
-        return any(c.key == candidate.key for c in self.model.choices)
 
 
 _PLACES = np.linspace(0.1, 0.9, 17)

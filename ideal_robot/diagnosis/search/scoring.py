@@ -63,8 +63,6 @@ class Scoring:
         if candidate.effect.learned:
             occupied = any(c.joint == candidate.joint for c in self.model.choices if c is not own)
             return self.options.smallest_learned * (2.0 if occupied else 1.0)
-        if candidate.effect.absorbed_by_base:
-            return self.options.smallest_absorbed
         # The only joint of an arm has its clock for itself.
         caution = candidate.effect.caution if self.signals.n > 1 else 1.0
         return caution * self.options.smallest

@@ -22,6 +22,7 @@ from ideal_robot.effects import MOTOR_TORQUE, Domain, Signals
 from ideal_robot.effects.fitted import Unknown, signal_of, spline_basis
 from ideal_robot.friction import FrictionModel
 from ideal_robot.model.model import Model
+from ideal_robot.model.parametrisation import friction_places
 
 _FINE = 24
 """Intervals of a second curve of a torque over its joint's own angle, for what is narrow in the range."""
@@ -217,14 +218,13 @@ def reversal_widths(problem: Problem, model: Model) -> Array:
     weights = weights_of_channels(design, ["W"], None, 0)
     signals = problem.regression.signals
     reversal_width = np.full(signals.n, 1e-12) if signals.v_small is None else np.array(signals.v_small)
-    at = model.base.count
-    for j, law in enumerate(model.friction.laws):
-        first, at = at, at + len(law.coefficients)
+    places = friction_places(model.base, model.friction)
+    for j, (law, place) in enumerate(zip(model.friction.laws, places, strict=True)):
         top = float(np.percentile(np.abs(signals.qd[:, j]), 99))
         speeds = [width * top for width in _WIDTHS if width * top > reversal_width[j]]
         if j + 1 in problem.regression.undecided or law.presliding or not speeds:
             continue
-        left = partial(_remaining, problem, design, weights, law, j, first)
+        left = partial(_remaining, problem, design, weights, law, j, place.start)
         remaining = [left(speed) for speed in speeds]
         best = int(np.argmin(remaining))
         if left(reversal_width[j]) - remaining[best] < TOLD**2:

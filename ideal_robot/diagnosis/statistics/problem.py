@@ -23,6 +23,7 @@ from ideal_robot.dynamics.base_parameters import consistent_parameters
 from ideal_robot.effects import Effect, FittedEffect
 from ideal_robot.friction import PerJointFriction
 from ideal_robot.model.model import Model
+from ideal_robot.model.parametrisation import friction_places, parameter_vector
 
 
 @dataclass(frozen=True)
@@ -128,18 +129,14 @@ def with_parameters(model: Model, change: Array, covariance: Array | None = None
         change: to be added to the parameter vector ``(P,)`` (``ideal_robot.model.parametrisation``).
         covariance: of the new vector ``(P, P)``; that of the model if None.
     """
-    at = model.base.count
-    base_values = model.base_values + change[:at]
-    laws = []
-    for law in model.friction.laws:
-        count = len(law.coefficients)
-        laws.append((law, law.coefficients + change[at : at + count, None]))
-        at += count
-    new = []
-    for law, coefficients in laws:
+    base_values = model.base_values + change[: model.base.count]
+    places, new = friction_places(model.base, model.friction), []
+    at = places[-1].stop
+    for law, place in zip(model.friction.laws, places, strict=True):
         # Shapes are positive; a linear step may go to a third or to three times of what they were.
         shape = np.clip(law.shape + change[at : at + len(law.shape), None], law.shape / 3.0, 3.0 * law.shape)
-        new.append(type(law)(coefficients, shape, presliding=law.presliding, loaded=law.loaded))
+        new.append(type(law)(law.coefficients + change[place, None], shape, presliding=law.presliding,
+                             loaded=law.loaded))
         at += len(law.shape)
     return dataclasses.replace(
         model, base_values=base_values, friction=PerJointFriction(new),
@@ -204,7 +201,7 @@ class Problem:
 
     def with_regression(self, regression: Regression) -> Problem:
         """The same problem about another model."""
-        return replace(self, regression=regression, made={})
+        return self if regression is self.regression else replace(self, regression=regression, made={})
 
     def with_prior(self, prior: Array | None) -> Problem:
         """The same problem with other knowledge of its parameters."""
@@ -348,9 +345,7 @@ def prior_covariance(model: Model, problem: Problem) -> Array:
         moves = 0.002 * np.sqrt(torque[:, None] / squares)
         visible = np.min(np.where(squares > 0, moves, np.inf), axis=0)
     # Friction changes from day to day, bodies do not.
-    friction = np.abs(np.concatenate([np.concatenate([law.coefficients[:, 0] for law in model.friction.laws]),
-                                      *[law.shape[:, 0] for law in model.friction.laws]]))
-    values = np.concatenate([np.zeros(model.base.count), friction])
+    values = parameter_vector(np.zeros(model.base.count), model.friction)
     size = len(values)
     floor = np.where(np.isfinite(visible[:size]), np.hypot(0.02 * values, visible[:size]), 1.0)
     return np.asarray(model.covariance + np.diag(floor**2))

@@ -17,7 +17,7 @@ from ideal_robot.diagnosis.validation.domain_diagnosis import CLEAR, DomainDiagn
 from ideal_robot.effects import FittedEffect
 from ideal_robot.effects.drive import CommonDelay
 from ideal_robot.model.model import Model
-from ideal_robot.model.parametrisation import parameter_vector
+from ideal_robot.model.parametrisation import friction_places, parameter_vector
 
 # Effects of the motor torque beside a model that stays as it is.
 #
@@ -75,10 +75,8 @@ def friction_anew(regression: Regression, model: Model, joints: tuple[int, ...])
         A model for each joint whose friction can be told.
     """
     result: dict[int, Model] = {}
-    at = model.base.count
-    for joint, law in enumerate(model.friction.laws, start=1):
-        columns = slice(at, at + len(law.coefficients))
-        at = columns.stop
+    places = friction_places(model.base, model.friction)
+    for joint, (law, columns) in enumerate(zip(model.friction.laws, places, strict=True), start=1):
         use = regression.use[:, joint - 1]
         known = law.coefficients[:, 0]
         free = np.abs(known) > 0.0
@@ -119,12 +117,10 @@ def without_scatter(estimate: Estimate, held: tuple[int, ...]) -> Estimate:
 def _driving(model: Model, change: np.ndarray) -> np.ndarray:
     """Mask ``(P,)`` of coefficients of friction that a change of the parameters ``(P,)`` makes negative."""
     value = parameter_vector(model.base_values, model.friction) + change
-    mask = np.zeros(len(value), dtype=bool)
-    at = model.base.count
-    for law in model.friction.laws:
-        mask[at : at + len(law.coefficients)] = law.nonnegative
-        at += len(law.coefficients)
-    return np.asarray(mask & (value < 0.0))
+    brakes = np.zeros(len(value), dtype=bool)
+    for law, place in zip(model.friction.laws, friction_places(model.base, model.friction), strict=True):
+        brakes[place] = law.nonnegative
+    return np.asarray(brakes & (value < 0.0))
 
 
 def _held(found: Findings, index: np.ndarray) -> Findings:

@@ -82,6 +82,20 @@ def test_dependence_is_seen_where_it_is_and_not_where_it_is_not():
     assert something.share > 0.3
 
 
+def test_what_a_curve_explains_by_chance_follows_from_the_blocks():
+    signals = motion()
+    blocks = time_blocks(len(signals.t), signals.dt, held_out=False)
+    rng = np.random.default_rng(6)
+    noise = coloured(rng, len(signals.t))
+    sieve = DependenceTest(signals, np.ones((len(noise), 1), bool), blocks.edges)
+    term = next(t for t in terms(signals, 0, pairs=False) if t.depends_on == ("q_2",))
+    found = sieve.test(noise, 0, term)
+    signs = rng.choice([-1.0, 1.0], size=(400, blocks.count))[:, blocks.of_samples()]
+    shares = np.array([sieve.test(sign * noise, 0, term).share for sign in signs])
+    assert found.expected == pytest.approx(shares.mean(), rel=0.1)
+    assert found.p_value == pytest.approx(np.mean(shares >= found.share), abs=0.1)
+
+
 def test_a_slow_disturbance_is_seen_over_time():
     # A curve over time is nearly constant in a block; without centring its chance share was a thousandfold.
     signals = motion()
