@@ -15,8 +15,11 @@ from ideal_robot.arrays import Array
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.method import Setting
-from planning.force.contact import Phase
+from planning.force.contact import ContactSettings, Phase
+from planning.force.surface_forecast import LENGTHS, SmoothSurface
 from planning.line.filter_bank import FilterBank
+from planning.line.fusion import DeviationFilter
+from planning.line.measurement import Measurement
 from scenes.commands.common import numbers, whole_numbers
 from scenes.force.cell import Cell, set_up, true_tip
 from scenes.force.kind import run
@@ -103,6 +106,31 @@ def force_parts(stiffness: str = "10,20,50", seed: int = 1, told: bool = False) 
             cells += _played(scene, surface=surface).cells()
             cells += _played(scene, _knowing_friction(scene), surface).cells()
         row(f"{k:g} N/mm", *cells)
+
+
+ANSWERED = 0.067
+"""From a sample of `force_wave` to the arm's answer: 20 ms of the sensor, half a cycle, and what of a plan still counts
+for the arm, which follows best what was planned 42 ms before [s]."""
+
+
+def forecast_gains(speed: float = 0.2, stiffness: float = 20.0, hertz: str = "2,4,6,8,10,12") -> None:
+    """By how much a swing that is taken for surface is larger in the forecast, by length scale and frequency.
+
+    Heights swing by a tenth of the noise of a sample at 250 Hz, on a contact of --stiffness [N/mm].
+    """
+    noise, times = ContactSettings().noise / (1e3 * stiffness), 0.004 * np.arange(1, 501)
+    head("length scale mm", *(f"{f:g} Hz" for f in numbers(hertz, "--hertz")))
+    for length in LENGTHS:
+        gains = []
+        for f in numbers(hertz, "--hertz"):
+            kalman, forecast = DeviationFilter(SmoothSurface(length), confirm=0), np.zeros(len(times))
+            for k, t in enumerate(times):
+                z, s = 0.1 * noise * np.sin(2 * np.pi * f * t), np.array([speed * t])
+                kalman.update(Measurement(t, s, np.array([z]), np.array([[noise**2]]), np.array([[0.0, 1.0]]), "force",
+                                          at=float(s[0])))
+                forecast[k] = kalman.mean(s + speed * ANSWERED)[0, 1]
+            gains.append(np.sqrt(2.0) * forecast[len(times) // 2 :].std() / (0.1 * noise))
+        row(f"{1e3 * length:g}", *(f"{gain:.0f}" for gain in gains))
 
 
 class _Watched(ForceTask):

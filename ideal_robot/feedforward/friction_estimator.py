@@ -207,10 +207,12 @@ def counted(x: Array, covariance: Array, h: Array, left: float, variance: float)
         expected += h[a] * h[a]
     if not left * left < FAR * FAR * expected:
         return False
+    for b in range(len(h)):
+        if h[b] != 0.0:  # a joint's own parameters and the common ones: few of all
+            missed -= h[b] * x[b]
+            for a in range(len(h)):
+                said[a] += covariance[b, a] * h[b]
     for a in range(len(h)):
-        missed -= h[a] * x[a]
-        for b in range(len(h)):
-            said[a] += covariance[a, b] * h[b]
         spread += h[a] * said[a]
     for a in range(len(h)):
         x[a] = min(max(x[a] + said[a] * missed / spread, -FAR), FAR)
