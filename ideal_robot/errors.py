@@ -7,6 +7,9 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
 
+BAD_ADDRESS = (OSError, OverflowError, TypeError, UnicodeError)
+"""What sockets raise for an address that cannot be: no such host, no such port, no text."""
+
 
 class IdealRobotError(Exception):
     """Root of all errors raised on purpose; the command line turns it into one line and exit code 1."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from ideal_robot.deadline import Deadline
-from ideal_robot.errors import InputError
+from ideal_robot.errors import BAD_ADDRESS, InputError
 from sensing import SensingError
 from sensing.clock_relation import ClockRelation
 
@@ -186,7 +186,7 @@ class StreamConnection:
         self._tried = time.perf_counter()
         try:
             self._socket = socket.create_connection(self._where, max(timeout, _LEAST))
-        except (OSError, OverflowError):
+        except BAD_ADDRESS:
             return False
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._reader, self._quickest = Reader(), float("inf")

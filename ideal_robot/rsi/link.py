@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ideal_robot.deadline import Deadline
-from ideal_robot.errors import InputError
+from ideal_robot.errors import BAD_ADDRESS, InputError
 from ideal_robot.rsi.message import MAX_PACKET, PacketError, RobMessage, RsiError, parse_rob
 
 # When a packet came, by the system's word: a program that was not let run meanwhile does not take it for late.
@@ -216,7 +216,7 @@ class PacketLink:
         stamp_arrivals(self._socket)
         try:
             self._socket.bind((host, port))
-        except (OSError, OverflowError) as error:
+        except BAD_ADDRESS as error:
             self._socket.close()
             raise InputError(f"cannot listen there ({error})", field="host:port", value=f"{host}:{port}") from error
 

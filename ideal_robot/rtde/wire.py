@@ -14,7 +14,7 @@ from enum import IntEnum
 from itertools import islice
 
 from ideal_robot.deadline import Deadline
-from ideal_robot.errors import IdealRobotError
+from ideal_robot.errors import BAD_ADDRESS, IdealRobotError
 
 
 class RtdeError(IdealRobotError):
@@ -162,7 +162,7 @@ class RtdeConnection:
         self._timeout, self._reader = timeout, Reader()
         try:
             self._socket = socket.create_connection((host, port), timeout)
-        except OSError as error:
+        except BAD_ADDRESS as error:
             raise RtdeError(f"no controller at {host}:{port} ({error}); RTDE has to be enabled in its security settings"
                             ) from error
         # A command is one small package: it must not wait for a second one to go with it.

@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
+from ideal_robot.errors import BAD_ADDRESS
 from scenes.online.processes import called, undisturbed
 from sim.camera.camera import CameraSettings
 from sim.camera.live_camera import LiveCamera
@@ -85,7 +86,7 @@ def draw_and_send(device: CameraDevice, pipe: Connection) -> None:
     try:
         server = StreamServer(*device.address, lambda: clock.shows(now()), 1,
                               camera_description(model.width, model.height, device.rate))
-    except (OSError, OverflowError) as error:
+    except BAD_ADDRESS as error:
         pipe.send(str(error))
         return
     outbox = Outbox(device.unkind, device.rng)

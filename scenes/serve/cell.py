@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
-from ideal_robot.errors import InputError
+from ideal_robot.errors import BAD_ADDRESS, InputError
 from ideal_robot.rsi.message import Axes
 from scenes.camera_world import camera_settings
 from scenes.force.cell import Cell as ForceCell
@@ -204,7 +204,7 @@ def served_cell(scene: Scene, places: Places, unkind: Unkindness) -> Iterator[tu
             served_arm = (ServedRtde if places.rtde else ServedArm)(
                 arm, places.arm, relative=places.relative, unkind=unkind, drift=-0.5 * unkind.drift, rng=streams[2],
                 carried=tuple(carried), sign=Axes.of(cell.known.robot).sign, anew=served.anew)
-        except (OSError, OverflowError) as error:
+        except BAD_ADDRESS as error:
             raise InputError(f"cannot listen there ({error})", field="host:port", value=places.host) from error
         yield served, served_arm
 

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.errors import InputError
+from ideal_robot.errors import BAD_ADDRESS, InputError
 from ideal_robot.registry import Registry
 from sensing.clock_relation import ClockRelation
 from sensing.stream import Kind, StreamConnection, host_and_port, options
@@ -224,7 +224,7 @@ class NetFT:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.connect((host, port))
-        except (OSError, OverflowError) as error:
+        except BAD_ADDRESS as error:
             self._socket.close()
             raise InputError(f"no such address ({error})", field="force", value=f"{host}:{port}") from error
         self._ask(_STREAM)

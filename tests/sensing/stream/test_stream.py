@@ -14,8 +14,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ideal_robot.errors import InputError
+from ideal_robot.rsi.link import PacketLink
+from ideal_robot.rtde.wire import RtdeConnection, RtdeError
 from sensing.clock_relation import ClockRelation
-from sensing.stream import HEADER, LARGEST, Kind, Reader, StreamError, packed
+from sensing.force.sensors import NetFT
+from sensing.stream import HEADER, LARGEST, Kind, Reader, StreamConnection, StreamError, packed
 
 
 @settings(max_examples=60, deadline=None)
@@ -33,6 +37,16 @@ def test_any_cut_gives_the_same_packages(sent: list[tuple[int, bytes]], size: in
 def test_another_protocol_another_version_and_what_is_too_large_are_refused(wire: bytes) -> None:
     with pytest.raises(StreamError):
         list(Reader().feed(wire))
+
+
+@pytest.mark.parametrize("host", ["a\udcffb", "a\0b", ".." * 40, "x" * 300])
+@pytest.mark.parametrize("connect", [
+    lambda host: StreamConnection(host, 9, 0.0), lambda host: NetFT(host), lambda host: RtdeConnection(host, 9, 0.1),
+    lambda host: PacketLink(host, 0, 6)])
+def test_an_address_that_is_no_text_is_refused_by_every_device(host: str, connect: Callable[[str], object]) -> None:
+    """Once a traceback, "encoding of hostname failed": seed 7001757 of ``python -m studies fuzz``."""
+    with pytest.raises((InputError, RtdeError)):
+        connect(host)
 
 
 def test_the_documented_bytes() -> None:
