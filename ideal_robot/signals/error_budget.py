@@ -181,6 +181,8 @@ def _common(of: _Products, without: int | None = None) -> Array:
         gain, raw = of.squared @ weights, of.product @ weights
         # The clock's own scatter, as what the samples say less what their noise makes of it.
         told = gain > np.median(gain)
+        if not told.any():
+            return np.zeros(len(gain))
         variance = max(float(np.mean((raw[told] / gain[told]) ** 2 - 1.0 / gain[told])), 1e-18)
         late = raw / (gain + 1.0 / variance)
         weights = of.precision(late)

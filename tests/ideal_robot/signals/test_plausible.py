@@ -240,6 +240,17 @@ def test_regular_samples_stay_where_they_are() -> None:
     assert sampling_instants(t, q + shake)[1] == 0.0
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("moving", [0, 1, 3])
+def test_joints_that_stand_still_or_turn_evenly_say_nothing_of_the_clock(moving: int) -> None:
+    """Once means of nothing: instants that were no numbers."""
+    t = np.arange(0.0, 20.0, 0.004)
+    q = np.outer(t, 0.1 * (np.arange(3) < moving))
+    at, spread = sampling_instants(t, q)
+    np.testing.assert_array_equal(at, t)
+    assert spread == 0.0
+
+
 def test_stamps_that_are_right_are_kept() -> None:
     rng = np.random.default_rng(2)
     t = np.arange(0.0, 20.0, 0.01) + rng.uniform(-0.0015, 0.0015, 2000)
