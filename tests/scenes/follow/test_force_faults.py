@@ -14,7 +14,7 @@ from tests.scenes.follow.on_bench import FAULTS, STAGES, Bench, followed
 QUICK = [("nothing but noise of 0.3 mN", "turning", "weigh the same"), ("wrong sign", "turning", "wrong sign"),
          ("stuck, with its usual noise", "search", "the motors feel"),
          ("a leap of -30 N", "approach", "felt in the air"),
-         ("stuck, with its usual noise", "travel", "does not change as the arm moves")]
+         ("stuck, with its usual noise", "travel", "of what the tip's swing on the surface makes")]
 
 
 @pytest.mark.parametrize(("fault", "stage", "says"), QUICK)
