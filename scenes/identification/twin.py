@@ -79,11 +79,13 @@ def twin_of(analysis: IdentificationResult, robot: Robot, name: str) -> Twin:
         name: of the robot, as scenes name it.
     """
     model, recordings = analysis.model, analysis.estimation
-    seen = ["masses, rotors and offsets: identified", "friction: the identified law, as bristles and fluid"]
+    seen = ["friction: the identified law, as bristles and fluid"]
     assumed: list[str] = []
     body = _body(model, robot)
-    hidden = _hidden_rotors(robot, body)
-    rotor = body[10 * robot.n : 11 * robot.n] + hidden
+    links, rotor = _link_moments(robot, body), body[10 * robot.n : 11 * robot.n]
+    hidden = _hidden_rotors(robot, rotor, links.min(axis=0))
+    rotor = rotor + hidden
+    seen.insert(0, "masses and offsets: identified" if np.any(hidden) else "masses, rotors and offsets: identified")
     if np.any(hidden):
         assumed.append("rotors: those of a class; the torques were measured behind the gears and do not show them")
     table: dict[str, Any] = {
@@ -98,7 +100,7 @@ def twin_of(analysis: IdentificationResult, robot: Robot, name: str) -> Twin:
     seen.append(f"noise of the torque: {_listed(noise)} N m")
     table |= _encoder(model, robot, seen)
     table |= _ripple(ripples, robot)
-    loads = _moments(robot, body, rotor)
+    loads = links.mean(axis=0) + rotor, links.min(axis=0)
     _controller(model, robot, loads, (table, spread), (seen, assumed))
     _gears(model, robot, (body, rotor, *loads), (table, spread), (seen, assumed))
     if table["elasticity"]:
@@ -168,15 +170,18 @@ def _body(model: Model, robot: Robot) -> Array:
     return np.asarray(np.concatenate([full[: 11 * n], model.offset]))
 
 
-def _hidden_rotors(robot: Robot, body: Array) -> Array:
+def _hidden_rotors(robot: Robot, rotor: Array, least: Array) -> Array:
     """Rotors ``(n,)`` [kg m²] that torques measured behind the gears do not show: those of the class; else none.
 
     No drive is without. Behind links that are slim where two axes fall together, one would not be stable.
+
+    Args:
+        robot: the arm as its data sheet has it.
+        rotor: identified ``(n,)`` [kg m²].
+        least: moments of inertia that the links hold against each joint at least ``(n,)`` [kg m²].
     """
-    n = robot.n
-    rotor, least = body[10 * n : 11 * n], _link_moments(robot, body).min(axis=0)
-    if n == 1 or np.all(rotor >= _LEAST_ROTOR * least):
-        return np.zeros(n)
+    if robot.n == 1 or np.all(rotor >= _LEAST_ROTOR * least):
+        return np.zeros(robot.n)
     return np.maximum(_usual_rotors(robot) - rotor, 0.0)
 
 
@@ -322,12 +327,6 @@ def _gears(model: Model, robot: Robot, loads: tuple[Array, Array, Array, Array],
         words[1].append("gears: stiffness and damping of a class")
     rigid = too_fast(replace(robot, pinocchio=_with_body(robot, body)), table["stiffness"], rotor)
     table["stiffness"] = np.where(rigid, RIGID, np.minimum(table["stiffness"], RIGID))
-
-
-def _moments(robot: Robot, body: Array, rotor: Array) -> tuple[Array, Array]:
-    """Mean moment of inertia of each joint, rotor included, and the least of its links, over postures ``(n,)`` each."""
-    found = _link_moments(robot, body)
-    return found.mean(axis=0) + rotor, found.min(axis=0)
 
 
 def _link_moments(robot: Robot, body: Array) -> Array:
