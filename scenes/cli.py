@@ -9,9 +9,10 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, fields
-from functools import cache, wraps
+from functools import wraps
+from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 # The small matrices here lose more to thread start-up than BLAS threads win; must be set before NumPy loads.
@@ -19,7 +20,7 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 
 import typer  # noqa: E402
-from typer.core import TyperCommand  # noqa: E402
+from typer.core import TyperArgument, TyperCommand, TyperGroup  # noqa: E402
 
 from ideal_robot.errors import IdealRobotError, InputError  # noqa: E402
 from ideal_robot.whole_file import FULL, OutputError  # noqa: E402
@@ -65,8 +66,73 @@ THEMES = {
 VERBS = {verb: place for verbs in THEMES.values() for verb, place in verbs.items()}
 """All verbs, with the place of each."""
 
+
+class Verb(TyperCommand):
+    """A verb that begins only if what it is to read is there and its numbers are finite."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
+        """As the library does it, then looks at the numbers, which ``float`` takes from ``nan`` on, and at the files.
+
+        Raises:
+            InputError: a path that the verb takes as its argument, and so reads, leads nowhere.
+        """
+        rest = super().parse_args(ctx, args)
+        for param, value in self._given(ctx):
+            if isinstance(value, float) and not math.isfinite(value):
+                raise typer.BadParameter(f"{value} is no finite number", ctx=ctx, param_hint=" / ".join(param.opts))
+        for param, value in self._given(ctx):
+            if isinstance(value, Path) and isinstance(param, TyperArgument) and not os.path.exists(value):
+                raise InputError(f"no such file or folder; expected: {param.help}", file=value)
+        return rest
+
+    def _given(self, ctx: typer.Context) -> Iterator[tuple[Any, Any]]:
+        """Each parameter with its value, or with each of its values."""
+        for param in self.params:
+            value = ctx.params.get(param.name or "")
+            yield from ((param, one) for one in (value if isinstance(value, (list, tuple)) else (value,)))
+
+
+class Verbs(Mapping[str, TyperCommand]):
+    """The verbs by name, each declared when it is asked for: all of them cost as much as the answer of one."""
+
+    def __init__(self) -> None:
+        self._declared: dict[str, TyperCommand] = {}
+
+    def __getitem__(self, verb: str) -> TyperCommand:
+        if verb not in self._declared:
+            alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
+            alone.command(verb, cls=Verb)(function_of(verb))
+            self._declared[verb] = typer.main.get_command(alone)  # type: ignore[assignment]
+        return self._declared[verb]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(VERBS)
+
+    def __len__(self) -> int:
+        return len(VERBS)
+
+
+class Program(TyperGroup):
+    """The program: its page of help tells of each verb no more than name, theme and first sentence."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.commands: Mapping[str, TyperCommand] = Verbs()  # type: ignore[assignment]
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """In the order of the themes."""
+        return list(self.commands)
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Writes the page."""
+        self.commands = {verb: TyperCommand(verb, help=inspect.getdoc(declared(verb)), rich_help_panel=theme)
+                         for theme, verbs in THEMES.items() for verb in verbs}
+        super().format_help(ctx, formatter)
+
+
 app = typer.Typer(
     name="ideal-robot",
+    cls=Program,
     help="Makes a position-controlled industrial arm ideal, and lets sensors decide where its path is.",
     no_args_is_help=True,
     rich_markup_mode="markdown",
@@ -86,32 +152,16 @@ def _common(version: Annotated[bool, typer.Option("--version", callback=_say_ver
     """Makes a position-controlled industrial arm ideal, and lets sensors decide where its path is."""
 
 
-class Verb(TyperCommand):
-    """A verb none of whose numbers may be ``nan`` or ``inf``, which ``float`` accepts."""
-
-    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
-        """As the library does it, then looks at the numbers."""
-        rest = super().parse_args(ctx, args)
-        for param in self.params:
-            value = ctx.params.get(param.name or "")
-            for one in value if isinstance(value, (list, tuple)) else (value,):
-                if isinstance(one, float) and not math.isfinite(one):
-                    raise typer.BadParameter(f"{one} is no finite number", ctx=ctx, param_hint=" / ".join(param.opts))
-        return rest
-
-
-@cache
-def _register(only: str = "") -> None:
-    """Declares the verbs: the one that is told alone, since those that are not asked for cost as much as it does."""
-    for theme, verbs in THEMES.items():
-        for verb in verbs.keys() & {only} if only in VERBS else verbs:
-            app.command(verb, cls=Verb, rich_help_panel=theme)(function_of(verb))
+def declared(verb: str) -> Callable[..., None]:
+    """The function of a verb, as it stands."""
+    module, _, name = VERBS[verb].partition(":")
+    found: Callable[..., None] = getattr(importlib.import_module(f"scenes.commands.{module}"), name)
+    return found
 
 
 def function_of(verb: str) -> Callable[..., None]:
-    """The function that a verb calls."""
-    module, _, name = VERBS[verb].partition(":")
-    found: Callable[..., None] = getattr(importlib.import_module(f"scenes.commands.{module}"), name)
+    """The function that a verb calls, with a parameter for each option."""
+    found = declared(verb)
     options = get_type_hints(found).get("options")
     return found if options is None else one_by_one(found, options)
 
@@ -148,7 +198,6 @@ def main() -> None:
     # As after Ctrl-C, partial files and worker processes are cleared away on the way out.
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:
-        _register(*sys.argv[1:2])
         app()
     except KeyboardInterrupt:
         # Before a verb has begun; within it typer answers the same.

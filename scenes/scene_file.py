@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ideal_robot.bounded_values import read_toml
 from ideal_robot.errors import InputError, did_you_mean
-from scenes.kind import KINDS
-from scenes.scene_files.scene import Scene, scene_of
+
+if TYPE_CHECKING:
+    from scenes.scene_files.scene import Scene
 
 
 def library() -> Path:
@@ -29,6 +30,10 @@ def load_scene(name_or_path: str | Path) -> Scene:
     ('line', 'kr6', 0.4)
     """
     path, values = scene_values(name_or_path)
+    # What plays a scene is large, and not loaded before there is one.
+    from scenes.kind import KINDS
+    from scenes.scene_files.scene import scene_of
+
     kind = values.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         raise InputError(f"expected one of {', '.join(KINDS.names())}", file=path, field="kind", value=kind)
@@ -41,38 +46,42 @@ def scene_values(name_or_path: str | Path) -> tuple[Path, dict[str, Any]]:
     Raises:
         InputError: no such scene, two scenes of the same name, broken TOML.
     """
-    path = _find(str(name_or_path))
+    path = find_scene(str(name_or_path))
     values = read_toml(path, "a scene file")
     values.setdefault("name", path.stem)
     return path, values
 
 
-def _find(wanted: str) -> Path:
-    """A path is taken if it looks like one; a name is looked up among the scene files here and in the library."""
+def find_scene(wanted: str) -> Path:
+    """The file of a scene: a path is taken if it looks like one; a name is looked up here and in the library.
+
+    Raises:
+        InputError: no such scene, two scenes of the same name.
+    """
     if wanted.endswith(".toml") or "/" in wanted:
         if not os.path.isfile(wanted):
             raise InputError("no such scene file", field="scene", value=wanted)
         return Path(wanted)
-    found = []
-    names = set()
-    for path in [*sorted(Path.cwd().glob("*.toml")), *sorted(library().glob("*.toml"))]:
-        try:
-            values = read_toml(path, "a scene file")
-        except InputError:
-            # A broken neighbour must not stop other scenes; asked for by name, it is reported when parsed.
-            values = {}
-        is_scene = "kind" in values or path.parent == library() or path.stem == wanted
-        if not is_scene:
-            continue
-        name = str(values.get("name", path.stem))
-        names.add(name)
-        if name == wanted:
-            found.append(path)
+    # A shipped scene is named as its file.
+    every = [*((_name(path, wanted), path) for path in sorted(Path.cwd().glob("*.toml"))),
+             *((path.stem, path) for path in sorted(library().glob("*.toml")))]
+    found = [path for name, path in every if name == wanted]
     if len(found) > 1:
         raise InputError(f"two scenes of the name {wanted!r}: {found[0]} and {found[1]}; rename one or give a path",
                          field="scene")
     if not found:
+        names = {name for name, _ in every if name is not None}
         raise InputError(f"no scene of that name; {did_you_mean(wanted, names)}there are "
                          f"{', '.join(sorted(names)) or 'none'}, or give the path of a .toml file", field="scene",
                          value=wanted)
     return found[0]
+
+
+def _name(path: Path, wanted: str) -> str | None:
+    """What a TOML file that lies about says a scene is called; None where it is another file."""
+    try:
+        values = read_toml(path, "a scene file")
+    except InputError:
+        # A broken neighbour must not stop other scenes; asked for by name, it is reported when parsed.
+        values = {}
+    return str(values.get("name", path.stem)) if "kind" in values or path.stem == wanted else None

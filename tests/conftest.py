@@ -66,9 +66,6 @@ def program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.Captu
 
     def called(*words: str) -> Ended:
         monkeypatch.setattr(sys, "argv", ["ideal-robot", *words])
-        # Read anew, as by a process of its own: what helps say depends on the words.
-        monkeypatch.setattr(cli.app, "registered_commands", [])
-        cli._register.cache_clear()
         with pytest.raises(SystemExit) as ended:
             cli.main()
         return Ended(int(ended.value.code or 0), *capfd.readouterr())

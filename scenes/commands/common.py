@@ -12,17 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
-from rich.box import HEAVY_HEAD
-from rich.cells import cell_len
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Column, Table
-from rich.text import Text
 
 from ideal_robot.errors import InputError
 from ideal_robot.progress import Progress as Told
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from scenes.result import RunResult
 
 
@@ -40,6 +36,10 @@ def progress_bar(title: str, rate: float = 10.0) -> Iterator[Told]:
         title: before the bar.
         rate: how often it is drawn, by a thread that takes Python's lock for it [Hz].
     """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.table import Column
+
     # Where there is no room for all, the text is cut; never the numbers.
     def fixed(width: int) -> Column:
         return Column(min_width=width, width=width, no_wrap=True)
@@ -79,6 +79,12 @@ def show_table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
         columns: titles.
         rows: cells.
     """
+    from rich.box import HEAVY_HEAD
+    from rich.cells import cell_len
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
     console = Console(width=None if sys.stdout.isatty() or os.environ.get("COLUMNS") else _NO_EDGE)
     names = [shown(column) for column in columns]
     cells = [[shown(_cell(cell)) for cell in row] for row in rows]
@@ -116,6 +122,8 @@ def _cell(cell: Any) -> str:
 
 def _show_blocks(console: Console, title: str, names: list[str], cells: list[list[str]]) -> None:
     """Rows one below the other, each cell on a line of its own: for terminals too narrow for a table."""
+    from rich.text import Text
+
     if title:
         console.print(Text(shown(title), style="italic"), overflow="fold")
     for row in cells:
@@ -196,6 +204,19 @@ def _number(piece: str, kind: type[N], option: str, text: str) -> N:
                          + (" or a range such as 1-10" if whole else ""), field=option, value=text[:60]) from error
 
 
+def scenes_there(given: Any) -> Any:
+    """A scene or scenes as given, if there are any of that name: asked before what would play them is loaded.
+
+    Raises:
+        InputError: no such scene, two scenes of the same name.
+    """
+    from scenes.scene_file import find_scene
+
+    for one in given if isinstance(given, (list, tuple)) else [given]:
+        find_scene(one)
+    return given
+
+
 Bridge = Annotated[float, typer.Option(help="How long packets may be lost in a row [s].", min=0.0, max=1.0)]
 ControllerAddress = Annotated[str | None, typer.Option(help="Listen to this address only.")]
 Core = Annotated[int | None, typer.Option(help="Processor core to keep to.", min=0)]
@@ -213,7 +234,8 @@ PlannerDelay = Annotated[bool, typer.Option(help="The standard path planner's de
 ReportFolder = Annotated[Path, typer.Option(help="Folder of the report.")]
 Rest = Annotated[float, typer.Option(help="Rest added before the path [s], for the gears' deflection.")]
 RobotName = Annotated[str, typer.Option("--robot", "--urdf", help="Arm: name of a shipped robot, or path of a URDF.")]
-SceneName = Annotated[str, typer.Argument(help="Name of a shipped scene, or path of a scene file (.toml).")]
+SceneName = Annotated[str, typer.Argument(help="Name of a shipped scene, or path of a scene file (.toml).",
+                                          callback=scenes_there)]
 SearchSeed = Annotated[int, typer.Option(help="Seed of the search.", min=0)]
 Seed = Annotated[int | None, typer.Option(help="Seed instead of the scene's.", min=0)]
 Speed = Annotated[float | None, typer.Option(help="Path speed [m/s] instead of the scene's.")]

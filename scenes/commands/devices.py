@@ -23,6 +23,7 @@ from scenes.commands.common import (
     completed,
     method_help,
     progress_bar,
+    scenes_there,
     show_table,
     write_signed,
 )
@@ -39,7 +40,8 @@ class FollowOptions:
     """Options of ``follow``."""
 
     scene: Annotated[str, typer.Argument(help="Scene of kind line or force: name of a shipped one, or path (.toml); of "
-                                         "its tables those of the world are not looked at.")]
+                                         "its tables those of the world are not looked at.",
+                                         callback=scenes_there)]
     arm: Annotated[str, typer.Option(help="rsi://host:port where this computer listens for the controller, or "
                                      "rtde://host:port of the controller.")] = "rsi://127.0.0.1:49152"
     camera: Annotated[str | None, typer.Option(help="usb:0, rtsp://…, http://… (MJPEG), genicam:producer.cti#serial, "
@@ -106,7 +108,8 @@ def follow(options: FollowOptions) -> None:
 class SimulateOptions:
     """Options of ``simulate``."""
 
-    scene: Annotated[str, typer.Argument(help="Scene of kind line or force: name of a shipped one, or path (.toml).")]
+    scene: Annotated[str, typer.Argument(help="Scene of kind line or force: name of a shipped one, or path (.toml).",
+                                         callback=scenes_there)]
     serve: Annotated[bool, typer.Option("--serve", help="Play the cell in real time behind its devices.")] = False
     arm: Annotated[str, typer.Option(help="rsi://host:port where the follower listens for the controller, "
                                      "or rtde://127.0.0.1:port where this controller listens.")

@@ -22,6 +22,7 @@ from scenes.commands.common import (
     length,
     numbers,
     progress_bar,
+    scenes_there,
     show_table,
     whole_numbers,
     write_signed,
@@ -164,7 +165,7 @@ def compare(options: CompareOptions) -> None:
 class SweepOptions:
     """Options of ``sweep``."""
 
-    scenes: Annotated[list[str], typer.Argument(help="Scenes, by name or path.")]
+    scenes: Annotated[list[str], typer.Argument(help="Scenes, by name or path.", callback=scenes_there)]
     speeds: Annotated[str, typer.Option(help="Speeds [m/s], separated by commas.")] = ""
     seeds: Annotated[str, typer.Option(help="Seeds: a list 1,2,5 or a range 1-10.")] = ""
     individuals: Annotated[str, typer.Option("--individuals", "--individual", help="Arms of the type, each with a "
@@ -249,7 +250,7 @@ def _show_swept(answers: list[dict[str, Any]], *, with_arm: bool) -> pd.DataFram
 def close_loop(
     scene: Annotated[str, typer.Argument(help="Scene that holds an effect which its model lacks, e.g. "
                                               "close_elastic, close_stribeck, close_latency, close_camera, "
-                                              "close_force, close_clamped.")],
+                                              "close_force, close_clamped.", callback=scenes_there)],
     seed: Seed = None,
     individual: Individual = None,
     speed: Speed = None,

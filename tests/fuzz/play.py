@@ -104,7 +104,6 @@ def _command() -> Callable[..., object]:
     """The command line with all its verbs and options, made once."""
     import scenes.cli
 
-    scenes.cli._register()
     return typer.main.get_command(scenes.cli.app)
 
 

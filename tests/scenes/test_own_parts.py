@@ -21,7 +21,7 @@ from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.method import Setting
 from ideal_robot.robots.robot import Robot
 from scenes import Reading, compare_scene, load_scene, run_scene
-from scenes.cli import _register, app
+from scenes.cli import app
 from scenes.identification.plan import plan, play_plan
 from scenes.kind import KINDS, SceneKind, kind_of
 from scenes.line.kind import LINE
@@ -195,7 +195,6 @@ def test_it_is_viewed_as_rods_where_its_meshes_are_missing(own: Path) -> None:
 
 def test_the_address_said_is_the_one_served() -> None:
     """On a taken port the viewer moves to another; the command must not print the taken one."""
-    _register()
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()

@@ -165,10 +165,11 @@ def test_a_world_that_cannot_be_is_refused_before_it_is_compared_with_the_model(
 
 
 def test_an_interrupt_before_a_verb_has_begun_ends_without_a_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(*only: str) -> None:
+    def interrupted(verb: str) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cli, "_register", interrupted)
+    monkeypatch.setattr(cli, "declared", interrupted)
+    monkeypatch.setattr(sys, "argv", ["ideal-robot", "run"])
     monkeypatch.setattr(cli.signal, "signal", lambda number, handler: None)
     with pytest.raises(SystemExit) as ended:
         cli.main()

@@ -158,7 +158,6 @@ def test_rerun_reads_its_file_back(recording: Path, tmp_path: Path) -> None:
 
 # ``plan-diagnosis`` from files: the motion it writes can be read, and wrong input leaves nothing behind.
 
-cli._register()
 OPEN = {"effects": [{"effect": "degressive", "joint": 2, "channel": "tau_2",
                      "indistinguishable_from": ["torque_ripple"]}], "undecided": []}
 

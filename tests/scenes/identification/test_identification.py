@@ -144,7 +144,6 @@ def test_shipped_models_are_made_again(name: str) -> None:
 def test_commands_from_plan_to_model(tmp_path: Path) -> None:
     from scenes import cli
 
-    cli._register()
     run = CliRunner().invoke
     plan = tmp_path / "plan"
     answer = run(cli.app, ["plan-identification", "--urdf", "kr6", "--period", "4", "--play", "--out", str(plan),
@@ -174,7 +173,6 @@ def test_commands_from_plan_to_model(tmp_path: Path) -> None:
 def test_two_step_program_is_written_for_people_and_machines(tmp_path: Path) -> None:
     from scenes import cli
 
-    cli._register()
     answer = CliRunner().invoke(cli.app, ["plan-identification", "--urdf", "kr15", "--method", "two-step", "--points",
                                           "2", "--out", str(tmp_path)])
     assert answer.exit_code == 0, answer.output
@@ -284,8 +282,7 @@ def test_a_sensor_behind_the_gears_does_not_feel_what_turns_the_rotors() -> None
 
 
 def test_the_verb_refuses_what_is_no_name_of_a_file(axis: Path) -> None:
-    cli._register()
-    answer = CliRunner().invoke(cli.app, ["twin", "none.parquet", "--robot", str(axis), "-o", "twin.json"])
+    answer = CliRunner().invoke(cli.app, ["twin", str(axis), "--robot", str(axis), "-o", "twin.json"])
     assert isinstance(answer.exception, InputError)
     assert "ends in .toml" in str(answer.exception)
 

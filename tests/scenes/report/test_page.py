@@ -23,7 +23,7 @@ from ideal_robot.effects.fitted import FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from scenes.cli import _register, app
+from scenes.cli import app
 from scenes.closing.result import Closing
 from scenes.diagnosis.figures import contributions, effect_figure, in_order, ladder_figure
 from scenes.diagnosis.page import _amount, diagnosis_page, summary
@@ -320,7 +320,6 @@ def test_a_paths_replay_shows_the_errors_of_its_table() -> None:
 
 
 def test_a_film_of_another_format_is_refused_before_the_run(tmp_path: Path) -> None:
-    _register()
     done = CliRunner().invoke(app, ["run", "line", "--out", str(tmp_path / "o"), "--video", str(tmp_path / "x.avi")])
     assert done.exit_code != 0
     assert ".mp4 or .gif" in str(done.exception)

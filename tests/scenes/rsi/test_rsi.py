@@ -185,9 +185,8 @@ def test_a_controller_that_falls_silent_ends_the_run_and_keeps_the_recording(tmp
 
 
 def _app() -> Typer:
-    from scenes.cli import _register, app
+    from scenes.cli import app
 
-    _register()
     return app
 
 
