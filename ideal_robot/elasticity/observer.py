@@ -59,6 +59,7 @@ class ArmObserver:
         known = np.full(model.n, np.inf) if model.stiffness is None else np.array(model.stiffness)
         stiffness = stiffness_with(known, changes)
         self._elastic = np.isfinite(stiffness)
+        self._rigid = not self._elastic.any()
         self._k = np.where(self._elastic, stiffness, 0.0)
         given = np.zeros(model.n) if model.damping is None else np.array(model.damping)
         inertia = np.diag(pin.crba(self._dynamics, self._data, pin.neutral(self._dynamics)))
@@ -83,17 +84,16 @@ class ArmObserver:
             q: motor angles at its end ``(n,)`` [rad].
             tau_ext: joint torque of external forces during it ``(n,)`` [N m]; None for none.
         """
-        if not np.any(self._elastic):
+        if self._rigid:
             return ObserverState(q, (q - state.q) / self._T, q, state.q, (q - state.q) / self._T)
         # Velocity at the end of the cycle from the parabola through the last three motor angles.
         v = (1.5 * q - 2.0 * state.q + 0.5 * state.before) / self._T
-        mass = pin.crba(self._dynamics, self._data, state.q_a)
-        mass = np.triu(mass) + np.triu(mass, 1).T
+        upper = pin.crba(self._dynamics, self._data, state.q_a)
         load = pin.nonLinearEffects(self._dynamics, self._data, state.q_a, state.v_a)
         if tau_ext is not None:
             load = load - tau_ext
         motors = _Motors(state.q, q, state.v, v)
-        q_a, v_a = _substeps(state.q_a, state.v_a, motors, np.linalg.inv(mass), np.asarray(load), self._gears, self._T)
+        q_a, v_a = _substeps(state.q_a, state.v_a, motors, upper, load, self._gears, self._T)
         return ObserverState(q_a, v_a, np.array(q, dtype=float), state.q, v)
 
     def angles(self, q: Array, tau_ext: Array | None = None) -> Array:
@@ -131,15 +131,19 @@ class _Gears(NamedTuple):
 
 
 @jit()
-def _substeps(q_a: Array, v_a: Array, motors: _Motors, inverse: Array, load: Array, gears: _Gears, T: float
+def _substeps(q_a: Array, v_a: Array, motors: _Motors, upper: Array, load: Array, gears: _Gears, T: float
               ) -> tuple[Array, Array]:
-    """Leapfrog with the mass matrix of the cycle's beginning; motors on the cubic between both ends."""
+    """Leapfrog with the mass matrix of the cycle's beginning, of which the upper half is given; motors on a cubic."""
     x, v = q_a.copy(), v_a.copy()
     q0, q1, v0, v1 = motors.q0, motors.q1, motors.v0, motors.v1
     k, d, elastic, steps = gears.k, gears.d, gears.elastic, gears.steps
     h = T / steps
     n = len(x)
-    torque = np.zeros(n)
+    mass = upper.copy()
+    for i in range(n):
+        for j in range(i):
+            mass[i, j] = upper[j, i]
+    inverse, torque = np.linalg.inv(mass), np.zeros(n)
     for step in range(steps):
         # Leapfrog: positions at the steps' ends, velocities half a step before.
         u = step / steps

@@ -32,7 +32,7 @@ class PoseHistory:
         self._length, self._ahead = length, ahead
         self._t: deque[float] = deque()
         self._q: deque[Array] = deque()
-        self._asked: tuple[float, pin.SE3] | None = None
+        self._asked: dict[float, pin.SE3] = {}
 
     @property
     def first(self) -> float:
@@ -43,7 +43,7 @@ class PoseHistory:
         """Adds one sample ``q (n,)`` [rad] valid at ``t`` [s]; samples come in the order of time."""
         if self._t and t <= self._t[-1]:
             raise PlanningError(f"joint angles at t = {t:.4f} s came after those at t = {self._t[-1]:.4f} s")
-        self._asked = None
+        self._asked.clear()
         self._t.append(t)
         self._q.append(np.array(q, dtype=float))
         while self._t[0] < t - self._length and len(self._t) > 4:
@@ -54,7 +54,7 @@ class PoseHistory:
         """Replaces the sample at ``t`` [s] by ``q (n,)`` [rad]: what was estimated then is known better now."""
         for i in range(len(self._t) - 1, -1, -1):
             if abs(self._t[i] - t) < 1e-9:
-                self._asked = None
+                self._asked.clear()
                 self._q[i] = np.array(q, dtype=float)
                 return
 
@@ -84,11 +84,11 @@ class PoseHistory:
 
     def pose(self, t: float) -> pin.SE3:
         """TCP pose in the base frame at ``t`` [s], not to be written to; raises as ``q``."""
-        # A field asks for the pose of its exposure several times.
-        if self._asked is None or self._asked[0] != t:
+        # A field asks for the pose of its exposure several times, and so do samples of a force.
+        if (asked := self._asked.get(t)) is None:
             pin.framesForwardKinematics(self._robot.pinocchio, self._data, self.q(t))
-            self._asked = t, self._data.oMf[self._tool].copy()
-        return self._asked[1]
+            asked = self._asked[t] = self._data.oMf[self._tool].copy()
+        return asked
 
     def row_pose(self, t: float) -> pin.SE3:
         """``pose`` for a row of a picture whose middle row was exposed at a time that ``pose`` knows.

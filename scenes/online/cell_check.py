@@ -69,9 +69,10 @@ def check_line(look: Look, arm: LiveArm, camera: LiveCamera) -> float:
         SceneError: the line is not seen, or at two places.
         FollowStoppedError: the arm does not follow, the camera is gone, or its stamps wander.
     """
-    robot, postures = arm.robot, _postures(look, arm.robot)
-    view = CalibrationView(robot, look.reference, look.camera, camera.detection, FoundBefore(), look.start,
-                           piece_map(look.reference, look.begin + AHEAD))
+    robot = arm.robot
+    postures, view = arm.meanwhile(lambda: (_postures(look, robot), CalibrationView(
+        robot, look.reference, look.camera, camera.detection, FoundBefore(), look.start,
+        piece_map(look.reference, look.begin + AHEAD))))
     arm.begin()
     camera.predict = view.predicted
     places, last = [], look.start
@@ -116,7 +117,8 @@ def _seen(look: Look, arm: LiveArm, camera: LiveCamera, view: CalibrationView, w
         view: what is known of arm and line meanwhile.
         way: commands ``(N, n)`` to the pose and at rest there [rad].
     """
-    rests, sag = arm.t + arm.t_ipo * len(way) - REST + 0.1, GearDeflection(look.model, arm.t_ipo).along(way)
+    sag = arm.meanwhile(lambda: GearDeflection(look.model, arm.t_ipo).along(way))
+    rests = arm.t + arm.t_ipo * len(way) - REST + 0.1
     beside = []
     for k, q_c in enumerate(way):
         arm.check(arm.t)

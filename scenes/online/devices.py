@@ -20,6 +20,7 @@ from ideal_robot.rtde.wire import RtdeError
 from scenes.online.camera_process import CalibratedCamera
 from scenes.online.cell_check import Look
 from scenes.online.cycle import CycleLog, Task
+from scenes.online.line_job import CalibrationMotion
 from scenes.online.live_arm import Link, LiveArm
 from scenes.online.live_sensors import LiveCamera, LiveForce
 from sensing.camera.camera_model import CameraModel
@@ -160,13 +161,8 @@ class Job(Protocol):
         """Loads what is compiled: nothing of it may fall into a cycle."""
         ...
 
-    def calibrate(self, arm: LiveArm, camera: LiveCamera) -> CalibratedCamera:
-        """Calibrates the camera by moving, and keeps it in its file.
-
-        Args:
-            arm: connected, at ``q_start``; it is left there.
-            camera: on the arm.
-        """
+    def calibration_motion(self) -> CalibrationMotion:
+        """From ``q_start`` and back, for the camera to be calibrated on; raises ``SceneError`` where there is none."""
         ...
 
     def ready(self, arm: LiveArm, camera: LiveCamera | None, force: LiveForce | None) -> Task:

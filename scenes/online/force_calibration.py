@@ -14,6 +14,7 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.elasticity.observer import GearDeflection
+from ideal_robot.robots.interface import RobotState
 from planning import OutOfReachError
 from planning.force.contact import LEAP, ContactSettings, most_force
 from planning.force.felt_by_motors import FeltByMotors
@@ -30,6 +31,7 @@ from sensing.force.force_calibration import (
     identify_tool,
     require_gravity,
 )
+from sensing.force.sensors import WrenchSample
 
 LIFT = 0.15
 """How far away from the surface the tool is turned [m]."""
@@ -69,14 +71,17 @@ def tool_by_turning(known: Known, start: Array, arm: LiveArm, force: LiveForce) 
         SensingError: what is felt does not turn as a weight does.
     """
     robot, fk = known.robot, known.robot.fk()
-    postures = postures_to_weigh(known, start)
+    postures = arm.meanwhile(lambda: postures_to_weigh(known, start))
     rests, times = [], []
     arm.begin()
     force.begin()
     force.reach = np.inf
+    samples: list[WrenchSample] = []
     for last, q in zip([start, *postures], postures, strict=False):
-        arm.lead(moves(robot, [last, q], REST))
-        felt = [sample.wrench for sample in force.arrived(arm.t) if sample.t > arm.t - USED]
+        with arm.doing(lambda: samples.extend(force.arrived(arm.t))):
+            arm.lead(moves(robot, [last, q], REST))
+        felt = [sample.wrench for sample in samples if sample.t > arm.t - USED]
+        samples.clear()
         if len(felt) < _RECENT or force.signs.fault is not None:
             raise SceneError(force.trouble(arm.t) or f"the force sensor is silent: {force.why_silent()}")
         rests.append(np.array(felt))
@@ -84,9 +89,9 @@ def tool_by_turning(known: Known, start: Array, arm: LiveArm, force: LiveForce) 
     force.signs.learn(rests)
     wrenches, rotations = np.array([rest.mean(axis=0) for rest in rests]), [fk(q).rotation for q in postures]
     sigma = force.signs.noise[:3] / np.sqrt(min(len(rest) for rest in rests))  # type: ignore[index]
-    require_gravity(wrenches, rotations, np.array(times), sigma)
+    arm.meanwhile(lambda: require_gravity(wrenches, rotations, np.array(times), sigma))
     arm.lead(moves(robot, [postures[-1], postures[0], start], 2 * robot.t_ipo))
-    return identify_tool(wrenches, rotations)
+    return arm.meanwhile(lambda: identify_tool(wrenches, rotations))
 
 
 def postures_to_weigh(known: Known, start: Array) -> list[Array]:
@@ -132,7 +137,7 @@ def elasticity_by_pressing(known: Known, start: Array, arm: LiveArm, force: Live
     Raises:
         SceneError: nothing is felt, or too much, or the witnesses do not agree. The tip has been drawn back then.
     """
-    press = _Press(known, start, arm, force, tool)
+    press = arm.meanwhile(lambda: _Press(known, start, arm, force, tool))
     arm.begin()
     force.begin()
     force.reach = LEAP * known.scene.force
@@ -143,7 +148,7 @@ def elasticity_by_pressing(known: Known, start: Array, arm: LiveArm, force: Live
         arm.lead(moves(known.robot, [press.q, start], back))
         raise
     arm.lead(moves(known.robot, [press.q, start], back))
-    return press.elasticity()
+    return arm.meanwhile(press.elasticity)
 
 
 class _Press:
@@ -163,7 +168,10 @@ class _Press:
         self._deflection = GearDeflection(known.model, known.robot.t_ipo)
         frames = known.reference.frames(np.zeros(1))
         self._up, self._origin, self._rotation = frames.up[0], frames.position[0], known.reference.rotation(0.0)
-        self.q, self._height, self._speed = start.copy(), START_HEIGHT, 0.0
+        self._motors = FeltByMotors(known.model, known.robot, self._kinematics, self._up)
+        self._height, self._speed = START_HEIGHT, 0.0
+        self.q = self._joint_angles(start)
+        self._where(self.q, self.q)
         self._times: list[float] = []
         self._places: list[Array] = []
         self._stamps: list[float] = []
@@ -174,8 +182,7 @@ class _Press:
         self._go(_UP, self._high)
         self._go(0.0, lambda: self._speed == 0.0)
         pressed = _HARD * self._known.scene.force
-        motors = FeltByMotors(self._known.model, self._known.robot, self._kinematics, self._up)
-        self._go(-_SLOW, lambda: float(self._recent() @ self._up) > pressed, motors)
+        self._go(-_SLOW, lambda: float(self._recent() @ self._up) > pressed, heard=True)
         self._go(_SLOW, lambda: float(self._recent() @ self._up) < _GONE or self._high())
         self._go(_UP, lambda: self._height >= START_HEIGHT)
 
@@ -188,32 +195,50 @@ class _Press:
         normal = normal / np.linalg.norm(normal)
         return identify_elasticity(np.interp(self._stamps, self._times, way @ normal), felt @ normal)
 
-    def _go(self, target: float, done: Callable[[], bool], motors: FeltByMotors | None = None) -> None:
+    def _go(self, target: float, done: Callable[[], bool], heard: bool = False) -> None:
         """Moves along the normal with a speed [m/s] until it is done, cycle by cycle, and looks at every witness.
 
         Args:
             target: speed away from the surface [m/s].
             done: whether it is.
-            motors: what they feel, where they are heard.
+            heard: whether the motors are, which takes long: no answer waits for it.
         """
         arm, T = self._arm, self._known.robot.t_ipo
-        while not done():
-            arm.check(arm.t)
-            self._speed += float(np.clip(target - self._speed, -_JERKY * T, _JERKY * T))
-            self._height += self._speed * T
-            self.q = self._kinematics.refine([pin.SE3(self._rotation, self._origin + self._height * self._up)],
-                                             self.q[None])[0]
-            arm.q_d = self.q
-            state = arm.cycle(self.q)
-            self._times.append(arm.t)
-            self._places.append(self._kinematics.fk(state.q - self._deflection.at(np.tile(self.q, (3, 1)))).translation
-                                - self._origin)
-            for sample in self._force.arrived(arm.t):
-                self._stamps.append(sample.t)
-                self._felt.append(self._rotation @ self._tool.contact(sample.wrench, self._rotation)[:3])
-            if motors is not None:
-                motors.add(self.q, state.q, state.tau)
-            self._check(float("nan") if motors is None else motors.force)
+        told: list[tuple[Array, RobotState]] = []
+        with arm.doing(lambda: self._hear(told)):
+            while not done():
+                arm.check(arm.t)
+                self._speed += float(np.clip(target - self._speed, -_JERKY * T, _JERKY * T))
+                self._height += self._speed * T
+                self.q = arm.q_d = self._joint_angles(self.q)
+                state = arm.cycle(self.q)
+                if heard:
+                    told.append((self.q, state))
+                self._times.append(arm.t)
+                self._places.append(self._where(state.q, self.q))
+                for sample in self._force.arrived(arm.t):
+                    self._stamps.append(sample.t)
+                    self._felt.append(self._rotation @ self._tool.contact(sample.wrench, self._rotation)[:3])
+                self._check(self._motors.force if heard else float("nan"))
+
+    def _hear(self, told: list[tuple[Array, RobotState]]) -> None:
+        """Lets the motors tell of cycles: commanded joint angles ``(n,)`` [rad], and the state at the end."""
+        while told:
+            q_c, state = told.pop(0)
+            self._motors.add(q_c, state.q, state.tau)
+
+    def _joint_angles(self, near: Array) -> Array:
+        """Joint angles ``(n,)`` [rad] at the present height, near others ``(n,)`` [rad]."""
+        return self._kinematics.refine([pin.SE3(self._rotation, self._origin + self._height * self._up)], near[None])[0]
+
+    def _where(self, q: Array, q_c: Array) -> Array:
+        """The tip, behind gears that bend, against the start of the path ``(3,)`` [m].
+
+        Args:
+            q: motor angles ``(n,)`` [rad].
+            q_c: commanded ones ``(n,)`` [rad].
+        """
+        return np.asarray(self._kinematics.fk(q - self._deflection.at(np.tile(q_c, (3, 1)))).translation - self._origin)
 
     def _high(self) -> bool:
         """Whether the tip is as high as pressing begins."""

@@ -25,7 +25,7 @@ from scenes.online.cycle import Task
 from scenes.online.force_calibration import elasticity_by_pressing, tool_by_turning
 from scenes.online.force_known import START_HEIGHT, Known, force_reference
 from scenes.online.force_task import ForceLog, ForceTask, GlueCamera
-from scenes.online.line_job import Piece, calibrated_by_moving
+from scenes.online.line_job import CalibrationMotion, Piece
 from scenes.online.line_task import AT_ONCE
 from scenes.online.live_arm import LiveArm
 from scenes.online.live_sensors import FoundBefore, ImaginedCamera, ImaginedForce, LiveCamera, LiveForce, rehearse
@@ -90,15 +90,24 @@ class LiveForceTask(ForceTask):
     def lead(self, arm: LiveArm) -> None:
         """From now on with this arm, which is at rest at the start."""
         self.arm, self.ahead = arm, self.vision is not None and arm.t_ipo < AT_ONCE
-        if self.ahead:
-            arm.between.append(lambda: self.prepare(arm.t))
+        arm.between.append((lambda: self.prepare(arm.t)) if self.ahead else self.witness)
+
+    def witness(self) -> None:
+        """Looks whether what is felt answers the tip's swing, and at what the motors feel, for the next cycle."""
+        self.motors.weigh()
+        if self.force is None or len(self.log.samples) == self._told:
+            return
+        self._told = len(self.log.samples)
+        if self.follower.phase is Phase.TRAVEL and self.maps:
+            self.force.signs.fits(self.log.samples[-1][2])
+            self.force.signs.answers(self._surface.felt, self.elasticity.stiffness, ASKED)
 
     def prepare(self, t: float) -> None:
         """Fuses what has arrived by ``t`` [s] and plans the next cycle, which is told if something goes wrong."""
         try:
             fused = self.fuse_forces(t) or self.fuse_fields(t)
             if not fused:
-                self.motors.weigh()
+                self.witness()
             t += self.cell.robot.t_ipo
             self._prepared = round(t / self.cell.robot.t_ipo), self._surface.horizon(t, anew=not fused)
         except IdealRobotError as error:
@@ -121,10 +130,6 @@ class LiveForceTask(ForceTask):
             self.arm.check(t)
         q_d = super()._planned(t, q_d)
         if self.force is not None:
-            if len(self.log.samples) > self._told and self.follower.phase is Phase.TRAVEL and self.maps:
-                self.force.signs.fits(self.log.samples[-1][2])
-                self.force.signs.answers(self._surface.felt, self.elasticity.stiffness, ASKED)
-            self._told = len(self.log.samples)
             if (trouble := self.force.trouble(t)) is not None:
                 raise EmergencyStopError("force", t, trouble)
             self._check_felt(t)
@@ -186,8 +191,6 @@ class LiveForceTask(ForceTask):
         if self.follower.phase is Phase.TRAVEL:
             self.motors.hear(measured, self._torque[0] / self.cell.scene.force, self.follower.force,
                              self.follower.speed_at(t0))
-            if not self.ahead:
-                self.motors.weigh()
 
 
 class ForceJob:
@@ -261,18 +264,12 @@ class ForceJob:
             # What is felt fits no surface: that is no matter here, the code is loaded.
             return
 
-    def calibrate(self, arm: LiveArm, camera: LiveCamera) -> CalibratedCamera:
-        """See ``Job``; the tip keeps away from the surface. Where that lies the force tells later.
-
-        Args:
-            arm: connected, at the start.
-            camera: on the arm.
-        """
+    def calibration_motion(self) -> CalibrationMotion:
+        """See ``Job``; the tip keeps away from the surface. Where that lies the force tells later."""
         reference = self._known.reference
         piece = Piece(reference, 0.5 * (self.scene.reference.run_up + reference.length - self.scene.reference.run_out),
                       self.q_start, CLEAR, shapes_about(self.scene, self.robot))
-        return self.calibration.found(
-            calibrated_by_moving(piece, self.calibration.camera, self.model, arm, camera))
+        return CalibrationMotion.over(piece, self.calibration.camera, self.model, self.robot, self.detection)
 
     def ready(self, arm: LiveArm, camera: LiveCamera | None, force: LiveForce | None) -> Task:
         """See ``Job``: bias and weight of the tool by turning it, the elasticity by pressing.
@@ -290,7 +287,7 @@ class ForceJob:
         self._as_before("elasticity_N_m", E := elasticity.stiffness, "N/m",
                         lambda last: max(E, last) > _OTHER_SURFACE * min(E, last))
         task = self._task
-        task.calibrated(tool, elasticity)
+        arm.meanwhile(lambda: task.calibrated(tool, elasticity))
         task.floor = elasticity.touch - _BELOW * self.scene.force / elasticity.stiffness
         task.ceiling = elasticity.touch + _IN_AIR
         task.connect(force, camera)

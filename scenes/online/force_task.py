@@ -32,7 +32,7 @@ from sensing.camera.camera_device import Camera, Field, Window
 from sensing.camera.detector import DETECTORS, LineDetector
 from sensing.camera.line_detection import DetectionSettings, LineField, at_middle_row, search_windows
 from sensing.force.force_calibration import ContactElasticity, ToolLoad
-from sensing.force.sensors import ForceSensor, WrenchFilter, WrenchSample
+from sensing.force.sensors import ForceSensor, WrenchSample
 
 # The camera of a ``glue`` scene: fields of the drawn line on the curved surface, and what can go wrong with them.
 
@@ -152,8 +152,6 @@ class ForceLog(CycleLog):
         self.planned.append(follower.planned())
 
 
-WINDOW = 0.0
-"""Length of the moving average over wrenches [s]; the map averages better, and without delay."""
 GATHERED = 0.01
 """Time for which samples are gathered before they are fused [s]: three samples at 250 Hz take no longer than one."""
 
@@ -190,7 +188,7 @@ class ForceTask:
             if method.key == DIRECT and gains is not None:
                 self._direct = DirectForceFeedback(self._surface, *gains)
         self._stop = StopConditions(cell.robot, cell.scene.emergency.limits())
-        self._filter, self._tare = WrenchFilter(WINDOW), Tare()
+        self._tare = Tare()
         model = cell.model if method.knows_model else None
         self.feedforward = method.following(Setting(cell.robot, model, self.n_d, cell.delay, friction=friction))
         # Where the gears are not known, commands and motor angles share the same error: q_a ≈ q.
@@ -338,10 +336,10 @@ class ForceTask:
 
     def _contact(self, t: float, arrived: Sequence[WrenchSample]) -> tuple[Array, Array]:
         """Instants ``(m,)`` [s] and contact forces ``(m, 3)`` [N, tool frame] of samples; ends on a force too large."""
-        samples, history = [self._filter.add(sample) for sample in arrived], self.follower.history
+        history = self.follower.history
         contact = np.array([self.tool.contact(s.wrench, history.pose(max(s.t, history.first)).rotation)[:3]
-                            for s in samples])
-        t_felt = np.array([s.t for s in samples])
+                            for s in arrived])
+        t_felt = np.array([s.t for s in arrived])
         if self.follower.phase is Phase.APPROACH:
             self._tare.add(t_felt, contact)
         contact = contact - self._tare.force

@@ -76,51 +76,94 @@ class Piece:
                                  "poses; set calibration.by_moving = false")
 
 
-def calibrated_by_moving(piece: Piece, by_hand: CameraModel, model: Model, arm: LiveArm, camera: LiveCamera) -> HandEye:
+@dataclass(frozen=True)
+class CalibrationMotion:
+    """From the start over the piece of the line and back, which is planned before the arm is connected.
+
+    Attributes:
+        piece: of the line.
+        commands: ``(N, n)`` [rad].
+        sag: how far the gears bend ``(N, n)`` [rad].
+        begin, end: when the arm is over the piece [s]. On the way there and back another piece of the line is seen, or
+            none: that fits no common curve.
+        view: of the camera as mounted by hand.
+    """
+
+    piece: Piece
+    commands: Array
+    sag: Array
+    begin: float
+    end: float
+    view: CalibrationView
+
+    @classmethod
+    def over(cls, piece: Piece, by_hand: CameraModel, model: Model, robot: Robot, detection: DetectionSettings
+             ) -> CalibrationMotion:
+        """Plans it, and loads what is compiled: nothing of either may fall into a cycle.
+
+        Args:
+            piece: of the line.
+            by_hand: the camera as mounted by hand.
+            model: of the arm, for the gears' deflection.
+            robot: the arm.
+            detection: how the line looks.
+
+        Raises:
+            SceneError: too few of the poses can be reached, or the arm would touch something.
+        """
+        reference, start, at = piece.reference, piece.start, piece.at
+        postures = calibration_postures(robot, reference, by_hand, at, piece.clear, piece.shapes)
+        piece.check_ways(postures[0], postures[-1])
+        way, over, back = (moves(robot, some, REST) for some in ([start, postures[0]], postures, [postures[-1], start]))
+        commands, begin = np.concatenate([way, over, back]), robot.t_ipo * len(way)
+        imagined, view = (CalibrationView(robot, reference, by_hand, detection, FoundBefore(), start,
+                                          piece_map(reference, at)) for _ in range(2))
+        imagined.history.add(robot.t_ipo, start)
+        camera, t = ImaginedCamera(), 0.5 * robot.t_ipo
+        camera.predict = imagined.predicted
+        camera.request(t, t, lambda _: None)
+        for field in camera.arrived(t):
+            imagined.look(field, imagined.predicted(t), 0.0)
+        return cls(piece, commands, GearDeflection(model, robot.t_ipo).along(commands), begin,
+                   begin + robot.t_ipo * len(over), view)
+
+
+def calibrated_by_moving(motion: CalibrationMotion, arm: LiveArm, camera: LiveCamera) -> HandEye:
     """Moves from the start over the piece of the line and back; returns the camera that explains what was seen.
 
     Args:
-        piece: of the line.
-        by_hand: the camera as mounted by hand.
-        model: of the arm, for the gears' deflection.
+        motion: as planned.
         arm: at the start, and again when this returns.
         camera: on the arm.
 
     Raises:
-        SceneError: too few of the poses can be reached, or of the fields show the line.
+        SceneError: too few of the fields show the line.
         FollowStoppedError: the arm has to stop, or is gone.
     """
-    robot, reference, start, at = arm.robot, piece.reference, piece.start, piece.at
-    postures = calibration_postures(robot, reference, by_hand, at, piece.clear, piece.shapes)
-    piece.check_ways(postures[0], postures[-1])
-    way, over, back = (moves(robot, some, REST) for some in ([start, postures[0]], postures, [postures[-1], start]))
-    commands = np.concatenate([way, over, back])
-    # On the way there and back another piece of the line is seen, or none: that fits no common curve.
-    begin, end = robot.t_ipo * len(way), robot.t_ipo * (len(way) + len(over))
-    sag = GearDeflection(model, robot.t_ipo).along(commands)
-    view = CalibrationView(robot, reference, by_hand, camera.detection, FoundBefore(), start, piece_map(reference, at))
+    piece, view = motion.piece, motion.view
     arm.begin()
     camera.predict = view.predicted
     fields = 0
-    for k, q_c in enumerate(commands):
+    for q_c, sag in zip(motion.commands, motion.sag, strict=True):
         arm.check(arm.t)
         arm.q_d = q_c
         q = arm.cycle(q_c).q
-        view.history.add(arm.t, q - sag[k])
+        view.history.add(arm.t, q - sag)
         for field in camera.arrived(arm.t):
-            if begin <= field.t_stamp <= end:
+            if motion.begin <= field.t_stamp <= motion.end:
                 fields += 1
                 view.look(field, view.predicted(field.t_stamp), 0.0)
     if len(view.observations) < max(fields // 2, 3):
         raise SceneError(f"the camera could not be calibrated: only {len(view.observations)} of {fields} fields showed "
                          "the line; check where the line is, how it looks (line.gray, line.width_mm), and the camera")
-    near = reference.position(np.arange(at - _PIECE, at + _PIECE, _STEP))
-    camera.calibrate(by_hand, view.observations, near, reference.frames(np.array([at])).up[0])
-    for _ in range(int(_PATIENCE / robot.t_ipo)):
+    near = piece.reference.position(np.arange(piece.at - _PIECE, piece.at + _PIECE, _STEP))
+    up = piece.reference.frames(np.array([piece.at])).up[0]
+    arm.meanwhile(lambda: camera.calibrate(view.believed, view.observations, near, up))
+    for _ in range(int(_PATIENCE / arm.robot.t_ipo)):
         if camera.hand_eye is not None:
             break
         arm.check(arm.t)
-        arm.cycle(start)
+        arm.cycle(piece.start)
     if not isinstance(camera.hand_eye, HandEye):
         raise SceneError(f"the camera could not be calibrated: {camera.hand_eye or 'it took too long'}")
     return camera.hand_eye
@@ -207,17 +250,12 @@ class LineJob:
         camera.predict = lambda t: _predicted(self._known, t)
         return self._task
 
-    def calibrate(self, arm: LiveArm, camera: LiveCamera) -> CalibratedCamera:
-        """Calibrates the camera by moving from the start over a piece of the line and back, and keeps it in its file.
-
-        Raises:
-            SceneError, SensingError: too little of the line was seen.
-            FollowStoppedError: the arm had to stop, or is gone.
-        """
+    def calibration_motion(self) -> CalibrationMotion:
+        """See ``Job``."""
         middle = 0.5 * sum(span_of(self.scene, self._known.reference))
         piece = Piece(self._known.reference, middle, self.q_start,
                       shapes=shapes_about(self._known.scene, self._known.robot))
-        return self.calibration.found(calibrated_by_moving(piece, self._known.camera, self.model, arm, camera))
+        return CalibrationMotion.over(piece, self._known.camera, self.model, self.robot, self.detection)
 
     def columns(self, t: Array) -> dict[str, Array]:
         """See ``Job``: ``cam_t`` and the line points of each field, as in recordings of line scenes."""

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -33,6 +35,8 @@ _RECENT, _FOR_LOST = 20, 0.3
 """Answers whose usual time tells how many lost cycles are made good in one, and the share of it that may take."""
 _SLOWEST, _SHARE = 0.35, 0.25
 """Shares of the limits of speed and acceleration that moves between postures take."""
+
+Worked = TypeVar("Worked")
 
 
 class FollowStoppedError(PlanningError):
@@ -217,6 +221,27 @@ class LiveArm:
             self.check(self.t)
             self.q_d = q_c
             self.cycle(q_c)
+
+    @contextmanager
+    def doing(self, work: Callable[[], None]) -> Iterator[None]:
+        """Within the block this work, too, is done in every cycle after the command has gone."""
+        self.between.append(work)
+        try:
+            yield
+        finally:
+            self.between.remove(work)
+
+    def meanwhile(self, work: Callable[[], Worked]) -> Worked:
+        """What work that takes longer than a cycle gives; the arm, at rest, is held where it is until then.
+
+        Raises whatever the work does, or ``FollowStoppedError``.
+        """
+        with ThreadPoolExecutor(1) as beside:
+            result = beside.submit(work)
+            while not result.done():
+                self.check(self.t)
+                self.cycle(self.q_d)
+        return result.result()
 
 
 def smooth_way(start: Array, end: Array, count: int) -> Array:

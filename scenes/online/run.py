@@ -26,7 +26,7 @@ from scenes.online.cycle import CycleSettings, holding_share, play_cycles
 from scenes.online.devices import Devices, Job, opened_arm
 from scenes.online.force_job import ForceJob
 from scenes.online.journal import Journal, Later, remove, rescued, written
-from scenes.online.line_job import LineJob
+from scenes.online.line_job import CalibrationMotion, LineJob, calibrated_by_moving
 from scenes.online.live_arm import LiveArm, answers_within, at_cycle
 from scenes.online.live_sensors import LiveCamera, LiveForce
 from scenes.online.processes import (
@@ -74,7 +74,9 @@ def follow(scene: Scene, devices: Devices, *, method: str | None = None, calibra
     before = rescued(folder)
     at_start = give_back()
     if job.calibration.wanted:
-        moved = _played(scene, job, devices, folder, "calibration", progress, _calibrate)
+        progress(0.0, "planning the calibration")
+        motion = job.calibration_motion()
+        moved = _played(scene, job, devices, folder, "calibration", progress, partial(_calibrate, motion=motion))
         if moved.failure is not None:
             return _kept(replace(moved, left_behind=before), folder)
         remove(folder)
@@ -174,11 +176,12 @@ Work = Callable[[_Opened, Job, CycleSettings, Progress], None]
 """What is done with the devices; what comes of it is in the job."""
 
 
-def _calibrate(opened: _Opened, job: Job, settings: CycleSettings, progress: Progress) -> None:
+def _calibrate(opened: _Opened, job: Job, settings: CycleSettings, progress: Progress, motion: CalibrationMotion
+               ) -> None:
     if opened.camera is None:
         raise InputError("calibrating by moving needs a camera", field="--camera")
     opened.arm.approach(job.q_start)
-    job.calibrate(opened.arm, opened.camera)
+    job.calibration.found(calibrated_by_moving(motion, opened.arm, opened.camera))
 
 
 def _follow(opened: _Opened, job: Job, settings: CycleSettings, progress: Progress, check: bool) -> None:

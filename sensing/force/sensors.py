@@ -5,7 +5,6 @@ from __future__ import annotations
 import socket
 import struct
 import time
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -45,36 +44,6 @@ class ForceSensor(Protocol):
     def arrived(self, t: float) -> list[WrenchSample]:
         """The samples that have arrived by the controller time ``t`` [s], in order of arrival, each once."""
         ...
-
-
-class WrenchFilter:
-    """Moving average over the last samples, stamped with their mean time: no lag where the force changes evenly.
-
-    Args:
-        window: length [s].
-    """
-
-    def __init__(self, window: float) -> None:
-        if not window >= 0:
-            raise InputError("expected zero or a positive number", field="window", value=window)
-        self._window = window
-        self._samples: deque[WrenchSample] = deque()
-
-    def add(self, sample: WrenchSample) -> WrenchSample:
-        """Takes one sample, in whatever order they arrive, and returns the average up to it."""
-        self._samples.append(sample)
-        newest = max(item.t for item in self._samples)
-        # Half open, so that a window of n sampling periods holds n samples whatever the rounding.
-        oldest = min(newest - self._window + 1e-9, newest)
-        self._samples = deque(item for item in self._samples if item.t >= oldest)
-        wrench = np.mean([item.wrench for item in self._samples], axis=0)
-        t = float(np.mean([item.t for item in self._samples]))
-        return WrenchSample(t, sample.t_arrival, wrench)
-
-    @property
-    def count(self) -> int:
-        """Samples in the average."""
-        return len(self._samples)
 
 
 @dataclass(frozen=True)

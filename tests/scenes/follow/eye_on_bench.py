@@ -25,7 +25,7 @@ from scenes.online.cell_check import check_line
 from scenes.online.cycle import CycleSettings, play_cycles
 from scenes.online.journal import Journal
 from scenes.online.line_job import LineJob
-from scenes.online.live_arm import LiveArm
+from scenes.online.live_arm import LiveArm, Worked
 from scenes.online.live_sensors import LiveCamera
 from scenes.scene_files.line_scene import LineScene
 from scenes.serve.cell import _line_of
@@ -138,6 +138,14 @@ class Eye:
         self.worker.answer("camera", camera)
 
 
+class WaitingArm(LiveArm):
+    """A bench waits while something is worked out: what it plays does not depend on how long that takes."""
+
+    def meanwhile(self, work: Callable[[], Worked]) -> Worked:
+        """See ``LiveArm``."""
+        return work()
+
+
 class Bench:
     """A simulated arm that is handed each command at once, and a camera on it; a ``Link``.
 
@@ -184,7 +192,7 @@ def followed(scene: LineScene, folder: Path, *, stamp: Stamp | None = None, pict
         job = LineJob(scene, known.robot, model, method_of(scene.method, following_methods()), known.delay, 0.3,
                       CalibratedCamera(cell.true_camera, folder / "camera.json") if calibrated
                       else CalibratedCamera(known.camera))
-        live = LiveArm(bench, Journal(folder, known.robot, {}))  # type: ignore[arg-type]
+        live = WaitingArm(bench, Journal(folder, known.robot, {}))  # type: ignore[arg-type]
         camera = LiveCamera(eye, live, job.detection)  # type: ignore[arg-type]
         failure, begun = None, 0.0
         try:

@@ -21,14 +21,13 @@ from scenes.online.camera_process import CalibratedCamera
 from scenes.online.cycle import CycleSettings, play_cycles
 from scenes.online.force_job import ForceJob
 from scenes.online.journal import Journal
-from scenes.online.live_arm import LiveArm
 from scenes.online.live_sensors import LiveCamera, LiveForce
 from scenes.scene_files.force_scene import ForceScene
 from sensing.clock_relation import ClockRelation
 from sensing.force.sensors import Reading, ReadingCounts
 from sim.arm.arm import SimulatedArm
 from sim.contact.contact import TipContact
-from tests.scenes.follow.eye_on_bench import Eye
+from tests.scenes.follow.eye_on_bench import Eye, WaitingArm
 
 Spoil = Callable[[float, Array], Array]
 """What a sensor tells that has been faulty for a time [s], of a wrench ``(6,)``."""
@@ -71,7 +70,7 @@ STAGES = ("turning", "search", "press", "approach", "settle", "travel")
 """Of a job with a surface, in their order: what a fault may begin in."""
 
 
-class BenchArm(LiveArm):
+class BenchArm(WaitingArm):
     """Counts how often its time begins."""
 
     begun = 0

@@ -103,6 +103,24 @@ def test_a_fault_and_a_gone_arm_end_following(link: Tame, arm: LiveArm) -> None:
         arm.cycle(link.robot.home)
 
 
+def test_the_arm_is_held_while_something_is_worked_out(link: Tame, arm: LiveArm) -> None:
+    """Postures to turn a tool in took 30 ms, in which the controller got no answer: a cell at 4 ms ended it."""
+    arm.lead(moves(link.robot, [link.commanded.copy()], 0.0))
+
+    def work() -> str:
+        while len(link.taken) < 20:
+            time.sleep(1e-3)
+        return "found"
+
+    assert arm.meanwhile(work) == "found"
+    np.testing.assert_array_equal(np.ptp(link.taken, axis=0), 0.0)
+    with pytest.raises(SceneError, match="none"):
+        arm.meanwhile(lambda: (_ for _ in ()).throw(SceneError("none")))
+    link.fault = "joint 2 does not follow"
+    with pytest.raises(FollowStoppedError, match="joint 2"):
+        arm.meanwhile(lambda: time.sleep(0.1))
+
+
 def test_an_arm_that_stands_elsewhere_is_not_moved(link: Tame, arm: LiveArm) -> None:
     with pytest.raises(SceneError, match="joint 3 stands at"):
         arm.approach(link.robot.home + np.array([0, 0, 0.1, 0, 0, 0]))

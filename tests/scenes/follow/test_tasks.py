@@ -19,7 +19,7 @@ from scenes.online.cycle import CycleSettings, play_cycles
 from scenes.online.devices import Devices
 from scenes.online.force_job import ForceJob
 from scenes.online.journal import Journal, Later
-from scenes.online.line_job import LineJob, Piece, calibrated_by_moving
+from scenes.online.line_job import CalibrationMotion, LineJob, Piece, calibrated_by_moving
 from scenes.online.line_known import START, line_follower, span_of
 from scenes.online.line_log import LineLog
 from scenes.online.live_arm import LiveArm
@@ -232,8 +232,9 @@ def test_what_is_seen_on_the_way_to_the_piece_does_not_spoil_the_calibration(mis
         return misled and bool(np.linalg.norm(pose(arm.link.commanded).translation - centre) > 0.25)
 
     camera = SeeingCamera(true, arm, away)
-    found = calibrated_by_moving(Piece(reference, middle, follower.q_start), by_hand,
-                                 Model.load(shipped_model(robot.name)), arm, camera)  # type: ignore[arg-type]
+    motion = CalibrationMotion.over(Piece(reference, middle, follower.q_start), by_hand,
+                                    Model.load(shipped_model(robot.name)), robot, camera.detection)
+    found = calibrated_by_moving(motion, arm, camera)  # type: ignore[arg-type]
     assert np.abs(measuring_error(true, by_hand)).mean() > 1e-4
     assert np.abs(measuring_error(true, found.camera)).max() < 1e-5
     assert found.residual_after < 1e-5

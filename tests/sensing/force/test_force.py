@@ -21,8 +21,6 @@ from sensing.force.sensors import (
     NetFT,
     Reading,
     StreamForce,
-    WrenchFilter,
-    WrenchSample,
     WrenchSource,
     force_deviation,
     open_force,
@@ -79,15 +77,6 @@ def test_elasticity_by_moving() -> None:
         identify_elasticity(position, 0.1 * np.abs(force) / 4)
     with pytest.raises(SensingError, match="does not rise"):
         identify_elasticity(-position, force)
-
-
-def test_filter_has_no_lag_on_a_ramp() -> None:
-    smooth = WrenchFilter(0.02)
-    for k in range(20):
-        t = 0.004 * k
-        out = smooth.add(WrenchSample(t, t + 0.02, 100.0 * t * np.ones(6)))
-    np.testing.assert_allclose(out.wrench, 100.0 * out.t)
-    assert smooth.count == 5
 
 
 def test_deviation_is_force_error_over_elasticity() -> None:
