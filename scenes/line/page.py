@@ -176,8 +176,8 @@ def _camera(report: Report, result: LineResult) -> None:
     if result.shown:
         report.figure(_fields(result.shown), "Camera fields along the way: search windows (blue), detected line "
                       "points (orange; grey: left out), and the polynomial through them (green). Inside the "
-                      "windows stands what the detector got; the rest of each picture was drawn for this page, of the "
-                      "same exposure by the same camera.")
+                      "windows stands what the detector got; the rest of each picture was drawn for this page, by the "
+                      "same camera in the middle of the same exposure.")
     else:
         report.text("No field with a detected line was kept.")
     if result.hand_eye is not None:

@@ -80,19 +80,24 @@ class Report:
             caption: the sentence.
             folded: title under which it is folded away until it is asked for; empty: it is shown.
         """
-        from matplotlib import rc_context
+        from matplotlib import rc_context, rcParams
 
         wide = figure.get_figwidth() > _PHONE
+        # Laid out and measured here: saving would draw all of it once more for that.
+        if (layout := figure.get_layout_engine()) is not None:
+            layout.execute(figure)
+        figure.set_layout_engine(None)
+        size = figure.get_tightbbox().padded(rcParams["savefig.pad_inches"])
         if not any(axes.images for axes in figure.axes):
             svg = io.BytesIO()
             # With a salt of its own the names in the SVG, and so the page, are the same each time.
             with rc_context({"svg.hashsalt": "ideal-robot"}):
-                figure.savefig(svg, format="svg", bbox_inches="tight", metadata={"Date": None})
+                figure.savefig(svg, format="svg", bbox_inches=size, metadata={"Date": None})
             if len(svg.getvalue()) <= _SVG_MAX:
                 self._embed(svg.getvalue(), "svg+xml", caption, wide, folded)
                 return
         png = io.BytesIO()
-        figure.savefig(png, format="png", dpi=130, bbox_inches="tight")
+        figure.savefig(png, format="png", dpi=130, bbox_inches=size)
         self._embed(png.getvalue(), "png", caption, wide, folded)
 
     def image(self, png: bytes, caption: str = "", *, wide: bool = False) -> None:

@@ -218,11 +218,14 @@ class Stage:
         if surface is not None:
             _lay(np.asarray(surface, dtype=float), client)
         low, high = _extent(self._body, len(self._order), client)
-        # A slab that the shadow map covers: on an endless plane its border would show as a false shadow.
+        # As large as the shadow map covers: on an endless plane its border would show as a false shadow. A renderer
+        # works through every triangle, also of sides that nobody sees.
         size = float(np.linalg.norm(high - low))
-        floor = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=[0.65 * size, 0.65 * size, 0.02],
-                                           rgbaColor=[0.86, 0.88, 0.90, 1.0], physicsClientId=client)
-        pybullet.createMultiBody(0.0, -1, floor, [0.15 * size, 0.0, -0.02], physicsClientId=client)
+        x, y = 0.15 * size + 0.65 * size * np.array([-1, 1, 1, -1]), 0.65 * size * np.array([-1, -1, 1, 1])
+        floor = pybullet.createVisualShape(
+            pybullet.GEOM_MESH, vertices=np.column_stack([x, y, np.zeros(4)]).tolist(), indices=[0, 1, 2, 0, 2, 3],
+            normals=[[0.0, 0.0, 1.0]] * 4, rgbaColor=[0.86, 0.88, 0.90, 1.0], physicsClientId=client)
+        pybullet.createMultiBody(0.0, -1, floor, physicsClientId=client)
         view = view or View()
         self._view = view._replace(
             target=[float(x) for x in (0.5 * (low + high) if view.target is None else view.target)],

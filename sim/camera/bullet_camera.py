@@ -216,8 +216,9 @@ class BulletCamera(RenderedCamera):
                 b, c, d = a + 1, a + columns + 2, a + columns + 1
                 lines += [f"f {a}/{a}/1 {b}/{b}/1 {c}/{c}/1", f"f {a}/{a}/1 {c}/{c}/1 {d}/{d}/1"]
         body = self._ground = self._body(folder, "surface", lines, self.surface.plane, [1.0, 1.0, 1.0, 1.0])
-        image = folder / "surface.png"
-        image.write_bytes(cv2.imencode(".png", texture.image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
+        # Packed, the picture would take twice as long to write and read.
+        image = folder / "surface.bmp"
+        image.write_bytes(cv2.imencode(".bmp", texture.image)[1].tobytes())
         identifier = pybullet.loadTexture(str(image), physicsClientId=self._client)
         pybullet.changeVisualShape(body, -1, textureUniqueId=identifier, physicsClientId=self._client)
 
