@@ -87,9 +87,9 @@ def _passes(owner: Any, name: str, which: int) -> Step:
 STEPS = (
     *(Step(Search, name, lambda original, *a: None, lambda result, *a: bool(result))
       for name in ("_prune", "_exchange", "_retune")),
-    *(_says(Search, name, False) for name in ("_with_needed_form", "_without_a_law_like_a_pull")),
-    _passes(Search, "_sharpened", 2), _passes(forward_selection, "likelier", 1),
-    _says(forward_selection, "indistinguishable", False), _says(Scoring, "holds_slowly", True),
+    _says(Search, "_with_needed_form", False), _passes(Search, "_sharpened", 2),
+    _passes(forward_selection, "likelier", 1), _says(forward_selection, "indistinguishable", False),
+    _says(Scoring, "holds_slowly", True),
     _says(Scoring, "holds_everywhere", True), _says(Scoring, "share_slowly", 0.0),
     _says(learned_curves, "flexible", False),
     Step(PreslidingHysteresis, "certain", lambda original, *a: Effect.certain(*a),

@@ -14,6 +14,7 @@ from scipy import interpolate, ndimage
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.regression import (
+    MEMORY,
     Regression,
     apart_from_ends,
     apart_from_reversals,
@@ -38,9 +39,6 @@ BAND = 12.5
 which a rigid body with friction says nothing."""
 CUTOFF = 20.0
 """Cut-off of the position filter [Hz]: as far above the band that the filter is flat within it, no further."""
-NEAR_REVERSAL = 0.12
-"""Time to either side of a reversal or a rest that does not count [s]: there friction goes through zero in a way of its
-own, and both filters remember it for so long."""
 _CREEPING = 3.0
 """Times the speed over which friction changes sign up to which an axis creeps: there dry friction has all but half a
 percent of its size."""
@@ -112,7 +110,7 @@ def _counting_rows(recording: Recording, filtered: FilteredSignals, noise_veloci
     """Which rows ``(M, n)`` count: away from ends, pauses, reversals and limits; and why a joint has none."""
     q, qd = filtered.q, filtered.qd
     moving, undecided = moving_samples(filtered.t - filtered.t[0], q, qd, noise_velocity, 1.0 / filtered.cutoff, robot)
-    apart = apart_from_reversals(q, qd, moving, NEAR_REVERSAL * CUTOFF / filtered.cutoff, filtered.dt)
+    apart = apart_from_reversals(q, qd, moving, MEMORY / filtered.cutoff, filtered.dt)
     use = apart[:: filtered.factor][filtered.keep]
     use &= apart_from_ends(filtered)[:, None] & ~_clipped(recording, filtered)
     return use, {**{int(j) + 1: "no sample is left away from ends, pauses, reversals and limits of the drive"

@@ -124,10 +124,9 @@ filter's cut-off, the filter has blurred the direction on which friction depends
 _BRISTLES = 0.003
 """Travel since a reversal or rest that does not count [rad or m]: three times the millimetre or milliradian over which
 the bristles of a drive yield."""
-_BRISTLES_SHARE = 0.01
-"""The same as a share of the range of a joint that moves little."""
-_EDGE = 3.0
-"""Memory of the position filter in periods of its cut-off; effects differentiate the load, which it made, once more."""
+MEMORY = 2.4
+"""Periods of the position filter's cut-off for which both filters remember an end, a rest, or a reversal, where
+friction goes through zero in a way of its own: these samples do not count."""
 
 
 def moving_samples(t: Array, q: Array, qd: Array, v_small: Array, rest: float,
@@ -186,14 +185,14 @@ def apart_from_reversals(q: Array, qd: Array, moving: np.ndarray, width: float, 
     apart = ~ndimage.maximum_filter1d(near, 2 * half + 1, axis=0, mode="nearest")
     last = np.maximum.accumulate(np.where(near, np.arange(len(q))[:, None], 0), axis=0)
     travel = np.abs(q - np.take_along_axis(q, last, axis=0))
-    return np.asarray(apart & (travel > np.minimum(_BRISTLES, _BRISTLES_SHARE * np.ptp(q, axis=0))))
+    return np.asarray(apart & (travel > _BRISTLES))
 
 
 def apart_from_ends(filtered: FilteredSignals) -> np.ndarray:
     """Mask ``(N,)`` without what the position filter does not know at both ends; at most a tenth is left out."""
     t = filtered.t_decimated
     first, last = float(filtered.t[0]), float(filtered.t[-1])
-    edge = min(_EDGE / filtered.cutoff, 0.05 * (last - first))
+    edge = min(MEMORY / filtered.cutoff, 0.05 * (last - first))
     return np.asarray((t > first + edge) & (t < last - edge))
 
 

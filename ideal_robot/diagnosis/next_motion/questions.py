@@ -172,7 +172,7 @@ class Causes:
         fit = self.model.fit(choice)
         others = tuple(c for c in self.model.choices if c is not choice)
         return Pair(self._cause(choice, fit.gain(choice.key)[1]), self._cause(best, fit.gain(best.key)[1]), others,
-                    self.model.weights, colour_of(self.model), self.problem.prior, self.problem.regression.domain)
+                    self.model.weights, self.model.fit().inflation, self.problem.prior, self.problem.regression.domain)
 
     def best(self, pool: list[list[Candidate]], instead_of: Candidate | None = None) -> Candidate | None:
         """The candidate that takes most away, refined over theta; one that shares a channel with what it replaces."""
@@ -235,13 +235,6 @@ def thetas_of(candidate: Candidate, made: Regression) -> tuple[tuple[float, ...]
     near = [tuple(f * v for v in theta) for f in (0.5, 0.7, 1.4, 2.0)] if len(bounds) == len(theta) else []
     inside = [one for one in near if all(low <= v <= high for v, (low, high) in zip(one, bounds, strict=True))]
     return tuple(dict.fromkeys([theta, *inside, *effect.starts(made.signals, candidate.joint)]))
-
-
-def colour_of(model: PresentModel) -> float:
-    """How many samples count for one: scatter of the parameters over blocks against that of white noise."""
-    fit = model.fit()
-    white = np.maximum(np.diag(fit.inverse), 1e-300)
-    return max(1.0, float(np.median(np.diag(fit.covariance()) / white)))
 
 
 def _effects(name: str, prefix: str) -> list[Effect]:

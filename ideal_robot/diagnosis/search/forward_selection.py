@@ -21,7 +21,7 @@ from ideal_robot.diagnosis.search.choice import (
     overlap,
     rivals_of,
 )
-from ideal_robot.diagnosis.search.learned_curves import LearnedCurves, OneSidedPull
+from ideal_robot.diagnosis.search.learned_curves import LearnedCurves
 from ideal_robot.diagnosis.search.scoring import Scoring
 from ideal_robot.diagnosis.statistics.least_squares import Fit
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
@@ -99,7 +99,7 @@ class Search:
             self.progress(round_ / (round_ + 4.0), f"round {round_ + 1}")
             choice = self._next()
             if choice is None:
-                if not self._with_needed_form() and not self._without_a_law_like_a_pull():
+                if not self._with_needed_form():
                     break
                 continue
             self.model.take(choice)
@@ -199,13 +199,20 @@ class Search:
             if not isinstance(choice.effect, AngleLaw):
                 continue
             fit = self.model.fit(choice)
-            present = self.scoring.tested(fit, choice)
-            pool = [starts for starts in self.pool if isinstance(starts[0].effect, AngleLaw)
-                    and starts[0].joint == choice.joint and starts[0].place != choice.place]
-            for other in (self.scoring.refined(fit, s) for s in self.scoring.scored(fit, pool)):
+            laws = [starts for starts in self.pool
+                    if isinstance(starts[0].effect, AngleLaw) and starts[0].joint == choice.joint]
+            tried = [self.scoring.refined(fit, s) for s in self.scoring.scored(fit, laws)]
+            others = [s for s in tried if s.place != choice.place]
+            own = [self.scoring.tested(fit, choice), *(s for s in tried if s.place == choice.place)]
+            present = max(own, key=lambda s: s.test.total)
+            if self.learns and flexible(choice.effect):
+                others += self.curves.over_angle(fit, choice.joint)
+            for other in others:
                 simple, rich = sorted((present, other), key=lambda s: s.parameter_count)
-                beside = self.scoring.tested(self.model.fit_beside(simple, choice), rich)
-                needed = rich.test.total > simple.test.total and beside.p_value < self.options.learned_discovery
+                # With any of its theta the simpler one may do without the other.
+                needed = rich.test.total > simple.test.total and all(
+                    self.scoring.tested(self.model.fit_beside(s, choice), rich).p_value < self.options.learned_discovery
+                    for s in ([other] if simple is other else own))
                 if needed == (rich is other) and self.scoring.is_large(other, choice) \
                         and other.test.total > SIMPLER * present.test.total:
                     better = dataclasses.replace(other, rivals=rivals_of(self.model, other, [present]),
@@ -213,39 +220,6 @@ class Search:
                     self.model.replace([*self.model.choices[:position], better, *self.model.choices[position + 1 :]])
                     return True
         return False
-
-    def _without_a_law_like_a_pull(self) -> bool:
-        """Takes out a law that bends to nearly any curve where a pull on one side of an angle says as much.
-
-        A hose that is slack up to some angle has as many numbers, and what of it gravity's parameters leave bends as
-        such a law does. Of the two the one holds that takes away more of the blocks left out, with everything else
-        in the model. Where that is the pull, the law is not tried again, a curve over the angle takes its place if it
-        is needed, and what came beside it at its joint is looked for anew.
-
-        Returns:
-            Whether any was taken out.
-        """
-        for law in self.model.choices:
-            if not flexible(law.effect) or self._exceeds_any_pull(law):
-                continue
-            self.pool = [starts for starts in self.pool
-                         if (starts[0].effect.key, starts[0].joint) != (law.effect.key, law.joint)]
-            self.model.replace([c for c in self.model.choices if c.joint != law.joint])
-            curve = self.curves.over_angle(self.model.fit(), law.joint)
-            if curve is not None:
-                self.model.take(curve)
-            return True
-        return False
-
-    def _exceeds_any_pull(self, choice: Candidate) -> bool:
-        """Whether a law takes away more than the one-sided pull that explains most in its place."""
-        joint, fit = choice.joint, self.model.fit(choice)
-        pulls = [[Candidate(pull, joint, theta) for theta in pull.starts(self.scoring.signals, joint)]
-                 for pull in (OneSidedPull(1.0), OneSidedPull(-1.0))]
-        laws = [starts for starts in self.pool if starts[0].place == choice.place]
-        tried, own = ([self.scoring.refined(fit, s) for s in self.scoring.scored(fit, pool)] for pool in (pulls, laws))
-        law = max([self.scoring.tested(fit, choice), *own], key=lambda s: s.test.total)
-        return all(law.test.total > s.test.total for s in tried)
 
     def _retune(self, newest: Candidate) -> None:
         """Theta of each effect once more, where the newest acts on the same channels: they were found without it.

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.search.choice import FINALISTS
 from ideal_robot.diagnosis.search.scoring import Scoring
 from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms, time_period
 from ideal_robot.diagnosis.statistics.least_squares import Fit
 from ideal_robot.diagnosis.statistics.problem import Candidate
-from ideal_robot.effects import TCP_POSITION, Effect, Signals
+from ideal_robot.effects import TCP_POSITION
 from ideal_robot.effects.fitted import Unknown
 from ideal_robot.effects.loads import flexible
 
@@ -60,11 +59,8 @@ class LearnedCurves:
         scored = self._of_channel(fit, self.model.residual(fit), channel, False, 0.0)
         return max(scored, key=lambda s: s.test.total, default=None)
 
-    def over_angle(self, fit: Fit, joint: int) -> Candidate | None:
-        """The curve over a joint's own angle, if blocks left out need it.
-
-        For a torque that a law of that angle explained: in what parameters leave of it, once they take what they can,
-        the angle need not stand out before the curve is fitted together with them.
+    def over_angle(self, fit: Fit, joint: int) -> list[Candidate]:
+        """Curves over a joint's own angle, tested.
 
         Args:
             fit: of the present model.
@@ -77,7 +73,7 @@ class LearnedCurves:
             candidate = Candidate(term, joint, (), len(curves))
             self.model.add_columns(candidate)
             scored.append(self.scoring.tested(fit, candidate))
-        return self._largest(scored, 0.0)
+        return scored
 
     def _largest(self, scored: list[Candidate], least: float) -> Candidate | None:
         """The curve that takes most away and more than the least, if one that is not taken is certain and large."""
@@ -115,56 +111,3 @@ class LearnedCurves:
             domain = self.model.problem.regression.domain
             self._of_signals[j, pairs] = terms(self.scoring.at_rows, j, pairs, domain)
         return self._of_signals[j, pairs]
-
-
-_PLACES = np.linspace(0.1, 0.9, 17)
-"""Where in the range a pull may begin: in what was seen it both is slack and pulls."""
-
-
-@dataclass(frozen=True)
-class OneSidedPull(Effect):
-    """Torque of a hose or a strap that is slack up to an angle and pulls back beyond it.
-
-    With ``x`` the angle beyond ``start`` on its ``side``, and zero before it, ``tau = side (c_1 x + c_2 x² + c_3 x³)``:
-    the first terms of whatever is slack in a part of the range and stiffens, in as many numbers as a balancing spring
-    has. It is no cause of the library, and only says what else a curve over the angle may come from.
-
-    Attributes:
-        side: 1 where it pulls beyond the angle, -1 where it pulls below.
-    """
-
-    side: float
-
-    name = "one_sided_pull"
-    theta_names = ("start",)
-    theta_units = ("rad",)
-    coefficient_names = ("stiffness", "stiffening", "further stiffening")
-    coefficient_units = ("N m/rad", "N m/rad²", "N m/rad³")
-    source = "hoses and straps with slack"
-
-    def starts(self, signals: Signals, joint: int) -> list[tuple[float, ...]]:
-        """Evenly over the middle four fifths of the range."""
-        low, high = np.percentile(signals.q[:, joint - 1], [1.0, 99.0])
-        return [(float(place),) for place in low + _PLACES * (high - low)]
-
-    def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """Within what is tried to start from."""
-        places = self.starts(signals, joint)
-        return [(places[0][0], places[-1][0])]
-
-    def bounds_near(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> list[tuple[float, float]]:
-        """See ``Effect.bounds_near``. Up to the next places on either side: an angle has no scale."""
-        [(low, high)] = self.bounds(signals, joint)
-        step = (high - low) / (len(_PLACES) - 1)
-        return [(max(low, theta[0] - step), min(high, theta[0] + step))]
-
-    def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 3)``."""
-        x = np.maximum(self.side * (signals.q[:, joint - 1] - theta[0]), 0.0)
-        return signals.on_joint(joint, self.side * x, self.side * x**2, self.side * x**3)
-
-    def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. At the end of what was seen it pulls back, and the more the further."""
-        x = float(np.max(self.side * (signals.q[:, joint - 1] - theta[0])))
-        orders = np.arange(1, len(coefficients) + 1)
-        return bool(coefficients @ x**orders > 0.0 and coefficients @ (orders * x ** (orders - 1)) > 0.0)

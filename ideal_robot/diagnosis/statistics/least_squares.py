@@ -18,11 +18,10 @@ _SMOOTH = 3e-3
 in units of their own: next to what a mass weighs, an inertia shows little and would be held at none."""
 _OWN = 1e-5
 """Share of a column's squares that the others have to leave for it to have something of its own."""
-_ROUNDED = 0.01
-"""Least share of a column that counts for that: of less the ridge and rounding leave as much."""
 ROUNDING = 1e-9
 """Size of a column over the largest, or share of its squares, below which it is rounding. As a ridge towards the model
-as it is, relative to each column's squares, it decides what a fold leaves open."""
+as it is, relative to each column's squares, it decides what a fold leaves open. Its inverse, times what is known of
+parameters, holds them while their changes are effects."""
 TOLD = 2.0
 """Standard deviations from which on two things are told from each other, a number from none: 95 % of a normal
 distribution. What takes away less than its square in weighted squares is not looked at closer."""
@@ -280,7 +279,7 @@ class Fit:
         inverse, present = self._solutions[k] if k else (self.inverse, self.beta)
         Z = CX @ inverse
         S = CC - Z @ CX.T
-        part = 1.0 if group.own is None else np.maximum(group.own, _ROUNDED)
+        part = 1.0 if group.own is None else group.own
         # A column that the others explain all but a hundred-thousandth of has nothing of its own. What of it is of the
         # form of the model's own parameters does not count, down to what rounding leaves.
         own = (np.diag(S) > _OWN * part * np.diag(CC)) & (np.diag(CC) > ROUNDING**2 * np.max(np.diag(CC), initial=0.0))

@@ -64,7 +64,7 @@ class Candidate:
     @property
     def parameter_count(self) -> int:
         """Number of parameters, theta included."""
-        return len(self.effect.coefficient_names) + len(self.theta)
+        return len(self.test.coefficients) + len(self.theta)
 
 
 @dataclass(frozen=True)
@@ -163,10 +163,6 @@ def with_possible_inertias(model: Model, near: Array) -> Model:
     return dataclasses.replace(model, consistent=possible.full)
 
 
-_HELD = 1e4
-"""Times the prior's precision with which parameters are held while their changes are effects."""
-
-
 @dataclass(frozen=True)
 class Problem:
     """What every fit, test and report of a domain starts from.
@@ -213,7 +209,7 @@ class Problem:
 
     def held(self) -> Problem:
         """The same problem with parameters as the prior has them, so that changes have to be said as effects."""
-        return self if self.prior is None else self.with_prior(_HELD * self.prior)
+        return self if self.prior is None else self.with_prior(self.prior / ROUNDING)
 
     def on_all_blocks(self) -> Problem:
         """The same problem where all blocks estimate: for numbers that are reported, not for selection."""

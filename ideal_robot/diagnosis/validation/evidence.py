@@ -50,10 +50,6 @@ def ranked_structure(problem: Problem, residual: Array, most: int = 3) -> tuple[
     return tuple(result)
 
 
-_NEAR = 0.05
-"""A value within this share of itself from a bound stands at it: the search ends a little before."""
-
-
 def with_limits(fitted: FittedEffect, candidate: Candidate, signals: Signals) -> FittedEffect:
     """The effect with limits, and no standard deviation, for parameters whose theta stands at its bound.
 
@@ -113,10 +109,8 @@ def _side(value: float, low: float, high: float) -> int:
     # Zero below a positive bound is no small value but another form of the effect.
     if value == 0.0 and low > 0.0:
         return 0
-    narrow = 0.01 * (high - low)
-    if value <= low + min(narrow, _NEAR * abs(low) or narrow):
-        return -1
-    return 1 if value >= high - min(narrow, _NEAR * abs(high) or narrow) else 0
+    below, above = (0.01 * min(high - low, abs(bound) or high - low) for bound in (low, high))
+    return -1 if value <= low + below else 1 if value >= high - above else 0
 
 
 def with_misfit(problem: Problem, effects: Sequence[Candidate], found: Estimate) -> Estimate:

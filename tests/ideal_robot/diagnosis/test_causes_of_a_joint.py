@@ -16,11 +16,10 @@ from ideal_robot.diagnosis.channels.motor_torque import torque_regression, with_
 from ideal_robot.diagnosis.channels.regression import apart_from_reversals
 from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.diagnosis.search.forward_selection import Only, Search
-from ideal_robot.diagnosis.search.learned_curves import OneSidedPull
 from ideal_robot.diagnosis.statistics.least_squares import Fit
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.dynamics.regressor import regressor
-from ideal_robot.effects import MOTOR_TORQUE, Signals, library
+from ideal_robot.effects import MOTOR_TORQUE, library
 from ideal_robot.effects.registry import find
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
@@ -117,10 +116,10 @@ def test_what_has_travelled_no_further_than_bristles_yield_does_not_count() -> N
     first = [float(t[np.flatnonzero(apart[:, j] & back)[0]]) - 5.0 for j in range(2)]
     # 3 mrad at 4 mrad/s take 0.75 s; at 1 rad/s the filters' memory is longer.
     np.testing.assert_allclose(first, [0.75, 0.12], atol=0.02)
-    # A joint that moves over a few milliradians only does not lose all of its samples.
-    q = 0.004 * np.sin(1.5 * t)[:, None]
+    # A joint that moves over no more than is asked for does not lose all of its samples.
+    q = 0.01 * np.sin(1.5 * t)[:, None]
     small = apart_from_reversals(q, np.gradient(q, dt, axis=0), np.ones(q.shape, dtype=bool), 0.12, dt)
-    assert small.mean() > 0.7
+    assert small.mean() > 0.6
 
 
 def creeping() -> Recording:
@@ -324,19 +323,6 @@ def test_a_hose_that_is_slack_up_to_an_angle_is_no_balancer(tmp_path, side, star
 def test_a_weak_balancer_is_not_taken_for_a_pull(tmp_path, phi):
     problem = problem_with(tmp_path, lambda q: balancer(q, 5.0, phi, 0.4))
     assert [c.effect.name for c in searched(problem)] == ["gravity_spring"]
-
-
-def test_a_pull_is_slack_up_to_its_angle_and_pulls_back_beyond_it():
-    q = np.linspace(-1.0, 1.0, 201)[:, None]
-    signals = Signals(np.arange(201.0), q, 0.0 * q, 0.0 * q, 0.0 * q, 0.0 * q, 0.0 * q)
-    for side in (1.0, -1.0):
-        pull = OneSidedPull(side)
-        torque = pull.columns(signals, 1, (0.2 * side,))[:, 0] @ np.array([2.0, 1.0, 0.5])
-        slack = side * q[:, 0] <= 0.2
-        assert not torque[slack].any()
-        assert (side * torque[~slack] > 0.0).all()
-        assert pull.plausible(np.array([2.0, 1.0, 0.5]), (0.2 * side,), signals, 1)
-        assert not pull.plausible(np.array([-2.0, -1.0, -0.5]), (0.2 * side,), signals, 1)
 
 
 def test_over_little_of_a_turn_a_balancer_is_gravity_and_a_cable():
