@@ -97,7 +97,8 @@ class Report:
                 self._embed(svg.getvalue(), "svg+xml", caption, wide, folded)
                 return
         png = io.BytesIO()
-        figure.savefig(png, format="png", dpi=130, bbox_inches=size)
+        # Packed harder, pictures would be smaller by a tenth and take three times as long.
+        figure.savefig(png, format="png", dpi=130, bbox_inches=size, pil_kwargs={"compress_level": 3})
         self._embed(png.getvalue(), "png", caption, wide, folded)
 
     def image(self, png: bytes, caption: str = "", *, wide: bool = False) -> None:
