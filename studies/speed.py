@@ -97,8 +97,7 @@ def speed(repeats: int = 7, first: bool = False) -> None:
     _line(repeats, "workshop")
     _plant(repeats)
     _identification(repeats)
-    _show("help of the command line", [_used_by([sys.executable, "-m", "scenes.cli", "--help"])
-                                       for _ in range(repeats)], "s", "≤ 0.3")
+    _from_the_shell(repeats)
     if first:
         _first_runs()
 
@@ -118,10 +117,10 @@ def _show(name: str, values: list[float], unit: str, wanted: str = "") -> None:
     row(name, *(f"{value:.3g}" for value in (min(values), np.median(values), max(values))), unit, wanted)
 
 
-def _used_by(words: list[str], **environment: str) -> float:
-    """Processor time of a command with its children [s]."""
+def _used_by(words: list[str], *, works: bool = True, **environment: str) -> float:
+    """Processor time of a command with its children [s]; one that works ends with 0."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run(words, check=True, capture_output=True,
+    subprocess.run(words, check=works, capture_output=True,
                    env={**os.environ, "PYTHONPATH": str(ROOT), **environment})
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
@@ -207,6 +206,18 @@ def _identification(repeats: int) -> None:
         words = [python, str(folder / "figaroh_run.py"), str(folder), str(robot.urdf), str(s.factor)]
         said = [subprocess.run(words, capture_output=True, text=True, check=True).stdout for _ in range(repeats)]
         _show("the same by FIGAROH", [float(re.findall(r"\(([\d.]+) s CPU\)", one)[0]) for one in said], "s")
+
+
+def _from_the_shell(repeats: int) -> None:
+    """First answers of the program, and the main job with its report."""
+    with tempfile.TemporaryDirectory() as folder:
+        for words, name, wanted in (
+                ("--help", "help of the command line", "≤ 0.3"),
+                ("run nothing", "a scene that is not there, by `run`", "≤ 0.3"),
+                ("diagnose nothing.csv --robot kr6", "a recording that is not there, by `diagnose`", "≤ 0.3"),
+                (f"run line --out {folder}/line", "`run line`, report included", "≤ 6")):
+            _show(name, [_used_by([sys.executable, "-m", "scenes.cli", *words.split()], works="nothing" not in words)
+                         for _ in range(repeats)], "s", wanted)
 
 
 def _first_runs() -> None:
