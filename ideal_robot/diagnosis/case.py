@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.motor_torque import in_own_units, torque_regression, without_dead_channels
-from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.diagnosis.channels.regression import Regression, rms, spread
 from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.diagnosis.search.forward_selection import Only
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
-from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis, DomainResult, rms
+from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis, DomainResult
 from ideal_robot.diagnosis.validation.result import NotTransferred
 from ideal_robot.model.model import Model
 from ideal_robot.progress import Progress
@@ -111,7 +111,6 @@ def unlike(case: Case, found: Findings, validate: Recording) -> tuple[str, ...]:
     problem = found.problem
     other = case.torque_regression(validate, found.start, cutoff=problem.regression.filtered.cutoff)
     error = rms(problem.fit().residual(other, []), other.use)
-    mean = (other.measured * other.use).sum(axis=0) / other.use.sum(axis=0).clip(min=1)
-    spread = rms(other.measured - mean, other.use)
+    varies = spread(other.measured, other.use)
     still = {*problem.regression.undecided, *other.undecided}
-    return tuple(name for j, name in enumerate(other.channels) if j + 1 not in still and error[j] > spread[j])
+    return tuple(name for j, name in enumerate(other.channels) if j + 1 not in still and error[j] > varies[j])

@@ -10,7 +10,7 @@ import numpy as np
 
 from ideal_robot.diagnosis import stages
 from ideal_robot.diagnosis.case import Case, Findings, unlike
-from ideal_robot.diagnosis.channels.regression import unused_columns
+from ideal_robot.diagnosis.channels.regression import rms, unused_columns
 from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.diagnosis.search.forward_selection import Only
 from ideal_robot.diagnosis.statistics.problem import (
@@ -19,7 +19,6 @@ from ideal_robot.diagnosis.statistics.problem import (
     with_parameters,
     with_possible_inertias,
 )
-from ideal_robot.diagnosis.validation.domain_diagnosis import rms
 from ideal_robot.diagnosis.validation.final_fit import beside_lag, without_scatter
 from ideal_robot.diagnosis.validation.refit import explained_by_refitting
 from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, FoundEffect

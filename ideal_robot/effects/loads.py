@@ -132,9 +132,9 @@ class BaseTilt(WholeArmEffect):
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
         """See ``Effect.columns``. Shape ``(N, n, 4)``."""
         result = np.zeros((len(signals.t), signals.n, 4))
-        if signals.gravity_across is None:
+        if signals.across is None:
             return result
-        result[:, :, :2] = signals.gravity_across(signals.q)
+        result[:, :, :2] = signals.across
         if not _carries_weight(signals) and np.any(result[:, 0, :2]):
             result[:, 0, 2:] = np.column_stack([np.cos(signals.q[:, 0]), np.sin(signals.q[:, 0])])
         return result
@@ -142,8 +142,8 @@ class BaseTilt(WholeArmEffect):
     def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
         """See ``Effect.plausible``. Below 15°; what hangs from a wall or a ceiling is mounted so on purpose."""
         across, unknown = np.hypot(*coefficients[:2]), np.hypot(*coefficients[2:])
-        if unknown > 0.0 and signals.gravity_across is not None:
-            known = np.linalg.norm(np.asarray(signals.gravity_across(signals.q))[:, 0], axis=1)
+        if unknown > 0.0 and signals.across is not None:
+            known = np.linalg.norm(signals.across[:, 0], axis=1)
             if unknown > across * float(np.max(known)):
                 return False
         return bool(across < 0.26 * _G)

@@ -166,6 +166,11 @@ class Signals:
         return float(self.t[1] - self.t[0]) if len(self.t) > 1 else 1.0
 
     @cached_property
+    def across(self) -> Array | None:
+        """``gravity_across`` along the motion ``(N, n, 2)``; None where it is not known."""
+        return None if self.gravity_across is None else self.gravity_across(self.q)
+
+    @cached_property
     def derivatives(self) -> RigidDerivatives | None:
         """How the rigid body's torques change with the motion of one joint; None where no rigid body is known."""
         return None if self.rigid is None else RigidDerivatives(self.rigid, self.q, self.qd, self.qdd)
@@ -215,11 +220,11 @@ class Signals:
         return np.array([self.direction(qd, j + 1) for j, qd in enumerate(self.qd.T)])
 
     def on_joint(self, joint: int, *columns: Array) -> Array:
-        """Columns ``(N,)`` that act on one joint (from 1) only, as ``(N, n, m)``."""
-        result = np.zeros((len(self.t), self.n, len(columns)))
+        """Columns ``(N,)`` that act on one joint (from 1) only, as ``(N, n, m)``; each lies together in memory."""
+        result = np.zeros((self.n, len(columns), len(self.t)))
         for i, column in enumerate(columns):
-            result[:, joint - 1, i] = column
-        return result
+            result[joint - 1, i] = column
+        return result.transpose(2, 0, 1)
 
     def rate(self, values: Array) -> Array:
         """Time derivative ``(N, …)`` by central differences; zero for a single sample."""

@@ -122,8 +122,8 @@ def _weights(at: Array, kernel: Array, fine: int) -> tuple[int, Array]:
 def not_zero(rows: Array) -> np.ndarray:
     """Mask of the rows ``(m, N)`` that are not zero throughout: most show it in their middle."""
     found = np.asarray(rows[:, rows.shape[1] // 2] != 0.0)
-    rest = np.flatnonzero(~found)
-    found[rest] = rows[rest].any(axis=1)
+    for k in np.flatnonzero(~found):
+        found[k] = np.count_nonzero(rows[k]) > 0
     return found
 
 

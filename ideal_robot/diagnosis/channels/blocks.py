@@ -86,14 +86,14 @@ class Columns:
         alike: whether the columns are pieces of one curve, in one unit.
         own: of each column's squares the share ``(m,)`` that is not of the form of the model's own parameters; None
             where all of it may be the columns' own.
-        in_blocks: of channels that were asked for, the same values block by block.
+        in_blocks: of channels that were asked for, which columns act there, and their values block by block.
     """
 
     values: Array
     channels: tuple[int, ...]
     alike: bool = False
     own: Array | None = None
-    in_blocks: dict[int, Array] = field(default_factory=dict, compare=False, repr=False)
+    in_blocks: dict[int, tuple[np.ndarray, Array]] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def m(self) -> int:
@@ -142,14 +142,20 @@ class BlockProducts:
         """``a_b' b_b`` for each block and channel, ``(B, c, m_a, m_b)``."""
         result = np.zeros((self.blocks.count, self.c, a.m, b.m))
         for j in set(a.channels) & set(b.channels):
-            result[:, j] = np.swapaxes(self._in_blocks(a, j), 1, 2) @ self._in_blocks(b, j)
+            (ours, left), (theirs, right) = self._in_blocks(a, j), self._in_blocks(b, j)
+            result[:, j, ours[:, None], theirs] = np.swapaxes(left, 1, 2) @ right
         return result
 
-    def _in_blocks(self, columns: Columns, j: int) -> Array:
-        """Rows of columns on one channel, block by block ``(B, L, m)``; a shorter block ends with zeros."""
+    def _in_blocks(self, columns: Columns, j: int) -> tuple[np.ndarray, Array]:
+        """Which columns act on one channel, and their rows block by block ``(B, L, m)``.
+
+        A shorter block ends with zeros. Of the model's parameters a joint feels those of the links behind it.
+        """
         if j not in columns.in_blocks:
+            values = columns.values[:, columns.channels.index(j)]
+            acting = np.flatnonzero(values.any(axis=0))
             first, end = np.array(self.blocks.edges[:-1])[:, None], np.array(self.blocks.edges[1:])[:, None]
             rows = first + np.arange(int(np.max(end - first)))
-            values = columns.values[np.minimum(rows, len(columns.values) - 1), columns.channels.index(j)]
-            columns.in_blocks[j] = np.where((rows < end)[:, :, None], values, 0.0)
+            of_blocks = values[np.minimum(rows, len(values) - 1)[:, :, None], acting]
+            columns.in_blocks[j] = acting, np.where((rows < end)[:, :, None], of_blocks, 0.0)
         return columns.in_blocks[j]

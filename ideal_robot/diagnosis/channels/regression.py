@@ -211,6 +211,16 @@ FEWEST = 20
 """Samples or camera fields from which a level is estimated, or a regression made, at least."""
 
 
+def rms(values: Array, use: np.ndarray) -> Array:
+    """Root mean square per channel ``(c,)`` of values ``(N, c)`` over the samples that count ``(N, c)``."""
+    return np.asarray(np.sqrt((values**2 * use).sum(axis=0) / np.maximum(use.sum(axis=0), 1)))
+
+
+def spread(values: Array, use: np.ndarray) -> Array:
+    """Standard deviation per channel ``(c,)`` of values ``(N, c)`` over the samples that count ``(N, c)``."""
+    return rms(values - (values * use).sum(axis=0) / np.maximum(use.sum(axis=0), 1), use)
+
+
 def noise_above_band(filtered: FilteredSignals) -> Array:
     """Noise of the torque in the band that is looked at ``(n,)`` [N m]: the floor of its spectrum above that band."""
     rate = 1.0 / filtered.dt

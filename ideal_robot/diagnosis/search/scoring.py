@@ -11,6 +11,7 @@ from scipy import optimize
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.blocks import Columns
+from ideal_robot.diagnosis.channels.regression import spread
 from ideal_robot.diagnosis.search.choice import Options, PresentModel
 from ideal_robot.diagnosis.statistics.least_squares import TOLD, Fit
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
@@ -36,10 +37,7 @@ class Scoring:
         self.signals = model.problem.regression.signals
         self.at_rows = model.problem.regression.decimated_signals()
         measured, use = model.problem.regression.measured, model.problem.products.use
-        count = np.maximum(use.sum(axis=0), 1)
-        mean = (measured * use).sum(axis=0) / count
-        power = ((measured - mean) ** 2 * use).sum(axis=0) / count
-        self.measured_std = np.sqrt(np.maximum(power, 1e-300))
+        self.measured_std = np.maximum(spread(measured, use), 1e-150)
 
     def plausible_gain(self, fit: Fit, candidate: Candidate) -> float | None:
         """Weighted squares that a candidate takes away in sample; None where its coefficients are not plausible."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 
 import numpy as np
 from scipy import linalg, optimize, special
@@ -108,7 +107,7 @@ class DependenceTest:
 
     def __init__(self, signals: Signals, use: np.ndarray, edges: tuple[int, ...]) -> None:
         self.signals, self.use = signals, use
-        self._blocks = [slice(a, b) for a, b in pairwise(edges)]
+        self._first = edges[:-1]
         self._white: dict[tuple[Unknown, int], tuple[Array, Array]] = {}
         self._curves: dict[tuple[str, tuple[float, ...]], Array] = {}
 
@@ -127,7 +126,8 @@ class DependenceTest:
         # About the mean, as a constant is in every model; the columns too, as a residual with flipped blocks has one.
         r = np.where(use, residual - residual[use].mean(), 0.0)
         basis = self._basis(term, channel)
-        parts = np.array([basis[rows].T @ r[rows] - r[rows].sum() * centre for rows in self._blocks]) @ T
+        of_blocks = np.add.reduceat(np.column_stack([basis * r[:, None], r]), self._first, axis=0)
+        parts = (of_blocks[:, :-1] - of_blocks[:, -1:] * centre) @ T
         total = max(float(r @ r), 1e-300)
         observed = float(np.sum(parts.sum(axis=0) ** 2))
         # With signs s_b of the blocks it would be |sum_b s_b p_b|²; of its distribution a gamma of the same mean and

@@ -25,7 +25,10 @@ parameters, holds them while their changes are effects."""
 TOLD = 2.0
 """Standard deviations from which on two things are told from each other, a number from none: 95 % of a normal
 distribution. What takes away less than its square in weighted squares is not looked at closer."""
-
+CLEAR = 3.0
+"""The same where no more is claimed than what is beyond doubt, 99.7 %: a lag of all channels, a change of a model's
+parameter (the recording that the model was made of bent its parameters no less than this one), a parameter or a torque
+that refitting alone moves; and over the noise floor, an error."""
 LEFT_OUT = 0.05
 """Weight of a fold in the fit that leaves it out. Working cycles go to some places and speeds once: what other folds
 leave open would else be anything, and which of two candidates mends that says nothing of which is true."""
@@ -73,7 +76,8 @@ class Design:
         """``a' b`` of all selecting blocks together, for each channel ``(c, m_a, m_b)``."""
         known = self._total.setdefault(a, {})
         if b not in known:
-            known[b] = self.cross(a, b)[self.data.blocks.selecting].sum(axis=0)
+            products = self.cross(a, b)
+            known[b] = (self.data.blocks.selecting @ products.reshape(len(products), -1)).reshape(products.shape[1:])
         return known[b]
 
     def gram(self, keys: list[str]) -> Array:
@@ -174,10 +178,17 @@ class Fit:
         return result
 
     @cached_property
-    def _left_out(self) -> list[tuple[np.ndarray, Array, Array]]:
-        """For each fold its blocks, and their cross-products summed over the weighted channels, and over the blocks."""
-        return [(mine, self._weighted[mine], self.G[mine].sum(axis=0))
-                for mine in (self.fold == k for k in range(self.folds))]
+    def _left_out(self) -> list[tuple[np.ndarray, Array, Array, Array, Array]]:
+        """For each fold its blocks, their cross-products ``G`` summed over the weighted channels, and over the blocks.
+
+        With each ``G v``, where ``v = [-beta, 1]`` of the fit without the fold.
+        """
+        made = []
+        for k in range(self.folds):
+            mine, v = self.fold == k, np.append(-self._solutions[k + 1][1], 1.0)
+            blocks, sums = self._weighted[mine], self.G[mine].sum(axis=0)
+            made.append((mine, blocks, blocks @ v, sums, sums @ v))
+        return made
 
     def refitted_weights(self) -> Array:
         """1/σ² of each channel from the squares that this fit leaves ``(c,)``; zero for an empty channel."""
@@ -251,18 +262,17 @@ class Fit:
         gain, coefficients = self._joined(0, tuple(part[0] for part in folds), group)[:2]
         reduction, score, left = np.full(B, np.nan), np.full(B, np.nan), np.full(B, np.nan)
         by_channel = np.zeros(len(self.weights))
-        for k, (mine, blocks, sums) in enumerate(self._left_out):
+        for k, (mine, blocks, before, sums, summed) in enumerate(self._left_out):
             _, gamma, beta = self._joined(k + 1, tuple(part[k + 1] for part in folds), group)
-            before, after = (np.append(-one, 1.0) for one in (self._solutions[k + 1][1], beta))
             # after = [-beta, 1] holds the sign of the subtraction: y - X beta - C gamma.
-            step = before - after
-            own = [part[mine] for part in of_blocks]
-            fewer = _quadratic(blocks, before) - _quadratic(blocks, after) - _added(own, after, gamma)
-            size = _quadratic(blocks, step) + _added(own, step, -gamma)
+            after, step = np.append(-beta, 1.0), np.append(beta - self._solutions[k + 1][1], 0.0)
+            own, moved = [part[mine] for part in of_blocks], blocks @ step
+            fewer = (2.0 * before - moved) @ step - _added(own, after, gamma)
+            size = moved @ step + _added(own, step, -gamma)
             reduction[mine] = fewer
             # With d the change of the prediction: d'r before and d'(r - d) after, r being the held-out residual.
             score[mine], left[mine] = (fewer + size) / 2.0, (fewer - size) / 2.0
-            by_channel += self.weights * (_quadratic(sums, before) - _quadratic(sums, after))
+            by_channel += self.weights * ((2.0 * summed - sums @ step) @ step)
             by_channel[channels] -= self.weights[channels] * _added([part[mine].sum(axis=0) for part in of_channels],
                                                                     after, gamma)
         return HeldOutTest(gain, coefficients, reduction, by_channel, _one_sided(score, left))
@@ -282,15 +292,16 @@ class Fit:
         part = 1.0 if group.own is None else group.own
         # A column that the others explain all but a hundred-thousandth of has nothing of its own. What of it is of the
         # form of the model's own parameters does not count, down to what rounding leaves.
-        own = (np.diag(S) > _OWN * part * np.diag(CC)) & (np.diag(CC) > ROUNDING**2 * np.max(np.diag(CC), initial=0.0))
+        size = CC.diagonal()
+        own = (S.diagonal() > _OWN * part * size) & (size > ROUNDING**2 * np.max(size, initial=0.0))
         if group.alike and len(Cy) > 6:
-            S = S + _SMOOTH * float(np.mean(np.diag(CC))) * np.eye(len(Cy))
+            S = S + _SMOOTH * float(np.mean(size)) * np.eye(len(Cy))
         m = len(Cy)
         gamma = np.zeros(m)
         right = Cy - CX @ present
         if own.any():
             index = np.flatnonzero(own)
-            scale = 1.0 / np.sqrt(np.diag(S)[index])
+            scale = 1.0 / np.sqrt(S.diagonal()[index])
             inner = S[np.ix_(index, index)] * np.outer(scale, scale)
             # Most candidates have one column, which is scaled to one.
             inverse = linalg.pinvh(inner, rtol=1e-6) if len(index) > 1 else 1.0 / inner

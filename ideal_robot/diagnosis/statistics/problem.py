@@ -217,12 +217,9 @@ class Problem:
 
     def prepared(self, columns: Array) -> Columns:
         """Raw columns ``(N_raw, c, m)`` filtered, decimated and masked; channels that are zero are not touched."""
-        there = columns[len(columns) // 2].any(axis=1)
-        for j in np.flatnonzero(~there):
-            there[j] = columns[:, j].any()
-        channels = np.flatnonzero(there)
-        small = self._in_band(self.regression.decimate(np.ascontiguousarray(columns[:, channels])))
-        values = small * self.regression.use[:, channels, None]
+        small = self.regression.decimate(columns)
+        channels = np.flatnonzero(small.any(axis=(0, 2)))
+        values = self._in_band(small[:, channels]) * self.regression.use[:, channels, None]
         return Columns(np.ascontiguousarray(values), tuple(int(j) for j in channels))
 
     def _in_band(self, values: Array) -> Array:

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.channels.regression import Regression, noise_left, usual_noise
-from ideal_robot.diagnosis.statistics.least_squares import TOLD
+from ideal_robot.diagnosis.channels.regression import Regression, noise_left, rms, spread, usual_noise
+from ideal_robot.diagnosis.statistics.least_squares import CLEAR, TOLD
 from ideal_robot.diagnosis.statistics.problem import Candidate, Estimate, Problem, fitted_effect
 from ideal_robot.diagnosis.validation.evidence import (
     at_standstill,
@@ -24,10 +24,6 @@ from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION
 from ideal_robot.effects.fitted import Unknown
 from ideal_robot.effects.kinematics import GeometryChange
 
-CLEAR = 3.0
-"""Standard deviations by which a lag of all channels has to differ from none, a change of a model's parameter in one
-coefficient at least, and a parameter or a torque that refitting alone moves from what was known; of the difference of
-two recordings, as the one that the model was made of bent its parameters no less than this one."""
 _HALF = 0.5
 """Share of the held-out squares from which on coefficients that are loose each are certain together, and those of a
 body tell it without its mass. Of the share that was asked of an effect where it was found, what is asked of it on
@@ -208,7 +204,7 @@ class DomainDiagnosis:
         usual = usual_noise(residuals[-1], reported.use)
         channels = tuple(ChannelResult(name, unit, float(start[j]), float(refit[j]), float(after[j]),
                                        float(floor[j]), float(signal[j]), float(np.mean(own.use[:, j])),
-                                       float(self._spread(reported.measured)[j]),
+                                       float(spread(reported.measured, reported.use)[j]),
                                        reported.domain != TCP_POSITION or not reported.absent, float(usual[j]))
                          for j, (name, unit) in enumerate(zip(reported.channels, reported.units, strict=True))
                          if j not in reported.absent)
@@ -223,11 +219,6 @@ class DomainDiagnosis:
 
     def _rms(self, values: Array) -> Array:
         return rms(values, self.reported.use & self.held_out[:, None])
-
-    def _spread(self, values: Array) -> Array:
-        """Standard deviation per channel ``(c,)`` over the samples that count."""
-        use = self.reported.use
-        return rms(values - (values * use).sum(axis=0) / np.maximum(use.sum(axis=0), 1), use)
 
     def _found(self, k: int) -> FoundEffect:
         """What is said of a choice."""
@@ -259,8 +250,3 @@ class DomainDiagnosis:
             added = self.final.contributions(reported, self.choices)[k]
             return int(np.argmax(np.sqrt(np.mean(added**2, axis=0)) / (reported.noise_floor + 1e-300)))
         return int(np.argmax((self.levels[k] - self.levels[k + 1]) / (self.levels[k] + 1e-300)))
-
-
-def rms(values: Array, use: np.ndarray) -> Array:
-    """Root mean square per channel ``(c,)`` of values ``(N, c)`` over the samples that count ``(N, c)``."""
-    return np.asarray(np.sqrt((values**2 * use).sum(axis=0) / np.maximum(use.sum(axis=0), 1)))

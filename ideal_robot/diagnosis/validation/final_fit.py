@@ -12,8 +12,9 @@ from ideal_robot.diagnosis.case import Case, Findings
 from ideal_robot.diagnosis.channels.motor_torque import about_model
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.search.scoring import ITERATIONS
+from ideal_robot.diagnosis.statistics.least_squares import CLEAR
 from ideal_robot.diagnosis.statistics.problem import Candidate, Estimate, Problem, prior_precision, with_parameters
-from ideal_robot.diagnosis.validation.domain_diagnosis import CLEAR, DomainDiagnosis
+from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
 from ideal_robot.effects import FittedEffect
 from ideal_robot.effects.drive import CommonDelay
 from ideal_robot.model.model import Model

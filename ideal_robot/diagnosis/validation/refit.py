@@ -17,6 +17,7 @@ from ideal_robot.diagnosis.channels.force import force_regressions
 from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import in_position_band, torque_regression
 from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.diagnosis.statistics.least_squares import CLEAR
 from ideal_robot.diagnosis.statistics.problem import (
     Candidate,
     Problem,
@@ -24,7 +25,7 @@ from ideal_robot.diagnosis.statistics.problem import (
     prior_covariance,
     torque_left_open,
 )
-from ideal_robot.diagnosis.validation.domain_diagnosis import CLEAR, DomainDiagnosis
+from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
 from ideal_robot.diagnosis.validation.final_fit import held_problem
 from ideal_robot.diagnosis.validation.result import ChannelResult, MovedParameter, RefitExplains
 from ideal_robot.effects import (

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.statistics.least_squares import CLEAR
 from ideal_robot.diagnosis.validation.argument import Argument
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
@@ -63,16 +64,7 @@ class RefitExplains:
                 f"the given model alone (moved: {moved}). Whether the arm has changed or a cause is missing, this "
                 f"recording does not tell; a motion would in which {self.would_tell}")
 
-    def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return {"joint": self.joint, "channel": self.channel, "rms_before": self.rms_before,
-                "rms_refit": self.rms_refit, "would_tell": self.would_tell,
-                "moved": [{"name": p.name, "unit": p.unit, "value": p.value, "refitted": p.refitted,
-                           "sigmas": p.sigmas} for p in self.moved]}
 
-
-_LOUD = 3.0
-"""Error over noise floor from which on something remains that the floor's own uncertainty does not account for."""
 _MATTERS = 0.10
 """Error over the spread of a torque from which on that matters. Friction near standstill, vibrations and a rigid body
 for an elastic one leave up to 6 % in closed loops of other engines in which nothing is undeclared."""
@@ -122,7 +114,7 @@ class ChannelResult:
     @property
     def loud(self) -> bool:
         """Whether the error is still several times the noise of the measurement, and of what else is never still."""
-        return self.noise_floor > 0.0 and self.rms_after > _LOUD * max(self.noise_floor, self.usual)
+        return self.noise_floor > 0.0 and self.rms_after > CLEAR * max(self.noise_floor, self.usual)
 
     @property
     def unexplained(self) -> bool:
@@ -327,7 +319,7 @@ class Diagnosis(Summarised):
             "warnings": list(self.warnings),
             "unused": [{"columns": names, "reason": reason} for names, reason in self.unused.items()],
             **({"explained": [a.to_dict() for a in self.arguments]} if self.arguments else {}),
-            "explained_by_refitting": [r.to_dict() for r in self.refitted],
+            "explained_by_refitting": self.refitted,
             "with_parameters_held": [[{"effect": e.name, "joint": e.joint, "parameters": [p.text for p in e.parameters]}
                                       for e in effects] for effects in self.beside_known],
             "unexplained": [c.channel for c in self.unexplained],

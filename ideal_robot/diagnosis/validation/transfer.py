@@ -11,7 +11,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.arm import arm_angle_regression
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
-from ideal_robot.diagnosis.channels.regression import Regression, without_known
+from ideal_robot.diagnosis.channels.regression import Regression, rms, without_known
 from ideal_robot.diagnosis.statistics.least_squares import Fit, weights_of_channels
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.diagnosis.validation.result import Diagnosis, NotTransferred
@@ -124,7 +124,7 @@ def transferring(problem: Problem, choices: Sequence[Candidate], validation: Reg
             m = design.groups[key].m
             residual = residual - columns[key] @ beta[at : at + m]
             at += m
-        return np.asarray(np.sqrt((residual**2 * mask).sum(axis=0) / np.maximum(mask.sum(axis=0), 1)) + 1e-300)
+        return rms(residual, mask) + 1e-300
 
     kept, dropped = eliminated(choices, error, lambda choice: validation.channel_of(choice.joint))
     return kept, tuple(_not_transferred(validation, *one) for one in dropped)
