@@ -10,8 +10,9 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
+from ideal_robot.robots import SHIPPED
 from ideal_robot.robots.collisions import Shapes
-from ideal_robot.robots.robot import SHIPPED, Robot, spread_postures
+from ideal_robot.robots.robot import Robot, spread_postures
 from ideal_robot.robots.size import FEWEST, of_its_size, reach
 from planning import OutOfReachError
 from planning.path.kinematics import InverseKinematics

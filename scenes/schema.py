@@ -23,7 +23,8 @@ import pydantic
 
 from ideal_robot.effects.registry import library
 from ideal_robot.feedforward.registry import method, methods
-from ideal_robot.robots.robot import SHIPPED, Robot
+from ideal_robot.robots import SHIPPED
+from ideal_robot.robots.robot import Robot
 from scenes.kind import KINDS
 from scenes.scene_file import library as scene_folder
 from scenes.scene_file import load_scene

@@ -13,7 +13,8 @@ import numpy as np
 from ideal_robot.errors import InputError
 from ideal_robot.identification.weighted_least_squares import Solution
 from ideal_robot.model.model import Model
-from ideal_robot.robots.robot import SHIPPED, Robot
+from ideal_robot.robots import SHIPPED
+from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.error_budget import at_sampling_instants
 from ideal_robot.signals.plausible import plausible, require_joint_units, require_metres
 from ideal_robot.signals.recording import Recording

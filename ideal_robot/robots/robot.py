@@ -10,7 +10,6 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import read_text
 from ideal_robot.errors import InputError
 from ideal_robot.results import Summarised, listed, plain
+from ideal_robot.robots import urdf_of
 from ideal_robot.robots.chain import serial_arm
 from ideal_robot.robots.urdf import model_of, read_drive_data
 
@@ -32,7 +32,6 @@ def prismatic_joints(model: pin.Model) -> NDArray[np.bool_]:
     return np.array([joint.shortname().startswith("JointModelP") for joint in list(model.joints)[1:]], dtype=bool)
 
 
-SHIPPED = ("kr6", "kr15", "manutec_r15", "kr500")
 TOOL_TIP = "ideal_robot_tool_tip"
 """Name of the frame at the end of a tool that a scene puts on."""
 
@@ -117,7 +116,7 @@ class Robot(Summarised):
         """Loads a shipped robot by name, or any serial URDF by path.
 
         Args:
-            name_or_urdf: one of ``SHIPPED``, or a path of a URDF file (meshes are not needed).
+            name_or_urdf: one of ``robots.SHIPPED``, or a path of a URDF file (meshes are not needed).
             data: path of the drive data (TOML). For a shipped robot, and for a URDF with a ``.toml`` of the
                 same stem beside it, found by itself; otherwise optional, with neutral values.
 
@@ -214,17 +213,7 @@ class Robot(Summarised):
 
 
 def _locate(name_or_urdf: str | Path, data: str | Path | None) -> tuple[Path, Path | None]:
-    if str(name_or_urdf) in SHIPPED:
-        folder = Path(str(resources.files("ideal_robot"))) / "robots" / str(name_or_urdf)
-        return folder / f"{name_or_urdf}.urdf", Path(data) if data else folder / f"{name_or_urdf}.toml"
-    urdf = Path(name_or_urdf)
-    if urdf.suffix == ".toml":
-        raise InputError("expected a shipped robot or a URDF; drive data (TOML) go to --drive-data", field="robot",
-                         value=str(name_or_urdf))
-    # A name that is too long is no file either, not an error of the system.
-    if not os.path.isfile(urdf):
-        raise InputError(f"no such URDF file, nor a shipped robot; shipped are {', '.join(SHIPPED)}",
-                         field="urdf", value=str(name_or_urdf))
+    urdf = urdf_of(name_or_urdf)
     if data is not None and not os.path.isfile(data):
         raise InputError("no such robot data file", field="robot", value=str(data))
     beside = urdf.with_suffix(".toml")

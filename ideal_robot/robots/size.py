@@ -15,7 +15,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
-from ideal_robot.robots.robot import SHIPPED, Robot, spread_postures
+from ideal_robot.robots import SHIPPED
+from ideal_robot.robots.robot import Robot, spread_postures
 from ideal_robot.robots.urdf import FEWEST, model_of
 
 REACH = (0.30, 0.50, 0.90, 1.30, 1.80, 2.60, 3.30)

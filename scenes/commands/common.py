@@ -217,6 +217,19 @@ def scenes_there(given: Any) -> Any:
     return given
 
 
+def arm_there(given: Any) -> Any:
+    """A robot as given, if there is one of that name or file; None stays what it is.
+
+    Raises:
+        InputError: neither a shipped robot nor a file.
+    """
+    from ideal_robot.robots import urdf_of
+
+    if given is not None:
+        urdf_of(given)
+    return given
+
+
 Bridge = Annotated[float, typer.Option(help="How long packets may be lost in a row [s].", min=0.0, max=1.0)]
 ControllerAddress = Annotated[str | None, typer.Option(help="Listen to this address only.")]
 Core = Annotated[int | None, typer.Option(help="Processor core to keep to.", min=0)]
@@ -229,11 +242,13 @@ JsonFigures = Annotated[Path | None, typer.Option(help="Write the figures as JSO
 JsonPlan = Annotated[Path | None, typer.Option(help="Write the plan and its figures as JSON to this file.")]
 JsonResults = Annotated[Path | None, typer.Option(help="Write the results as JSON to this file.")]
 ModelsRobot = Annotated[str | None, typer.Option("--robot", "--urdf", help="Arm: name of a shipped robot, or path of a "
-                                                 "URDF; default: the one the model names.")]
+                                                 "URDF; default: the one the model names.",
+                                                 callback=arm_there)]
 PlannerDelay = Annotated[bool, typer.Option(help="The standard path planner's delay of one cycle is in force.")]
 ReportFolder = Annotated[Path, typer.Option(help="Folder of the report.")]
 Rest = Annotated[float, typer.Option(help="Rest added before the path [s], for the gears' deflection.")]
-RobotName = Annotated[str, typer.Option("--robot", "--urdf", help="Arm: name of a shipped robot, or path of a URDF.")]
+RobotName = Annotated[str, typer.Option("--robot", "--urdf", help="Arm: name of a shipped robot, or path of a URDF.",
+                                        callback=arm_there)]
 SceneName = Annotated[str, typer.Argument(help="Name of a shipped scene, or path of a scene file (.toml).",
                                           callback=scenes_there)]
 SearchSeed = Annotated[int, typer.Option(help="Seed of the search.", min=0)]

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from scenes.commands.common import progress_bar, show_table
+from ideal_robot.errors import InputError
+from ideal_robot.robots import SHIPPED, urdf_of
+from scenes.commands.common import arm_there, progress_bar, scenes_there, show_table
 
 if TYPE_CHECKING:
     from ideal_robot.arrays import Array
@@ -52,7 +54,8 @@ def new(
     name: Annotated[str, typer.Argument(help="Name of the scene; the file is NAME.toml in this folder.")],
     kind: Annotated[str, typer.Option(help="Kind of scene: line, path, force, clamped or close_clamped.")] = "line",
     robot: Annotated[str | None, typer.Option("--robot", "--urdf", help="Of a line: name of a shipped robot, or path "
-                                              "of a URDF; surface, line and speed are chosen for it.")] = None,
+                                              "of a URDF; surface, line and speed are chosen for it.",
+                                              callback=arm_there)] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a file of that name.")] = False,
 ) -> None:
     """Writes a scene file that can be played at once and says in comments which keys there are besides.
@@ -61,7 +64,6 @@ def new(
 
     Example: `ideal-robot new my_line --robot my_arm.urdf`
     """
-    from ideal_robot.errors import InputError
     from ideal_robot.whole_file import write_text
     from scenes.kind import KINDS
     from scenes.scene_file import library, load_scene
@@ -91,7 +93,6 @@ def new(
 
 def _for_arm(example: str, kind: str, robot: str) -> str:
     """A shipped scene's text with the line where an arm of the user's reaches it; says what was chosen and assumed."""
-    from ideal_robot.errors import InputError
     from scenes.placing import place_line, scene_text
     from scenes.scene_file import load_scene
     from scenes.scene_files.line_scene import LineScene
@@ -120,7 +121,6 @@ def export(
 
     Example, after that of `run`: `ideal-robot export out/line/recording.parquet --mcap line.mcap`
     """
-    from ideal_robot.errors import InputError
     from ideal_robot.signals.recording import Recording
     from ideal_robot.signals.ros_export import write_mcap, write_rosbag2
     from scenes.outputs import check_outputs
@@ -181,10 +181,26 @@ def fetch(
     typer.echo(f"{one.title}\nlicence: {one.licence}\ncite: {one.cite}\nrecording: {path}")
 
 
+def _there(what: str) -> str:
+    """What is to be shown as given, if there is such a recording, robot or scene.
+
+    Raises:
+        InputError: there is none.
+    """
+    suffix = Path(what).suffix
+    if suffix not in (".parquet", ".csv"):
+        urdf_of(what) if what in SHIPPED or suffix == ".urdf" else scenes_there(what)
+    elif not Path(what).exists():
+        raise InputError("no such recording", file=what)
+    return what
+
+
 def view(
-    what: Annotated[str, typer.Argument(help="A scene (name or .toml), a recording (.parquet, .csv) or a robot.")],
+    what: Annotated[str, typer.Argument(help="A scene (name or .toml), a recording (.parquet, .csv) or a robot.",
+                                        callback=_there)],
     robot: Annotated[str | None, typer.Option("--robot", "--urdf", help="Arm: name of a shipped robot, or path of a "
-                                              "URDF; needed where a recording does not say it.")] = None,
+                                              "URDF; needed where a recording does not say it.",
+                                              callback=arm_there)] = None,
     port: Annotated[int, typer.Option(help="TCP port on this machine; the next free one where it is taken.", min=1,
                                       max=65535)] = 8080,
     live: Annotated[Path | None, typer.Option(help="Folder of a run on devices that goes on or is about to begin, "
@@ -241,7 +257,7 @@ def _view_live(what: str, live: Path, robot: str | None, port: int, once: bool) 
 
 def _shown(what: str, robot: str | None, play: bool) -> tuple[Robot, Replay | None, dict[str, Array]]:
     """The arm of what is to be shown, what moves, and curves to draw where nothing does."""
-    from ideal_robot.robots.robot import SHIPPED, Robot
+    from ideal_robot.robots.robot import Robot
     from scenes.arms import arm_of
     from scenes.kind import kind_of
     from scenes.scene_file import load_scene

@@ -14,7 +14,8 @@ from ideal_robot.errors import InputError
 from ideal_robot.execution.precorrect import PrecorrectedPath, path_at_cycles, precorrect
 from ideal_robot.model.cascade import given_controller
 from ideal_robot.model.model import Model
-from ideal_robot.robots.robot import SHIPPED, Robot
+from ideal_robot.robots import SHIPPED
+from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.report.page import Report
 from sim.arm.arm import SimulatedArm

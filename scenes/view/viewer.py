@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.robots.robot import SHIPPED, Robot
+from ideal_robot.robots import SHIPPED
+from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.report.replay import (
     Replay,

@@ -178,7 +178,8 @@ def test_version_is_the_packages() -> None:
 
 
 @pytest.mark.parametrize("words", [["--help"], ["run", "--help"], ["run", "nothing"], ["sweep", "line", "nothing"],
-                                   ["diagnose", "nothing.csv", "--robot", "kr6"], ["check", "nothing.toml"]])
+                                   ["diagnose", "nothing.csv", "--robot", "kr6"], ["check", "nothing.toml"],
+                                   ["view", "nothing"], ["view", "nothing.csv"], ["new", "mine", "--robot", "nothing"]])
 def test_a_first_answer_loads_nothing_that_computes(words: list[str]) -> None:
     """It comes in a third of a second; NumPy alone would take a fifth more."""
     code = ("import atexit, sys; atexit.register(lambda: print({'numpy', 'scenes.workers'} & {*sys.modules})); "

@@ -18,8 +18,9 @@ from ideal_robot.execution.precorrect import path_at_cycles
 from ideal_robot.feedforward.method import Needs
 from ideal_robot.feedforward.registry import feedforward, methods
 from ideal_robot.model.model import Model
+from ideal_robot.robots import SHIPPED
 from ideal_robot.robots.interface import RobotState
-from ideal_robot.robots.robot import SHIPPED, Robot
+from ideal_robot.robots.robot import Robot
 from scenes.models import shipped_model
 from tests.sources import MODELS
 
