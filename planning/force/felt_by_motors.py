@@ -128,12 +128,13 @@ class BeyondSensor:
         """One cycle in contact, of which ``weigh`` makes something.
 
         Args:
-            measured: at its end; torques that are NaN say nothing.
+            measured: at its end; torques that are NaN say nothing, and motions before and after do not belong together.
             torque: joint torques of one newton of contact ``(n,)`` [N m/N].
             felt: normal force that the sensor tells [N].
             speed: of the tip along the surface [m/s].
         """
         if not np.isfinite(measured.tau).all():
+            self._heard.clear()
             return
         if self._heard:
             step = measured.q - self._heard[-1][0]

@@ -195,13 +195,14 @@ KEPT = 0.2
 
 @dataclass
 class _Cycle:
-    """A cycle: its end, the motor angles there, the torque expected of the contact, those sensed, the arm then."""
+    """A cycle: its end, motor angles there, contact torques expected and sensed, the arm then, the steps it took."""
 
     t: float
     q: Array
     expected: Array
     felt: list[Array]
     state: ObserverState
+    steps: int
 
 
 class FeltArm:
@@ -224,16 +225,17 @@ class FeltArm:
         self._settled = observer.init(q_start)
         self._cycles: deque[_Cycle] = deque()
 
-    def step(self, t: float, q: Array, expected: Array) -> Array:
+    def step(self, t: float, q: Array, expected: Array, steps: int = 1) -> Array:
         """The arm angles ``(n,)`` [rad] at ``t`` as far as is known now.
 
         Args:
             t: end of the cycle [s].
             q: motor angles then ``(n,)`` [rad].
             expected: joint torques of the contact during it ``(n,)`` [N m].
+            steps: cycles of the controller that it stands for: of those before the last nothing was heard.
         """
         before = self._cycles[-1].state if self._cycles else self._settled
-        self._cycles.append(_Cycle(t, q, expected, [], self._observer.step(before, q, expected)))
+        self._cycles.append(_Cycle(t, q, expected, [], self._went_on(before, q, expected, steps), steps))
         while self._cycles[0].t < t - KEPT:
             self._settled = self._cycles.popleft().state
         return self._cycles[-1].state.q_a
@@ -256,9 +258,15 @@ class FeltArm:
         changed = []
         for cycle in list(self._cycles)[first:]:
             torque = np.mean(cycle.felt, axis=0) if cycle.felt else cycle.expected
-            state = cycle.state = self._observer.step(state, cycle.q, torque)
+            state = cycle.state = self._went_on(state, cycle.q, torque, cycle.steps)
             changed.append((cycle.t, state.q_a))
         # Older cycles get no more forces.
         while len(self._cycles) > 1 and self._cycles[1].felt and self._cycles[0].t < float(np.min(t)) - 0.05:
             self._settled = self._cycles.popleft().state
         return changed
+
+    def _went_on(self, state: ObserverState, q: Array, torque: Array, steps: int) -> ObserverState:
+        """The arm some cycles later, the motors evenly on their way to ``q (n,)`` [rad]."""
+        for left in range(steps, 0, -1):
+            state = self._observer.step(state, state.q + (q - state.q) / left, torque)
+        return state

@@ -87,6 +87,11 @@ class LiveForceTask(ForceTask):
     floor, ceiling = -np.inf, np.inf
     """Heights at the start of the path below which the tip does not go, and above which it feels nothing [m]."""
 
+    @property
+    def steps(self) -> int:
+        """See ``ForceTask``."""
+        return 1 if self.arm is None else self.arm.steps
+
     def lead(self, arm: LiveArm) -> None:
         """From now on with this arm, which is at rest at the start."""
         self.arm, self.ahead = arm, self.vision is not None and arm.t_ipo < AT_ONCE

@@ -205,6 +205,11 @@ class ForceTask:
         self._fused_at = -np.inf
         self._camera: Camera | None = None
 
+    @property
+    def steps(self) -> int:
+        """Cycles of the controller from the last motor angles but one to the last."""
+        return 1
+
     def connect(self, sensor: ForceSensor, camera: Camera | None) -> None:
         """Connects the devices: the force sensor, and the camera of a scene that has one."""
         self._sensor, self._camera = sensor, camera
@@ -233,7 +238,7 @@ class ForceTask:
             q: motor angles ``(n,)`` [rad].
             q_d: horizon of the last cycle ``(n_d, n)`` [rad]; not needed.
         """
-        arm = q if self._arm is None else self._geometry.as_drawn(self._arm.step(t, q, self._torque[0]))
+        arm = q if self._arm is None else self._geometry.as_drawn(self._arm.step(t, q, self._torque[0], self.steps))
         self.follower.observe(t, arm)
 
     def plan(self, t: float, q_d: Array) -> Array:

@@ -92,6 +92,7 @@ class LiveArm:
         between: called in every cycle after the command has gone and before the next packet is waited for.
         q_d: desired position of the coming cycle, for the journal ``(n,)`` [rad].
         stop_reason: why following has to end; None while it has not.
+        steps: cycles of the controller from the last state but one to the last; more than one where some were lost.
     """
 
     def __init__(self, link: Link, journal: Journal) -> None:
@@ -100,7 +101,7 @@ class LiveArm:
         self.between: list[Callable[[], None]] = []
         self.q_d = link.commanded.copy()
         self.stop_reason: str | None = None
-        self.cycles = 0
+        self.cycles, self.steps = 0, 1
         self._k = 0
         self._last: RobotState | None = None
         self._told: deque[float] = deque(maxlen=_REMEMBERED)
@@ -162,12 +163,13 @@ class LiveArm:
         return self._counted(self._made_good(state))
 
     def _counted(self, state: RobotState) -> RobotState:
-        """One cycle further."""
+        """One cycle further; torques of a state that is more than a cycle behind the one before belong to no motion."""
         self._k += 1
+        self.steps = 1 if self._last is None else max(round((state.t - self._last.t) / self.t_ipo), 1)
         self._told.append(state.t)
         self._played.append(self.t)
         self._last = state
-        return RobotState(self.t, state.q, state.tau)
+        return RobotState(self.t, state.q, state.tau if self.steps == 1 else np.full_like(state.q, np.nan))
 
     def _made_good(self, state: RobotState) -> RobotState:
         """The state to go on with: the first of those unheard of, which lie between the last two."""

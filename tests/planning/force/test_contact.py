@@ -198,6 +198,19 @@ def test_late_forces_give_what_an_observer_gives_that_knew_them_at_once() -> Non
         np.testing.assert_allclose(revised[k], truth[k], atol=5e-6)
 
 
+def test_an_arm_unheard_of_for_some_cycles_is_where_it_would_be_had_it_been_heard() -> None:
+    """Without the steps between, what it moved in five cycles was the speed of one, and it swung by millimetres."""
+    robot, model = kr6(), Model.load(shipped_model("kr6"))
+    felt, knew = (FeltArm(ArmObserver(model, T), robot.home, lambda q, f: np.zeros(6)) for _ in range(2))
+    rate, still = np.array([0.2, 0.05, -0.1, 0.02, 0.3, 0.1]), np.zeros(6)
+    for k in range(1, 60):
+        angles = robot.home + rate * T * max(k - 20, 0)
+        q_a = knew.step(k * T, angles, still)
+        if not 40 <= k < 44:
+            seen = felt.step(k * T, angles, still, 5 if k == 44 else 1)
+            np.testing.assert_allclose(seen, q_a, atol=1e-12)
+
+
 def test_drift_of_the_bias_shows_in_the_air_and_a_touch_does_not() -> None:
     tare, t = Tare(), np.arange(0.0, 0.3, 0.004)
     drift = np.array([0.1, -0.1, 0.3])

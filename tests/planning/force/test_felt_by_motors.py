@@ -42,6 +42,22 @@ def test_joints_at_rest_a_tip_at_rest_and_controllers_without_currents_say_nothi
     assert heard(np.full(6, 0.1), 10.0, currents=False) == 0.0
 
 
+def test_motions_before_and_after_lost_cycles_are_no_acceleration() -> None:
+    """A follower that was not let run for 50 ms took what the arm had moved meanwhile for one cycle's: 79 N."""
+    known = set_up(load_scene("force_wave")).known
+    robot, model = known.robot, known.model
+    motors, torque = BeyondSensor(model, T), InverseKinematics(robot).torque(robot.home, UP)
+    rate, lost, t = np.array([0.2, 0.05, -0.1, 0.02, 0.3, 0.1]), 5, 0.0
+    for k in range(400):
+        gap = k % 50 == 49
+        t += T * (lost if gap else 1)
+        tau = model.inverse_dynamics(robot.home + rate * t, rate, 0.0 * rate)[0] - 20.0 * torque
+        state = RobotState(T * k, robot.home + rate * t, np.full(robot.n, np.nan) if gap else tau)
+        motors.hear(state, torque, 20.0, 0.2)
+        motors.weigh()
+    assert abs(motors.excess) < 0.5
+
+
 @pytest.mark.parametrize(("cycle", "needed"), [(0.012, 3), (0.004, 7)])
 @pytest.mark.parametrize(("sense", "speed"), [(1.0, 0.3), (-1.0, -0.1)])
 def test_the_first_word_of_the_motors_is_what_a_random_walk_lets_expect(cycle: float, needed: int, sense: float,

@@ -93,6 +93,14 @@ def test_where_the_controller_went_on_the_path_goes_on_with_it(link: Tame, arm: 
     np.testing.assert_allclose([arm.play_time(h) for h in host], [60 * T, 50 * T, 30 * T, 10 * T], atol=1e-6)
 
 
+@pytest.mark.parametrize("repeats", [False, True])
+def test_torques_behind_lost_cycles_belong_to_no_motion(repeats: bool, link: Tame, arm: LiveArm) -> None:
+    link.lost, link.repeats = (20,), repeats
+    told = [(bool(np.isfinite(arm.cycle(link.robot.home).tau).all()), arm.steps) for _ in range(30)]
+    # Where the controller goes on, states are thought of between those before and after: none is a cycle too far.
+    assert told == [(True, 1) if repeats or k != 19 else (False, 2) for k in range(30)]
+
+
 def test_a_fault_and_a_gone_arm_end_following(link: Tame, arm: LiveArm) -> None:
     arm.check(0.0)
     link.fault = "joint 2 does not move"
