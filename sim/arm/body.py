@@ -301,17 +301,18 @@ def _with_rods(text: str, radius: float) -> str:
 
 
 def _render(client: int, view: View, light: float) -> Picture:
-    """Renders at twice the size and averages, which smooths the edges that TinyRenderer leaves jagged."""
+    """Renders half as large again and averages, which smooths the edges that TinyRenderer leaves jagged."""
     width, height, azimuth, elevation, distance, target = view
+    columns, rows = 3 * width // 2, 3 * height // 2
     eye = pybullet.computeViewMatrixFromYawPitchRoll(target, distance, azimuth, elevation, 0.0, 2,
                                                      physicsClientId=client)
     far = 10.0 * (distance or 0.0)
     lens = pybullet.computeProjectionMatrixFOV(40.0, width / height, 0.05, far, physicsClientId=client)
-    image = pybullet.getCameraImage(2 * width, 2 * height, eye, lens, lightDirection=[1.2, -1.6, 3.0],
+    image = pybullet.getCameraImage(columns, rows, eye, lens, lightDirection=[1.2, -1.6, 3.0],
                                     lightDistance=light, lightAmbientCoeff=0.55, lightDiffuseCoeff=0.5,
                                     lightSpecularCoeff=0.15, shadow=1,
                                     renderer=pybullet.ER_TINY_RENDERER, physicsClientId=client)[2]
-    rgb = np.asarray(image, dtype=np.uint8).reshape(2 * height, 2 * width, 4)[:, :, :3]
+    rgb = np.asarray(image, dtype=np.uint8).reshape(rows, columns, 4)[:, :, :3]
     return np.asarray(cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
