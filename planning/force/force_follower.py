@@ -165,18 +165,11 @@ class SurfaceFollower:
         self.felt = np.column_stack([t, height, forces @ normal])
         self.force = float(np.mean(self.felt[:, 2]))
         self.sideways = float(np.linalg.norm(forces.mean(axis=0) - self.force * normal))
-        if self.force > self.settings.touch:
-            self.last_touch = max(self.last_touch, float(np.max(t)))
-            if self._contact_since is None:
-                self._contact_since = float(t[-1])
-                self.phase = Phase.SETTLE
-        if self._contact_since is None or self.phase in (Phase.LIFT, Phase.DONE):
+        if not self._in_contact(t):
             return None
         settings = self.settings
-        seen = [
-            force_deviation(f, up, settings.force, settings.elasticity, sigma=settings.noise, normal=normal)
-            for f in forces
-        ]
+        seen = [force_deviation(f, up, settings.force, settings.elasticity, sigma=settings.noise, normal=normal)
+                for f in forces]
         value = np.array([one.value for one in seen])
         # A tip with damping adds a share of the velocity into the surface; along it there is none.
         sinking = float(self._velocity(float(t[middle])) @ normal)
@@ -195,6 +188,15 @@ class SurfaceFollower:
         return self.fusion.update(Measurement(float(t[-1]), s, value, covariance, direction, "force", wrong,
                                               origin=None if self.phase is Phase.SETTLE else origin,
                                               at=float(s.max())))
+
+    def _in_contact(self, t: Array) -> bool:
+        """Whether what was felt at ``t (m,)`` [s] is a contact that is kept; the first one ends the approach."""
+        if self.force > self.settings.touch:
+            self.last_touch = max(self.last_touch, float(np.max(t)))
+            if self._contact_since is None:
+                self._contact_since = float(t[-1])
+                self.phase = Phase.SETTLE
+        return self._contact_since is not None and self.phase not in (Phase.LIFT, Phase.DONE)
 
     def _in_common(self, value: Array, sinking: float) -> Array:
         """Covariance of what the samples of a cycle have in common ``(m, m)`` [m²].
