@@ -33,6 +33,8 @@ STAMPS, FEWEST = 50, 20
 """Messages from which it is judged how even their stamps are, at most and at least."""
 UNEVEN, SURELY = 0.001, 4.0
 """Standard deviation that stamps may have [s], a millimetre at 1 m/s, and standard errors that it has to be beyond."""
+STRETCHES = 5
+"""Stretches of those messages: what happens once falls into two of them at most."""
 LEAPS = 3
 """Readings in a row behind a leap after which it is none that passes."""
 
@@ -154,7 +156,8 @@ class LifeSigns:
 
         .. math:: \sigma_s^2 = \tfrac12 \mathrm{cov}(\Delta s, \Delta s - \Delta a)
 
-        whatever the sensor's own pace is.
+        whatever the sensor's own pace is. Messages that are delayed, and those that are lost behind them, move both for a
+        while; stamps that wander do it all the time. So what counts is the median of stretches.
 
         Args:
             stamp: by this computer's clock [s].
@@ -166,7 +169,7 @@ class LifeSigns:
         s, a = np.diff(np.array(self._times), axis=0).T
         own = s - a - np.mean(s - a)
         s = s - s.mean()
-        variance = float(np.mean(s * own)) / 2.0
+        variance = float(np.median([np.mean(part) for part in np.array_split(s * own, STRETCHES)])) / 2.0
         # What both steps have in common, as where pictures are lost, goes with their own noise by chance.
         common = max(float(np.mean(s**2)) - 2.0 * variance, 0.0)
         error = 0.5 * float(np.sqrt(common * np.mean(own**2) / len(s)))
