@@ -156,8 +156,8 @@ class LifeSigns:
 
         .. math:: \sigma_s^2 = \tfrac12 \mathrm{cov}(\Delta s, \Delta s - \Delta a)
 
-        whatever the sensor's own pace is. Messages that are delayed, and those that are lost behind them, move both for a
-        while; stamps that wander do it all the time. So what counts is the median of stretches.
+        whatever the sensor's own pace is. Messages that are delayed, and those lost behind them, move both for a while;
+        stamps that wander do so all the time. So what counts is the median of stretches.
 
         Args:
             stamp: by this computer's clock [s].
