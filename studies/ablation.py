@@ -23,7 +23,7 @@ import numpy as np
 import ideal_robot
 from ideal_robot.diagnosis import Options, stages
 from ideal_robot.diagnosis.case import Case, Findings
-from ideal_robot.diagnosis.search import forward_selection, learned_curves
+from ideal_robot.diagnosis.search import forward_selection
 from ideal_robot.diagnosis.search.forward_selection import Search
 from ideal_robot.diagnosis.search.scoring import Scoring
 from ideal_robot.diagnosis.statistics.problem import Problem, fitted_effect
@@ -88,10 +88,9 @@ STEPS = (
     *(Step(Search, name, lambda original, *a: None, lambda result, *a: bool(result))
       for name in ("_prune", "_exchange", "_retune")),
     _says(Search, "_with_needed_form", False), _passes(Search, "_sharpened", 2),
-    _passes(forward_selection, "likelier", 1), _says(forward_selection, "indistinguishable", False),
+    _passes(forward_selection, "likelier", 0), _says(forward_selection, "indistinguishable", False),
     _says(Scoring, "holds_slowly", True),
     _says(Scoring, "holds_everywhere", True), _says(Scoring, "share_slowly", 0.0),
-    _says(learned_curves, "flexible", False),
     Step(PreslidingHysteresis, "certain", lambda original, *a: Effect.certain(*a),
          lambda result, *a: bool(result != Effect.certain(*a))), _says(GravitySpring, "like_the_model", None),
     _says(stages, "_columns_changed", False), _passes(stages, "with_braking_friction", 1),

@@ -170,14 +170,6 @@ class AngleLaw(Effect):
     """A function of its joint's angle alone: a learned curve that is needed beside it says that its form is wrong."""
 
 
-def flexible(effect: Effect) -> bool:
-    """Whether an effect bends to nearly any curve over its joint's angle, as a law of it with a shape of its own does.
-
-    To replace it, a learned curve has to be only as good, and needed beside it.
-    """
-    return isinstance(effect, AngleLaw) and bool(effect.theta_names)
-
-
 class CableSpring(AngleLaw):
     """``tau = k q``: a linear spring on one joint, a cable or hose; its rest position goes into the constant offset."""
 

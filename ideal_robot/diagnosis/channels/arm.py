@@ -109,6 +109,23 @@ def frames_along(robot: Robot, q: Array) -> Frames:
     return Frames(axis, x, position, tip, jacobian)
 
 
+def tool_motion(robot: Robot, q: Array, qd: Array) -> tuple[Array, Array, Array]:
+    """Rotation ``(N, 3, 3)``, place ``(N, 3)`` and twist ``(N, 6)`` of the tool in the base frame.
+
+    Args:
+        robot: the arm.
+        q: positions ``(N, n)`` [rad].
+        qd: velocities ``(N, n)`` [rad/s].
+    """
+    data, N = robot.pinocchio.createData(), len(q)
+    rotation, place, twist = np.empty((N, 3, 3)), np.empty((N, 3)), np.empty((N, 6))
+    for k in range(N):
+        twist[k] = _jacobian(robot, data, q[k]) @ qd[k]
+        pose = pin.updateFramePlacement(robot.pinocchio, data, robot.tool_id)
+        rotation[k], place[k] = pose.rotation, pose.translation
+    return rotation, place, twist
+
+
 def _jacobian(robot: Robot, data: pin.Data, q: Array) -> Array:
     """Jacobian of the tool's place ``(6, n)``; Pinocchio's has one dimension where there is one joint."""
     full = pin.computeFrameJacobian(robot.pinocchio, data, q, robot.tool_id, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)

@@ -7,11 +7,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 from scipy import ndimage
 
 from ideal_robot.arrays import GRAVITY, Array, G
-from ideal_robot.diagnosis.channels.arm import frames_along
+from ideal_robot.diagnosis.channels.arm import frames_along, tool_motion
 from ideal_robot.diagnosis.channels.regression import FEWEST, Regression, noise_in_band
 from ideal_robot.effects import SENSOR
 from ideal_robot.effects.fitted import spline_basis
@@ -73,7 +72,7 @@ def wrench_of(recording: Recording, robot: Robot, torque: Regression) -> Wrench 
         return None
     filtered = torque.filtered
     values = resampled(recording.t, measured, filtered.t)
-    rotation, place = _poses(robot, filtered.q)
+    rotation, place, _ = tool_motion(robot, filtered.q, filtered.qd)
     pull = np.einsum("kij,i->kj", rotation, GRAVITY)
     acceleration = np.gradient(np.gradient(place, filtered.dt, axis=0), filtered.dt, axis=0)
     push = -np.einsum("kij,ki->kj", rotation, acceleration)
@@ -84,16 +83,6 @@ def wrench_of(recording: Recording, robot: Robot, torque: Regression) -> Wrench 
         values = values - (np.asarray(known["bias"], dtype=float) + weight)[:, : len(names)]
     free, load = _untouched(values[:, :3], pull, push, filtered.dt, bool(known))
     return Wrench(values, rotation, pull, push, free, load)
-
-
-def _poses(robot: Robot, q: Array) -> tuple[Array, Array]:
-    model, data, tool = robot.pinocchio, robot.pinocchio.createData(), robot.tool_id
-    rotation, place = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
-    for k, row in enumerate(q):
-        pin.forwardKinematics(model, data, row)
-        pose = pin.updateFramePlacement(model, data, tool)
-        rotation[k], place[k] = pose.rotation, pose.translation
-    return rotation, place
 
 
 def _untouched(force: Array, pull: Array, push: Array, dt: float, calibrated: bool) -> tuple[np.ndarray, Array]:

@@ -11,11 +11,10 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import pinocchio as pin
 from scipy import ndimage
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.channels.arm import arm_angles, deflection
+from ideal_robot.diagnosis.channels.arm import arm_angles, deflection, tool_motion
 from ideal_robot.diagnosis.channels.blocks import Blocks, numbered_blocks
 from ideal_robot.diagnosis.channels.regression import FEWEST, Regression
 from ideal_robot.effects import SENSOR, Signals, library
@@ -213,14 +212,7 @@ def _smooth(t: Array, values: Array, at: Array) -> tuple[Array, Array]:
 def _poses(recording: Recording, robot: Robot, torque: Regression, stiffness: Array | None,
            stamps: Array) -> tuple[Array, Array, Array, Array]:
     """Rotation, place, velocity and angular velocity of the tool in the base frame at the time stamps."""
-    t, angles = _arm_angles(recording, torque, stiffness)
-    q, qd = _smooth(t, angles, stamps)
-    model, data, tool = robot.pinocchio, robot.pinocchio.createData(), robot.tool_id
-    rotation, place, twist = np.empty((len(q), 3, 3)), np.empty((len(q), 3)), np.empty((len(q), 6))
-    for k in range(len(q)):
-        jacobian = pin.computeFrameJacobian(model, data, q[k], tool, pin.LOCAL_WORLD_ALIGNED)
-        pose = pin.updateFramePlacement(model, data, tool)
-        rotation[k], place[k], twist[k] = pose.rotation, pose.translation, jacobian @ qd[k]
+    rotation, place, twist = tool_motion(robot, *_smooth(*_arm_angles(recording, torque, stiffness), stamps))
     return rotation, place, twist[:, :3], twist[:, 3:]
 
 

@@ -21,7 +21,7 @@ from scipy import linalg
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.regression import Regression
-from ideal_robot.diagnosis.search.choice import NOT_TOLD, Options
+from ideal_robot.diagnosis.search.choice import NEARLY, Options
 from ideal_robot.diagnosis.statistics.least_squares import ROUNDING, TOLD
 from ideal_robot.diagnosis.statistics.problem import Candidate
 from ideal_robot.effects import MOTOR_TORQUE, Domain
@@ -76,7 +76,7 @@ class Separation:
 
     Attributes:
         sigma: expected distance of the two in standard deviations of the noise.
-        own_share: share of the cause that its rival cannot imitate; what imitates more than ``NOT_TOLD`` stays a rival.
+        own_share: share of the cause that its rival cannot imitate; what imitates more than ``NEARLY`` stays a rival.
         seen_share: share of the residual's squares that the cause makes up.
     """
 
@@ -87,7 +87,7 @@ class Separation:
     @property
     def told_apart(self) -> bool:
         """Whether a recording is expected to tell them: the difference of the fits' squares scatters by ``2 sigma``."""
-        return 0.5 * self.sigma >= TOLD and self.own_share >= 1.0 - NOT_TOLD
+        return 0.5 * self.sigma >= TOLD and self.own_share >= 1.0 - NEARLY
 
     def margin(self, smallest: float) -> float:
         """What a motion is chosen by: one where a diagnosis would just see the cause and tell it, and in proportion.
@@ -95,7 +95,7 @@ class Separation:
         Args:
             smallest: share of the residual's squares that it asks of a cause.
         """
-        return min(0.5 * self.sigma / TOLD, self.own_share / (1.0 - NOT_TOLD), self.seen_share / smallest)
+        return min(0.5 * self.sigma / TOLD, self.own_share / (1.0 - NEARLY), self.seen_share / smallest)
 
 
 @dataclass(frozen=True)

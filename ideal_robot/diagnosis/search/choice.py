@@ -146,10 +146,8 @@ class PresentModel:
         return weights_of_channels(self.design, self.keys(), self.problem.prior)
 
 
-_NEARLY = 0.9
+NEARLY = 0.9
 """Share of a reduction from which on a cause is a rival, or is taken if it is likelier."""
-NOT_TOLD = 0.8
-"""The same of a rival where the difference is no more than what scatters from block to block."""
 SIMPLER = 0.95
 """Share of a reduction from which on a law with fewer parameters may stand for one with more."""
 FINALISTS = 6
@@ -173,7 +171,7 @@ def discoveries(scored: list[Candidate], tests: int, rate: float) -> list[Candid
 
 
 def rivals_of(model: PresentModel, best: Candidate, others: list[Candidate]) -> tuple[tuple[str, int, float], ...]:
-    """Candidates with nine tenths of the reduction, or not significantly less: with other data they might be ahead.
+    """Candidates with nine tenths of the reduction: with other data they might be ahead.
 
     Args:
         model: the present model.
@@ -183,27 +181,19 @@ def rivals_of(model: PresentModel, best: Candidate, others: list[Candidate]) -> 
     Returns:
         Name, joint, and share of the best one's reduction.
     """
-    rivals = []
-    for s in others:
-        if s is best:
-            continue
-        ratio = s.test.total / max(best.test.total, 1e-300)
-        nearly = ratio > _NEARLY and overlap(model, best, s)
-        if nearly or indistinguishable(model, best, s, NOT_TOLD):
-            rivals.append((s.effect.name, s.joint, ratio))
-    return tuple(rivals)
+    shares = [(s, s.test.total / max(best.test.total, 1e-300)) for s in others if s is not best]
+    return tuple((s.effect.name, s.joint, share) for s, share in shares if share > NEARLY and overlap(model, best, s))
 
 
-def indistinguishable(model: PresentModel, best: Candidate, other: Candidate, share: float) -> bool:
+def indistinguishable(model: PresentModel, best: Candidate, other: Candidate) -> bool:
     """Whether another candidate reduces the same channel as much, but for what scatters from block to block.
 
     Args:
         model: the present model.
         best: scored against it.
         other: likewise.
-        share: of the best one's reduction that the other has to reach.
     """
-    if not overlap(model, best, other) or other.test.total < share * best.test.total:
+    if not overlap(model, best, other) or other.test.total < SIMPLER * best.test.total:
         return False
     difference = best.test.reduction - other.test.reduction
     difference = difference[np.isfinite(difference)]
@@ -211,20 +201,10 @@ def indistinguishable(model: PresentModel, best: Candidate, other: Candidate, sh
     return bool(float(difference.sum()) < TOLD * error)
 
 
-def likelier(model: PresentModel, best: Candidate, others: list[Candidate]) -> Candidate:
-    """The best one, or one of the others that is taken sooner and reduces nearly as much.
-
-    Args:
-        model: the present model.
-        best: scored.
-        others: scored against the same model.
-    """
-    for other in others:
-        if best.effect.name in other.effect.sooner_than \
-                and (other.test.total > _NEARLY * best.test.total
-                     or indistinguishable(model, best, other, NOT_TOLD)):
-            return other
-    return best
+def likelier(best: Candidate, others: list[Candidate]) -> Candidate:
+    """The best one, or one of the others that is taken sooner and reduces nearly as much."""
+    return next((other for other in others if best.effect.name in other.effect.sooner_than
+                 and other.test.total > NEARLY * best.test.total), best)
 
 
 def overlap(model: PresentModel, a: Candidate, b: Candidate) -> bool:

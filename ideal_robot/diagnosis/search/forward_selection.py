@@ -26,7 +26,7 @@ from ideal_robot.diagnosis.search.scoring import Scoring
 from ideal_robot.diagnosis.statistics.least_squares import Fit
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.effects import Effect, Signals
-from ideal_robot.effects.loads import AngleLaw, flexible
+from ideal_robot.effects.loads import AngleLaw
 from ideal_robot.progress import Progress, silent
 
 
@@ -154,9 +154,9 @@ class Search:
         # Of those that the data cannot tell apart, the one with fewest parameters.
         for other in refined[1:]:
             if other.parameter_count < best.parameter_count \
-                    and indistinguishable(self.model, refined[0], other, SIMPLER):
+                    and indistinguishable(self.model, refined[0], other):
                 best = other
-        best = likelier(self.model, best, refined)
+        best = likelier(best, refined)
         return dataclasses.replace(best, rivals=rivals_of(self.model, best, refined),
                                    asked=self.scoring.share_asked(best))
 
@@ -205,7 +205,8 @@ class Search:
             others = [s for s in tried if s.place != choice.place]
             own = [self.scoring.tested(fit, choice), *(s for s in tried if s.place == choice.place)]
             present = max(own, key=lambda s: s.test.total)
-            if self.learns and flexible(choice.effect):
+            if self.learns and choice.theta:
+                # With a shape of its own a law bends to nearly any curve, which has to be needed beside it.
                 others += self.curves.over_angle(fit, choice.joint)
             for other in others:
                 simple, rich = sorted((present, other), key=lambda s: s.parameter_count)
@@ -251,7 +252,7 @@ class Search:
                       and s.test.total > 0.8 * present.test.total]
             refined = sorted((self.scoring.refined(fit, s) for s in rivals), key=lambda s: -s.test.total)
             if refined and refined[0].test.total > 1.03 * present.test.total and self.scoring.holds(fit, refined[0]) \
-                    and likelier(self.model, refined[0], [present]) is not present:
+                    and likelier(refined[0], [present]) is not present:
                 s = refined[0]
                 better = dataclasses.replace(s, rivals=rivals_of(self.model, s, refined),
                                              asked=self.scoring.share_asked(s, choice))

@@ -13,7 +13,6 @@ from ideal_robot.diagnosis.statistics.least_squares import Fit
 from ideal_robot.diagnosis.statistics.problem import Candidate
 from ideal_robot.effects import TCP_POSITION
 from ideal_robot.effects.fitted import Unknown
-from ideal_robot.effects.loads import flexible
 
 
 class LearnedCurves:
@@ -37,9 +36,7 @@ class LearnedCurves:
             fit: of the present model.
             best: the best effect of this round, or None.
         """
-        # A law that bends to nearly any curve has no advantage.
-        margin = self.options.unknown_margin if best is None or not flexible(best.effect) else 1.0
-        least = 0.0 if best is None else margin * best.test.total
+        least = 0.0 if best is None else self.options.unknown_margin * best.test.total
         problem = self.model.problem
         residual = self.model.residual(fit)
         scored: list[Candidate] = []
@@ -47,7 +44,11 @@ class LearnedCurves:
             if j + 1 in problem.regression.undecided and problem.regression.domain != TCP_POSITION:
                 continue
             scored += self._of_channel(fit, residual, j, best is None, least)
-        return self._largest(scored, least)
+        taken = {c.key for c in self.model.choices}
+        scored = [s for s in scored if s.p_value < self.options.learned_discovery and s.test.total > least
+                  and s.key not in taken and self.scoring.is_large(s)]
+        found = max(scored, key=lambda s: s.test.total, default=None)
+        return None if found is None else replace(found, asked=self.scoring.smallest_share(found))
 
     def in_channel(self, fit: Fit, channel: int) -> Candidate | None:
         """The curve that takes most away in one channel, from 0, whether it is large or not.
@@ -60,28 +61,17 @@ class LearnedCurves:
         return max(scored, key=lambda s: s.test.total, default=None)
 
     def over_angle(self, fit: Fit, joint: int) -> list[Candidate]:
-        """Curves over a joint's own angle, tested.
+        """The curve over a joint's own angle, tested; none where the joint hardly moves.
 
         Args:
             fit: of the present model.
             joint: from 1.
         """
-        curves = [term for term in self._terms(joint - 1, False)
+        curves = [Candidate(term, joint) for term in self._terms(joint - 1, False)
                   if term.depends_on == (f"q_{joint}",) and not term.directed]
-        scored = []
-        for term in curves:
-            candidate = Candidate(term, joint, (), len(curves))
-            self.model.add_columns(candidate)
-            scored.append(self.scoring.tested(fit, candidate))
-        return scored
-
-    def _largest(self, scored: list[Candidate], least: float) -> Candidate | None:
-        """The curve that takes most away and more than the least, if one that is not taken is certain and large."""
-        taken = {c.key for c in self.model.choices}
-        scored = [s for s in scored if s.p_value < self.options.learned_discovery and s.test.total > least
-                  and s.key not in taken and self.scoring.is_large(s)]
-        found = max(scored, key=lambda s: s.test.total, default=None)
-        return None if found is None else replace(found, asked=self.scoring.smallest_share(found))
+        for curve in curves:
+            self.model.add_columns(curve)
+        return [self.scoring.tested(fit, curve) for curve in curves]
 
     def _of_channel(self, fit: Fit, residual: np.ndarray, j: int, pairs: bool, least: float) -> list[Candidate]:
         """Curves of channel ``j`` tested on blocks left out; ``least`` is what they have to take away."""

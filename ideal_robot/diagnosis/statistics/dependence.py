@@ -23,8 +23,6 @@ from ideal_robot.friction import FrictionModel
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import friction_places
 
-_FINE = 24
-"""Intervals of a second curve of a torque over its joint's own angle, for what is narrow in the range."""
 _SLOW = (6, 14)
 """Intervals of a curve over time: so few that each is many blocks long, and a block can be told from its neighbours."""
 
@@ -79,8 +77,6 @@ def terms(signals: Signals, channel: int, pairs: bool, domain: Domain = MOTOR_TO
     names = signal_names(signals, channel)
     result = [Unknown((name,), False, (_knots(signal_of(signals, name), intervals),), domain=domain)
               for name in names for intervals in (_SLOW if name == "t" else (9,))]
-    if domain == MOTOR_TORQUE and (own := f"q_{channel + 1}") in names:
-        result.append(Unknown((own,), False, (_knots(signal_of(signals, own), _FINE),)))
     directed = [name for name in names if name.startswith(("q_", "load_", "temp_")) or name == "t"]
     if domain == MOTOR_TORQUE:
         result += [Unknown((name,), True, (_knots(signal_of(signals, name), 9),)) for name in directed]

@@ -16,8 +16,6 @@ from ideal_robot.diagnosis.channels.blocks import BlockProducts, Columns
 _SMOOTH = 3e-3
 """Ridge for the pieces of a curve, relative to their mean size, as a fold hardly shows some. A body's ten columns are
 in units of their own: next to what a mass weighs, an inertia shows little and would be held at none."""
-_OWN = 1e-5
-"""Share of a column's squares that the others have to leave for it to have something of its own."""
 ROUNDING = 1e-9
 """Size of a column over the largest, or share of its squares, below which it is rounding. As a ridge towards the model
 as it is, relative to each column's squares, it decides what a fold leaves open. Its inverse, times what is known of
@@ -290,10 +288,10 @@ class Fit:
         Z = CX @ inverse
         S = CC - Z @ CX.T
         part = 1.0 if group.own is None else group.own
-        # A column that the others explain all but a hundred-thousandth of has nothing of its own. What of it is of the
-        # form of the model's own parameters does not count, down to what rounding leaves.
+        # A column that the others explain all but what is rounding of has nothing of its own. What of it is of the form
+        # of the model's own parameters does not count.
         size = CC.diagonal()
-        own = (S.diagonal() > _OWN * part * size) & (size > ROUNDING**2 * np.max(size, initial=0.0))
+        own = (S.diagonal() > ROUNDING * part * size) & (size > ROUNDING**2 * np.max(size, initial=0.0))
         if group.alike and len(Cy) > 6:
             S = S + _SMOOTH * float(np.mean(size)) * np.eye(len(Cy))
         m = len(Cy)
