@@ -167,10 +167,12 @@ class LifeSigns:
         if len(self._times) < FEWEST:
             return
         s, a = np.diff(np.array(self._times), axis=0).T
-        own = s - a - np.mean(s - a)
+        own, pace = s - a - np.mean(s - a), max(float(np.median(s)), 1e-6)
+        # Where messages are lost steps are longer by whole ones: that is nothing uneven.
+        s = s - pace * np.maximum(np.round(s / pace) - 1.0, 0.0)
         s = s - s.mean()
         variance = float(np.median([np.mean(part) for part in np.array_split(s * own, STRETCHES)])) / 2.0
-        # What both steps have in common, as where pictures are lost, goes with their own noise by chance.
+        # What both have in common, as where the sensor has a pace of its own, goes with their own noise by chance.
         common = max(float(np.mean(s**2)) - 2.0 * variance, 0.0)
         error = 0.5 * float(np.sqrt(common * np.mean(own**2) / len(s)))
         if variance > UNEVEN**2 + SURELY * error:
