@@ -124,7 +124,7 @@ def test_two_fields_that_agree_are_believed(follower: SurfaceFollower) -> None:
 
 @pytest.mark.parametrize(("stands", "used"), [(0.0, 5), (0.08, 2), (0.2, 0)])
 def test_what_the_tool_has_passed_meanwhile_is_left_out(follower: SurfaceFollower, stands: float, used: int) -> None:
-    """The filter went back for it, measurement by measurement: 35 ms a field behind a stall."""
+    """The filter would go back for it, measurement by measurement."""
     sight = LineOnSurface(follower, default_mount(), SightSettings(), (0.0, 0.5))
     assert [sight.update(field(follower, t, 0.003)) is None for t in (0.02, 0.04)] == [False, False]
     for member in follower.fusion.members:
