@@ -171,6 +171,7 @@ class _Press:
         self._motors = FeltByMotors(known.model, known.robot, self._kinematics, self._up)
         self._height, self._speed = START_HEIGHT, 0.0
         self.q = self._joint_angles(start)
+        # Once before anything moves: what is compiled is loaded here, not in a cycle.
         self._where(self.q, self.q)
         self._times: list[float] = []
         self._places: list[Array] = []
