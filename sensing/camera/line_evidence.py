@@ -9,6 +9,7 @@ lines from all else that is long: how much of the picture it crosses, how clear 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -93,12 +94,16 @@ def straightened(lab: Lab, path: Path, sections: int = SECTIONS) -> Strip:
     """
     edge = not path.widths.any()
     points, halves = _even(path.points, 0.5 * path.widths, sections)
-    strip = _measured(lab, points, halves, edge)
+    strip, clarity = _measured(lab, points, halves, edge)
     first, end = _best_run((strip.shown > _SEEN) & (strip.shown < 1.0 / _SEEN))
     if end - first >= 5:
         points, halves = _even(strip.points[first:end], 0.5 * strip.widths[first:end], sections)
-        strip = _measured(lab, points, halves, edge)
-    return replace(strip, features=np.r_[strip.features, np.log(max(path.score, 1.0))])
+        strip, clarity = _measured(lab, points, halves, edge)
+    return replace(strip, features=_features(strip, clarity, _length(points), path.score, min(lab.shape[:2])))
+
+
+def _length(points: Array) -> float:
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
 def _best_run(good: NDArray[np.bool_]) -> tuple[int, int]:
@@ -148,31 +153,33 @@ def _smoothed(values: Array, half: int) -> Array:
     return out
 
 
-def _sampled(lab: Lab, points: Array, normals: Array, offsets: Array) -> Array:
-    """Vectors ``(n, m, 3)`` at offsets ``(n, m)`` [px] from points along normals, the mean over neighbouring places."""
-    n = len(points)
-    fine = np.interp(np.arange(n * _ALONG) / _ALONG - (_ALONG - 1) / (2.0 * _ALONG), np.arange(n), np.arange(n))
-    index = np.minimum(fine.astype(int), n - 2)
-    part = (fine - index)[:, None]
-    at = points[index] * (1.0 - part) + points[index + 1] * part
+def _sampled(lab: Lab, along: tuple[Array, Array], offsets: Array) -> Array:
+    """Vectors ``(n, m, 3)`` at offsets ``(n, m)`` [px] across the places of ``_fine``, the mean over neighbours."""
     off = np.repeat(offsets, _ALONG, axis=0)
-    across = np.repeat(normals, _ALONG, axis=0)
-    u = at[:, :1] + off * across[:, :1]
-    v = at[:, 1:] + off * across[:, 1:]
-    values = cv2.remap(lab, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR,
-                       borderMode=cv2.BORDER_REPLICATE)
-    return values.reshape(n, _ALONG, offsets.shape[1], 3).sum(axis=1, dtype=np.int32) * (COLOR / _ALONG)
+    u, v = ((at[:, None] + off * across[:, None]).astype(np.float32) for at, across in zip(*along, strict=True))
+    values = cv2.remap(lab, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    values = values.reshape(len(offsets), _ALONG, offsets.shape[1], 3)
+    return np.asarray(values.sum(axis=1, dtype=np.int32) * (COLOR / _ALONG))
 
 
-def _measured(lab: Lab, points: Array, halves: Array, edge: bool) -> Strip:
-    """Sections across a line of these half widths ``(n,)``, and what lines are told by; ``linked`` is left out."""
+def _fine(points: Array, normals: Array) -> tuple[Array, Array]:
+    """``_ALONG`` places about each section and the normals there, both ``(2, n * _ALONG)``."""
+    k = np.arange(len(points))
+    fine = (np.arange(len(points) * _ALONG) - 0.5 * (_ALONG - 1)) / _ALONG
+    return np.array([np.interp(fine, k, c) for c in points.T]), np.repeat(normals.T, _ALONG, axis=1)
+
+
+def _measured(lab: Lab, points: Array, halves: Array, edge: bool) -> tuple[Strip, float]:
+    """Sections across a line of these half widths ``(n,)``, without features, and its difference over the scatter."""
     tangents = _smooth(np.gradient(points, axis=0), 5)
     tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-9)
     normals = np.column_stack([-tangents[:, 1], tangents[:, 0]])
+    along = _fine(points, normals)
     inner = np.zeros_like(halves) if edge else halves
-    outer = _EDGE_SIDE if edge else float(np.clip(0.6 * np.median(halves), 2.0, 12.0))
+    half = float(np.median(halves))
+    outer = _EDGE_SIDE if edge else min(max(0.6 * half, 2.0), 12.0)
     offsets = np.clip(_T, -1.0, 1.0) * inner[:, None] + np.sign(_T) * np.maximum(np.abs(_T) - 1.0, 0.0) * outer
-    X = _sampled(lab, points, normals, offsets)
+    X = _sampled(lab, along, offsets)
     groups = [X[:, _LEFT], X[:, _RIGHT]] if edge else [X[:, _LEFT], X[:, _RIGHT], X[:, _INSIDE]]
     means = [group.mean(axis=1) for group in groups]
     left, right, inside = means[0], means[1], means[-1]
@@ -180,20 +187,29 @@ def _measured(lab: Lab, points: Array, halves: Array, edge: bool) -> Strip:
     direction, clarity = _separating(groups, means, color)
     shown = (inside - left) @ direction
     shown = shown if edge else np.minimum(shown, (inside - right) @ direction)
-    noise = float(np.linalg.norm(direction)) * _NOISE
-    at, sigmas = _edge(lab, points, normals, -inner, direction, halves, noise)
-    widths = np.zeros_like(at)
-    if not edge:
-        other, others = _edge(lab, points, normals, inner, -direction, halves, noise)
-        at, widths, sigmas = 0.5 * (at + other), np.maximum(other - at, 0.5), 0.5 * np.hypot(sigmas, others)
-    length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-    basis = np.asarray(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, len(points)), _COURSE), dtype=float)
-    found = points + at[:, None] * normals
-    wiggle = float(np.sqrt(np.mean(_rest(found, basis) ** 2))) / length
-    uneven = float(np.std(_rest(np.log(widths + 1.0), basis[:, :2])))
-    features = np.array([np.log(length / min(lab.shape[:2])), np.log(clarity), float(np.mean(shown > _SEEN)),
-                         -np.log(0.003 + wiggle), -np.log(0.02 + uneven)])
-    return Strip(found, normals, widths, sigmas, shown, color, direction, features)
+    about = np.zeros((len(halves), 1)) if edge else np.column_stack([-inner, inner])
+    at, steep = _edges(lab, along, about, direction, min(max(0.7 * half, 2.0), 6.0))
+    sigmas = float(np.linalg.norm(direction)) * _NOISE / np.sqrt(_ALONG) / steep
+    middle, sigma = at.mean(axis=1), np.linalg.norm(sigmas, axis=1) / at.shape[1]
+    widths = np.zeros_like(middle) if edge else np.maximum(at[:, 1] - at[:, 0], 0.5)
+    found = points + middle[:, None] * normals
+    return Strip(found, normals, widths, sigma, shown, color, direction, np.empty(0)), clarity
+
+
+def _features(strip: Strip, clarity: float, length: float, score: float, size: int) -> Array:
+    """What lines are told by, see ``FEATURES``.
+
+    Args:
+        strip: without them.
+        clarity: difference of inside and sides over the scatter.
+        length: of the path [px].
+        score: of the path.
+        size: the picture's shorter side [px].
+    """
+    wiggle = float(np.sqrt(np.mean(_rest(strip.points, _COURSE) ** 2))) / length
+    uneven = float(np.std(_rest(np.log(strip.widths + 1.0), 1)))
+    return np.array([np.log(length / size), np.log(clarity), float(np.mean(strip.shown > _SEEN)),
+                     -np.log(0.003 + wiggle), -np.log(0.02 + uneven), np.log(max(score, 1.0))])
 
 
 def _separating(groups: list[Array], means: list[Array], color: Array) -> tuple[Array, float]:
@@ -207,25 +223,35 @@ def _separating(groups: list[Array], means: list[Array], color: Array) -> tuple[
     return direction / square, float(np.sqrt(square))
 
 
-def _rest(values: Array, basis: Array) -> Array:
+def _rest(values: Array, degree: int) -> Array:
     """What a polynomial leaves of values along a line."""
-    return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])
+    basis = _orthonormal(len(values), degree)
+    return np.asarray(values - basis @ (basis.T @ values))
 
 
-def _edge(lab: Lab, points: Array, normals: Array, about: Array, direction: Array, halves: Array, noise: float
-          ) -> tuple[Array, Array]:
-    """Offsets at which ``direction`` rises most about an offset ``(n,)``, and their standard deviations [px]."""
-    reach = float(np.clip(0.7 * np.median(halves), 2.0, 6.0))
+@cache
+def _orthonormal(count: int, degree: int) -> Array:
+    """Polynomials up to a degree at so many places, orthonormal ``(count, degree + 1)``."""
+    return np.asarray(np.linalg.qr(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, count), degree))[0])
+
+
+def _edges(lab: Lab, along: tuple[Array, Array], about: Array, direction: Array, reach: float) -> tuple[Array, Array]:
+    """Where ``direction`` rises most about the first of the offsets ``(n, k)``, and falls most about a second one.
+
+    Returns:
+        Offsets ``(n, k)`` [px], and how steep it is there [1/px].
+    """
     step = 0.5
     offsets = np.arange(-reach - 1.0, reach + 1.0 + step, step)
-    values = _sampled(lab, points, normals, about[:, None] + offsets) @ direction
+    n, count = about.shape
+    values = _sampled(lab, along, (about[:, :, None] + offsets).reshape(n, -1)) @ direction
+    values = values.reshape(n, count, -1) * np.array([1.0, -1.0])[:count, None]
     slope = np.zeros_like(values)
-    slope[:, 2:-2] = (values[:, 3:-1] - values[:, 1:-3] + 0.5 * (values[:, 4:] - values[:, :-4])) / (4.0 * step)
+    slope[..., 2:-2] = values[..., 3:-1] - values[..., 1:-3] + 0.5 * (values[..., 4:] - values[..., :-4])
+    slope /= 4.0 * step
     weight = slope - 0.02 * np.abs(offsets)
-    weight[:, :2] = weight[:, -2:] = -np.inf
-    k = np.clip(np.argmax(weight, axis=1), 2, len(offsets) - 3)
-    rows = np.arange(len(k))
-    before, top, after = slope[rows, k - 1], slope[rows, k], slope[rows, k + 1]
-    bend = np.minimum(before - 2.0 * top + after, -1e-9)
-    shift = np.clip(0.5 * (before - after) / bend, -0.5, 0.5)
-    return about + offsets[k] + step * shift, noise / np.sqrt(_ALONG) / np.maximum(top, 1e-3)
+    weight[..., :2] = weight[..., -2:] = -np.inf
+    k = weight.argmax(axis=2)
+    before, top, after = (np.take_along_axis(slope, k[..., None] + d, 2)[..., 0] for d in (-1, 0, 1))
+    shift = 0.5 * (before - after) / np.minimum(before - 2.0 * top + after, -1e-9)
+    return about + offsets[k] + step * np.clip(shift, -0.5, 0.5), np.maximum(top, 1e-3)

@@ -144,19 +144,19 @@ def _edges(column: Floats, place: Array, strength: Array) -> int:
 
 @jit(fastmath=True)
 def _nodes(columns: Floats, single: bool, widest: float) -> tuple[Floats, Integers]:
-    """Pairs of edges, or edges, of ``columns (n, 3, rows)``: ``(n, pairs, fields)`` and how many in each ``(n,)``."""
+    """Pairs of edges, or edges, of ``columns (n, 3, rows)`` in order ``(n, pairs, fields)``, and how many ``(n,)``."""
     count, _, rows = columns.shape
     nodes = np.zeros((count, _PAIRS, _FIELDS), np.float32)
     counts = np.zeros(count, np.int64)
     place, strength = np.empty(_EDGES), np.empty(_EDGES)
-    total = np.zeros((3, rows + 1))
+    total = np.zeros((rows + 1, 3))
     square = np.zeros(rows + 1)
     one = np.empty(_FIELDS, np.float32)
     for i in range(count):
         for j in range(rows):
             square[j + 1] = square[j]
             for c in range(3):
-                total[c, j + 1] = total[c, j] + columns[i, c, j]
+                total[j + 1, c] = total[j, c] + columns[i, c, j]
                 square[j + 1] += columns[i, c, j] ** 2
         n = _edges(columns[i], place, strength)
         for p in range(n):
@@ -164,6 +164,7 @@ def _nodes(columns: Floats, single: bool, widest: float) -> tuple[Floats, Intege
                 fits = single or 1.0 <= place[q] - place[p] <= widest
                 if fits and _compared(total, square, place[p], place[q], one):
                     counts[i] = _kept(nodes[i], counts[i], one)
+        nodes[i, : counts[i]] = nodes[i, np.argsort(nodes[i, : counts[i], _CENTRE])]
     return nodes, counts
 
 
@@ -172,7 +173,7 @@ def _compared(total: Array, square: Array, first: float, last: float, one: Float
     """Sets the fields of the pair of edges at ``first`` and ``last``, of one edge if they are the same.
 
     Args:
-        total: sums ``(3, rows + 1)`` of the column.
+        total: sums ``(rows + 1, 3)`` of the column.
         square: sums of squares ``(rows + 1,)``.
         first: place of the first edge [px].
         last: place of the second one.
@@ -184,18 +185,19 @@ def _compared(total: Array, square: Array, first: float, last: float, one: Float
     rows = square.size - 1
     w, single = last - first, first == last
     side = 5.0 if single else max(1.0, min(0.5 * w, 8.0))
-    b0, b1 = max(round(first - 0.7 - side), 0), round(first - 0.5)
-    c0, c1 = round(last + 1.5), min(round(last + 1.7 + side), rows)
+    b0, b1 = int(max(first - 0.2 - side, 0.0)), int(first)
+    c0, c1 = int(last + 2.0), min(int(last + 2.2 + side), rows)
     b1, c0 = max(b1, b0 + 1), min(c0, c1 - 1)
-    a0, a1 = (c0, c1) if single else (round(first + 0.2 * w + 0.3), round(last - 0.2 * w + 0.7))
+    a0, a1 = (c0, c1) if single else (int(first + 0.2 * w + 0.8), int(last - 0.2 * w + 1.2))
     if a1 <= a0:
         a0 = min(int(0.5 * (first + last) + 0.5), rows - 1)
         a1 = a0 + 1
+    of_a, of_b, of_c = 1.0 / (a1 - a0), 1.0 / (b1 - b0), 1.0 / (c1 - c0)
     ll = rr = lr = spread_a = spread_b = spread_c = 0.0
     for c in range(3):
-        left = (total[c, b1] - total[c, b0]) / (b1 - b0)
-        right = (total[c, c1] - total[c, c0]) / (c1 - c0)
-        inside = (total[c, a1] - total[c, a0]) / (a1 - a0)
+        left = (total[b1, c] - total[b0, c]) * of_b
+        right = (total[c1, c] - total[c0, c]) * of_c
+        inside = (total[a1, c] - total[a0, c]) * of_a
         dl = inside - left
         dr = dl if single else inside - right
         ll += dl * dl
@@ -207,12 +209,14 @@ def _compared(total: Array, square: Array, first: float, last: float, one: Float
         one[_CONTRAST + c] = 0.5 * (dl + dr)
         one[_INSIDE + c] = inside
     contrast = lr / (math.sqrt(max(ll, rr)) + 1e-3)
-    spread = math.sqrt(max((square[b1] - square[b0]) / (b1 - b0) - spread_b, 0.0))
-    spread += math.sqrt(max((square[c1] - square[c0]) / (c1 - c0) - spread_c, 0.0))
-    spread += 2.0 * math.sqrt(max((square[a1] - square[a0]) / (a1 - a0) - spread_a, 0.0))
+    if contrast < _LEAST:
+        return False
+    spread = math.sqrt(max((square[b1] - square[b0]) * of_b - spread_b, 0.0))
+    spread += math.sqrt(max((square[c1] - square[c0]) * of_c - spread_c, 0.0))
+    spread += 2.0 * math.sqrt(max((square[a1] - square[a0]) * of_a - spread_a, 0.0))
     one[_CENTRE], one[_WIDTH] = 0.5 * (first + last), 0.0 if single else math.log(w)
     one[_CLEAR] = contrast / (0.25 * spread + 2.0)
-    return contrast >= _LEAST
+    return True
 
 
 @jit()
@@ -240,27 +244,34 @@ def _linked(nodes: Floats, counts: Integers, spacing: float) -> tuple[Array, Int
     reach = 1.3 * spacing
     for i in range(count):
         for p in range(counts[i]):
-            b = nodes[i, p]
-            wide = math.exp(b[_WIDTH])
-            own = min(math.log(b[_CLEAR] + 1e-3), 1.5) - 1.0
+            centre, width = nodes[i, p, _CENTRE], nodes[i, p, _WIDTH]
+            wide = math.exp(width)
+            own = min(math.log(nodes[i, p, _CLEAR] + 1e-3), 1.5) - 1.0
             best = 0.0
             for gap in range(1, min(i, _GAP) + 1):
                 h = i - gap
+                most = own + 3.0 - 1.5 * (gap - 1)
+                sigma = 0.6 + 0.05 * wide + 0.1 * spacing * gap
+                spread = 0.08 * gap + 0.8 / wide
                 for q in range(counts[h]):
-                    a = nodes[h, q]
-                    move = b[_CENTRE] - a[_CENTRE]
-                    if abs(move) > reach * gap or sums[h, q] <= best - 6.0:
+                    move = centre - nodes[h, q, _CENTRE]
+                    if move < -reach * gap:
+                        break
+                    # Whatever is unlike only takes from the most.
+                    if move > reach * gap or sums[h, q] + most <= best:
                         continue
                     begins = came[h, q, 0] < 0
-                    sigma = 0.6 + 0.05 * wide + 0.1 * spacing * gap
                     off = (0.7 * move / gap if begins else move - slopes[h, q] * gap) / sigma
-                    broad = (b[_WIDTH] - a[_WIDTH]) / (0.08 * gap + 0.8 / wide)
+                    broad = (width - nodes[h, q, _WIDTH]) / spread
+                    gain = most - 0.5 * (off * off + broad * broad)
+                    if sums[h, q] + gain <= best:
+                        continue
                     size = change = 0.0
-                    for c in range(3):
-                        size += b[_CONTRAST + c] ** 2 + a[_CONTRAST + c] ** 2
-                        change += (b[_CONTRAST + c] - a[_CONTRAST + c]) ** 2 + (b[_INSIDE + c] - a[_INSIDE + c]) ** 2
-                    tone = change / (0.02 * size + 20.0)
-                    gain = own + 3.0 - 0.5 * (off * off + broad * broad + tone) - 1.5 * (gap - 1)
+                    for c in range(_CONTRAST, _INSIDE):
+                        size += nodes[i, p, c] ** 2 + nodes[h, q, c] ** 2
+                    for c in range(_CONTRAST, _CLEAR):
+                        change += (nodes[i, p, c] - nodes[h, q, c]) ** 2
+                    gain -= 0.5 * change / (0.02 * size + 20.0)
                     if sums[h, q] + gain > best:
                         best = sums[h, q] + gain
                         came[i, p, 0], came[i, p, 1] = h, q
