@@ -296,6 +296,14 @@ class PerJointFriction:
         if any(law.n != 1 for law in laws):
             raise ValueError("expected laws of one joint each")
         self.laws = tuple(laws)
+        alike = dict[tuple[type[FrictionModel], bool, bool], list[int]]()
+        for j, law in enumerate(self.laws):
+            alike.setdefault((type(law), law.presliding, law.loaded), []).append(j)
+        # Joints of the same law are computed at once.
+        self._together = [(joints, kind(np.hstack([self.laws[j].coefficients for j in joints]),
+                                        np.hstack([self.laws[j].shape for j in joints]), presliding=presliding,
+                                        loaded=loaded))
+                          for (kind, presliding, loaded), joints in alike.items()]
 
     @property
     def n(self) -> int:
@@ -306,10 +314,11 @@ class PerJointFriction:
                direction: Array | None = None) -> Array:
         """See ``FrictionModel.torque``."""
         qd = np.asarray(qd, dtype=float)
-        others = (load, q, direction)
-        parts = [law.torque(qd[..., [j]], *(None if values is None else values[..., [j]] for values in others))
-                 for j, law in enumerate(self.laws)]
-        return np.concatenate(parts, axis=-1)
+        tau = np.empty(qd.shape)
+        for joints, law in self._together:
+            tau[..., joints] = law.torque(qd[..., joints], *(None if values is None else values[..., joints]
+                                                             for values in (load, q, direction)))
+        return tau
 
     def sliding(self, q: Array, qd: Array) -> Array:
         """Direction of sliding ``(N, n)`` of the joints whose friction builds up over a displacement; NaN for others.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -33,6 +33,7 @@ from scenes.placing import shapes_about
 from scenes.scene_files.drawn_line import reference_points
 from scenes.scene_files.force_scene import CameraTrouble, ForceScene
 from scenes.scene_files.scene import SceneError
+from sensing.camera.camera_device import Field
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.line_search import DetectionSettings, PredictedLine
 from sensing.force.force_calibration import ContactElasticity, ToolLoad
@@ -57,6 +58,9 @@ _BY_MOTORS = 0.65
 """Share of the force that the surface bears beyond the wanted one of which the motors' word is enough."""
 _PULLS = -3.0
 """Force that no surface exerts [N]."""
+_SPARE = 0.02
+"""Share of a cycle that a packet was waited for, from which on there was time left: a packet that is there is read in
+less."""
 _GUESS = ContactElasticity(4000.0, 1000.0, 0.0, 0.0)
 _NO_LOAD = ToolLoad(np.zeros(6), 0.0, np.zeros(3), np.zeros(2))
 
@@ -64,9 +68,9 @@ _NO_LOAD = ToolLoad(np.zeros(6), 0.0, np.zeros(3), np.zeros(2))
 class LiveForceTask(ForceTask):
     """``ForceTask`` with devices that may fall silent and an arm that may have to be stopped.
 
-    Behind short cycles an answer waits for no sensor: what has come is fused as soon as the command of a cycle has
-    gone, one thing between two cycles, forces first, or the next cycle is planned anew. Only whether a force is too
-    large is looked at before.
+    No answer waits for a field: it is fused as soon as the command of a cycle has gone. Behind short cycles an answer
+    waits for no sensor: forces are fused then, too, one thing between two cycles, forces first, or the next cycle is
+    planned anew. Only whether a force is too large is looked at before.
     """
 
     arm: LiveArm | None = None
@@ -95,7 +99,8 @@ class LiveForceTask(ForceTask):
     def lead(self, arm: LiveArm) -> None:
         """From now on with this arm, which is at rest at the start."""
         self.arm, self.ahead = arm, self.vision is not None and arm.t_ipo < AT_ONCE
-        arm.between.append((lambda: self.prepare(arm.t)) if self.ahead else self.witness)
+        work = self.prepare if self.ahead else self.see
+        arm.between.append(lambda: work(arm.t))
 
     def witness(self) -> None:
         """Looks whether what is felt answers the tip's swing, and at what the motors feel, for the next cycle."""
@@ -106,6 +111,16 @@ class LiveForceTask(ForceTask):
         if self.follower.phase is Phase.TRAVEL and self.maps:
             self.force.signs.fits(self.log.samples[-1][2])
             self.force.signs.answers(self._surface.felt, self.elasticity.stiffness, ASKED)
+
+    def see(self, t: float) -> None:
+        """Fuses what the camera has delivered by ``t`` [s], and looks at what is felt; the next cycle is told of it."""
+        try:
+            self.witness()
+            # Forces come first: where the last packet was there already, a field waits.
+            if self.arm is None or self.arm.waited > _SPARE * self.arm.t_ipo:
+                self.fuse_fields(t)
+        except IdealRobotError as error:
+            self._unfit = error
 
     def prepare(self, t: float) -> None:
         """Fuses what has arrived by ``t`` [s] and plans the next cycle, which is told if something goes wrong."""
@@ -118,6 +133,10 @@ class LiveForceTask(ForceTask):
         except IdealRobotError as error:
             self._unfit = error
 
+    def _fields(self, t: float) -> Sequence[Field]:
+        """See ``ForceTask``: the newest alone, which shows of the line what those before it have shown."""
+        return super()._fields(t)[-1:]
+
     def _horizon(self, t: float) -> Array:
         """See ``ForceTask``: what was prepared, but for one of several lost cycles that are made good at once."""
         number, q_d = self._prepared or (-1, None)
@@ -125,10 +144,12 @@ class LiveForceTask(ForceTask):
 
     def fuse(self, t: float) -> None:
         """See ``ForceTask``."""
-        if not self.ahead:
-            super().fuse(t)
-        elif self._unfit is not None:
+        if self._unfit is not None:
             raise self._unfit
+        if not self.ahead:
+            self.fuse_forces(t)
+        if self.arm is None:
+            self.fuse_fields(t)
 
     def _planned(self, t: float, q_d: Array) -> Array:
         if self.arm is not None:

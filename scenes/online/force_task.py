@@ -275,10 +275,14 @@ class ForceTask:
 
     def fuse_fields(self, t: float) -> bool:
         """Fuses the fields that have arrived by ``t`` [s]; whether there was anything to fuse."""
-        fields = [] if self.vision is None or self._camera is None else self._camera.arrived(t)
+        fields = self._fields(t)
         if self.vision is not None:
             self.vision.sense(t, fields)
         return bool(fields)
+
+    def _fields(self, t: float) -> Sequence[Field]:
+        """What the camera has delivered by ``t`` [s]."""
+        return [] if self.vision is None or self._camera is None else self._camera.arrived(t)
 
     def command(self, t: float, q_d: Array) -> Array:
         """Commanded joint positions ``(n,)``."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -93,6 +94,7 @@ class LiveArm:
         q_d: desired position of the coming cycle, for the journal ``(n,)`` [rad].
         stop_reason: why following has to end; None while it has not.
         steps: cycles of the controller from the last state but one to the last; more than one where some were lost.
+        waited: for the last packet [s]: none where it was there already, and the answer is late by now.
     """
 
     def __init__(self, link: Link, journal: Journal) -> None:
@@ -101,7 +103,7 @@ class LiveArm:
         self.between: list[Callable[[], None]] = []
         self.q_d = link.commanded.copy()
         self.stop_reason: str | None = None
-        self.cycles, self.steps = 0, 1
+        self.cycles, self.steps, self.waited = 0, 1, 0.0
         self._k = 0
         self._last: RobotState | None = None
         self._told: deque[float] = deque(maxlen=_REMEMBERED)
@@ -152,7 +154,9 @@ class LiveArm:
             sent = self.link.commanded
             for work in self.between:
                 work()
+            begun = time.perf_counter()
             state = self.link.receive()
+            self.waited = self.link.arrived - begun
         except IdealRobotError as error:
             if isinstance(error, PlanningError):
                 raise

@@ -33,8 +33,8 @@ PoseAt = Callable[[float], pin.SE3]
 ShapeAt = Callable[[float], tuple[Array, Array]]
 ForceAt = Callable[[float], Array]
 _FIELD, _WRENCH = 2, 4
-_BEHIND = 4
-"""Pictures that may wait to be drawn; older ones are left out."""
+_BEHIND = 2
+"""Pictures that may be drawn or wait to be: the next ones are left out, none comes later than it is due by more."""
 _STARTS = 20.0
 """Time within which the camera's process listens [s]."""
 _PRIORITY = 20

@@ -123,7 +123,7 @@ class ArmBodies:
         Args:
             windows: what is looked at, none of them empty.
         """
-        found = self._in_view(windows)
+        found = in_view(self._camera, windows, self._seen, self._reach)
         for k in np.flatnonzero(found.any(axis=0)).tolist():
             if k not in self.bodies:
                 self.bodies[k] = self._body(self._shapes[k])
@@ -132,14 +132,6 @@ class ArmBodies:
                 self.bodies[k].stand(self._data.oMi[shape.parentJoint] * shape.placement)
                 self._standing.add(k)
         return [{self.bodies[k] for k in np.flatnonzero(row).tolist()} for row in found]
-
-    def _in_view(self, windows: Sequence[Window]) -> NDArray[np.bool_]:
-        """Which of the shapes each window may show ``(windows, M)``."""
-        table = np.array(windows, dtype=float).reshape(-1, 4)
-        u, v = table[:, :1] + (table[:, 2:3] - 1.0) * [0, 1, 0, 1], table[:, 1:2] + (table[:, 3:] - 1.0) * [0, 0, 1, 1]
-        rays = self._camera.rays(np.stack([u, v], axis=-1).reshape(-1, 2))[:, :2].reshape(-1, 4, 2)
-        least, most = rays.min(axis=1) - MARGIN, rays.max(axis=1) + MARGIN
-        return np.asarray(in_front(self._seen, self._reach, least, most))
 
     def _body(self, shape: Any) -> Body:
         gray = float(LUMINANCE @ np.asarray(shape.meshColor[:3], dtype=float))
@@ -152,6 +144,21 @@ class ArmBodies:
             seen = pybullet.createVisualShape(pybullet.GEOM_MESH, vertices=corners, indices=faces, rgbaColor=colour,
                                               physicsClientId=client)
         return Body(int(pybullet.createMultiBody(0.0, -1, seen, physicsClientId=client)), client, colour)
+
+
+def in_view(camera: CameraModel, windows: Sequence[Window], corners: Array, reach: Array) -> NDArray[np.bool_]:
+    """Which of some boxes each window may show ``(windows, M)``.
+
+    Args:
+        camera: that looks at them.
+        windows: of its picture.
+        corners: of the boxes in the camera's frame ``(M, 8, 3)`` [m].
+        reach: from their middles to their corners ``(M,)`` [m].
+    """
+    table = np.array(windows, dtype=float).reshape(-1, 4)
+    u, v = table[:, :1] + (table[:, 2:3] - 1.0) * [0, 1, 0, 1], table[:, 1:2] + (table[:, 3:] - 1.0) * [0, 0, 1, 1]
+    rays = camera.rays(np.stack([u, v], axis=-1).reshape(-1, 2))[:, :2].reshape(-1, 4, 2)
+    return np.asarray(in_front(corners, reach, rays.min(axis=1) - MARGIN, rays.max(axis=1) + MARGIN))
 
 
 @jit()

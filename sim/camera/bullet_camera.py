@@ -7,6 +7,7 @@ undistorted picture; the lens is put in by sampling it where the distorted pixel
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from ideal_robot.row_log import temporary_folder
 from sensing.camera.camera_device import Window
 from sensing.camera.camera_model import CameraModel
 from sim.bullet import output_dropped, pybullet
-from sim.camera.arm_bodies import ArmBodies, Body
+from sim.camera.arm_bodies import CORNERS, ArmBodies, Body, in_view
 from sim.camera.camera import CameraSettings, RenderedCamera
 from sim.camera.lamp import TOOL_COLOUR, Lamp, outline, tool_mesh
 from sim.camera.sampling import add_samples, displacements, extent
@@ -32,7 +33,9 @@ STRIP = 0.008
 """Length of the mesh's strips along the plane's x [m]: on a radius of 1 m they leave the surface by 8 µm."""
 ROWS = 4
 """Strips across."""
-
+PIECE = 0.05
+"""Length of the relief's pieces, of which those that no window shows are taken out [m]: the renderer works through all
+triangles of the others."""
 
 # TinyRenderer samples at integer coordinates with rows counted from below: this much has to be added to the principal
 # point of OpenCV's convention (pixel centres at integers) before it goes into the projection matrix.
@@ -73,6 +76,7 @@ class BulletCamera(RenderedCamera):
         self._client = pybullet.connect(pybullet.DIRECT)
         self._tool: Body | None = None
         self.arm = None if arm is None else ArmBodies(arm, self._client, model)
+        self._pieces: list[Body] = []
         with output_dropped(), temporary_folder() as folder:
             self._load_surface(self.texture, folder)
             if tool:
@@ -103,10 +107,18 @@ class BulletCamera(RenderedCamera):
         if not looked:
             return np.empty(0), 1.0
         views = [self._view(pose) for pose in poses]
+        self._show_surface(looked, poses[len(poses) // 2])
         arm = self.arm.shown(looked) if self.arm is not None else [set[Body]()] * len(looked)
         seen = [self._render(*each, poses, views, n) for each in zip(looked, arm, strict=True)]
         gray, bare = (np.concatenate([one.ravel() for one in part]) for part in zip(*seen, strict=True))
         return gray, bare
+
+    def _show_surface(self, windows: Sequence[Window], pose: pin.SE3) -> None:
+        """Takes out of the picture what no window shows of the surface, with the TCP at ``pose``."""
+        T = (pose * self.model.T_tool_camera).inverse() * self.surface.plane
+        seen = in_view(self.model, windows, self._corners @ T.rotation.T + T.translation, self._reach)
+        for piece, by_any in zip(self._pieces, seen.T.tolist(), strict=True):
+            piece.show(any(by_any))
 
     def _view(self, pose: pin.SE3) -> list[float]:
         """OpenGL view matrix, column-major: base frame → camera with y up and z backwards."""
@@ -174,7 +186,8 @@ class BulletCamera(RenderedCamera):
 
     def _surface_in(self, bodies: NDArray[np.int32]) -> NDArray[np.uint8]:
         """Which pixels show the surface, or nothing ``(height, width, 1)``, of the bodies that they show."""
-        return ((bodies == self._ground) | (bodies < 0)).astype(np.uint8)[:, :, None]
+        # The surface's pieces are the client's first bodies; where there is none, it says -1.
+        return (bodies < len(self._pieces)).astype(np.uint8)[:, :, None]
 
     def _tool_in(self, left: float, top: float, width: int, height: int, scale: float) -> bool:
         """Whether an undistorted picture may show the tool, which moves with the camera.
@@ -203,24 +216,26 @@ class BulletCamera(RenderedCamera):
             columns, rows = max(2, int(np.ceil(width / along))), max(2, int(np.ceil(depth / across)))
         x = x0 + width * np.arange(columns + 1) / columns
         y = y1 - depth + depth * np.arange(rows + 1) / rows
-        lines = []
-        for j in range(rows + 1):
-            for i in range(columns + 1):
-                z = 0.0 if self._relief is None else float(self._relief.height(x[i], y[j]))
-                lines.append(f"v {x[i]:.9f} {y[j]:.9f} {z:.9f}")
-        lines += [f"vt {i / columns:.9f} {j / rows:.9f}" for j in range(rows + 1) for i in range(columns + 1)]
-        lines.append("vn 0 0 1")
-        for j in range(rows):
-            for i in range(columns):
-                a = j * (columns + 1) + i + 1
-                b, c, d = a + 1, a + columns + 2, a + columns + 1
-                lines += [f"f {a}/{a}/1 {b}/{b}/1 {c}/{c}/1", f"f {a}/{a}/1 {c}/{c}/1 {d}/{d}/1"]
-        body = self._ground = self._body(folder, "surface", lines, self.surface.plane, [1.0, 1.0, 1.0, 1.0])
-        # Packed, the picture would take twice as long to write and read.
-        image = folder / "surface.bmp"
-        image.write_bytes(cv2.imencode(".bmp", texture.image)[1].tobytes())
-        identifier = pybullet.loadTexture(str(image), physicsClientId=self._client)
-        pybullet.changeVisualShape(body, -1, textureUniqueId=identifier, physicsClientId=self._client)
+        z = np.array([[0.0 if self._relief is None else float(self._relief.height(along, across)) for along in x]
+                      for across in y])
+        boxes, colour = [], [*WHITE, 1.0]
+        pieces = max(min(round(width / PIECE), columns), 1)
+        for first, last in pairwise(np.linspace(0, columns, pieces + 1).astype(int).tolist()):
+            at = slice(first, last + 1)
+            u = texture.image.shape[1] * np.arange(first, last + 1) / columns
+            left, right = int(u[0]), int(np.ceil(u[-1]))
+            lines = _strips(x[at], y, z[:, at], (u - left) / (right - left))
+            number = self._body(folder, f"surface{first}", lines, self.surface.plane, colour)
+            # Packed, the picture would take twice as long to write and read.
+            image = folder / f"surface{first}.bmp"
+            image.write_bytes(cv2.imencode(".bmp", texture.image[:, left:right])[1].tobytes())
+            identifier = pybullet.loadTexture(str(image), physicsClientId=self._client)
+            pybullet.changeVisualShape(number, -1, textureUniqueId=identifier, physicsClientId=self._client)
+            self._pieces.append(Body(number, self._client, colour))
+            ends = np.array([[x[first], y[0], z[:, at].min()], [x[last], y[-1], z[:, at].max()]])
+            boxes.append(ends.mean(axis=0) + 0.5 * np.diff(ends, axis=0) * CORNERS)
+        self._corners = np.array(boxes)
+        self._reach = np.linalg.norm(self._corners - self._corners.mean(axis=1, keepdims=True), axis=2).max(axis=1)
 
     def _body(self, folder: Path, name: str, obj: Sequence[str], place: pin.SE3, colour: list[float]) -> int:
         """A body that is only seen, from the lines of an .obj file: only those have the right texture coordinates."""
@@ -232,3 +247,24 @@ class BulletCamera(RenderedCamera):
         quaternion = pin.Quaternion(place.rotation).coeffs().tolist()
         return int(pybullet.createMultiBody(0, -1, shape, place.translation.tolist(), quaternion,
                                             physicsClientId=self._client))
+
+
+def _strips(x: Array, y: Array, z: Array, u: Array) -> list[str]:
+    """Lines of the .obj file of a relief's piece, textured.
+
+    Args:
+        x: of its corners ``(columns + 1,)`` [m].
+        y: ``(rows + 1,)`` [m].
+        z: their heights ``(rows + 1, columns + 1)`` [m].
+        u: columns of the texture, as shares of its width ``(columns + 1,)``.
+    """
+    rows, columns = len(y) - 1, len(x) - 1
+    lines = [f"v {x[i]:.9f} {y[j]:.9f} {z[j, i]:.9f}" for j in range(rows + 1) for i in range(columns + 1)]
+    lines += [f"vt {along:.9f} {j / rows:.9f}" for j in range(rows + 1) for along in u]
+    lines.append("vn 0 0 1")
+    for j in range(rows):
+        for i in range(columns):
+            a = j * (columns + 1) + i + 1
+            b, c, d = a + 1, a + columns + 2, a + columns + 1
+            lines += [f"f {a}/{a}/1 {b}/{b}/1 {c}/{c}/1", f"f {a}/{a}/1 {c}/{c}/1 {d}/{d}/1"]
+    return lines

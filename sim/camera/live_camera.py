@@ -58,9 +58,7 @@ class LiveCamera:
         self._chain = ImageChain(model.width, model.height, settings)
         self._image = cv2.GaussianBlur(texture.image, (0, 0), sigma)
         self._background = float(surface.background)
-        u, self._across = _nodes(model.width)
-        v, self._down = _nodes(model.height)
-        grid = np.stack(np.meshgrid(u, v), axis=-1)
+        grid = np.stack(np.meshgrid(_nodes(model.width), _nodes(model.height)), axis=-1)
         self._shape = grid.shape[:2]
         self._rays = model.rays(grid.reshape(-1, 2))
         self._lamp, self._lit_at = lamp, surface.at(np.array([0.5 * surface.length]))[0][0]
@@ -119,7 +117,11 @@ class LiveCamera:
 
     def _whole(self, at_nodes: Array) -> NDArray[np.float32]:
         """Values at the places that are computed, between them for all pixels."""
-        return np.asarray(self._down @ at_nodes.reshape(self._shape).astype(np.float32) @ self._across.T)
+        nodes = at_nodes.reshape(self._shape).astype(np.float32)
+        rows, columns = self._shape
+        finer = cv2.resize(nodes, (_SPACING * columns, _SPACING * rows), interpolation=cv2.INTER_LINEAR)
+        return np.asarray(finer[_SPACING : _SPACING + self.model.height, _SPACING : _SPACING + self.model.width],
+                          dtype=np.float32)
 
     def _met(self, pose: pin.SE3) -> tuple[Array, Array, Array | float]:
         """Where each computed ray meets the surface, in the plane's frame [m]."""
@@ -148,13 +150,9 @@ def tool_picture(model: CameraModel) -> NDArray[np.float32]:
     return np.asarray(small, dtype=np.float32) / np.float32(255.0)
 
 
-def _nodes(size: int) -> tuple[Array, NDArray[np.float32]]:
-    """Pixels at which is computed, and the weights that interpolate between them ``(size, nodes)``."""
-    count = (size - 2) // _SPACING + 2
-    nodes = np.linspace(0.0, size - 1.0, count)
-    at = np.arange(size) / (size - 1.0) * (count - 1)
-    left = np.minimum(at.astype(int), count - 2)
-    weights = np.zeros((size, count), dtype=np.float32)
-    weights[np.arange(size), left] = 1.0 - (at - left)
-    weights[np.arange(size), left + 1] = at - left
-    return nodes, weights
+def _nodes(size: int) -> Array:
+    """Pixels at which is computed: in the middle of every ``_SPACING``, one more on each side.
+
+    There OpenCV takes them to be when it enlarges a picture, and all pixels lie between two of them.
+    """
+    return np.asarray(_SPACING * (np.arange(-(size // -_SPACING) + 2) - 0.5) - 0.5)

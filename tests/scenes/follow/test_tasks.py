@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -115,14 +116,22 @@ def test_between_packet_and_answer_there_is_no_field(tmp_path: Path) -> None:
     assert "not done" in log.failure
 
 
-@pytest.mark.parametrize("fails", [False, True])
-def test_fields_of_a_surface_are_fused_between_packets_too(tmp_path: Path, fails: bool) -> None:
-    """What goes wrong there stops the arm on its path, as it does elsewhere."""
-    job = _job(load_cell("glue"), Devices("rsi:", cycle=0.004), None, None)
-    assert isinstance(job, ForceJob)
-    link, task = Wire(robot=job.robot), job._task
+class Waited(Wire):
+    """A packet was waited for as long as it is told."""
+
+    spare = 1e-3
+
+    def receive(self) -> RobotState:
+        state = super().receive()
+        self.arrived = time.perf_counter() + self.spare
+        return state
+
+
+def _glued(tmp_path: Path, link: Wire, job: ForceJob, camera: Seen, *, fails: bool = False) -> None:
+    """Forty cycles of a glue scene; ``fails``: a field cannot be fused."""
+    task, vision = job._task, job._task.vision
     link.said, link.commanded = [], job.q_start
-    arm, vision, camera = LiveArm(link, Journal(tmp_path, link.robot, {})), task.vision, Seen(job.robot.t_ipo, 0)
+    arm = LiveArm(link, Journal(tmp_path, link.robot, {}))
     assert vision is not None
     camera.predict = lambda t: vision.sight.predict(t).seen_from(vision.follower.history.pose(t))
     task.connect(ImaginedForce(), camera)
@@ -146,6 +155,15 @@ def test_fields_of_a_surface_are_fused_between_packets_too(tmp_path: Path, fails
     arm.begin()
     end = 40 * job.robot.t_ipo
     play_cycles(arm, job.robot, task, job.log, CycleSettings(job.braking, 0.05, end, end, ""), silent)
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_fields_of_a_surface_are_fused_between_packets_too(tmp_path: Path, fails: bool) -> None:
+    """What goes wrong there stops the arm on its path, as it does elsewhere."""
+    job = _job(load_cell("glue"), Devices("rsi:", cycle=0.004), None, None)
+    assert isinstance(job, ForceJob)
+    link = Wire(robot=job.robot)
+    _glued(tmp_path, link, job, Seen(job.robot.t_ipo, 0), fails=fails)
     before = [link.said[i - 1] for i, said in enumerate(link.said) if said == "field"]
     assert set(before) == {"answer"}
     assert len(before) >= 6 or fails
@@ -155,6 +173,33 @@ def test_fields_of_a_surface_are_fused_between_packets_too(tmp_path: Path, fails
     assert fails or {link.said[i + 1] for i, said in enumerate(link.said) if said == "field"} == {"goes on"}
     assert str(job.log.failure).startswith("nothing to be seen" if fails else "not done")
     assert link.said.count("packet") > 12
+
+
+class Bursts(Seen):
+    """As ``Seen``, each field three times."""
+
+    times = 0
+
+    def arrived(self, t: float) -> list[Field]:
+        fields = super().arrived(t)
+        self.times += bool(fields)
+        return fields * 3
+
+
+@pytest.mark.parametrize(("spare", "waits"), [(1e-3, False), (1e-5, True)])
+def test_no_answer_waits_for_a_field_and_a_field_waits_where_answers_are_late(tmp_path: Path, spare: float, waits: bool
+                                                                             ) -> None:
+    """On a slow computer three fields at once took 40 ms before an answer, until the controller ended the session."""
+    job = _job(load_cell("glue"), Devices("rsi:"), None, None)
+    assert isinstance(job, ForceJob)
+    link = Waited(robot=job.robot)
+    link.spare = spare
+    camera = Bursts(job.robot.t_ipo, 0)
+    _glued(tmp_path, link, job, camera)
+    before = [link.said[i - 1] for i, said in enumerate(link.said) if said == "field"]
+    assert (before == []) == waits
+    assert before == camera.times * ["answer"]
+    assert link.said.count("answer") >= 40
 
 
 def test_with_the_same_fields_the_plan_made_ahead_is_the_plan_made_at_once(tmp_path: Path) -> None:

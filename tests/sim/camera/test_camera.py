@@ -322,6 +322,24 @@ def test_both_cameras_see_the_line_in_the_same_place(relief: bool) -> None:
             assert np.abs(one.astype(float) - other.astype(float))[rows].mean() < 1.0
 
 
+def test_a_relief_looks_as_if_it_were_in_one_piece(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wherever the camera is, what it takes out of the picture is not in the picture."""
+    pieces, _ = cell(True)
+    monkeypatch.setattr("sim.camera.bullet_camera.PIECE", 10.0)
+    whole, _ = cell(True)
+    rng = np.random.default_rng(0)
+    assert isinstance(pieces, BulletCamera)
+    assert isinstance(whole, BulletCamera)
+    with pieces, whole:
+        assert (len(whole._pieces), len(pieces._pieces)) == (1, 20)
+        for x, y, lean, turn in rng.uniform([-0.4, -0.1, -0.3, -3.0], [0.4, 0.1, 0.3, 3.0], (12, 4)):
+            pose = whole.surface.plane * pin.SE3(pin.rpy.rpyToMatrix(np.pi + lean, 0.03, turn), np.array([x, y, 0.01]))
+            one, other = pieces.frame(pose).astype(int), whole.frame(pose).astype(int)
+            # A texel's edge is rounded otherwise where the texture is cut.
+            assert (np.abs(one - other) > 1).mean() < 2e-3
+        assert 0 < sum(piece._shown for piece in pieces._pieces) < 20
+
+
 def test_lamp_shadow_and_tool_are_in_the_same_places() -> None:
     rendered, _ = cell(False)
     plane, settings = rendered.surface.plane, CameraSettings(noise=0.0)
