@@ -31,8 +31,8 @@ AHEAD = 0.06
 """Way behind the begin of the line to the place that is looked at [m]."""
 REST = 0.5
 """Rest in each pose, in which pictures count [s]."""
-FEWEST = 5
-"""Pictures that have to show the line in each pose."""
+FEWEST, PATIENCE = 5, 2.0
+"""Pictures that have to show the line in each pose, and how long beyond the rest a slow camera is waited for [s]."""
 APART = 0.0004
 """Distance of the two places at which the line may be seen [m]. On the simulated cell it is 0.05 mm with the true
 camera, 0.7 with pictures moved by eight pixels, 1.1 with a camera as it was mounted by hand."""
@@ -119,8 +119,12 @@ def _seen(look: Look, arm: LiveArm, camera: LiveCamera, view: CalibrationView, w
     """
     sag = arm.meanwhile(lambda: GearDeflection(look.model, arm.t_ipo).along(way))
     rests = arm.t + arm.t_ipo * len(way) - REST + 0.1
-    beside = []
-    for k, q_c in enumerate(way):
+    beside = list[float]()
+    for cycle in range(len(way) + round(PATIENCE / arm.t_ipo)):
+        if cycle >= len(way) and len(beside) >= FEWEST:
+            break
+        k = min(cycle, len(way) - 1)
+        q_c = way[k]
         arm.check(arm.t)
         arm.q_d = q_c
         view.history.add(arm.t + arm.t_ipo, arm.cycle(q_c).q - sag[k])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +13,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.model.model import Model
 from ideal_robot.robots.collisions import Shapes
+from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from planning.line.line_follower import FollowerSettings
 from planning.path.reference import ReferencePath
@@ -186,7 +188,12 @@ class LineJob:
         delay: cycles of the controller's own delay.
         answers_within: time in which the arm's loop answers a command [s].
         calibration: of the camera, and whether there is one already.
+
+    Attributes:
+        moved: what the controller reported in a session before this one, cycle by cycle.
     """
+
+    moved: Sequence[RobotState] = ()
 
     def __init__(self, scene: LineScene, robot: Robot, model: Model, method: SceneMethod, delay: int,
                  answers_within: float, calibration: CalibratedCamera) -> None:
@@ -246,7 +253,9 @@ class LineJob:
         camera.use(self.calibration.camera, self.calibration.time_offset)
         camera.calibrated = self.calibration.known
         self._task.camera, self._task.heard = camera, camera.fused
-        self._task.lead(arm)
+        task, moved = self._task, [*self.moved, *arm.reported]
+        arm.meanwhile(lambda: task.learn(moved))
+        task.lead(arm)
         camera.predict = lambda t: _predicted(self._known, t)
         return self._task
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -76,13 +76,17 @@ class LineTask:
         self._known, self._arm = CameraErrors.of(effects), CorrectedArm(cell.robot, effects)
         self._direct = DirectFeedback(follower, *gains) if method.key == DIRECT and gains else None
         self._state = self.feedforward.init(follower.q_start)
-        for measured in moved:
-            self._state = self.feedforward.observe(self._state, measured)
+        self.learn(moved)
         # Once for nothing, so that compiling does not fall into the first cycles.
         self.feedforward.step(self._state, np.tile(follower.q_start, (self.feedforward.n_d, 1)))
         follower.reference.project(follower.reference.position(np.array([0.1])), 0.1)
         for sensor in self.sensors:
             log.sensor_values[sensor.name] = log.sensor_used[sensor.name] = 0
+
+    def learn(self, moved: Iterable[RobotState]) -> None:
+        """See ``moved`` of the class."""
+        for measured in moved:
+            self._state = self.feedforward.observe(self._state, measured)
 
     @property
     def q_start(self) -> Array:

@@ -36,6 +36,8 @@ _RECENT, _FOR_LOST = 20, 0.3
 """Answers whose usual time tells how many lost cycles are made good in one, and the share of it that may take."""
 _SLOWEST, _SHARE = 0.35, 0.25
 """Shares of the limits of speed and acceleration that moves between postures take."""
+_REPORTED = 20.0
+"""Time of which states are kept [s]: a calibration by moving takes less."""
 
 Worked = TypeVar("Worked")
 
@@ -94,6 +96,7 @@ class LiveArm:
         q_d: desired position of the coming cycle, for the journal ``(n,)`` [rad].
         stop_reason: why following has to end; None while it has not.
         steps: cycles of the controller from the last state but one to the last; more than one where some were lost.
+        reported: the last states, cycle by cycle.
         waited: for the last packet [s]: none where it was there already, and the answer is late by now.
     """
 
@@ -109,6 +112,7 @@ class LiveArm:
         self._told: deque[float] = deque(maxlen=_REMEMBERED)
         self._played: deque[float] = deque(maxlen=_REMEMBERED)
         self._passed: deque[RobotState] = deque()
+        self.reported: deque[RobotState] = deque(maxlen=round(_REPORTED / self.t_ipo))
 
     def stop(self, reason: str) -> None:
         """The arm is to come to rest on its path; to be called from anywhere."""
@@ -173,7 +177,9 @@ class LiveArm:
         self._told.append(state.t)
         self._played.append(self.t)
         self._last = state
-        return RobotState(self.t, state.q, state.tau if self.steps == 1 else np.full_like(state.q, np.nan))
+        counted = RobotState(self.t, state.q, state.tau if self.steps == 1 else np.full_like(state.q, np.nan))
+        self.reported.append(counted)
+        return counted
 
     def _made_good(self, state: RobotState) -> RobotState:
         """The state to go on with: the first of those unheard of, which lie between the last two."""

@@ -17,6 +17,7 @@ from ideal_robot.bounded_values import parsed_json
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.feedforward.registry import feedforward
 from ideal_robot.loop.from_model import loop_model
+from ideal_robot.robots.interface import RobotState
 from scenes.arms import arm_of
 from scenes.methods import following_methods, method_of
 from scenes.model_files import model_at
@@ -76,12 +77,16 @@ def follow(scene: Scene, devices: Devices, *, method: str | None = None, calibra
     if job.calibration.wanted:
         progress(0.0, "planning the calibration")
         motion = job.calibration_motion()
-        moved = _played(scene, job, devices, folder, "calibration", progress, partial(_calibrate, motion=motion))
-        if moved.failure is not None:
-            return _kept(replace(moved, left_behind=before), folder)
+        moved = list[RobotState]()
+        calibrated = _played(scene, job, devices, folder, "calibration", progress,
+                             partial(_calibrate, motion=motion, moved=moved))
+        if calibrated.failure is not None:
+            return _kept(replace(calibrated, left_behind=before), folder)
         remove(folder)
         # Planned on the surface that was found; the controller has to begin RSI anew.
         job = _job(scene, devices, method, calibration)
+        if isinstance(job, LineJob):
+            job.moved = moved
     if devices.check and isinstance(job, ForceJob):
         job.before = _before(folder, scene)
     progress(0.0, "rehearsing")
@@ -176,12 +181,13 @@ Work = Callable[[_Opened, Job, CycleSettings, Progress], None]
 """What is done with the devices; what comes of it is in the job."""
 
 
-def _calibrate(opened: _Opened, job: Job, settings: CycleSettings, progress: Progress, motion: CalibrationMotion
-               ) -> None:
+def _calibrate(opened: _Opened, job: Job, settings: CycleSettings, progress: Progress, motion: CalibrationMotion,
+               moved: list[RobotState]) -> None:
     if opened.camera is None:
         raise InputError("calibrating by moving needs a camera", field="--camera")
     opened.arm.approach(job.q_start)
     job.calibration.found(calibrated_by_moving(motion, opened.arm, opened.camera))
+    moved += opened.arm.reported
 
 
 def _follow(opened: _Opened, job: Job, settings: CycleSettings, progress: Progress, check: bool) -> None:

@@ -141,6 +141,9 @@ class Eye:
 class WaitingArm(LiveArm):
     """A bench waits while something is worked out: what it plays does not depend on how long that takes."""
 
+    waited = property(lambda self: np.inf, lambda self, waited: None)
+    """There is always time left."""
+
     def meanwhile(self, work: Callable[[], Worked]) -> Worked:
         """See ``LiveArm``."""
         return work()

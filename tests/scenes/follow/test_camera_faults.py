@@ -31,6 +31,13 @@ def test_a_sound_camera_is_believed(calibrated: bool, tmp_path: Path) -> None:
     assert not run.camera.apart > 1e-4
 
 
+def test_a_slow_camera_is_waited_for_where_the_line_is_looked_at(tmp_path: Path) -> None:
+    """At 10 Hz four pictures fall into the rest above the line; they were too few, whatever they showed."""
+    run = followed(load_scene("line").changed(camera={"rate": 10.0}, max_gap=0.25), tmp_path, check=True)
+    assert run.failure is None
+    assert not run.camera.apart > 1e-4
+
+
 def test_pictures_that_were_moved_since_the_calibration_are_found_above_the_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -227,6 +228,27 @@ def test_progress_is_shown_when_nobody_waits() -> None:
     later.catch_up()
     later.catch_up()
     assert shown == [0.2]
+
+
+def test_a_feedforward_that_adapts_knows_what_the_arm_has_shown_before_the_line(tmp_path: Path) -> None:
+    """Else it begins each run on devices anew, and leaves half as much again as in simulation."""
+    jobs = [_job(load_cell("line"), Devices("rsi:"), None, None) for _ in range(2)]
+    job, other = (one for one in jobs if isinstance(one, LineJob))
+    assert job.method.key == "adapted"
+    T, q = job.robot.t_ipo, job.q_start
+    rng = np.random.default_rng(0)
+    shown = [RobotState(k * T, q + 0.3 * np.sin(0.05 * k), 40.0 + rng.standard_normal(6)) for k in range(200)]
+    arm = LiveArm(Tame(job.robot), Journal(tmp_path, job.robot, {}))
+    arm.link.commanded = arm.q_d = q
+    job.moved = shown[:120]
+    arm.reported.extend(shown[120:])
+    camera = SimpleNamespace(use=lambda *_: None, fused=lambda _: None)
+    job.ready(arm, camera, None)  # type: ignore[arg-type]
+    other._task.learn(shown)
+    found, expected, cold = (one._state.factors.values for one in (job._task, other._task, LineJob(
+        job.scene, job.robot, job.model, job.method, 0, 0.3, job.calibration)._task))
+    np.testing.assert_array_equal(found, expected)
+    assert np.abs(found - cold).max() > 0.01
 
 
 # Calibration over wires: the camera is found from the piece of the line, whatever is seen on the way there.
