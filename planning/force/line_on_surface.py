@@ -118,9 +118,13 @@ class LineOnSurface:
             return None
         measurement = self._measurement(line.t, line.points_tcp[used], line.sigma[used])
         reason = self._implausible(measurement)
-        if reason:
+        # What the tool has passed meanwhile tells nothing of what is ahead, and the filter would go back for it.
+        ahead = measurement.s >= self.follower.fusion.s
+        if reason or not ahead.any():
             nothing = np.zeros(len(measurement.s), dtype=bool)
-            return Fused(nothing, np.zeros(len(nothing)), float("nan"), 0, reason)
+            return Fused(nothing, np.zeros(len(nothing)), float("nan"), 0, reason or "behind the tool by now")
+        if not ahead.all():
+            measurement = self._measurement(line.t, line.points_tcp[used][ahead], line.sigma[used][ahead])
         fused = self.follower.fusion.update(measurement)
         if fused.dof:
             self.used += 1

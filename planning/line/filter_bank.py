@@ -44,6 +44,11 @@ class FilterBank:
         return self.likeliest.model
 
     @property
+    def s(self) -> float:
+        """Arc length at which the states stand [m]."""
+        return self.members[0].s
+
+    @property
     def weights(self) -> Array:
         """Probabilities of the members."""
         return self._weights.copy()

@@ -235,6 +235,11 @@ class DeviationFilter:
         return mean, variance
 
     @property
+    def s(self) -> float:
+        """Arc length at which the state stands [m]."""
+        return self._stand.s
+
+    @property
     def state(self) -> Array:
         """State of the deviation model ``(size,)``."""
         return np.asarray(self._track.kf.x[: self.model.size])

@@ -58,9 +58,6 @@ _BY_MOTORS = 0.65
 """Share of the force that the surface bears beyond the wanted one of which the motors' word is enough."""
 _PULLS = -3.0
 """Force that no surface exerts [N]."""
-_SPARE = 0.02
-"""Share of a cycle that a packet was waited for, from which on there was time left: a packet that is there is read in
-less."""
 _GUESS = ContactElasticity(4000.0, 1000.0, 0.0, 0.0)
 _NO_LOAD = ToolLoad(np.zeros(6), 0.0, np.zeros(3), np.zeros(2))
 
@@ -116,8 +113,8 @@ class LiveForceTask(ForceTask):
         """Fuses what the camera has delivered by ``t`` [s], and looks at what is felt; the next cycle is told of it."""
         try:
             self.witness()
-            # Forces come first: where the last packet was there already, a field waits.
-            if self.arm is None or self.arm.waited > _SPARE * self.arm.t_ipo:
+            # Forces come first.
+            if self.arm is None or not self.arm.behind:
                 self.fuse_fields(t)
         except IdealRobotError as error:
             self._unfit = error

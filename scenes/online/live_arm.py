@@ -38,6 +38,9 @@ _SLOWEST, _SHARE = 0.35, 0.25
 """Shares of the limits of speed and acceleration that moves between postures take."""
 _REPORTED = 20.0
 """Time of which states are kept [s]: a calibration by moving takes less."""
+_SPARE = 0.02
+"""Share of a cycle that a packet was waited for, from which on there was time left: a packet that is there is read in
+less."""
 
 Worked = TypeVar("Worked")
 
@@ -97,7 +100,6 @@ class LiveArm:
         stop_reason: why following has to end; None while it has not.
         steps: cycles of the controller from the last state but one to the last; more than one where some were lost.
         reported: the last states, cycle by cycle.
-        waited: for the last packet [s]: none where it was there already, and the answer is late by now.
     """
 
     def __init__(self, link: Link, journal: Journal) -> None:
@@ -106,7 +108,7 @@ class LiveArm:
         self.between: list[Callable[[], None]] = []
         self.q_d = link.commanded.copy()
         self.stop_reason: str | None = None
-        self.cycles, self.steps, self.waited = 0, 1, 0.0
+        self.cycles, self.steps, self._waited = 0, 1, 0.0
         self._k = 0
         self._last: RobotState | None = None
         self._told: deque[float] = deque(maxlen=_REMEMBERED)
@@ -138,6 +140,11 @@ class LiveArm:
         return self._k * self.t_ipo
 
     @property
+    def behind(self) -> bool:
+        """Whether the last packet was there before it was waited for: there is no time for what can wait."""
+        return self._waited <= _SPARE * self.t_ipo
+
+    @property
     def controller_time(self) -> float:
         """Of the last cycle, by the controller [s]; NaN before the first."""
         return float("nan") if self._last is None else self._last.t
@@ -160,7 +167,7 @@ class LiveArm:
                 work()
             begun = time.perf_counter()
             state = self.link.receive()
-            self.waited = self.link.arrived - begun
+            self._waited = self.link.arrived - begun
         except IdealRobotError as error:
             if isinstance(error, PlanningError):
                 raise

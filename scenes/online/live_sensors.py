@@ -154,8 +154,14 @@ class LiveCamera:
             self._arm.stop(f"the camera: {self.signs.fault}")
 
     def serve(self) -> None:
-        """Sends the predictions for pictures that have come; called while the controller is busy."""
+        """Sends the predictions for pictures that have come; called while the controller is busy.
+
+        Where answers are behind the newest picture waits, and those before it are left out.
+        """
         self._take()
+        if self._arm.behind:
+            self._headers = self._headers[-1:]
+            return
         headers, self._headers = self._headers, []
         for header in headers:
             self._ask(header)

@@ -122,6 +122,18 @@ def test_two_fields_that_agree_are_believed(follower: SurfaceFollower) -> None:
     assert deviation[0, 0] == pytest.approx(0.003, abs=2e-4)
 
 
+@pytest.mark.parametrize(("stands", "used"), [(0.0, 5), (0.08, 2), (0.2, 0)])
+def test_what_the_tool_has_passed_meanwhile_is_left_out(follower: SurfaceFollower, stands: float, used: int) -> None:
+    """The filter went back for it, measurement by measurement: 35 ms a field behind a stall."""
+    sight = LineOnSurface(follower, default_mount(), SightSettings(), (0.0, 0.5))
+    assert [sight.update(field(follower, t, 0.003)) is None for t in (0.02, 0.04)] == [False, False]
+    for member in follower.fusion.members:
+        member._stand = Stand(member.model.begin, stands)
+    fused = sight.update(field(follower, 0.05, 0.003))
+    assert fused is not None
+    assert (fused.dof, fused.reason == "behind the tool by now") == (used, used == 0)
+
+
 def test_points_that_are_on_no_line_are_left_out(follower: SurfaceFollower) -> None:
     sight = LineOnSurface(follower, default_mount(), SightSettings(), (0.0, 0.5))
     rng = np.random.default_rng(0)

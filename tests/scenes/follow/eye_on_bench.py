@@ -141,8 +141,7 @@ class Eye:
 class WaitingArm(LiveArm):
     """A bench waits while something is worked out: what it plays does not depend on how long that takes."""
 
-    waited = property(lambda self: np.inf, lambda self, waited: None)
-    """There is always time left."""
+    behind = False
 
     def meanwhile(self, work: Callable[[], Worked]) -> Worked:
         """See ``LiveArm``."""
