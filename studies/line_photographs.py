@@ -8,13 +8,14 @@ import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import cv2
 import numpy as np
 import typer
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+from scipy.special import expit
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
@@ -33,8 +34,10 @@ ENOUGH = 0.5
 """… and the line where so much of it is."""
 DRAWN, PIECES = 4, 6
 """Lines that are drawn on every photograph without one, for the table and for the weights."""
-FALSE = 0.04
-"""Share of the pieces without a line in which the weights may see one."""
+FALSE = 0.03
+"""Share of the pictures without a line in which one may be seen."""
+FOLDS = 9
+"""Of the photographs, each weighed by what the others gave."""
 _SMALL = 0.1
 """Weights are kept small with so much force."""
 
@@ -84,6 +87,7 @@ def line_photographs(folder: Folder, kept: bool = True, seed: int = 1) -> None:
         "ridge filter, skeleton": lambda one: _ridge(one.picture)}
     for name, method in methods.items():
         cells: list[str] = []
+        method(known[0])  # what is compiled is loaded in the first call
         begun, count = time.process_time(), 0
         for of in sets:
             verdicts = [_verdict(method(one), one) for one in of]
@@ -126,46 +130,63 @@ def line_films(folder: Folder, most: int = 250) -> None:
             f"{1e3 * (time.process_time() - begun) / len(seen):.0f}")
 
 
+class _Seen(NamedTuple):
+    """Candidates of a picture: which photograph it is from, whether it has a line, features, which are that line."""
+
+    photograph: int
+    line: bool
+    features: Array
+    right: NDArray[np.bool_]
+
+
 def line_weights(folder: Folder, seed: int = 1) -> None:
     """Fits what `sensing/camera/line_evidence.py` weighs a candidate's features with, on photographs not kept apart.
 
     Candidates on drawn and marked lines against all in photographs without a line: logistic regression, every picture
-    of the same weight.
+    of the same weight. The offset is such that a share of the pictures without a line shows one, each weighed with
+    what the other photographs alone gave.
     """
     known = [one for one in _photographs(folder) if not one.kept]
     rng = np.random.default_rng(seed)
-    samples: list[tuple[Array, bool, float]] = []
-    without: list[list[Array]] = []
-    for one in known:
-        pieces = [one] if one.kind else [one, *(of(one, rng) for of in (_piece, _drawn_on) for _ in range(PIECES))]
-        for piece in pieces:
+    seen: list[_Seen] = []
+    for k, one in enumerate(known):
+        for piece in [one] if one.kind else [one, *(of(one, rng) for of in (_piece, _drawn_on) for _ in range(PIECES))]:
             strips = [strip for _, strip in find_lines(piece.picture)]
-            if not piece.kind:
-                without.append([strip.features for strip in strips])
-            good = [bool(piece.kind) and _verdict(strip.points, piece) == "found" for strip in strips]
-            for strip, right in zip(strips, good, strict=True):
-                if right or not piece.kind:
-                    samples.append((strip.features, right, 1.0 / max(1, sum(good) if right else len(strips))))
-    X = np.array([np.r_[features, 1.0] for features, _, _ in samples])
-    y, weight = np.array([right for _, right, _ in samples], float), np.array([w for _, _, w in samples])
+            right = [bool(piece.kind) and _verdict(strip.points, piece) == "found" for strip in strips]
+            seen.append(_Seen(k, bool(piece.kind), np.array([np.r_[strip.features, 1.0] for strip in strips]
+                                                            ).reshape(-1, len(FEATURES) + 1), np.array(right, bool)))
+    b = _weights(seen)
+    best = []
+    for fold in range(FOLDS):
+        others = _weights([one for one in seen if one.photograph % FOLDS != fold])
+        best += [max(one.features @ others, default=-np.inf) for one in seen
+                 if one.photograph % FOLDS == fold and not one.line]
+    b[-1] -= np.quantile(best, 1.0 - FALSE)
+    head("feature", "weight", "mean on lines", "mean on others")
+    for k, name in enumerate((*FEATURES, "offset")):
+        means = [np.mean([one.features[one.right if line else slice(None), k].mean() for one in seen
+                          if one.line == line and (one.right.any() if line else len(one.features))])
+                 for line in (True, False)]
+        row(name, f"{b[k]:.4g}", *(f"{mean:.2f}" for mean in means))
+
+
+def _weights(seen: list[_Seen]) -> Array:
+    """Weights of the features and an offset for log odds: of lines where there is one, of all else where none is."""
+    rows = [one.features[one.right if one.line else slice(None)] for one in seen]
+    X = np.concatenate(rows)
+    y = np.repeat([float(one.line) for one in seen], [len(of) for of in rows])
+    weight = np.repeat([1.0 / max(1, len(of)) for of in rows], [len(of) for of in rows])
     scale = np.r_[X[:, :-1].std(axis=0), 1.0]
     Z = X / scale
 
     def loss(b: Array) -> tuple[float, Array]:
         z = Z @ b
         small = _SMALL * np.r_[b[:-1], 0.0]
-        return (float(weight @ (np.logaddexp(0.0, z) - y * z) + 0.5 * small @ b),
-                Z.T @ (weight * (1.0 / (1.0 + np.exp(-z)) - y)) + small)
+        return float(weight @ (np.logaddexp(0.0, z) - y * z) + 0.5 * small @ b), Z.T @ (weight * (expit(z) - y)) + small
 
     # No feature may speak against a line where it is larger: each is turned so that lines have more of it.
     fit = minimize(loss, np.zeros(X.shape[1]), jac=True, bounds=[(0.0, None)] * len(FEATURES) + [(None, None)])
-    b = fit.x / scale
-    best = np.array([max((float(np.r_[f, 1.0] @ b) for f in of), default=-np.inf) for of in without])
-    b[-1] -= max(0.0, float(np.quantile(best, 1.0 - FALSE)))
-    head("feature", "weight", "mean on lines", "mean on others")
-    for k, name in enumerate((*FEATURES, "offset")):
-        means = [np.average(X[y == lines, k], weights=weight[y == lines]) for lines in (1, 0)]
-        row(name, f"{b[k]:.2f}", *(f"{mean:.2f}" for mean in means))
+    return np.asarray(fit.x / scale)
 
 
 def _photographs(folder: Path) -> Iterator[Photograph]:

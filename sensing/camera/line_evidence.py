@@ -3,7 +3,8 @@
 Sections across the path are laid beside each other, so that the edges of a line stand still: its inside at -1 … 1, its
 sides beyond. The direction of colour that separates inside and sides best (Fisher's) makes one number of every pixel, 1
 inside and 0 beside in the mean. From it follow the edges of each section to fractions of a pixel, and what tells
-lines from all else that is long: how much of the picture it crosses, how clear it is, how alike its sections are.
+lines from all else that is long: how much of the picture it crosses, how clear it is, how smooth; and that it lies on
+one ground: rims, folds and shores have another thing on their other side.
 """
 
 from __future__ import annotations
@@ -17,14 +18,14 @@ from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.jit import jit
-from sensing.camera.line_paths import COLOR, Lab, Path
+from sensing.camera.line_paths import COLOR, REDUCED, Lab, Path
 
 SECTIONS = 48
 """Sections across a line in which it is looked at."""
 _ALONG = 3
 """Places of which the mean is taken in each section."""
 _T = np.linspace(-2.0, 2.0, 41)
-_INSIDE, _LEFT, _RIGHT = np.abs(_T) < 0.65, _T < -1.3, _T > 1.3
+_INSIDE, _LEFT, _RIGHT = np.abs(_T) < 0.65, _T < -1.25, _T > 1.25
 _NOISE = 2.0
 """Least noise that is assumed [gray]."""
 _SEEN = 0.4
@@ -33,6 +34,8 @@ _EDGE_SIDE = 5.0
 """Reach to both sides of a single edge [px]."""
 _COURSE = 6
 """Degree of the polynomials that lines follow: what is left of things that are none is larger."""
+_FINEST = 1.0 / REDUCED[0]
+"""What a course leaves, over its length, is not told from nothing below a pixel of the picture that was linked."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,7 @@ class Strip:
         shown: share of the usual contrast that each section shows ``(n,)``, on the weaker side.
         color: inside less sides, lightness and weighted colour ``(3,)``.
         direction: of colour that separates them, scaled to 1 for ``color`` ``(3,)``.
-        features: what the decision goes by ``(6,)``, see ``FEATURES``.
+        features: what the decision goes by ``(5,)``, see ``FEATURES``.
     """
 
     points: Array
@@ -71,11 +74,11 @@ class Strip:
                        sigmas=self.sigmas[k], shown=self.shown[k])
 
 
-FEATURES = ("length", "clarity", "coverage", "course", "taper", "linked")
-"""Logarithms, of what lines have more of: length over the picture's shorter side; contrast over the scatter within
-inside and sides; the share of sections that show the line (no logarithm); how little it leaves a polynomial, over its
-length, and its width a linear taper; and how much likelier than chance its edges were linked."""
-WEIGHTS = np.array([5.04, 1.57, 6.05, 4.82, 1.08, 0.83, -41.61])
+FEATURES = ("length", "clarity", "course", "sides", "linked")
+"""What lines have more of: logarithms of the length over the picture's shorter side, of the contrast over the scatter
+within inside and sides, and of how little it leaves a polynomial, over its length; less the difference of both sides
+over the contrast; how much likelier than chance its edges were linked."""
+WEIGHTS = np.array([6.011, 2.676, 8.374, 10.83, 0.01305, -48.14])
 """Of the features, and an offset: `python -m studies line-weights`."""
 
 
@@ -94,16 +97,15 @@ def straightened(lab: Lab, path: Path, sections: int = SECTIONS) -> Strip:
     """
     edge = not path.widths.any()
     points, halves = _even(path.points, 0.5 * path.widths, sections)
-    strip, clarity = _measured(lab, points, halves, edge)
+    strip, clarity, sides = _measured(lab, points, halves, edge)
     first, end = _best_run((strip.shown > _SEEN) & (strip.shown < 1.0 / _SEEN))
     if end - first >= 5:
         points, halves = _even(strip.points[first:end], 0.5 * strip.widths[first:end], sections)
-        strip, clarity = _measured(lab, points, halves, edge)
-    return replace(strip, features=_features(strip, clarity, _length(points), path.score, min(lab.shape[:2])))
-
-
-def _length(points: Array) -> float:
-    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+        strip, clarity, sides = _measured(lab, points, halves, edge)
+    length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    wiggle = float(np.sqrt(np.mean(_rest(strip.points) ** 2))) / length
+    return replace(strip, features=np.array([np.log(length / min(lab.shape[:2])), np.log(clarity),
+                                             -np.log(_FINEST + wiggle), -sides, path.score]))
 
 
 def _best_run(good: NDArray[np.bool_]) -> tuple[int, int]:
@@ -169,8 +171,12 @@ def _fine(points: Array, normals: Array) -> tuple[Array, Array]:
     return np.array([np.interp(fine, k, c) for c in points.T]), np.repeat(normals.T, _ALONG, axis=1)
 
 
-def _measured(lab: Lab, points: Array, halves: Array, edge: bool) -> tuple[Strip, float]:
-    """Sections across a line of these half widths ``(n,)``, without features, and its difference over the scatter."""
+def _measured(lab: Lab, points: Array, halves: Array, edge: bool) -> tuple[Strip, float, float]:
+    """Sections across a line of these half widths ``(n,)``, without features.
+
+    Returns:
+        They; contrast over scatter; and difference of the sides over the contrast, 0 of an edge.
+    """
     tangents = _smooth(np.gradient(points, axis=0), 5)
     tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-9)
     normals = np.column_stack([-tangents[:, 1], tangents[:, 0]])
@@ -193,23 +199,8 @@ def _measured(lab: Lab, points: Array, halves: Array, edge: bool) -> tuple[Strip
     middle, sigma = at.mean(axis=1), np.linalg.norm(sigmas, axis=1) / at.shape[1]
     widths = np.zeros_like(middle) if edge else np.maximum(at[:, 1] - at[:, 0], 0.5)
     found = points + middle[:, None] * normals
-    return Strip(found, normals, widths, sigma, shown, color, direction, np.empty(0)), clarity
-
-
-def _features(strip: Strip, clarity: float, length: float, score: float, size: int) -> Array:
-    """What lines are told by, see ``FEATURES``.
-
-    Args:
-        strip: without them.
-        clarity: difference of inside and sides over the scatter.
-        length: of the path [px].
-        score: of the path.
-        size: the picture's shorter side [px].
-    """
-    wiggle = float(np.sqrt(np.mean(_rest(strip.points, _COURSE) ** 2))) / length
-    uneven = float(np.std(_rest(np.log(strip.widths + 1.0), 1)))
-    return np.array([np.log(length / size), np.log(clarity), float(np.mean(strip.shown > _SEEN)),
-                     -np.log(0.003 + wiggle), -np.log(0.02 + uneven), np.log(max(score, 1.0))])
+    sides = 0.0 if edge else float(np.linalg.norm(np.median(left - right, axis=0)) / np.linalg.norm(color))
+    return Strip(found, normals, widths, sigma, shown, color, direction, np.empty(0)), clarity, sides
 
 
 def _separating(groups: list[Array], means: list[Array], color: Array) -> tuple[Array, float]:
@@ -223,16 +214,16 @@ def _separating(groups: list[Array], means: list[Array], color: Array) -> tuple[
     return direction / square, float(np.sqrt(square))
 
 
-def _rest(values: Array, degree: int) -> Array:
+def _rest(values: Array) -> Array:
     """What a polynomial leaves of values along a line."""
-    basis = _orthonormal(len(values), degree)
+    basis = _orthonormal(len(values))
     return np.asarray(values - basis @ (basis.T @ values))
 
 
 @cache
-def _orthonormal(count: int, degree: int) -> Array:
-    """Polynomials up to a degree at so many places, orthonormal ``(count, degree + 1)``."""
-    return np.asarray(np.linalg.qr(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, count), degree))[0])
+def _orthonormal(count: int) -> Array:
+    """Polynomials up to ``_COURSE`` at so many places, orthonormal ``(count, _COURSE + 1)``."""
+    return np.asarray(np.linalg.qr(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, count), _COURSE))[0])
 
 
 def _edges(lab: Lab, along: tuple[Array, Array], about: Array, direction: Array, reach: float) -> tuple[Array, Array]:

@@ -67,7 +67,10 @@ def track(picture: NDArray[np.uint8], before: Track | None = None, *, kind: str 
     again = None
     if before is not None and known is not None and missed < PATIENCE:
         place = known.points + before.motion
-        again = _there(small, known, place) or _elsewhere(small, known, place, kind, missed)
+        again = _there(small, known, place)
+        # The prior alone does not keep the line at a place that is likelier none: anything else may be it then.
+        if again is None or again[0] < 0.0:
+            again = _elsewhere(small, known, place, kind, missed, again)
         if again is None:
             line = PictureLine(size, None, -np.inf, 0, f"lost for {missed + 1} pictures")
             return Track(line, "lost", known, np.zeros(2), missed + 1)
@@ -95,17 +98,17 @@ def _there(picture: NDArray[np.uint8], known: Strip, place: Array) -> tuple[floa
     if inside.sum() < len(place) // 2:
         return None
     widths = np.pad(known.widths, count, "edge")[inside]
-    strip = straightened(lab_picture(picture), Path(points[inside], widths, float(np.exp(known.features[-1])), 0))
+    strip = straightened(lab_picture(picture), Path(points[inside], widths, float(known.features[-1]), 0))
     value = evidence(strip)
     return (value, strip) if _same(value, strip, known) > 0.0 else None
 
 
-def _elsewhere(picture: NDArray[np.uint8], known: Strip, place: Array, kind: str | None, missed: int
-               ) -> tuple[float, Strip] | None:
-    """The candidate of the whole picture that is likeliest the same line; None where all are likelier another."""
+def _elsewhere(picture: NDArray[np.uint8], known: Strip, place: Array, kind: str | None, missed: int,
+               there: tuple[float, Strip] | None) -> tuple[float, Strip] | None:
+    """The candidate of the whole picture, or the one at its place, that is likeliest the same line; None where none."""
     moves = _MOVES * min(picture.shape[:2]) * np.sqrt(1.0 + missed)
     lines = [(_same(value, strip, known) - 0.5 * (_distance(strip, place) / moves) ** 2, value, strip)
-             for value, strip in find_lines(picture, kind=kind, about=place)]
+             for value, strip in [*find_lines(picture, kind=kind, about=place), *([there] if there else [])]]
     best = max(lines, key=lambda one: one[0], default=None)
     return best[1:] if best is not None and best[0] > 0.0 else None
 
