@@ -58,7 +58,7 @@ def constant_of_weight(offset: Array, weight: Array) -> Array:
 class RigidDerivatives:
     """Derivatives by one joint after the other, each computed once as far as memory allows.
 
-    Torques are linear in accelerations and quadratic in velocities, so central differences are exact there.
+    Torques are linear in accelerations and quadratic in velocities, so differences are exact there.
 
     Args:
         rigid: torque ``(N, n)`` of ``q, qd, qdd`` ``(N, n)`` each.
@@ -94,9 +94,14 @@ class RigidDerivatives:
                           + by_acceleration * acceleration[:, None])
 
     def _computed(self, j: int) -> tuple[Array, Array, Array]:
-        by_position, by_velocity, by_acceleration = (self._difference(j, k, step)
-                                                     for k, step in enumerate((_STEP, 1.0, 1.0)))
-        return by_position, by_velocity, by_acceleration
+        return self._difference(j, 0, _STEP), self._difference(j, 1, 1.0), self.mass[j]
+
+    @cached_property
+    def mass(self) -> list[Array]:
+        """What a unit acceleration of each joint changes in all torques ``(N, n)``: columns of the mass matrix."""
+        q, still = self._motion[0], np.zeros_like(self._motion[0])
+        at_rest = self._rigid(q, still, still)
+        return [self._rigid(q, still, still + unit) - at_rest for unit in np.eye(q.shape[1])]
 
     def _difference(self, j: int, k: int, step: float) -> Array:
         sides = []
@@ -178,14 +183,9 @@ class Signals:
     @cached_property
     def inertia(self) -> Array:
         """Inertia behind each gear, the other joints held ``(N, n)`` [kg m²]; ones where no rigid body says so."""
-        result, still = np.ones((len(self.t), self.n)), np.zeros_like(self.q)
-        if self.rigid is not None:
-            weight = self.rigid(self.q, still, still)
-            for j in range(self.n):
-                one = still.copy()
-                one[:, j] = 1.0
-                result[:, j] = (self.rigid(self.q, still, one) - weight)[:, j]
-        return result
+        if self.derivatives is None:
+            return np.ones((len(self.t), self.n))
+        return np.column_stack([column[:, j] for j, column in enumerate(self.derivatives.mass)])
 
     def inertia_behind(self, joint: int) -> Array:
         """Inertia behind the gear of ``joint`` (from 1), kept away from zero ``(N,)`` [kg m²]."""

@@ -97,8 +97,20 @@ def sensitivity(model: pin.Model, base: BaseParameters, friction: PerJointFricti
         qdd: joint accelerations ``(N, n)`` [rad/s²].
         load: torque that the gears transmit ``(N, n)`` [N m].
     """
-    n = model.nv
-    blocks = [full_regressor(model, q, qd, qdd, base.independent)]
+    return np.concatenate([full_regressor(model, q, qd, qdd, base.independent),
+                           friction_sensitivity(friction, q, qd, load)], axis=2)
+
+
+def friction_sensitivity(friction: PerJointFriction, q: Array, qd: Array, load: Array | None = None) -> Array:
+    """The part of ``sensitivity`` that belongs to friction ``(N, n, p)``.
+
+    Args:
+        friction: laws of all joints.
+        q: joint positions ``(N, n)`` [rad].
+        qd: joint velocities ``(N, n)`` [rad/s].
+        load: torque that the gears transmit ``(N, n)`` [N m].
+    """
+    n, blocks = q.shape[1], []
     for columns in (coefficient_columns, shape_columns):
         for j, law in enumerate(friction.laws):
             own = columns(law, qd[:, [j]], None if load is None else load[:, [j]], q[:, [j]])

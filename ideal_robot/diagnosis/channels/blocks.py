@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -42,6 +44,15 @@ class Blocks:
     def of_samples(self) -> np.ndarray:
         """Block of each sample ``(N,)``."""
         return np.repeat(np.arange(self.count), np.diff(self.edges))
+
+
+    def cut(self, values: Array) -> Array:
+        """Rows ``(N, …)`` block by block ``(B, L, …)``; a shorter block ends with zeros."""
+        first, end = np.array(self.edges[:-1])[:, None], np.array(self.edges[1:])[:, None]
+        rows = first + np.arange(int(np.max(end - first)))
+        of_blocks = values[np.minimum(rows, len(values) - 1)]
+        of_blocks[rows >= end] = 0.0
+        return of_blocks
 
 
 def time_blocks(samples: int, dt: float, held_out: bool) -> Blocks:
@@ -100,6 +111,24 @@ class Columns:
         """Number of columns."""
         return int(self.values.shape[2])
 
+    @classmethod
+    def side_by_side(cls, parts: Sequence[Columns]) -> Columns:
+        """Groups of as many columns each as one group."""
+        channels = tuple(sorted({j for part in parts for j in part.channels}))
+        values = np.zeros((len(parts[0].values), len(channels), sum(part.m for part in parts)))
+        for i, part in enumerate(parts):
+            values[:, [channels.index(j) for j in part.channels], i * part.m : (i + 1) * part.m] = part.values
+        own = None if parts[0].own is None else np.concatenate([part.own for part in parts])
+        return cls(values, channels, parts[0].alike, own)
+
+    def part(self, i: int, count: int) -> Columns:
+        """The ``i``-th of as many groups that stand side by side."""
+        m = self.m // count
+        mine = slice(i * m, (i + 1) * m)
+        values, own = self.values[:, :, mine], None if self.own is None else self.own[mine]
+        acting = np.flatnonzero(values.any(axis=(0, 2))) if len(self.channels) > 1 else np.arange(len(self.channels))
+        return Columns(values[:, acting], tuple(self.channels[k] for k in acting), self.alike, own)
+
     def without(self, form: Columns) -> Array:
         """What of the columns ``(N, k, m)`` those of ``form``, on the same channels, cannot make."""
         own, theirs = (one.values.reshape(-1, one.m) for one in (self, form))
@@ -132,30 +161,162 @@ class BlockProducts:
         return made
 
     @cached_property
-    def of_rows(self) -> dict[str, dict[str, Array]]:
-        """Cross-products of ``W`` and ``y``, which are in every fit."""
-        across = self.cross(self.W, self.y)
-        return {"W": {"W": self.cross(self.W, self.W), "y": across},
-                "y": {"W": np.swapaxes(across, 2, 3), "y": self.cross(self.y, self.y)}}
+    def of_rows(self) -> tuple[dict[int, Array], dict[int, Array], dict[int, Array]]:
+        """``W'W``, ``W'y`` and ``y'y``, which are in every fit."""
+        return self.cross(self.W, self.W), self.cross(self.W, self.y), self.cross(self.y, self.y)
 
-    def cross(self, a: Columns, b: Columns) -> Array:
-        """``a_b' b_b`` for each block and channel, ``(B, c, m_a, m_b)``."""
-        result = np.zeros((self.blocks.count, self.c, a.m, b.m))
-        for j in set(a.channels) & set(b.channels):
-            (ours, left), (theirs, right) = self._in_blocks(a, j), self._in_blocks(b, j)
-            result[:, j, ours[:, None], theirs] = np.swapaxes(left, 1, 2) @ right
+    def cross(self, a: Columns, b: Columns) -> dict[int, Array]:
+        """``a_b' b_b`` for each block ``(B, k_a, k_b)`` of the columns that act on each channel that both act on."""
+        return {j: np.swapaxes(self.acting(a, j)[1], 1, 2) @ self.acting(b, j)[1]
+                for j in a.channels if j in b.channels}
+
+    def total(self, a: Columns, b: Columns) -> Array:
+        """``a' b`` over all selecting blocks, for each channel of ``a``: ``(k, m_a, m_b)``."""
+        result = np.zeros((len(a.channels), a.m, b.m))
+        for i, j in enumerate(a.channels):
+            if j in b.channels:
+                (ours, left), (theirs, right) = self.acting(a, j), self.acting(b, j)
+                left = left * self.blocks.selecting[:, None, None]
+                result[i, ours[:, None], theirs] = np.tensordot(left, right, ((0, 1), (0, 1)))
         return result
 
-    def _in_blocks(self, columns: Columns, j: int) -> tuple[np.ndarray, Array]:
+    def acting(self, columns: Columns, j: int) -> tuple[np.ndarray, Array]:
         """Which columns act on one channel, and their rows block by block ``(B, L, m)``.
 
-        A shorter block ends with zeros. Of the model's parameters a joint feels those of the links behind it.
+        Of the model's parameters a joint feels those of the links behind it.
         """
         if j not in columns.in_blocks:
             values = columns.values[:, columns.channels.index(j)]
-            acting = np.flatnonzero(values.any(axis=0))
-            first, end = np.array(self.blocks.edges[:-1])[:, None], np.array(self.blocks.edges[1:])[:, None]
-            rows = first + np.arange(int(np.max(end - first)))
-            of_blocks = values[np.minimum(rows, len(values) - 1)[:, :, None], acting]
-            columns.in_blocks[j] = acting, np.where((rows < end)[:, :, None], of_blocks, 0.0)
+            acting = np.flatnonzero(values.any(axis=0)) if columns.m > 1 else np.arange(columns.m)
+            columns.in_blocks[j] = acting, self.blocks.cut(values[:, acting])
         return columns.in_blocks[j]
+
+
+@dataclass(frozen=True)
+class Gram:
+    """Cross-products of ``m`` columns with each other, block by block, and on each channel of those that act there.
+
+    Attributes:
+        size: number of the columns ``m``.
+        parts: for each channel which columns act ``(k,)``, and their products ``(B, k, k)``.
+    """
+
+    size: int
+    parts: list[tuple[np.ndarray, Array]]
+
+    def summed(self, weights: Array, rows: Array) -> Array:
+        """Sum over channels with weights ``(c,)`` and over blocks with weights ``(…, B)``: ``(…, m, m)``."""
+        result = np.zeros((*rows.shape[:-1], self.size, self.size))
+        for weight, (index, G) in zip(weights, self.parts, strict=True):
+            result[..., index[:, None], index] += weight * np.tensordot(rows, G, 1)
+        return result
+
+    def squares(self, v: Array) -> Array:
+        """Squares of the columns times ``v``, one ``(m,)`` or one for each block ``(B, m)``: ``(B, c)``."""
+        return np.column_stack([np.maximum(quadratic(G, v[..., index]), 0.0) for index, G in self.parts])
+
+
+Known = dict[str, dict[str, tuple[Columns, Any]]]
+"""Products of groups; with each the columns it is of, as another group may take over a name."""
+
+
+class Design:
+    """Named groups of columns and their cross-products, each computed once."""
+
+    def __init__(self, data: BlockProducts) -> None:
+        self.data = data
+        self.groups: dict[str, Columns] = {"W": data.W, "y": data.y}
+        WW, Wy, yy = data.of_rows
+        self._cross: Known = {"W": {"W": (data.W, WW), "y": (data.y, Wy)}, "y": {"y": (data.y, yy)}}
+        self._total: Known = {}
+        self._gram: tuple[list[Columns], Gram] = [], Gram(0, [])
+
+    def add(self, key: str, columns: Columns) -> None:
+        """Adds or replaces a group."""
+        self.forget_products(key)
+        self.groups[key] = columns
+
+    def drop(self, key: str) -> None:
+        """Forgets a group."""
+        self.forget_products(key)
+        self.groups.pop(key, None)
+
+    def forget_products(self, key: str) -> None:
+        """Forgets the cross-products of a group that is hardly asked for again; they are made anew where it is."""
+        self._cross.pop(key, None)
+        self._total.pop(key, None)
+        if key in self.groups:
+            self.groups[key].in_blocks.clear()
+
+    def cross(self, a: str, b: str) -> dict[int, Array]:
+        """See ``BlockProducts.cross``."""
+        made: dict[int, Array] = self._known(self._cross, self.data.cross, a, b)
+        return made
+
+    def total(self, a: str, b: str) -> Array:
+        """``a' b`` of all selecting blocks together, for each channel of ``a`` ``(k, m_a, m_b)``."""
+        return np.asarray(self._known(self._total, self.data.total, a, b))
+
+    def _known(self, made: Known, make: Callable[[Columns, Columns], Any], a: str, b: str) -> Any:
+        of, other = made.setdefault(a, {}), self.groups[b]
+        if b not in of or of[b][0] is not other:
+            of[b] = other, make(self.groups[a], other)
+        return of[b][1]
+
+    def gram(self, keys: list[str]) -> Gram:
+        """Cross-products of several groups side by side with each other, and with ``y`` last."""
+        groups = [self.groups[key] for key in (*keys, "y")]
+        if len(self._gram[0]) != len(groups) or any(a is not b for a, b in zip(self._gram[0], groups, strict=True)):
+            self._gram = groups, Gram(sum(group.m for group in groups),
+                                      [self._on_channel([*keys, "y"], j) for j in range(self.data.c)])
+        return self._gram[1]
+
+    def _on_channel(self, keys: list[str], j: int) -> tuple[np.ndarray, Array]:
+        places, index = self._places(keys, j)
+        products = np.empty((self.data.blocks.count, len(index), len(index)))
+        for i, (a, left) in enumerate(places):
+            for b, right in places[: i + 1]:
+                # A candidate's products with W and y are known from its test.
+                half = np.swapaxes(self.cross(b, a)[j], 1, 2) if a == "y" else self.cross(a, b)[j]
+                products[:, left, right] = half
+                products[:, right, left] = np.swapaxes(half, 1, 2)
+        return index, products
+
+    def _places(self, keys: list[str], j: int) -> tuple[list[tuple[str, slice]], np.ndarray]:
+        """Where groups stand among the columns that act on a channel, and where these stand among all."""
+        places, index, at, first = [], [], 0, 0
+        for key in keys:
+            group = self.groups[key]
+            if j in group.channels:
+                acting = first + self.data.acting(group, j)[0]
+                places.append((key, slice(at, at + len(acting))))
+                index.append(acting)
+                at += len(acting)
+            first += group.m
+        return places, np.concatenate(index)
+
+    def beside(self, key: str, keys: list[str], j: int) -> tuple[Array, Array]:
+        """Products of one more group on one of its channels: with those of ``gram`` ``(B, m, k)``, with itself.
+
+        Args:
+            key: of the group.
+            keys: of the others, as for ``gram``.
+            j: the channel, from 0.
+        """
+        places, index = self._places([*keys, "y"], j)
+        ours, m, B = self.data.acting(self.groups[key], j)[0], self.groups[key].m, self.data.blocks.count
+        with_others, with_itself = np.zeros((B, m, len(index))), np.zeros((B, m, m))
+        for other, place in places:
+            with_others[:, ours, place] = self.cross(key, other)[j]
+        with_itself[:, ours[:, None], ours] = self.cross(key, key)[j]
+        return with_others, with_itself
+
+
+def quadratic(G: Array, v: Array) -> Array:
+    """``v' G v`` for stacked matrices ``(…, m, m)``."""
+    return np.asarray(np.sum(times(G, v) * v, axis=-1))
+
+
+def times(A: Array, v: Array) -> Array:
+    """``A v`` for stacked matrices and vectors."""
+    return np.asarray((A @ v[..., None])[..., 0])

@@ -23,11 +23,12 @@ from ideal_robot.diagnosis.channels.regression import (
     small_velocity,
 )
 from ideal_robot.dynamics import regressor
+from ideal_robot.dynamics.base_parameters import full_regressor
 from ideal_robot.dynamics.newton_euler import chain_of, gravity_across, inverse_dynamics
 from ideal_robot.effects import MOTOR_TORQUE, Signals
 from ideal_robot.effects.signals import constant_of_weight
 from ideal_robot.model.model import Model
-from ideal_robot.model.parametrisation import friction_places, sensitivity
+from ideal_robot.model.parametrisation import friction_places, friction_sensitivity
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.channels import clipped
 from ideal_robot.signals.cutoff import thinned
@@ -84,8 +85,10 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     signals = Signals(t, q, qd, qdd, still, still, still, filtered.temperature, extra=extra, payload=body,
                       v_small=noise_velocity, cutoff=filtered.cutoff, bodies=body_on if payload else None)
     load = inverse_dynamics(chain_of(model._exact_model), q, qd, qdd)
-    W = sensitivity(robot.pinocchio, model.base, model.friction, q, qd, qdd, load)
-    W = filtered.decimate(W)
+    # Of a long recording the bodies' columns at all samples would be the largest thing in memory.
+    bodies = filtered.decimate_motion(lambda some: full_regressor(robot.pinocchio, q[some], qd[some], qdd[some],
+                                                                  model.base.independent))
+    W = np.concatenate([bodies, filtered.decimate(friction_sensitivity(model.friction, q, qd, load))], axis=2)
     use, undecided = _counting_rows(recording, filtered, noise_velocity, robot)
     measured = filtered.decimate(filtered.tau)
     prismatic = tuple(bool(slides) for slides in robot.prismatic)

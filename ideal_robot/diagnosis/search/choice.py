@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.channels.blocks import Columns
 from ideal_robot.diagnosis.statistics.least_squares import TOLD, Fit, weights_of_channels
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 
@@ -113,6 +115,13 @@ class PresentModel:
         """Makes a candidate's columns part of the design if they are not yet."""
         if candidate.key not in self.design.groups:
             self.design.add(candidate.key, self.problem.columns(candidate))
+
+    def add_starts(self, starts: Sequence[Candidate]) -> str:
+        """Makes all starts of a candidate one group of the design, unless it is; the name of the group."""
+        key = f"{starts[0].place}*"
+        if starts[0].effect.scanned or key not in self.design.groups:
+            self.design.add(key, Columns.side_by_side([self.problem.columns(one) for one in starts]))
+        return key
 
     def take(self, choice: Candidate) -> None:
         """Adds a choice."""

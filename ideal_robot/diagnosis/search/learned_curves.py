@@ -26,7 +26,7 @@ class LearnedCurves:
         self.scoring, self.model, self.options = scoring, scoring.model, scoring.options
         problem = self.model.problem
         self.use = problem.products.use & problem.blocks.selecting[problem.blocks.of_samples()][:, None]
-        self.dependence = DependenceTest(scoring.at_rows, self.use, problem.blocks.edges)
+        self.dependence = DependenceTest(scoring.at_rows, self.use, problem.blocks)
         self._of_signals: dict[tuple[int, bool], list[Unknown]] = {}
 
     def best(self, fit: Fit, best: Candidate | None) -> Candidate | None:
@@ -79,17 +79,18 @@ class LearnedCurves:
         use = self.use[:, j]
         squares = float(np.sum(residual[use, j] ** 2) * self.model.weights[j])
         at_rows = self.scoring.at_rows
-        tests = [self.dependence.test(residual[:, j], j, term) for term in self._terms(j, pairs)]
         period = time_period(residual[:, j], use, at_rows.t, regression.domain)
-        if period is not None:
-            tests.append(self.dependence.test(residual[:, j], j, period))
-        tests.sort(key=lambda d: -d.adjusted)
+        curves = [*self._terms(j, pairs), *([] if period is None else [period])]
+        tests = sorted(self.dependence.tests(residual[:, j], j, curves), key=lambda d: -d.adjusted)
         # Only a first choice: what is promising is tested on blocks left out, corrected for all curves looked at.
         promising = [d for d in tests if d.p_value < 0.05 and 3.0 * d.share * squares > least]
         scored = []
         for d in promising[:FINALISTS]:
             candidate = Candidate(d.term, j + 1, (), len(tests) * self.model.problem.products.c)
-            self.model.design.add(candidate.key, self.model.problem.columns(candidate))
+            if d.term.frequency:
+                # One of an earlier round may have had the same name.
+                self.model.design.drop(candidate.key)
+            self.model.add_columns(candidate)
             scored.append(self.scoring.tested(fit, candidate))
             # A curve has many columns, and every round has other curves.
             self.model.design.forget_products(candidate.key)

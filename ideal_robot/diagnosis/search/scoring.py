@@ -43,10 +43,11 @@ class Scoring:
         """Weighted squares that a candidate takes away in sample; None where its coefficients are not plausible."""
         self.model.add_columns(candidate)
         gain, coefficients = fit.gain(candidate.key)
-        if not np.any(coefficients) or not candidate.effect.plausible(coefficients, candidate.theta,
-                                                                      self.signals, candidate.joint):
-            return None
-        return gain
+        return gain if self._plausible(candidate, coefficients) else None
+
+    def _plausible(self, candidate: Candidate, coefficients: Array) -> bool:
+        return bool(np.any(coefficients)) and candidate.effect.plausible(coefficients, candidate.theta, self.signals,
+                                                                         candidate.joint)
 
     def tested(self, fit: Fit, candidate: Candidate) -> Candidate:
         """A candidate, whose columns are part of the design, with its test on blocks left out by a fit without it."""
@@ -270,14 +271,25 @@ class Scoring:
             if first.effect.scanned:
                 found, tries = first.effect.starts_from_residual(self.at_rows, first.joint, residual, use)
                 starts = [replace(first, theta=theta, tries=tries) for theta in found]
-            best: tuple[float, Candidate] | None = None
-            for candidate in starts:
-                gain = self.plausible_gain(fit, candidate)
-                if gain is not None and (best is None or gain > best[0]):
-                    best = gain, candidate
-            if best is not None and best[0] > TOLD**2:
-                scored.append(self.tested(fit, best[1]))
+            best = self._best_start(fit, starts)
+            if best is not None:
+                scored.append(self.tested(fit, best))
         return scored
+
+    def _best_start(self, fit: Fit, starts: list[Candidate]) -> Candidate | None:
+        """The plausible one that takes most away in sample; None if that is hardly anything."""
+        if not starts:
+            return None
+        key = self.model.add_starts(starts)
+        gains, coefficients = fit.gains(key, len(starts))
+        for i in np.argsort(-gains, kind="stable"):
+            if gains[i] <= TOLD**2:
+                break
+            if self._plausible(starts[i], coefficients[i]):
+                if starts[i].key not in self.model.design.groups:
+                    self.model.design.add(starts[i].key, self.model.design.groups[key].part(int(i), len(starts)))
+                return starts[i]
+        return None
 
 
 def _forms_of_one(a: Candidate, b: Candidate) -> bool:

@@ -7,6 +7,7 @@ explained follow from the blocks; also where the motion repeats itself, where sh
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -14,8 +15,9 @@ import numpy as np
 from scipy import linalg, optimize, special
 
 from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.channels.blocks import Blocks, Design
 from ideal_robot.diagnosis.channels.motor_torque import direction_of
-from ideal_robot.diagnosis.statistics.least_squares import TOLD, Design, weights_of_channels
+from ideal_robot.diagnosis.statistics.least_squares import TOLD, weights_of_channels
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.effects import MOTOR_TORQUE, Domain, Signals
 from ideal_robot.effects.fitted import Unknown, signal_of, spline_basis
@@ -98,33 +100,40 @@ class DependenceTest:
     Args:
         signals: at the samples.
         use: samples of each channel that count ``(N, c)``.
-        edges: first sample of each block of time, and the end.
+        blocks: of time.
     """
 
-    def __init__(self, signals: Signals, use: np.ndarray, edges: tuple[int, ...]) -> None:
-        self.signals, self.use = signals, use
-        self._first = edges[:-1]
+    def __init__(self, signals: Signals, use: np.ndarray, blocks: Blocks) -> None:
+        self.signals, self.use, self.blocks = signals, use, blocks
         self._white: dict[tuple[Unknown, int], tuple[Array, Array]] = {}
-        self._curves: dict[tuple[str, tuple[float, ...]], Array] = {}
+        self._known: dict[tuple[str, tuple[float, ...]], Array] = {}
 
-    def test(self, residual: Array, channel: int, term: Unknown) -> Dependence:
-        """Tests one curve on one channel's residual.
+    def tests(self, residual: Array, channel: int, of: Sequence[Unknown]) -> list[Dependence]:
+        """Tests curves on one channel's residual.
 
         Args:
             residual: of the channel ``(N,)``, in its unit.
             channel: its index.
-            term: the curve.
+            of: the curves.
         """
         use = self.use[:, channel]
+        # About the mean, as a constant is in every model; the columns too, as a residual with flipped blocks has one.
+        r = np.where(use, residual - (residual[use].mean() if use.any() else 0.0), 0.0)
+        weights = self._both_ways(r, channel)
+        return [self._test(weights, channel, term) for term in of]
+
+    def _both_ways(self, r: Array, channel: int) -> tuple[Array, Array]:
+        """Block by block ``(B, 1, L)`` values ``(N,)``, and these times the direction of the channel's joint."""
+        directed = r * self.signals.sliding_direction(channel + 1) if channel < self.signals.n else r
+        return self.blocks.cut(r)[:, None], self.blocks.cut(directed)[:, None]
+
+    def _test(self, weights: tuple[Array, Array], channel: int, term: Unknown) -> Dependence:
+        """Tests one curve on a channel's residual, given block by block, and times its direction."""
         centre, T = self._whitened(term, channel)
         if not T.size:
             return Dependence(channel, term, 0.0, 0.0, 1.0)
-        # About the mean, as a constant is in every model; the columns too, as a residual with flipped blocks has one.
-        r = np.where(use, residual - residual[use].mean(), 0.0)
-        basis = self._basis(term, channel)
-        of_blocks = np.add.reduceat(np.column_stack([basis * r[:, None], r]), self._first, axis=0)
-        parts = (of_blocks[:, :-1] - of_blocks[:, -1:] * centre) @ T
-        total = max(float(r @ r), 1e-300)
+        parts = (self._sums(weights[term.directed], term) - weights[0].sum(axis=2) * centre) @ T
+        total = max(float(np.sum(weights[0] ** 2)), 1e-300)
         observed = float(np.sum(parts.sum(axis=0) ** 2))
         # With signs s_b of the blocks it would be |sum_b s_b p_b|²; of its distribution a gamma of the same mean and
         # variance stands for the tail.
@@ -137,28 +146,32 @@ class DependenceTest:
     def _whitened(self, term: Unknown, channel: int) -> tuple[Array, Array]:
         """Means of a curve's columns over the samples that count, and what makes them orthonormal about these."""
         if (term, channel) not in self._white:
-            columns = self._basis(term, channel)[self.use[:, channel]]
-            mean = columns.mean(axis=0) if len(columns) else np.zeros(columns.shape[1])
-            s, U = np.linalg.eigh((columns - mean).T @ (columns - mean))
+            use = self._both_ways(self.use[:, channel].astype(float), channel)
+            sums, count = self._sums(use[term.directed], term).sum(axis=0), max(float(use[0].sum()), 1.0)
+            first, *other = self._curves(term)
+            basis = (first[..., None] * other[0][..., None, :] if other else first).reshape(-1, len(sums))
+            counts = (use[1] ** 2 if term.directed else use[0]).reshape(-1, 1)
+            s, U = np.linalg.eigh(basis.T @ (basis * counts) - np.outer(sums, sums) / count)
             keep = s > 1e-6 * max(s[-1], 1e-300)
-            self._white[term, channel] = mean, U[:, keep] / np.sqrt(s[keep])
+            self._white[term, channel] = sums / count, U[:, keep] / np.sqrt(s[keep])
         return self._white[term, channel]
 
-    def _basis(self, term: Unknown, channel: int) -> Array:
-        """Its columns ``(N, m)``. Curves are kept, their products are made again: there are many."""
-        if term.frequency:
-            basis = term.basis(self.signals)
-        else:
-            basis, *other = [self._curve(name, knots, term.margin)
-                             for name, knots in zip(term.depends_on, term.knots, strict=True)]
-            for second in other:
-                basis = (basis[:, :, None] * second[:, None, :]).reshape(len(basis), -1)
-        return basis * self.signals.sliding_direction(channel + 1)[:, None] if term.directed else basis
+    def _sums(self, weights: Array, term: Unknown) -> Array:
+        """Sums of a curve's columns times weights ``(B, 1, L)`` over each block ``(B, m)``."""
+        first, *other = self._curves(term)
+        if not other:
+            return np.asarray((weights @ first)[:, 0])
+        return np.asarray(((np.swapaxes(first, 1, 2) * weights) @ other[0]).reshape(len(first), -1))
 
-    def _curve(self, name: str, knots: tuple[float, ...], margin: float) -> Array:
-        if (name, knots) not in self._curves:
-            self._curves[name, knots] = spline_basis(signal_of(self.signals, name), knots, margin)
-        return self._curves[name, knots]
+    def _curves(self, term: Unknown) -> list[Array]:
+        """Its columns block by block ``(B, L, m)``, or those of which they are the products; curves are kept."""
+        if term.frequency:
+            return [self.blocks.cut(term.basis(self.signals))]
+        for name, knots in zip(term.depends_on, term.knots, strict=True):
+            if (name, knots) not in self._known:
+                self._known[name, knots] = self.blocks.cut(spline_basis(signal_of(self.signals, name), knots,
+                                                                        term.margin))
+        return [self._known[one] for one in zip(term.depends_on, term.knots, strict=True)]
 
 
 def time_period(residual: Array, use: np.ndarray, t: Array, domain: Domain) -> Unknown | None:
@@ -250,9 +263,7 @@ def _squares(design: Design, weights: Array, first: int, coefficients: Array) ->
 
     The change counts with the coefficients of the model and with what is fitted to them, never on its own.
     """
-    keys = ["W", "reversal_width", "y"]
-    selecting = design.data.blocks.selecting
-    G = np.einsum("c,bcij->ij", weights, design.gram(keys)[selecting])
+    G = design.gram(["W", "reversal_width"]).summed(weights, design.data.blocks.selecting.astype(float))
     m = len(coefficients)
     P = G.shape[0] - m - 1
     M = np.zeros((len(G), P + 1))

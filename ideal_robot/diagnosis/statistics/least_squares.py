@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
-from scipy import linalg, stats
+from scipy import linalg, special
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.channels.blocks import BlockProducts, Columns
+from ideal_robot.diagnosis.channels.blocks import Columns, Design, quadratic, times
 
 _SMOOTH = 3e-3
 """Ridge for the pieces of a curve, relative to their mean size, as a fold hardly shows some. A body's ten columns are
@@ -30,65 +28,6 @@ that refitting alone moves; and over the noise floor, an error."""
 LEFT_OUT = 0.05
 """Weight of a fold in the fit that leaves it out. Working cycles go to some places and speeds once: what other folds
 leave open would else be anything, and which of two candidates mends that says nothing of which is true."""
-
-
-class Design:
-    """Named groups of columns and their cross-products, each computed once."""
-
-    def __init__(self, data: BlockProducts) -> None:
-        self.data = data
-        self.groups: dict[str, Columns] = {"W": data.W, "y": data.y}
-        self._cross = {key: dict(products) for key, products in data.of_rows.items()}
-        self._total: dict[str, dict[str, Array]] = {}
-        self._gram: tuple[list[str], Array] = [], np.empty(0)
-
-    def add(self, key: str, columns: Columns) -> None:
-        """Adds or replaces a group."""
-        self.forget_products(key)
-        self.groups[key] = columns
-
-    def drop(self, key: str) -> None:
-        """Forgets a group."""
-        self.forget_products(key)
-        self.groups.pop(key, None)
-
-    def forget_products(self, key: str) -> None:
-        """Forgets the cross-products of a group that is hardly asked for again; they are made anew where it is."""
-        self._total.pop(key, None)
-        for other in self._cross.pop(key, {}):
-            for products in (self._cross, self._total):
-                products.get(other, {}).pop(key, None)
-        if key in self._gram[0]:
-            self._gram = [], np.empty(0)
-
-    def cross(self, a: str, b: str) -> Array:
-        """``a' b`` for each block and channel ``(B, c, m_a, m_b)``."""
-        known = self._cross.setdefault(a, {})
-        if b not in known:
-            known[b] = self.data.cross(self.groups[a], self.groups[b])
-            if a != b:
-                self._cross.setdefault(b, {})[a] = np.swapaxes(known[b], 2, 3)
-        return known[b]
-
-    def total(self, a: str, b: str) -> Array:
-        """``a' b`` of all selecting blocks together, for each channel ``(c, m_a, m_b)``."""
-        known = self._total.setdefault(a, {})
-        if b not in known:
-            products = self.cross(a, b)
-            known[b] = (self.data.blocks.selecting @ products.reshape(len(products), -1)).reshape(products.shape[1:])
-        return known[b]
-
-    def gram(self, keys: list[str]) -> Array:
-        """Cross-products of several groups side by side with each other ``(B, c, m, m)``."""
-        if self._gram[0] != keys:
-            ends = np.cumsum([0, *(self.groups[key].m for key in keys)])
-            places = [slice(a, b) for a, b in pairwise(ends)]
-            products = np.empty((self.data.blocks.count, self.data.c, ends[-1], ends[-1]))
-            for a, left in zip(keys, places, strict=True):
-                for b, right in zip(keys, places, strict=True):
-                    products[:, :, left, right] = self.cross(a, b)
-            self._gram = keys, products
-        return self._gram[1]
 
 
 @dataclass(frozen=True)
@@ -129,9 +68,8 @@ class Fit:
         self.design, self.keys, self.weights = design, keys, weights
         blocks = design.data.blocks
         self.fold, self.folds = blocks.fold, blocks.folds
-        self.G = design.gram([*keys, "y"])
-        self.P = self.G.shape[2] - 1
-        self._weighted = np.einsum("c,bcij->bij", weights, self.G)
+        self.G = design.gram(keys)
+        self.P = self.G.size - 1
         precision = np.zeros((self.P, self.P))
         if prior is not None:
             q = len(prior)
@@ -143,7 +81,7 @@ class Fit:
 
     def _solved(self, training: Array) -> tuple[Array, Array]:
         """Inverse of the normal equations' matrix ``(P, P)`` and parameters ``(P,)``; blocks are weighted ``(B,)``."""
-        H = np.tensordot(training, self._weighted, 1)
+        H = self.G.summed(self.weights, training)
         A = H[: self.P, : self.P] + self._precision
         A = A + ROUNDING * np.diag(np.maximum(np.diag(A), 1e-12 * (np.max(np.diag(A)) + 1e-300)))
         # Zero throughout where no sample is left to train on: nothing is known then, and nothing found.
@@ -152,41 +90,34 @@ class Fit:
         return inverse, inverse @ H[: self.P, self.P]
 
     @cached_property
-    def _solutions(self) -> list[tuple[Array, Array]]:
-        """Inverse and parameters on all selecting blocks, then without each fold."""
-        return [(self.inverse, self.beta), *(self._solved(row) for row in self._training[1:])]
+    def _solutions(self) -> tuple[Array, Array]:
+        """Inverses ``(1 + folds, P, P)`` and parameters ``(1 + folds, P)`` on all selecting blocks and without each."""
+        solved = [(self.inverse, self.beta), *(self._solved(row) for row in self._training[1:])]
+        return np.array([inverse for inverse, _ in solved]), np.array([beta for _, beta in solved])
 
     @property
     def betas(self) -> Array:
         """Parameters fitted on all selecting blocks, then without each fold ``(1 + folds, P)``."""
-        return np.array([beta for _, beta in self._solutions])
+        return self._solutions[1]
 
-    def squares(self, beta: Array | None = None) -> Array:
+    def squares(self) -> Array:
         """Squares of the residual per block and channel ``(B, c)``, unweighted."""
-        v = np.append(-(self.beta if beta is None else beta), 1.0)
-        return np.maximum(_quadratic(self.G, v), 0.0)
+        return self.G.squares(np.append(-self.beta, 1.0))
+
+    @cached_property
+    def _left_out(self) -> Array:
+        """``[-beta, 1]`` of the fit without each block's fold; of report blocks of the fit to all others ``(B, m)``."""
+        return np.column_stack([-self.betas, np.ones(1 + self.folds)])[1 + self.fold]
 
     @cached_property
     def held_out_squares(self) -> Array:
         """As ``squares``, each block predicted by the fit without its fold; report blocks by the fit on all others."""
-        result = self.squares()
-        for k in range(self.folds):
-            mine = self.fold == k
-            result[mine] = np.maximum(_quadratic(self.G[mine], np.append(-self._solutions[k + 1][1], 1.0)), 0.0)
-        return result
+        return self.G.squares(self._left_out)
 
     @cached_property
-    def _left_out(self) -> list[tuple[np.ndarray, Array, Array, Array, Array]]:
-        """For each fold its blocks, their cross-products ``G`` summed over the weighted channels, and over the blocks.
-
-        With each ``G v``, where ``v = [-beta, 1]`` of the fit without the fold.
-        """
-        made = []
-        for k in range(self.folds):
-            mine, v = self.fold == k, np.append(-self._solutions[k + 1][1], 1.0)
-            blocks, sums = self._weighted[mine], self.G[mine].sum(axis=0)
-            made.append((mine, blocks, blocks @ v, sums, sums @ v))
-        return made
+    def _along(self) -> list[Array]:
+        """Products of each channel's columns with the residuals left out ``(B, k)``."""
+        return [times(G, self._left_out[:, index]) for index, G in self.G.parts]
 
     def refitted_weights(self) -> Array:
         """1/σ² of each channel from the squares that this fit leaves ``(c,)``; zero for an empty channel."""
@@ -194,9 +125,11 @@ class Fit:
 
     def covariance(self) -> Array:
         """Covariance of ``beta (P, P)`` from the scatter of the blocks' scores, so that coloured noise counts."""
-        selecting = self.fold >= 0
-        v = np.append(-self.beta, 1.0)
-        scores = self._weighted[selecting][:, : self.P] @ v
+        selecting, v = self.fold >= 0, np.append(-self.beta, 1.0)
+        scores = np.zeros((int(selecting.sum()), self.P + 1))
+        for weight, (index, G) in zip(self.weights, self.G.parts, strict=True):
+            scores[:, index] += weight * times(G[selecting], v[index])
+        scores = scores[:, : self.P]
         B = len(scores)
         middle = scores.T @ scores * (B / max(B - 1, 1))
         bread = self.inverse
@@ -217,7 +150,7 @@ class Fit:
         count = self.design.data.count[estimating].sum(axis=0)
         mean = self.squares()[estimating].sum(axis=0) / np.maximum(count, 1.0)
         share = np.maximum(1.0 - noise**2 / np.maximum(mean, 1e-300), 0.0) * count / max(float(estimating.sum()), 1.0)
-        middle = np.einsum("c,bcij->ij", self.weights * share, self.G[estimating][:, :, : self.P, : self.P])
+        middle = self.G.summed(self.weights * share, estimating.astype(float))[: self.P, : self.P]
         return np.asarray(np.einsum("ij,jk,ik->i", self.inverse, middle, self.inverse))
 
     @property
@@ -228,7 +161,7 @@ class Fit:
     def p_value(self, key: str) -> float:
         """Of one more group that the prior may absorb, by the likelihood ratio in sample."""
         gain, coefficients = self.gain(key)
-        return float(stats.chi2.sf(gain / self.inflation, len(coefficients)))
+        return float(special.chdtrc(len(coefficients), gain / self.inflation))
 
     def share_with_prior(self, key: str) -> float:
         """Share that one more group takes away, in sample, of the squares of the residual and of the prior together.
@@ -241,70 +174,78 @@ class Fit:
 
     def gain(self, key: str) -> tuple[float, Array]:
         """In-sample gain and coefficients of one more group."""
-        group = self.design.groups[key]
-        channels, total = list(group.channels), self.design.total
-        CX = np.concatenate([total(key, other)[channels] for other in self.keys], axis=2)
-        parts = (np.tensordot(self.weights[channels], part, 1)
-                 for part in (CX, total(key, "y")[channels], total(key, key)[channels]))
-        return self._joined(0, tuple(parts), group)[:2]
+        gains, coefficients = self.gains(key, 1)
+        return float(gains[0]), coefficients[0]
+
+    def gains(self, key: str, count: int) -> tuple[Array, Array]:
+        """In-sample gains ``(count,)`` and coefficients ``(count, m)`` of each part of one more group by itself.
+
+        Args:
+            key: of the group.
+            count: of the parts side by side in it, each of ``m`` columns.
+        """
+        group, total = self.design.groups[key], self.design.total
+        weights, m = self.weights[list(group.channels)], group.m // count
+        CG = np.tensordot(weights, np.concatenate([total(key, other) for other in (*self.keys, "y")], axis=2), 1)
+        CC = np.tensordot(weights, total(key, key), 1).reshape(count, m, count, m)
+        own = np.arange(count)
+        return self._joined(group, CG.reshape(count, m, -1), CC[own, :, own], self.inverse, self.beta)[:2]
 
     def held_out_test(self, key: str) -> HeldOutTest:
         """Held-out gain of one more group, everything refitted without each fold in turn."""
         group = self.design.groups[key]
-        channels, B = list(group.channels), len(self.fold)
-        # Outside its channels a candidate is zero; most have one of many.
-        of_channels = [np.concatenate([self.design.cross(key, other)[:, channels] for other in self.keys], axis=3),
-                       self.design.cross(key, "y")[:, channels], self.design.cross(key, key)[:, channels]]
-        of_blocks = [np.einsum("c,bcij->bij", self.weights[channels], part) for part in of_channels]
-        folds = [np.tensordot(self._training, part, 1) for part in of_blocks]
-        gain, coefficients = self._joined(0, tuple(part[0] for part in folds), group)[:2]
-        reduction, score, left = np.full(B, np.nan), np.full(B, np.nan), np.full(B, np.nan)
-        by_channel = np.zeros(len(self.weights))
-        for k, (mine, blocks, before, sums, summed) in enumerate(self._left_out):
-            _, gamma, beta = self._joined(k + 1, tuple(part[k + 1] for part in folds), group)
-            # after = [-beta, 1] holds the sign of the subtraction: y - X beta - C gamma.
-            after, step = np.append(-beta, 1.0), np.append(beta - self._solutions[k + 1][1], 0.0)
-            own, moved = [part[mine] for part in of_blocks], blocks @ step
-            fewer = (2.0 * before - moved) @ step - _added(own, after, gamma)
-            size = moved @ step + _added(own, step, -gamma)
-            reduction[mine] = fewer
-            # With d the change of the prediction: d'r before and d'(r - d) after, r being the held-out residual.
-            score[mine], left[mine] = (fewer + size) / 2.0, (fewer - size) / 2.0
-            by_channel += self.weights * ((2.0 * summed - sums @ step) @ step)
-            by_channel[channels] -= self.weights[channels] * _added([part[mine].sum(axis=0) for part in of_channels],
-                                                                    after, gamma)
-        return HeldOutTest(gain, coefficients, reduction, by_channel, _one_sided(score, left))
+        products = {j: self.design.beside(key, self.keys, j) for j in group.channels}
+        CG, CC = np.zeros((1 + self.folds, group.m, self.P + 1)), np.zeros((1 + self.folds, group.m, group.m))
+        for j, (with_others, with_itself) in products.items():
+            CG[:, :, self.G.parts[j][0]] += self.weights[j] * np.tensordot(self._training, with_others, 1)
+            CC += self.weights[j] * np.tensordot(self._training, with_itself, 1)
+        gains, gammas, moved = self._joined(group, CG, CC, *self._solutions)
+        at = 1 + self.fold
+        v, step, gamma = self._left_out, np.column_stack([moved, np.zeros(len(moved))])[at], gammas[at]
+        # What a candidate changes, e = [X, y] step - C gamma, times the residual r that is left out; and its squares.
+        across, size = np.empty((2, len(at), len(self.weights)))
+        for j, (index, G) in enumerate(self.G.parts):
+            across[:, j] = np.sum(self._along[j] * step[:, index], axis=1)
+            size[:, j] = quadratic(G, step[:, index])
+            if j in products:
+                with_others, with_itself = products[j]
+                across[:, j] -= np.sum(times(with_others, v[:, index]) * gamma, axis=1)
+                size[:, j] += quadratic(with_itself, gamma) - 2.0 * np.sum(
+                    times(with_others, step[:, index]) * gamma, axis=1)
+        selecting, reduction = self.fold >= 0, np.full(len(at), np.nan)
+        by_channel = -self.weights * (2.0 * across + size)[selecting].sum(axis=0)
+        across, size = across[selecting] @ self.weights, size[selecting] @ self.weights
+        reduction[selecting] = -2.0 * across - size
+        return HeldOutTest(float(gains[0]), gammas[0], reduction, by_channel, _one_sided(-across, -across - size))
 
-    def _joined(self, k: int, products: tuple[Array, ...], group: Columns) -> tuple[float, Array, Array]:
-        """Schur complement: gain, coefficients of the group, and the refitted other parameters.
+    def _joined(self, group: Columns, CG: Array, CC: Array, inverse: Array,
+                present: Array) -> tuple[Array, Array, Array]:
+        """Schur complements: gains ``(…,)``, coefficients ``(…, m)``, and by what all others fall ``(…, P)``.
 
         Args:
-            k: 0 for the fit to all blocks, then the fold that is left out, from 1.
-            products: of the group with the groups fitted, ``y`` and itself, weighted and summed over the blocks of k.
             group: that joins.
+            CG: its weighted products with the groups fitted and ``y`` ``(…, m, P + 1)``.
+            CC: and with itself ``(…, m, m)``.
+            inverse: of the normal equations ``(…, P, P)``.
+            present: parameters without it ``(…, P)``.
         """
-        CX, Cy, CC = products[0], products[1][:, 0], products[2]
-        inverse, present = self._solutions[k] if k else (self.inverse, self.beta)
+        CX = CG[..., :-1]
         Z = CX @ inverse
-        S = CC - Z @ CX.T
-        part = 1.0 if group.own is None else group.own
+        S = CC - Z @ np.swapaxes(CX, -1, -2)
+        m = CC.shape[-1]
+        part = 1.0 if group.own is None else group.own.reshape(-1, m)
         # A column that the others explain all but what is rounding of has nothing of its own. What of it is of the form
         # of the model's own parameters does not count.
-        size = CC.diagonal()
-        own = (S.diagonal() > ROUNDING * part * size) & (size > ROUNDING**2 * np.max(size, initial=0.0))
-        if group.alike and len(Cy) > 6:
-            S = S + _SMOOTH * float(np.mean(size)) * np.eye(len(Cy))
-        m = len(Cy)
-        gamma = np.zeros(m)
-        right = Cy - CX @ present
-        if own.any():
-            index = np.flatnonzero(own)
-            scale = 1.0 / np.sqrt(S.diagonal()[index])
-            inner = S[np.ix_(index, index)] * np.outer(scale, scale)
-            # Most candidates have one column, which is scaled to one.
-            inverse = linalg.pinvh(inner, rtol=1e-6) if len(index) > 1 else 1.0 / inner
-            gamma[index] = scale * (inverse @ (scale * right[index]))
-        return float(right @ gamma), gamma, present - Z.T @ gamma
+        size, left = (np.diagonal(one, axis1=-2, axis2=-1) for one in (CC, S))
+        own = (left > ROUNDING * part * size) & (size > ROUNDING**2 * np.max(size, axis=-1, keepdims=True))
+        if group.alike and m > 6:
+            S = S + _SMOOTH * np.mean(size, axis=-1)[..., None, None] * np.eye(m)
+            left = np.diagonal(S, axis1=-2, axis2=-1)
+        scale = np.where(own, 1.0 / np.sqrt(np.where(own, left, 1.0)), 0.0)
+        right = scale * (CG[..., -1] - times(CX, present))
+        inner = S * scale[..., :, None] * scale[..., None, :] + np.eye(m) * (~own[..., None] + 1e-6)
+        gamma = scale * np.linalg.solve(inner, right[..., None])[..., 0]
+        return np.sum(right / np.where(own, scale, 1.0) * gamma, axis=-1), gamma, times(np.swapaxes(Z, -1, -2), gamma)
 
 
 def _inverse(A: Array) -> Array:
@@ -322,18 +263,6 @@ def _inverse(A: Array) -> Array:
     return np.asarray(linalg.pinvh(A, atol=1e-12, rtol=1e-11))
 
 
-def _quadratic(G: Array, v: Array) -> Array:
-    """``v' G v`` for stacked matrices ``(…, m, m)``."""
-    return np.asarray((G @ v) @ v)
-
-
-def _added(products: Sequence[Array], v: Array, gamma: Array) -> Array:
-    """What ``- C gamma`` adds to the squares of ``[X, y] v``, from the stacked products of C with X, y and itself."""
-    CX, Cy, CC = products
-    across = CX @ v[:-1] + Cy[..., 0] * v[-1]
-    return np.asarray(_quadratic(CC, gamma) - 2.0 * across @ gamma)
-
-
 def _one_sided(score: Array, left: Array) -> float:
     """p-value of a positive sum of ``score`` over blocks, by Student's t.
 
@@ -345,7 +274,7 @@ def _one_sided(score: Array, left: Array) -> float:
     spread = float(np.sqrt(np.sum((rest - rest.mean()) ** 2) * B / max(B - 1, 1)))
     if B < 4 or spread == 0.0:
         return 1.0
-    return float(stats.t.sf(float(values.sum()) / spread, B - 1))
+    return float(special.stdtr(B - 1, -float(values.sum()) / spread))
 
 
 def weights_of_channels(design: Design, keys: list[str], prior: Array | None, rounds: int = 2) -> Array:

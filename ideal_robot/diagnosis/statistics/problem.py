@@ -16,9 +16,9 @@ import numpy as np
 from scipy import signal
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.channels.blocks import BlockProducts, Blocks, Columns
+from ideal_robot.diagnosis.channels.blocks import BlockProducts, Blocks, Columns, Design
 from ideal_robot.diagnosis.channels.regression import FEWEST, Regression
-from ideal_robot.diagnosis.statistics.least_squares import ROUNDING, Design, Fit, HeldOutTest, weights_of_channels
+from ideal_robot.diagnosis.statistics.least_squares import ROUNDING, Fit, HeldOutTest, weights_of_channels
 from ideal_robot.dynamics.base_parameters import consistent_parameters
 from ideal_robot.effects import Effect, FittedEffect
 from ideal_robot.friction import PerJointFriction
@@ -301,12 +301,16 @@ class Problem:
             if not physical or value == 0.0:
                 keys.append(None)
                 continue
-            step = 1e-3 * max(abs(value), 1e-6)
-            sides = [candidate.effect.columns(signals, candidate.joint, (*theta[:i], value + sign * step,
-                                                                          *theta[i + 1 :])) @ coefficients
-                     for sign in (1.0, -1.0)]
-            keys.append(f"d{i}:{candidate.key}")
-            design.add(f"d{i}:{candidate.key}", self.prepared(((sides[0] - sides[1]) / (2.0 * step))[:, :, None]))
+            name = f"d{i}:{candidate.key}"
+            if (name, self.band) not in self.made:
+                step = 1e-3 * max(abs(value), 1e-6)
+                after, before = (candidate.effect.columns(signals, candidate.joint, (*theta[:i], value + side,
+                                                                                     *theta[i + 1 :]))
+                                 for side in (step, -step))
+                self.made[name, self.band] = self.prepared((after - before) / (2.0 * step))
+            by_theta = self.made[name, self.band]
+            keys.append(name)
+            design.add(name, Columns((by_theta.values @ coefficients)[:, :, None], by_theta.channels))
         return keys
 
 
@@ -332,7 +336,9 @@ def prior_covariance(model: Model, problem: Problem) -> Array:
     moves a torque by a five-hundredth of its size.
     """
     products = problem.products
-    squares = np.einsum("bcii->ci", problem.design().cross("W", "W")[problem.blocks.selecting])
+    squares = np.zeros((products.c, products.W.m))
+    for j, made in problem.design().cross("W", "W").items():
+        squares[j, products.acting(products.W, j)[0]] = np.einsum("bii->i", made[problem.blocks.selecting])
     torque = (problem.regression.measured**2 * products.use).sum(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         moves = 0.002 * np.sqrt(torque[:, None] / squares)

@@ -35,13 +35,12 @@ def ranked_structure(problem: Problem, residual: Array, most: int = 3) -> tuple[
     """
     regression, use = problem.regression, problem.products.use
     signals = regression.decimated_signals()
-    dependence = DependenceTest(signals, use, problem.blocks.edges)
+    dependence = DependenceTest(signals, use, problem.blocks)
     result = []
     for j, channel in enumerate(regression.channels):
         if not use[:, j].any():
             continue
-        tests = [dependence.test(residual[:, j], j, term)
-                 for term in terms(signals, j, False, regression.domain)]
+        tests = dependence.tests(residual[:, j], j, terms(signals, j, False, regression.domain))
         limit = 0.01 / max(len(tests) * len(regression.channels), 1)
         clear: list[Dependence] = [d for d in tests if d.p_value < limit and d.share - d.expected > 0.01]
         clear.sort(key=lambda d: -(d.share - d.expected))

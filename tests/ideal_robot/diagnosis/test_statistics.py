@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ideal_robot.diagnosis.channels.blocks import BlockProducts, Blocks, Columns, time_blocks
+from ideal_robot.diagnosis.channels.blocks import BlockProducts, Blocks, Columns, Design, time_blocks
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms
-from ideal_robot.diagnosis.statistics.least_squares import LEFT_OUT, Design, Fit
+from ideal_robot.diagnosis.statistics.least_squares import LEFT_OUT, Fit
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.effects import library
 from ideal_robot.model.model import Model
@@ -73,10 +73,10 @@ def test_dependence_is_seen_where_it_is_and_not_where_it_is_not():
     blocks = time_blocks(len(signals.t), signals.dt, held_out=False)
     rng = np.random.default_rng(3)
     noise = rng.normal(size=len(signals.t))
-    sieve = DependenceTest(signals, np.ones((len(noise), 1), bool), blocks.edges)
+    sieve = DependenceTest(signals, np.ones((len(noise), 1), bool), blocks)
     term = next(t for t in terms(signals, 0, pairs=False) if t.depends_on == ("q_2",))
-    nothing = sieve.test(noise, 0, term)
-    something = sieve.test(noise + 1.5 * np.cos(3.0 * signals.q[:, 1]), 0, term)
+    nothing = sieve.tests(noise, 0, [term])[0]
+    something = sieve.tests(noise + 1.5 * np.cos(3.0 * signals.q[:, 1]), 0, [term])[0]
     assert nothing.p_value > 0.01
     assert something.p_value < 1e-3
     assert something.share > 0.3
@@ -87,11 +87,11 @@ def test_what_a_curve_explains_by_chance_follows_from_the_blocks():
     blocks = time_blocks(len(signals.t), signals.dt, held_out=False)
     rng = np.random.default_rng(6)
     noise = coloured(rng, len(signals.t))
-    sieve = DependenceTest(signals, np.ones((len(noise), 1), bool), blocks.edges)
+    sieve = DependenceTest(signals, np.ones((len(noise), 1), bool), blocks)
     term = next(t for t in terms(signals, 0, pairs=False) if t.depends_on == ("q_2",))
-    found = sieve.test(noise, 0, term)
+    found = sieve.tests(noise, 0, [term])[0]
     signs = rng.choice([-1.0, 1.0], size=(400, blocks.count))[:, blocks.of_samples()]
-    shares = np.array([sieve.test(sign * noise, 0, term).share for sign in signs])
+    shares = np.array([sieve.tests(sign * noise, 0, [term])[0].share for sign in signs])
     assert found.expected == pytest.approx(shares.mean(), rel=0.1)
     assert found.p_value == pytest.approx(np.mean(shares >= found.share), abs=0.1)
 
@@ -101,12 +101,12 @@ def test_a_slow_disturbance_is_seen_over_time():
     signals = motion()
     blocks = time_blocks(len(signals.t), signals.dt, held_out=False)
     rng = np.random.default_rng(5)
-    sieve = DependenceTest(signals, np.ones((len(signals.t), 1), bool), blocks.edges)
+    sieve = DependenceTest(signals, np.ones((len(signals.t), 1), bool), blocks)
     of_time = [t for t in terms(signals, 0, pairs=False) if t.depends_on == ("t",) and not t.directed]
     slow = np.sin(2.0 * np.pi * 1.7 * signals.t / signals.t[-1])
     for term in of_time:
-        nothing = sieve.test(rng.normal(size=len(slow)), 0, term)
-        something = sieve.test(slow + 0.5 * rng.normal(size=len(slow)), 0, term)
+        nothing = sieve.tests(rng.normal(size=len(slow)), 0, [term])[0]
+        something = sieve.tests(slow + 0.5 * rng.normal(size=len(slow)), 0, [term])[0]
         assert nothing.expected < 0.2
         assert nothing.p_value > 0.01
         assert something.expected < 0.5
