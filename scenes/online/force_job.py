@@ -96,8 +96,7 @@ class LiveForceTask(ForceTask):
     def lead(self, arm: LiveArm) -> None:
         """From now on with this arm, which is at rest at the start."""
         self.arm, self.ahead = arm, self.vision is not None and arm.t_ipo < AT_ONCE
-        work = self.prepare if self.ahead else self.see
-        arm.between.append(lambda: work(arm.t))
+        arm.between.append(lambda: self.answered(arm))
 
     def witness(self) -> None:
         """Looks whether what is felt answers the tip's swing, and at what the motors feel, for the next cycle."""
@@ -109,26 +108,26 @@ class LiveForceTask(ForceTask):
             self.force.signs.fits(self.log.samples[-1][2])
             self.force.signs.answers(self._surface.felt, self.elasticity.stiffness, ASKED)
 
-    def see(self, t: float) -> None:
-        """Fuses what the camera has delivered by ``t`` [s], and looks at what is felt; the next cycle is told of it."""
+    def answered(self, arm: LiveArm) -> None:
+        """What is done once a command has gone; the next cycle is told if something goes wrong."""
         try:
-            self.witness()
-            # Forces come first.
-            if self.arm is None or not self.arm.behind:
-                self.fuse_fields(t)
+            if self.ahead:
+                self.prepare(arm.t)
+            else:
+                self.witness()
+                # Forces come first.
+                if not arm.behind:
+                    self.fuse_fields(arm.t)
         except IdealRobotError as error:
             self._unfit = error
 
     def prepare(self, t: float) -> None:
-        """Fuses what has arrived by ``t`` [s] and plans the next cycle, which is told if something goes wrong."""
-        try:
-            fused = self.fuse_forces(t) or self.fuse_fields(t)
-            if not fused:
-                self.witness()
-            t += self.cell.robot.t_ipo
-            self._prepared = round(t / self.cell.robot.t_ipo), self._surface.horizon(t, anew=not fused)
-        except IdealRobotError as error:
-            self._unfit = error
+        """Fuses what has arrived by ``t`` [s] and plans the next cycle."""
+        fused = self.fuse_forces(t) or self.fuse_fields(t)
+        if not fused:
+            self.witness()
+        t += self.cell.robot.t_ipo
+        self._prepared = round(t / self.cell.robot.t_ipo), self._surface.horizon(t, anew=not fused)
 
     def _fields(self, t: float) -> Sequence[Field]:
         """See ``ForceTask``: the newest alone, which shows of the line what those before it have shown."""

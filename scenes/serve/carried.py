@@ -34,7 +34,7 @@ ShapeAt = Callable[[float], tuple[Array, Array]]
 ForceAt = Callable[[float], Array]
 _FIELD, _WRENCH = 2, 4
 _BEHIND = 2
-"""Pictures that may be drawn or wait to be: the next ones are left out, none comes later than it is due by more."""
+"""Pictures that may be drawn or wait for it: where there are as many the next one is left out, and comes not late."""
 _STARTS = 20.0
 """Time within which the camera's process listens [s]."""
 _PRIORITY = 20

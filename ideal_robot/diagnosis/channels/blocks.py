@@ -45,7 +45,6 @@ class Blocks:
         """Block of each sample ``(N,)``."""
         return np.repeat(np.arange(self.count), np.diff(self.edges))
 
-
     def cut(self, values: Array) -> Array:
         """Rows ``(N, …)`` block by block ``(B, L, …)``; a shorter block ends with zeros."""
         first, end = np.array(self.edges[:-1])[:, None], np.array(self.edges[1:])[:, None]

@@ -167,9 +167,6 @@ class Bench:
         """A command ``(n,)`` [rad]."""
         self.commanded = np.array(q_c)
 
-    def skip(self, q_c: Array) -> None:
-        raise NotImplementedError
-
     def receive(self) -> RobotState:
         state = self.arm.cycle(self.commanded)
         self.arrived = self.arm.t

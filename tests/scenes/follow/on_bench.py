@@ -117,9 +117,6 @@ class Bench:
     def send(self, q_c: Array) -> None:
         self.commanded = np.array(q_c)
 
-    def skip(self, q_c: Array) -> None:
-        raise NotImplementedError
-
     def receive(self) -> RobotState:
         t0 = self.arm.t
         state = self.arm.cycle(self.commanded)
