@@ -255,17 +255,26 @@ def test_what_cannot_be_measured_does_not_fall() -> None:
 
 # Closings on sensors: wrong time stamps of a camera, a force sensor that has drifted, a contact taken for stiffer.
 
-@pytest.mark.slow
-def test_after_is_close_to_the_oracle() -> None:
+@pytest.fixture(scope="module")
+def late_stamps() -> Any:
+    """Closing on a camera whose stamps are 8 ms late."""
     scene = load_scene("close_latency")
     assert isinstance(scene, LineScene)
-    result = close_loop(scene)
-    found = {e.fitted.name: e.fitted for e in result.diagnosis.effects if e.fitted.channel == "line"}
-    assert result.errors["after"].mean <= 1.25 * result.errors["oracle"].mean
-    assert result.errors["after"].mean < 0.5 * result.errors["before"].mean
+    return close_loop(scene)
+
+
+@pytest.mark.slow
+def test_after_is_close_to_the_oracle(late_stamps: Any) -> None:
+    assert late_stamps.errors["after"].mean <= 1.25 * late_stamps.errors["oracle"].mean
+    assert late_stamps.errors["after"].mean < 0.5 * late_stamps.errors["before"].mean
+
+
+@pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason="a drift of the stamps is named beside their delay, which takes 3 ms of it")
+def test_a_delay_of_the_stamps_is_named_with_its_size(late_stamps: Any) -> None:
+    found = {e.fitted.name: e.fitted for e in late_stamps.diagnosis.effects if e.fitted.channel == "line"}
     # Calibrated by moving, with the same wrong stamps, the camera's scale is off by what the stamps are worth.
-    if not set(found) <= {"camera_latency", "camera_scale"}:
-        pytest.xfail(f"beside the delay of the stamps a drift of them is named: {sorted(found)}")
+    assert set(found) <= {"camera_latency", "camera_scale"}
     assert found["camera_latency"].coefficients[0] == pytest.approx(-0.008, abs=3e-4)
 
 
