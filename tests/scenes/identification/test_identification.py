@@ -117,8 +117,6 @@ def test_shipped_models_predict_their_arm() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="the shipped models are of an earlier identification: today's gives torques within 0.5 % "
-                          "and k_p up to 19 % from theirs; all published numbers are made with the shipped ones")
 @pytest.mark.parametrize("name", ["kr6", "kr15", "manutec_r15"])
 def test_shipped_models_are_made_again(name: str) -> None:
     """``make models`` on the default worlds: the same laws and effects, numbers to 0.1 %.
