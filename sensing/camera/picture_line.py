@@ -21,6 +21,8 @@ from sensing.camera.line_paths import Path, lab_picture, paths
 KINDS: dict[str, tuple[float, float]] = {
     "line": (0.0, 0.12), "tape": (0.02, 0.45), "laser": (0.0, 0.06), "seam": (0.0, 0.3), "edge": (0.0, 0.0)}
 """Kinds of lines, with least and largest width as shares of the picture's shorter side."""
+ANY = (0.0, 0.45)
+"""… of a line of any kind but an edge."""
 LONGEST = 640
 """Longer side of the picture in which lines are looked for [px]; points are measured in the whole one."""
 SLENDER = 3.0
@@ -202,17 +204,18 @@ def find_lines(picture: NDArray[np.uint8], *, kind: str | None = None, about: Ar
         about: points ``(m, 2)`` [px] about which they lie; anywhere if None.
     """
     lab = lab_picture(picture)
-    found = sorted(paths(lab, edges=kind == "edge"), key=lambda path: -path.score)
+    least, widest = KINDS[kind] if kind else ANY
+    size = min(picture.shape[:2])
+    found = sorted(paths(lab, widest=widest), key=lambda path: -path.score)
     if about is not None:
-        reach = _REACH * min(picture.shape[:2])
-        found = [path for path in found if np.linalg.norm(path.points[:, None] - about, axis=2).min() < reach]
-    least, most = (np.array(KINDS[kind or "seam"]) if kind else np.array([0.0, 0.45])) * min(picture.shape[:2])
+        found = [path for path in found if np.linalg.norm(path.points[:, None] - about, axis=2).min() < _REACH * size]
     lines: list[tuple[float, Strip]] = []
     for path in found[:_CANDIDATES]:
         strip = straightened(lab, path)
         width = float(np.median(strip.widths))
         length = float(np.linalg.norm(np.diff(strip.points, axis=0), axis=1).sum())
-        if not least <= width <= min(most, length / SLENDER) or (kind == "laser" and strip.color[0] < 0.0):
+        slender = least * size <= width <= min(widest * size, length / SLENDER)
+        if not slender or (kind == "laser" and strip.color[0] < 0.0):
             continue
         lines.append((evidence(strip), strip))
     lines.sort(key=lambda one: -one[0])

@@ -13,6 +13,7 @@ from sensing import SensingError
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.detector import DETECTORS, LineDetector
 from sensing.camera.line_detection import LineField
+from sensing.camera.line_paths import _traced
 from sensing.camera.line_polynomial import Polyline, fit_line_polynomial, fit_of_lowest_order
 from sensing.camera.line_search import DetectionSettings, PredictedLine, search_windows
 from sensing.camera.line_track import PATIENCE, track
@@ -145,6 +146,23 @@ def test_of_two_lines_the_middle_one_is_taken_and_the_other_where_it_is_told() -
     assert abs(np.median(first.points[:, 1]) - 255.0) < 2.0
     assert abs(np.median(second.points[:, 1]) - 95.0) < 2.0
     assert first.others >= 1
+
+
+def test_twigs_of_a_path_do_not_stand_before_another_one() -> None:
+    """Twigs inherit the score of the path that they stand on; another path is worth more than what they add."""
+    columns = 40
+    nodes = np.zeros((columns, 48, 9), np.float32)
+    nodes[:, :12, 0] = 20.0 * np.arange(12)
+    counts = np.full(columns, 12)
+    sums, came = np.zeros((columns, 48)), np.full((columns, 48, 2), -1)
+    for k in range(1, columns):
+        sums[k, :2] = 3.0 * k, 2.0 * k
+        came[k, :2] = (k - 1, 0), (k - 1, 1)
+        sums[k, 2:12], came[k, 2:12] = sums[k - 1, 0] + 1.0, (k - 1, 0)
+    taken = np.zeros(sums.shape, np.bool_)
+    (first, most), (second, next_most) = (_traced(nodes, counts, sums, came, taken) for _ in range(2))
+    assert (first[:, 1].tolist(), most) == ([0] * columns, 117.0)
+    assert (second[:, 1].tolist(), next_most) == ([1] * columns, 78.0)
 
 
 def test_an_edge_is_no_stripe_and_a_laser_is_bright_and_narrow() -> None:
