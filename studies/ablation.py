@@ -27,11 +27,10 @@ from ideal_robot.diagnosis.search import forward_selection
 from ideal_robot.diagnosis.search.forward_selection import Search
 from ideal_robot.diagnosis.search.scoring import Scoring
 from ideal_robot.diagnosis.statistics.problem import Problem, fitted_effect
-from ideal_robot.diagnosis.validation import domain_diagnosis
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
 from ideal_robot.effects import Effect, library
 from ideal_robot.effects.fitted import Unknown
-from ideal_robot.effects.friction import PreslidingHysteresis
+from ideal_robot.effects.friction import LawTerm, PreslidingHysteresis
 from ideal_robot.effects.loads import GravitySpring
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.identification.checks import checked
@@ -97,7 +96,7 @@ STEPS = (
     Step(stages, "transferring", lambda original, problem, choices, *a: (list(choices), ()),
          lambda result, *a: bool(result[1])),
     _says(DomainDiagnosis, "_unsound", None), _says(DomainDiagnosis, "_worthless", None),
-    _says(domain_diagnosis, "at_standstill", False),
+    _says(LawTerm, "at_standstill", False),
 )
 RULES = (*FLAGS, *OPTIONS, *(step.name for step in STEPS))
 

@@ -14,13 +14,12 @@ from ideal_robot.diagnosis.channels.regression import rms, unused_columns
 from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.diagnosis.search.forward_selection import Only
 from ideal_robot.diagnosis.statistics.problem import (
-    fitted_effect,
+    fitted_effects,
     prior_precision,
     with_parameters,
     with_possible_inertias,
 )
-from ideal_robot.diagnosis.validation.final_fit import beside_lag, without_scatter
-from ideal_robot.diagnosis.validation.refit import explained_by_refitting
+from ideal_robot.diagnosis.validation.refit import beside_lag, explained_by_refitting, without_scatter
 from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, FoundEffect
 from ideal_robot.diagnosis.validation.weighing import arguments
 from ideal_robot.effects import MOTOR_TORQUE, FittedEffect
@@ -63,12 +62,10 @@ def _of_domains(case: Case, found: Findings) -> dict[str, Any]:
 
 
 def _beside_known(found: Findings) -> tuple[tuple[FittedEffect, ...], ...]:
-    result = []
-    for candidates in found.beside_known:
-        problem = found.problem.with_prior(prior_precision(found.start, found.problem)).held()
-        fit = problem.on_all_blocks().fit(candidates, uncertainty=True)
-        result.append(tuple(fitted_effect(candidate, fit, k) for k, candidate in enumerate(candidates)))
-    return tuple(result)
+    if not found.beside_known:
+        return ()
+    problem = found.problem.with_prior(prior_precision(found.start, found.problem)).held().on_all_blocks()
+    return tuple(fitted_effects(some, problem.fit(some, uncertainty=True)) for some in found.beside_known)
 
 
 def undecided(case: Case, found: Findings) -> Diagnosis:

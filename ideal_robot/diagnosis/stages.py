@@ -18,11 +18,12 @@ from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.diagnosis.search.forward_selection import Search
 from ideal_robot.diagnosis.search.scoring import with_equivalents
 from ideal_robot.diagnosis.statistics.dependence import reversal_widths
+from ideal_robot.diagnosis.statistics.least_squares import TOLD
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem, prior_precision, with_parameters
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
-from ideal_robot.diagnosis.validation.final_fit import with_braking_friction, without_scatter
+from ideal_robot.diagnosis.validation.refit import with_braking_friction, without_scatter
 from ideal_robot.diagnosis.validation.result import NotTransferred
-from ideal_robot.diagnosis.validation.transfer import deciding, held_out, transferring
+from ideal_robot.diagnosis.validation.transfer import deciding, transferring
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, SENSOR, TCP_POSITION, Effect, library
 from ideal_robot.effects.backlash import Backlash
 from ideal_robot.effects.kinematics import GeometryChange
@@ -161,11 +162,6 @@ def _searched(case: Case, found: Findings) -> Findings:
                    beside_known=beside_known)
 
 
-_AS_GOOD = 1.05
-"""Ratio of the mean squares with held parameters to those with free ones up to which the model holds, for the same
-effects; its square after a search of its own. Where it takes learned curves to hold it has to be better by as much."""
-
-
 def _selected_against(case: Case, found: Findings, prior: Array, effects: Sequence[Effect], options: Options,
                       start: Sequence[Candidate],
                       ) -> tuple[list[Candidate], tuple[tuple[Candidate, ...], ...] | None]:
@@ -195,15 +191,14 @@ def _selected_against(case: Case, found: Findings, prior: Array, effects: Sequen
     # A curve without a cause is no reason to hold what other parameters explain as well.
     free.model.replace([c for c in held.model.choices
                         if not (c.effect.absorbed_by_base or c.effect.learned)])
-    error = held.model.mean_squares()
-    curved = any(c.effect.learned for c in held.model.choices)
-    as_good, nearly = (1.0 / _AS_GOOD, 1.0 / _AS_GOOD) if curved else (_AS_GOOD, _AS_GOOD**2)
-    if error < as_good * free.model.mean_squares():
+    # What was known holds until data tell otherwise, and where it takes curves to hold, data have to tell that.
+    limit = -TOLD if any(c.effect.learned for c in held.model.choices) else TOLD
+    if held.model.worse_than(free.model) < limit:
         return held.model.choices, None
     # The search begins without effects, but with the weights that they leave.
     free.model.choices = []
     free.run()
-    if error < nearly * free.model.mean_squares():
+    if held.model.worse_than(free.model) < limit:
         return held.model.choices, None
     return free.model.choices, tuple(dict.fromkeys(own for own in (every, settled) if own))
 
@@ -212,7 +207,8 @@ def found_but_not_added(case: Case, found: Findings) -> Findings:
     """Effects that make the error of the validation recording, or of the blocks kept apart, worse are dropped."""
     if case.validate is None:
         problem = found.problem
-        kept, dropped = transferring(problem, found.choices, problem.regression, held_out(problem))
+        kept, dropped = transferring(problem, found.choices, problem.regression,
+                                     ~problem.blocks.selecting_samples)
         return replace(found, choices=tuple(kept), not_transferred=dropped)
     validation = case.torque_regression(case.validate, found.start, cutoff=found.problem.regression.filtered.cutoff,
                                         reversal_width=found.reversal_width)

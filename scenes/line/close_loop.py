@@ -24,8 +24,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis import diagnose
 from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
-from ideal_robot.diagnosis.validation.final_fit import beside_held_model
-from ideal_robot.diagnosis.validation.refit import named_camera_effects, with_named_effects
+from ideal_robot.diagnosis.validation.refit import beside_held_model, named_camera_effects, with_named_effects
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.execution.play import play as play_motion

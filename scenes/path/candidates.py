@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from ideal_robot.diagnosis import Diagnosis
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.channels.regression import Regression
-from ideal_robot.diagnosis.validation.final_fit import beside_held_model, friction_anew
+from ideal_robot.diagnosis.validation.refit import beside_held_model, friction_anew
 from ideal_robot.diagnosis.validation.transfer import adopted, behind_gears, with_joint
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION, FittedEffect
 from ideal_robot.model.model import Model

@@ -37,6 +37,11 @@ class Blocks:
         """Which blocks select and estimate, not only report ``(B,)``."""
         return np.asarray(self.fold >= 0)
 
+    @property
+    def selecting_samples(self) -> np.ndarray:
+        """Which samples select and estimate ``(N,)``."""
+        return np.asarray(self.selecting[self.of_samples()])
+
     def without_folds(self) -> Blocks:
         """The same blocks, all of which estimate and none of which is left out in turn."""
         return replace(self, fold=np.zeros(self.count, dtype=int), folds=0)

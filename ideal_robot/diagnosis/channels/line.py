@@ -89,13 +89,17 @@ class _SeenPoints:
         """What no curve explains of values ``(N,)``."""
         return np.asarray(values - self.curves @ (self.curves.T @ values))
 
+    def off(self, moved: Array) -> Array:
+        """How far points that are moved in the tool frame ``(N, 3)`` go across the line ``(N,)``."""
+        return np.einsum("ki,kij,kj->k", self.normal, self.rotation, moved)
+
     def signals(self) -> dict[str, Array]:
         """What a unit of each error of a camera does that no other line would do ``(N,)``."""
         result = {}
         errors = [error for effect in library() if isinstance(effect, CameraEffect) for error in effect.errors]
         for error in errors:
             if isinstance(error, PointError):
-                whole = np.einsum("ki,kij,kj->k", self.normal, self.rotation, error.moved(self.out))
+                whole = self.off(error.moved(self.out))
             elif isinstance(error, StampError):
                 whole = error.late(self.t) * self.speed
             left = self.beside(whole)
@@ -145,8 +149,10 @@ def line_regression(recording: Recording, robot: Robot, torque: Regression,
     residual = seen_points.beside(d[rows])
     signals = _signals_at(times, torque, begin, seen_points.signals())
     noise_floor = np.array([_finding_noise(residual, number[rows])])
-    y, constant = residual[:, None], np.ones((len(residual), 1, 1))
-    return LineRegression(times, ("line",), ("m",), y, y, constant, np.ones(y.shape, dtype=bool), signals,
+    # As little known as the line is how its surface inclines: along it points come nearer or farther than taken for.
+    inclined = seen_points.beside((s[rows] - s[rows].mean()) * seen_points.off(seen_points.out))
+    y, W = residual[:, None], np.column_stack([np.ones(len(residual)), inclined])[:, None, :]
+    return LineRegression(times, ("line",), ("m",), y, y, W, np.ones(y.shape, dtype=bool), signals,
                           torque.filtered, {}, noise_floor, torque.prismatic, SENSOR, field=number[rows])
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
+from operator import add
 from typing import Any
 
 import numpy as np
@@ -215,7 +217,7 @@ def _best_motion(asked: Sequence[Pair], foresight: Foresight, room: Workspace, l
         return _told(asked, foresight, played(part, robot.t_ipo))
 
     def worth(several: Sequence[list[Products]]) -> float:
-        margins = np.array([separation_of(one, _sum(own)).margin(asks)
+        margins = np.array([separation_of(one, reduce(add, own)).margin(asks)
                             for one, asks, own in zip(asked, least, zip(*several, strict=True), strict=True)])
         # Pairs that no motion tells must not keep the others waiting; beyond one, more is better, but not for long.
         return float(np.mean(np.minimum(margins, 1.0) + 0.1 * np.minimum(margins, _PLENTY)))
@@ -240,13 +242,6 @@ def _problems(case: Case, found: Findings) -> Iterator[tuple[Domain, Problem]]:
     for domain, regression in made.items():
         if regression is not None:
             yield domain, Problem.of(regression, held_out=True)
-
-
-def _sum(several: Sequence[Products]) -> Products:
-    total = several[0]
-    for more in several[1:]:
-        total = total + more
-    return total
 
 
 def planned_pair(pair: Pair, before: Separation, after: Separation, recording: Recording) -> PlannedPair:

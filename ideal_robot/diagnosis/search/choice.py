@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.blocks import Columns
-from ideal_robot.diagnosis.statistics.least_squares import TOLD, Fit, weights_of_channels
+from ideal_robot.diagnosis.statistics.least_squares import TOLD, Fit, standard_errors, weights_of_channels
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 
 
@@ -92,23 +92,25 @@ class PresentModel:
     def residual(self, fit: Fit) -> Array:
         """Residual at all rows ``(N, c)``."""
         r = self.problem.products.y.values[:, :, 0].copy()
+        for group, place in self.parts(fit):
+            r[:, list(group.channels)] -= group.values @ fit.beta[place]
+        return np.asarray(r)
+
+    def parts(self, fit: Fit) -> Iterator[tuple[Columns, slice]]:
+        """The groups of a fit and where their coefficients stand in it."""
         at = 0
         for key in fit.keys:
             group = self.design.groups[key]
-            r[:, list(group.channels)] -= group.values @ fit.beta[at : at + group.m]
+            yield group, slice(at, at + group.m)
             at += group.m
-        return np.asarray(r)
 
     def left_out(self, fit: Fit) -> Array:
         """Residual at all rows ``(N, c)``, each block predicted by the fit without its fold."""
         blocks = self.problem.blocks
         fold = blocks.fold[blocks.of_samples()]
         r = self.problem.products.y.values[:, :, 0].copy()
-        at = 0
-        for key in fit.keys:
-            group = self.design.groups[key]
-            r[:, list(group.channels)] -= np.einsum("nkm,nm->nk", group.values, fit.betas[fold + 1, at : at + group.m])
-            at += group.m
+        for group, place in self.parts(fit):
+            r[:, list(group.channels)] -= np.einsum("nkm,nm->nk", group.values, fit.betas[fold + 1, place])
         return np.asarray(r)
 
     def add_columns(self, candidate: Candidate) -> None:
@@ -143,13 +145,10 @@ class PresentModel:
         self.problem = self.problem.with_prior(prior)
         self.weights = self._weights()
 
-    def mean_squares(self) -> float:
-        """Geometric mean over channels of the mean squares on blocks left out."""
-        selecting, count = self.problem.blocks.selecting, self.problem.products.count
-        squares = self.fit().held_out_squares[selecting].sum(axis=0)
-        samples = count[selecting].sum(axis=0)
-        kept = samples > 0
-        return float(np.exp(np.mean(np.log(np.maximum(squares[kept], 1e-300) / samples[kept]))))
+    def worse_than(self, other: PresentModel) -> float:
+        """Standard errors by which it leaves more of blocks that had no part in its fit than another about the same."""
+        left = [one.fit().held_out_squares[self.problem.blocks.selecting] @ self.weights for one in (self, other)]
+        return standard_errors(left[0] - left[1])
 
     def _weights(self) -> Array:
         return weights_of_channels(self.design, self.keys(), self.problem.prior)
@@ -204,10 +203,7 @@ def indistinguishable(model: PresentModel, best: Candidate, other: Candidate) ->
     """
     if not overlap(model, best, other) or other.test.total < SIMPLER * best.test.total:
         return False
-    difference = best.test.reduction - other.test.reduction
-    difference = difference[np.isfinite(difference)]
-    error = float(np.std(difference, ddof=1)) * np.sqrt(len(difference))
-    return bool(float(difference.sum()) < TOLD * error)
+    return standard_errors(best.test.reduction - other.test.reduction) < TOLD
 
 
 def likelier(best: Candidate, others: list[Candidate]) -> Candidate:

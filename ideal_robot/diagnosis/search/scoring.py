@@ -166,8 +166,7 @@ class Scoring:
         key, group = s.key, self.model.design.groups[s.key]
         fit = Fit(self.model.design, [*fit.keys, key], self.model.weights, self.model.problem.prior)
         channels, blocks = list(group.channels), self.model.problem.blocks
-        selecting = blocks.selecting[blocks.of_samples()]
-        use = self.model.problem.products.use[:, channels] & selecting[:, None]
+        use = self.model.problem.products.use[:, channels] & blocks.selecting_samples[:, None]
         wave = group.values @ fit.beta[-group.m :] * use
         left = self.model.residual(fit)[:, channels] * use
         rows = np.flatnonzero(use.any(axis=1))
@@ -197,15 +196,13 @@ class Scoring:
     def _sizes_at(self, joint: int, without: Candidate | None) -> Array:
         """RMS of the largest effect but one that was taken at a joint in each channel ``(c,)``."""
         result = np.zeros(self.model.problem.products.c)
-        at = self.model.problem.products.W.m
         fit = self.model.fit()
-        for choice in self.model.choices:
-            group = self.model.design.groups[choice.key]
+        _, *own = self.model.parts(fit)
+        for choice, (group, place) in zip(self.model.choices, own, strict=True):
             if choice.joint == joint and choice is not without:
                 channels = list(group.channels)
-                own = group.values @ fit.beta[at : at + group.m]
-                result[channels] = np.maximum(result[channels], np.sqrt(np.mean(own**2, axis=0)))
-            at += group.m
+                size = np.sqrt(np.mean((group.values @ fit.beta[place]) ** 2, axis=0))
+                result[channels] = np.maximum(result[channels], size)
         return result
 
     def refined(self, fit: Fit, s: Candidate) -> Candidate:
@@ -282,6 +279,8 @@ class Scoring:
             return None
         key = self.model.add_starts(starts)
         gains, coefficients = fit.gains(key, len(starts))
+        # Of all starts the products are kept, which every round asks for; rows block by block are as large as columns.
+        self.model.design.groups[key].in_blocks.clear()
         for i in np.argsort(-gains, kind="stable"):
             if gains[i] <= TOLD**2:
                 break

@@ -34,14 +34,12 @@ class Dependence:
     """Dependence of one channel's residual on one curve.
 
     Attributes:
-        channel: index of the channel.
         term: the spline over the signals it was tried on.
         share: share of the residual's squares that the curve explains.
         expected: share it explains by chance, from blocks whose signs are flipped.
         p_value: of ``share`` under the null hypothesis.
     """
 
-    channel: int
     term: Unknown
     share: float
     expected: float
@@ -131,7 +129,7 @@ class DependenceTest:
         """Tests one curve on a channel's residual, given block by block, and times its direction."""
         centre, T = self._whitened(term, channel)
         if not T.size:
-            return Dependence(channel, term, 0.0, 0.0, 1.0)
+            return Dependence(term, 0.0, 0.0, 1.0)
         parts = (self._sums(weights[term.directed], term) - weights[0].sum(axis=2) * centre) @ T
         total = max(float(np.sum(weights[0] ** 2)), 1e-300)
         observed = float(np.sum(parts.sum(axis=0) ** 2))
@@ -141,7 +139,7 @@ class DependenceTest:
         mean = float(alone.sum())
         variance = max(2.0 * float(np.sum((parts.T @ parts) ** 2) - np.sum(alone**2)), 1e-9 * mean**2 + 1e-300)
         p = float(special.gammaincc(mean**2 / variance, observed * mean / variance))
-        return Dependence(channel, term, observed / total, mean / total, p)
+        return Dependence(term, observed / total, mean / total, p)
 
     def _whitened(self, term: Unknown, channel: int) -> tuple[Array, Array]:
         """Means of a curve's columns over the samples that count, and what makes them orthonormal about these."""

@@ -277,6 +277,12 @@ def _one_sided(score: Array, left: Array) -> float:
     return float(special.stdtr(B - 1, -float(values.sum()) / spread))
 
 
+def standard_errors(difference: Array) -> float:
+    """A sum over blocks of time ``(B,)`` in units of its own standard error; blocks that are not known are left out."""
+    known = difference[np.isfinite(difference)]
+    return float(known.sum() / max(np.std(known, ddof=1) * np.sqrt(len(known)), 1e-300))
+
+
 def weights_of_channels(design: Design, keys: list[str], prior: Array | None, rounds: int = 2) -> Array:
     """1/σ² of each channel ``(c,)`` from the residual of a fit, found by refitting.
 

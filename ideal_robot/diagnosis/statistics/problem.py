@@ -116,6 +116,11 @@ def fitted_effect(candidate: Candidate, found: Estimate, k: int, *, sliding: boo
                         theta_std, effect.to_data(), tuple(parameters), evidence or {})
 
 
+def fitted_effects(candidates: Sequence[Candidate], found: Estimate) -> tuple[FittedEffect, ...]:
+    """All effects of a fit, in their order, with their numbers."""
+    return tuple(fitted_effect(candidate, found, k) for k, candidate in enumerate(candidates))
+
+
 def linear_unit(unit: str) -> str:
     """The unit of a prismatic joint's parameter: N m → N, rad → m, kg m² → kg."""
     return unit.replace("N m", "N").replace("kg m²", "kg").replace("rad", "m")

@@ -1,32 +1,33 @@
-"""What refitting a given model's parameters alone explains: a cause that looks like them may hide in that.
-
-A spring, moved little, is a shift of masses; a wrong gain is heavier links and more friction. Where parameters have to
-move far from what was known for a joint's error to fall, that is no proof that nothing is missing. What the recordings
-that the model was made of had left open is no such move.
-"""
+"""Fits beside a model: what is held in the last one, effects by their names, and what refitting alone explains."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.case import Case, Findings
 from ideal_robot.diagnosis.channels.arm import arm_angle_regression, tool_regression
 from ideal_robot.diagnosis.channels.force import force_regressions
 from ideal_robot.diagnosis.channels.line import line_regression
-from ideal_robot.diagnosis.channels.motor_torque import in_position_band, torque_regression
+from ideal_robot.diagnosis.channels.motor_torque import about_model, in_position_band, torque_regression
 from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.diagnosis.search.scoring import ITERATIONS
 from ideal_robot.diagnosis.statistics.least_squares import CLEAR
 from ideal_robot.diagnosis.statistics.problem import (
     Candidate,
+    Estimate,
     Problem,
-    fitted_effect,
+    fitted_effects,
     prior_covariance,
+    prior_precision,
     torque_left_open,
+    with_parameters,
 )
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
-from ideal_robot.diagnosis.validation.final_fit import held_problem
 from ideal_robot.diagnosis.validation.result import ChannelResult, MovedParameter, RefitExplains
 from ideal_robot.effects import (
     ARM_POSITION,
@@ -39,19 +40,164 @@ from ideal_robot.effects import (
     library,
     names,
 )
+from ideal_robot.effects.drive import CommonDelay
 from ideal_robot.errors import InputError
 from ideal_robot.identification.checks import checked
 from ideal_robot.model.model import Model
-from ideal_robot.model.parametrisation import parameter_vector
+from ideal_robot.model.parametrisation import friction_places, parameter_vector
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 
-_LARGE = 0.03
-"""Share of a torque's spread that refitting has to explain: models of two healthy recordings of one arm differ by up to
-1 %."""
-_FALLS = 0.7
-"""Error after over error before down to which refitting, or an effect, explains little."""
-_MOST = 4
+# Effects of the motor torque beside a model that stays as it is.
+#
+# A joint fit shares what a recording shows among the effects and all parameters of the model, and what the recording
+# tells badly goes anywhere: into rotors, gravity, other joints' friction. On another motion that is an error of its
+# own. Where the model is known and the effects are named, what the recording holds beyond the model is theirs alone.
+
+def held_problem(regression: Regression, model: Model) -> Problem:
+    """The problem of a recording with the model's parameters held.
+
+    Args:
+        regression: of the motor torques, about the model.
+        model: that is known.
+    """
+    problem = Problem.of(regression, held_out=False).on_all_blocks()
+    return problem.with_prior(prior_precision(model, problem)).held()
+
+
+def beside_held_model(regression: Regression, model: Model,
+                      effects: Sequence[FittedEffect]) -> tuple[FittedEffect, ...]:
+    """Effects with the sizes that they have together beside a model whose parameters are held.
+
+    Args:
+        regression: of the motor torques, about the model, with the regressor of a payload.
+        model: that was known then; effects in it stay as they are.
+        effects: of which those of the motor torque are fitted, with their theta.
+
+    Returns:
+        Those of the motor torque that have a size which physics allows, in their order.
+    """
+    of_torque = [effect for effect in effects if effect.effect.at_motor]
+    if not of_torque:
+        return ()
+    candidates = [Candidate(effect.effect, effect.joint, effect.theta) for effect in of_torque]
+    found = held_problem(regression, model).fit(candidates, uncertainty=True)
+    return tuple(replace(effect, coefficients=tuple(float(value) for value in own),
+                         std=tuple(float(value) for value in std), theta_std=(), parameters=())
+                 for effect, own, std in zip(of_torque, found.coefficients, found.std, strict=True)
+                 if np.all(np.isfinite(own))
+                 and effect.effect.plausible(own, effect.theta, regression.signals, effect.joint))
+
+
+def friction_anew(regression: Regression, model: Model, joints: tuple[int, ...]) -> dict[int, Model]:
+    """The model with the friction coefficients of one joint as a recording has them, for each of some joints.
+
+    A coefficient at most doubles, and none changes its sign: what a motion tells badly stays near what was known. The
+    law and its shape stay, so does all else of the model.
+
+    Args:
+        regression: of the motor torques, about the model.
+        model: that is known; its effects stay.
+        joints: from 1.
+
+    Returns:
+        A model for each joint whose friction can be told.
+    """
+    result: dict[int, Model] = {}
+    places = friction_places(model.base, model.friction)
+    for joint, (law, columns) in enumerate(zip(model.friction.laws, places, strict=True), start=1):
+        use = regression.use[:, joint - 1]
+        known = law.coefficients[:, 0]
+        free = np.abs(known) > 0.0
+        if joint not in joints or joint in regression.undecided or not free.any() or np.count_nonzero(use) < len(known):
+            continue
+        change, own = np.zeros(regression.W.shape[2]), np.arange(columns.start, columns.stop)[free]
+        change[own] = lsq_linear(regression.W[use, joint - 1][:, own], regression.y[use, joint - 1],
+                                 (-np.abs(known[free]), np.abs(known[free]))).x
+        result[joint] = with_parameters(model, change)
+    return result
+
+
+def with_braking_friction(case: Case, found: Findings) -> Findings:
+    """The findings about a model in which coefficients of friction that come out negative are zero and stay so.
+
+    A model that was given brakes already, and is what errors are compared with.
+    """
+    if not case.shared or case.given is not None:
+        return found
+    for _ in range(case.robot.n):
+        change = found.problem.on_all_blocks().fit(found.choices).change
+        driving = _driving(found.start, change) & ~np.isin(np.arange(len(change)), found.held)
+        if not driving.any():
+            break
+        found = _held(found, np.flatnonzero(driving))
+    return found
+
+
+def without_scatter(estimate: Estimate, held: tuple[int, ...]) -> Estimate:
+    """The estimate where held parameters stay and have no scatter: they stand at their limit."""
+    covariance, change = estimate.covariance.copy(), estimate.change.copy()
+    covariance[list(held)] = 0.0
+    covariance[:, list(held)] = 0.0
+    change[list(held)] = 0.0
+    return replace(estimate, change=change, covariance=covariance)
+
+
+def _driving(model: Model, change: np.ndarray) -> np.ndarray:
+    """Mask ``(P,)`` of coefficients of friction that a change of the parameters ``(P,)`` makes negative."""
+    value = parameter_vector(model.base_values, model.friction) + change
+    brakes = np.zeros(len(value), dtype=bool)
+    for law, place in zip(model.friction.laws, friction_places(model.base, model.friction), strict=True):
+        brakes[place] = law.nonnegative
+    return np.asarray(brakes & (value < 0.0))
+
+
+def _held(found: Findings, index: np.ndarray) -> Findings:
+    """The same about a model whose parameters at ``index`` are zero, with no part in any fit."""
+    values = parameter_vector(found.start.base_values, found.start.friction)
+    change = np.zeros(len(values))
+    change[index] = -values[index]
+    start = with_parameters(found.start, change)
+
+    def about(regression: Regression) -> Regression:
+        W = regression.W.copy()
+        W[:, :, index] = 0.0
+        return replace(about_model(regression, start), signals=regression.signals, W=W)
+
+    return replace(found, start=start, problem=found.problem.with_regression(about(found.problem.regression)),
+                   validation=None if found.validation is None else about(found.validation),
+                   held=(*found.held, *(int(i) for i in index)))
+
+
+def beside_lag(torque: DomainDiagnosis) -> Estimate:
+    """The fit of everything together, beside a lag of all torques where there clearly is one.
+
+    A late torque turns inertia into friction, by as much as the motion is fast: a model that holds that is wrong in
+    every other motion. The lag belongs to the recording, not to the arm, so only the parameters are of use.
+
+    Args:
+        torque: the domain of the motor torques, settled.
+    """
+    effects, signals = torque.choices, torque.problem.regression.signals
+    lag = CommonDelay()
+    if not lag.usable(signals, 0) or any(isinstance(c.effect, CommonDelay) for c in effects):
+        return torque.final
+    candidate = Candidate(lag, 0, lag.starts(signals, 0)[0])
+    for _ in range(ITERATIONS):
+        found = torque.problem.on_all_blocks().fit([*effects, candidate], uncertainty=True)
+        theta = lag.consistent_theta(found.coefficients[-1], candidate.theta)
+        candidate = Candidate(lag, 0, theta)
+    own, std = found.coefficients[-1], found.std[-1]
+    if not abs(own[0]) > CLEAR * std[0] or not lag.plausible(own, candidate.theta, signals, 0):
+        return torque.final
+    return found
+
+
+# What refitting a given model's parameters alone explains: a cause that looks like them may hide in that.
+#
+# A spring, moved little, is a shift of masses; a wrong gain is heavier links and more friction. Where parameters have
+# to move far from what was known for a joint's error to fall, that is no proof that nothing is missing. What the
+# recordings that the model was made of had left open is no such move.
 
 
 def explained_by_refitting(model: Model, torque: DomainDiagnosis,
@@ -63,17 +209,14 @@ def explained_by_refitting(model: Model, torque: DomainDiagnosis,
         torque: the domain of the motor torques, settled.
         channels: its results.
     """
-    levels = torque.levels
     regression, estimate = torque.problem.regression, torque.problem.fit(torque.choices)
     left_open = torque_left_open(model, torque.problem)
     sigma = np.sqrt(np.diag(prior_covariance(model, torque.problem)))
     result = []
     for j, c in enumerate(channels):
         explained = np.sqrt(max(c.rms_before**2 - c.rms_refit**2, 0.0))
-        with_effects = float(levels[-1][j])
-        least = max(_LARGE * c.spread, CLEAR * left_open[j])
-        if (j + 1 in regression.undecided or c.rms_refit > _FALLS * c.rms_before or explained < least
-                or (with_effects < _FALLS * c.rms_before and torque.problem.prior is not None)):
+        named = torque.problem.prior is not None and torque.levels[-1][j] < c.rms_before
+        if j + 1 in regression.undecided or named or explained <= CLEAR * left_open[j]:
             continue
         result.append(RefitExplains(
             j + 1, c.channel, c.rms_before, c.rms_refit,
@@ -83,7 +226,7 @@ def explained_by_refitting(model: Model, torque: DomainDiagnosis,
 
 
 def _moved(model: Model, change: Array, sigma: Array, W: Array) -> tuple[MovedParameter, ...]:
-    """Parameters that moved far, those first that change the joint's torque most.
+    """The four parameters that moved far and change the joint's torque most.
 
     Args:
         model: as given.
@@ -96,7 +239,7 @@ def _moved(model: Model, change: Array, sigma: Array, W: Array) -> tuple[MovedPa
     far = [int(i) for i in np.argsort(-weight) if abs(change[i]) > CLEAR * sigma[i] and weight[i] > 0.0]
     names = model.parameters
     return tuple(MovedParameter(names[i].name, names[i].unit, float(value[i]), float(value[i] + change[i]),
-                                float(change[i] / sigma[i])) for i in far[:_MOST])
+                                float(change[i] / sigma[i])) for i in far[:4])
 
 
 def with_named_effects(recording: Recording, robot: Robot, model: Model,
@@ -157,8 +300,7 @@ def named_camera_effects(recording: Recording, robot: Robot, model: Model,
         raise InputError("no such effect of a camera, or no line in the recording", field="effect",
                          value=", ".join(names))
     candidates = [Candidate(kind, 0) for kind in kinds]
-    found = Problem.of(made, False).fit(candidates, uncertainty=True)
-    return tuple(fitted_effect(candidate, found, k) for k, candidate in enumerate(candidates))
+    return fitted_effects(candidates, Problem.of(made, False).fit(candidates, uncertainty=True))
 
 
 def named_force_effects(recording: Recording, robot: Robot, model: Model,
@@ -177,8 +319,7 @@ def named_force_effects(recording: Recording, robot: Robot, model: Model,
     for made, _ in force_regressions(recording, None, robot, torque, None, model.stiffness):
         kinds = [effect for name in names for effect in _named(name, SENSOR) if effect.usable(made.signals, 0)]
         candidates = [Candidate(kind, 0) for kind in kinds]
-        found = Problem.of(made, False).fit(candidates, uncertainty=True)
-        result += [fitted_effect(candidate, found, k) for k, candidate in enumerate(candidates)]
+        result += fitted_effects(candidates, Problem.of(made, False).fit(candidates, uncertainty=True))
     return tuple(result)
 
 
@@ -186,7 +327,7 @@ def _named(name: str, domain: Domain) -> list[Effect]:
     return [effect for effect in library() if effect.name == name and effect.domain == domain]
 
 
-def _together(problem: Problem, wanted: Sequence[tuple[Sequence[Effect], int]]) -> list[FittedEffect]:
+def _together(problem: Problem, wanted: Sequence[tuple[Sequence[Effect], int]]) -> tuple[FittedEffect, ...]:
     """Effects in one fit; of each the form and start that leave least beside those before it."""
     regression, chosen = problem.regression, list[Candidate]()
     for kinds, joint in wanted:
@@ -202,8 +343,7 @@ def _together(problem: Problem, wanted: Sequence[tuple[Sequence[Effect], int]]) 
             raise InputError("the effect has nothing to start from in this recording", field="effect",
                              value=kinds[0].name)
         chosen.append(best[1])
-    final = problem.fit(chosen, uncertainty=True)
-    return [fitted_effect(candidate, final, k) for k, candidate in enumerate(chosen)]
+    return fitted_effects(chosen, problem.fit(chosen, uncertainty=True))
 
 
 def _starts(problem: Problem, effect: Effect, joint: int, beside: Sequence[Candidate]) -> Sequence[tuple[float, ...]]:

@@ -12,7 +12,6 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.arm import arm_angle_regression
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.channels.regression import Regression, rms, without_known
-from ideal_robot.diagnosis.statistics.least_squares import Fit, weights_of_channels
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.diagnosis.validation.result import Diagnosis, NotTransferred
 from ideal_robot.effects import ARM_POSITION, FittedEffect
@@ -86,12 +85,6 @@ def deciding(validation: Regression) -> np.ndarray:
     return np.asarray(validation.blocks(held_out=False).of_samples() % 2 == 0)
 
 
-def held_out(problem: Problem) -> np.ndarray:
-    """Samples ``(N,)`` of the recording itself that neither selection nor estimation saw."""
-    blocks = problem.blocks
-    return np.asarray(~blocks.selecting[blocks.of_samples()])
-
-
 def transferring(problem: Problem, choices: Sequence[Candidate], validation: Regression,
                  samples: np.ndarray) -> tuple[list[Candidate], tuple[NotTransferred, ...]]:
     """Drops, one after another, the effect without which samples that took no part are predicted better.
@@ -108,23 +101,11 @@ def transferring(problem: Problem, choices: Sequence[Candidate], validation: Reg
     Returns:
         The choices that stay, in their order, and what was dropped with its errors.
     """
-    problem = problem.held()
-    design = problem.design(choices)
-    weights = weights_of_channels(design, ["W", *[c.key for c in choices]], problem.prior, 1)
-    columns = {c.key: validation.columns_of(c.effect, c.joint, c.theta) for c in choices}
-    mask = validation.use & samples[:, None]
-    p = problem.products.W.m
+    problem, mask = problem.held(), validation.use & samples[:, None]
 
     def error(kept: Sequence[Candidate]) -> Array:
         """RMS of each channel with these effects, on the blocks that decide."""
-        keys = [c.key for c in kept]
-        beta = Fit(design, ["W", *keys], weights, problem.prior).beta
-        residual, at = validation.y - validation.W @ beta[:p], p
-        for key in keys:
-            m = design.groups[key].m
-            residual = residual - columns[key] @ beta[at : at + m]
-            at += m
-        return rms(residual, mask) + 1e-300
+        return rms(problem.fit(kept).residual(validation, kept), mask) + 1e-300
 
     kept, dropped = eliminated(choices, error, lambda choice: validation.channel_of(choice.joint))
     return kept, tuple(_not_transferred(validation, *one) for one in dropped)

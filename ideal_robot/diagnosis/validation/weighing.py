@@ -19,8 +19,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.search.choice import FINALISTS, Options, PresentModel, overlap
-from ideal_robot.diagnosis.search.forward_selection import candidates
-from ideal_robot.diagnosis.search.learned_curves import LearnedCurves
+from ideal_robot.diagnosis.search.forward_selection import LearnedCurves, candidates
 from ideal_robot.diagnosis.search.scoring import Scoring
 from ideal_robot.diagnosis.statistics.least_squares import Fit
 from ideal_robot.diagnosis.statistics.problem import Candidate
@@ -83,8 +82,7 @@ class _Weighing:
     def __init__(self, scoring: Scoring, choice: Candidate) -> None:
         self.scoring, self.model, self.choice = scoring, scoring.model, choice
         best = self.model.fit()
-        blocks = self.model.problem.blocks
-        self.rows = blocks.selecting[blocks.of_samples()]
+        self.rows = self.model.problem.blocks.selecting_samples
         self.scale = np.sqrt(self.model.weights / (2.0 * best.inflation))
         self.best = self._left(best)
 

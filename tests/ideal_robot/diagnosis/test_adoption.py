@@ -9,7 +9,7 @@ import pytest
 
 from ideal_robot.diagnosis import Diagnosis
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
-from ideal_robot.diagnosis.validation.final_fit import friction_anew
+from ideal_robot.diagnosis.validation.refit import friction_anew
 from ideal_robot.diagnosis.validation.result import FoundEffect, RefitExplains
 from ideal_robot.diagnosis.validation.transfer import accepted, adopted, eliminated, log_reduction, with_joint
 from ideal_robot.effects import FittedEffect

@@ -14,10 +14,8 @@ from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.diagnosis.search.forward_selection import Search
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
-from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
-from ideal_robot.diagnosis.validation.evidence import with_misfit
-from ideal_robot.diagnosis.validation.final_fit import beside_held_model
-from ideal_robot.diagnosis.validation.refit import with_named_effects
+from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis, with_misfit
+from ideal_robot.diagnosis.validation.refit import beside_held_model, with_named_effects
 from ideal_robot.dynamics.regressor import regressor
 from ideal_robot.effects import MOTOR_TORQUE, FittedEffect, library
 from ideal_robot.effects.registry import find

@@ -182,6 +182,21 @@ def test_latency_is_found_and_nothing_where_there_is_none(gantry_robot: Robot) -
         assert found == expected
 
 
+def test_a_sloping_surface_is_no_error_of_the_camera(gantry_robot: Robot) -> None:
+    """Points come nearer along the line by 1 % a second, which no one told the camera: its stamps do not drift."""
+    _, size, recording = draw_line_trial(36, "camera_latency")
+    columns = dict(recording.columns)
+    factor = 1.0 + 0.01 * (columns["cam_t"] - np.nanmean(columns["cam_t"]))
+    for i in range(1, 6):
+        for axis, middle in zip("xy", AXIS, strict=False):
+            name = f"line_{axis}_{i}"
+            columns[name] = middle + factor * (columns[name] - middle)
+    found = [e.fitted for e in diagnose(Recording(columns, recording.meta), gantry_robot).effects
+             if e.fitted.channel == "line"]
+    assert [e.name for e in found] == ["camera_latency"]
+    np.testing.assert_allclose(found[0].coefficients[0], size, atol=3.0 * found[0].std[0])
+
+
 def test_a_run_in_which_no_joint_moves_enough_still_tells_of_the_camera(gantry_robot: Robot) -> None:
     """The first 1.8 s: too little for friction and bodies, and the model that was known stays as it is."""
     kind, size, recording = draw_line_trial(35, "camera_latency")

@@ -15,8 +15,7 @@ from ideal_robot.diagnosis import diagnose
 from ideal_robot.diagnosis.channels.arm import arm_angle_regression, frames_along
 from ideal_robot.diagnosis.channels.motor_torque import in_position_band, torque_regression
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem, with_parameters, with_possible_inertias
-from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
-from ideal_robot.diagnosis.validation.evidence import at_standstill, sides, with_limits
+from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis, sides, with_limits
 from ideal_robot.diagnosis.validation.refit import _moved
 from ideal_robot.dynamics.base_parameters import pseudo_inertia
 from ideal_robot.effects import FittedEffect
@@ -120,9 +119,9 @@ def test_friction_that_is_another_only_near_standstill_is_not_claimed(one):
     # At the other end of the search, and of Stribeck's the slow one.
     fall = find("stribeck", "tau")
     for law, near, far in ((effect, end, effect.bounds(signals, 1)[0][0]), (fall, *fall.bounds(signals, 1)[0])):
-        assert at_standstill(Candidate(law, 1, (near,)), signals)
-        assert not at_standstill(Candidate(law, 1, (0.5 * (near + far),)), signals)
-        assert not at_standstill(Candidate(law, 1, (far,)), signals)
+        assert law.at_standstill(sides(Candidate(law, 1, (near,)), signals))
+        assert not law.at_standstill(sides(Candidate(law, 1, (0.5 * (near + far),)), signals))
+        assert not law.at_standstill(sides(Candidate(law, 1, (far,)), signals))
 
 
 @pytest.mark.parametrize(("name", "theta"), [("dead_time", (1e-3,)), ("gravity_spring", (0.4, 0.5))])

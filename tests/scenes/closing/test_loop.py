@@ -270,7 +270,6 @@ def test_after_is_close_to_the_oracle(late_stamps: Any) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="a drift of the stamps is named beside their delay, which takes 3 ms of it")
 def test_a_delay_of_the_stamps_is_named_with_its_size(late_stamps: Any) -> None:
     found = {e.fitted.name: e.fitted for e in late_stamps.diagnosis.effects if e.fitted.channel == "line"}
     # Calibrated by moving, with the same wrong stamps, the camera's scale is off by what the stamps are worth.
