@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from planning.line.deviation_sensor import Reading
-    from scenes.model_files import shipped_model
+    from scenes.arms import shipped_model
     from scenes.play import compare_scene, run_scene
     from scenes.scene_file import load_scene
     from scenes.sweep import sweep_scene
@@ -27,7 +27,7 @@ _WHERE = {
     "compare_scene": "scenes.play",
     "load_scene": "scenes.scene_file",
     "run_scene": "scenes.play",
-    "shipped_model": "scenes.model_files",
+    "shipped_model": "scenes.arms",
     "sweep_scene": "scenes.sweep",
 }
 
@@ -36,7 +36,7 @@ def __getattr__(name: str) -> Any:
     """Imports a name of the door when it is asked for, so that importing the package stays cheap."""
     if name not in _WHERE:
         raise AttributeError(f"module 'scenes' has no attribute {name!r}; it offers {', '.join(__all__)}")
-    importlib.import_module("scenes.shadowed").check_rooms()
+    importlib.import_module("scenes.program").check_rooms()
     return getattr(importlib.import_module(_WHERE[name]), name)
 
 

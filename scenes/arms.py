@@ -1,21 +1,26 @@
-"""The arm of a scene: as its URDF describes it, completed by what arms of its size have, ready above its work."""
+"""The arm of a scene, as its URDF describes it and ready above its work, and the files of its identified models."""
 
 from __future__ import annotations
 
 import os
 from dataclasses import replace
 from functools import lru_cache
+from importlib import resources
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
-from ideal_robot.robots import SHIPPED
+from ideal_robot.errors import InputError
+from ideal_robot.model.model import Model
+from ideal_robot.robots import SHIPPED as SHIPPED_ARMS
 from ideal_robot.robots.collisions import Shapes
 from ideal_robot.robots.robot import Robot, spread_postures
 from ideal_robot.robots.size import FEWEST, of_its_size, reach
 from planning import OutOfReachError
 from planning.path.kinematics import InverseKinematics
+from scenes.scene_files.scene import SHIPPED
 
 AHEAD = (0.6, 0.5, 0.7)
 """Where a tool works, in front of the base, relative to the arm's reach …"""
@@ -38,7 +43,7 @@ def arm_of(name_or_urdf: str) -> Robot:
     Raises:
         InputError: as ``Robot.load``.
     """
-    if name_or_urdf in SHIPPED or not os.path.isfile(name_or_urdf):
+    if name_or_urdf in SHIPPED_ARMS or not os.path.isfile(name_or_urdf):
         return Robot.load(name_or_urdf)
     beside = os.path.splitext(name_or_urdf)[0] + ".toml"
     stamps = tuple(os.stat(path).st_mtime_ns if os.path.isfile(path) else 0 for path in (name_or_urdf, beside))
@@ -104,3 +109,39 @@ def _room(robot: Robot, kinematics: InverseKinematics, q: Array) -> float:
     height = kinematics.elbow(q) / reach(robot)
     wound = float(np.mean(np.abs(q))) / np.pi
     return float(smallest * min(1.0, margin / ROOM) * (1.0 + max(height, 0.0)) * (1.0 - 0.3 * wound))
+
+
+# Identified models: the shipped ones, and those of the user's.
+
+def shipped_model(robot_name: str) -> Path:
+    """File of the model that was identified beforehand on recordings of the robot's default world (``make models``)."""
+    return Path(str(resources.files("scenes"))) / "models" / f"{robot_name}.json"
+
+
+def model_at(wanted: str, robot: Robot, source: str | None = None) -> Model:
+    """The model that a scene names by ``shipped`` or by its path.
+
+    Args:
+        wanted: the name or path.
+        robot: the arm.
+        source: the scene, for messages.
+
+    Raises:
+        InputError: no shipped model for that robot, no such file, or a model of another robot.
+    """
+    path = shipped_model(robot.name) if wanted == SHIPPED else Path(wanted)
+    if not os.path.isfile(path):
+        raise InputError("no such model file; give the path of one that identify or prepare wrote, or shipped"
+                         if wanted != SHIPPED else
+                         f'no model is shipped for {robot.name}; model = "own" has it identified by '
+                         "motions of the scene's arm, or identify one and give its path", file=source,
+                         field="model", value=wanted)
+    model = _load(path, path.stat().st_mtime_ns)
+    model.require_arm(robot, file=path)
+    return model
+
+
+@lru_cache(maxsize=8)
+def _load(path: Path, changed: int) -> Model:
+    """Loads once as long as the file does not change."""
+    return Model.load(path)

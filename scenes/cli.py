@@ -25,7 +25,7 @@ from typer.core import TyperArgument, TyperCommand, TyperGroup  # noqa: E402
 from ideal_robot.errors import IdealRobotError, InputError  # noqa: E402
 from ideal_robot.whole_file import FULL, OutputError  # noqa: E402
 from scenes.commands.common import shown  # noqa: E402
-from scenes.shadowed import find_ours_first  # noqa: E402
+from scenes.program import find_ours_first  # noqa: E402
 
 THEMES = {
     "First steps": {

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from ideal_robot.bounded_values import kept_words
+from ideal_robot.bounded_values import PICTURE_PIXELS, kept_words
 from ideal_robot.errors import IdealRobotError, InputError
-from ideal_robot.file_limits import PICTURE_PIXELS
 from scenes.report.page import Report
 from sensing.camera.line_track import track
 from sensing.camera.picture_line import PictureLine, detect_in_picture

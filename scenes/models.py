@@ -21,8 +21,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.registry import imported
 from ideal_robot.results import Summarised
 from ideal_robot.robots.robot import Robot
-from scenes.arms import arm_of
-from scenes.model_files import model_at, shipped_model
+from scenes.arms import arm_of, model_at, shipped_model
 from scenes.outputs import check_outputs
 from scenes.result import Progress, silent
 from scenes.scene_files.scene import OWN, SHIPPED, Box, Scene, boxes_of, obstacles

@@ -1,15 +1,19 @@
-"""What wrote a file of results: program and machine; and results apart from times and places."""
+"""The program that runs: whether imports find its folders, and what wrote a file of results, on which machine."""
 
 from __future__ import annotations
 
 import hashlib
 import platform
 import subprocess
+import sys
 from contextlib import suppress
 from functools import cache
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+
+from ideal_robot.errors import InputError
 
 SCHEMA = 1
 """Counts the layouts of files of results."""
@@ -18,6 +22,7 @@ PLACES = ("recording", "report", "urdf", "output", "motion")
 """Keys of an answer that say how long it took and where files lie; they stand apart from results."""
 ROOMS = ("ideal_robot", "planning", "scenes", "sensing", "sim")
 """Folders of what is installed; a run depends on nothing else of ours."""
+_ROOT = Path(__file__).parents[1]
 
 
 @cache
@@ -27,20 +32,18 @@ def program() -> dict[str, str | None]:
 
 
 def _commit() -> str | None:
-    root = Path(__file__).parents[1]
-    if (root / ".git").exists():
+    if (_ROOT / ".git").exists():
         with suppress(OSError, subprocess.SubprocessError):
-            return subprocess.run(["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12"],
+            return subprocess.run(["git", "-C", str(_ROOT), "describe", "--always", "--dirty", "--abbrev=12"],
                                   capture_output=True, text=True, check=True, timeout=10.0).stdout.strip()
     return None
 
 
 def _source_digest() -> str:
     found = hashlib.sha256()
-    root = Path(__file__).parents[1]
-    for path in sorted(path for room in ROOMS for path in (root / room).rglob("*")):
+    for path in sorted(path for room in ROOMS for path in (_ROOT / room).rglob("*")):
         if path.suffix in (".py", ".toml", ".urdf", ".json") and path.is_file():
-            found.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes())
+            found.update(str(path.relative_to(_ROOT)).encode() + b"\0" + path.read_bytes())
     return found.hexdigest()[:16]
 
 
@@ -75,3 +78,33 @@ def told_apart(answer: dict[str, Any]) -> dict[str, Any]:
     apart = {name: {key: answer[key] for key in keys if key in answer} for name, keys in groups.items()}
     results = {key: value for key, value in answer.items() if key not in (*TIMES, *PLACES)}
     return results | {name: found for name, found in apart.items() if found}
+
+
+# Folders of a user's that hide ours of the same name: a repository with a ``sim`` of its own.
+
+def _hidden() -> dict[str, str]:
+    """What is found in place of our packages: name → place."""
+    found = {}
+    for room in ROOMS:
+        spec = find_spec(room)
+        places = [] if spec is None else list(spec.submodule_search_locations or [str(spec.origin)])
+        if not any(Path(place).resolve() == (_ROOT / room).resolve() for place in places):
+            found[room] = places[0] if places else "nothing"
+    return found
+
+
+def check_rooms() -> None:
+    """Makes sure that our packages are those that imports find.
+
+    Raises:
+        InputError: a folder of the same name stands before one of them.
+    """
+    for room, place in _hidden().items():
+        raise InputError(f"hides the package {room} of ideal-robot, which is looked for by that name; rename it, start "
+                         "from another folder, or call the program ideal-robot, which finds its own", file=place)
+
+
+def find_ours_first() -> None:
+    """Of a process that is ours alone: puts our packages before folders of the same names."""
+    if _hidden():
+        sys.path.insert(0, str(_ROOT))

@@ -46,7 +46,7 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.fixture
 def ideal_scene(request: pytest.FixtureRequest) -> Scene:
     """The scene of the marker, its changes applied; a path is taken as seen from the test's folder."""
-    from scenes.shadowed import check_rooms
+    from scenes.program import check_rooms
 
     marker = request.node.get_closest_marker(MARKER)
     if marker is None or not marker.args:

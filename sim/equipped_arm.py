@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import pinocchio as pin
 
@@ -83,6 +84,11 @@ class Knock:
 
     t: float
     yaw: float
+
+    @classmethod
+    def of(cls, table: Any) -> Knock | None:
+        """As the camera's table of a scene file has it; None for nothing."""
+        return cls(table.knock_s, math.radians(table.knock_deg)) if table.knock_deg else None
 
 
 class CarriedCamera:

@@ -24,9 +24,8 @@ import typer
 
 from ideal_robot.arrays import Array
 from scenes import workers as crew
-from scenes.model_files import shipped_model
-from scenes.regression.results import read_results
-from scenes.run_set import RunSet
+from scenes.arms import shipped_model
+from scenes.regression.results import RunSet, read_results
 from scenes.scene_file import library
 from scenes.sweep import Job, jobs, play, sweep
 from studies.report import head, resident, row, used
@@ -34,7 +33,7 @@ from studies.report import head, resident, row, used
 CLIENT = """
 import sys
 from pathlib import Path
-from scenes.run_set import RunSet
+from scenes.regression.results import RunSet
 from scenes.sweep import jobs, sweep
 from studies.sweeps import quick
 sweep(jobs(["line"], seeds=range(int(sys.argv[1]))), dask=sys.argv[2], function=quick,

@@ -13,9 +13,9 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.friction import CubeRoot
-from ideal_robot.friction.warm_up import WarmUp, fit_warm_up
 from ideal_robot.identification.closed_loop_fit import LinearLoopFit, fit_controller, identify_linear_loop
 from ideal_robot.identification.controller import ControllerIdentification, identify_controller
+from ideal_robot.identification.friction_choice import WarmUp, fit_warm_up
 from ideal_robot.identification.idim import Identification, identify, relative_error
 from ideal_robot.identification.joint_fit import stiffness_from_arm
 from ideal_robot.identification.two_step import TwoStep, identify_two_step

@@ -13,9 +13,8 @@ import pinocchio as pin
 import pydantic
 
 from ideal_robot.arrays import Array
-from ideal_robot.bounded_values import kept_words, read_toml
+from ideal_robot.bounded_values import URDF_BYTES, URDF_DEPTH, URDF_ELEMENTS, URDF_JOINTS, kept_words, read_toml
 from ideal_robot.errors import InputError
-from ideal_robot.file_limits import URDF_BYTES, URDF_DEPTH, URDF_ELEMENTS, URDF_JOINTS
 
 FEWEST = 5
 """Joints of an arm."""

@@ -17,8 +17,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.bounded_values import RSI_BYTES
 from ideal_robot.errors import IdealRobotError, InputError
-from ideal_robot.file_limits import RSI_BYTES
 from ideal_robot.robots.robot import Robot
 
 # What can go wrong between us and a controller.

@@ -19,8 +19,15 @@ from typing import IO, Any
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.bounded_values import (
+    BAG_MESSAGE,
+    BAG_UNFOLDING,
+    BAG_WORDS,
+    TABLE_COLUMNS,
+    TABLE_VALUES,
+    check_unfolding,
+)
 from ideal_robot.errors import InputError
-from ideal_robot.file_limits import BAG_MESSAGE, BAG_UNFOLDING, BAG_WORDS, TABLE_COLUMNS, TABLE_VALUES, check_unfolding
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 _TYPE = "sensor_msgs/msg/JointState"

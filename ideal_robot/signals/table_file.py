@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.bounded_values import parsed_json
-from ideal_robot.errors import InputError
-from ideal_robot.file_limits import (
+from ideal_robot.bounded_values import (
     TABLE_COLUMNS,
     TABLE_LINE,
     TABLE_UNFOLDING,
     TABLE_VALUES,
     TABLE_WORDS,
     check_unfolding,
+    parsed_json,
 )
+from ideal_robot.errors import InputError
 from ideal_robot.row_log import ColumnStore
 
 if TYPE_CHECKING:

@@ -121,10 +121,9 @@ def export(
 
     Example, after that of `run`: `ideal-robot export out/line/recording.parquet --mcap line.mcap`
     """
+    from ideal_robot.signals.export import write_mcap, write_rerun, write_rosbag2
     from ideal_robot.signals.recording import Recording
-    from ideal_robot.signals.ros_export import write_mcap, write_rosbag2
     from scenes.outputs import check_outputs
-    from scenes.rerun_file import write_rerun
 
     # The one that needs an extra comes first: where that is missing nothing has been written.
     writers = {"--rerun": (rerun, write_rerun), "--mcap": (mcap, write_mcap), "--rosbag2": (rosbag2, write_rosbag2),

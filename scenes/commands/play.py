@@ -197,7 +197,7 @@ def sweep(options: SweepOptions) -> None:
     from ideal_robot.errors import InputError
     from ideal_robot.whole_file import inert, whole_files
     from scenes.outputs import check_outputs
-    from scenes.run_set import RunSet
+    from scenes.regression.results import RunSet
     from scenes.sweep import Kept, SweepFile, jobs, sweep
 
     work = jobs(options.scenes, [key.strip() for key in options.methods.split(",") if key.strip()],

@@ -50,10 +50,9 @@ def check(options: CheckOptions) -> None:
     from scenes.commands.common import progress_bar
     from scenes.outputs import check_outputs
     from scenes.regression.comparison import check_arms
-    from scenes.regression.results import Results, times_of
+    from scenes.regression.results import Results, RunSet, times_of
     from scenes.regression.suite import Suite
     from scenes.report.page import write_json
-    from scenes.run_set import RunSet
     from scenes.scene_files.scene import Scene
     from scenes.sweep import sweep
 

@@ -20,7 +20,6 @@ from planning import OutOfReachError
 from planning.force.contact import dry_run
 from planning.path.kinematics import InverseKinematics
 from scenes.arms import arm_of
-from scenes.camera_world import camera_settings
 from scenes.models import model_for
 from scenes.online.force_known import START_HEIGHT, Known, force_reference
 from scenes.online.force_task import GlueCamera
@@ -31,6 +30,7 @@ from sensing.force.force_calibration import ContactElasticity, ToolLoad, identif
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 from sim.camera.bullet_camera import BulletCamera
+from sim.camera.image_chain import CameraSettings
 from sim.camera.surface import AT_A_TIME, DrawnLine
 from sim.contact.contact import ForceSensor, ForceSensorSettings, HeightSurface, Tip, TipContact, Wave
 
@@ -200,7 +200,7 @@ class GlueWorld:
         self.line = DrawnLine(where.drawn, where.plane, width=1e-3 * scene.line.width_mm, gray=scene.line.gray,
                               background=scene.line.background, edge=1e-3 * scene.line.edge_mm)
         self._surface = cell.surface
-        self.rendered = BulletCamera(true, self.line, camera_settings(scene.camera), noise, relief=cell.surface)
+        self.rendered = BulletCamera(true, self.line, CameraSettings.of(scene.camera), noise, relief=cell.surface)
 
     def close(self) -> None:
         """Frees the renderer."""

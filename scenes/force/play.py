@@ -17,7 +17,6 @@ from ideal_robot.feedforward.friction_at_work import FrictionAtWork
 from ideal_robot.row_log import ColumnStore, let_go
 from ideal_robot.signals.recording import Recording
 from planning.force.contact import Phase
-from scenes.camera_world import knock_of
 from scenes.force.cell import Cell, GlueWorld, calibrations, friction_above, set_up, true_tip
 from scenes.methods import DIRECT, following_methods, method_of
 from scenes.online.cycle import CycleSettings, play_cycles
@@ -27,7 +26,7 @@ from scenes.scene_files.force_scene import Assumed, CameraTrouble, Emergency, Fo
 from sensing.force.force_calibration import ContactElasticity, ToolLoad
 from sim.arm.arm import SimulatedArm
 from sim.contact.contact import TipContact
-from sim.equipped_arm import Carried, CarriedCamera, CarriedForceSensor, EquippedArm
+from sim.equipped_arm import Carried, CarriedCamera, CarriedForceSensor, EquippedArm, Knock
 
 AT_A_TIME = 1_000_000
 """Values of which squares are taken at a time."""
@@ -201,7 +200,7 @@ def play(scene: ForceScene, method: Any, gains: tuple[float, float] | None = Non
     with SimulatedArm(cell.known.robot, cell.world, cell.noise, task.q_start) as arm:
         contact = TipContact(arm, cell.surface, true_tip(scene.tip))
         sensor = CarriedForceSensor(cell.sensor, arm, contact)
-        camera = None if glue is None else CarriedCamera(glue.rendered, arm, knock_of(scene.camera))
+        camera = None if glue is None else CarriedCamera(glue.rendered, arm, Knock.of(scene.camera))
         task.connect(sensor, camera)
         started = time.perf_counter()
         duration = cell.known.profile.duration

@@ -15,7 +15,6 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.signals.recording import Recording
 from planning.line.deviation_sensor import DeviationSensor
-from scenes.camera_world import camera_settings
 from scenes.line.calibration import calibrate_by_moving, look_at_line
 from scenes.models import model_for
 from scenes.online.line_known import Known, SeenBefore, line_follower, span_of
@@ -32,6 +31,7 @@ from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 from sim.camera.bullet_camera import BulletCamera
 from sim.camera.camera import RenderedCamera
+from sim.camera.image_chain import CameraSettings
 from sim.camera.lamp import Lamp
 from sim.camera.surface import DrawnLine
 from sim.camera.surface import Feature as DrawnFeature
@@ -204,7 +204,7 @@ class Prepared:
 
 def camera_of(cell: Cell) -> RenderedCamera:
     """The simulated camera of a scene, over its drawn surface and under its lamp."""
-    scene, settings = cell.known.scene, camera_settings(cell.known.scene.camera)
+    scene, settings = cell.known.scene, CameraSettings.of(cell.known.scene.camera)
     lamp = lamp_over(scene, cell.geometry, streams(scene)[6])
     if scene.camera.renderer == "sampled":
         return RenderedCamera(cell.true_camera, cell.line, settings, cell.camera_noise, lamp=lamp)

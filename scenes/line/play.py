@@ -16,7 +16,6 @@ from ideal_robot.feedforward.registry import method as registered
 from ideal_robot.row_log import ColumnStore
 from ideal_robot.signals.recording import Recording
 from planning.line.deviation_sensor import DeviationSensor
-from scenes.camera_world import knock_of
 from scenes.line.cell import Cell, LineWorld, Prepared, mounted, prepared, set_up
 from scenes.line.result import ControlError, LineResult, Timing, far_from_line
 from scenes.methods import DIRECT, IDEAL, NONE, SceneMethod, following_methods, method_of
@@ -30,7 +29,7 @@ from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError
 from sensing.camera.camera_model import CameraModel
 from sim.arm.arm import SimulatedArm
-from sim.equipped_arm import CarriedCamera, EquippedArm
+from sim.equipped_arm import CarriedCamera, EquippedArm, Knock
 
 
 def line_recording(arm: SimulatedArm, scene: LineScene, method: str, log: LineLog, camera: CameraModel) -> Recording:
@@ -110,7 +109,7 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
     scene, follower = cell.known.scene, cell.known.follower
     log = LineLog()
     with SimulatedArm(cell.known.robot, cell.world, cell.noise, follower.q_start) as arm:
-        camera = CarriedCamera(shared.camera, arm, knock_of(scene.camera))
+        camera = CarriedCamera(shared.camera, arm, Knock.of(scene.camera))
         mounted(sensors, LineWorld(arm, cell.line))
         model = model_for(scene, cell.known.robot) if method.knows_model else None
         if model is not None and method.adapts and shared.recorded is not None:

@@ -15,8 +15,8 @@ from ideal_robot.feedforward.friction_at_work import FrictionAtWork
 from ideal_robot.feedforward.method import Setting
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.row_log import RowLog
-from planning.follower import ForceFollower
 from planning.force.contact import CLEAR, EmergencyStopError, Phase, StopConditions, Tare, most_force
+from planning.force.contour import ContourFollower
 from planning.force.force_follower import DirectForceFeedback, Errors, SurfaceFollower
 from planning.force.line_on_surface import LineOnSurface, SightSettings
 from planning.force.surface_forecast import FeltArm, surfaces
@@ -145,7 +145,7 @@ class ForceLog(CycleLog):
     wrenches: RowLog = field(default_factory=RowLog)
     fields: list[tuple[float, int, str]] = field(default_factory=list)
 
-    def add(self, t: float, follower: ForceFollower) -> None:
+    def add(self, t: float, follower: SurfaceFollower | ContourFollower) -> None:
         """One cycle that begins at ``t`` [s]."""
         self.phase.append(follower.phase.value)
         self.s.append(follower.s_at(t))
@@ -178,7 +178,7 @@ class ForceTask:
         self.assumed_stiffness = assumed = known.stiffness(cell.scene.assumed.elasticity_ratio * elasticity.stiffness)
         self.vision: GlueCamera | None = None
         self._direct: DirectForceFeedback | None = None
-        self.follower: ForceFollower
+        self.follower: SurfaceFollower | ContourFollower
         if cell.scene.task == "contour":
             self.follower = cell.contour_follower(assumed)
         else:

@@ -18,9 +18,8 @@ from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.feedforward.registry import feedforward
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.robots.interface import RobotState
-from scenes.arms import arm_of
+from scenes.arms import arm_of, model_at
 from scenes.methods import following_methods, method_of
-from scenes.model_files import model_at
 from scenes.online.camera_process import CameraProcess, calibrated_camera
 from scenes.online.cell_check import check_line
 from scenes.online.cycle import CycleSettings, holding_share, play_cycles

@@ -1,21 +1,30 @@
-"""Changes of the model that a diagnosis suggests, in the forms in which they may be taken."""
+"""The motions that an arm on a path is diagnosed from, and the changes of its model that a diagnosis suggests."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
-from ideal_robot.diagnosis import Diagnosis
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.diagnosis import Diagnosis, DiagnosisPlan, diagnose, open_questions, plan_diagnosis
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.validation.refit import beside_held_model, friction_anew
 from ideal_robot.diagnosis.validation.transfer import adopted, behind_gears, with_joint
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION, FittedEffect
+from ideal_robot.errors import InputError
+from ideal_robot.feedforward.base import PassThrough
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.closing.loop import Form, Forms, Group, Step, places_of, said
-from scenes.closing.result import Measured
+from scenes.closing.result import Measured, at_speeds, visible
+from scenes.path.cell import PathCell, about, training_path
+from scenes.result import Progress, part_of, silent
+from scenes.scene_files.path_scene import JointPath
 
 _ONLY_BEHIND = ("only a device on the arm's side, or a clamped flange ([J]), shows a gear's give or a joint's zero; "
                 "motor angles and currents do not")
@@ -152,3 +161,100 @@ def _not_of_currents(effect: FittedEffect, measured: Measured) -> str:
     if measured == "motor":
         return _ONLY_BEHIND
     return _SHOWN_BEHIND if gear else ""
+
+
+# The motion of every round, and the one that a diagnosis asks for.
+
+_BEYOND = 1.05
+"""Of a path's range that is covered: a path turns round at its ends, and of places where it has never been the motion
+can say nothing of what depends on place."""
+
+
+def diagnostic_motion(cell: PathCell) -> JointPath:
+    """All joints about the path's postures, at full, half and a fifth of the path's speed, one after another."""
+    fast = covering(training_path(cell.path, cell.world.t_ipo).q_d, cell.path.q_d, cell.robot)
+    # Wider is faster.
+    fastest = float(np.max(np.abs(np.diff(fast, axis=0)) / (cell.world.t_ipo * cell.robot.v_max)))
+    q_d = at_speeds(fast, tuple(slowness * max(1.0, fastest) for slowness in (1.0, 2.0, 5.0)))
+    t = cell.world.t_ipo * np.arange(float(len(q_d)))
+    counts = np.ones(len(q_d), dtype=bool)
+    return JointPath(q_d, np.zeros((len(q_d), 3)), np.asarray(t), counts, cell.path.tool)
+
+
+def covering(motion: Array, path: Array, robot: Robot) -> Array:
+    """A motion whose joints reach to both ends of a path: those that do not are widened and centred on its range.
+
+    Args:
+        motion: joint angles ``(M, n)`` [rad].
+        path: likewise ``(N, n)``, within the limits.
+        robot: whose limits hold.
+    """
+    low, high = path.min(axis=0), path.max(axis=0)
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    asked = np.minimum(_BEYOND * half, np.minimum(robot.q_max - middle, middle - robot.q_min))
+    least, most = motion.min(axis=0), motion.max(axis=0)
+    short = (most < high) | (least > low)
+    factor = np.where(short, 2.0 * asked / np.maximum(most - least, 1e-12), 1.0)
+    moved = middle + factor * (motion - 0.5 * (least + most))
+    return np.asarray(np.where(short, moved, motion))
+
+
+@dataclass(frozen=True)
+class AskedMotion:
+    """What a diagnosis asked for, and what came of it.
+
+    Attributes:
+        round: from 1.
+        plan: pairs to be told apart and the motion; None where none lies within the limits.
+        reason: why there is no motion; empty where there is one.
+        recording, diagnosis: of the motion, where it was played.
+    """
+
+    round: int
+    plan: DiagnosisPlan | None
+    reason: str = ""
+    recording: Recording | None = field(default=None, repr=False)
+    diagnosis: Diagnosis | None = field(default=None, repr=False)
+
+    def json(self) -> dict[str, Any]:
+        """For ``--json``."""
+        found = None if self.diagnosis is None else [
+            {"effect": one.fitted.name, "joint": one.fitted.joint,
+             "indistinguishable_from": list(one.indistinguishable_from)} for one in self.diagnosis.effects]
+        return {"round": self.round, **({} if self.plan is None else self.plan.to_dict()),
+                "played": self.recording is not None, "reason": self.reason or None, "found": found}
+
+    def table(self) -> list[list[Any]]:
+        """One row a pair: cause, rival, σ before and planned, whether the motion tells them."""
+        return [] if self.plan is None else [
+            [pair.cause, pair.rival or "none", pair.before.sigma, pair.planned.sigma,
+             "yes" if pair.told_apart else pair.only] for pair in self.plan.pairs]
+
+
+def asked_motion(cell: PathCell, found: Diagnosis, moved: Recording, measured: Measured, round_: int,
+                 progress: Progress = silent) -> AskedMotion | None:
+    """Plans, plays and diagnoses what a diagnosis asks for; None where it asks for nothing.
+
+    Args:
+        cell: path, arm and present model.
+        found: what the diagnosis found with that model.
+        moved: the recording it was found in.
+        measured: what the arm measures.
+        round_: from 1.
+        progress: called with the fraction done.
+    """
+    questions = open_questions(found)
+    if not questions.asks:
+        return None
+    try:
+        plan = plan_diagnosis(moved, cell.robot, questions, model=cell.model, seed=cell.seed,
+                              progress=part_of(progress, 0.0, 0.5, "planned motion"))
+    except InputError as error:
+        return AskedMotion(round_, None, str(error))
+    if not plan.useful:
+        return AskedMotion(round_, plan, "no motion within the limits tells them apart")
+    progress(0.5, "playing the planned motion")
+    t_ipo = cell.world.t_ipo
+    played = visible(cell.play(PassThrough(t_ipo), path=about(cell.path, plan.commands, t_ipo)).recording, measured)
+    again = diagnose(played, cell.robot, model=cell.model, progress=part_of(progress, 0.6, 0.4, "planned motion"))
+    return AskedMotion(round_, plan, "", played, again)

@@ -38,9 +38,8 @@ from scenes.closing.result import (
 from scenes.methods import IDEAL
 from scenes.metrics import PathErrors
 from scenes.models import model_for
-from scenes.path.candidates import Candidates
+from scenes.path.candidates import AskedMotion, Candidates, asked_motion, diagnostic_motion
 from scenes.path.cell import PathCell, set_up
-from scenes.path.diagnostic_motion import AskedMotion, asked_motion, diagnostic_motion
 from scenes.path.result import Play
 from scenes.report.page import Report
 from scenes.result import Progress, silent

@@ -21,8 +21,8 @@ import pinocchio as pin
 from PIL import Image
 
 from ideal_robot.arrays import GRAVITY, Array
+from ideal_robot.bounded_values import REPLAY_BYTES
 from ideal_robot.errors import InputError
-from ideal_robot.file_limits import REPLAY_BYTES
 from ideal_robot.robots.robot import Robot
 from ideal_robot.robots.urdf import without_meshes
 from ideal_robot.row_log import let_go

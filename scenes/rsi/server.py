@@ -35,7 +35,7 @@ from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi import RsiRobot
 from ideal_robot.signals.recording import Recording
-from scenes.model_files import shipped_model
+from scenes.arms import shipped_model
 from scenes.online.live_arm import answers_within, at_cycle
 from scenes.online.processes import undisturbed
 from scenes.path.precorrect import desired_path, robot_of

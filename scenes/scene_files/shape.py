@@ -17,9 +17,8 @@ import pydantic
 from scipy.interpolate import CubicSpline
 
 from ideal_robot.arrays import Array
-from ideal_robot.bounded_values import read_text
+from ideal_robot.bounded_values import SVG_BYTES, SVG_DEPTH, SVG_ELEMENTS, read_text
 from ideal_robot.errors import InputError
-from ideal_robot.file_limits import SVG_BYTES, SVG_DEPTH, SVG_ELEMENTS
 
 # A curve's height as a formula of ``x``, read by a small grammar of its own: nothing of it is ever run as a program.
 #

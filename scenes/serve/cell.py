@@ -15,7 +15,6 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.errors import BAD_ADDRESS, InputError
 from ideal_robot.rsi.message import Axes
-from scenes.camera_world import camera_settings
 from scenes.force.cell import Cell as ForceCell
 from scenes.force.cell import set_up as set_up_force
 from scenes.force.cell import true_tip
@@ -32,6 +31,7 @@ from scenes.scene_files.scene import Scene
 from scenes.serve.carried import CameraDevice, ServedCamera, ServedForce
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import STEP
+from sim.camera.image_chain import CameraSettings
 from sim.camera.lamp import ArmShape
 from sim.camera.live_camera import LiveCamera
 from sim.camera.surface import DrawnLine
@@ -189,7 +189,7 @@ def served_cell(scene: Scene, places: Places, unkind: Unkindness) -> Iterator[tu
             if drawn is not None:
                 device = CameraDevice(drawn, scene.camera.rate, (places.host, places.camera),
                                       DeviceClock(100.0 + unkind.offset, unkind.drift), unkind, streams[3])
-                camera = ServedCamera(device, camera_settings(scene.camera), served.pose_at, served.shape_at,
+                camera = ServedCamera(device, CameraSettings.of(scene.camera), served.pose_at, served.shape_at,
                                       streams[1])
                 stack.callback(camera.close)
                 served.camera = camera.address
@@ -211,7 +211,7 @@ def served_cell(scene: Scene, places: Places, unkind: Unkindness) -> Iterator[tu
 
 def _line_of(cell: LineCell | ForceCell, scene: LineScene | ForceScene) -> tuple[DrawnLine | None, LiveCamera | None]:
     """The drawn line of a scene and what the camera sees of it."""
-    table, settings = scene.camera, camera_settings(scene.camera)
+    table, settings = scene.camera, CameraSettings.of(scene.camera)
     if table.rolling_ms > 0.0:
         raise InputError("a served camera exposes all rows together", field="camera.rolling_ms", value=table.rolling_ms)
     if isinstance(cell, LineCell):

@@ -19,10 +19,9 @@ from ideal_robot.errors import InputError
 from ideal_robot.row_log import RowLog
 from sensing.camera.camera_device import Field, Gray, Window
 from sensing.camera.camera_model import CameraModel
-from sim.camera.image_chain import ImageChain, cut
+from sim.camera.image_chain import CameraSettings, ImageChain, cut
 from sim.camera.lamp import Lamp, covered, light, mirrored
 from sim.camera.sampling import on_plane, sample_plane, sample_rays, texel_map
-from sim.camera.settings import CameraSettings
 from sim.camera.surface import DrawnLine, Texture, paint
 
 __all__ = ["CameraSettings", "PoseAt", "RenderedCamera"]

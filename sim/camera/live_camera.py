@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from ideal_robot.arrays import Array
 from sensing.camera.camera_device import Gray, Window
 from sensing.camera.camera_model import CameraModel
-from sim.camera.image_chain import ImageChain
+from sim.camera.image_chain import CameraSettings, ImageChain
 from sim.camera.lamp import TOOL_COLOUR, Lamp, covered, light, mirrored, tool_mesh
-from sim.camera.settings import CameraSettings
 from sim.camera.surface import DrawnLine, paint
 from sim.contact.contact import HeightSurface
 

@@ -20,8 +20,8 @@ from ideal_robot.dynamics import torques
 from ideal_robot.model.model import Model
 from ideal_robot.results import plain
 from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.export import write_mcap, write_rosbag2
 from ideal_robot.signals.recording import Recording
-from ideal_robot.signals.ros_export import write_mcap, write_rosbag2
 from scenes.online.camera_process import CalibratedCamera
 from scenes.report.replay import write_replay
 from scenes.scene_file import load_scene

@@ -21,7 +21,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.rosbag2.storage_mcap import zstd
 from rosbags.typesys import Stores, get_typestore
 
-from ideal_robot import file_limits, row_log
+from ideal_robot import bounded_values, row_log
 from ideal_robot.bounded_values import checked, parsed_json
 from ideal_robot.errors import InputError
 from ideal_robot.row_log import KEPT, RowLog, file_of, let_go, new_array
@@ -34,7 +34,7 @@ MAGIC = b"\x89MCAP0\r\n"
 
 def test_the_page_shows_the_table() -> None:
     page = (ROOT / "docs" / "security.md").read_text(encoding="utf-8")
-    for limit in file_limits.ALL:
+    for limit in bounded_values.ALL:
         assert f"| {limit.most:,} | {limit.what} | {limit.why} |" in page
 
 

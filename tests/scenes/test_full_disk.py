@@ -20,8 +20,8 @@ import pytest
 from ideal_robot import row_log
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.export import write_mcap, write_rosbag2
 from ideal_robot.signals.recording import Recording
-from ideal_robot.signals.ros_export import write_mcap, write_rosbag2
 from ideal_robot.whole_file import OutputError, write_text
 from scenes.cli import ended_by
 from scenes.commands.files import export, new

@@ -31,10 +31,10 @@ from ideal_robot.rsi.message import RsiFormat
 from ideal_robot.signals.preprocess import preprocess
 from ideal_robot.signals.recording import Recording
 from scenes import cli
+from scenes.arms import model_at, shipped_model
 from scenes.close_clamped import close_loop
 from scenes.data_sets import fetch
 from scenes.detection import pictures
-from scenes.model_files import model_at, shipped_model
 from scenes.online.camera_process import calibrated_camera
 from scenes.online.cycle import CycleLog, CycleSettings, play_cycles
 from scenes.result import silent

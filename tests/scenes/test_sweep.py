@@ -19,10 +19,9 @@ import pandas as pd
 import pytest
 
 from ideal_robot.errors import InputError
-from scenes import run_set, workers
+from scenes import workers
 from scenes.commands.common import numbers, whole_numbers
-from scenes.regression.results import read_results
-from scenes.run_set import RunSet
+from scenes.regression.results import RunSet, read_results
 from scenes.sweep import Job, SweepFile, jobs, play, sweep
 from scenes.workers import LostError, work_off
 from tests.sources import ROOT
@@ -264,7 +263,7 @@ def _killed_once_job(job: Job) -> dict[str, Any]:
 # A Parquet data set that grows while the sweep runs; a cluster that loses its scheduler.
 
 def test_a_data_set_grows_can_be_queried_and_gone_on_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(run_set, "PART", 2)
+    monkeypatch.setattr("scenes.regression.results.PART", 2)
     folder, seen = tmp_path / "runs", []
     rows = sweep(WORK[:3], processes=1, function=measured, file=RunSet(folder, resume=False),
                  done=lambda count: seen.append(sum(len(pd.read_parquet(path)) for path in folder.rglob("*.parquet"))))

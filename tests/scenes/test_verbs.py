@@ -17,12 +17,12 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from ideal_robot.errors import InputError
+from ideal_robot.signals.export import write_rerun
 from ideal_robot.signals.recording import Recording
 from scenes import cli
 from scenes.commands.files import export, new
 from scenes.detection import pictures
 from scenes.kind import KINDS
-from scenes.rerun_file import write_rerun
 from scenes.scene_file import library, load_scene
 from scenes.scene_files.shape import STEP, Shape
 from scenes.schema import catalogue, commented_scene, json_schema, keys_pages, scene_keys, world_keys

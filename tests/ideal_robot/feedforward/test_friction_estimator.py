@@ -34,7 +34,7 @@ from ideal_robot.feedforward.method import Setting
 from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.signals.recording import Recording
-from scenes.model_files import model_at
+from scenes.arms import model_at
 from tests.ideal_robot.feedforward.plant import ROBOT, T, commands, motion, plant, rms
 
 P = 7

@@ -12,7 +12,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.friction import LAWS, Arctan, CubeRoot, FrictionModel, ViscousCoulomb
-from ideal_robot.friction.warm_up import fit_warm_up
+from ideal_robot.identification.friction_choice import fit_warm_up
 from ideal_robot.identification.friction_runs import FoldEquations, FrictionProjection, choose_law, fit_law, fit_ripple
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.simulation import simulate

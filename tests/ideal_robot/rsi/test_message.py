@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ideal_robot.bounded_values import RSI_BYTES
 from ideal_robot.errors import InputError
-from ideal_robot.file_limits import RSI_BYTES
 from ideal_robot.rsi import PacketError
 from ideal_robot.rsi.message import MAX_PACKET, RsiFormat, format_sen, parse_rob
 

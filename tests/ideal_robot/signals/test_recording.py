@@ -15,9 +15,9 @@ from ideal_robot.errors import InputError
 from ideal_robot.row_log import KEPT, ColumnStore, in_file
 from ideal_robot.signals import sampling as module
 from ideal_robot.signals import table_file
+from ideal_robot.signals.export import write_mcap, write_rosbag2
 from ideal_robot.signals.preprocess import uniform_time
 from ideal_robot.signals.recording import WRITTEN_ROWS, Recording
-from ideal_robot.signals.ros_export import write_mcap, write_rosbag2
 from ideal_robot.signals.sampling import shortened, stretches
 
 

@@ -14,7 +14,6 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
-from scenes.camera_world import camera_settings
 from scenes.force.cell import Cell as ForceCell
 from scenes.line.cell import Cell, set_up
 from scenes.methods import following_methods, method_of
@@ -34,6 +33,7 @@ from sensing.camera.camera_model import CameraModel
 from sensing.camera.cameras import Frame
 from sensing.clock_relation import ClockRelation
 from sim.arm.arm import SimulatedArm
+from sim.camera.image_chain import CameraSettings
 
 BEGIN = 2.0
 """When faults of a camera begin, unless they are there from the beginning [s]."""
@@ -90,7 +90,7 @@ class Eye:
     def __init__(self, cell: Cell | ForceCell, stamp: Stamp | None = None, picture: Picture | None = None) -> None:
         scene = cell.known.scene
         self._stamp, self._picture, self.ended = stamp, picture, None
-        self.settings = camera_settings(scene.camera)
+        self.settings = CameraSettings.of(scene.camera)
         self._drawn = _line_of(cell, scene)[1]
         self.worker = _Worker(cell.known.camera, scene.camera.detector, self)  # type: ignore[arg-type]
         self.clock, self.messages = ClockRelation(self.settings.latency), deque[Any]()

@@ -16,7 +16,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from planning import PlanningError
-from scenes.model_files import shipped_model
+from scenes.arms import shipped_model
 from scenes.online.cycle import CycleSettings, play_cycles
 from scenes.online.devices import Devices
 from scenes.online.force_job import ForceJob

@@ -18,10 +18,9 @@ from scenes.close_clamped import CloseClampedScene, stiffness_of
 from scenes.close_clamped import close_loop as close_clamped
 from scenes.closing.loop import Form, Group
 from scenes.closing.result import tool_deviation, visible
-from scenes.path.candidates import Candidates
+from scenes.path.candidates import Candidates, covering, diagnostic_motion
 from scenes.path.cell import PathCell, training_path
 from scenes.path.close_loop import _Path, close_loop, doubt_of_load, left_unexplained
-from scenes.path.diagnostic_motion import covering, diagnostic_motion
 from scenes.scene_files.path_scene import PathScene
 from scenes.undeclared import undeclared_effects
 from sim.arm.world import World
