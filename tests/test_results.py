@@ -35,7 +35,7 @@ from scenes.line.compare import Fastest
 from scenes.result import ShownRun, ShownTable
 from scenes.scene_file import library
 from scenes.scene_file import load_scene as load_scene_round_trips
-from tests.ideal_robot.feedforward.plant import ROBOT, T, motion
+from tests.arms import ROBOT, T, motion
 from tests.sources import ROOT
 
 TABLE = ir.Robot.load(ROOT / "examples" / "own_robot.urdf")

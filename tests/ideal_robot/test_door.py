@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 import ideal_robot as ir
-from tests.ideal_robot.feedforward.plant import ROBOT, T, motion
+from tests.arms import ROBOT, T, motion
 from tests.sources import MODELS
 
 KR15 = ir.Model.load(MODELS / "kr15.json")

@@ -12,7 +12,7 @@ from studies.strangers import drive
 from studies.strangers.arm import STEP
 from studies.strangers.engines import ENGINES
 from studies.strangers.plant import BRISTLE, CONSTRAINT, DAHL, TANH, BalanceSpring, Coupling, Plant, Run
-from tests.studies.plants import a_motion, a_plant, an_arm
+from tests.arms import a_motion, a_plant, an_arm
 
 
 def inverse_dynamics(plant: Plant, run: Run) -> np.ndarray:

@@ -18,8 +18,8 @@ from studies.strangers.logger import draw_logger, left, read, record, sizes
 from studies.strangers.other_effects import NEW
 from studies.strangers.score import Score, leaving_out, power, rates, score
 from studies.strangers.trial import KINDS, SHARES, Cause, Trial, draw_trial, right_names
+from tests.arms import a_motion, a_plant, an_arm
 from tests.sources import ROOT
-from tests.studies.plants import a_motion, a_plant, an_arm
 
 
 @pytest.mark.parametrize("engine", sorted(ENGINES))

@@ -25,8 +25,8 @@ from studies.strangers.integrator import simulate
 from studies.strangers.logger import draw_logger, record
 from studies.strangers.score import score
 from studies.strangers.trial import draw_trial
+from tests.arms import a_motion, a_plant, an_arm
 from tests.sources import DATA
-from tests.studies.plants import a_motion, a_plant, an_arm
 
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="measured data (../shared/data) are not beside the checkout")
 

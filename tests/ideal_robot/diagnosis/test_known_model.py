@@ -30,9 +30,9 @@ from studies.strangers.arm import STEP, arm_of, draw_motion
 from studies.strangers.engines import ENGINES
 from studies.strangers.logger import draw_logger, record
 from studies.strangers.plant import BRISTLE, TANH
+from tests.arms import a_plant, an_arm
 from tests.ideal_robot.diagnosis.test_adoption import STICKS, recorded, with_coulomb
 from tests.ideal_robot.diagnosis.test_diagnose import arm
-from tests.studies.plants import a_plant, an_arm
 
 # What tests of causes beside a known model draw alike: a motion of all joints, and a body of no extent.
 

@@ -17,7 +17,7 @@ from ideal_robot.feedforward.training import training_motion
 from ideal_robot.friction import PerJointFriction
 from ideal_robot.model.model import Model
 from ideal_robot.signals.recording import Recording
-from tests.ideal_robot.feedforward.plant import ROBOT, motion
+from tests.arms import ROBOT, motion
 
 DT = 0.002
 MODELS = Path(__file__).parents[3] / "scenes" / "models"

@@ -12,7 +12,7 @@ from ideal_robot.feedforward.friction_estimator import FAR, OWN, SHARED, TERMS
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.robots.interface import RobotState
-from tests.ideal_robot.feedforward.plant import ROBOT, T, commands, motion, plant, rms
+from tests.arms import ROBOT, T, commands, motion, plant, rms
 
 
 def states(loop, q_d, repeat=3, rng=None):

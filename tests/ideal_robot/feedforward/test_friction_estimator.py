@@ -35,7 +35,7 @@ from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.signals.recording import Recording
 from scenes.arms import model_at
-from tests.ideal_robot.feedforward.plant import ROBOT, T, commands, motion, plant, rms
+from tests.arms import ROBOT, T, commands, motion, plant, rms
 
 P = 7
 

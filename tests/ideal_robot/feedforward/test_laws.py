@@ -26,7 +26,7 @@ from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.robots.robot import Robot
-from tests.ideal_robot.feedforward.plant import ROBOT, T, commands, motion, plant
+from tests.arms import ROBOT, T, commands, motion, plant
 from tests.sources import MODELS
 
 LIMITS = ROBOT.q_min, ROBOT.q_max

@@ -19,7 +19,7 @@ from ideal_robot.loop.from_model import cascade_gains, loop_model
 from ideal_robot.loop.impulse_response import InformationFilter, LinearLoop
 from ideal_robot.loop.simulation import interpolated, low_passed, simulate
 from ideal_robot.model.model import Model
-from tests.ideal_robot.feedforward.plant import ROBOT, T, commands, motion, plant, rms
+from tests.arms import ROBOT, T, commands, motion, plant, rms
 from tests.ideal_robot.feedforward.test_laws import nominal_model
 
 

@@ -19,7 +19,7 @@ from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from tests.ideal_robot.feedforward.plant import commands, motion, plant, rms
+from tests.arms import commands, motion, plant, rms
 from tests.ideal_robot.feedforward.test_laws import nominal_model
 
 RNG = np.random.default_rng(3)

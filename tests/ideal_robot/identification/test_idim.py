@@ -17,7 +17,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import Parameter
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from tests.ideal_robot.identification.arm import base, motion, record, robot, truth, wrong_by_half
+from tests.ideal_robot.identification.test_excitation import base, motion, record, robot, truth, wrong_by_half
 from tests.sources import DATA
 
 EMPS = DATA / "emps" / "emps_estimation.parquet"

@@ -19,7 +19,7 @@ from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.arm_with_effects import chain_with, changes_of
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot, spread_postures
-from tests.ideal_robot.feedforward.plant import ROBOT, T, motion, plant, rms
+from tests.arms import ROBOT, T, motion, plant, rms
 
 
 @pytest.mark.parametrize("name", ["kr6", "kr15", "manutec_r15"])

@@ -1,4 +1,4 @@
-"""What is wanted of a contact: the stiffer it is, the gentler the travel begins."""
+"""Contact: what is wanted of it and felt of it, reasons to stop, following a contour, motors as a witness."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.elasticity.observer import ArmObserver
 from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
+from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from planning.force.contact import (
     BEGUN,
@@ -31,10 +32,14 @@ from planning.force.contact import (
     dry_run,
     most_force,
 )
+from planning.force.contour import ContourFollower, ContourSettings
+from planning.force.felt_by_motors import BEHIND, BeyondSensor, FeltByMotors
 from planning.force.surface_forecast import FeltArm
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
+from scenes.force.cell import set_up
 from scenes.models import shipped_model
+from scenes.scene_file import load_scene
 from tests.planning.cell import T, kr6
 
 
@@ -218,3 +223,140 @@ def test_drift_of_the_bias_shows_in_the_air_and_a_touch_does_not() -> None:
     for at, one in zip(t, drift + touching, strict=True):
         tare.add(np.array([at]), one[None])
     np.testing.assert_allclose(tare.force, drift, atol=1e-12)
+
+
+# A contour followed without a reference path, by an arm that goes where it is told.
+
+TURNED = np.radians(15.0)
+"""Of the wall against the direction that it is looked for in."""
+
+
+def test_the_felt_path_tells_the_normal_whatever_friction_pulls_at_the_tip() -> None:
+    """Friction of 0.4 turns the force by 22°; by the force alone the normal would be as far off."""
+    robot = Robot.load("kr6")
+    data = robot.pinocchio.createData()
+    pin.framesForwardKinematics(robot.pinocchio, data, robot.home)
+    start = data.oMf[robot.tool_id].copy()
+    towards, up = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    settings = ContourSettings(friction=0.0, length=0.1)
+    follower = ContourFollower(robot, start, towards, up, 1, robot.home, 20, settings)
+    out = np.array([-np.cos(TURNED), np.sin(TURNED)])
+    along = np.array([out[1], -out[0]])
+    axes, fk, late, pressed = np.stack([towards, np.cross(up, towards)]), robot.fk(), None, []
+    for k in range(1, 400):
+        t = k * robot.t_ipo
+        if late is not None:
+            follower.update_force(np.array([late[0]]), late[1][None])
+        q = follower.horizon(t)[0]
+        follower.observe(t, q)
+        tip = fk(q)
+        here = axes @ (tip.translation - start.translation)
+        depth = -(here - [0.005, 0.0]) @ out
+        push = settings.elasticity * max(float(depth), 0.0)
+        force = push * out - (0.4 * push * along if follower.moving else 0.0)
+        late = (t, tip.rotation.T @ (axes.T @ force))
+        if follower.travelled > 0.075:
+            pressed.append((push, follower._normal @ out))
+        if follower.travelled >= settings.length - 1e-5:
+            break
+    force, aligned = np.array(pressed).T
+    assert np.degrees(np.arccos(aligned.min())) < 2.0
+    assert np.abs(force - settings.force).max() < 2.0
+
+
+# The motors as a witness along a path.
+
+CYCLE, UP = 0.004, np.eye(3)[2]
+
+
+def heard(way: Array, unfelt: float, currents: bool = True, speed: float = 0.2) -> float:
+    """What is heard of a force that the sensor does not tell [N], the joints swinging so far ``(n,)`` [rad]."""
+    known = set_up(load_scene("force_wave")).known
+    robot, model, rng = known.robot, known.model, np.random.default_rng(1)
+    motors, kinematics = BeyondSensor(model, CYCLE), InverseKinematics(robot)
+    t = CYCLE * np.arange(800)[:, None]
+    q, v, a = (robot.home + way * np.sin(3 * t), 3 * way * np.cos(3 * t), -9 * way * np.sin(3 * t))
+    for k in range(len(t)):
+        torque = kinematics.torque(q[k], UP)
+        tau = model.inverse_dynamics(q[k], v[k], a[k])[0] - torque * (20.0 + unfelt)
+        tau = tau + model.noise_std * rng.standard_normal(robot.n)
+        motors.hear(RobotState(CYCLE * k, q[k], tau if currents else np.full(robot.n, np.nan)), torque, 20.0, speed)
+        motors.weigh()
+    return motors.excess
+
+
+@pytest.mark.parametrize("unfelt", [0.0, 10.0, -6.0])
+def test_a_force_that_the_sensor_does_not_tell_is_found(unfelt: float) -> None:
+    assert heard(np.full(6, 0.1), unfelt) == pytest.approx(unfelt, abs=1.0)
+
+
+def test_joints_at_rest_a_tip_at_rest_and_controllers_without_currents_say_nothing() -> None:
+    assert abs(heard(np.zeros(6), 10.0)) < 1.0
+    assert heard(np.full(6, 0.1), 10.0, speed=0.0) == 0.0
+    assert heard(np.full(6, 0.1), 10.0, currents=False) == 0.0
+
+
+def test_motions_before_and_after_lost_cycles_are_no_acceleration() -> None:
+    """A follower that was not let run for 50 ms took what the arm had moved meanwhile for one cycle's: 79 N."""
+    known = set_up(load_scene("force_wave")).known
+    robot, model = known.robot, known.model
+    motors, torque = BeyondSensor(model, CYCLE), InverseKinematics(robot).torque(robot.home, UP)
+    rate, lost, t = np.array([0.2, 0.05, -0.1, 0.02, 0.3, 0.1]), 5, 0.0
+    for k in range(400):
+        gap = k % 50 == 49
+        t += CYCLE * (lost if gap else 1)
+        tau = model.inverse_dynamics(robot.home + rate * t, rate, 0.0 * rate)[0] - 20.0 * torque
+        state = RobotState(CYCLE * k, robot.home + rate * t, np.full(robot.n, np.nan) if gap else tau)
+        motors.hear(state, torque, 20.0, 0.2)
+        motors.weigh()
+    assert abs(motors.excess) < 0.5
+
+
+@pytest.mark.parametrize(("cycle", "needed"), [(0.012, 3), (0.004, 7)])
+@pytest.mark.parametrize(("sense", "speed"), [(1.0, 0.3), (-1.0, -0.1)])
+def test_the_first_word_of_the_motors_is_what_a_random_walk_lets_expect(cycle: float, needed: int, sense: float,
+                                                                       speed: float) -> None:
+    """Joints that slide on: the weights of the joints, the prior, and the instant whose motion counts."""
+    known = set_up(load_scene("force_wave")).known
+    robot, model = known.robot, known.model
+    motors, torque = BeyondSensor(model, cycle), InverseKinematics(robot).torque(robot.home, UP)
+    rate, rest = sense * np.array([0.2, 0.05, -0.1, 0.02, 0.3, 0.1]), np.array([90.0, -120.0, 60.0, 3.0, -6.0, 3.0])
+    q = robot.home + rate * cycle * np.arange(needed)[:, None]
+    distance = np.array([float(law.shape[-1, 0]) for law in model.friction.laws])
+    for k in range(needed):
+        assert motors.excess == 0.0
+        turned = 1.0 - np.exp(-k * np.abs(rate) * cycle / distance)
+        tau = model.inverse_dynamics(q[k], rate, 0.0 * rate, direction=(np.sign(rate) * turned)[None])[0]
+        motors.hear(RobotState(cycle * k, q[k], tau - 20.0 * torque + rest), torque, 20.0, speed)
+        motors.weigh()
+    middle = needed // 2
+    left = np.exp(-middle * np.abs(rate) * cycle / distance)
+    friction = model.friction.torque(np.abs(rate)[None], None, None, np.ones((1, 6)))[0]
+    waited = needed * cycle
+    weight = waited / (2.0 * (model.noise_std + left * friction) ** 2 * (0.3 + 0.02 / np.abs(rate)))
+    prior = 55.0**2 * abs(speed) * waited
+    expected = -prior * torque @ (weight * rest) / (1.0 + prior * torque @ (weight * torque))
+    assert motors.excess == pytest.approx(expected, rel=1e-6)
+    assert abs(expected) > 0.1
+
+
+@pytest.mark.parametrize("force", [0.0, 15.0, -8.0])
+@pytest.mark.parametrize("offset", [0.0, 2.0])
+def test_a_force_since_the_air_is_found_whatever_friction_the_model_has_wrong(force: float, offset: float) -> None:
+    """A straight slow motion: in the air first, then touching; the torque that no model knows stays the same."""
+    known = set_up(load_scene("force_wave")).known
+    robot, model, rng = known.robot, known.model, np.random.default_rng(2)
+    kinematics = InverseKinematics(robot)
+    felt = FeltByMotors(model, robot, kinematics, UP, settle=0.4)
+    T, late = robot.t_ipo, round(BEHIND / robot.t_ipo)
+    way = 0.1 * np.array([0.02, 0.05, -0.04, 0.03, 0.06, -0.02])
+    t = T * np.arange(round(2.0 / T))[:, None]
+    q, v, a = robot.home + way * t * t, 2.0 * way * t, np.tile(2.0 * way, (len(t), 1))
+    for k in range(late, len(t)):
+        tau = model.inverse_dynamics(q[k - late], v[k - late], a[k - late])[0] + offset
+        if t[k, 0] > 1.2:
+            tau = tau - force * kinematics.torque(q[k - late], UP)
+        felt.add(q[k], q[k - late], tau + 0.1 * model.noise_std * rng.standard_normal(robot.n))
+        # Known once the air was averaged: 0.4 s after friction has settled.
+        assert np.isnan(felt.force) == (k - late < round(0.4 / T) + round(0.4 / T) - 2)
+    assert felt.force == pytest.approx(force, abs=0.7)

@@ -33,7 +33,7 @@ from scenes.scene_files.clamped_scene import ClampedScene
 from scenes.scene_files.scene import chosen
 from scenes.scene_files.tool_path import Arc, Line, Shape, duration, shape_of, tool_path, travel
 from sim.contact.clamp_world import ClampWorld
-from tests.ideal_robot.feedforward.plant import ROBOT, T, motion
+from tests.arms import ROBOT, T, motion
 from tests.sources import MODELS
 
 
