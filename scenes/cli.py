@@ -47,7 +47,7 @@ THEMES = {
         "plan-identification": "motions:plan_identification",
         "plan-diagnosis": "motions:plan_diagnosis",
         "stiffness": "recordings:stiffness",
-        "twin": "twins:twin",
+        "twin": "files:twin",
     },
     "Devices": {
         "detect": "devices:detect",

@@ -24,15 +24,14 @@ from ideal_robot.identification.joint_fit import stiffness_from_arm
 from ideal_robot.model.model import Model
 from ideal_robot.progress import Steps
 from ideal_robot.signals.recording import Recording
-from scenes.clamped.play import configurations, record
+from scenes.clamped import configurations, record
 from scenes.closing.loop import Form, Found, Group, Subject, close
 from scenes.closing.result import SHARES, Closing
 from scenes.kind import SceneKind
 from scenes.methods import IDEAL
-from scenes.path.cell import PathCell, set_up, training_path
+from scenes.path.cell import PathCell, Play, set_up, training_path
 from scenes.path.close_loop import WORDS, played
 from scenes.path.kind import PATH
-from scenes.path.result import Play
 from scenes.report.page import Report
 from scenes.result import Progress, silent
 from scenes.scene_files.clamped_scene import ClampedScene, ClampTable

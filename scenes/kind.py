@@ -93,7 +93,7 @@ KINDS: Registry[SceneKind] = Registry("kind of scene", "ideal_robot.scene_kinds"
     "line": "scenes.line.kind:LINE",
     "path": "scenes.path.kind:PATH",
     "force": "scenes.force.kind:FORCE",
-    "clamped": "scenes.clamped.kind:CLAMPED",
+    "clamped": "scenes.clamped:CLAMPED",
     "close_clamped": "scenes.close_clamped:CLOSE_CLAMPED",
 })
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from scenes.closing.result import Closing
     from scenes.force.play import ForceResult
     from scenes.line.result import LineResult
-    from scenes.path.result import PathResult
+    from scenes.path.cell import PathResult
     from scenes.scene_files.force_scene import ForceScene
     from scenes.scene_files.line_scene import LineScene
     from scenes.scene_files.path_scene import PathScene

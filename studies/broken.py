@@ -212,7 +212,6 @@ def _sweep_verb(folder: Path) -> Verb:
 VERBS = {"identify": _identify_verb, "run": _run_verb, "sweep": _sweep_verb}
 
 
-
 def kill(verb: str = "identify", count: int = 50, signal_name: str = "KILL", seed: int = 0) -> None:
     """`kill -9`, SIGTERM and Ctrl-C at random moments of `identify`, `run` or `sweep` (--verb).
 

@@ -13,8 +13,18 @@ from scipy.special import chdtri
 
 from ideal_robot.arrays import Array
 from planning.line.deviation_model import DeviationModel, Stand
-from planning.line.equation import Equation, Innovation, extended, mean_and_variance, rows_along, widened, within
-from planning.line.measurement import Fused, Measurement, check
+from planning.line.measurement import (
+    Equation,
+    Fused,
+    Innovation,
+    Measurement,
+    check,
+    extended,
+    mean_and_variance,
+    rows_along,
+    widened,
+    within,
+)
 
 DOUBT = 1e-2
 """Probability with which a measurement that has nothing wrong makes one think of a moved sensor."""

@@ -251,7 +251,7 @@ def stiffness(
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.recording import Recording
     from ideal_robot.whole_file import whole_files
-    from scenes.clamped.page import stiffness_page
+    from scenes.clamped import stiffness_page
     from scenes.outputs import check_outputs
 
     check_outputs({"--out": out}, json=json)

@@ -1,14 +1,20 @@
-"""What a path scene needs before anything moves, and the feedforward of each method for its path."""
+"""A path scene from its begin to its result: the cell, the feedforward of each method, one play, what came of it."""
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pinocchio as pin
+from scipy.spatial.transform import Rotation
 
 from ideal_robot.arrays import Array
+from ideal_robot.execution.play import play as play_path
 from ideal_robot.feedforward.base import Feedforward
-from ideal_robot.feedforward.learning import Learned
+from ideal_robot.feedforward.learning import AXES, Learned, joint_errors, pose_errors
 from ideal_robot.feedforward.method import Practice, Rehearsed, Setting
 from ideal_robot.feedforward.registry import methods
 from ideal_robot.feedforward.training import REST_AFTER, REST_BEFORE, training_motion
@@ -16,13 +22,171 @@ from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
 from scenes.arms import arm_of
 from scenes.methods import SceneMethod
+from scenes.metrics import PathErrors, path_errors
 from scenes.models import model_for
-from scenes.path.result import Play, measured_errors, play
-from scenes.result import Progress, silent
+from scenes.result import Progress, ShownRun, silent
 from scenes.scene_files.path_scene import JointPath, PathScene, joint_path
+from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
+
+TWO_DOF = ("y", "z")
+"""What the external sensor of ``learn_from = "two_dof"`` measures, in the base frame."""
+
+
+@dataclass(frozen=True)
+class Play:
+    """One play of a path.
+
+    Attributes:
+        errors: of the true TCP while the path counts.
+        motor_errors: of the TCP the motor angles tell of, elastic gears unseen: what [G] could measure.
+        t, tcp: the true TCP positions ``(M,)`` [s], ``(M, 3)`` [m].
+        q_c: commands handed over ``(N, n)`` [rad].
+        q_a, q_m: true arm and motor angles at the cycles ``(N, n)`` [rad].
+        recording: what the controller logged, with the external device's columns.
+        cycle_times: of the feedforward ``(N,)`` [s].
+        wall: elapsed time of the play [s].
+        state: the feedforward's last state.
+    """
+
+    errors: PathErrors
+    motor_errors: PathErrors
+    t: Array
+    tcp: Array
+    q_c: Array
+    q_a: Array
+    q_m: Array
+    recording: Recording
+    cycle_times: Array
+    wall: float
+    state: object
+
+
+def play(robot: Robot, world: World, path: JointPath, feedforward: Feedforward, rng: np.random.Generator
+         ) -> Play:
+    """Plays ``path`` once, from rest at its start.
+
+    Args:
+        robot: the arm as its data sheet has it.
+        world: the arm as it is.
+        path: what is played.
+        feedforward: what corrects it.
+        rng: of the arm's noise.
+    """
+    q_d = path.q_d
+    with SimulatedArm(robot, world, rng, q_d[0]) as arm:
+        begun = time.perf_counter()
+        # The simulated controller keeps the limits itself.
+        played = play_path(arm, feedforward, q_d)
+        wall = time.perf_counter() - begun
+        if played.error is not None:
+            raise played.error
+        history = arm.history()
+        recording = arm.recording(external=True)
+        tcp, of_motors = (np.array([arm.tcp_of(q).translation for q in history[name]]) for name in ("q_a", "q_m"))
+    every = round(world.t_ipo / (history["t"][1] - history["t"][0]))
+    wanted = np.repeat(q_d, every, axis=0)[: len(recording.t)]
+    columns = {**recording.columns, **{f"q_d_{i + 1}": wanted[:, i].copy() for i in range(robot.n)}}
+    wanted_t, wanted_x = path.t[path.counts], path.x_d[path.counts]
+    return Play(
+        errors=path_errors(wanted_t, wanted_x, history["t"], tcp),
+        motor_errors=path_errors(wanted_t, wanted_x, history["t"], of_motors),
+        t=history["t"], tcp=tcp, q_c=played.q_c, q_a=history["q_a"][::every], q_m=history["q_m"][::every],
+        recording=Recording(columns, recording.meta, recording.source), cycle_times=played.compute_times, wall=wall,
+        state=played.state)
+
+
+def measured_errors(robot: Robot, path: JointPath, recording: Recording, source: str) -> Array:
+    """Joint errors ``q_d - q (N, n)`` [rad] that learning gets, from what a controller or an external device logged.
+
+    Args:
+        robot: kinematics.
+        path: what was wanted.
+        recording: of a play, from its start on, at a whole fraction of the interpolation cycle.
+        source: ``motor``, ``arm``, ``tcp`` or ``two_dof``.
+    """
+    every = round((path.t[1] - path.t[0]) / float(np.median(np.diff(recording.t))))
+    rows = slice(0, len(path.t) * every, every)
+    if source in ("motor", "arm"):
+        return np.asarray(path.q_d - recording.joints("q" if source == "motor" else "qa")[rows])
+    position = np.column_stack([recording.columns[name][rows] for name in "xyz"])
+    turned = Rotation.from_quat(np.column_stack([recording.columns[name][rows] for name in ("qx", "qy", "qz", "qw")]))
+    fk = robot.fk()
+    desired = [fk(q) for q in path.q_d]
+    error = pose_errors(desired, [pin.SE3(R, x) for R, x in zip(turned.as_matrix(), position, strict=True)])
+    axes = AXES if source == "tcp" else TWO_DOF
+    # What two degrees of freedom cannot tell: controllers lag alike, by tens of milliseconds; what is left is small.
+    speed = np.gradient(path.q_d, path.t, axis=0)
+    return joint_errors(robot, path.q_d, error[:, [AXES.index(axis) for axis in axes]], axes=axes,
+                        prior=3e-4 + 5e-4 * np.abs(speed), common=0.02 * speed)
+
+
+@dataclass(frozen=True, repr=False)
+class PathResult(ShownRun):
+    """One path played with one method.
+
+    Attributes:
+        scene, method: what was played.
+        path: the path in joint space.
+        played: errors, motion, commands and timing.
+        urdf: file of the arm.
+        world: the world's settings.
+        recording_path, report: files written, if any.
+    """
+
+    scene: PathScene
+    method: str
+    path: JointPath = field(repr=False)
+    played: Play = field(repr=False)
+    urdf: Path
+    world: dict[str, Any] = field(repr=False, default_factory=dict)
+    failure: str | None = None
+    recording_path: Path | None = None
+    report: Path | None = None
+
+    @property
+    def errors(self) -> PathErrors:
+        """Errors of the true TCP, three ways."""
+        return self.played.errors
+
+    @property
+    def recording(self) -> Recording:
+        """What the controller logged, with desired and externally measured angles."""
+        return self.played.recording
+
+    def json(self) -> dict[str, Any]:
+        """The content of ``--json``."""
+        times = 1e3 * self.played.cycle_times
+        return {
+            **self.scene.played(),
+            "speed_m_s": self.scene.speed,
+            "method": self.method,
+            "failure": self.failure,
+            "path_error_mm": self.errors.json_mm(),
+            "motor_path_error_mm": self.played.motor_errors.json_mm(),
+            "recording": self.recording_path,
+            "recording_hash": self.recording.hash,
+            "urdf": self.urdf,
+            "report": self.report,
+            "real_time_factor": float(self.path.t[-1] / self.played.wall),
+            "cycle_time_ms": {"median": float(np.median(times)), "p99": float(np.quantile(times, 0.99)),
+                              "max": float(np.max(times))},
+        }
+
+    def summary(self) -> list[tuple[str, str]]:
+        """The few figures a person wants first."""
+        rows = [("method", self.method), ("speed", f"{self.scene.speed:g} m/s")]
+        for name, error in (("time-matched", self.errors.time_matched), ("aligned", self.errors.aligned),
+                            ("geometric", self.errors.geometric)):
+            rows.append((f"E_car {name}", f"{1e3 * error.E_car:.3f} mm"))
+            rows.append((f"E_max {name}", f"{1e3 * error.E_max:.3f} mm"))
+        return [*rows, ("delay", f"{1e3 * self.errors.delay:.2f} ms")]
+
+
+# What the scene needs before anything moves, and the feedforward of each method for its path.
 
 HORIZON = 0.36
 """How far ahead the ideal robot is given desired positions [s]."""

@@ -39,8 +39,7 @@ from scenes.methods import IDEAL
 from scenes.metrics import PathErrors
 from scenes.models import model_for
 from scenes.path.candidates import AskedMotion, Candidates, asked_motion, diagnostic_motion
-from scenes.path.cell import PathCell, set_up
-from scenes.path.result import Play
+from scenes.path.cell import PathCell, Play, set_up
 from scenes.report.page import Report
 from scenes.result import Progress, silent
 from scenes.scene_files.path_scene import PathScene

@@ -10,8 +10,7 @@ from typing import Any
 from ideal_robot.feedforward.method import ITERATIONS
 from scenes.methods import NONE, SceneMethod
 from scenes.metrics import reduction_percent
-from scenes.path.cell import DELAY, PathCell, set_up
-from scenes.path.result import PathResult
+from scenes.path.cell import DELAY, PathCell, PathResult, set_up
 from scenes.result import Progress, ShownTable, part_of, silent
 from scenes.scene_files.path_scene import PathScene
 

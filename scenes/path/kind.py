@@ -9,10 +9,9 @@ from typing import Any
 from ideal_robot.progress import Steps
 from scenes.kind import SceneKind
 from scenes.methods import compared, method_of
-from scenes.path.cell import DELAY, path_methods, set_up
+from scenes.path.cell import DELAY, PathResult, path_methods, set_up
 from scenes.path.compare import PathComparison, compare_paths, play_method
 from scenes.path.page import comparison_page, path_replay, run_page
-from scenes.path.result import PathResult
 from scenes.report.page import write_comparison_files, write_run_files
 from scenes.result import Progress, silent
 from scenes.scene_files.path_scene import PathScene

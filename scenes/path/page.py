@@ -10,9 +10,8 @@ from matplotlib.figure import Figure
 
 from ideal_robot.arrays import Array
 from scenes.arms import arm_of
-from scenes.path.cell import DELAY, path_methods
+from scenes.path.cell import DELAY, PathResult, path_methods
 from scenes.path.compare import PathComparison
-from scenes.path.result import PathResult
 from scenes.report.page import COLUMNS, Report, world_rows
 from scenes.report.replay import Replay
 from scenes.scene_files.scene import box_edges

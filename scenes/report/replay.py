@@ -302,8 +302,6 @@ def _floats(values: Array) -> Array:
     return values
 
 
-
-
 def sensed_line(arm: Robot, recording: Recording) -> Array:
     """The middle line point of every camera field ``(K, 3)`` [m]; none where no camera measured.
 

@@ -1,7 +1,9 @@
-"""Arms of other makers in a line scene: placed in their reach, refused in words, played."""
+"""Arms of other makers and boxes in the cell: what is placed in reach, refused in words, kept off, played."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -9,15 +11,24 @@ import pinocchio as pin
 import pytest
 
 from ideal_robot.errors import InputError
-from ideal_robot.robots.collisions import Shapes
-from ideal_robot.robots.robot import spread_postures
+from ideal_robot.identification.excitation import Workspace
+from ideal_robot.robots.collisions import Obstacle, Shapes
+from ideal_robot.robots.robot import Robot, spread_postures
+from planning.path.kinematics import InverseKinematics
 from scenes.arms import arm_of
+from scenes.force.cell import set_up as set_up_force
+from scenes.identification.plan import plan
+from scenes.line.cell import set_up
 from scenes.line.result import far_from_line, little_gained
-from scenes.models import model_for
-from scenes.placing import check_way, fits, place_line, resized, scene_text
+from scenes.models import cache_name, model_for
+from scenes.online.force_calibration import LEAST, TURNS, postures_to_weigh
+from scenes.online.line_known import calibration_postures
+from scenes.placing import check_way, fits, place_line, resized, scene_text, shapes_about, shapes_in
 from scenes.scene_file import library, load_scene
+from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
-from scenes.scene_files.scene import Scene
+from scenes.scene_files.path_scene import PathScene, joint_path
+from scenes.scene_files.scene import Scene, SceneError, boxes_of
 from sim.arm.generic import FOLLOWED, MARGIN, STEP, fastest, generic_world, growth
 from sim.arm.world import World
 from tests.arms import GRIPPER, urdf, written
@@ -143,3 +154,142 @@ def test_a_bare_arm_follows_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert result.failure is None
     assert result.control_error.mean < 0.15e-3
     assert len(result.json()["assumed"]) == 3
+
+
+# Boxes in the cell: no planned motion leads the arm into one, and the report draws them.
+
+BESIDE = {"middle": [0.0, -1.5, 0.5], "size": [0.4, 0.4, 1.0]}
+ABOVE_THE_LINE = {"middle": [1.0, 0.2, 0.75], "size": [0.2, 0.2, 0.2], "heading_deg": 30.0}
+"""Where the KR 6's wrist passes in the second half of the scene `line`."""
+
+
+def line(**box: object) -> LineScene:
+    scene = load_scene("line").changed(box=[box])
+    assert isinstance(scene, LineScene)
+    return scene
+
+
+def test_a_line_whose_wrist_would_hit_a_box_is_refused_and_one_beside_it_is_not() -> None:
+    set_up(line(**BESIDE))
+    with pytest.raises(InputError, match=r"touches box 1 .* m from the path's begin"):
+        set_up(line(**ABOVE_THE_LINE))
+
+
+def test_poses_of_the_calibration_keep_off_a_box_also_on_their_way() -> None:
+    cell = set_up(line(**BESIDE)).known
+    free = calibration_postures(cell.robot, cell.reference, cell.camera, 0.7)
+    data = cell.robot.pinocchio.createData()
+    wrists = np.array([pin.forwardKinematics(cell.robot.pinocchio, data, q) or data.oMi[4].translation.copy()
+                       for q in free])
+    outermost = wrists[np.argmax(wrists[:, 1])]
+    standing = Obstacle("box 1", pin.SE3(np.eye(3), outermost + np.array([0.0, 0.2, 0.0])), (0.3, 0.3, 0.3))
+    shapes = Shapes(cell.robot, boxes=[standing])
+    kept = calibration_postures(cell.robot, cell.reference, cell.camera, 0.7, shapes=shapes)
+    assert len(free) // 2 <= len(kept) < len(free)
+    assert shapes.first_touch(np.array(kept)) is None
+    assert all(shapes.touch_between(one, other) is None for one, other in pairwise(kept))
+
+
+def test_paths_and_forces_are_checked_as_lines_are() -> None:
+    path = load_scene("iso9283_1")
+    assert isinstance(path, PathScene)
+    robot = arm_of(path.robot)
+    way = joint_path(path, robot, robot.t_ipo)
+    middle = way.x_d[len(way.x_d) // 2].tolist()
+    with pytest.raises(InputError, match=r"touches box 2 .* s from the path's begin"):
+        joint_path(path.changed(box=[BESIDE, {"middle": middle, "size": [0.1, 0.1, 0.1]}]), robot, robot.t_ipo)
+    force = load_scene("force_wave")
+    assert isinstance(force, ForceScene)
+    set_up_force(force.changed(box=[BESIDE]))
+    x, y, z = force.surface.origin
+    with pytest.raises(InputError, match="touches box 1"):
+        set_up_force(force.changed(box=[{"middle": [x, y + 0.3, z + 0.4], "size": [0.3, 0.3, 0.3]}]))
+
+
+@pytest.mark.parametrize("name", ["line", "cluttered", "corner", "gap", "svg"])
+def test_no_pose_of_a_shipped_calibration_is_given_up(name: str) -> None:
+    scene = load_scene(name)
+    assert isinstance(scene, LineScene)
+    known = set_up(scene).known
+    free, kept = (calibration_postures(known.robot, known.reference, known.camera, 0.7, shapes=shapes)
+                  for shapes in (None, shapes_about(scene, known.robot)))
+    np.testing.assert_array_equal(free, kept)
+
+
+def test_the_base_may_stand_in_a_box_and_its_edges_are_where_it_is() -> None:
+    robot = Robot.load("kr6")
+    pedestal = Obstacle("box 1", pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.1])), (0.8, 0.8, 0.21))
+    assert Shapes(robot, boxes=[pedestal]).first_touch(robot.home[None]) is None
+    turned = Obstacle("box 1", pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, np.pi / 2), np.array([1.0, 0.0, 0.5])),
+                      (0.2, 0.4, 0.6))
+    edges = turned.edges()
+    np.testing.assert_allclose([edges.min(axis=0), edges.max(axis=0)], [[0.8, -0.1, 0.2], [1.2, 0.1, 0.8]], atol=1e-12)
+    lengths = np.linalg.norm(np.diff(edges, axis=0), axis=1)
+    assert all(np.abs(one - np.array([0.2, 0.4, 0.6])).min() < 1e-9 for one in lengths)
+    assert len({frozenset(map(tuple, ends)) for ends in pairwise(edges.round(6).tolist())}) == 12
+
+
+def test_a_box_without_a_size_is_refused() -> None:
+    with pytest.raises(InputError, match=r"box\.0\.size"):
+        line(middle=[0.0, 0.0, 0.0], size=[0.1, 0.0, 0.1])
+
+
+def test_identification_motions_keep_off_the_cell_also_on_the_way_to_them() -> None:
+    robot = arm_of("kr6")
+    free = plan(robot, "joint", seed=1)
+    data = robot.pinocchio.createData()
+    pin.forwardKinematics(robot.pinocchio, data, free.commands[len(free.commands) // 3])
+    box = {"middle": [float(x) for x in data.oMi[5].translation], "size": [0.2, 0.2, 0.2]}
+    shapes = shapes_in(load_scene("iso9283_1").changed(box=[box]), robot)
+    assert shapes.first_touch(free.commands) is not None
+    for method in ("joint", "two-step"):
+        kept = plan(robot, method, seed=1, workspace=replace(Workspace.of(robot), cell=shapes))
+        assert shapes.first_touch(kept.commands) is None
+
+
+def test_an_arm_that_stands_in_a_box_is_told_so_before_a_motion_is_looked_for() -> None:
+    robot = arm_of("kr6")
+    tip = InverseKinematics(robot).fk(robot.home).translation
+    cell = Shapes(robot, boxes=[Obstacle("box 1", pin.SE3(np.eye(3), tip), (0.2, 0.2, 0.2))])
+    with pytest.raises(InputError, match=r"home posture, and there .* touches box 1"):
+        plan(robot, "joint", workspace=replace(Workspace.of(robot), cell=cell))
+
+
+@pytest.mark.parametrize("name", ["force_wave", "glue", "contour"])
+def test_postures_in_which_the_tool_is_weighed_keep_off_a_box(name: str) -> None:
+    scene = load_scene(name)
+    assert isinstance(scene, ForceScene)
+    known = set_up_force(scene).known
+    start = known.q_start()
+    free = postures_to_weigh(replace(known, scene=scene.changed(box=[BESIDE])), start)
+    assert len(free) == sum(turned_within_limits(known.robot, free[0]))
+    tips = np.array([known.robot.fk()(q).translation for q in free])
+    farthest = tips[np.argmax(np.linalg.norm(tips - tips[0], axis=1))]
+    boxed = scene.changed(box=[{"middle": farthest.tolist(), "size": [0.04, 0.04, 0.04]}])
+    shapes = shapes_about(boxed, known.robot)
+    assert shapes.first_touch(np.array(free)) is not None
+    assert shapes.touch_between(start, free[0]) is None
+    kept = postures_to_weigh(replace(known, scene=boxed), start)
+    assert LEAST <= len(kept) < len(free)
+    assert all(shapes.touch_between(one, other) is None for one, other in pairwise([start, *kept, kept[0]]))
+
+
+def turned_within_limits(robot: Robot, lifted: np.ndarray) -> list[bool]:
+    turned = [lifted + np.array([0.0, 0.0, 0.0, turn, bend, 0.0]) for turn, bend in TURNS]
+    return [bool(((q > robot.q_min + 0.05) & (q < robot.q_max - 0.05)).all()) for q in turned]
+
+
+def test_a_tool_that_cannot_be_lifted_for_a_box_is_not_turned() -> None:
+    scene = load_scene("force_wave")
+    assert isinstance(scene, ForceScene)
+    known = set_up_force(scene).known
+    x, y, z = known.reference.frames(np.zeros(1)).position[0]
+    boxed = scene.changed(box=[{"middle": [x, y, z + 0.8], "size": [0.3, 0.3, 0.3]}])
+    with pytest.raises(SceneError, match=r"cannot be turned 150 mm above the start of the path: .* touches box 1"):
+        postures_to_weigh(replace(known, scene=boxed), known.q_start())
+
+
+def test_an_own_model_of_a_cell_with_boxes_is_another_one() -> None:
+    robot, world = arm_of("kr6"), World.default("kr6")
+    assert len({cache_name(robot, world, boxes_of(scene)) for scene in (load_scene("line"), line(**BESIDE))}) == 2
+    assert cache_name(robot, world, boxes_of(load_scene("line"))) == cache_name(robot, world)

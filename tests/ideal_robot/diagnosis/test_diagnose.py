@@ -74,7 +74,6 @@ def test_where_no_sample_is_left_between_a_pause_and_the_ends_nothing_is_decided
     assert found.verdict == "undecided"
 
 
-
 @pytest.mark.parametrize("spoil", ["missing", "joints", "degrees", "backwards"])
 def test_wrong_input_is_refused_with_the_field(spoil, tmp_path):
     t = np.arange(0.0, 10.0, 0.004)

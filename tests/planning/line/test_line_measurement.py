@@ -13,10 +13,9 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from planning.line.deviation_model import ConstantDeviation, PathDeviation
 from planning.line.deviation_sensor import Reading, fuse_reading
-from planning.line.equation import extended, widened
 from planning.line.fusion import DeviationFilter
 from planning.line.line_follower import LineFollower
-from planning.line.measurement import Measurement, polynomial_measurement
+from planning.line.measurement import Measurement, extended, polynomial_measurement, widened
 from planning.path.kinematics import InverseKinematics
 from tests.planning.cell import T, joint_path, kr6, profile, reference
 

@@ -15,8 +15,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes import load_scene
-from scenes.clamped.kind import run
-from scenes.clamped.play import configurations, record
+from scenes.clamped import configurations, record, run
 from scenes.report.page import write_json
 from sim.contact.clamp import ClampedArm
 from sim.contact.clamp_world import ClampWorld

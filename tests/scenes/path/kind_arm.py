@@ -22,7 +22,7 @@ from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes import load_scene
-from scenes.path.result import Play, play
+from scenes.path.cell import Play, play
 from scenes.scene_files.path_scene import JointPath, PathScene, joint_path
 from sim.arm import arm as simulated
 from sim.arm.specimen import Specimen, draw_specimen

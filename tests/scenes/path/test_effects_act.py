@@ -25,7 +25,7 @@ from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.model import Model
 from ideal_robot.signals.recording import Recording
-from scenes.path.result import Play
+from scenes.path.cell import Play
 from sensing.force.force_calibration import ToolLoad
 from tests.scenes.path import kind_arm as arm
 from tests.scenes.path.effect_cases import CASES, friction_of

@@ -21,13 +21,12 @@ from ideal_robot.feedforward.method import Setting
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes import load_scene
-from scenes.clamped.play import configurations, record
+from scenes.clamped import configurations, record
 from scenes.methods import ADAPTED, IDEAL
 from scenes.models import shipped_model
-from scenes.path.cell import set_up
+from scenes.path.cell import measured_errors, set_up
 from scenes.path.kind import compare, run
 from scenes.path.precorrect import played, precorrected_path, table
-from scenes.path.result import measured_errors
 from scenes.report.page import write_json
 from scenes.scene_files.clamped_scene import ClampedScene
 from scenes.scene_files.scene import chosen

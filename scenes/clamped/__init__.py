@@ -1,1 +1,0 @@
-"""Scenes with the flange held: clamped recordings, and the stiffness that follows from them."""
