@@ -32,7 +32,7 @@ from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import chosen
 from sim.camera.bullet_camera import BulletCamera
 from studies.report import head, row, scene_of
-from tests.planning.cell import Camera, T, displaced, distance, follow, joint_path, kr6, profile, reference, sine_points
+from tests.planning.cell import Camera, T, displaced, distance, follow, kr6, profile, reference, sine_points
 
 N_D = 30
 
@@ -162,7 +162,7 @@ def _times(n_d: int, speed: float, passes: int = 3) -> dict[str, list[float]]:
              "`horizon` without")
     times: dict[str, list[float]] = defaultdict(list)
     for seed in range(passes):
-        follower = LineFollower(kr6(), reference(), profile(speed), n_d, joint_path=joint_path(),
+        follower = LineFollower(kr6(), reference(), profile(speed), n_d,
                                 settings=FollowerSettings())
         camera = Camera(displaced(sine_points()), np.random.default_rng(seed))
         under_way: list[Any] = []
@@ -193,7 +193,7 @@ def _error(speed: float, latency: float, seeds: int = 3) -> tuple[float, float]:
     """Mean and 95 % of the distance from the line, from 0.5 s on [µm]."""
     line, distances = displaced(sine_points()), []
     for seed in range(seeds):
-        follower = LineFollower(kr6(), reference(), profile(speed), joint_path=joint_path(),
+        follower = LineFollower(kr6(), reference(), profile(speed),
                                 settings=FollowerSettings(latency=latency))
         run = follow(follower, Camera(line, np.random.default_rng(seed)), latency=latency)
         inside = (run.t > 0.5) & (run.tcp[:, 1] < line[-1, 1] - 0.005)

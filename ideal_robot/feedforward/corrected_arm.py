@@ -21,8 +21,8 @@ _DAMPING = 1e-6
 """Of the least squares: near a singular posture the tool misses by micrometres rather than a joint running away."""
 _SETTLE = 0.4
 """Time over which the correction at the start is taken up [s]."""
-_EVERY = 5
-"""Cycles between the rows of a horizon at which the inverse kinematics is solved."""
+_EVERY = 0.06
+"""Time between the rows of a horizon at which the inverse kinematics is solved [s]."""
 _TURN = 0.2
 """What a metre of position counts as in radians of orientation."""
 
@@ -166,7 +166,7 @@ class ForCorrectedArm(Feedforward):
         share = taken_up(self.t_ipo * (state.cycle + np.arange(float(len(q_d)))))[:, None]
         path = np.asarray(q_d, dtype=float)
         # The correction turns slowly: every few rows of the horizon are enough.
-        rows = np.unique(np.append(np.arange(0, len(path), _EVERY), len(path) - 1))
+        rows = np.unique(np.append(np.arange(0, len(path), max(1, round(_EVERY / self.t_ipo))), len(path) - 1))
         off = self.arm.joints(path[rows]) - path[rows]
         path = path + share * np.column_stack([np.interp(np.arange(len(path)), rows, column) for column in off.T])
         q_c, inner = self.feedforward.step(state.inner, path, tau_ext_d)

@@ -73,10 +73,9 @@ class ContactSettings:
         clearance: how far the tip is lifted at the end [m].
         noise: standard deviation of a force sample [N].
         position_noise: standard deviation common to the samples of a cycle: position, what is not modelled [m].
-        frozen: cycles from now on that a new sample does not change any more.
-        cutoff: frequency up to which the estimate is followed [Hz].
-        correction: acceleration that corrections may have [m/s²].
         asking: amplitude of a force by which the tip's height swings on the way [N], which a live sensor has to feel.
+        start_height: of the tip over the reference when the approach begins [m].
+        force_errors: standard deviations of the relative error of E and of the time by which forces are late [s].
     """
 
     force: float = 20.0
@@ -89,13 +88,12 @@ class ContactSettings:
     clearance: float = 0.01
     noise: float = 0.3
     position_noise: float = 3e-5
-    frozen: int = 1
-    cutoff: float = 25.0
-    correction: float = 4.0
     asking: float = 0.0
+    start_height: float = 0.01
+    force_errors: tuple[float, float] = FORCE_ERRORS
 
     def __post_init__(self) -> None:
-        for key in ("force", "elasticity", "descent", "reach", "touch", "plunge", "cutoff", "correction", "clearance"):
+        for key in ("force", "elasticity", "descent", "reach", "touch", "plunge", "clearance"):
             if not getattr(self, key) > 0:
                 raise InputError("expected a positive number", field=key, value=getattr(self, key))
 

@@ -26,8 +26,8 @@ from planning.path.pose_history import PoseHistory
 
 # The plan of the coming cycles in two directions, which slides along with time.
 
-SPARE = 6
-"""Cycles planned beyond the horizon."""
+SPARE = 0.072
+"""Planned beyond the horizon [s]."""
 
 
 class SlidingPlan:
@@ -39,7 +39,6 @@ class SlidingPlan:
         q_start: joint angles at the beginning ``(n,)`` [rad].
         start: position at the beginning ``(2,)`` [m].
         cutoff: frequency up to which an estimate is followed [Hz].
-        correction: acceleration that corrections may cost [m/s²].
 
     Attributes:
         samples: cycles that are planned at a time.
@@ -47,10 +46,9 @@ class SlidingPlan:
         cycle: number of the current cycle.
     """
 
-    def __init__(self, n_d: int, t_ipo: float, q_start: Array, start: Array, *, cutoff: float,
-                 correction: float) -> None:
-        self.n_d, self.samples, self.cycle = n_d, n_d + SPARE, 0
-        self._smoother = Smoother(self.samples, t_ipo, cutoff, correction)
+    def __init__(self, n_d: int, t_ipo: float, q_start: Array, start: Array, cutoff: float = 15.0) -> None:
+        self.n_d, self.samples, self.cycle = n_d, n_d + round(SPARE / t_ipo), 0
+        self._smoother = Smoother(self.samples, t_ipo, cutoff)
         # By cycle: position, velocity and acceleration in both directions.
         self._states = np.zeros((self.samples + 2, 3, 2))
         self._states[:, 0] = start
@@ -117,8 +115,6 @@ class ContourSettings:
         window: length of contour that the parabola is fitted to [m].
         ahead: of the newest point over which the parabola is continued, then straight [m].
         friction: coefficient that is assumed while the arm has not moved far enough to see the tangent.
-        cutoff: frequency up to which the estimate is followed [Hz].
-        correction: acceleration that corrections may have [m/s²].
     """
 
     force: float = 20.0
@@ -133,8 +129,6 @@ class ContourSettings:
     window: float = 0.03
     ahead: float = 0.03
     friction: float = 0.15
-    cutoff: float = 15.0
-    correction: float = 4.0
 
     def __post_init__(self) -> None:
         for key in ("force", "elasticity", "speed", "acceleration", "length", "approach", "window", "ahead"):
@@ -148,35 +142,20 @@ class ContourFollower:
     Args:
         robot: the arm.
         start: pose at which the arm rests, near the contour; the tool keeps its orientation and its height.
-        towards: direction in which the contour is looked for ``(3,)``.
-        up: normal of the plane in which the contour lies ``(3,)``.
-        side: 1 to go round with the contour on the right hand, -1 on the left (seen against ``up``).
+        axes: of the plane in which the contour lies ``(2, 3)``: towards the contour, and of the first motion along it.
         q_start: joint angles at the start ``(n,)`` [rad].
         n_d: desired positions a call of ``horizon`` gives.
         settings: what is wanted.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        start: pin.SE3,
-        towards: Array,
-        up: Array,
-        side: int,
-        q_start: Array,
-        n_d: int,
-        settings: ContourSettings,
-    ) -> None:
+    def __init__(self, robot: Robot, start: pin.SE3, axes: Array, q_start: Array, n_d: int,
+                 settings: ContourSettings) -> None:
         self.robot, self.settings, self.n_d, self.q_start = robot, settings, n_d, q_start
         self.history = PoseHistory(robot)
-        self._start = start
-        # Plane coordinates: x towards the contour, y along the first motion.
-        x = towards / np.linalg.norm(towards)
-        self._axes = np.stack([x, side * np.cross(up, x)])
+        self._start, self._axes = start, axes
         self._T = robot.t_ipo
         self._kinematics = InverseKinematics(robot)
-        self._plan = SlidingPlan(n_d, self._T, q_start, np.zeros(2), cutoff=settings.cutoff,
-                                 correction=settings.correction)
+        self._plan = SlidingPlan(n_d, self._T, q_start, np.zeros(2))
         self._points: deque[tuple[float, Array]] = deque()
         self._contact_since: float | None = None
         self.force = 0.0

@@ -19,13 +19,15 @@ from planning.force.surface_forecast import surfaces
 from planning.line.filter_bank import FilterBank
 from planning.line.fusion import DeviationFilter
 from planning.line.measurement import Fused, Measurement
-from planning.path.desired_path import ReferenceTable
+from planning.path.desired_path import FROZEN, ReferenceTable
 from planning.path.kinematics import InverseKinematics
 from planning.path.pose_history import PoseHistory
 from planning.path.reference import ReferencePath
 from planning.path.speed_profile import SpeedProfile
 from sensing.force.sensors import force_deviation
 
+CUTOFF = 25.0
+"""Frequency up to which the estimated surface is followed [Hz]."""
 STEEPEST = 0.5
 """Largest slope of the surface against its nominal plane that is assumed."""
 KNOWN_LATERAL = 0.001
@@ -63,36 +65,23 @@ class SurfaceFollower:
         n_d: desired positions a call of ``horizon`` gives.
         settings: what is wanted.
         fusion: makes the filter over models with two directions, from the errors of the force that it estimates.
-        force_errors: standard deviations of the relative error of E and of the time by which forces are late [s].
         lateral: whether a sensor shows the lateral deviation, too; without one the path is the reference's there.
-        start_height: of the tip over the reference when the approach begins [m].
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        reference: ReferencePath,
-        profile: SpeedProfile,
-        n_d: int,
-        settings: ContactSettings,
-        *,
-        fusion: Callable[[Errors], FilterBank] = surface_filter,
-        lateral: bool = False,
-        force_errors: tuple[float, float] = FORCE_ERRORS,
-        start_height: float = 0.01,
-    ) -> None:
+    def __init__(self, robot: Robot, reference: ReferencePath, profile: SpeedProfile, n_d: int,
+                 settings: ContactSettings, *, fusion: Callable[[Errors], FilterBank] = surface_filter,
+                 lateral: bool = False) -> None:
         self.robot, self.reference, self.profile, self.n_d, self.settings = robot, reference, profile, n_d, settings
         self.history = PoseHistory(robot)
         self._T = robot.t_ipo
         self._kinematics = InverseKinematics(robot)
-        samples = n_d + SPARE
-        self._force_errors, self._made = force_errors, fusion
+        samples, start_height = n_d + round(SPARE / self._T), settings.start_height
+        self._force_errors, self._made = settings.force_errors, fusion
         self.fusion = self._fresh()
         self._table = table = ReferenceTable(self._kinematics, reference, profile, 2 * samples)
         first = pin.SE3(table.rotations[0], table.frames.position[0] + start_height * table.frames.up[0])
         self._q_start = self._kinematics.solve(first, table.q[0])
-        self._plan = SlidingPlan(n_d, self._T, self._q_start, np.array([0.0, start_height]),
-                                 cutoff=settings.cutoff, correction=settings.correction)
+        self._plan = SlidingPlan(n_d, self._T, self._q_start, np.array([0.0, start_height]), CUTOFF)
         self.phase = Phase.APPROACH
         self._lateral = lateral
         self._height = start_height
@@ -270,7 +259,7 @@ class SurfaceFollower:
             OutOfReachError: the surface leads out of the arm's reach.
         """
         self.advance(t)
-        k, keep = self._plan.cycle, self.settings.frozen
+        k, keep = self._plan.cycle, FROZEN
         if anew:
             self._plan.follow(self._estimate(t, keep, self._rows(k + keep + 1 + np.arange(self._plan.samples))), keep)
         return self._plan.solve(keep, self._joint_angles)
@@ -296,7 +285,7 @@ class SurfaceFollower:
             self._near_since = (self._near_since if self._near_since is not None else t) if near else None
             if self._near_since is not None and t - self._near_since >= self.settings.settle:
                 self.phase = Phase.TRAVEL
-                self._t_travel = (k + self.settings.frozen + 1) * self._T
+                self._t_travel = (k + FROZEN + 1) * self._T
         elif self.phase is Phase.TRAVEL and t > self._t_travel + self.profile.duration + self.settings.settle:
             self.phase = Phase.LIFT
             self._t_lift = t

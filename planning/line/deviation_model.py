@@ -1,13 +1,12 @@
 """How the deviation Δx_r between the reference path and what the sensors show may look ([L] 4.3).
 
 A model says which state stands for the deviation, how the deviation at an arc length follows linearly from that state,
-what is known beforehand, and how the state changes while the arm travels and time goes by.
+what is known beforehand, and how the state changes while the arm travels.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +30,7 @@ class DeviationModel(ABC):
     Attributes:
         directions: number of sensed directions: 1 lateral (along the path's ``normal``), 2 also height (``up``).
         size: number of states.
-        drifts: whether the state changes with time or with the tool's way, so that the order of measurements matters.
+        drifts: whether the state changes with the tool's way, so that the order of measurements matters.
     """
 
     directions: int
@@ -64,11 +63,6 @@ class DeviationModel(ABC):
         del s
         return None
 
-    def drift(self, dt: float) -> Array | None:
-        """Covariance ``(size, size)`` by which the state becomes uncertain in ``dt`` seconds; None for none."""
-        del dt
-        return None
-
     def carry(self, way: float, out: tuple[Array, Array] | None = None) -> tuple[Array, Array] | None:
         """Transition ``(F, Q)`` of the state when the tool goes on by ``way`` [m]; None if there is none.
 
@@ -98,53 +92,25 @@ class DeviationModel(ABC):
         return None
 
 
-@dataclass(frozen=True)
-class ConstantDeviation(DeviationModel):
-    """The same deviation everywhere and always: [L] (5), averaged.
-
-    Args:
-        sigma: what it is expected to be, standard deviation [m].
-        directions: 1 or 2.
-    """
-
-    sigma: float = 0.02
-    directions: int = 1
-
-    @property
-    def size(self) -> int:  # type: ignore[override]
-        """One state a direction."""
-        return self.directions
-
-    def prior(self) -> tuple[Array, Array]:
-        """Zero, with the expected variance."""
-        return np.zeros(self.size), self.sigma**2 * np.eye(self.size)
-
-    def basis(self, s: Array, stand: Stand | None = None) -> Array:
-        """The identity everywhere."""
-        return np.broadcast_to(np.eye(self.directions), (len(s), self.directions, self.size)).copy()
-
-
-@dataclass(frozen=True)
-class SlowlyVaryingDeviation(ConstantDeviation):
-    """A deviation that wanders with time, whatever the place: [L] 4.3, *time-invariant or slowly varying*.
-
-    For scripts that follow without a map, given to ``DeviationFilter``; scenes use ``PathDeviation``.
-
-    Args:
-        rate: standard deviation of the change in one second [m/√s].
-    """
-
-    rate: float = 0.005
-    drifts: bool = True
-
-    def drift(self, dt: float) -> Array:
-        """Random walk: variance grows with time."""
-        return self.rate**2 * dt * np.eye(self.size)
-
-
 SHAPES = (0.003, 0.1), (0.006, 0.1), (0.02, 0.15)
 """How far a line's shape leaves its reference's [m], standard deviation, and over which distance that becomes another
 [m]: drawn again by hand, drawn otherwise, another line."""
+
+
+class Expected(NamedTuple):
+    """What is expected of a deviation in one direction: standard deviations, and over which distance it changes.
+
+    Attributes:
+        displacement: of the whole line [m].
+        rotation: of the whole line [rad].
+        shape: change of shape [m].
+        length: distance over which the change of shape becomes another [m].
+    """
+
+    displacement: float = 0.02
+    rotation: float = 0.05
+    shape: float = SHAPES[0][0]
+    length: float = SHAPES[0][1]
 
 
 class PathDeviation(DeviationModel):
@@ -162,56 +128,31 @@ class PathDeviation(DeviationModel):
 
     Args:
         reference: the path.
-        directions: 1 lateral, 2 also height.
+        across: what is expected across the path.
+        up: what is expected along the surface normal, its rotation about the surface's axes; None where only the
+            lateral deviation is sensed.
         ahead: how far in front of the arm the deviation is needed [m].
         behind: how far behind the arm it is kept [m].
         knot: spacing of the knots [m].
-        displacement, rotation: expected rigid motion, standard deviations [m], [rad].
-        shape: expected change of shape, standard deviation [m].
-        length: distance over which the change of shape becomes another [m].
-        height, tilt: with two directions, the expected displacement along the surface normal [m] and turn about the
-            surface's axes [rad]; ``displacement`` and ``rotation`` if None.
-        bow, bow_length: the same as ``shape`` and ``length`` of the height [m]; those if None.
     """
 
-    def __init__(
-        self,
-        reference: ReferencePath,
-        *,
-        directions: int = 1,
-        ahead: float = 0.4,
-        behind: float = 0.05,
-        knot: float = 0.025,
-        displacement: float = 0.02,
-        rotation: float = 0.05,
-        shape: float = SHAPES[0][0],
-        length: float = SHAPES[0][1],
-        height: float | None = None,
-        tilt: float | None = None,
-        bow: float | None = None,
-        bow_length: float | None = None,
-    ) -> None:
-        self.directions, self.reference = directions, reference
+    def __init__(self, reference: ReferencePath, *, across: Expected | None = None, up: Expected | None = None,
+                 ahead: float = 0.4, behind: float = 0.05, knot: float = 0.025) -> None:
+        across = across or Expected()
+        self.directions, self.reference = 1 if up is None else 2, reference
         self._knot, self._behind = knot, behind
         self._count = int(np.ceil((ahead + behind) / knot)) + 4
         self._start = -behind
-        self.rigid = 3 if directions == 1 else 6
-        self.size = self.rigid + directions * self._count
+        self.rigid = 3 if up is None else 6
+        self.size = self.rigid + self.directions * self._count
         centre = reference.position(np.linspace(0.0, reference.length, 50)).mean(axis=0)
         distance = knot * np.abs(np.subtract.outer(np.arange(self._count), np.arange(self._count)))
-        bend = shape if bow is None else bow
-        processes = [
-            (shape, shape**2 * matern(distance, length)),
-            (bend, bend**2 * matern(distance, bow_length or length)),
-        ]
         self._prior = np.zeros((self.size, self.size))
-        plane = [displacement] * 2 + [rotation]
-        up, turn = displacement if height is None else height, rotation if tilt is None else tilt
-        self._prior[: self.rigid, : self.rigid] = np.diag(
-            np.square(plane if directions == 1 else [displacement] * 2 + [up] + [turn] * 2 + [rotation])
-        )
+        moved = [across.displacement] * 2 + ([] if up is None else [up.displacement] + [up.rotation] * 2)
+        self._prior[: self.rigid, : self.rigid] = np.diag(np.square([*moved, across.rotation]))
         self._F, self._Q = np.eye(self.size), np.zeros((self.size, self.size))
-        for block, (sigma, process) in zip(self._blocks(), processes, strict=False):
+        for block, expected in zip(self._blocks(), (across, up or across), strict=False):
+            sigma, process = expected.shape, expected.shape**2 * matern(distance, expected.length)
             self._prior[block, block] = process
             # The new coefficient given its predecessors, of the same process.
             old, new = process[:-1, :-1], process[-1, :-1]

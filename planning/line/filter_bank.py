@@ -71,9 +71,9 @@ class FilterBank:
         self._weights = weights / weights.sum()
         return every[int(np.argmax(self._log))]
 
-    def deviation(self, s: Array, t: float | None = None) -> tuple[Array, Array]:
+    def deviation(self, s: Array) -> tuple[Array, Array]:
         """See ``DeviationFilter.deviation``; the variance has what the members differ by in it."""
-        every = [member.deviation(s, t) for member in self.members]
+        every = [member.deviation(s) for member in self.members]
         means, variances = np.array([one[0] for one in every]), np.array([one[1] for one in every])
         mean = self._mixed(means)
         return mean, self._mixed(variances + (means - mean) ** 2)

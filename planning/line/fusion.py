@@ -36,6 +36,10 @@ WEIGHED = 15
 """Measurements after which two hypotheses that are still equally likely are one."""
 LOOKED_BACK = 200
 """Travel steps that are kept for the smoother: 5 m of a line."""
+MEMORY = 0.5
+"""How late a measurement may be where their order matters [s]."""
+AGREED = 3
+"""Measurements with which the hypothesis of a moved sensor has to agree until it takes over."""
 
 
 @dataclass
@@ -94,7 +98,7 @@ class DeviationFilter:
     a rival hypothesis that starts from the prior; after ``confirm`` of them in a row that agree with one another it
     takes over: then the map was wrong, not the sensor. A measurement that is only doubtful begins a hypothesis of its
     own that keeps the map and takes the sensor to have been moved: its errors begin anew, with the standard deviations
-    ``moved``. It takes over once it has become clearly likelier, with ``confirm_moved`` measurements that agree.
+    ``moved``. It takes over once it has become clearly likelier, with ``AGREED`` measurements that agree.
 
     Args:
         model: what the deviation looks like.
@@ -102,24 +106,13 @@ class DeviationFilter:
         gate: bound for single values, in standard deviations.
         significance: probability with which a good measurement is left out.
         confirm: measurements until a rival hypothesis takes over; 0 for never.
-        memory: how late a measurement may be with a model that drifts in time [s].
         moved: for each sensor that may be knocked, the standard deviations of its errors after that.
-        confirm_moved: measurements until the hypothesis of a moved sensor takes over.
     """
 
-    def __init__(
-        self,
-        model: DeviationModel,
-        *,
-        biases: Mapping[str, tuple[float, ...]] | None = None,
-        gate: float = 4.0,
-        significance: float = 1e-4,
-        confirm: int = 10,
-        memory: float = 0.5,
-        moved: Mapping[str, tuple[float, ...]] | None = None,
-        confirm_moved: int = 3,
-    ) -> None:
-        self.model, self._gate, self._confirm, self._memory_length = model, gate, confirm, memory
+    def __init__(self, model: DeviationModel, *, biases: Mapping[str, tuple[float, ...]] | None = None,
+                 gate: float = 4.0, significance: float = 1e-4, confirm: int = 10,
+                 moved: Mapping[str, tuple[float, ...]] | None = None) -> None:
+        self.model, self._gate, self._confirm = model, gate, confirm
         self._bias_at: dict[str, slice] = {}
         size, variances = model.size, []
         for sensor, sigmas in (biases or {}).items():
@@ -133,13 +126,13 @@ class DeviationFilter:
         self._way = self._F[: model.size, : model.size], self._Q[: model.size, : model.size]
         self._track = self._fresh()
         self._rival: _Track | None = None
-        self._moved, self._confirm_moved = dict(moved or {}), confirm_moved
+        self._moved = dict(moved or {})
         self._shaken: list[_Track] = []
         self._stand = Stand(model.begin)
         self._memory: deque[_Memory] = deque()
         self._passed: deque[_Passed] = deque(maxlen=LOOKED_BACK)
         self.t = -np.inf
-        """Instant up to which the state has drifted [s]."""
+        """Latest instant that was measured at [s]."""
 
     def _fresh(self) -> _Track:
         x, P = self.model.prior()
@@ -181,7 +174,7 @@ class DeviationFilter:
         """As ``update``, with a measurement that was checked."""
         t = measurement.t
         if not self.model.drifts:
-            # Nothing depends on time: late and unordered measurements are as good as any.
+            # Late and unordered measurements are as good as any.
             self.t = max(self.t, t)
             return self._fuse(measurement, measurement.covariance)
         if t < self.t and self.model.told(measurement.s, self._stand):
@@ -205,18 +198,17 @@ class DeviationFilter:
                 self._step(*past.then, after)
         return fused
 
-    def deviation(self, s: Array, t: float | None = None) -> tuple[Array, Array]:
+    def deviation(self, s: Array) -> tuple[Array, Array]:
         """The deviation and its variance, also ahead of what was seen: [L] (6) with how sure it is.
 
         Args:
             s: arc lengths ``(m,)`` [m].
-            t: instant it is wanted for [s], for models that drift; the last measurement's by default.
 
         Returns:
             ``(m, directions)`` [m] and its variance ``(m, directions)`` [m²].
         """
         H = self.model.basis(s, self._stand)
-        mean, variance = self.mean_and_variance(H.reshape(-1, self.model.size), t)
+        mean, variance = self.mean_and_variance(H.reshape(-1, self.model.size))
         ahead = self.model.spread(s, self._stand)
         return mean.reshape(H.shape[:2]), variance.reshape(H.shape[:2]) + (0.0 if ahead is None else ahead)
 
@@ -259,13 +251,10 @@ class DeviationFilter:
         H = self.model.basis(s, self._stand)
         return np.asarray((H.reshape(-1, self.model.size) @ self.state).reshape(H.shape[:2]))
 
-    def mean_and_variance(self, H: Array, t: float | None = None) -> tuple[Array, Array]:
+    def mean_and_variance(self, H: Array) -> tuple[Array, Array]:
         """Mean and variance ``(m,)`` of linear functions ``H (m, size)`` of the state, e.g. rows of a basis."""
         size, kf = self.model.size, self._track.kf
-        P = kf.P[:size, :size]
-        if t is not None and np.isfinite(self.t) and (drift := self.model.drift(max(t - self.t, 0.0))) is not None:
-            P = P + drift
-        return mean_and_variance(np.ascontiguousarray(H), kf.x[:size], np.ascontiguousarray(P))
+        return mean_and_variance(np.ascontiguousarray(H), kf.x[:size], np.ascontiguousarray(kf.P[:size, :size]))
 
     def covariance(self, H: Array) -> Array:
         """Covariance ``(m, m)`` of linear functions ``H (m, size)`` of the state."""
@@ -279,27 +268,16 @@ class DeviationFilter:
 
     def _in_time(self, measurement: Measurement, t: float) -> Fused:
         self._remember(t, measurement)
-        while self._memory[0].t < t - self._memory_length:
+        while self._memory[0].t < t - MEMORY:
             self._memory.popleft()
         way = 0.0 if measurement.at is None else max(measurement.at - self._stand.s, 0.0)
-        self._go_on(t, way)
+        if way > 0.0 and self.model.carry(way, self._way) is not None:
+            self._track.kf.predict(F=self._F, Q=self._Q)
         self.t, self._stand = t, Stand(self._stand.begin, self._stand.s + way)
         ahead, R = self.model.spread(measurement.s, self._stand), measurement.covariance
         if ahead is not None and measurement.direction is not None:
             R = widened(R, measurement.direction, ahead)
         return self._fuse(measurement, R)
-
-    def _go_on(self, t: float, way: float) -> None:
-        """The state at a later instant [s], when the tool has gone on by ``way`` [m]."""
-        drift = self.model.drift(max(t - self.t, 0.0)) if np.isfinite(self.t) else None
-        moves = way > 0.0 and self.model.carry(way, self._way) is not None
-        if drift is None and not moves:
-            return
-        F, Q = (self._F, self._Q) if moves else (np.eye(self._size), np.zeros((self._size, self._size)))
-        if drift is not None:
-            Q = Q.copy()
-            Q[: self.model.size, : self.model.size] += drift
-        self._track.kf.predict(F=F, Q=Q)
 
     def _fuse(self, measurement: Measurement, R: Array) -> Fused:
         equation = self._equation(measurement, R)
@@ -346,7 +324,7 @@ class DeviationFilter:
             shaken.lead += self._likelihood(seen_so) - likelihood
             shaken.weighed += 1
             self._try(shaken, equation, seen_so)
-        sure = [one for one in self._shaken if one.lead > LEAD and one.agreed >= self._confirm_moved]
+        sure = [one for one in self._shaken if one.lead > LEAD and one.agreed >= AGREED]
         self._shaken = [one for one in self._shaken if one.lead >= -LEAD and one.weighed < WEIGHED]
         return max(sure, key=lambda one: one.lead, default=None)
 

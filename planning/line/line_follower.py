@@ -11,14 +11,14 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from planning import LineLostError, LineNeverSeenError, PlanningError
-from planning.line.deviation_model import SHAPES, PathDeviation
+from planning.line.deviation_model import SHAPES, Expected, PathDeviation
 from planning.line.fusion import DeviationFilter
 from planning.line.measurement import Fused, LineAhead, Measurement, SeenLine, polynomial_measurement
-from planning.path.desired_path import DesiredPath
+from planning.path.desired_path import DesiredPath, planned_cycles
 from planning.path.path_kernels import displaced_frames, sensor_errors
 from planning.path.pose_history import PoseHistory
 from planning.path.reference import ReferencePath
-from planning.path.speed_profile import JointPath, SpeedProfile
+from planning.path.speed_profile import SpeedProfile
 
 MEASUREMENTS = ("polynomial", "points")
 KNOCK = 0.01
@@ -38,9 +38,6 @@ class FollowerSettings:
     """Assumed sensor errors and limits of a line follower.
 
     Attributes:
-        frozen: cycles from now on that a new field does not change any more.
-        cutoff: frequency up to which the estimate is followed [Hz].
-        correction: acceleration that corrections may have [m/s²].
         noise: lateral error of a point beside what its detection states [m].
         common: lateral error common to all points of a field, different from field to field [m].
         yaw: error of the camera's mounting about the surface normal, standard deviation [rad]; estimated on the way.
@@ -56,14 +53,12 @@ class FollowerSettings:
         unsure: standard deviation of the line at the tool from which on the map no longer leads beyond that distance
             [m]. By default the tool is still on a line 3 mm wide with 95 %.
         max_search: distance that may be travelled before the line is seen first [m].
-        follow_tangent: whether the tool turns with the line seen, not only with the reference.
         measurement: what of a field goes into the map: ``polynomial``, value and slope of the polynomial through its
             points ([L] 5), or ``points``, each of them.
+        line_span: arc lengths of the reference between which the line is [m]; all of it if None.
+        eye: where the camera is in the tool frame [m]; without it heights cannot be told.
     """
 
-    frozen: int = 1
-    cutoff: float = 15.0
-    correction: float = 4.0
     noise: float = 2e-5
     common: float = 1e-4
     yaw: float = 0.003
@@ -78,16 +73,17 @@ class FollowerSettings:
     max_gap: float = 0.15
     unsure: float = 0.75e-3
     max_search: float = 0.3
-    follow_tangent: bool = False
     measurement: str = "polynomial"
+    line_span: tuple[float, float] | None = None
+    eye: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         if self.measurement not in MEASUREMENTS:
             raise InputError(f"expected one of {', '.join(MEASUREMENTS)}", field="measurement", value=self.measurement)
-        for key in ("cutoff", "correction", "max_gap", "unsure", "max_search", "shape", "length"):
+        for key in ("max_gap", "unsure", "max_search", "shape", "length"):
             if not getattr(self, key) > 0:
                 raise InputError("expected a positive number", field=key, value=getattr(self, key))
-        for key in ("frozen", "noise", "common", "yaw", "stamp", "height", "tilt", "bow", "latency"):
+        for key in ("noise", "common", "yaw", "stamp", "height", "tilt", "bow", "latency"):
             if not getattr(self, key) >= 0:
                 raise InputError("expected zero or a positive number", field=key, value=getattr(self, key))
         if not 0 <= self.view[0] < self.view[1]:
@@ -120,54 +116,29 @@ class LineFollower:
         settings: assumed sensor errors and limits.
         fusion: the filter; by default a map of the path with the camera's errors as ``settings`` say.
         t_start: controller time at which the travel begins [s].
-        joint_path: the reference in joint space, if it is known already.
-        line_span: arc lengths of the reference between which the line is [m]; all of it by default.
-        eye: where the camera is in the tool frame ``(3,)`` [m]; without it heights cannot be told.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        reference: ReferencePath,
-        profile: SpeedProfile,
-        n_d: int = 25,
-        *,
-        settings: FollowerSettings | None = None,
-        fusion: DeviationFilter | None = None,
-        t_start: float = 0.0,
-        joint_path: JointPath | None = None,
-        line_span: tuple[float, float] | None = None,
-        eye: Array | None = None,
-    ) -> None:
+    def __init__(self, robot: Robot, reference: ReferencePath, profile: SpeedProfile, n_d: int = 25, *,
+                 settings: FollowerSettings | None = None, fusion: DeviationFilter | None = None,
+                 t_start: float = 0.0) -> None:
         self.robot, self.reference, self.profile, self.n_d = robot, reference, profile, n_d
         self.settings = settings = settings or FollowerSettings()
         self.t_start = t_start
         self.history = PoseHistory(robot)
         self._T = robot.t_ipo
         # A little more than the horizon and what the smoothing looks ahead behind it.
-        ahead = max(0.3, (n_d + 12) * self._T * profile.top_speed + 0.05)
-        self._eye = eye
-        directions = 1 if eye is None or settings.height == 0 else 2
+        ahead = max(0.3, planned_cycles(n_d, self._T) * self._T * profile.top_speed + 0.05)
+        self._eye = None if settings.eye is None else np.array(settings.eye)
+        told = settings.eye is not None and settings.height != 0
+        up = Expected(settings.height, settings.tilt, settings.bow, BEND) if told else None
         self.fusion = fusion or DeviationFilter(
-            PathDeviation(reference, directions=directions, ahead=ahead, shape=settings.shape, length=settings.length,
-                          height=settings.height, tilt=settings.tilt, bow=settings.bow, bow_length=BEND),
+            PathDeviation(reference, across=Expected(shape=settings.shape, length=settings.length), up=up, ahead=ahead),
             biases={"camera": (settings.yaw, settings.stamp)},
             moved={"camera": (KNOCK, settings.stamp)},
         )
-        self.path = DesiredPath(
-            robot,
-            reference,
-            profile,
-            n_d,
-            directions=self.fusion.model.directions,
-            frozen=settings.frozen,
-            cutoff=settings.cutoff,
-            correction=settings.correction,
-            follow_tangent=settings.follow_tangent,
-            t_start=t_start,
-            joint_path=joint_path,
-        )
-        self._line_span = line_span or (0.0, reference.length)
+        self.path = DesiredPath(robot, reference, profile, n_d, directions=self.fusion.model.directions,
+                                t_start=t_start)
+        self._line_span = settings.line_span or (0.0, reference.length)
         self.fields_seen = self.fields_used = 0
         self._last_seen: tuple[float, float] | None = None
         self._front = -np.inf

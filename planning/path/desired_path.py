@@ -26,6 +26,17 @@ from planning.path.speed_profile import JointPath, SpeedProfile
 # be changed. Looking ahead, it has no delay: a wave of frequency :math:`f` passes with the gain
 # :math:`1/(1 + (2 \pi f/\omega)^6)`.
 
+FROZEN = 1
+"""Cycles from now on that a new estimate does not change: the arm is on its way to the next position."""
+SPARE = 0.144
+"""By how much a plan reaches further than it is asked for [s], for fields that fail to come: seven at 50 a second."""
+
+
+def planned_cycles(n_d: int, t_ipo: float) -> int:
+    """Cycles that a plan reaches for a horizon of ``n_d`` of them, each ``t_ipo`` [s]."""
+    return n_d + round(SPARE / t_ipo)
+
+
 class Smoother:
     """The minimum above, solved beforehand for several cutoff frequencies; at run time one matrix product.
 
@@ -114,7 +125,6 @@ class ReferenceTable:
         reference: the reference path.
         profile: the travel along it.
         rest: cycles that the table goes on at rest behind the end of the travel.
-        joint_path: the reference in joint space; the profile's own if None.
 
     Attributes:
         s: arc length at every cycle ``(K,)`` [m].
@@ -123,20 +133,14 @@ class ReferenceTable:
         q: joint angles ``(K, n)`` [rad].
     """
 
-    def __init__(
-        self,
-        kinematics: InverseKinematics,
-        reference: ReferencePath,
-        profile: SpeedProfile,
-        rest: int,
-        joint_path: JointPath | None = None,
-    ) -> None:
+    def __init__(self, kinematics: InverseKinematics, reference: ReferencePath, profile: SpeedProfile,
+                 rest: int) -> None:
         T = kinematics.robot.t_ipo
         cycles = int(np.ceil(profile.duration / T)) + rest
         self.s = profile.s(T * np.arange(cycles))
         self.frames = reference.frames(self.s)
         self.rotations = reference.rotation(self.s)
-        path = joint_path or profile.joint_path or JointPath.of(kinematics.robot, reference)
+        path = profile.joint_path or JointPath.of(kinematics.robot, reference)
         self.q = np.column_stack([np.interp(self.s, path.s, column) for column in path.q.T])
         self.q = kinematics.refine_rows(self.rotations, self.frames.position, self.q, tolerance=1e-12)
 
@@ -174,38 +178,18 @@ class DesiredPath:
         profile: the travel along it.
         n_d: desired positions a call of ``horizon`` gives.
         directions: 1 lateral, 2 also height.
-        frozen: cycles from now on that a new estimate does not change any more.
-        cutoff: frequency up to which the estimate is followed [Hz].
-        correction: acceleration that corrections may have [m/s²].
-        follow_tangent: whether the tool turns with the desired path, not only with the reference.
         t_start: controller time at which the travel begins [s].
-        joint_path: the reference in joint space, if it is known already.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        reference: ReferencePath,
-        profile: SpeedProfile,
-        n_d: int,
-        *,
-        directions: int = 1,
-        frozen: int = 1,
-        cutoff: float = 15.0,
-        correction: float = 4.0,
-        follow_tangent: bool = False,
-        t_start: float = 0.0,
-        joint_path: JointPath | None = None,
-    ) -> None:
+    def __init__(self, robot: Robot, reference: ReferencePath, profile: SpeedProfile, n_d: int, *,
+                 directions: int = 1, t_start: float = 0.0) -> None:
         if n_d < 1:
             raise InputError("expected at least 1", field="n_d", value=n_d)
         self.n_d, self.t_start, self._T = n_d, t_start, robot.t_ipo
-        self._frozen, self._follow_tangent = frozen, follow_tangent
         self._kinematics = InverseKinematics(robot)
-        # Some cycles more than asked for, so that the plan still reaches far enough when a field fails to come.
-        self.samples = n_d + 12
-        self._smoother = Smoother(self.samples, self._T, cutoff, correction)
-        self._table = table = ReferenceTable(self._kinematics, reference, profile, 2 * self.samples, joint_path)
+        self.samples = planned_cycles(n_d, self._T)
+        self._smoother = Smoother(self.samples, self._T)
+        self._table = table = ReferenceTable(self._kinematics, reference, profile, 2 * self.samples)
         self.s = table.s
         """Arc length of the reference at every cycle ``(K,)`` [m]."""
         self.q_reference = table.q
@@ -251,7 +235,7 @@ class DesiredPath:
 
     def _replan(self, k: int, estimate: Callable[[Array], Array]) -> None:
         """New desired deviation behind the cycles that are being executed."""
-        keep = k + self._frozen if self._planned_to >= k + self._frozen else max(k, 0)
+        keep = k + FROZEN if self._planned_to >= k + FROZEN else max(k, 0)
         keep = min(keep, len(self.s) - self.samples - 1)
         if self._planned_to < keep:
             # Cycles without a call of ``horizon``: the deviation stayed where it was.
@@ -277,15 +261,4 @@ class DesiredPath:
 
     def _targets(self, first: int, end: int) -> tuple[Array, Array]:
         """Rotations ``(m, 3, 3)`` and positions ``(m, 3)`` [m] of the tool in the cycles ``first … end - 1``."""
-        rotations = self._table.rotations[first:end]
-        if self._follow_tangent:
-            rotations = self._turned(first, end) @ rotations
-        return rotations, self._table.displaced(slice(first, end), self._plan[0, first:end])
-
-    def _turned(self, first: int, end: int) -> Array:
-        """Rotations about the surface normal from the reference's tangent to that of the desired path."""
-        frames, before = self._table.frames, max(first - 1, 0)
-        speed = np.gradient(self.s[before : end + 1], self._T)[first - before :][: end - first]
-        forward = speed * (1.0 - frames.curvature[first:end] * self._plan[0, first:end, 0])
-        angle = np.where(speed > 0.02, np.arctan2(self._plan[1, first:end, 0], np.maximum(forward, 0.02)), 0.0)
-        return np.array([pin.exp3(a * up) for a, up in zip(angle, frames.up[first:end], strict=True)])
+        return self._table.rotations[first:end], self._table.displaced(slice(first, end), self._plan[0, first:end])

@@ -69,9 +69,10 @@ class Known:
     def follower(self, elasticity: float,
                  fusion: Callable[[Errors], FilterBank] | None = None) -> SurfaceFollower:
         """A fresh follower that assumes this elasticity [N/m]; with ``fusion``, a camera shows the line, too."""
-        settings = ContactSettings(force=self.scene.force, elasticity=elasticity, position_noise=POSITION_NOISE,
-                                   asking=self.asking)
         estimated = self.scene.assumed.elasticity_estimated
+        settings = ContactSettings(force=self.scene.force, elasticity=elasticity, position_noise=POSITION_NOISE,
+                                   asking=self.asking, start_height=START_HEIGHT,
+                                   force_errors=FORCE_ERRORS if estimated else (1e-6, FORCE_ERRORS[1]))
         profile, acceleration = self.profile, self.scene.reference.acceleration
         jerk = settings.jerk(acceleration, JERK)
         if fusion is None and jerk < JERK:
@@ -79,20 +80,20 @@ class Known:
                 gentle = Limits(self.scene.speed, acceleration, jerk=jerk)
                 profile = SpeedProfile.plan(self.robot, self.reference, gentle)
         return SurfaceFollower(self.robot, self.reference, profile, self.n_d, settings,
-                               fusion=fusion or surface_filter,
-                               lateral=fusion is not None, start_height=START_HEIGHT,
-                               force_errors=FORCE_ERRORS if estimated else (1e-6, FORCE_ERRORS[1]))
+                               fusion=fusion or surface_filter, lateral=fusion is not None)
 
     def contour_follower(self, elasticity: float) -> ContourFollower:
         """A fresh follower of a contour: of the reference it knows the starting point alone."""
         scene, frames = self.scene, self.reference.frames(np.zeros(1))
-        out, up = frames.up[0], np.array([0.0, 0.0, 1.0])
+        out = frames.up[0]
         start = pin.SE3(self.reference.rotation(0.0), frames.position[0] + START_HEIGHT * out)
-        side = 1 if float(np.cross(up, -out) @ frames.tangent[0]) > 0 else -1
+        towards = -out / np.linalg.norm(out)
+        along = np.cross([0.0, 0.0, 1.0], towards)
+        axes = np.stack([towards, along if along @ frames.tangent[0] > 0 else -along])
         q_start = InverseKinematics(self.robot).search(start, self.robot.home)
         settings = ContourSettings(force=scene.force, elasticity=elasticity, speed=scene.speed,
                                    length=float(scene.line.length or 0.5))
-        return ContourFollower(self.robot, start, -out, up, side, q_start, self.n_d, settings)
+        return ContourFollower(self.robot, start, axes, q_start, self.n_d, settings)
 
     def q_start(self) -> Array:
         """Joint angles at which the arm has to rest at first ``(n,)`` [rad]."""

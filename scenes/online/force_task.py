@@ -16,11 +16,11 @@ from ideal_robot.feedforward.method import Setting
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.row_log import RowLog
 from planning.force.contact import CLEAR, EmergencyStopError, Phase, StopConditions, Tare, most_force
-from planning.force.contour import ContourFollower
+from planning.force.contour import SPARE, ContourFollower
 from planning.force.force_follower import DirectForceFeedback, Errors, SurfaceFollower
 from planning.force.line_on_surface import LineOnSurface, SightSettings
 from planning.force.surface_forecast import FeltArm, surfaces
-from planning.line.deviation_model import PathDeviation
+from planning.line.deviation_model import Expected, PathDeviation
 from planning.line.filter_bank import FilterBank
 from planning.line.fusion import DeviationFilter
 from planning.path.kinematics import InverseKinematics
@@ -46,11 +46,10 @@ def glue_fusion(cell: Known) -> Callable[[Errors], FilterBank]:
     """One filter for both sensors: a map across the path, the height along it, and the sensors' own errors."""
     sight = SightSettings()
     camera = (sight.yaw, sight.stamp, sight.scale if cell.scene.assumed.distance_estimated else KNOWN)
-    ahead = (cell.n_d + 6) * cell.robot.t_ipo * cell.profile.top_speed + 0.2
+    ahead = (cell.n_d + round(SPARE / cell.robot.t_ipo)) * cell.robot.t_ipo * cell.profile.top_speed + 0.2
 
     def across() -> PathDeviation:
-        return PathDeviation(cell.reference, ahead=ahead, behind=0.04, knot=0.02, displacement=0.02, rotation=0.05,
-                             shape=0.01, length=0.1)
+        return PathDeviation(cell.reference, across=Expected(shape=0.01), ahead=ahead, behind=0.04, knot=0.02)
 
     def made(errors: Errors) -> FilterBank:
         biases = {"camera": camera, "force": errors}

@@ -15,7 +15,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.collisions import Shapes
 from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
-from planning.line.deviation_model import SHAPES, PathDeviation, shape_likelihoods
+from planning.line.deviation_model import SHAPES, Expected, PathDeviation, shape_likelihoods
 from planning.line.fusion import DeviationFilter
 from planning.line.line_follower import FollowerSettings, LineFollower, line_ahead
 from planning.line.measurement import LineAhead, Measurement
@@ -96,11 +96,11 @@ def line_follower(scene: LineScene, robot: Robot, points: Array, camera: CameraM
             check_way(scene, robot, reference, profile.joint_path)
         scene.check_duration(profile.duration)
         follower = LineFollower(
-            robot, reference, profile, round(HORIZON / robot.t_ipo), t_start=START, line_span=span_of(scene, reference),
-            eye=camera.T_tool_camera.translation,
+            robot, reference, profile, round(HORIZON / robot.t_ipo), t_start=START,
             settings=FollowerSettings(measurement=scene.measurement, height=height, tilt=tilt, view=view_of(camera),
                                       max_gap=scene.max_gap, max_search=scene.max_gap + 0.05, latency=latency,
-                                      shape=shape[0], length=shape[1],
+                                      shape=shape[0], length=shape[1], line_span=span_of(scene, reference),
+                                      eye=tuple(camera.T_tool_camera.translation),
                                       stamp=FollowerSettings.stamp if scene.stamp_estimate else 0.0))
     except OutOfReachError as error:
         raise InputError(f"the line is out of reach: {error}; {where_it_fits(scene)}", field="surface.origin",
@@ -226,7 +226,8 @@ def piece_map(reference: ReferencePath, at: float, before: SeenBefore | None = N
     """
     before = before or SeenBefore()
     shape, length = before.shape(reference) or SHAPES[0]
-    fusion = DeviationFilter(PathDeviation(reference, ahead=REACH, behind=REACH, shape=shape, length=length), confirm=0)
+    across = Expected(shape=shape, length=length)
+    fusion = DeviationFilter(PathDeviation(reference, across=across, ahead=REACH, behind=REACH), confirm=0)
     fusion.travel(at)
     if len(before.s):
         fusion.update(Measurement(0.0, before.s, before.deviation, before.covariance))

@@ -10,6 +10,7 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
+from planning.line.deviation_model import DeviationModel
 from planning.line.line_follower import LineFollower
 from planning.path.reference import ReferencePath
 from planning.path.speed_profile import JointPath, Limits, SpeedProfile
@@ -31,6 +32,19 @@ def sine_points(amplitude: float = 0.03, wavelength: float = 0.8, length: float 
 @cache
 def reference() -> ReferencePath:
     return ReferencePath(sine_points(), turning=1.0)
+
+
+class Constant(DeviationModel):
+    """The same deviation everywhere, to a standard deviation known beforehand [m]: [L] (5), averaged."""
+
+    def __init__(self, sigma: float, directions: int = 1) -> None:
+        self.sigma, self.directions, self.size = sigma, directions, directions
+
+    def prior(self) -> tuple[Array, Array]:
+        return np.zeros(self.size), self.sigma**2 * np.eye(self.size)
+
+    def basis(self, s: Array, stand: object = None) -> Array:
+        return np.broadcast_to(np.eye(self.size), (len(s), self.size, self.size)).copy()
 
 
 @cache

@@ -9,7 +9,8 @@ import pytest
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.execution.precorrect import precorrect
-from ideal_robot.feedforward.corrected_arm import CorrectedArm
+from ideal_robot.feedforward.base import PassThrough
+from ideal_robot.feedforward.corrected_arm import CorrectedArm, ForCorrectedArm
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.learning import LearningLaw, Playback, learn, learn_on_model
 from ideal_robot.loop.impulse_response import LinearLoop
@@ -147,6 +148,15 @@ def test_no_geometry_changes_nothing():
     assert not arm.differs
     assert arm.joints(q) is q
     np.testing.assert_array_equal(arm.as_drawn(q[0]), q[0])
+
+
+@pytest.mark.parametrize("t_ipo", [0.004, 0.012])
+def test_the_correction_is_solved_for_at_as_many_instants_whatever_the_cycle(monkeypatch, t_ipo):
+    robot, solved = Robot.load("kr15"), []
+    law = ForCorrectedArm(PassThrough(t_ipo), CorrectedArm(robot, EFFECTS))
+    monkeypatch.setattr(law.arm, "joints", lambda q: solved.append(len(q)) or q)
+    law.step(law.init(robot.home), np.tile(robot.home, (round(0.3 / t_ipo), 1)))
+    assert solved == [6]
 
 
 def test_expected_error_of_a_corrected_path_is_that_of_the_tool():

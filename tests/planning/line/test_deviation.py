@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,26 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from planning.line.deviation_model import (
-    SHAPES,
-    ConstantDeviation,
-    DeviationModel,
-    PathDeviation,
-    SlowlyVaryingDeviation,
-    matern,
-    shape_likelihoods,
-)
+from planning.line.deviation_model import SHAPES, DeviationModel, Expected, PathDeviation, matern, shape_likelihoods
 from planning.line.fusion import DeviationFilter
 from planning.line.measurement import Fused, Measurement
 from planning.path.reference import ReferencePath
 from tests.planning.cell import reference
 
 MODELS: dict[str, Callable[[], DeviationModel]] = {
-    "constant": lambda: ConstantDeviation(0.01),
-    "constant in two directions": lambda: ConstantDeviation(0.01, 2),
-    "slowly varying": lambda: SlowlyVaryingDeviation(0.01, 1, 0.005),
     "path": lambda: PathDeviation(reference()),
-    "path in two directions": lambda: PathDeviation(reference(), directions=2),
+    "path in two directions": lambda: PathDeviation(reference(), up=Expected()),
 }
 
 
@@ -56,21 +46,13 @@ def test_basis_is_smooth_along_the_path(model: DeviationModel) -> None:
     assert np.max(np.abs(np.diff(slope, axis=0))) < 0.5
 
 
-@pytest.mark.parametrize("name", ["constant in two directions", "path in two directions"])
-def test_directions_do_not_share_their_shape_states(name: str) -> None:
-    model = MODELS[name]()
+def test_directions_do_not_share_their_shape_states() -> None:
+    model = PathDeviation(reference(), up=Expected())
     H = model.basis(np.array([0.1]))[0]
-    own = 1 if model.size == 2 else (model.size - 6) // 2
+    own = (model.size - 6) // 2
     shape = H[:, -2 * own :]
     assert not shape[0, own:].any()
     assert not shape[1, :own].any()
-
-
-def test_drift_grows_with_time_and_only_where_there_is_one(model: DeviationModel) -> None:
-    Q = model.drift(0.3)
-    assert (Q is not None and bool(Q.any())) == model.drifts
-    if Q is not None:
-        np.testing.assert_allclose(model.drift(0.6), 2.0 * Q)
 
 
 def test_travel_keeps_what_is_ahead(model: DeviationModel) -> None:
@@ -132,7 +114,8 @@ def sine_reference() -> ReferencePath:
 
 def path_model(path: ReferencePath) -> PathDeviation:
     # All of the path lies in the window, so that the state to compare with stays the same one.
-    return PathDeviation(path, directions=2, ahead=0.5, behind=0.05, knot=0.04, shape=0.003, length=0.12)
+    expected = Expected(shape=0.003, length=0.12)
+    return PathDeviation(path, across=expected, up=expected, ahead=0.5, behind=0.05, knot=0.04)
 
 
 def one_run(model: DeviationModel, rng: np.random.Generator) -> tuple[list[Fused], DeviationFilter, np.ndarray]:
@@ -149,12 +132,12 @@ def one_run(model: DeviationModel, rng: np.random.Generator) -> tuple[list[Fused
             g = np.column_stack([np.ones(5), rng.uniform(-0.1, 0.1, 5)])
             R = np.diag(np.full(5, 5e-5**2)) + 4e-5**2
             lever = (at - s)[:, None]
-            item = measured(model, truth, t, at, g, R, "camera", rng, lever, yaw)
+            item = measured(model, truth, Measurement(t, at, at, R, g, "camera", lever), rng, yaw)
             waiting.append((t + 0.04 + 0.02 * rng.random(), item))
         tilt = 0.3 * np.sin(0.2 * k)
         g = np.array([[np.sin(tilt), np.cos(tilt)]])
-        R = np.array([[8e-5**2]])
-        waiting.append((t + 0.02, measured(model, truth, t, np.array([s]), g, R, "force", rng)))
+        here, R = np.array([s]), np.array([[8e-5**2]])
+        waiting.append((t + 0.02, measured(model, truth, Measurement(t, here, here, R, g, "force"), rng)))
         for arrival, item in sorted(waiting, key=lambda pair: pair[0]):
             if arrival <= t:
                 results.append(fusion.update(item))
@@ -162,12 +145,11 @@ def one_run(model: DeviationModel, rng: np.random.Generator) -> tuple[list[Fused
     return results, fusion, truth
 
 
-def measured(model: DeviationModel, truth: np.ndarray, t: float, s: np.ndarray, g: np.ndarray, R: np.ndarray,
-             sensor: str, rng: np.random.Generator, bias: np.ndarray | None = None, size: float = 0.0) -> Measurement:
-    value = np.einsum("md,mdn,n->m", g, model.basis(s), truth) + rng.multivariate_normal(np.zeros(len(s)), R)
-    if bias is not None:
-        value = value + bias[:, 0] * size
-    return Measurement(t, s, value, R, g, sensor, bias)
+def measured(model: DeviationModel, truth: np.ndarray, places: Measurement, rng: np.random.Generator,
+             size: float = 0.0) -> Measurement:
+    value = np.einsum("md,mdn,n->m", places.direction, model.basis(places.s), truth)
+    value = value + rng.multivariate_normal(np.zeros(len(places.s)), places.covariance)
+    return replace(places, value=value if places.bias is None else value + places.bias[:, 0] * size)
 
 
 @pytest.fixture(scope="module")
@@ -203,31 +185,6 @@ def test_estimation_errors_are_within_their_bounds(runs: list) -> None:
     assert chi2.ppf(0.025, RUNS) <= np.sum(np.square(bias)) <= chi2.ppf(0.975, RUNS)
 
 
-def test_a_slowly_varying_deviation_is_followed_with_late_samples() -> None:
-    """Random walk, samples late and out of order: errors within their 95 % bound over 100 runs."""
-    errors = []
-    for seed in range(RUNS):
-        rng = np.random.default_rng(SEED + seed)
-        model = SlowlyVaryingDeviation(sigma=0.01, directions=2, rate=0.004)
-        fusion = DeviationFilter(model, confirm=0)
-        truth = 0.01 * rng.standard_normal(2)
-        states, waiting = [], []
-        for k in range(50):
-            truth = truth + 0.004 * np.sqrt(0.012) * rng.standard_normal(2)
-            states.append(truth)
-            angle = rng.uniform(0, np.pi)
-            g = np.array([[np.cos(angle), np.sin(angle)]])
-            value = g @ truth + 2e-4 * rng.standard_normal(1)
-            item = Measurement(0.012 * k, np.zeros(1), value, np.array([[4e-8]]), g, "force")
-            waiting.append((0.012 * k + rng.uniform(0.01, 0.06), item))
-        for _, item in sorted(waiting, key=lambda pair: pair[0]):
-            fusion.update(item)
-        estimate, variance = fusion.deviation(np.zeros(1), 0.012 * 49)
-        errors.append((estimate[0] - states[-1]) ** 2 / variance[0])
-    total = float(np.sum(errors))
-    assert chi2.ppf(0.025, 2 * RUNS) <= total <= chi2.ppf(0.975, 2 * RUNS)
-
-
 def test_one_sample_alone_is_enough_to_run_on() -> None:
     """[L] 4.3: a single force vector or a single snapshot updates the whole path."""
     path = sine_reference()
@@ -258,7 +215,7 @@ def test_how_far_a_line_leaves_its_reference_is_found_from_a_few_places(drawn: t
 
 @pytest.mark.parametrize(("shape", "bow"), [(0.003, 0.001), (0.002, 0.02)])
 def test_line_and_surface_leave_their_reference_by_as_much_as_each_is_told(shape: float, bow: float) -> None:
-    model = PathDeviation(reference(), directions=2, shape=shape, bow=bow, bow_length=0.3)
+    model = PathDeviation(reference(), across=Expected(shape=shape), up=Expected(shape=bow, length=0.3))
     H, P = model.basis(np.array([0.1])), model.prior()[1]
     H[:, :, : model.rigid] = 0.0
     np.testing.assert_allclose(np.sqrt(np.diag(H[0] @ P @ H[0].T)), [shape, bow], rtol=0.02)

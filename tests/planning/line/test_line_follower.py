@@ -9,13 +9,15 @@ import pytest
 
 from ideal_robot.errors import InputError
 from planning import LineLostError, LineNeverSeenError, OutOfReachError, PlanningError
-from planning.line.deviation_model import PathDeviation
+from planning.force.contour import SlidingPlan
+from planning.line.deviation_model import Expected, PathDeviation
 from planning.line.direct_feedback import DirectFeedback
 from planning.line.fusion import DeviationFilter
 from planning.line.line_follower import FollowerSettings, LineFollower
 from planning.line.measurement import Measurement
+from planning.path.desired_path import FROZEN, DesiredPath
 from planning.path.reference import ReferencePath
-from planning.path.speed_profile import JointPath, Limits, SpeedProfile
+from planning.path.speed_profile import Limits, SpeedProfile
 from tests.planning.cell import (
     Camera,
     Run,
@@ -40,7 +42,6 @@ def follower(n_d: int = 25, speed: float = 0.7, **settings: object) -> LineFollo
         reference(),
         profile(speed),
         n_d,
-        joint_path=joint_path(),
         settings=FollowerSettings(**settings),  # type: ignore[arg-type]
     )
 
@@ -106,12 +107,10 @@ def test_desired_path_is_smooth_although_the_map_changes() -> None:
 
 
 def test_new_fields_do_not_touch_what_is_being_executed() -> None:
-    for frozen in (0, 2):
-        f = follower(frozen=frozen)
-        run = follow(f, Camera(LINE, np.random.default_rng(7)))
-        for before, after in zip(run.horizons[:-1], run.horizons[1:], strict=True):
-            # Row 0 now was row 1 a cycle ago.
-            np.testing.assert_allclose(after[:frozen], before[1 : 1 + frozen], atol=1e-9)
+    run = follow(follower(), Camera(LINE, np.random.default_rng(7)))
+    for before, after in zip(run.horizons[:-1], run.horizons[1:], strict=True):
+        # Row 0 now was row 1 a cycle ago.
+        np.testing.assert_allclose(after[:FROZEN], before[1 : 1 + FROZEN], atol=1e-9)
 
 
 def test_horizon_is_one_path_and_keeps_still_without_fields() -> None:
@@ -210,13 +209,23 @@ def test_line_never_seen_says_so() -> None:
 
 @pytest.mark.parametrize("t_start", [0.0, 0.6])
 def test_a_travel_that_begins_later_is_given_up_at_the_same_place(t_start: float) -> None:
-    f = LineFollower(kr6(), reference(), profile(), 25, joint_path=joint_path(), t_start=t_start,
+    f = LineFollower(kr6(), reference(), profile(), 25, t_start=t_start,
                      settings=FollowerSettings(max_search=0.2))
     with pytest.raises(LineNeverSeenError) as lost:
         follow(f, Camera(LINE, np.random.default_rng(15)), blind=(-1.0, 2.0))
     assert lost.value.s == pytest.approx(0.234, abs=0.01)
     assert lost.value.t - t_start == pytest.approx(np.interp(lost.value.s, profile().s(T * np.arange(200)),
                                                              T * np.arange(200)), abs=2 * T)
+
+
+@pytest.mark.parametrize("t_ipo", [0.004, 0.012])
+def test_plans_reach_as_far_in_time_whatever_the_cycle(t_ipo: float) -> None:
+    robot, n_d = replace(kr6(), t_ipo=t_ipo), round(0.3 / t_ipo)
+    sliding = SlidingPlan(n_d, t_ipo, robot.home, np.zeros(2))
+    assert DesiredPath(robot, reference(), profile(), n_d).samples * t_ipo == pytest.approx(0.444)
+    assert sliding.samples * t_ipo == pytest.approx(0.372)
+    sliding.follow(np.tile([1e-3, 0.0], (sliding.samples, 1)), 0)
+    assert sliding.position[round(0.024 / t_ipo), 0] == pytest.approx(0.5e-3, rel=0.1)
 
 
 def test_blind_end_of_the_path_is_no_loss() -> None:
@@ -229,35 +238,18 @@ def test_blind_end_of_the_path_is_no_loss() -> None:
 def test_line_that_leads_out_of_reach_is_reported() -> None:
     out = sine_points() + np.array([0.04, 0.0, 0.0])
     robot = replace(kr6(), q_max=np.max(joint_path().q, axis=0) + 1e-3, q_min=np.min(joint_path().q, axis=0) - 1e-3)
-    f = LineFollower(robot, reference(), profile(), 25, joint_path=joint_path())
+    f = LineFollower(robot, reference(), profile(), 25)
     with pytest.raises(OutOfReachError, match="its limit is"):
         follow(f, Camera(out, np.random.default_rng(17)))
 
 
-def test_tool_turns_with_the_line_if_asked() -> None:
-    # The drawn line is turned by 50 mrad against its reference; the tool takes the same turn.
-    line = displaced(sine_points(), turn=0.05)
-    turned = follower(follow_tangent=True)
-    follow(turned, Camera(line, np.random.default_rng(18)))
-    t = 0.6 * turned.duration
-    s = float(profile().s(t))
-    R = turned.desired(t).rotation @ reference().rotation(s).T
-    there = int(np.argmin(np.linalg.norm(line - turned.desired(t).translation, axis=1)))
-    along, own = line[there + 1] - line[there - 1], reference().tangent(s)
-    expected = np.arctan2(own[0] * along[1] - own[1] * along[0], own @ along)
-    assert expected > 0.02
-    assert np.arctan2(R[1, 0], R[0, 0]) == pytest.approx(expected, abs=3e-3)
-    assert R[2, 2] == pytest.approx(1.0)
-
-
 def test_height_from_another_sensor_moves_the_path_up() -> None:
-    model = PathDeviation(reference(), directions=2, ahead=0.4)
+    model = PathDeviation(reference(), up=Expected(), ahead=0.4)
     f = LineFollower(
         kr6(),
         reference(),
         profile(),
         25,
-        joint_path=joint_path(),
         fusion=DeviationFilter(model, biases={"camera": (0.003, 0.0005)}),
     )
     camera = Camera(LINE, np.random.default_rng(19))
@@ -277,11 +269,8 @@ def test_curved_path_at_any_place_works_alike() -> None:
     R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
     points = sine_points() @ R.T
     path = ReferencePath(points, turning=1.0)
-    joints = JointPath.of(kr6(), path)
-    travel = SpeedProfile.plan(kr6(), path, Limits(0.7), joints)
-    there = follow(
-        LineFollower(kr6(), path, travel, 25, joint_path=joints), Camera(LINE @ R.T, np.random.default_rng(20))
-    )
+    travel = SpeedProfile.plan(kr6(), path, Limits(0.7))
+    there = follow(LineFollower(kr6(), path, travel, 25), Camera(LINE @ R.T, np.random.default_rng(20)))
     here = follow(follower(), Camera(LINE, np.random.default_rng(20)))
     q_here, q_there = (np.array([h[0] for h in run.horizons]) for run in (here, there))
     np.testing.assert_allclose(q_there[:, 1:], q_here[:, 1:], atol=2e-5)
@@ -289,7 +278,7 @@ def test_curved_path_at_any_place_works_alike() -> None:
 
 @pytest.mark.parametrize(
     "bad",
-    [{"frozen": -1}, {"cutoff": 0.0}, {"max_gap": 0.0}, {"noise": -1e-5}, {"view": (0.1, 0.05)}, {"latency": -0.1}],
+    [{"max_gap": 0.0}, {"noise": -1e-5}, {"view": (0.1, 0.05)}, {"latency": -0.1}],
 )
 def test_settings_that_make_no_sense_are_refused(bad: dict[str, object]) -> None:
     with pytest.raises(InputError):
@@ -314,7 +303,7 @@ DISPLACED = displaced(sine_points(), turn=0.0, along=0.0)
 
 def ride(k_p: float, k_d: float = 0.0, latency: float = 0.04) -> tuple[np.ndarray, np.ndarray]:
     """TCP distances from the line [m] and lateral corrections [m] of an arm that follows its commands exactly."""
-    follower = LineFollower(kr6(), reference(), profile(), joint_path=joint_path())
+    follower = LineFollower(kr6(), reference(), profile())
     feedback = DirectFeedback(follower, k_p, k_d)
     camera, fk = Camera(DISPLACED, np.random.default_rng(1)), kr6().fk()
     under_way, tcp, corrections = [], [], []
@@ -358,7 +347,7 @@ def test_the_command_follows_the_law() -> None:
     signals = np.array([0.0, 0.004, 0.004, 0.007, -0.002, -0.002])
 
     def corrections(k_p: float, k_d: float) -> np.ndarray:
-        follower = LineFollower(kr6(), reference(), profile(), joint_path=joint_path())
+        follower = LineFollower(kr6(), reference(), profile())
         feedback, pose, found = DirectFeedback(follower, k_p, k_d), kr6().fk()(follower.q_start), []
         frames = follower.reference.frames(follower.reference.project(pose.translation[None], 0.0)[0])
         for signal in signals:
@@ -380,7 +369,7 @@ def test_negative_gain_is_refused() -> None:
 
 def test_without_a_gain_on_the_change_there_is_none() -> None:
     plain, given = ride(0.1), ride(0.1, 0.0)
-    follower = LineFollower(kr6(), reference(), profile(), joint_path=joint_path())
+    follower = LineFollower(kr6(), reference(), profile())
     feedback, pose = DirectFeedback(follower, 0.1), kr6().fk()(follower.q_start)
     frames = follower.reference.frames(follower.reference.project(pose.translation[None], 0.0)[0])
     points = pose.actInv((frames.position + 0.004 * frames.normal)[0])[None].repeat(3, axis=0)

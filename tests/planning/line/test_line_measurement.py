@@ -11,13 +11,13 @@ from scipy.stats import chi2
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from planning.line.deviation_model import ConstantDeviation, PathDeviation
+from planning.line.deviation_model import Expected, PathDeviation
 from planning.line.deviation_sensor import Reading, fuse_reading
 from planning.line.fusion import DeviationFilter
 from planning.line.line_follower import LineFollower
 from planning.line.measurement import Measurement, extended, polynomial_measurement, widened
 from planning.path.kinematics import InverseKinematics
-from tests.planning.cell import T, joint_path, kr6, profile, reference
+from tests.planning.cell import Constant, T, kr6, profile, reference
 
 NOISE, COMMON, YAW = 3e-5, 4e-5, 0.002
 AHEAD = np.linspace(0.03, 0.12, 5)
@@ -132,14 +132,14 @@ def test_of_good_measurements_as_many_are_left_out_as_the_significance_says(coun
     """Of 1500 that are as uncertain as they say, each alone against a map that is known exactly."""
     rng, left_out = np.random.default_rng(count), 0
     for _ in range(1500):
-        fusion = DeviationFilter(ConstantDeviation(1e-12), gate=50.0, significance=0.05, confirm=0)
+        fusion = DeviationFilter(Constant(1e-12), gate=50.0, significance=0.05, confirm=0)
         left_out += not fusion.update(of_points(0.0, AHEAD[:count], NOISE * rng.standard_normal(count))).dof
     assert left_out / 1500 == pytest.approx(0.05, abs=0.018)
 
 
 def test_a_single_value_is_left_out_beyond_the_gate_and_not_before() -> None:
     for deviations, used in ((3.99, True), (4.01, False)):
-        fusion = DeviationFilter(ConstantDeviation(1e-12), significance=1e-9)
+        fusion = DeviationFilter(Constant(1e-12), significance=1e-9)
         value = np.array([0.0, 0.0, deviations * NOISE])
         assert bool(fusion.update(of_points(0.0, AHEAD[:3], value)).used[2]) == used
 
@@ -148,7 +148,7 @@ def test_a_single_value_is_left_out_beyond_the_gate_and_not_before() -> None:
 def test_however_far_off_a_measurement_is_it_is_as_likely_as_an_outlier(count: int) -> None:
     """Logarithm of the likelihood: half the normalised square less, up to the bound that only outliers are beyond."""
     def likelihood(off: float) -> float:
-        fusion = DeviationFilter(ConstantDeviation(1e-12), gate=1e6, significance=1e-4)
+        fusion = DeviationFilter(Constant(1e-12), gate=1e6, significance=1e-4)
         return fusion.update(of_points(0.0, AHEAD[:count], np.full(count, off * NOISE))).likelihood
 
     best, bound = likelihood(0.0), float(chi2.isf(1e-4, count))
@@ -200,8 +200,8 @@ def test_a_reading_tells_where_the_line_is_not_where_the_tool_was(off: float, sl
                                                                   at: tuple[float, float, float]) -> None:
     """[L] (5): a tool beside the reference sees a line that is 6 mm beside it that much nearer or farther."""
     line = 0.006
-    model = PathDeviation(reference(), directions=2, ahead=0.4)
-    f = LineFollower(kr6(), reference(), profile(), 25, joint_path=joint_path(), fusion=DeviationFilter(model))
+    model = PathDeviation(reference(), up=Expected(), ahead=0.4)
+    f = LineFollower(kr6(), reference(), profile(), 25, fusion=DeviationFilter(model))
     kinematics, s = InverseKinematics(kr6()), 0.0
     frame = reference().frames(np.zeros(1))
     place = pin.SE3(reference().rotation(s), frame.position[0] + off * frame.normal[0])
@@ -225,7 +225,7 @@ def test_a_reading_tells_where_the_line_is_not_where_the_tool_was(off: float, sl
 @pytest.mark.parametrize(("change", "field"), [({"at": (0.0, 0.0)}, "at"), ({"direction": (1.0, 0.0)}, "direction"),
                                                ({"direction": (0.0, 0.0, 0.0)}, "direction")])
 def test_a_reading_of_another_shape_is_refused_by_the_sensors_name(change: dict[str, object], field: str) -> None:
-    f = LineFollower(kr6(), reference(), profile(), 25, joint_path=joint_path())
+    f = LineFollower(kr6(), reference(), profile(), 25)
     for k in range(4):
         f.observe(k * T, f.q_start)
     good = Reading(T, (0.0, 0.0, 0.0), 0.001, 1e-8)

@@ -301,12 +301,11 @@ def test_a_line_may_bend_by_what_its_prediction_leaves_open_and_no_more() -> Non
 
 # One cross-section of a line: found, fitted, and its stated uncertainty honest.
 
-def section(u0: float, width: float, slant: float = 0.0, columns: int = 31, rows: int = 3, dark: float = 160.0,
-            tilt: float = 0.0, blur: float = 0.5) -> Array:
-    """The blurred box itself, not rounded."""
-    u = np.arange(columns)[None, :] - u0 - slant * (np.arange(rows)[:, None] - 0.5 * (rows - 1))
+def section(u0: float, width: float, slant: float = 0.0, dark: float = 160.0, tilt: float = 0.0) -> Array:
+    """The box itself, blurred by half a pixel, not rounded."""
+    u = np.arange(31)[None, :] - u0 - slant * (np.arange(3)[:, None] - 1.0)
     erf = np.vectorize(math.erf)
-    box = 0.5 * (erf((u + width / 2) / (blur * math.sqrt(2))) - erf((u - width / 2) / (blur * math.sqrt(2))))
+    box = 0.5 * (erf((u + width / 2) / (0.5 * math.sqrt(2))) - erf((u - width / 2) / (0.5 * math.sqrt(2))))
     return np.asarray(200.0 + tilt * u - dark * box)
 
 
