@@ -313,15 +313,6 @@ def test_forces_that_come_late_and_in_any_order_say_the_same(order: list[int]) -
         np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-12)
 
 
-def test_a_force_older_than_the_memory_is_left_out_with_a_reason() -> None:
-    surface = DeviationFilter(SmoothSurface(0.065))
-    for k in range(60):
-        surface.update(felt_at(k, 0.0))
-    got = surface.update(felt_at(0, 1e-4))
-    assert (got.dof, got.reason) == (0, "too late")
-    assert not surface.mean(np.array([STEP * 60])).any()
-
-
 def test_what_lies_ahead_may_be_seen_late() -> None:
     """Markov: places ahead depend on those behind by the state alone, so nothing is lost by not going back."""
     def map_with(t: float) -> DeviationFilter:

@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from planning.force.surface_forecast import SmoothSurface
 from planning.line.deviation_model import DeviationModel, Expected, PathDeviation
 from planning.line.fusion import DeviationFilter
 from planning.line.measurement import Fused, Measurement
@@ -95,6 +96,15 @@ def test_order_of_measurements_of_a_static_deviation_does_not_matter(make: type,
     where = np.linspace(0.0, 0.3, 20)
     for a, b in zip(straight.deviation(where), mixed.deviation(where), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-10)
+
+
+def test_a_measurement_older_than_the_memory_is_left_out_with_a_reason() -> None:
+    fusion, up = DeviationFilter(SmoothSurface(0.065)), np.array([[0.0, 1.0]])
+    for k in range(30):
+        fusion.update(points(0.02 * k, np.full(1, 0.005 * k), np.zeros(1), direction=up, at=0.005 * k))
+    got = fusion.update(points(0.0, np.zeros(1), np.full(1, 1e-4), direction=up, at=0.0))
+    assert (got.dof, got.reason) == (0, "too late")
+    assert not fusion.mean(np.array([0.15])).any()
 
 
 @pytest.mark.parametrize("model", [path_model(), Constant(0.02)])
