@@ -28,11 +28,11 @@ from ideal_robot.results import plain
 from ideal_robot.robots.robot import Robot
 from scenes import load_scene
 from scenes.arms import arm_of
-from scenes.closing.result import Closing
+from scenes.closing.result import Closing, checked_measured
 from scenes.line import close_loop as line_closing
 from scenes.models import model_for
 from scenes.path.cell import PathCell, set_up
-from scenes.path.close_loop import closed
+from scenes.path.close_loop import ArmOnPath, closed
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.path_scene import PathScene
 from scenes.undeclared import undeclared_effects
@@ -187,7 +187,7 @@ def _with_misfit(rng: np.random.Generator, kind: str, scene: PathScene, cell: Pa
                  rounds: int) -> tuple[Closing, Any]:
     robot = cell.robot
     if kind == "none":
-        return closed(scene, cell, (), measured=measured, rounds_at_most=rounds), {}
+        return closed(scene, ArmOnPath(cell, checked_measured(measured)), (), rounds_at_most=rounds), {}
     if kind == "outside":
         size = float(rng.uniform(2.0, 10.0) * SEEN * robot.tau_max[1] * 4.0)
         cause = causes_along(cell, size, 4.0 * size, size)[int(rng.integers(3))]
@@ -196,7 +196,8 @@ def _with_misfit(rng: np.random.Generator, kind: str, scene: PathScene, cell: Pa
     misfit = _drawn_misfit(rng, robot, cell.world, int(rng.integers(1, 3)))
     hidden = scene.model_copy(update={"world": {**scene.world, **misfit}})
     arm = PathCell(robot, cell.world.replace(**misfit), cell.model, cell.path, cell.learn_from, cell.seed)
-    return closed(hidden, arm, undeclared_effects(hidden, robot.n), measured=measured, rounds_at_most=rounds), misfit
+    subject = ArmOnPath(arm, checked_measured(measured))
+    return closed(hidden, subject, undeclared_effects(hidden, robot.n), rounds_at_most=rounds), misfit
 
 
 def _table(lines: list[dict[str, Any]]) -> str:
@@ -318,8 +319,8 @@ def close_outside(scene: PathScene, cell: PathCell, cause: Outside, *, measured:
     """
     loop = cell.loop()
     oracle = IdealRobot(loop.replace(terms=(*loop.terms, Told("told", cause.joint, "tau", (), cause=cause))))
-    return closed(scene, _with_cause(cell, cause), ((cause.name, cause.joint),), measured=measured, oracle=oracle,
-                  rounds_at_most=rounds)
+    subject = ArmOnPath(_with_cause(cell, cause), checked_measured(measured))
+    return closed(scene, subject, ((cause.name, cause.joint),), oracle=oracle, rounds_at_most=rounds)
 
 
 def outside(size_mm: float = 250.0, rounds: int = 2, measured: str = "tcp") -> None:

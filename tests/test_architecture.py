@@ -29,20 +29,14 @@ MOST_LINES = {"file": 400, "function": 50}
 MOST_PARAMETERS = 7
 MORE_PARAMETERS = {
     "ideal_robot/diagnosis/diagnose.py:diagnose", "ideal_robot/diagnosis/next_motion/plan.py:plan_diagnosis",
-    "ideal_robot/execution/command_governor.py:_can_rest", "ideal_robot/execution/command_governor.py:_governed",
-    "ideal_robot/execution/precorrect.py:precorrect", "ideal_robot/feedforward/ideal.py:_position_loop_signal",
-    "ideal_robot/feedforward/registry.py:feedforward", "ideal_robot/feedforward/training.py:Trained.__init__",
-    "ideal_robot/identification/excitation.py:design_excitation",
+    "ideal_robot/execution/precorrect.py:precorrect", "ideal_robot/feedforward/registry.py:feedforward",
     "ideal_robot/identification/weighted_least_squares.py:weighted_least_squares",
     "ideal_robot/identification/whole_model.py:identify_model", "ideal_robot/rsi/robot.py:RsiRobot.__init__",
-    "scenes/online/line_task.py:LineTask.__init__", "scenes/path/close_loop.py:closed",
-    "scenes/rsi/server.py:rsi_server", "scenes/scene_files/tool_path.py:tool_path",
-    "sensing/camera/camera_model.py:CameraModel.perturbed", "sensing/camera/line_detection.py:_evaluate",
+    "scenes/online/line_task.py:LineTask.__init__", "scenes/rsi/server.py:rsi_server",
+    "scenes/scene_files/tool_path.py:tool_path", "sensing/camera/camera_model.py:CameraModel.perturbed",
+    "sensing/camera/line_detection.py:_evaluate",
     "sensing/camera/line_detection.py:_sections", "sensing/camera/line_profile.py:find_sections",
-    "sim/arm/kernel.py:drive_step",
-    "sim/camera/bullet_camera.py:BulletCamera.__init__", "sim/camera/sampling.py:add_samples",
-    "sim/contact/clamp.py:hang_payloads", "sim/devices/rsi_controller.py:RsiController.__init__",
-    "sim/devices/served_arm.py:ServedArm.__init__",
+    "sim/arm/kernel.py:drive_step", "sim/camera/bullet_camera.py:BulletCamera.__init__",
 }
 """Functions with more parameters still; none may join them."""
 RUN_NOT_IMPORTED = {"mypy", "pandas-stubs", "pytest-xdist", "ruff", "import-linter", "mkdocs-material",

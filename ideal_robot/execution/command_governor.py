@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -44,9 +45,20 @@ def _braking(v: float, a: float, T: float, A: float, J: float) -> float:
     return min(max(wanted, a - J * T), a + J * T)
 
 
+class _Bounds(NamedTuple):
+    """Limits of position, speed, acceleration and jerk, ``(n,)`` each."""
+
+    low: Array
+    high: Array
+    V: Array
+    A: Array
+    J: Array
+
+
 @jit()
-def _can_rest(p: float, v: float, a: float, T: float, low: float, high: float, V: float, A: float, J: float) -> bool:
-    """Whether the braking motion from here keeps all limits and ends."""
+def _can_rest(p: float, v: float, a: float, T: float, bounds: _Bounds, j: int) -> bool:
+    """Whether the braking motion of joint ``j`` from here keeps all limits and ends."""
+    low, high, V, A, J = bounds.low[j], bounds.high[j], bounds.V[j], bounds.A[j], bounds.J[j]
     room = _SLACK * (1.0 + abs(p))
     for _ in range(_STEPS):
         if p < low - room or p > high + room or abs(v) > V * (1.0 + _SLACK):
@@ -60,8 +72,9 @@ def _can_rest(p: float, v: float, a: float, T: float, low: float, high: float, V
 
 
 @jit()
-def _governed(q: Array, last: Array, T: float, low: Array, high: Array, V: Array, A: Array, J: Array) -> Array:
+def _governed(q: Array, last: Array, T: float, bounds: _Bounds) -> Array:
     """The commands of the next cycle; ``last (3, n)``, oldest first."""
+    V, A, J = bounds.V, bounds.A, bounds.J
     result = np.empty(q.size)
     for j in range(q.size):
         p, v = last[2, j], (last[2, j] - last[1, j]) / T
@@ -74,7 +87,7 @@ def _governed(q: Array, last: Array, T: float, low: Array, high: Array, V: Array
         wanted = min(max(wanted, a - J[j] * T, -A[j], (-V[j] - v) / T), a + J[j] * T, A[j], (V[j] - v) / T)
         good, bad = brake, wanted
         speed = v + wanted * T
-        if _can_rest(p + speed * T, speed, wanted, T, low[j], high[j], V[j], A[j], J[j]):
+        if _can_rest(p + speed * T, speed, wanted, T, bounds, j):
             # Within rounding of what was asked for it is what was asked for.
             at = p + speed * T
             result[j] = q[j] if abs(at - q[j]) <= _SLACK * (1.0 + abs(q[j])) * 1e-3 else at
@@ -82,7 +95,7 @@ def _governed(q: Array, last: Array, T: float, low: Array, high: Array, V: Array
         for _ in range(_HALVINGS):
             middle = 0.5 * (good + bad)
             speed = v + middle * T
-            if _can_rest(p + speed * T, speed, middle, T, low[j], high[j], V[j], A[j], J[j]):
+            if _can_rest(p + speed * T, speed, middle, T, bounds, j):
                 good = middle
             else:
                 bad = middle
@@ -117,23 +130,22 @@ class CommandGovernor:
 
     def __init__(self, robot: Robot, q: Array, *, t_ipo: float | None = None, j_max: Array | None = None) -> None:
         self._T = robot.t_ipo if t_ipo is None else t_ipo
-        self._low, self._high = np.array(robot.q_min, dtype=float), np.array(robot.q_max, dtype=float)
-        self._V, self._A = np.array(robot.v_max, dtype=float), ACCELERATION * np.array(robot.a_max, dtype=float)
-        jerk = 2.0 * self._A / self._T if j_max is None else np.asarray(j_max, dtype=float)
-        self._J = np.broadcast_to(jerk, (robot.n,)).copy()
+        low, high = np.array(robot.q_min, dtype=float), np.array(robot.q_max, dtype=float)
+        V, A = np.array(robot.v_max, dtype=float), ACCELERATION * np.array(robot.a_max, dtype=float)
+        jerk = 2.0 * A / self._T if j_max is None else np.asarray(j_max, dtype=float)
+        self._bounds = _Bounds(low, high, V, A, np.broadcast_to(jerk, (robot.n,)).copy())
         start = np.array(q, dtype=float)
-        if start.shape != (robot.n,) or not np.all((start >= self._low) & (start <= self._high)):
+        if start.shape != (robot.n,) or not np.all((start >= low) & (start <= high)):
             raise InputError("expected a start within the joint limits", field="q", value=start.tolist())
         # Within rounding beyond a limit an arm would refuse the command and stop at once.
-        for limit, inward in ((self._low, 1.0), (self._high, -1.0)):
+        for limit, inward in ((low, 1.0), (high, -1.0)):
             finite = np.isfinite(limit)
             limit[finite] += inward * 3.0 * _SLACK * (1.0 + np.abs(limit[finite]))
         self._last = np.tile(start, (3, 1))
 
     def allowed(self, q_c: Array) -> Array:
         """The command nearest to ``q_c (n,)`` that keeps every limit, and remembers it; NaN asks for braking."""
-        command = _governed(np.asarray(q_c, dtype=float), self._last, self._T, self._low, self._high, self._V, self._A,
-                            self._J)
+        command = _governed(np.asarray(q_c, dtype=float), self._last, self._T, self._bounds)
         self.passed(command)
         return command
 
@@ -147,8 +159,7 @@ class CommandGovernor:
         Raises:
             LimitError: the arm could not be braked any more.
         """
-        near = _governed(np.asarray(q_c, dtype=float), self._last, self._T, self._low, self._high, self._V, self._A,
-                         self._J)
+        near = _governed(np.asarray(q_c, dtype=float), self._last, self._T, self._bounds)
         off = np.abs(near - q_c) > _ROUNDING * (1.0 + np.abs(q_c))
         if off.any():
             j = int(np.argmax(off))

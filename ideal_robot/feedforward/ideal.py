@@ -191,8 +191,8 @@ class IdealRobot(Feedforward):
             smooth = smooth + self._torque.value @ more
         friction, bent, turned = _friction(drives, v_m, gear, loop.t_position, state.preslide)
         further = further_torque(loop, state.cycle * self.t_ipo + self._t_fine, q_m, v_m, a_m, gear, turned)
-        signal, u, tau = _position_loop_signal(drives, q_m, v_m, a_m, smooth + friction, further, self._lag,
-                                               loop.t_position, loop.steps_ipo, state.u, state.tau)
+        signal, u, tau = _position_loop_signal(drives, (q_m, v_m, a_m), (smooth + friction, further), self._lag,
+                                               loop.t_position, loop.steps_ipo, (state.u, state.tau))
         last = loop.steps_ipo - 1
         # Half a step on from the middle of the last one.
         reached = q_m[last] + 0.5 * loop.t_position * v_m[last]
@@ -315,12 +315,14 @@ def _friction(drives: Drives, v_m: Array, load: Array, t_position: float, presli
 
 
 @jit()
-def _position_loop_signal(drives: Drives, q_m: Array, v_m: Array, a_m: Array, acting: Array, further: Array, lag: Array,
-                          t_position: float, steps: int, u0: Array, tau0: Array) -> tuple[Array, Array, Array]:
+def _position_loop_signal(drives: Drives, motion: tuple[Array, Array, Array], torques: tuple[Array, Array], lag: Array,
+                          t_position: float, steps: int, before: tuple[Array, Array]) -> tuple[Array, Array, Array]:
     """The signal ``k_v r + k_ff ṙ`` the position loop must see, and the recursions' values one cycle on.
 
-    ``acting`` is the motor torque with friction, without ripple, ``further`` that of other effects, all ``(m, n)``.
+    ``motion`` is that of the motors; ``torques`` the motor torque with friction, without ripple, and that of other
+    effects, all ``(m, n)``; ``before`` the recursions' values u and τ.
     """
+    (q_m, v_m, a_m), (acting, further), (u0, tau0) = motion, torques, before
     N, n = q_m.shape
     signal = np.empty((N, n))
     u_next, tau_next = u0.copy(), tau0.copy()

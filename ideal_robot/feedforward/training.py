@@ -72,20 +72,22 @@ class Trained(Feedforward):
     """Decoupled trained feedforward controllers.
 
     Args:
-        r: weights of the positions ``(past + ahead, n)``.
-        s: weights of the signs ``(sign_past + sign_ahead, n)`` [rad].
-        w: weights of the torques ``(torque_past + torque_ahead + 1, n)`` [rad/(N m)], or no rows.
-        lags: what the rows belong to, in ascending order of ``l``, without 0 for ``r`` and ``s``.
+        weights: of the positions r ``(past + ahead, n)``, below them those of the signs s
+            ``(sign_past + sign_ahead, n)`` [rad] and of the torques w ``(torque_past + torque_ahead + 1, n)``
+            [rad/(N m)], or no rows.
+        lags: what the rows belong to, in ascending order of ``l``, without 0 for r and s.
         t_ipo: cycle [s].
         chain: rigid body whose torques are weighed; None for [G] (12), (13) proper.
         base: what the sums are added to.
         limits: lowest and highest command ``(n,)`` each [rad].
     """
 
-    def __init__(self, r: Array, s: Array, w: Array, lags: Lags, t_ipo: float, *, chain: Chain | None = None,
+    def __init__(self, weights: Array, lags: Lags, t_ipo: float, *, chain: Chain | None = None,
                  base: Feedforward | None = None, limits: tuple[Array, Array] | None = None) -> None:
         self.base = PassThrough(t_ipo) if base is None else base
-        self.r, self.s, self.w, self.lags, self.t_ipo, self.chain = r, s, w, lags, t_ipo, chain
+        signs = lags.past + lags.ahead
+        self.r, self.s, self.w = np.split(weights, [signs, signs + lags.sign_past + lags.sign_ahead])
+        self.lags, self.t_ipo, self.chain = lags, t_ipo, chain
         self.n_d = max(lags.n_d, self.base.n_d)
         self._limits = limits
 
@@ -152,8 +154,7 @@ def train(paths: Sequence[tuple[Array, Array]], t_ipo: float, *, lags: Lags | No
                                 np.full(torque_count, 1e-3 / torque_scale[i])])
         filters[i].update(np.diag(1.0 / prior), np.zeros(size), 1.0)
         weights[:, i] = filters[i].solve()
-    r, s, w = np.split(weights, [positions_count, positions_count + signs_count])
-    return Trained(r, s, w, lags, t_ipo, chain=chain, base=base, limits=limits)
+    return Trained(weights, lags, t_ipo, chain=chain, base=base, limits=limits)
 
 
 def _regressors(windows: Array, lags: Lags, t_ipo: float, chain: Chain | None) -> tuple[Array, Array, Array]:

@@ -124,6 +124,8 @@ def _points(robot: Robot, data: pin.Data, q: Array, beyond: float) -> tuple[Arra
     return tip, [float(data.oMi[i].translation[2]) for i in range(3, robot.pinocchio.njoints)]
 
 
+SHARES = (0.75, 0.6, 0.8)
+"""Of the limits of velocity, acceleration and position that a motion may use."""
 LONGEST = 3600.0
 """Longest period of a motion [s]."""
 LONGEST_APPROACH = 600.0
@@ -164,8 +166,7 @@ class FourierMotion:
 
 
 def design_excitation(robot: Robot, rng: np.random.Generator, *, period: float = 20.0, harmonics: int = 5,
-                      workspace: Workspace | None = None, trials: int = 150, refinements: int = 250,
-                      speed: float = 0.75, acceleration: float = 0.6, travel: float = 0.8) -> FourierMotion:
+                      workspace: Workspace | None = None, trials: int = 150, refinements: int = 250) -> FourierMotion:
     """Designs a motion with a small condition number within position, velocity, acceleration and workspace limits.
 
     Args:
@@ -176,16 +177,13 @@ def design_excitation(robot: Robot, rng: np.random.Generator, *, period: float =
         workspace: keeps the arm off floor, column and cell; one in proportion to its reach if None.
         trials: random motions that the search begins with.
         refinements: changes that are tried of the best one.
-        speed: share of the velocity limits that may be used.
-        acceleration: the same of the acceleration limits.
-        travel: the same of the position limits.
 
     Raises:
         InputError: too few harmonics, a period that is none, a joint with nothing to move, or no motion within the
             limits was found.
     """
     _check_sums(harmonics, period)
-    search = MotionSpace(robot, period, harmonics, workspace or Workspace.of(robot), speed, acceleration, travel)
+    search = MotionSpace(robot, period, harmonics, workspace or Workspace.of(robot), *SHARES)
     independent = list(base_parameters(robot.pinocchio).independent)
 
     def better(best: FourierMotion | None, coefficients: Array, centre: Array | None) -> FourierMotion | None:

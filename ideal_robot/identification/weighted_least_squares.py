@@ -15,6 +15,8 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.filters import not_zero
 from ideal_robot.signals.preprocess import FilteredSignals
 
+_ITERATIONS = 4
+"""Re-estimations of the weights."""
 _RANK = 1e-8
 """Directions of the scaled regressor weaker than this share of the strongest count as not excited."""
 
@@ -53,7 +55,7 @@ class Solution:
     at_bound: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
 
-def weighted_least_squares(W: Array, y: Array, start: Array, *, iterations: int = 4, segments: Array | None = None,
+def weighted_least_squares(W: Array, y: Array, start: Array, *, segments: Array | None = None,
                            information: Array | None = None, nonnegative: np.ndarray | None = None,
                            variance: Array | None = None, correlated: bool = True,
                            regions: Sequence[np.ndarray] = ()) -> Solution:
@@ -63,7 +65,6 @@ def weighted_least_squares(W: Array, y: Array, start: Array, *, iterations: int 
         W: ``(M, n, P)`` observation matrix per sample.
         y: ``(M, n)`` measurements; a channel that is NaN throughout takes no part.
         start: ``(P,)`` values that directions without excitation keep.
-        iterations: re-estimations of the weights.
         segments: ``(M,)`` number of the recording each sample comes from, so that correlation of residuals is not
             counted across recordings.
         information: ``(P, P)`` what is known of the parameters beforehand, about ``start``: an inverse covariance.
@@ -85,7 +86,7 @@ def weighted_least_squares(W: Array, y: Array, start: Array, *, iterations: int 
     extra = np.zeros_like(y) if variance is None else variance
     channels = _Channels(W, y - W @ start, alike=variance is None)
     root = _root(np.zeros((size, size)) if information is None else information)
-    for _ in range(iterations):
+    for _ in range(_ITERATIONS):
         std = np.sqrt(noise**2 + extra)
         value, inverse, conditions, unexcited = _solve(channels.weighted(std), root)
         value, inverse, at_bound = _bounded(value, inverse, start, bounded, unexcited)

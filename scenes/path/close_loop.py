@@ -73,31 +73,29 @@ def close_loop(scene: PathScene, *, measured: str = "tcp", ask: bool = True, out
         InputError: a scene whose world holds nothing undeclared or cannot be closed, or another word for what is
             measured.
     """
-    checked_measured(measured)
+    checked = checked_measured(measured)
     undeclared = undeclared_effects(scene, arm_of(scene.robot).n)
     # An own model is of the arm as it was before.
     own = scene.model_copy(update={"world": declared_world(scene)}) if scene.model == OWN else scene
     cell = set_up(scene, delay=False, model=model_for(own, arm_of(scene.robot), progress))
-    return closed(scene, cell, undeclared, measured=measured, ask=ask, out=out, progress=progress)
+    return closed(scene, ArmOnPath(cell, checked, ask), undeclared, out=out, progress=progress)
 
 
-def closed(scene: PathScene, cell: PathCell, undeclared: tuple[Place, ...], *, measured: str = "tcp",
-           oracle: Feedforward | None = None, rounds_at_most: int = ROUNDS, ask: bool = False, out: Path | None = None,
-           progress: Progress = silent) -> Closing:
-    """The same with a cell that is set up: its arm may be one that no scene file describes.
+def closed(scene: PathScene, subject: ArmOnPath, undeclared: tuple[Place, ...], *, oracle: Feedforward | None = None,
+           rounds_at_most: int = ROUNDS, out: Path | None = None, progress: Progress = silent) -> Closing:
+    """The same with an arm that is set up: it may be one that no scene file describes.
 
     Args:
-        scene: whose path the cell plays.
-        cell: path, arm and the model as it was.
+        scene: whose path the arm plays.
+        subject: the path, the arm and the model as it was.
         undeclared: effects that the arm has and the model does not know: name, joint.
-        measured: what the arm measures.
         oracle: plays what an oracle knows of the arm; None: name and joint, and the size from the first recording.
         rounds_at_most: of finding and trying.
-        ask: whether the motion that a diagnosis asks for is played before the loop gives up.
         out: folder for recording, model and report; nothing is written without.
         progress: called with the fraction done.
     """
-    subject, job, known = _Path(cell, checked_measured(measured), ask), Steps(progress, SHARES), cell.model
+    cell, job = subject.cell, Steps(progress, SHARES)
+    known = cell.model
     job.begin("before")
     before = cell.play(cell.feedforward(IDEAL))
     done = close(subject, known, before, rounds=rounds_at_most, out=out, progress=job.part("rounds"))
@@ -112,45 +110,55 @@ def closed(scene: PathScene, cell: PathCell, undeclared: tuple[Place, ...], *, m
     plays = {name: played(name, one) for name, one in
              (("before", before.errors), ("after", done.run.errors), ("oracle", told))}
     job.begin("report")
-    more = {"E_car_aligned_mm": {name: one.error for name, one in plays.items()}, "measured": measured,
+    more = {"E_car_aligned_mm": {name: one.error for name, one in plays.items()}, "measured": subject.measured,
             "measured_before_mm": 1e3 * done.first, "plan": None if subject.plan is None else subject.plan.json()}
     return Closing(scene, undeclared, plays, done, WORDS, {"diagnostic_motion.parquet": moved}, more,
                    subject.section).written(out)
 
 
-class _Path(Subject[Play]):
-    """A path and the arm that plays it."""
+class ArmOnPath(Subject[Play]):
+    """A path and the arm that plays it.
 
-    def __init__(self, cell: PathCell, measured: Measured, ask: bool) -> None:
+    Args:
+        cell: path, arm and the model as it was.
+        measured: what the arm measures.
+        ask: whether the motion that a diagnosis asks for is played before the loop gives up.
+    """
+
+    def __init__(self, cell: PathCell, measured: Measured, ask: bool = False) -> None:
         self.plan: AskedMotion | None = None
-        self._cell, self._known, self._measured, self._ask, self._round = cell, cell.model, measured, ask, 0
+        self.cell, self._known, self.measured, self._ask, self._round = cell, cell.model, measured, ask, 0
 
     def play(self, model: Model) -> Play:
-        tried = dataclasses.replace(self._cell, model=model)
+        """See ``Subject.play``."""
+        tried = dataclasses.replace(self.cell, model=model)
         return tried.play(tried.feedforward(IDEAL))
 
     def find(self, model: Model, run: Play, progress: Progress) -> Found:
+        """See ``Subject.find``."""
         # The run takes no part in the diagnosis: it decides afterwards what stays.
-        self._cell, self._round = dataclasses.replace(self._cell, model=model), self._round + 1
-        played = self._cell.play(PassThrough(self._cell.world.t_ipo), path=diagnostic_motion(self._cell))
-        moved = visible(played.recording, self._measured)
-        return self._suggested(diagnose(moved, self._cell.robot, model=model, progress=progress), moved, run)
+        self.cell, self._round = dataclasses.replace(self.cell, model=model), self._round + 1
+        played = self.cell.play(PassThrough(self.cell.world.t_ipo), path=diagnostic_motion(self.cell))
+        moved = visible(played.recording, self.measured)
+        return self._suggested(diagnose(moved, self.cell.robot, model=model, progress=progress), moved, run)
 
     def _suggested(self, diagnosis: Diagnosis, moved: Recording, run: Play) -> Found:
-        groups, refused = Candidates(self._cell.model, diagnosis, moved, visible(run.recording, self._measured),
-                                     self._cell.robot, self._measured).groups()
+        groups, refused = Candidates(self.cell.model, diagnosis, moved, visible(run.recording, self.measured),
+                                     self.cell.robot, self.measured).groups()
         return Found(diagnosis, moved, groups, refused)
 
     def readings(self, before: Play, after: Play, model: Model) -> list[tuple[Array, Array]]:
+        """See ``Subject.readings``."""
         # Both with the same idea of what the gears carry, by each doubt of it.
         loads = carried(model.effects[len(self._known.effects):])
-        path, doubts = self._cell.path, doubts_of(loads) if self._measured == "motor" else (0.0,)
-        seen = [visible(run.recording, self._measured) for run in (before, after)]
-        pairs = [[tool_deviation(one, (path.t, path.q_d, path.counts), self._cell.robot, self._known, loads, doubt)
+        path, doubts = self.cell.path, doubts_of(loads) if self.measured == "motor" else (0.0,)
+        seen = [visible(run.recording, self.measured) for run in (before, after)]
+        pairs = [[tool_deviation(one, (path.t, path.q_d, path.counts), self.cell.robot, self._known, loads, doubt)
                   for one in seen] for doubt in doubts]
         return [(without, with_it) for without, with_it in pairs]
 
     def foreseen(self, forms: Forms, models: list[Model], model: Model, run: Play) -> tuple[list[int], str]:
+        """See ``Subject.foreseen``."""
         # A change that explains less of how the arm left its path than nothing does cannot bring it back there.
         present = self._left(model, run)
         compared = [Comparison.of(present, self._left(one, run)) for one in models]
@@ -162,19 +170,21 @@ class _Path(Subject[Play]):
 
     def _left(self, model: Model, run: Play) -> Array:
         try:
-            return left_unexplained(self._cell, model, run, self._measured)
+            return left_unexplained(self.cell, model, run, self.measured)
         except IdealRobotError:
             return np.empty(0)
 
     def asked(self, found: Found, model: Model, run: Play, progress: Progress) -> Found | None:
+        """See ``Subject.asked``."""
         if not self._ask or self.plan is not None or found.diagnosis is None:
             return None
-        self.plan = asked_motion(self._cell, found.diagnosis, found.recording, self._measured, self._round, progress)
+        self.plan = asked_motion(self.cell, found.diagnosis, found.recording, self.measured, self._round, progress)
         if self.plan is None or self.plan.diagnosis is None or self.plan.recording is None:
             return None
         return self._suggested(self.plan.diagnosis, self.plan.recording, run)
 
     def section(self, page: Report) -> None:
+        """See ``Subject.section``."""
         if self.plan is not None:
             page.heading("The motion that the diagnosis asked for")
             page.table(["cause", "or", "recorded σ", "planned σ", "told apart"], self.plan.table(),

@@ -202,8 +202,9 @@ def served_cell(scene: Scene, places: Places, unkind: Unkindness) -> Iterator[tu
                 served.force = netft.address
                 carried.append(force)
             served_arm = (ServedRtde if places.rtde else ServedArm)(
-                arm, places.arm, relative=places.relative, unkind=unkind, drift=-0.5 * unkind.drift, rng=streams[2],
-                carried=tuple(carried), sign=Axes.of(cell.known.robot).sign, anew=served.anew)
+                arm, places.arm, relative=places.relative, unkind=unkind, rng=streams[2],
+                carried=tuple(carried), sign=Axes.of(cell.known.robot).sign)
+            served_arm.anew = served.anew
         except BAD_ADDRESS as error:
             raise InputError(f"cannot listen there ({error})", field="host:port", value=places.host) from error
         yield served, served_arm

@@ -157,9 +157,9 @@ class BulletCamera(RenderedCamera):
             # The samples stay where they are; the renderer's own grid moves below them, which averages its hard edges.
             at = scale, column0 + du, row0 + dv
             image, bodies = self._picture(view, width, height, *at, parted=parted)
-            add_samples(total, image, x, y, *at, weight)
+            add_samples(total, image, x, y, at, weight)
             if bodies is not None:
-                add_samples(bare, self._surface_in(bodies), x, y, *at, weight)
+                add_samples(bare, self._surface_in(bodies), x, y, at, weight)
         return total, bare
 
     @property

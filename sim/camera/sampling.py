@@ -15,7 +15,7 @@ from sim.camera.surface import Texture
 
 @jit()
 def add_samples(
-    total: Array, image: NDArray[np.uint8], x: Array, y: Array, scale: float, column0: float, row0: float, weight: float
+    total: Array, image: NDArray[np.uint8], x: Array, y: Array, at: tuple[float, float, float], weight: float
 ) -> None:
     """Adds the picture, sampled bilinearly at normalised coordinates, averaged over each pixel's samples, to ``total``.
 
@@ -26,11 +26,10 @@ def add_samples(
         image: undistorted picture ``(rows, columns, channels)`` [gray].
         x: normalised coordinates to the right ``(height, width, n)``, n samples per pixel.
         y: the same downwards.
-        scale: focal length of the undistorted picture [px].
-        column0: column of its principal point [px].
-        row0: row of its principal point [px].
+        at: focal length of the undistorted picture, column and row of its principal point [px].
         weight: of this picture in the sum.
     """
+    scale, column0, row0 = at
     rows, columns = image.shape[0], image.shape[1]
     height, width, n = x.shape
     for i in range(height):

@@ -262,9 +262,12 @@ def dry_friction(q: Array, level: Array, presliding: float) -> Array:
 GRAVITY = 9.81
 
 
+_SAMPLES = 50
+"""Recorded of each mass."""
+
+
 def hang_payloads(robot: Robot, world: ClampWorld, postures: Array, masses: Array, lever: Array,
-                  rng: np.random.Generator, *, samples: int = 50,
-                  tracker: tuple[float, float] = (2e-5, 3e-5)) -> Recording:
+                  rng: np.random.Generator, *, tracker: tuple[float, float] = (2e-5, 3e-5)) -> Recording:
     """Records motor angles and flange pose under known masses.
 
     Args:
@@ -274,7 +277,6 @@ def hang_payloads(robot: Robot, world: ClampWorld, postures: Array, masses: Arra
         masses: hung one after the other in each posture ``(m,)`` [kg].
         lever: where the masses' centre hangs in the tool frame ``(3,)`` [m].
         rng: for the tracker's noise.
-        samples: recorded per mass.
         tracker: standard deviation of the measured position [m] and rotation [rad].
 
     Returns:
@@ -284,7 +286,7 @@ def hang_payloads(robot: Robot, world: ClampWorld, postures: Array, masses: Arra
     for q_m in postures:
         for mass in masses:
             pose = loaded_pose(robot, world, q_m, float(mass), lever)
-            for _ in range(samples):
+            for _ in range(_SAMPLES):
                 error = pin.exp3(tracker[1] * rng.standard_normal(3))
                 seen = pin.SE3(error @ pose.rotation, pose.translation + tracker[0] * rng.standard_normal(3))
                 rows_q.append(q_m)

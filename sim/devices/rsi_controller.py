@@ -49,6 +49,10 @@ class ControllerRun:
     ended: str
 
 
+IPOC = 4208163634
+"""Time stamp of the first cycle [ms]."""
+
+
 class RsiController:
     """Sends ``<Rob>`` every cycle and moves the arm by the axis corrections of the answers.
 
@@ -59,22 +63,18 @@ class RsiController:
         address: where the server listens.
         relative: whether corrections add up.
         sign: how the controller counts its axes against the URDF ``(n,)``.
-        timeout: how long an answer is waited for [s]. The simulated time stands still meanwhile.
+        timeout: how long an answer is waited for [s], the simulated time standing still meanwhile; None for as long as
+            a cycle takes, as a real controller does.
         patience: cycles in a row without an answer after which it ends; fifty times as many before the first answer,
             which a server that compiles its code takes half a minute to give.
-        real_time: whether a cycle takes as long as it says, as with a real controller.
-        ipoc: time stamp of the first cycle [ms].
-        currents: whether motor currents are sent.
         disturbance: see ``Disturbance``; None sends every packet as it is.
     """
 
     def __init__(self, arm: SimulatedArm, address: tuple[str, int], *, relative: bool = False,
-                 sign: Collection[float] = (-1.0, 1.0, 1.0, -1.0, 1.0, -1.0), timeout: float = 0.3, patience: int = 10,
-                 real_time: bool = False, ipoc: int = 4208163634, currents: bool = True,
-                 disturbance: Disturbance | None = None) -> None:
+                 sign: Collection[float] = (-1.0, 1.0, 1.0, -1.0, 1.0, -1.0), timeout: float | None = 0.3,
+                 patience: int = 10, disturbance: Disturbance | None = None) -> None:
         self.arm, self.address, self.relative, self.sign = arm, address, relative, np.array(list(sign))
-        self.timeout, self.patience, self.real_time, self.ipoc = timeout, patience, real_time, ipoc
-        self.currents, self.disturbance = currents, disturbance
+        self.timeout, self.patience, self.disturbance = timeout, patience, disturbance
         self._stopped = threading.Event()
 
     def stop(self) -> None:
@@ -91,12 +91,12 @@ class RsiController:
             stamp_arrivals(link)
             begin = time.perf_counter()
             for k in range(cycles):
-                stamp = (self.ipoc + k * round(1e3 * self.arm.t_ipo)) % 2**32
+                stamp = (IPOC + k * round(1e3 * self.arm.t_ipo)) % 2**32
                 packet = self.packet(state, start, late, stamp)
                 sent = [packet] if self.disturbance is None else self.disturbance(k, packet)
                 for piece in sent:
                     link.sendto(piece, self.address)
-                end = time.perf_counter() + (self.arm.t_ipo if self.real_time else self.timeout)
+                end = time.perf_counter() + (self.arm.t_ipo if self.timeout is None else self.timeout)
                 correction = self.answer(link, stamp, end) if sent else None
                 if self._stopped.is_set():
                     ended = "stopped"
@@ -112,7 +112,7 @@ class RsiController:
                     command = (command if self.relative else start) + correction
                 commands.append(command)
                 state = self.arm.cycle(self.sign * np.radians(command))
-                if self.real_time:
+                if self.timeout is None:
                     time.sleep(max(begin + (k + 1) * self.arm.t_ipo - time.perf_counter(), 0.0))
         return ControllerRun(np.array(commands), np.array(answered), ended)
 
@@ -128,7 +128,7 @@ class RsiController:
         def axes(tag: str, values: Array) -> str:
             return f"<{tag} " + " ".join(f'A{i + 1}="{value:.6f}"' for i, value in enumerate(values)) + "/>"
 
-        current = axes("MACur", self.sign * state.tau / self.arm.robot.drive_gain) if self.currents else ""
+        current = axes("MACur", self.sign * state.tau / self.arm.robot.drive_gain)
         return ('<Rob Type="KUKA"><RIst X="0.0" Y="0.0" Z="0.0" A="0.0" B="0.0" C="0.0"/>'
                 + axes("AIPos", self.sign * np.degrees(state.q)) + axes("ASPos", start) + current
                 + f'<Delay D="{late}"/><IPOC>{stamp}</IPOC></Rob>').encode("ascii")
@@ -188,7 +188,7 @@ def main(words: Sequence[str] | None = None) -> int:
     prefix = "q_d" if "q_d_1" in columns else "q"
     start = np.array([columns[f"{prefix}_{i + 1}"][0] for i in range(robot.n)])
     with SimulatedArm(robot, World.default(robot), np.random.default_rng(0), q0=start) as arm:
-        run = RsiController(arm, ("127.0.0.1", given.port), relative=given.relative, real_time=True,
+        run = RsiController(arm, ("127.0.0.1", given.port), relative=given.relative, timeout=None,
                             patience=given.patience).run()
     print(f"{run.ended}; {int(np.sum(run.answered))} of {len(run.answered)} cycles answered")
     return 0 if run.answered.any() else 1

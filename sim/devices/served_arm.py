@@ -15,7 +15,7 @@ from ideal_robot.errors import IdealRobotError
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.rsi.link import stamp_arrivals
 from sim.arm.arm import SimulatedArm
-from sim.devices.rsi_controller import RsiController
+from sim.devices.rsi_controller import IPOC, RsiController
 from sim.devices.rtde_controller import RtdeController
 from sim.devices.stream_server import Unkindness
 
@@ -77,24 +77,26 @@ class ServedArm:
         address: where the server (the follower) listens.
         relative: whether corrections add up; without an answer the last is then taken again (``HOLDON`` 1), otherwise
             the arm is held where it was commanded.
-        unkind: what the network does to packets and answers.
-        drift: by how much the controller's clock runs fast.
+        unkind: what the network does to packets and answers, and clocks: the controller's runs half as slow as its
+            devices' run fast.
         rng: draws what the network does.
         carried: devices on the arm.
         sign: how the controller counts its axes against the URDF ``(n,)``.
+
+    Attributes:
         anew: called when the arm's time has begun anew, for a next session.
     """
 
-    def __init__(self, arm: SimulatedArm, address: tuple[str, int], *, relative: bool, unkind: Unkindness, drift: float,
-                 rng: np.random.Generator, carried: tuple[Carried, ...], sign: Array,
-                 anew: Callable[[], None] = lambda: None) -> None:
+    anew: Callable[[], None] = staticmethod(lambda: None)
+
+    def __init__(self, arm: SimulatedArm, address: tuple[str, int], *, relative: bool, unkind: Unkindness,
+                 rng: np.random.Generator, carried: tuple[Carried, ...], sign: Array) -> None:
         self.arm, self._unkind, self._rng, self._carried = arm, unkind, rng, carried
-        self._anew = anew
         self._wire = RsiController(arm, address, relative=relative, sign=sign.tolist())
         self._address, self._relative, self._sign = address, relative, sign
-        self._T, self._host_T = arm.t_ipo, arm.t_ipo / (1.0 + drift)
+        self._T, self._host_T = arm.t_ipo, arm.t_ipo / (1.0 - 0.5 * unkind.drift)
         self._start = arm.truth.q_m
-        self._ipoc, self._stopped = 4208163634, False
+        self._ipoc, self._stopped = IPOC, False
         self._due = time.perf_counter()
 
     def stop(self) -> None:
@@ -215,7 +217,7 @@ class ServedArm:
 
     def _reset(self) -> None:
         self.arm.reset(self._start)
-        self._anew()
+        self.anew()
 
     def _moved(self, q: Array, session: Session | None = None) -> None:
         self.arm.cycle(q)

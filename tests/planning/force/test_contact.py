@@ -239,10 +239,11 @@ def test_the_felt_path_tells_the_normal_whatever_friction_pulls_at_the_tip() -> 
     start = data.oMf[robot.tool_id].copy()
     towards, up = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
     settings = ContourSettings(friction=0.0, length=0.1)
-    follower = ContourFollower(robot, start, towards, up, 1, robot.home, 20, settings)
+    axes = np.stack([towards, np.cross(up, towards)])
+    follower = ContourFollower(robot, start, axes, robot.home, 20, settings)
     out = np.array([-np.cos(TURNED), np.sin(TURNED)])
     along = np.array([out[1], -out[0]])
-    axes, fk, late, pressed = np.stack([towards, np.cross(up, towards)]), robot.fk(), None, []
+    fk, late, pressed = robot.fk(), None, []
     for k in range(1, 400):
         t = k * robot.t_ipo
         if late is not None:

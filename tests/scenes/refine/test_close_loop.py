@@ -20,7 +20,7 @@ from scenes.closing.loop import Form, Group
 from scenes.closing.result import tool_deviation, visible
 from scenes.path.candidates import Candidates, covering, diagnostic_motion
 from scenes.path.cell import PathCell, training_path
-from scenes.path.close_loop import _Path, close_loop, doubt_of_load, left_unexplained
+from scenes.path.close_loop import ArmOnPath, close_loop, doubt_of_load, left_unexplained
 from scenes.scene_files.path_scene import PathScene
 from scenes.undeclared import undeclared_effects
 from sim.arm.world import World
@@ -223,7 +223,7 @@ def test_a_change_that_hardly_shows_on_the_loop_is_played(worse: float, playable
                                                           monkeypatch: pytest.MonkeyPatch) -> None:
     """A payload under stiff control leaves as much of its joints unexplained and bends the path all the same."""
     rng = np.random.default_rng(1)
-    subject = _Path(PathCell(arm.ROBOT, arm.WORLD, arm.model(), arm.path(), "motor", 1), "tcp", False)
+    subject = ArmOnPath(PathCell(arm.ROBOT, arm.WORLD, arm.model(), arm.path(), "motor", 1), "tcp", False)
     changed = arm.model().with_effects((CASES["payload/tau"]().true,))
     monkeypatch.setattr(subject, "_left", lambda model, run: (1.0 + worse * bool(model.effects)) * (
         1.0 + 0.1 * rng.normal(size=(200, 3))))

@@ -214,7 +214,6 @@ def test_payload_bends_gears_as_a_body_of_its_mass_does(lever: np.ndarray) -> No
         q = Q - pin.computeGeneralizedGravity(carrying, carrying.createData(), q) / world.stiffness
     seen = robot.fk()(q).inverse() * loaded_pose(robot, world, Q, 200.0, lever)
     np.testing.assert_allclose(pin.log6(seen).vector, 0.0, atol=1e-8)
-    recording = hang_payloads(robot, world, postures, masses, lever, np.random.default_rng(0), samples=1,
-                              tracker=(0.0, 0.0))
+    recording = hang_payloads(robot, world, postures, masses, lever, np.random.default_rng(0), tracker=(0.0, 0.0))
     found = {one.joint: one.stiffness for one in identify_from_payloads([recording], robot)}
     np.testing.assert_allclose([found[joint] for joint in (2, 3, 4, 5)], world.stiffness[1:5], rtol=3e-3)

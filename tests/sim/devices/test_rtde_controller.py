@@ -45,7 +45,7 @@ def served() -> Iterator[tuple[ServedRtde, list[Session]]]:
     """A cell in a thread; sessions in which the arm has moved."""
     sessions: list[Session] = []
     with SimulatedArm(ROBOT, World.ideal("kr6"), np.random.default_rng(1)) as arm:
-        cell = ServedRtde(arm, ("127.0.0.1", 0), relative=False, unkind=Unkindness(), drift=0.0,
+        cell = ServedRtde(arm, ("127.0.0.1", 0), relative=False, unkind=Unkindness(drift=0.0),
                           rng=np.random.default_rng(2), carried=(), sign=np.ones(6))
         thread = threading.Thread(target=cell.sessions, args=(0, sessions.append))
         thread.start()
