@@ -126,15 +126,15 @@ def full_names(n: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return tuple(names), tuple(units)
 
 
-def base_parameters(model: pin.Model, seed: int = 0) -> BaseParameters:
+def base_parameters(model: pin.Model) -> BaseParameters:
     """Finds the base parameters of any serial arm by numerical QR.
 
     Args:
         model: the kinematics; fixed joints are already merged by Pinocchio.
-        seed: of the random states at which the regressor is evaluated; the result does not depend on it.
     """
     n = model.nv
-    rng = np.random.default_rng(seed)
+    # Random states at which the regressor is evaluated; the result does not depend on which.
+    rng = np.random.default_rng(0)
     count = 40 * n
     q = rng.uniform(-np.pi, np.pi, (count, n))
     qd, qdd = rng.normal(size=(count, n)), rng.normal(size=(count, n))

@@ -274,8 +274,7 @@ LARGEST_STD_PERCENT = 10.0
 """A joint whose stiffness scatters more than this is not loaded enough to be named."""
 
 
-def identify_from_payloads(recordings: Sequence[Recording], robot: Robot,
-                           tolerances: Tolerances | None = None) -> tuple[JointStiffness, ...]:
+def identify_from_payloads(recordings: Sequence[Recording], robot: Robot) -> tuple[JointStiffness, ...]:
     """Stiffness of the joints that the payloads load (never a vertical first one).
 
     The recordings have the columns ``q_i``, ``payload`` [kg] and the flange pose. The masses' centre in the tool frame
@@ -284,12 +283,10 @@ def identify_from_payloads(recordings: Sequence[Recording], robot: Robot,
     Args:
         recordings: of postures with payloads.
         robot: the arm.
-        tolerances: relative errors of what is taken as known; the defaults if None.
 
     Raises:
         InputError: a column is missing, a posture has one payload only, or no joint is loaded.
     """
-    tolerances = tolerances or Tolerances()
     rows, values = [], []
     for recording in recordings:
         for W, Y in _postures(recording, robot):
@@ -313,7 +310,7 @@ def identify_from_payloads(recordings: Sequence[Recording], robot: Robot,
             continue
         k = 1 / float(fit.chi[i])
         std = float(np.sqrt(fit.robust[i, i]))
-        half = 1.96 * k * float(np.hypot(k * std, tolerances.model))
+        half = 1.96 * k * float(np.hypot(k * std, Tolerances().model))
         results.append(JointStiffness(int(joint), "payload", k, 0.0, float(fit.std_percent[i]), 0.0,
                                       100 * fit.relative_residual, (k - half, k + half), fit.condition,
                                       tuple(recording.source for recording in recordings)))

@@ -2,8 +2,7 @@
 
     q_c^(p+1) = q_c^p + Δq_c^(p+1) ,   G Δq_c^(p+1) = q_d - q^p
 
-``G`` is the linear closed loop written out. It is inverted by regularised least squares, in information form, or with
-less regularisation and a Butterworth filter behind it (Norrlöf and Gunnarsson, cited by [G] 4.2.1).
+``G`` is the linear closed loop written out. It is inverted by regularised least squares, in information form.
 
 [G] finds that convergence cannot be guaranteed. Here it need not be: the best commands so far are kept, a step that
 makes the path worse is halved and taken from the best, and learning stops when halving does not help.
@@ -13,11 +12,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import pinocchio as pin
-import scipy
 from scipy.linalg import cho_factor, cho_solve
 
 from ideal_robot.arrays import Array
@@ -39,21 +36,11 @@ class LearningLaw:
     Args:
         loop: linear closed loops of the joints.
         length: number of cycles of the path.
-        inverse: ``least_squares``, or ``butterworth`` for the variant with a filter.
         smoothness: weight of the correction's second differences; what keeps noise out of the commands.
-        cutoff: of the Butterworth filter [Hz].
     """
 
-    def __init__(self, loop: LinearLoop, length: int, *,
-                 inverse: Literal["least_squares", "butterworth"] = "least_squares", smoothness: float = 0.3,
-                 cutoff: float = 8.0) -> None:
-        if inverse not in ("least_squares", "butterworth"):
-            raise InputError("expected least_squares or butterworth", field="inverse", value=inverse)
+    def __init__(self, loop: LinearLoop, length: int, *, smoothness: float = 0.3) -> None:
         self.length = length
-        self._filter = None
-        if inverse == "butterworth":
-            smoothness *= 0.1
-            self._filter = scipy.signal.butter(3, min(0.95, 2 * cutoff * loop.t_ipo), output="sos")
         second = np.diff(np.eye(length), 2, axis=0)
         penalty = smoothness**2 * second.T @ second + 1e-8 * np.eye(length)
         self._G = [loop.matrix(i, length, length) for i in range(loop.n)]
@@ -63,10 +50,7 @@ class LearningLaw:
         """``Δq_c (N, n)`` [rad] for the errors ``q_d - q (N, n)`` of the last play."""
         steps = [cho_solve(factor, G.T @ error[:, i])
                  for i, (G, factor) in enumerate(zip(self._G, self._factors, strict=True))]
-        correction = np.column_stack(steps)
-        if self._filter is not None:
-            correction = scipy.signal.sosfiltfilt(self._filter, correction, axis=0)
-        return np.asarray(correction)
+        return np.column_stack(steps)
 
 
 @dataclass(frozen=True, repr=False)
@@ -147,22 +131,18 @@ def learn(play: Callable[[Array], Array], q_c: Array, law: LearningLaw, *, itera
     return Learned(best, tuple(history), tuple(kept), stopped)
 
 
-def learn_on_model(loop: LoopModel, q_d: Array, q_c: Array | None = None, *, iterations: int = 8,
-                   linear: LinearLoop | None = None) -> Learned:
+def learn_on_model(loop: LoopModel, q_d: Array, q_c: Array | None = None) -> Learned:
     """Learns a path on the identified closed loop, before the arm moves at all.
 
     Args:
         loop: the identified closed loop.
         q_d: desired arm positions at the instants ``t_k`` ``(N, n)`` [rad].
         q_c: commands to start from; the desired positions if not given.
-        iterations: learning steps; each simulates the path once.
-        linear: linear closed loop to invert; linearised at the middle of the path if not given.
     """
     start = q_d if q_c is None else q_c
-    inverse = LinearLoop.of(loop, q_d[len(q_d) // 2]) if linear is None else linear
-    law = LearningLaw(inverse, len(q_d), smoothness=0.05)
+    law = LearningLaw(LinearLoop.of(loop, q_d[len(q_d) // 2]), len(q_d), smoothness=0.05)
     return learn(lambda commands: np.asarray(q_d - simulate(loop, commands).q_a[:-1]), start, law,
-                 iterations=iterations, limits=(loop.q_min, loop.q_max), step_max=1.5 * loop.v_max * loop.t_ipo)
+                 iterations=8, limits=(loop.q_min, loop.q_max), step_max=1.5 * loop.v_max * loop.t_ipo)
 
 
 def _slew(commands: Array, step_max: Array) -> Array:

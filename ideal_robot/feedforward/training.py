@@ -14,20 +14,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ideal_robot.arrays import Array, eased, held
 from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics
 from ideal_robot.errors import InputError
-from ideal_robot.feedforward.base import Feedforward, PassThrough
+from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.loop.impulse_response import InformationFilter, LinearLoop
 
 _STILL = 2e-3
 """Speed at which the sign terms have turned over [rad/s]; a bare sign would chatter on the noise of a resting path."""
-
-
+_NOISE = 5e-4
+"""Learned commands are believed to this [rad]; small weights are preferred within it."""
 REVERSAL = (0.288, 0.06)
 """How long after and before a reversal its sign counts [s]: the controller's integrator needs some 0.3 s to settle."""
 
@@ -78,57 +77,48 @@ class Trained(Feedforward):
         lags: what the rows belong to, in ascending order of ``l``, without 0 for r and s.
         t_ipo: cycle [s].
         chain: rigid body whose torques are weighed; None for [G] (12), (13) proper.
-        base: what the sums are added to.
         limits: lowest and highest command ``(n,)`` each [rad].
     """
 
     def __init__(self, weights: Array, lags: Lags, t_ipo: float, *, chain: Chain | None = None,
-                 base: Feedforward | None = None, limits: tuple[Array, Array] | None = None) -> None:
-        self.base = PassThrough(t_ipo) if base is None else base
+                 limits: tuple[Array, Array] | None = None) -> None:
         signs = lags.past + lags.ahead
         self.r, self.s, self.w = np.split(weights, [signs, signs + lags.sign_past + lags.sign_ahead])
         self.lags, self.t_ipo, self.chain = lags, t_ipo, chain
-        self.n_d = max(lags.n_d, self.base.n_d)
+        self.n_d = lags.n_d
         self._limits = limits
 
-    def init(self, q0: Array) -> tuple[Array, Any]:
+    def init(self, q0: Array) -> Array:
         """See ``Feedforward.init``."""
-        return np.tile(np.asarray(q0, dtype=float), (self.lags.before, 1)), self.base.init(q0)
+        return np.tile(np.asarray(q0, dtype=float), (self.lags.before, 1))
 
-    def step(self, state: tuple[Array, Any], q_d: Array, tau_ext_d: Array | None = None
-             ) -> tuple[Array, tuple[Array, Any]]:
+    def step(self, state: Array, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, Array]:
         """See ``Feedforward.step``."""
-        past, inner = state
-        q_c, inner = self.base.step(inner, q_d, tau_ext_d)
-        rows = np.concatenate([past, q_d[: self.lags.n_d]])
+        rows = np.concatenate([state, q_d[: self.lags.n_d]])
         if len(q_d) < self.lags.n_d:
             rows = held(rows, after=self.lags.n_d - len(q_d))
         positions, signs, torques = _regressors(rows[None], self.lags, self.t_ipo, self.chain)
-        q_c = q_c + np.sum(self.r * positions[0], axis=0) + np.sum(self.s * signs[0], axis=0)
+        q_c = q_d[0] + np.sum(self.r * positions[0], axis=0) + np.sum(self.s * signs[0], axis=0)
         q_c = q_c + np.sum(self.w * torques[0], axis=0)
         if self._limits is not None:
             q_c = np.clip(q_c, *self._limits)
-        return q_c, (np.concatenate([past[1:], q_d[:1]]), inner)
+        return q_c, np.concatenate([state[1:], q_d[:1]])
 
 
-def train(paths: Sequence[tuple[Array, Array]], t_ipo: float, *, lags: Lags | None = None,
-          chain: Chain | None = None, base: Feedforward | None = None, noise: float = 5e-4,
+def train(paths: Sequence[tuple[Array, Array]], t_ipo: float, *, chain: Chain | None = None,
           limits: tuple[Array, Array] | None = None) -> Trained:
     """Fits the weights of [G] (12) or (13) to learned commands, by least squares in information form.
 
     Args:
         paths: pairs of desired positions and learned commands, each ``(N, n)`` [rad], all from rest.
         t_ipo: cycle [s].
-        lags: which neighbours in time count.
         chain: rigid body whose torques are weighed too; None for [G] (12), (13) proper.
-        base: feedforward that gave the commands learning started from; the desired positions if None.
-        noise: learned commands are believed to this [rad]; small weights are preferred within it.
         limits: passed on to the trained feedforward.
 
     Raises:
         InputError: no path, or commands and desired positions of different shape.
     """
-    lags = Lags.at(t_ipo) if lags is None else lags
+    lags = Lags.at(t_ipo)
     if not paths or any(q_d.shape != q_c.shape for q_d, q_c in paths):
         raise InputError("expected at least one pair of desired positions and commands of the same shape",
                          field="paths", value=[(q_d.shape, q_c.shape) for q_d, q_c in paths])
@@ -144,9 +134,8 @@ def train(paths: Sequence[tuple[Array, Array]], t_ipo: float, *, lags: Lags | No
         columns = np.concatenate(_regressors(windows, lags, t_ipo, chain), axis=1)
         if chain is not None:
             torque_scale = np.maximum(torque_scale, np.abs(columns[:, -torque_count:]).max(axis=(0, 1)))
-        left = q_c - (base.along(q_d) if base is not None else q_d)
         for i in range(n):
-            filters[i].update(columns[:, :, i], left[:, i], noise)
+            filters[i].update(columns[:, :, i], (q_c - q_d)[:, i], _NOISE)
     weights = np.empty((size, n))
     for i in range(n):
         # Prior: position weights of order 1, friction's and torque's share of the command of order a milliradian.
@@ -154,7 +143,7 @@ def train(paths: Sequence[tuple[Array, Array]], t_ipo: float, *, lags: Lags | No
                                 np.full(torque_count, 1e-3 / torque_scale[i])])
         filters[i].update(np.diag(1.0 / prior), np.zeros(size), 1.0)
         weights[:, i] = filters[i].solve()
-    return Trained(weights, lags, t_ipo, chain=chain, base=base, limits=limits)
+    return Trained(weights, lags, t_ipo, chain=chain, limits=limits)
 
 
 def _regressors(windows: Array, lags: Lags, t_ipo: float, chain: Chain | None) -> tuple[Array, Array, Array]:

@@ -23,7 +23,7 @@ from scipy.signal import butter, filtfilt, lfilter
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.loop.impulse_response import InformationFilter, LinearLoop
+from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
@@ -205,8 +205,8 @@ def _differentiated(x: Array, cycle: float, time: float) -> Array:
     return np.asarray(lfilter([1 - a], [1, -a], speed))
 
 
-METHODS = ("extended_ls", "information_filter")
-
+_LAGS = 25
+"""Longest lag m of an impulse response."""
 _LONGEST_DEGREE = 8
 
 
@@ -227,38 +227,32 @@ class LinearLoopFit:
     error_percent: Array
 
 
-def identify_linear_loop(recordings: Sequence[Recording], t_cycle: float, *, lags: int = 25,
-                         method: str = "extended_ls") -> LinearLoopFit:
+def identify_linear_loop(recordings: Sequence[Recording], t_cycle: float) -> LinearLoopFit:
     """Identifies each joint's impulse response, ``q(k) = Σ g(l) q_d(k - l)`` with ``l = m_d … m``, [G] (7).
 
     The relative degree ``m_d`` is found from the data. Sinusoids excite few frequencies, and friction leaves residuals
-    that no linear response explains: plain least squares fits wild coefficients to them. So both estimators of [G]
-    start from the same knowledge: the response is smooth, dies out and has static gain one.
+    that no linear response explains: plain least squares fits wild coefficients to them. So the least squares are
+    extended by what is known beforehand: the response is smooth, dies out and has static gain one.
 
     Args:
         recordings: with ``q_c_i`` (or ``q_d_i``) and ``q_i``, starting at rest.
         t_cycle: sampling time of the model [s]: the interpolation cycle.
-        lags: longest lag ``m``.
-        method: ``extended_ls`` or ``information_filter``; they differ in how they compute, not in what they assume.
 
     Raises:
-        InputError: unknown method, missing commands, unsuitable sampling, too short, a joint that does not move.
+        InputError: missing commands, unsuitable sampling, too short, a joint that does not move.
     """
-    if method not in METHODS:
-        raise InputError(f"expected one of {', '.join(METHODS)}", field="method", value=method)
-    solve = _extended_ls if method == "extended_ls" else _information_filter
     data = [_sampled(r, t_cycle) for r in recordings]
     n = recordings[0].n
-    g, std, error, degree = np.zeros((lags + 1, n)), np.zeros((lags + 1, n)), np.empty(n), []
+    g, std, error, degree = np.zeros((_LAGS + 1, n)), np.zeros((_LAGS + 1, n)), np.empty(n), []
     for j in range(n):
-        X, y = _rows([(q_d[:, j], q[:, j]) for q_d, q in data], lags)
-        if len(y) < 3 * lags or np.std(y) < 1e-4:
+        X, y = _rows([(q_d[:, j], q[:, j]) for q_d, q in data])
+        if len(y) < 3 * _LAGS or np.std(y) < 1e-4:
             raise InputError("the joint hardly moves, or the recording is too short for this many lags",
                              file=recordings[0].source, field=f"q_{j + 1}")
         noise = _noise(X, y)
         m_d = _relative_degree(X, y, noise)
         degree.append(m_d)
-        g[m_d:, j], std[m_d:, j] = solve(X[:, m_d:], y, noise)
+        g[m_d:, j], std[m_d:, j] = _extended_ls(X[:, m_d:], y, noise)
         error[j] = 100.0 * float(np.linalg.norm(y - X @ g[:, j]) / np.linalg.norm(y))
     return LinearLoopFit(LinearLoop(g, t_cycle), tuple(degree), std, error)
 
@@ -272,12 +266,12 @@ def _sampled(recording: Recording, t_cycle: float) -> tuple[Array, Array]:
     return recording.joints("q_c" if recording.has("q_c") else "q_d")[::every], recording.joints("q")[::every]
 
 
-def _rows(series: Sequence[tuple[Array, Array]], lags: int) -> tuple[Array, Array]:
-    """Delayed commands ``(N, lags + 1)`` and positions, both about where each recording starts."""
+def _rows(series: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Delayed commands ``(N, _LAGS + 1)`` and positions, both about where each recording starts."""
     X, y = [], []
     for q_d, q in series:
-        X.append(np.stack([q_d[lags - lag: len(q_d) - lag] for lag in range(lags + 1)], axis=1) - q_d[0])
-        y.append(q[lags:] - q[0])
+        X.append(np.stack([q_d[_LAGS - lag: len(q_d) - lag] for lag in range(_LAGS + 1)], axis=1) - q_d[0])
+        y.append(q[_LAGS:] - q[0])
     return np.concatenate(X), np.concatenate(y)
 
 
@@ -305,16 +299,6 @@ def _extended_ls(X: Array, y: Array, noise: float) -> tuple[Array, Array]:
     W = np.concatenate(rows)
     g = np.linalg.lstsq(W, np.concatenate(rhs), rcond=None)[0]
     return np.asarray(g), np.sqrt(np.diag(np.linalg.inv(W.T @ W)))
-
-
-def _information_filter(X: Array, y: Array, noise: float) -> tuple[Array, Array]:
-    """The inverse-covariance Kalman filter (Maybeck 1979): first the knowledge, then sample by sample."""
-    estimate = InformationFilter(X.shape[1])
-    for H, z, sigma in _knowledge(X.shape[1]):
-        estimate.update(H, z, sigma)
-    for x, value in zip(X, y, strict=True):
-        estimate.update(x[None], np.array([value]), noise)
-    return estimate.solve(), np.sqrt(np.diag(np.linalg.inv(estimate.matrix)))
 
 
 def _relative_degree(X: Array, y: Array, noise: float) -> int:

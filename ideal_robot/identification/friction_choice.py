@@ -159,8 +159,7 @@ class FrictionChoice:
             result.append(self._filtered[key])
         return np.column_stack(result)
 
-    def choose(self, options: Sequence[Candidate],
-               sweeps: int = 2) -> tuple[list[FrictionModel], list[dict[str, float]]]:
+    def choose(self, options: Sequence[Candidate]) -> tuple[list[FrictionModel], list[dict[str, float]]]:
         """The best of the options for each joint.
 
         Returns:
@@ -170,7 +169,7 @@ class FrictionChoice:
         n = self._y.shape[1]
         chosen = [(options[0], self._start(options[0])) for _ in range(n)]
         scores: list[dict[str, float]] = [{} for _ in range(n)]
-        for sweep, j in itertools.product(range(sweeps), np.flatnonzero(self._live).tolist()):
+        for sweep, j in itertools.product(range(2), np.flatnonzero(self._live).tolist()):
             projection = self._projection(chosen, j)
             known: dict[str, float] = {}
             best: tuple[float, Candidate] | None = None

@@ -81,16 +81,15 @@ class LinearLoop:
         moved = q_c - q_c[0]
         return np.column_stack([np.convolve(moved[:, i], self.g[:, i])[: len(q_c)] for i in range(self.n)]) + q_c[0]
 
-    def matrix(self, joint: int, rows: int, columns: int, first: int = 0) -> Array:
-        """``G (rows, columns)`` of [G] (11): answers from cycle ``first`` on to commands from cycle 0 on.
+    def matrix(self, joint: int, rows: int, columns: int) -> Array:
+        """``G (rows, columns)`` of [G] (11): answers to commands, both from cycle 0 on.
 
         Args:
             joint: number of the joint, from 0.
             rows: cycles of the answer.
             columns: cycles of the command.
-            first: first cycle of the answer.
         """
-        lag = first + np.arange(rows)[:, None] - np.arange(columns)[None, :]
+        lag = np.arange(rows)[:, None] - np.arange(columns)[None, :]
         inside = (lag >= 0) & (lag < len(self.g))
         return np.where(inside, self.g[np.clip(lag, 0, len(self.g) - 1), joint], 0.0)
 

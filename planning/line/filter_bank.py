@@ -12,7 +12,7 @@ from planning.line.fusion import DeviationFilter
 from planning.line.measurement import Fused, Measurement, check
 
 FORGETS = 0.1
-"""Way over which what was likely before counts for less [m]: a surface changes its shape."""
+"""s_f: way over which what was likely before counts for less [m]: a surface changes its shape."""
 
 
 class FilterBank:
@@ -25,11 +25,10 @@ class FilterBank:
 
     Args:
         members: filters of the same directions and sensors.
-        forgets: s_f [m].
     """
 
-    def __init__(self, members: Sequence[DeviationFilter], forgets: float = FORGETS) -> None:
-        self.members, self._forgets = list(members), forgets
+    def __init__(self, members: Sequence[DeviationFilter]) -> None:
+        self.members = list(members)
         self._log, self._s = np.zeros(len(self.members)), 0.0
         self._weights = np.full(len(self.members), 1.0 / len(self.members))
 
@@ -63,7 +62,7 @@ class FilterBank:
         check(measurement, self.model.directions)
         every = [member.take(measurement) for member in self.members]
         if measurement.at is not None and measurement.at > self._s:
-            self._log *= np.exp((self._s - measurement.at) / self._forgets)
+            self._log *= np.exp((self._s - measurement.at) / FORGETS)
             self._s = measurement.at
         self._log += [one.likelihood for one in every]
         self._log -= self._log.max()

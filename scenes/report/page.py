@@ -101,17 +101,16 @@ class Report:
         figure.savefig(png, format="png", dpi=130, bbox_inches=size, pil_kwargs={"compress_level": 3})
         self._embed(png.getvalue(), "png", caption, wide, folded)
 
-    def image(self, png: bytes, caption: str = "", *, wide: bool = False) -> None:
+    def image(self, png: bytes, caption: str = "") -> None:
         """A PNG image.
 
         Args:
             png: its bytes.
             caption: the sentence that says what to see in it.
-            wide: whether its letters are too small on a phone's width.
         """
-        self._embed(png, "png", caption, wide)
+        self._embed(png, "png", caption)
 
-    def _embed(self, data: bytes, kind: str, caption: str, wide: bool, folded: str = "") -> None:
+    def _embed(self, data: bytes, kind: str, caption: str, wide: bool = False, folded: str = "") -> None:
         self._blocks.append({"kind": "image", "data": base64.b64encode(data).decode("ascii"), "type": kind,
                              "caption": caption, "wide": wide, "folded": folded})
 

@@ -109,12 +109,10 @@ class TipContact:
         arm: gets the forces; its ``step_hook`` is taken.
         surface: the truth.
         tip: the truth.
-        extra: force on the tip in the base frame at time t ``(3,)`` [N], e.g. somebody pushing; None for none.
     """
 
-    def __init__(self, arm: SimulatedArm, surface: HeightSurface, tip: Tip,
-                 extra: Callable[[float], Array] | None = None) -> None:
-        self._arm, self.surface, self.tip, self._extra = arm, surface, tip, extra
+    def __init__(self, arm: SimulatedArm, surface: HeightSurface, tip: Tip) -> None:
+        self._arm, self.surface, self.tip = arm, surface, tip
         self._law = np.array([tip.stiffness, tip.damping, tip.friction, tip.slip, surface.offset, *surface.tilt,
                               surface.curvature, surface.crest])
         self._waves = np.array([[w.amplitude, 2 * np.pi / w.wavelength, np.cos(w.heading), np.sin(w.heading), w.phase]
@@ -132,8 +130,6 @@ class TipContact:
         self._log.rows += 1
         row[0] = t
         _contact(tip, self._before, self._R, self._origin, self._law, self._waves, row)
-        if self._extra is not None:
-            row[2:5] += self._extra(t)
         if row[2] != 0.0 or row[3] != 0.0 or row[4] != 0.0:
             pybullet.applyExternalForce(arm.body, arm.tool_link, row[2:5].tolist(), tip.tolist(), pybullet.WORLD_FRAME,
                                         physicsClientId=arm.client)

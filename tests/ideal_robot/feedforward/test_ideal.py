@@ -175,10 +175,9 @@ def player(loop, q_d):
     return lambda q_c: q_d - simulate(loop, q_c).q_a[:-1]
 
 
-@pytest.mark.parametrize("inverse", ["least_squares", "butterworth"])
-def test_four_iterations_leave_little(inverse):
+def test_four_iterations_leave_little():
     loop, q_d = plant(), motion()
-    law = LearningLaw(LinearLoop.of(plant(inertia=1.1, friction=0.8), ROBOT.home), len(q_d), inverse=inverse)
+    law = LearningLaw(LinearLoop.of(plant(inertia=1.1, friction=0.8), ROBOT.home), len(q_d))
     done = learn(player(loop, q_d), q_d, law, iterations=4)
     assert done.best < 0.02 * done.criterion[0]
     assert len(done.criterion) == len(done.kept) == 5
@@ -272,8 +271,6 @@ def test_law_and_path_must_fit():
     law = LearningLaw(LinearLoop.of(plant(), ROBOT.home), 100)
     with pytest.raises(InputError, match="100 cycles"):
         learn(lambda q_c: q_c, motion(), law)
-    with pytest.raises(InputError, match="least_squares or butterworth"):
-        LearningLaw(LinearLoop.of(plant(), ROBOT.home), 100, inverse="chebyshev")
 
 
 def test_playback_plays_and_holds():

@@ -51,7 +51,6 @@ MAKERS = {
     "none": lambda: PassThrough(T),
     "linear": lambda: LinearInverse(LinearLoop.of(plant(), ROBOT.home), limits=LIMITS),
     "trained": trained,
-    "trained_on_ideal": lambda: train([(motion(), motion())], T, base=IdealRobot(plant()), limits=LIMITS),
     "precorrected_1": lambda: Precorrection(nominal_model(), ROBOT),
     "precorrected": lambda: Precorrection.complete(nominal_model(), ROBOT, delay=1),
     "learned": lambda: Playback(motion(), T),
