@@ -87,8 +87,13 @@ class ShownTable(ABC):
         """The content of ``--json``."""
 
     @abstractmethod
-    def rows(self) -> tuple[tuple[str, ...], list[list[Any]]]:
+    def table(self) -> tuple[list[str], list[list[Any]]]:
         """Column titles and rows, one a method or model, whose name stands first."""
+
+    def rows(self) -> tuple[tuple[str, ...], list[list[Any]]]:
+        """The table, for prompt and notebook."""
+        columns, rows = self.table()
+        return tuple(columns), rows
 
     def __repr__(self) -> str:
         (_, first, *_), rows = self.rows()

@@ -143,9 +143,9 @@ class Closing(ShownTable):
             "model": self.model_path, "report": self.report})
         return values
 
-    def rows(self) -> tuple[tuple[str, ...], list[list[Any]]]:
+    def table(self) -> tuple[list[str], list[list[Any]]]:
         """The table of plays: titles, and one row a model."""
-        return self.words.columns, [played.row for played in self.plays.values()]
+        return list(self.words.columns), [played.row for played in self.plays.values()]
 
     def ladder(self) -> tuple[tuple[str, ...], list[list[Any]]]:
         """The table of trials: titles, and one row a change of the model."""

@@ -59,11 +59,6 @@ class ForceComparison(ShownTable):
                 "direct_feedback_search": [{"k_p": one.k_p, "k_d": one.k_d, "rms_N": one.error} for one in self.trials],
                 "camera_troubles": {name: one.json() for name, one in self.troubles}, "report": self.report}
 
-    def rows(self) -> tuple[tuple[str, ...], list[list[Any]]]:
-        """The table, for prompt and notebook."""
-        columns, rows = self.table()
-        return tuple(columns), rows
-
     def table(self) -> tuple[list[str], list[list[Any]]]:
         """One row a method."""
         columns = ["method", "RMS force error [N]", "largest [N]", "least [N]", "contact lost [ms]", "stopped because"]

@@ -115,11 +115,6 @@ class LineComparison(ShownTable):
             "report": self.report,
         }
 
-    def rows(self) -> tuple[tuple[str, ...], list[list[Any]]]:
-        """The table, for prompt and notebook."""
-        columns, rows = self.table()
-        return tuple(columns), rows
-
     def table(self) -> tuple[list[str], list[list[Any]]]:
         """One row a method; errors in mm."""
         columns = ["method", "mean mm", "95 % mm", "max mm", "E_car time-matched", "E_car aligned", "E_car geometric",

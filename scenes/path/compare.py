@@ -95,11 +95,6 @@ class PathComparison(ShownTable):
             "report": self.report,
         }
 
-    def rows(self) -> tuple[tuple[str, ...], list[list[Any]]]:
-        """The table, for prompt and notebook."""
-        columns, rows = self.table()
-        return tuple(columns), rows
-
     def table(self) -> tuple[list[str], list[list[Any]]]:
         """One row a method, what fits a terminal: E_car [mm], its reduction as arm, motors and paper say [%]."""
         paper = self.scene.paper.E_car_reduction_percent

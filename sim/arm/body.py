@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, G
 from ideal_robot.errors import InputError
 from ideal_robot.robots.collisions import THICK
 from ideal_robot.robots.robot import Robot
@@ -22,15 +22,12 @@ from ideal_robot.row_log import temporary_folder
 from sim.arm.world import STEP
 from sim.bullet import output_dropped, pybullet
 
-GRAVITY = 9.81
-"""[m/s²], the value Pinocchio has too."""
-
 
 def start_physics() -> int:
     """Connects a physics client without window, with the arm's step and gravity; returns its id."""
     client = pybullet.connect(pybullet.DIRECT)
     pybullet.setTimeStep(STEP, physicsClientId=client)
-    pybullet.setGravity(0.0, 0.0, -GRAVITY, physicsClientId=client)
+    pybullet.setGravity(0.0, 0.0, -G, physicsClientId=client)
     return int(client)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.interpolate import CubicSpline
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, G
 from ideal_robot.jit import jit
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
@@ -259,9 +259,6 @@ def dry_friction(q: Array, level: Array, presliding: float) -> Array:
 
 # The alternative to a clamp: known masses hung on the flange; the motors stand and a tracker watches the flange.
 
-GRAVITY = 9.81
-
-
 _SAMPLES = 50
 """Recorded of each mass."""
 
@@ -315,7 +312,7 @@ def loaded_pose(robot: Robot, world: ClampWorld, q_m: Array, mass: float, lever:
     for _ in range(50):
         pin.framesForwardKinematics(robot.pinocchio, data, q)
         flange = data.oMf[robot.tool_id].copy()
-        force = flange.rotation.T @ np.array([0.0, 0.0, -mass * GRAVITY])
+        force = flange.rotation.T @ np.array([0.0, 0.0, -mass * G])
         wrench = np.concatenate([force, np.cross(lever, force)])
         jacobian = pin.computeFrameJacobian(robot.pinocchio, data, q, robot.tool_id, pin.LOCAL)
         load = pin.computeGeneralizedGravity(robot.pinocchio, data, q) - jacobian.T @ wrench

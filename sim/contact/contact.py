@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import GRAVITY, Array
 from ideal_robot.errors import InputError
 from ideal_robot.jit import jit
 from ideal_robot.row_log import RowLog, let_go, new_array
@@ -185,9 +185,6 @@ def _contact(tip: Array, before: Array, R: Array, origin: Array, law: Array, wav
 
 
 # A force/torque sensor between flange and tool: bias, noise, weight of the tool, sampling rate, latency.
-
-GRAVITY = np.array([0.0, 0.0, -9.81])
-
 
 @dataclass(frozen=True)
 class ForceSensorSettings:
