@@ -164,6 +164,7 @@ BATCH = 1.0
 SPENT = 0.05
 """What a batch costs the client, which takes one after the other [s]; by `python -m studies sweep-plan`."""
 _MOST_OF_A_BATCH = 100
+"""So many tasks at most are begun again when their worker is lost."""
 _AHEAD = 4
 """Batches handed over for each worker: the next ones are there when one is done, and the scheduler's memory is flat."""
 _LOSSES = 2

@@ -24,6 +24,7 @@ _PREFERENCE = ("Ixy", "Ixz", "Iyz", "Izz", "Ixx", "Iyy", "mx", "my", "mz", "m")
 """Which of several dependent link parameters stays in the base: what is usually named in print comes first."""
 
 _TOLERANCE = 1e-8
+"""Columns smaller than this, over the largest, are rounding: half of the digits of double precision."""
 _CLEAR = 0.01
 """Share of a column, apart from those before it, from which on the preference decides. A column of which only a
 thousandth is its own would be in the base for what another one shows plainly: no motion tells it in its numbers."""

@@ -27,6 +27,7 @@ _HERTZ = (5.0, 6.0, 7.0, 8.2, 9.6, 11.2, 13.0)
 """Resonances behind a motor that stands [Hz] that are looked for: above the band of torques the gear bends as its load
 asks, which ``JointElasticity`` says; arms in use do not swing slower."""
 _LOWEST, _HIGHEST = 4.0, 14.0
+"""Ends of the search: a step beyond the lowest and the highest of ``_HERTZ`` [Hz]."""
 _DAMPING = 0.1
 """Of the gear, as a share of the critical: that of loaded gears is between a few hundredths and a few tenths."""
 _STEP = 1e-3

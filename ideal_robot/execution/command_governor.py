@@ -32,7 +32,9 @@ changes over a cycle, and controllers trip at about twice the limit."""
 _STEPS = 2000
 """Cycles in which a braking motion has to end."""
 _HALVINGS = 20
+"""Leaves a millionth of the acceleration asked for: 1e-9 rad of a command."""
 _ROUNDING = 1e-7
+"""Relative difference of commands that no encoder resolves."""
 _SLACK = 1e-9
 """Relative slack of the comparisons, for rounding."""
 

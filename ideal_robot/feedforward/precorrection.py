@@ -38,6 +38,7 @@ from ideal_robot.robots.robot import Robot
 
 _DEGREE = 5
 _PENALTY_ORDER = 4
+"""A quintic has continuous third derivatives; differences of order 4 make the gain ``1/(1 + (f/cutoff)^8)``."""
 
 
 def spline_operators(t_samples: Array, t_out: Array, spacing: float, cutoff: float, orders: int = 3) -> list[Array]:

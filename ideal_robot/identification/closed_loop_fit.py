@@ -208,6 +208,7 @@ def _differentiated(x: Array, cycle: float, time: float) -> Array:
 _LAGS = 25
 """Longest lag m of an impulse response."""
 _LONGEST_DEGREE = 8
+"""Cycles of dead time at most: 0.1 s at 12 ms."""
 
 
 @dataclass(frozen=True)

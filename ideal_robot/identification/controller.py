@@ -21,6 +21,7 @@ from ideal_robot.results import Summarised, listed
 from ideal_robot.signals.recording import Recording
 
 _K_I_RANGE = (1e-4, 2.0)
+"""Cycle over reset time: those tried reach from half a cycle to ten thousand."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -22,9 +22,11 @@ from ideal_robot.identification.friction_runs import FoldEquations, FrictionProj
 from ideal_robot.signals.preprocess import FilteredSignals
 
 _FOLDS = 6
+"""Stretches of the recordings, each held back once."""
 _WORTH = 0.02
 """A law with more parameters must lower the held-out error by this share."""
 _PRESLIDING = (1e-5, 0.1)
+"""Presliding distances that are tried [rad or m]: from an encoder's step to more than any gear gives."""
 _CLEARLY = 0.9
 """Once presliding lowers the held-out error to this share, laws without it are not tried any more."""
 _VARIES = 0.1

@@ -121,6 +121,7 @@ def _held_out(law: type[FrictionModel], qd: Array, tau: Array) -> float:
 # a candidate then only its own few are left (Schur complement).
 
 _RIDGE = 1e-9
+"""Of a normal matrix's diagonal: what no row moves stays zero instead of singular."""
 
 
 @dataclass(frozen=True)
@@ -268,11 +269,13 @@ def _scaled(F: Array) -> tuple[Array, Array]:
 # Only slow motion counts: there the controller answers the ripple completely, and what the current shows is the ripple.
 
 _ORDERS = tuple(range(1, 9))
+"""Periods in a turn of the motor that are looked for."""
 _FREQUENCY = (0.3, 6.0)
 """Ripple frequencies that count [Hz]: slower is friction's, faster is not answered by the controller."""
 _CUTOFF = 25.0
 """Low-pass of angles before they are differentiated [Hz]."""
 _EDGE = 50
+"""Samples at both ends in which the low-pass swings in."""
 _SIGNIFICANT = 8.0
 """A ripple counts when it is this many standard deviations large."""
 

@@ -21,8 +21,6 @@ from ideal_robot.signals.error_budget import ErrorBudget
 from ideal_robot.signals.preprocess import FilteredSignals, lowpass, preprocess, resampled
 from ideal_robot.signals.recording import Recording
 
-_HALVINGS = 3
-
 
 def regions_of_motion(q: Array, qd: Array) -> list[np.ndarray]:
     """Rows of each of eight regions, with as many samples in each.
@@ -37,7 +35,7 @@ def regions_of_motion(q: Array, qd: Array) -> list[np.ndarray]:
     state = np.hstack([q, qd])
     state = state / np.maximum(np.std(state, axis=0), 1e-12)
     regions = [np.arange(len(state))]
-    for _ in range(_HALVINGS):
+    for _ in range(3):
         halves = []
         for rows in regions:
             widest = int(np.argmax(np.std(state[rows], axis=0))) if len(rows) else 0
@@ -48,6 +46,7 @@ def regions_of_motion(q: Array, qd: Array) -> list[np.ndarray]:
 
 
 _ATTEMPTS = 3
+"""Choices of laws: each may bar joints whose load was a guess."""
 _LAG = 0.01
 """Standard deviation of the time by which torques may be logged late [s]."""
 _OTHER_LOAD = 0.1

@@ -23,7 +23,7 @@ POOR = 100.0 * 0.5**0.5
 MOVED = 1e-3
 """A joint that stays within this does not move [rad or m]."""
 _STATES = 200
-_SEED = 5
+"""Random states: a standard deviation over N of them is right within ``1/√(2 N)``, 5 %."""
 
 _TELLS = {
     "gravity": "slow moves through postures that change the load on joint {j}",
@@ -94,7 +94,7 @@ def _left(predictions: Sequence[Prediction]) -> Array:
 
 def _uncertain(model: Model, result: Identification, robot: Robot) -> dict[str, Array]:
     """Standard deviation of the torque by kinds of parameters, ``all`` of them too, over the torque ``(n,)`` [%]."""
-    rng, n = np.random.default_rng(_SEED), model.n
+    rng, n = np.random.default_rng(5), model.n
     speed, acceleration = _reached(result)
     low, high = np.clip(robot.q_min, -np.pi, np.pi), np.clip(robot.q_max, -np.pi, np.pi)
     q = low + (high - low) * rng.uniform(size=(_STATES, n))

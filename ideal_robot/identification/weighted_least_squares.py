@@ -21,6 +21,7 @@ _RANK = 1e-8
 """Directions of the scaled regressor weaker than this share of the strongest count as not excited."""
 
 _BLOCKS = 10
+"""Stretches of time that the jackknife leaves out one by one."""
 _TINY = 1e-10
 """Least eigenvalue of a correlation matrix over the largest."""
 _OWN = 0.25

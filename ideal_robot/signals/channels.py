@@ -26,9 +26,11 @@ _COARSE = 0.05
 _COARSE_POSITION = 1e-4
 """Steps of a position count from here on [rad or m]."""
 _AT_LIMIT = 0.005
+"""Share of the samples at an end of a channel's range from which on it is cut off there."""
 _SILENT = 1e-12
 """Power above a third of the sampling rate, relative to the largest, that no measured channel falls below by itself."""
 _JITTER = 0.02
+"""Spread of the time steps, over the usual one, from which on it is told."""
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,7 @@ Columns = Callable[[FilteredSignals, int], Array]
 so far apart; filtered soonest where the samples of an element are neighbours in memory."""
 
 _FOLDS = 8
+"""Stretches of the recordings, each held back once."""
 _LONGEST = 60.0
 """Seconds of all recordings together that the choice looks at."""
 _SHORTEST = 15.0
@@ -48,6 +49,7 @@ _WORSE = 1.15
 _BEYOND = 8.0
 """What a filter lets pass this many times above the band of judgement does not show in it."""
 _AS_GOOD = 1.04
+"""Candidates whose error is within this factor of the least are as good as the best."""
 _FLAT = 3.0
 """A filter with its cut-off this many times above the band is flat in it; what it lets pass beyond is of no use."""
 _BANDWIDTHS = 10.0

@@ -95,6 +95,7 @@ MOST_LEFT_OUT = 0.05
 LONGEST_PAUSE = 600.0
 """Longest time between two samples [s]; the clock was set, or two recordings joined, where it is longer."""
 _NAMED_PAUSE = 1.0
+"""Time between two samples from which on a pause is told [s]."""
 _HALF = 2
 """Samples to either side that a sample is compared with: bursts of up to two are seen."""
 _WINDOW = 2 * _HALF + 1

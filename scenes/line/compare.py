@@ -166,6 +166,7 @@ FIRST = 0.3
 STEP = 1.8
 """Largest factor from one trial to the next: what is learned at one speed says little of one far above."""
 TRIALS = 7
+"""Plays at most: factors of ``STEP`` from the first speed to thirty times it."""
 CLOSE = 0.05
 """Share by which two speeds may differ to count as one."""
 MARGIN = 0.9

@@ -22,6 +22,7 @@ from ideal_robot.robots.urdf import without_meshes
 TOOL_COLOUR = [0.2, 0.2, 0.2, 1.0]
 """Dark, as rubber and burnished steel are."""
 SIDES = 12
+"""Corners of the circles that tool and hose are drawn with."""
 TOOL_RADIUS = 0.006
 """Of the tool's shaft [m]."""
 TIP = ((0.0, 0.001), (0.012, 0.004), (0.05, TOOL_RADIUS), (0.14, TOOL_RADIUS))
@@ -29,6 +30,7 @@ TIP = ((0.0, 0.001), (0.012, 0.004), (0.05, TOOL_RADIUS), (0.14, TOOL_RADIUS))
 HOSE = np.array([[-0.012, 0.014, -0.02], [-0.004, 0.05, -0.05], [0.004, 0.085, -0.09], [0.0, 0.1, -0.14]])
 """Middle of the hose in the tool frame [m]: it leaves the tip sideways and goes up out of the picture."""
 HOSE_RADIUS = 0.007
+"""Of the hose [m]."""
 NEAREST = 0.005
 """Depth from which on a camera may see the mesh [m], nearer than any renderer begins."""
 
