@@ -287,17 +287,7 @@ def run(scene: ClampedScene, *, method: Any = None, out: Path | None = None,
 
 def compare(scene: ClampedScene, *, methods: Sequence[Any] | None = None, out: Path | None = None,
             progress: Progress = silent) -> ClampedResult:
-    """The methods (and payloads, where the scene has them) side by side.
-
-    Args:
-        scene: what to play.
-        methods: one of ``motor`` and ``wrench``, or both; both if None.
-        out: folder for recordings and report; nothing is written without.
-        progress: called with the fraction done.
-
-    Raises:
-        InputError: no such method, or a scene that cannot be played.
-    """
+    """See ``Compare.__call__``: the methods, and payloads where the scene has them, side by side."""
     return run(scene, method=methods[0] if methods and len(methods) == 1 else "both", out=out, progress=progress)
 
 

@@ -27,9 +27,12 @@ class Play(Protocol):
 
         Args:
             scene: of the kind's class.
-            method: key of the method, or a feedforward; the kind's usual one if None.
+            method: key of the method, or a feedforward or a factory of one; the kind's usual one if None.
             out: folder of recording and report; nothing is written if None.
             progress: called with the share that is done, and what is being done.
+
+        Raises:
+            InputError: no such method, or a scene that cannot be played.
         """
         ...
 
@@ -42,9 +45,12 @@ class Compare(Protocol):
 
         Args:
             scene: of the kind's class.
-            methods: keys of the methods; the kind's usual ones if None.
+            methods: keys, feedforwards or factories; all that apply if None.
             out: folder of recording and report; nothing is written if None.
             progress: called with the share that is done, and what is being done.
+
+        Raises:
+            InputError: no such method, or a scene that cannot be played.
         """
         ...
 
@@ -60,6 +66,9 @@ class CloseLoop(Protocol):
             measured: what the arm measures, see ``scenes.closing.result``.
             out: folder of recording and report; nothing is written if None.
             progress: called with the share that is done, and what is being done.
+
+        Raises:
+            InputError: another word for what is measured, or a world that holds nothing to be found.
         """
         ...
 

@@ -160,7 +160,7 @@ def public(tree: ast.Module) -> Iterator[tuple[str, Function, str]]:
             yield node.name, node, ast.get_docstring(node) or ""
         elif isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
             for method in node.body:
-                if isinstance(method, Function) and (method.name == "__init__" or not method.name.startswith("_")):
+                if isinstance(method, Function) and (method.name in ("__init__", "__call__") or method.name[0] != "_"):
                     docstring = ast.get_docstring(node if method.name == "__init__" else method)
                     yield f"{node.name}.{method.name}", method, docstring or ""
 

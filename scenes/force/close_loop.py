@@ -46,17 +46,7 @@ WORDS = Words(
 
 def close_loop(scene: ForceScene, *, measured: str = "tcp", out: Path | None = None,
                progress: Progress = silent) -> Closing:
-    """Presses and moves, finds what is wrong with sensor and contact, and does it again.
-
-    Args:
-        scene: what to play.
-        measured: what the arm measures: ``motor``, ``arm`` or ``tcp`` (``scenes.closing.result``).
-        out: folder for recording, model and report; nothing is written without.
-        progress: called with the fraction done.
-
-    Raises:
-        InputError: a scene whose sensor and contact are right.
-    """
+    """See ``CloseLoop.__call__``: presses and moves, and finds what is wrong with sensor and contact."""
     undeclared, job, robot = undeclared_effects(scene), Steps(progress, SHARES), arm_of(scene.robot)
     known = model_for(scene, robot)
     with tempfile.TemporaryDirectory() as folder:

@@ -49,17 +49,7 @@ def run(scene: ForceScene, *, method: Any = None, out: Path | None = None, progr
 
 def compare(scene: ForceScene, *, methods: Sequence[Any] | None = None, out: Path | None = None,
             progress: Progress = silent) -> ForceComparison:
-    """Presses and moves with several methods, direct feedback at its best gains.
-
-    Args:
-        scene: what to play.
-        methods: keys, ``Feedforward`` objects or factories; every method that applies if None.
-        out: folder for the report; nothing is written without.
-        progress: called with the fraction done.
-
-    Raises:
-        InputError: the scene cannot be played.
-    """
+    """See ``Compare.__call__``: presses and moves, direct feedback at its best gains."""
     comparison = compare_forces(scene, compared(methods, force_methods(scene.task), PLAIN), progress=progress)
     return comparison if out is None else write_comparison(comparison, out)
 

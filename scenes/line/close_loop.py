@@ -76,17 +76,7 @@ EFFECTS = {"camera_latency": ("camera", "stamp_offset"), "clock_drift": ("camera
 
 def close_loop(scene: LineScene, *, measured: str = "tcp", out: Path | None = None,
                progress: Progress = silent) -> Closing:
-    """Follows a line, finds what is wrong with the camera, and follows it again.
-
-    Args:
-        scene: what to play.
-        measured: what the arm measures: ``motor``, ``arm`` or ``tcp`` (``scenes.closing.result``).
-        out: folder for recording, model and report; nothing is written without.
-        progress: called with the fraction done.
-
-    Raises:
-        InputError: a scene whose camera is right and whose arm is as its model.
-    """
+    """See ``CloseLoop.__call__``: follows a line, and finds what is wrong with the camera."""
     undeclared = undeclared_effects(scene)
     arm = effects_of_world(scene, arm_of(scene.robot).n) if keys_of_arm(scene) else ()
     return closed(scene, undeclared, arm=tuple(one for one in arm if one[0] != "kinematic_error"), measured=measured,

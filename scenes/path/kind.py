@@ -21,18 +21,7 @@ SHARES = {"setting up": 0.05, "playing": 0.52, "report": 0.43}
 
 
 def run(scene: PathScene, *, method: Any = None, out: Path | None = None, progress: Progress = silent) -> PathResult:
-    """Plays the scene's path with one method.
-
-    Args:
-        scene: what to play.
-        method: a key of ``scenes.path.cell.path_methods``, a
-            ``Feedforward`` or a factory of one; the scene's own if None.
-        out: folder for recording and report; nothing is written without.
-        progress: called with the fraction done.
-
-    Raises:
-        InputError: no such method, or a scene that cannot be played.
-    """
+    """See ``Play.__call__``: plays the scene's path with one method."""
     chosen = method_of(method or scene.method, path_methods())
     steps = Steps(progress, SHARES)
     steps.begin("setting up")
@@ -43,17 +32,7 @@ def run(scene: PathScene, *, method: Any = None, out: Path | None = None, progre
 
 def compare(scene: PathScene, *, methods: Sequence[Any] | None = None, out: Path | None = None,
             progress: Progress = silent) -> PathComparison:
-    """Plays the scene's path with several methods, with and without the standard path planner's delay.
-
-    Args:
-        scene: what to play.
-        methods: keys, ``Feedforward`` objects or factories; all if None.
-        out: folder for recordings and report; nothing is written without.
-        progress: called with the fraction done.
-
-    Raises:
-        InputError: no such method, or a scene that cannot be played.
-    """
+    """See ``Compare.__call__``: with and without the standard path planner's delay."""
     comparison = compare_paths(scene, compared(methods, path_methods()), progress=progress)
     return comparison if out is None else write_comparison_files(comparison, comparison_page, out)
 
