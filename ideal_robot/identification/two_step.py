@@ -173,10 +173,9 @@ _DISTANCES = np.geomspace(2e-5, 5e-3, 12)
 
 @dataclass(frozen=True)
 class TwoStep:
-    """What the steps saw: measurements, friction points ``(speed, torque)`` per joint, seconds of motion."""
+    """What the steps saw: measurements, and seconds of motion."""
 
     measurements: tuple[Measurement, ...]
-    friction_points: tuple[tuple[Array, Array], ...]
     duration: float
 
 
@@ -229,7 +228,7 @@ def identify_two_step(recordings: Sequence[Recording], robot: Robot, *, validati
     scores = tuple({fit.law.label: fit.held_out_rms} for fit in fits)
     return (Identification(model, solution, estimation, held_out, scores, consistency, tuple(warnings), tuple(usable),
                            tuple(unseen)),
-            TwoStep(tuple(measurements), points, float(sum(r.t[-1] - r.t[0] for r in usable))))
+            TwoStep(tuple(measurements), float(sum(r.t[-1] - r.t[0] for r in usable))))
 
 
 def _statistics(measurements: Sequence[Measurement], values: Array, covariance: Array, unexcited: np.ndarray,
