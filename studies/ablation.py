@@ -85,7 +85,7 @@ def _passes(owner: Any, name: str, which: int) -> Step:
 
 STEPS = (
     *(Step(Search, name, lambda original, *a: None, lambda result, *a: bool(result))
-      for name in ("_prune", "_exchange", "_retune")),
+      for name in ("_prune", "_retune")),
     _says(Search, "_with_needed_form", False), _passes(Search, "_sharpened", 2),
     _passes(forward_selection, "likelier", 0), _says(forward_selection, "indistinguishable", False),
     _says(Scoring, "holds_slowly", True),

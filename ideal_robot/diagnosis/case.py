@@ -77,8 +77,6 @@ class Findings:
         domains: the domains after their search, that of the motor torque first.
         results: what they add to the report.
         warnings: for people.
-        refuted: forms (``Effect.key``) and joints of effects that physics does not allow as they come out, and that are
-            no longer tried.
         beside_known: where the given model's parameters do not hold, what was selected with them held all the same.
         held: parameters, from 0, that are zero as they would drive the joint instead of braking it.
     """
@@ -92,7 +90,6 @@ class Findings:
     domains: tuple[DomainDiagnosis, ...] = ()
     results: tuple[DomainResult, ...] = ()
     warnings: tuple[str, ...] = ()
-    refuted: tuple[tuple[str, int], ...] = ()
     beside_known: tuple[tuple[Candidate, ...], ...] = ()
     held: tuple[int, ...] = ()
 

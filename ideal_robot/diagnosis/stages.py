@@ -22,7 +22,6 @@ from ideal_robot.diagnosis.statistics.least_squares import TOLD
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem, prior_precision, with_parameters
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
 from ideal_robot.diagnosis.validation.refit import with_braking_friction, without_scatter
-from ideal_robot.diagnosis.validation.result import NotTransferred
 from ideal_robot.diagnosis.validation.transfer import deciding, transferring
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, SENSOR, TCP_POSITION, Effect, library
 from ideal_robot.effects.backlash import Backlash
@@ -149,8 +148,7 @@ def _searched(case: Case, found: Findings) -> Findings:
         # The other recording decides what stays.
         options = options.finer()
     if case.given is None or not np.any(found.start.covariance):
-        choices = Search(problem, effects, options, absorbed=False, only=case.only,
-                         refuted=found.refuted, progress=case.progress).run(start)
+        choices = Search(problem, effects, options, absorbed=False, only=case.only, progress=case.progress).run(start)
         return replace(found, choices=tuple(choices))
     prior = prior_precision(found.start, problem)
     choices, beside_known = _selected_against(case, found, prior, effects, options, start)
@@ -180,8 +178,7 @@ def _selected_against(case: Case, found: Findings, prior: Array, effects: Sequen
         it, and what of it the parameters, as uncertain as they are, do not take over; None where they hold.
     """
     def search(problem: Problem, absorbed: bool) -> Search:
-        return Search(problem, effects, options, absorbed=absorbed, only=case.only, refuted=found.refuted,
-                      progress=case.progress)
+        return Search(problem, effects, options, absorbed=absorbed, only=case.only, progress=case.progress)
 
     held = search(found.problem.with_prior(prior).held(), absorbed=True)
     every = tuple(held.run(start))
@@ -218,32 +215,16 @@ def found_but_not_added(case: Case, found: Findings) -> Findings:
 
 
 def joint_fit(case: Case, found: Findings) -> Findings:
-    """Parameters and effects of the motor torque, fitted together to all of the recording.
-
-    An effect that comes out as physics does not allow stood in the place of another: the search is resumed without it.
-    """
-    before = found
-    gone: tuple[NotTransferred, ...] = ()
-    while True:
-        found = with_braking_friction(case, before)
-        torque, dropped = _domain_of(case, found).settled()
-        refuted = tuple(one for one in dropped if one.refuted)
-        places = {(one.refuted, one.joint) for one in refuted} - set(before.refuted)
-        if not places:
-            break  # each place is refuted once
-        gone += refuted
-        joints = {one.joint for one in refuted}
-        before = replace(before, problem=before.problem.with_prior(None), refuted=(*before.refuted, *sorted(places)),
-                         choices=tuple(c for c in torque.choices if c.joint not in joints))
-        before = found_but_not_added(case, effects_of_motor_torque(case, before))
-    dropped = tuple(one for one in dropped if one not in gone)
+    """Parameters and effects of the motor torque, fitted together to all of the recording."""
+    found = with_braking_friction(case, found)
+    torque, dropped = _domain_of(case, found).settled()
     if dropped:
         # What was dropped leaves more to friction.
         found = with_braking_friction(case, replace(found, choices=tuple(torque.choices)))
         torque = _domain_of(case, found)
     torque = replace(torque, final=without_scatter(torque.final, found.held))
     return replace(found, domains=(torque,), choices=tuple(torque.choices),
-                   not_transferred=found.not_transferred + gone + dropped)
+                   not_transferred=found.not_transferred + dropped)
 
 
 def _domain_of(case: Case, found: Findings) -> DomainDiagnosis:
@@ -254,7 +235,11 @@ def _domain_of(case: Case, found: Findings) -> DomainDiagnosis:
 
 def effects_of_other_channels(case: Case, found: Findings) -> Findings:
     """Arm angles, TCP positions, force sensor and camera, as far as the recording has them."""
-    settled = [domain.settled() for domain in diagnosed_channels(case, found)]
+    return _settled(found, diagnosed_channels(case, found))
+
+
+def _settled(found: Findings, domains: Iterator[DomainDiagnosis]) -> Findings:
+    settled = [domain.settled() for domain in domains]
     return replace(found, domains=(*found.domains, *(domain for domain, _ in settled)),
                    not_transferred=found.not_transferred + tuple(d for _, dropped in settled for d in dropped))
 
@@ -263,9 +248,7 @@ def sensors_alone(case: Case, found: Findings) -> Findings:
     """Force sensor and camera, where no joint moves enough to decide anything of the arm: the model stays as it is."""
     if case.validate is not None:
         found = replace(found, validation=case.torque_regression(case.validate, found.start))
-    settled = [domain.settled() for domain in diagnosed_sensors(case, found)]
-    return errors_before_and_after(case, replace(found, domains=tuple(domain for domain, _ in settled),
-                                                 not_transferred=tuple(d for _, gone in settled for d in gone)))
+    return errors_before_and_after(case, _settled(found, diagnosed_sensors(case, found)))
 
 
 def errors_before_and_after(case: Case, found: Findings) -> Findings:

@@ -1,4 +1,4 @@
-"""The search: forward selection of effects, with pruning and exchange.
+"""The search: forward selection of effects, with pruning.
 
 They are added one by one, each fitted together with all parameters, compared with its rivals on blocks of time that had
 no part in the fit, and taken out again when later ones make it superfluous.
@@ -151,7 +151,7 @@ Only = tuple[tuple[str, int], ...]
 
 
 class Search:
-    """Forward selection with backward pruning and exchange.
+    """Forward selection with backward pruning.
 
     Args:
         problem: the regression.
@@ -159,12 +159,11 @@ class Search:
         options: thresholds.
         absorbed: whether effects are tried that the model's own parameters could take over.
         only: names and joints of the effects that may be looked for; then nothing is learned either.
-        refuted: forms (``Effect.key``) and joints of effects that are not tried.
         progress: called with the share done and a word.
     """
 
     def __init__(self, problem: Problem, effects: Sequence[Effect], options: Options, *,
-                 absorbed: bool, only: Only | None = None, refuted: Only = (), progress: Progress = silent) -> None:
+                 absorbed: bool, only: Only | None = None, progress: Progress = silent) -> None:
         self.options, self.progress = options, progress
         self.model = PresentModel(problem)
         self.scoring = Scoring(self.model, options)
@@ -172,8 +171,7 @@ class Search:
         self.learns = only is None
         regression = problem.regression
         pool = [starts for starts in candidates(effects, regression.signals, regression.undecided, absorbed)
-                if (starts[0].effect.key, starts[0].joint) not in refuted
-                and (only is None or (starts[0].effect.name, starts[0].joint) in only)]
+                if only is None or (starts[0].effect.name, starts[0].joint) in only]
         # Joint by joint, as several effects need how torques change with its motion, which is large to keep.
         self.pool = sorted(pool, key=lambda starts: starts[0].joint)
 
@@ -198,7 +196,6 @@ class Search:
             self.model.take(choice)
             if not choice.effect.learned:
                 self._prune()
-                self._exchange()
             self._retune(choice)
             if isinstance(choice.effect, AngleLaw):
                 self._with_needed_form()
@@ -319,7 +316,7 @@ class Search:
         """Theta of each effect once more, where the newest acts on the same channels: they were found without it.
 
         Args:
-            newest: that was taken, or has just been exchanged.
+            newest: that was taken.
         """
         for choice in self.model.choices:
             if choice.effect.learned or not choice.theta or not overlap(self.model, choice, newest):
@@ -329,24 +326,3 @@ class Search:
             if better.key != choice.key:
                 self.model.replace([dataclasses.replace(c, theta=better.theta) if c is choice else c
                                     for c in self.model.choices])
-
-    def _exchange(self) -> None:
-        """Tries, for each selected effect, every other one that acts on the same joint in its place."""
-        newest = self.model.choices[-1]
-        for position, choice in enumerate(list(self.model.choices[:-1])):
-            if not overlap(self.model, choice, newest):
-                continue
-            fit = self.model.fit(choice)
-            present = self.scoring.tested(fit, choice)
-            pool = [starts for starts in self.pool if starts[0].joint in (choice.joint, 0)
-                    and (starts[0].place != choice.place or len(starts) > 1)]
-            rivals = [s for s in self.scoring.scored(fit, pool)
-                      if s.p_value < self.options.false_discovery and self.scoring.is_large(s)
-                      and s.test.total > 0.8 * present.test.total]
-            refined = sorted((self.scoring.refined(fit, s) for s in rivals), key=lambda s: -s.test.total)
-            if refined and refined[0].test.total > 1.03 * present.test.total and self.scoring.holds(fit, refined[0]) \
-                    and likelier(refined[0], [present]) is not present:
-                s = refined[0]
-                better = dataclasses.replace(s, rivals=rivals_of(self.model, s, refined),
-                                             asked=self.scoring.share_asked(s, choice))
-                self.model.replace([*self.model.choices[:position], better, *self.model.choices[position + 1 :]])

@@ -230,8 +230,7 @@ class DomainDiagnosis:
                    else "it is not distinguished from none" if not clear
                    else "it is how friction goes through standstill, at the end of what was searched")
             said = ", ".join(p.text for p in fitted_effect(candidate, widened, k).parameters)
-            gone = self._not_added(k, f"in the fit of everything together {why} ({said})")
-            return k, replace(gone, refuted="" if allowed else candidate.effect.key)
+            return k, self._not_added(k, f"in the fit of everything together {why} ({said})")
         return None
 
     def _differs(self, k: int) -> bool:

@@ -173,7 +173,6 @@ class NotTransferred:
         effect, joint, channel, p_value: as in ``FoundEffect``.
         rms_without, rms_with: of its channel on the data that decide.
         why: in words, where it is not these errors.
-        refuted: name and place of the form that physics does not allow as it comes out; empty where that is not so.
     """
 
     effect: str
@@ -183,7 +182,6 @@ class NotTransferred:
     rms_without: float
     rms_with: float
     why: str = ""
-    refuted: str = ""
 
     @property
     def reason(self) -> str:

@@ -105,7 +105,6 @@ def test_what_may_as_well_be_nothing_is_not_claimed(one):
     domain, dropped = domain_of(one, moved()[0], Candidate(find("cable_spring", "tau"), 1)).settled()
     assert not domain.choices
     assert "not distinguished from none" in dropped[0].reason
-    assert not dropped[0].refuted
 
 
 def test_friction_that_is_another_only_near_standstill_is_not_claimed(one):
@@ -115,7 +114,6 @@ def test_friction_that_is_another_only_near_standstill_is_not_claimed(one):
     domain, dropped = domain_of(one, recording, Candidate(effect, 1, (end,))).settled()
     assert not domain.choices
     assert "standstill" in dropped[0].reason
-    assert not dropped[0].refuted
     # At the other end of the search, and of Stribeck's the slow one.
     fall = find("stribeck", "tau")
     for law, near, far in ((effect, end, effect.bounds(signals, 1)[0][0]), (fall, *fall.bounds(signals, 1)[0])):
