@@ -53,6 +53,7 @@ class Photograph:
         line: u, v, width along it ``(m, 3)`` [px]; empty without one.
         kept: whether it was kept apart while the search was made.
         second: the line as somebody else marked it ``(m, 3)`` [px]; empty where nobody did.
+        later: whether it was added to those kept apart when they had been looked at once.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Photograph:
     line: Array
     kept: bool
     second: Array = field(default_factory=lambda: np.empty((0, 3)))
+    later: bool = False
 
 
 Folder = Annotated[Path, typer.Argument(help="Holds the files of the listing, in any folders below.")]
@@ -76,10 +78,12 @@ def line_photographs(folder: Folder, kept: bool = True, seed: int = 1) -> None:
     """
     known = [one for one in _photographs(folder) if one.kept == kept]
     rng = np.random.default_rng(seed)
-    sets = [[one for one in known if one.kind], [one for one in known if not one.kind]]
+    sets = [[one for one in known if one.kind],
+            *([one for one in known if not one.kind and one.later == later] for later in (False, True))]
     sets.insert(1, [_drawn_on(one, rng) for one in sets[1] for _ in range(DRAWN)])
     head("method", *(f"{what} of {len(sets[k])} {of}, %" for k, of in enumerate(("photographs", "drawn lines"))
-                     for what in ("found", "another taken")), f"false of {len(sets[2])} without, %", "ms")
+                     for what in ("found", "another taken")), f"false of {len(sets[2])} without, %",
+         f"of {len(sets[3])} more, %", "ms")
     methods: dict[str, Callable[[Photograph], Array]] = {
         "`detect`": lambda one: _ours(one, None), "`detect`, kind told": lambda one: _ours(one, one.kind),
         "Otsu, `fitLine`": lambda one: _otsu(one.picture), "Canny, `HoughLinesP`": lambda one: _hough(one.picture),
@@ -92,7 +96,7 @@ def line_photographs(folder: Folder, kept: bool = True, seed: int = 1) -> None:
         for of in sets:
             verdicts = [_verdict(method(one), one) for one in of]
             count += len(of)
-            for what in ("found", "another") if of is not sets[2] else ("another",):
+            for what in ("found", "another")[of is sets[2] or of is sets[3] :]:
                 cells.append(f"{100.0 * np.mean([one == what for one in verdicts]):.0f}")
         row(name, *cells, f"{1e3 * (time.process_time() - begun) / count:.0f}")
     twice = [one for one in sets[0] if len(one.second)]
@@ -100,7 +104,7 @@ def line_photographs(folder: Folder, kept: bool = True, seed: int = 1) -> None:
             ("the second marking", [_verdict(one.second[:, :2], one) for one in twice]),
             ("`detect`, by it", [_verdict(_ours(one, None), replace(one, line=one.second)) for one in twice])):
         row(name, *(f"{100.0 * np.mean([one == what for one in verdicts]):.0f}" for what in ("found", "another")),
-            *[""] * 4)
+            *[""] * 5)
 
 
 def line_films(folder: Folder, most: int = 250) -> None:
@@ -178,8 +182,9 @@ def line_weights(folder: Folder, seed: int = 1) -> None:
     """Fits what `sensing/camera/line_evidence.py` weighs a candidate's features with, on photographs not kept apart.
 
     Candidates on drawn and marked lines against all in photographs without a line: logistic regression, every picture
-    of the same weight. The offset is such that a share of the pictures without a line shows one, each weighed with
-    what the other photographs alone gave.
+    of the same weight. The offset is such that a line is expected in 3 % of photographs that are like those without
+    one: beyond r of n of them, each weighed with what the others gave, lie (r + 1) / (n + 1) of further ones. Where
+    they are too few for 3 %, it is beyond all.
     """
     known = [one for one in _photographs(folder) if not one.kept]
     rng = np.random.default_rng(seed)
@@ -196,7 +201,9 @@ def line_weights(folder: Folder, seed: int = 1) -> None:
         others = _weights([one for one in seen if one.photograph % FOLDS != fold])
         best += [max(one.features @ others, default=-np.inf) for one in seen
                  if one.photograph % FOLDS == fold and not one.line]
-    b[-1] -= np.quantile(best, 1.0 - FALSE)
+    without = sum(one.kind is None for one in known)
+    beyond = len(best) / without * max(FALSE * (without + 1) - 1.0, 0.0)
+    b[-1] -= np.sort(best)[::-1][int(beyond)]
     head("feature", "weight", "mean on lines", "mean on others")
     for k, name in enumerate((*FEATURES, "offset")):
         means = [np.mean([one.features[one.right if line else slice(None), k].mean() for one in seen
@@ -243,7 +250,7 @@ def _photographs(folder: Path) -> Iterator[Photograph]:
         line, second = (np.array(entry.get(key, np.empty((0, 3))), dtype=float) for key in ("line", "second"))
         u, v, width, height = entry.get("crop", (0, 0, picture.shape[1], picture.shape[0]))
         yield _reduced(Photograph(entry["file"], picture[v : v + height, u : u + width], entry.get("kind"),
-                                  line - [u, v, 0.0], entry["kept"], second - [u, v, 0.0]))
+                                  line - [u, v, 0.0], entry["kept"], second - [u, v, 0.0], entry.get("later", False)))
 
 
 def _reduced(one: Photograph) -> Photograph:

@@ -3,8 +3,8 @@
 Sections across the path are laid beside each other, so that the edges of a line stand still: its inside at -1 … 1, its
 sides beyond. The direction of colour that separates inside and sides best (Fisher's) makes one number of every pixel, 1
 inside and 0 beside in the mean. From it follow the edges of each section to fractions of a pixel, and what tells
-lines from all else that is long: how much of the picture it crosses, how clear it is, how smooth; and that it lies on
-one ground: rims, folds and shores have another thing on their other side.
+lines from all else that is long: how much of the picture it crosses, how clear it is, how smooth, how evenly wide; and
+that it lies on one ground: rims, folds and shores have another thing on their other side.
 """
 
 from __future__ import annotations
@@ -36,6 +36,8 @@ _COURSE = 6
 """Degree of the polynomials that lines follow: what is left of things that are none is larger."""
 _FINEST = 1.0 / REDUCED[0]
 """What a course leaves, over its length, is not told from nothing below a pixel of the picture that was linked."""
+_NARROWEST = 0.5
+"""Step in which edges are looked for [px]; what a taper leaves is not told from nothing below it."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ class Strip:
         shown: share of the usual contrast that each section shows ``(n,)``, on the weaker side.
         color: inside less sides, lightness and weighted colour ``(3,)``.
         direction: of colour that separates them, scaled to 1 for ``color`` ``(3,)``.
-        features: what the decision goes by ``(5,)``, see ``FEATURES``.
+        features: what the decision goes by, see ``FEATURES``.
     """
 
     points: Array
@@ -74,11 +76,11 @@ class Strip:
                        sigmas=self.sigmas[k], shown=self.shown[k])
 
 
-FEATURES = ("length", "clarity", "course", "sides", "linked")
+FEATURES = ("length", "clarity", "course", "taper", "sides")
 """What lines have more of: logarithms of the length over the picture's shorter side, of the contrast over the scatter
-within inside and sides, and of how little it leaves a polynomial, over its length; less the difference of both sides
-over the contrast; how much likelier than chance its edges were linked."""
-WEIGHTS = np.array([6.011, 2.676, 8.374, 10.83, 0.01305, -48.14])
+within inside and sides, of how little a polynomial leaves of its course, over its length, and how little a linear taper
+of its width [px]; less the difference of both sides over the contrast."""
+WEIGHTS = np.array([7.135, 2.585, 4.132, 1.689, 10.18, -23.17])
 """Of the features, and an offset: `python -m studies line-weights`."""
 
 
@@ -103,9 +105,10 @@ def straightened(lab: Lab, path: Path, sections: int = SECTIONS) -> Strip:
         points, halves = _even(strip.points[first:end], 0.5 * strip.widths[first:end], sections)
         strip, clarity, sides = _measured(lab, points, halves, edge)
     length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-    wiggle = float(np.sqrt(np.mean(_rest(strip.points) ** 2))) / length
+    wiggle, uneven = (float(np.sqrt(np.mean(_rest(of, degree) ** 2)))
+                      for of, degree in ((strip.points, _COURSE), (strip.widths, 1)))
     return replace(strip, features=np.array([np.log(length / min(lab.shape[:2])), np.log(clarity),
-                                             -np.log(_FINEST + wiggle), -sides, path.score]))
+                                             -np.log(_FINEST + wiggle / length), -np.log(_NARROWEST + uneven), -sides]))
 
 
 def _best_run(good: NDArray[np.bool_]) -> tuple[int, int]:
@@ -214,16 +217,16 @@ def _separating(groups: list[Array], means: list[Array], color: Array) -> tuple[
     return direction / square, float(np.sqrt(square))
 
 
-def _rest(values: Array) -> Array:
+def _rest(values: Array, degree: int) -> Array:
     """What a polynomial leaves of values along a line."""
-    basis = _orthonormal(len(values))
+    basis = _orthonormal(len(values), degree)
     return np.asarray(values - basis @ (basis.T @ values))
 
 
 @cache
-def _orthonormal(count: int) -> Array:
-    """Polynomials up to ``_COURSE`` at so many places, orthonormal ``(count, _COURSE + 1)``."""
-    return np.asarray(np.linalg.qr(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, count), _COURSE))[0])
+def _orthonormal(count: int, degree: int) -> Array:
+    """Polynomials up to a degree at so many places, orthonormal ``(count, degree + 1)``."""
+    return np.asarray(np.linalg.qr(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, count), degree))[0])
 
 
 def _edges(lab: Lab, along: tuple[Array, Array], about: Array, direction: Array, reach: float) -> tuple[Array, Array]:
@@ -232,7 +235,7 @@ def _edges(lab: Lab, along: tuple[Array, Array], about: Array, direction: Array,
     Returns:
         Offsets ``(n, k)`` [px], and how steep it is there [1/px].
     """
-    step = 0.5
+    step = _NARROWEST
     offsets = np.arange(-reach - 1.0, reach + 1.0 + step, step)
     n, count = about.shape
     values = _sampled(lab, along, (about[:, :, None] + offsets).reshape(n, -1)) @ direction

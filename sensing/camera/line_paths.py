@@ -257,8 +257,7 @@ def _linked(nodes: Floats, counts: Integers, spacing: float) -> tuple[Array, Int
                     # Whatever is unlike only takes from the most.
                     if move > reach * gap or sums[h, q] + most <= best:
                         continue
-                    begins = came[h, q, 0] < 0
-                    off = (0.7 * move / gap if begins else move - slopes[h, q] * gap) / sigma
+                    off = (move - slopes[h, q] * gap) / sigma
                     broad = (width - nodes[h, q, _WIDTH]) / spread
                     gain = most - 0.5 * (off * off + broad * broad)
                     if sums[h, q] + gain <= best:
@@ -272,7 +271,7 @@ def _linked(nodes: Floats, counts: Integers, spacing: float) -> tuple[Array, Int
                     if sums[h, q] + gain > best:
                         best = sums[h, q] + gain
                         came[i, p, 0], came[i, p, 1] = h, q
-                        slopes[i, p] = move / gap if begins else 0.6 * slopes[h, q] + 0.4 * move / gap
+                        slopes[i, p] = move / gap if came[h, q, 0] < 0 else 0.6 * slopes[h, q] + 0.4 * move / gap
             sums[i, p] = best
     return sums, came
 

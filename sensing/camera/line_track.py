@@ -24,6 +24,9 @@ _LONGER = 0.15
 """Share of its length by which it is looked for beyond its ends."""
 _TONE, _WIDTH = 0.35, 0.25
 """Standard deviations of its colour, as a share of its contrast, and of the logarithm of its width."""
+_ALIKE = -float(np.log(_TONE**3 * _WIDTH))
+"""How much likelier the line has its three colours and its width than chance, whose deviations are 1, as a logarithm:
+that it is a line was decided when it was found."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,7 @@ def _there(picture: NDArray[np.uint8], known: Strip, place: Array) -> tuple[floa
     if inside.sum() < len(place) // 2:
         return None
     widths = np.pad(known.widths, count, "edge")[inside]
-    strip = straightened(lab_picture(picture), Path(points[inside], widths, float(known.features[-1]), 0))
+    strip = straightened(lab_picture(picture), Path(points[inside], widths, 0.0, 0))
     value = evidence(strip)
     return (value, strip) if _same(value, strip, known) > 0.0 else None
 
@@ -117,7 +120,7 @@ def _same(value: float, strip: Strip, known: Strip) -> float:
     """Log odds that a line is the one that is known, wherever it lies; being surely a line does not make it that."""
     tone = float(np.linalg.norm(strip.color - known.color) / np.linalg.norm(known.color))
     wider = float(np.log((np.median(strip.widths) + 1.0) / (np.median(known.widths) + 1.0)))
-    return min(value, 0.0) + EXPECTED - 0.5 * ((tone / _TONE) ** 2 + (wider / _WIDTH) ** 2)
+    return min(value + _ALIKE, 0.0) + EXPECTED - 0.5 * ((tone / _TONE) ** 2 + (wider / _WIDTH) ** 2)
 
 
 def _distance(strip: Strip, place: Array) -> float:

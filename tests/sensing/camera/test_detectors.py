@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -13,12 +15,13 @@ from sensing import SensingError
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.detector import DETECTORS, LineDetector
 from sensing.camera.line_detection import LineField
+from sensing.camera.line_evidence import evidence
 from sensing.camera.line_paths import _traced
 from sensing.camera.line_polynomial import Polyline, fit_line_polynomial, fit_of_lowest_order
 from sensing.camera.line_search import DetectionSettings, PredictedLine, search_windows
-from sensing.camera.line_track import PATIENCE, track
+from sensing.camera.line_track import PATIENCE, _same, track
 from sensing.camera.opencv_detector import OpenCVProfiles
-from sensing.camera.picture_line import detect_in_picture
+from sensing.camera.picture_line import detect_in_picture, find_lines
 from tests.sensing.camera.synthetic import NORMAL, drawn_line, make_field, stroke
 
 CAMERA = CameraModel.default()
@@ -150,19 +153,17 @@ def test_of_two_lines_the_middle_one_is_taken_and_the_other_where_it_is_told() -
 
 def test_twigs_of_a_path_do_not_stand_before_another_one() -> None:
     """Twigs inherit the score of the path that they stand on; another path is worth more than what they add."""
-    columns = 40
-    nodes = np.zeros((columns, 48, 9), np.float32)
+    columns, nodes = 40, np.zeros((40, 48, 9), np.float32)
     nodes[:, :12, 0] = 20.0 * np.arange(12)
-    counts = np.full(columns, 12)
-    sums, came = np.zeros((columns, 48)), np.full((columns, 48, 2), -1)
+    counts, sums, came = np.full(columns, 12), np.zeros((columns, 48)), np.full((columns, 48, 2), -1)
     for k in range(1, columns):
         sums[k, :2] = 3.0 * k, 2.0 * k
         came[k, :2] = (k - 1, 0), (k - 1, 1)
         sums[k, 2:12], came[k, 2:12] = sums[k - 1, 0] + 1.0, (k - 1, 0)
-    taken = np.zeros(sums.shape, np.bool_)
-    (first, most), (second, next_most) = (_traced(nodes, counts, sums, came, taken) for _ in range(2))
-    assert (first[:, 1].tolist(), most) == ([0] * columns, 117.0)
-    assert (second[:, 1].tolist(), next_most) == ([1] * columns, 78.0)
+    taken = np.zeros_like(sums, bool)
+    for path, most in ((0, 117.0), (1, 78.0)):
+        found, score = _traced(nodes, counts, sums, came, taken)
+        assert (found[:, 1].tolist(), score) == ([path] * columns, most)
 
 
 def test_an_edge_is_no_stripe_and_a_laser_is_bright_and_narrow() -> None:
@@ -214,6 +215,23 @@ def test_a_line_is_followed_lost_and_found_again_and_another_is_not_taken_for_it
     assert states == ["found", *["followed"] * 4, *["lost"] * 3, "found again", *["followed"] * 5]
     expected = np.array([45.0 + 6.0 * frame if not 5 <= frame < 8 else np.nan for frame in range(14)])
     np.testing.assert_allclose(places, expected, atol=2.0)
+
+
+def test_a_look_that_stays_counts_for_the_line_that_is_known_and_another_against_it() -> None:
+    known = find_lines(_film(0))[0][1]
+    for value, share, same in ((-6.0, 1.0, True), (-6.0, -0.2, False), (20.0, -0.5, False), (-12.0, 1.0, False)):
+        assert (_same(value, replace(known, color=share * known.color), known) > 0.0) == same
+
+
+def test_what_is_unevenly_wide_is_less_likely_a_line() -> None:
+    strips = []
+    for ragged in (0, 3):
+        picture = np.full((240, 320), 180, np.uint8)
+        for u in range(320):
+            half = 8 + ragged * round(np.sin(u / 6.0) + np.sin(u / 17.0))
+            picture[120 - half : 120 + half, u] = 60
+        strips.append(find_lines(picture)[0][1])
+    assert evidence(strips[1]) < evidence(strips[0]) - 1.0
 
 
 def test_another_line_is_taken_late_and_said() -> None:
