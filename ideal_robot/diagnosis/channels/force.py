@@ -227,7 +227,7 @@ def contact_regression(recording: Recording, robot: Robot, wrench: Wrench, torqu
     rate = np.gradient(pressed, torque.filtered.dt)
     W = np.concatenate([_surface(place, normal, strong), rate[:, None, None]], axis=2)
     # The filter looks to both sides: out of contact stands what was last or next in contact, for which the law holds.
-    touching = _nearest(strong)
+    touching, = ndimage.distance_transform_edt(~strong, return_distances=False, return_indices=True)
     # Noise of the force is in the column as well and would make it look too small: less of it in a narrow band.
     dt = torque.filtered.dt
     band = min(_CONTACT_BAND, 0.2 / dt)
@@ -255,15 +255,6 @@ def _normal(force: Array, place: Array, strong: np.ndarray, dt: float) -> Array:
         mu = -float(np.sum(spread * direction)) / max(float(np.sum(spread**2)), 1e-9)
         normal = direction.mean(axis=0) + float(np.clip(mu, 0.0, 1.0)) * middle
     return np.asarray(normal / np.linalg.norm(normal))
-
-
-def _nearest(mask: np.ndarray) -> np.ndarray:
-    """Index of the nearest sample inside a mask, for each sample ``(N,)``."""
-    inside, every = np.flatnonzero(mask), np.arange(len(mask))
-    right = np.clip(np.searchsorted(inside, every), 0, len(inside) - 1)
-    left = np.maximum(right - 1, 0)
-    closer = np.abs(inside[left] - every) < np.abs(inside[right] - every)
-    return np.asarray(np.where(closer, inside[left], inside[right]))
 
 
 def _arm_side(recording: Recording, robot: Robot, torque: Regression, force: Array, stiffness: Array | None) -> Array:

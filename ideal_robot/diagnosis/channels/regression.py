@@ -250,33 +250,19 @@ def noise_in_band(y: Array, torque: Regression) -> Array:
     return np.asarray(np.sqrt(np.median(power[upper], axis=0) / (1.0 - 1.0 / (9.0 * K)) ** 3 * 0.5 * rate))
 
 
-def noise_left(residual: Array, use: np.ndarray) -> Array:
-    """What a residual ``(N, c)`` holds of white noise ``(c,)``; infinite where too few samples count.
+def noise_left(residual: Array, use: np.ndarray) -> tuple[Array, Array]:
+    """What a residual ``(N, c)`` holds of white noise, and what changes in it from each sample to the next ``(c,)``.
 
-    Its third differences, in which no motion is left, over stretches that count ``(N, c)``: never more than noise, and
-    for a residual that is nothing else all of it.
+    Both from third differences, in which no motion is left, over stretches that count ``(N, c)``. Their mean square is
+    never more than noise, and for a residual that is nothing else all of it. The median of their sizes kicks do not
+    raise: encoder steps and jitter that a controller hands on, oscillations at the end of the band, which depend on
+    nothing that the motion does. Above the band the controller damps them, so that the spectrum there does not show
+    them. Where too few samples count, infinite and zero.
     """
-    third, whole = _third_differences(residual, use)
-    count = whole.sum(axis=0)
-    squares = (third**2 * whole).sum(axis=0) / np.maximum(count, 1)
-    return np.where(count >= FEWEST, np.sqrt(squares / 20.0), np.inf)
-
-
-def usual_noise(residual: Array, use: np.ndarray) -> Array:
-    """The same from the median of their sizes ``(c,)``, which kicks do not raise; zero where too few samples count.
-
-    What changes from each sample to the next all the time depends on nothing that the motion does: encoder steps and
-    jitter that a controller hands on, and oscillations at the end of the band. Above it the controller damps them, so
-    that the spectrum there does not show them.
-    """
-    third, whole = _third_differences(residual, use)
-    sizes = [np.median(np.abs(d[w])) if w.sum() >= FEWEST else 0.0 for d, w in zip(third.T, whole.T, strict=True)]
-    return np.asarray(1.4826 * np.array(sizes) / np.sqrt(20.0))
-
-
-def _third_differences(residual: Array, use: np.ndarray) -> tuple[Array, np.ndarray]:
-    """Third differences ``(N - 3, c)``, and where all samples of one count."""
-    return np.diff(residual, 3, axis=0), use[3:] & use[2:-1] & use[1:-2] & use[:-3]
+    third, whole = np.diff(residual, 3, axis=0), use[3:] & use[2:-1] & use[1:-2] & use[:-3]
+    enough = whole.sum(axis=0) >= FEWEST
+    sizes = [np.median(np.abs(d[w])) if known else 0.0 for d, w, known in zip(third.T, whole.T, enough, strict=True)]
+    return np.where(enough, rms(third, whole), np.inf) / np.sqrt(20.0), 1.4826 * np.array(sizes) / np.sqrt(20.0)
 
 
 _FORCE, _MOMENT = ("fx", "fy", "fz"), ("mx", "my", "mz")

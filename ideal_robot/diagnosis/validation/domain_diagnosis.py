@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.channels.regression import Regression, noise_left, rms, spread, usual_noise
+from ideal_robot.diagnosis.channels.regression import Regression, noise_left, rms, spread
 from ideal_robot.diagnosis.statistics.dependence import Dependence, DependenceTest, terms
 from ideal_robot.diagnosis.statistics.least_squares import CLEAR, TOLD
 from ideal_robot.diagnosis.statistics.problem import Candidate, Estimate, Problem, fitted_effect
@@ -310,8 +310,8 @@ class DomainDiagnosis:
         start, signal = self._rms(before), self._rms(reported.measured)
         # The floor belongs to the band of the residual, and is part of it.
         after = self._rms(residuals[-1])
-        floor = np.minimum.reduce([reported.noise_floor, noise_left(residuals[-1], reported.use), after])
-        usual = usual_noise(residuals[-1], reported.use)
+        white, usual = noise_left(residuals[-1], reported.use)
+        floor = np.minimum.reduce([reported.noise_floor, white, after])
         channels = tuple(ChannelResult(name, unit, float(start[j]), float(refit[j]), float(after[j]),
                                        float(floor[j]), float(signal[j]), float(np.mean(own.use[:, j])),
                                        float(spread(reported.measured, reported.use)[j]),
