@@ -31,11 +31,9 @@ MOST_PARAMETERS = 7
 MORE_PARAMETERS = {
     "ideal_robot/diagnosis/diagnose.py:diagnose", "ideal_robot/diagnosis/next_motion/plan.py:plan_diagnosis",
     "ideal_robot/execution/precorrect.py:precorrect", "ideal_robot/feedforward/registry.py:feedforward",
-    "ideal_robot/identification/weighted_least_squares.py:weighted_least_squares",
     "ideal_robot/identification/whole_model.py:identify_model", "ideal_robot/rsi/robot.py:RsiRobot.__init__",
     "scenes/online/line_task.py:LineTask.__init__", "scenes/rsi/server.py:rsi_server",
-    "scenes/scene_files/tool_path.py:tool_path", "sensing/camera/camera_model.py:CameraModel.perturbed",
-    "sensing/camera/line_detection.py:_evaluate",
+    "sensing/camera/camera_model.py:CameraModel.perturbed", "sensing/camera/line_detection.py:_evaluate",
     "sensing/camera/line_detection.py:_sections", "sensing/camera/line_profile.py:find_sections",
     "sim/arm/kernel.py:drive_step", "sim/camera/bullet_camera.py:BulletCamera.__init__",
 }

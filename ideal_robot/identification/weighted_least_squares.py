@@ -56,27 +56,25 @@ class Solution:
     at_bound: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
 
-def weighted_least_squares(W: Array, y: Array, start: Array, *, segments: Array | None = None,
-                           information: Array | None = None, nonnegative: np.ndarray | None = None,
-                           variance: Array | None = None, correlated: bool = True,
+def weighted_least_squares(W: Array, y: Array, known: tuple[Array, Array], *, segments: Array | None = None,
+                           nonnegative: np.ndarray | None = None, variance: Array | None = None,
                            regions: Sequence[np.ndarray] = ()) -> Solution:
     """Solves ``y = W p + e`` with one noise level per channel, estimated from the residual (IDIM-WLS).
 
     Args:
         W: ``(M, n, P)`` observation matrix per sample.
         y: ``(M, n)`` measurements; a channel that is NaN throughout takes no part.
-        start: ``(P,)`` values that directions without excitation keep.
-        segments: ``(M,)`` number of the recording each sample comes from, so that correlation of residuals is not
-            counted across recordings.
-        information: ``(P, P)`` what is known of the parameters beforehand, about ``start``: an inverse covariance.
+        known: values ``(P,)`` that directions without excitation keep, and what is known of the parameters about these
+            beforehand: an inverse covariance ``(P, P)``.
+        segments: ``(M,)`` number of the recording each sample comes from: what residuals of one have in common from
+            sample to sample widens the covariance. They are taken for white if None.
         nonnegative: ``(P,)`` parameters that may not be negative.
         variance: ``(M, n)`` variance that each sample is known to have beside its channel's noise level, in the square
             of y's unit.
-        correlated: whether what residuals have in common from sample to sample widens the covariance; else they
-            are taken for white.
         regions: rows at which the motion is alike: what the model class lacks there does not average out over time, and
             what regions disagree about widens the covariance.
     """
+    start, information = known
     live = np.asarray(~np.isnan(y).all(axis=0))
     y = np.where(live, y, 0.0)
     W = W * live[:, None]
@@ -86,7 +84,7 @@ def weighted_least_squares(W: Array, y: Array, start: Array, *, segments: Array 
     at_bound = np.zeros(size, dtype=bool)
     extra = np.zeros_like(y) if variance is None else variance
     channels = _Channels(W, y - W @ start, alike=variance is None)
-    root = _root(np.zeros((size, size)) if information is None else information)
+    root = _root(information)
     for _ in range(_ITERATIONS):
         std = np.sqrt(noise**2 + extra)
         value, inverse, conditions, unexcited = _solve(channels.weighted(std), root)
@@ -100,14 +98,14 @@ def weighted_least_squares(W: Array, y: Array, start: Array, *, segments: Array 
         noise = np.maximum(np.sqrt(np.maximum(level - np.mean(extra, axis=0), _OWN * level)), 1e-9 * scale_y)
     std_white = np.sqrt(np.maximum(np.diag(inverse), 0.0))
     covariance = inverse
-    if correlated:
+    if segments is not None:
         std = np.sqrt(noise**2 + extra)
         covariance = _widened(inverse, W / std[:, :, None], residual / std, segments, regions)
     return Solution(value, covariance, std_white, np.where(live, np.sqrt(level), 0.0), *conditions, unexcited,
                     np.where(live, residual, np.nan), at_bound)
 
 
-def _widened(inverse: Array, W: Array, residual: Array, segments: Array | None,
+def _widened(inverse: Array, W: Array, residual: Array, segments: Array,
              regions: Sequence[np.ndarray]) -> Array:
     """The covariance for residuals that are correlated in time and differ between regions; all weighted."""
     inflation = _correlation_inflation(W, residual, inverse, segments)
@@ -216,7 +214,7 @@ def _triangular(rows: Array) -> Array:
     return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
-def _correlation_inflation(W: Array, residual: Array, inverse: Array, segments: Array | None) -> Array:
+def _correlation_inflation(W: Array, residual: Array, inverse: Array, segments: Array) -> Array:
     """Factor ``(P,)`` ≥ 1 by which correlated residuals widen the standard deviations (Newey and West 1987).
 
     Unmodelled friction and elasticity leave residuals that stay alike over many samples; [J] (16) would count each of
@@ -224,7 +222,7 @@ def _correlation_inflation(W: Array, residual: Array, inverse: Array, segments: 
     """
     count = len(W)
     scores = np.einsum("knp,kn->kp", W, residual) @ inverse
-    blocks = [scores] if segments is None else [scores[segments == s] for s in np.unique(segments)]
+    blocks = [scores[segments == s] for s in np.unique(segments)]
     lags = min(max(4, round(4.0 * (count / 100.0) ** (2.0 / 9.0)) * 3), count // 10)
     variance = np.zeros(scores.shape[1])
     for block in blocks:

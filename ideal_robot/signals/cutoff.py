@@ -91,8 +91,8 @@ class CutoffChoice:
                 f"{why}")
 
 
-def choose_cutoff(recordings: Sequence[Recording], columns: Columns, *, start: Array, information: Array,
-                  candidates: Sequence[float] = CANDIDATES) -> CutoffChoice:
+def choose_cutoff(recordings: Sequence[Recording], columns: Columns, *, start: Array,
+                  information: Array) -> CutoffChoice:
     """The cut-off with the least held-out error; of those that are as good, the one that is just flat in the band.
 
     Args:
@@ -100,7 +100,6 @@ def choose_cutoff(recordings: Sequence[Recording], columns: Columns, *, start: A
         columns: the model's observation matrix.
         start: parameters before any data ``(P,)``.
         information: what is known of them, as an inverse covariance ``(P, P)``.
-        candidates: cut-offs to try [Hz], rising.
     """
     # Of many recordings as many, evenly spread, as leave each its seconds.
     some = np.linspace(0, len(recordings) - 1, min(len(recordings), int(_LONGEST / _SHORTEST))).astype(int)
@@ -108,7 +107,7 @@ def choose_cutoff(recordings: Sequence[Recording], columns: Columns, *, start: A
     rate = min(1.0 / _step(r) for r in parts)
     band = min(float(np.median([motion_band(r) for r in parts])), 0.1 * rate)
     even = [evenly_sampled(r, columns=False) for r in parts]
-    usable = [c for c in candidates if c <= min(0.2 * rate, _BEYOND * band)] or [0.2 * rate]
+    usable = [c for c in CANDIDATES if c <= min(0.2 * rate, _BEYOND * band)] or [0.2 * rate]
     # Where a recording is too short for the slowest filters, quicker ones are left; for none, the last says so.
     usable = [c for c in usable if all(one.long_enough(c) for one in even)] or usable[-1:]
     errors: dict[float, float] = {}

@@ -156,12 +156,12 @@ def _of_joint(j: int, unit: str) -> tuple[str, str]:
     return f"position of joint {j + 1} [{length}]", f"velocity of joint {j + 1} [{length}/s]"
 
 
-def _explained(x: Array, y: Array, bins: int = 40) -> float:
-    """Share of the squares of ``y`` that a curve over ``x`` explains."""
+def _explained(x: Array, y: Array) -> float:
+    """Share of the squares of ``y`` that a curve of 40 steps over ``x`` explains."""
     total = float(np.sum((y - y.mean()) ** 2)) if len(y) else 0.0
-    if total <= 0 or len(y) < 4 * bins:
+    if total <= 0 or len(y) < 160:
         return 0.0
-    parts = np.array_split(np.argsort(x), bins)
+    parts = np.array_split(np.argsort(x), 40)
     return 1.0 - sum(float(np.sum((y[part] - y[part].mean()) ** 2)) for part in parts) / total
 
 

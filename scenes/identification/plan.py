@@ -138,15 +138,15 @@ def fourier_commands(robot: Robot, motion: FourierMotion, start: Array, t_ipo: f
                            slow_reversals(q[-1], t_ipo, v_max)])
 
 
-def slow_reversals(q0: Array, t_ipo: float, v_max: Array, duration: float = 8.0) -> Array:
-    """All joints back and forth about ``q0`` at up to eight per cent of their speed: what paths of tools look like.
+def slow_reversals(q0: Array, t_ipo: float, v_max: Array) -> Array:
+    """Eight seconds of all joints about ``q0`` at up to eight per cent of their speed: what paths of tools look like.
 
     Args:
         q0: joint angles at both ends ``(n,)`` [rad].
         t_ipo: cycle of the commands [s].
         v_max: largest joint velocities ``(n,)`` [rad/s].
-        duration: of the motion [s].
     """
+    duration = 8.0
     t = np.arange(1, round(duration / t_ipo) + 1) * t_ipo
     w = 2.0 * np.pi / duration * np.array([2.0, 3.0, 5.0, 7.0, 4.0, 6.0])[np.arange(len(q0)) % 6]
     envelope = np.sin(np.pi * t / duration)[:, None] ** 2

@@ -16,7 +16,7 @@ from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
 from planning.path.kinematics import InverseKinematics
 from scenes.scene_files.scene import Box, Scene, obstacles
-from scenes.scene_files.tool_path import ToolPath, shape_of, tool_path
+from scenes.scene_files.tool_path import ToolPath, lasting, shape_of, tool_path
 
 REST_BEFORE, REST_AFTER = 0.9, 0.6
 """How long the arm rests at the start and at the end of the path [s]; it does not count for the errors."""
@@ -107,8 +107,9 @@ def joint_path(scene: PathScene, robot: Robot, t_ipo: float) -> JointPath:
                     np.array(figure.centre))
     rotation = _about([0.0, 1.0, 0.0], -figure.tool_tilt_deg) @ home.rotation
     turn = ((0.0, 0.0, 1.0), float(np.radians(figure.turn_deg))) if figure.turn_deg else None
-    tool = tool_path(shape_of(figure.shape, 1e-3 * figure.size_mm), plane, scene.speed, figure.acceleration, t_ipo,
-                     rotation=rotation, turn=turn, max_duration=scene.max_duration)
+    shape = shape_of(figure.shape, 1e-3 * figure.size_mm)
+    scene.check_duration(lasting(shape, scene.speed, figure.acceleration))
+    tool = tool_path(shape, plane, scene.speed, figure.acceleration, t_ipo, rotation=rotation, turn=turn)
     try:
         q = robot.home
         # From home in small steps: the arm keeps the posture (elbow, wrist) it has there.

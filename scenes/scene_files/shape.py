@@ -60,13 +60,12 @@ class _RefusedError(ValueError):
     """What in a formula is not allowed."""
 
 
-def evaluated(formula: str, x: Array, field: str = "line.formula") -> Array:
+def evaluated(formula: str, x: Array) -> Array:
     """The formula at every ``x``.
 
     Args:
         formula: an expression of ``x``, ``pi``, ``e``, numbers, ``+ - * / % **``, comparisons and ``FUNCTIONS``.
         x: where ``(N,)``.
-        field: the key it was given under, for the message.
 
     Returns:
         ``(N,)``, finite.
@@ -84,9 +83,9 @@ def evaluated(formula: str, x: Array, field: str = "line.formula") -> Array:
             y = np.broadcast_to(np.asarray(_value(tree, x), dtype=float), x.shape)
     except _RefusedError as refused:
         raise InputError(f"cannot be evaluated: {refused}; expected y [m] of x [m], e.g. 0.04*sin(2*pi*x/0.8)",
-                         field=field, value=shown) from refused
+                         field="line.formula", value=shown) from refused
     if not np.all(np.isfinite(y)):
-        raise InputError("is not finite over the whole length", field=field, value=shown)
+        raise InputError("is not finite over the whole length", field="line.formula", value=shown)
     return y
 
 

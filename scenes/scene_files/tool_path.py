@@ -141,9 +141,19 @@ def duration(length: float, speed: float, acceleration: float) -> float:
     return float(2 * peak / acceleration + length / peak)
 
 
+def lasting(shape: Shape, speed: float, acceleration: float) -> float:
+    """Time of all of a figure's parts, see ``duration`` [s].
+
+    Args:
+        shape: the figure.
+        speed: wanted path speed [m/s].
+        acceleration: largest path acceleration [m/s²].
+    """
+    return sum(duration(sum(length for _, length, _ in run), speed, acceleration) for run in shape.runs())
+
+
 def tool_path(shape: Shape, plane: pin.SE3, speed: float, acceleration: float, t_ipo: float, *,
-              rotation: Array | None = None, turn: tuple[tuple[float, float, float], float] | None = None,
-              max_duration: float = LONGEST) -> ToolPath:
+              rotation: Array | None = None, turn: tuple[tuple[float, float, float], float] | None = None) -> ToolPath:
     """Times a plane figure and gives it a tool orientation.
 
     Args:
@@ -155,13 +165,12 @@ def tool_path(shape: Shape, plane: pin.SE3, speed: float, acceleration: float, t
         rotation: tool orientation ``(3, 3)`` in the base frame; by default the tool's z axis points into the plane.
         turn: axis in the base frame and angle [rad] by which the orientation turns over the length of each stop-to-stop
             part, in proportion to the way; None for a constant orientation.
-        max_duration: time the path may last [s].
 
     Raises:
         InputError: speed or acceleration not positive, a speed that no part of the path is long enough for, or one so
             low that the path lasts too long.
     """
-    _check(shape, speed, acceleration, max_duration)
+    _check(shape, speed, acceleration)
     fixed = plane.rotation @ np.diag([1.0, -1.0, -1.0]) if rotation is None else np.asarray(rotation, dtype=float)
     points, speeds, shares = [], [], []
     carried = 0.0
@@ -188,7 +197,7 @@ def tool_path(shape: Shape, plane: pin.SE3, speed: float, acceleration: float, t
     return ToolPath(np.asarray(t_ipo * np.arange(float(len(poses)))), poses, np.concatenate(speeds))
 
 
-def _check(shape: Shape, speed: float, acceleration: float, max_duration: float) -> None:
+def _check(shape: Shape, speed: float, acceleration: float) -> None:
     """Refuses speeds and accelerations that are none, that no part is long enough for, or that take too long."""
     if not (speed > 0 and acceleration > 0):
         raise InputError("speed and acceleration must be positive", field="speed", value=(speed, acceleration))
@@ -197,10 +206,9 @@ def _check(shape: Shape, speed: float, acceleration: float, max_duration: float)
     if speed > reachable * (1 + 1e-9):
         raise InputError(f"the path is too short for this speed: with {acceleration:g} m/s² it reaches "
                          f"{reachable:.3g} m/s; move slower, or allow more acceleration", field="speed", value=speed)
-    lasts = sum(duration(sum(length for _, length, _ in run), speed, acceleration) for run in shape.runs())
-    if not lasts <= max_duration:
-        raise InputError(f"the path would last {lasts:.3g} s; {max_duration:g} s is the longest: move faster, or "
-                         "give the scene a larger max_duration", field="speed", value=speed)
+    if not (lasts := lasting(shape, speed, acceleration)) <= LONGEST:
+        raise InputError(f"the path would last {lasts:.3g} s; {LONGEST:g} s is the longest: move faster", field="speed",
+                         value=speed)
 
 
 # The figures of the papers' path experiments.
