@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from abc import ABC, abstractmethod
+from array import array
 from dataclasses import dataclass
-from typing import Protocol
+from types import TracebackType
+from typing import Protocol, Self
 
 import numpy as np
 
@@ -276,3 +280,70 @@ class CatchUp:
 def _shortened(values: Array, limits: Array) -> Array:
     """Values ``(n,)``, all shortened by the same share until each keeps its limit ``(n,)``."""
     return np.asarray(values / max(float(np.max(np.abs(values) / limits)), 1.0))
+
+
+# What arms behind the links of controllers have in common.
+
+class LinkedRobot(ABC):
+    """A ``RobotInterface`` to an arm behind a link on which cycles may be missed.
+
+    Where one was missed, the next commands lead from what the controller has in force back to what is wanted.
+
+    Args:
+        robot: limits and cycle time.
+        bridge: how long packets may be lost in a row [s].
+        answers_within: time in which the arm's loop answers a command, for the watch over following [s].
+        relative: whether the controller adds commands up.
+
+    Attributes:
+        t_ipo: interpolation cycle [s].
+        commanded: joint angles in force at the controller ``(n,)`` [rad].
+        answer_times: from each packet's arrival to its answer [s].
+        fault: why the arm does not do what it was commanded; None while it does. Bring it to rest then.
+        gone_on: cycles before the last packet in which the controller had none of ours and went on as before.
+    """
+
+    def __init__(self, robot: Robot, bridge: float, answers_within: float, relative: bool = False) -> None:
+        self.robot, self.t_ipo = robot, robot.t_ipo
+        self.max_lost = max(math.ceil(bridge / robot.t_ipo), 1)
+        self.fault: str | None = None
+        self.commanded = np.full(robot.n, np.nan)
+        self.answer_times = array("d")
+        self.gone_on = 0
+        self._missed = False
+        # Data of an arm without limits give no room; then a start from rest takes a third of a second.
+        v_max = np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
+        self._room = np.where(np.isfinite(robot.a_max), 0.5 * robot.a_max, v_max / 0.3)
+        self._catch_up = CatchUp(2.0 * self._room, v_max, robot.t_ipo)
+        self._watch = FollowingWatch(robot.n, math.ceil(answers_within / robot.t_ipo) + self.max_lost,
+                                     np.maximum(3.0 * v_max * robot.t_ipo, np.radians(1.0)), relative)
+
+    def cycle(self, q_c: Array) -> RobotState:
+        """Commands ``q_c (n,)`` [rad] and waits for the next packet.
+
+        Raises:
+            InputError: wrong size or not finite.
+            LimitError: outside the joint limits, or more than twice the velocity limit away from the last command.
+            IdealRobotError: see ``receive``.
+        """
+        self.send(q_c)
+        return self.receive()
+
+    @abstractmethod
+    def send(self, q_c: Array) -> None:
+        """The first half of ``cycle``: commands and returns, which leaves the cycle's time for computing."""
+
+    @abstractmethod
+    def receive(self) -> RobotState:
+        """The second half of ``cycle``: waits for the next packet."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Ends the link."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self.close()

@@ -6,17 +6,14 @@ before the next. ``cycle`` answers the last packet with the command and waits fo
 
 from __future__ import annotations
 
-import math
 import time
-from array import array
-from types import TracebackType
 
 import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.deadline import Deadline
 from ideal_robot.errors import InputError
-from ideal_robot.robots.interface import CatchUp, FollowingWatch, RobotState, checked_command
+from ideal_robot.robots.interface import LinkedRobot, RobotState, checked_command
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi.link import PacketLink, Stamps
 from ideal_robot.rsi.message import Axes, RobMessage, RsiError, RsiFormat, format_sen
@@ -94,12 +91,11 @@ _RESYNC = 1e-3
 """Difference of measured and commanded position at rest that is made good [rad]; less is the controller's own."""
 
 
-class RsiRobot:
+class RsiRobot(LinkedRobot):
     """A ``RobotInterface`` to an arm whose controller speaks RSI; listens as soon as it is made.
 
     Absolute corrections are the whole difference from where the arm was commanded when RSI began; relative ones are
     what is added in this cycle. What is sent is rounded, and the rest of the rounding is made good in the next cycle.
-    Where an answer was missed, the next ones lead from what the controller has in force back to what is wanted.
 
     Args:
         robot: number of joints, limits, cycle time, drive gains and ``[rsi]`` axes.
@@ -117,13 +113,8 @@ class RsiRobot:
             the controller says that it gives them up without an answer.
 
     Attributes:
-        t_ipo: interpolation cycle [s].
         counts: what happened on the link.
-        commanded: joint angles in force at the controller ``(n,)`` [rad].
-        answer_times: from each packet's arrival to its answer [s].
-        fault: why the arm does not do what it was commanded; None while it does. Bring it to rest then.
         stamps: how the controller's time stamps rise.
-        gone_on: cycles before the last packet in which the controller had none of ours and went on as before.
         too_fast: times the expected pace at which packets count as those of another cycle, where stamps do not tell it.
     """
 
@@ -134,28 +125,17 @@ class RsiRobot:
         if not relative and self.form.hold_on is False:
             raise InputError("without an answer the controller would return to the start; set HOLDON to 1 for absolute "
                              "corrections, or use --relative", field="HOLDON", value=0)
-        self.robot, self.t_ipo, self.axes = robot, robot.t_ipo, Axes.of(robot)
-        self.relative, self.timeout = relative, timeout
-        self.max_lost = max(math.ceil(bridge / robot.t_ipo), 1)
-        self.fault: str | None = None
+        super().__init__(robot, bridge, answers_within, relative)
+        self.axes, self.relative, self.timeout = Axes.of(robot), relative, timeout
         self.too_fast = _TOO_FAST
         self.stamps = Stamps(round(1e3 * robot.t_ipo))
-        self.answer_times = array("d")
         self._link = PacketLink(host, port, robot.n, controller)
         self.counts = self._link.counts
-        self.commanded = np.full(robot.n, np.nan)
-        # Data of an arm without limits give no room; then a start from rest takes a third of a second.
-        v_max = np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
-        room = np.where(np.isfinite(robot.a_max), 0.5 * robot.a_max, v_max / 0.3)
-        self._brake = 1.8 * room * robot.t_ipo**2
-        self._catch_up = CatchUp(2.0 * room, v_max, robot.t_ipo)
-        self._watch = FollowingWatch(robot.n, math.ceil(answers_within / robot.t_ipo) + self.max_lost,
-                                     np.maximum(3.0 * v_max * robot.t_ipo, np.radians(1.0)), relative)
+        self._brake = 1.8 * self._room * robot.t_ipo**2
         self._in_force = InForce(robot.n, relative and self.form.hold_on is True)
         self._first: RobMessage | None = None
         self._elapsed = self._ahead = self._still = self._late = self._back = self._older = 0
-        self._missed = self._in_doubt = False
-        self.gone_on = 0
+        self._in_doubt = False
         self._answer: bytes | None = None
 
     @property
@@ -204,17 +184,6 @@ class RsiRobot:
             self._watch.tolerance *= _UNTOLD
         self._watch.begin(self.commanded, self.axes.joints(first.actual))
         return self._state(first)
-
-    def cycle(self, q_c: Array) -> RobotState:
-        """Answers the last packet with the command ``q_c (n,)`` [rad] and waits for the next one.
-
-        Raises:
-            InputError: wrong size or not finite.
-            LimitError: outside the joint limits, or more than twice the velocity limit away from the last command.
-            RsiError: see ``receive``.
-        """
-        self.send(q_c)
-        return self.receive()
 
     def send(self, q_c: Array) -> None:
         """The first half of ``cycle``: answers and returns, which leaves the cycle's time for computing.
@@ -284,13 +253,6 @@ class RsiRobot:
     def close(self) -> None:
         """Stops listening; the controller holds the arm and reports that its sensor is gone."""
         self._link.close()
-
-    def __enter__(self) -> RsiRobot:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
-        self.close()
 
     def _want(self, q_c: Array) -> Array:
         """Notes what is wanted from now on and by how much that is further than before."""

@@ -8,16 +8,14 @@ from __future__ import annotations
 
 import math
 import time
-from array import array
 from dataclasses import dataclass
-from types import TracebackType
 
 import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.deadline import Deadline
 from ideal_robot.errors import InputError
-from ideal_robot.robots.interface import CatchUp, FollowingWatch, RobotState, checked_command
+from ideal_robot.robots.interface import LinkedRobot, RobotState, checked_command
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rtde.wire import Recipe, RtdeConnection, RtdeError, Values
 
@@ -51,10 +49,10 @@ class RtdeCounts:
     implausible: int = 0
 
 
-class RtdeRobot:
+class RtdeRobot(LinkedRobot):
     """A ``RobotInterface`` to an arm whose controller speaks RTDE.
 
-    Where a cycle was missed, ``servoj`` held the arm; the next commands lead from there back to what is wanted.
+    Where a cycle was missed, ``servoj`` held the arm, which does not go on by itself.
 
     Args:
         robot: six joints, limits, cycle time, drive gains.
@@ -70,13 +68,8 @@ class RtdeRobot:
         InputError: an arm without six joints, a register that is none.
 
     Attributes:
-        t_ipo: cycle [s].
         counts: what happened on the connection.
-        commanded: joint angles commanded last ``(n,)`` [rad].
-        answer_times: from reading each data package to its command [s].
-        fault: why the arm does not do what it was commanded; None while it does. Bring it to rest then.
         version: the controller's version, once connected.
-        gone_on: 0: without a command this controller holds the arm.
         arrived: when the last data package was read, by ``time.perf_counter`` [s].
     """
 
@@ -86,26 +79,16 @@ class RtdeRobot:
             raise InputError(f"RTDE moves arms with {_AXES} joints", field="robot", value=f"{robot.name}: {robot.n}")
         if not 0 <= register <= 48 - _AXES:
             raise InputError(f"expected 0 to {48 - _AXES}", field="register", value=register)
-        self.robot, self.t_ipo, self.host, self.port = robot, robot.t_ipo, host, port
+        super().__init__(robot, bridge, answers_within)
+        self.host, self.port = host, port
         self.counts = RtdeCounts()
-        self.fault: str | None = None
         self.version: tuple[int, int, int, int] | None = None
-        self.commanded = np.full(robot.n, np.nan)
-        self.answer_times = array("d")
         self.arrived = math.nan
-        self.max_lost = max(math.ceil(bridge / robot.t_ipo), 1)
         self._inputs = {**{f"input_double_register_{register + i}": "DOUBLE" for i in range(_AXES)},
                         f"input_int_register_{register}": "INT32"}
         self._timeout = timeout
-        v_max = np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
-        room = np.where(np.isfinite(robot.a_max), 0.5 * robot.a_max, v_max / 0.3)
-        self._catch_up = CatchUp(2.0 * room, v_max, robot.t_ipo)
-        self._watch = FollowingWatch(robot.n, math.ceil(answers_within / robot.t_ipo) + self.max_lost,
-                                     np.maximum(3.0 * v_max * robot.t_ipo, np.radians(1.0)), relative=False)
         self._connection: RtdeConnection | None = None
         self._number = 0
-        self._missed = False
-        self.gone_on = 0
 
     def connect(self, patience: float = 60.0) -> RobotState:
         """Agrees with the controller on what is exchanged; its program runs, or is started within ``patience`` [s].
@@ -135,17 +118,6 @@ class RtdeRobot:
         self._begun = self._last = data["timestamp"][0]
         self._watch.begin(self.commanded, np.array(data["actual_q"]))
         return self._state(data)
-
-    def cycle(self, q_c: Array) -> RobotState:
-        """Hands over the command ``q_c (n,)`` [rad] and waits for the next data package.
-
-        Raises:
-            InputError: wrong size or not finite.
-            LimitError: outside the joint limits, or more than twice the velocity limit away from the last command.
-            RtdeError: see ``receive``.
-        """
-        self.send(q_c)
-        return self.receive()
 
     def send(self, q_c: Array) -> None:
         """The first half of ``cycle``: commands and returns, which leaves the cycle's time for computing.
@@ -209,13 +181,6 @@ class RtdeRobot:
             self._connection.pause()
             self._connection.close()
             self._connection = None
-
-    def __enter__(self) -> RtdeRobot:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
-        self.close()
 
     def _next(self, deadline: Deadline) -> Values:
         """The newest data package, if the arm is not stopped and all numbers are numbers."""
