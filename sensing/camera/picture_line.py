@@ -36,8 +36,6 @@ EXPECTED = 4.6
 """Log odds of a line about a point that was told, or where it was before: it is there in 99 of 100."""
 _REACH = 0.3
 """Share of the picture's shorter side beyond which a path is not about the place where the line is expected."""
-_CERTAIN = 6.0
-"""Log odds beyond which a line is no better than another."""
 
 
 @dataclass(frozen=True)
@@ -185,9 +183,12 @@ def _size(picture: NDArray[np.uint8]) -> tuple[int, int]:
 
 
 def _meant(value: float, strip: Strip, middle: Array, about: float) -> float:
-    """How likely a line is the one that is meant, up to a constant: what is drawn to be seen has contrast."""
+    """Logarithm of how likely it is that this is a line and the one that is meant, up to a constant.
+
+    What is drawn to be seen has contrast; of two that are certainly lines neither is more of one.
+    """
     contrast = float(np.log(np.linalg.norm(strip.color)))
-    return min(value, _CERTAIN) + 2.0 * contrast - 0.5 * (_distance(strip, middle) / about) ** 2
+    return -float(np.logaddexp(0.0, -value)) + 2.0 * contrast - 0.5 * (_distance(strip, middle) / about) ** 2
 
 
 def _distance(strip: Strip, place: Array) -> float:

@@ -21,7 +21,7 @@ from sensing.camera.line_polynomial import Polyline, fit_line_polynomial, fit_of
 from sensing.camera.line_search import DetectionSettings, PredictedLine, search_windows
 from sensing.camera.line_track import PATIENCE, _same, track
 from sensing.camera.opencv_detector import OpenCVProfiles
-from sensing.camera.picture_line import detect_in_picture, find_lines
+from sensing.camera.picture_line import _meant, detect_in_picture, find_lines
 from tests.sensing.camera.synthetic import NORMAL, drawn_line, make_field, stroke
 
 CAMERA = CameraModel.default()
@@ -149,6 +149,13 @@ def test_of_two_lines_the_middle_one_is_taken_and_the_other_where_it_is_told() -
     assert abs(np.median(first.points[:, 1]) - 255.0) < 2.0
     assert abs(np.median(second.points[:, 1]) - 95.0) < 2.0
     assert first.others >= 1
+
+
+def test_of_two_that_are_certainly_lines_neither_is_more_of_one() -> None:
+    strip = find_lines(_film(0))[0][1]
+    doubtful, likely, certain = (_meant(value, strip, np.array([160.0, 45.0]), 80.0) for value in (-4.0, 4.0, 12.0))
+    assert certain - likely < 0.02
+    assert likely - doubtful > 3.9
 
 
 def test_twigs_of_a_path_do_not_stand_before_another_one() -> None:
