@@ -20,7 +20,7 @@ from ideal_robot.arrays import Array, held
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from planning.force.contact import Phase
-from planning.path.desired_path import Smoother
+from planning.path.desired_path import Smoother, planned_cycles
 from planning.path.kinematics import InverseKinematics
 from planning.path.pose_history import PoseHistory
 
@@ -47,7 +47,7 @@ class SlidingPlan:
     """
 
     def __init__(self, n_d: int, t_ipo: float, q_start: Array, start: Array, cutoff: float = 15.0) -> None:
-        self.n_d, self.samples, self.cycle = n_d, n_d + round(SPARE / t_ipo), 0
+        self.n_d, self.samples, self.cycle = n_d, planned_cycles(n_d, t_ipo, SPARE), 0
         self._smoother = Smoother(self.samples, t_ipo, cutoff)
         # By cycle: position, velocity and acceleration in both directions.
         self._states = np.zeros((self.samples + 2, 3, 2))

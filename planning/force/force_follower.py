@@ -19,7 +19,7 @@ from planning.force.surface_forecast import surfaces
 from planning.line.filter_bank import FilterBank
 from planning.line.fusion import DeviationFilter
 from planning.line.measurement import Fused, Measurement
-from planning.path.desired_path import FROZEN, ReferenceTable
+from planning.path.desired_path import FROZEN, ReferenceTable, planned_cycles
 from planning.path.kinematics import InverseKinematics
 from planning.path.pose_history import PoseHistory
 from planning.path.reference import ReferencePath
@@ -75,7 +75,7 @@ class SurfaceFollower:
         self.history = PoseHistory(robot)
         self._T = robot.t_ipo
         self._kinematics = InverseKinematics(robot)
-        samples, start_height = n_d + round(SPARE / self._T), settings.start_height
+        samples, start_height = planned_cycles(n_d, self._T, SPARE), settings.start_height
         self._force_errors, self._made = settings.force_errors, fusion
         self.fusion = self._fresh()
         self._table = table = ReferenceTable(self._kinematics, reference, profile, 2 * samples)

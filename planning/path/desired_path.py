@@ -32,9 +32,15 @@ SPARE = 0.144
 """By how much a plan reaches further than it is asked for [s], for fields that fail to come: seven at 50 a second."""
 
 
-def planned_cycles(n_d: int, t_ipo: float) -> int:
-    """Cycles that a plan reaches for a horizon of ``n_d`` of them, each ``t_ipo`` [s]."""
-    return n_d + round(SPARE / t_ipo)
+def planned_cycles(n_d: int, t_ipo: float, spare: float = SPARE) -> int:
+    """Cycles that a plan reaches.
+
+    Args:
+        n_d: cycles of the horizon that is asked for.
+        t_ipo: cycle [s].
+        spare: by how much it reaches further [s].
+    """
+    return n_d + round(spare / t_ipo)
 
 
 class Smoother:

@@ -23,6 +23,7 @@ from planning.force.surface_forecast import FeltArm, surfaces
 from planning.line.deviation_model import Expected, PathDeviation
 from planning.line.filter_bank import FilterBank
 from planning.line.fusion import DeviationFilter
+from planning.path.desired_path import planned_cycles
 from planning.path.kinematics import InverseKinematics
 from scenes.methods import DIRECT, SceneMethod
 from scenes.online.cycle import CycleLog
@@ -46,7 +47,7 @@ def glue_fusion(cell: Known) -> Callable[[Errors], FilterBank]:
     """One filter for both sensors: a map across the path, the height along it, and the sensors' own errors."""
     sight = SightSettings()
     camera = (sight.yaw, sight.stamp, sight.scale if cell.scene.assumed.distance_estimated else KNOWN)
-    ahead = (cell.n_d + round(SPARE / cell.robot.t_ipo)) * cell.robot.t_ipo * cell.profile.top_speed + 0.2
+    ahead = planned_cycles(cell.n_d, cell.robot.t_ipo, SPARE) * cell.robot.t_ipo * cell.profile.top_speed + 0.2
 
     def across() -> PathDeviation:
         return PathDeviation(cell.reference, across=Expected(shape=0.01), ahead=ahead, behind=0.04, knot=0.02)
