@@ -101,7 +101,8 @@ def play(scene: LineScene, method: Any, *, shared: Prepared | None = None,
 
 
 def _cell(scene: LineScene, shared: Prepared) -> Cell:
-    return set_up(scene, shared.hand_eye, shared.believed, shared.shape)
+    cell = set_up(scene, shared.hand_eye, shared.believed, shared.shape)
+    return replace(cell, known=replace(cell.known, detection=shared.detection))
 
 
 def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, shared: Prepared,
@@ -114,7 +115,8 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
         model = model_for(scene, cell.known.robot) if method.knows_model else None
         if model is not None and method.adapts and shared.recorded is not None:
             model = arm_of_its_type(shared.recorded, model, cell.known.robot)
-        task = LineTask(cell.known, method, camera, model, gains, log, sensors, shared.detection, shared.moved)
+        task = LineTask(cell.known, method, camera, model, gains, log, sensors)
+        task.learn(shared.moved)
         started = time.perf_counter()
         play_cycles(EquippedArm(arm, [camera]), cell.known.robot, task, log,
                     CycleSettings(scene.reference.acceleration, task.rest, task.longest, task.longest, method.key),

@@ -54,6 +54,7 @@ class Known:
         reference: the reference path.
         follower: plans along it.
         detector: finds the line's points in a field.
+        detection: how the line looks.
     """
 
     scene: LineScene
@@ -63,6 +64,7 @@ class Known:
     reference: ReferencePath
     follower: LineFollower
     detector: LineDetector
+    detection: DetectionSettings = field(default_factory=DetectionSettings)
 
 
 def line_follower(scene: LineScene, robot: Robot, points: Array, camera: CameraModel, surface: pin.SE3 | None = None,

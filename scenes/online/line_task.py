@@ -24,7 +24,7 @@ from scenes.online.line_known import START, Known
 from scenes.online.line_log import FieldShown, LineLog
 from scenes.online.live_arm import LiveArm
 from sensing.camera.camera_device import Camera, Field, Window
-from sensing.camera.line_detection import DetectionSettings, LineField, at_middle_row, search_windows
+from sensing.camera.line_detection import LineField, at_middle_row, search_windows
 from sensing.camera.line_polynomial import fit_of_lowest_order
 
 REST = 0.2
@@ -51,14 +51,11 @@ class LineTask:
         gains: K_p, K_d of direct sensor feedback [1 per cycle].
         log: is written to.
         sensors: besides the camera.
-        detection: how the line looks; the usual line if None.
-        moved: what the controller reported when the arm moved last, cycle by cycle: a feedforward that adapts learns
-            from it.
     """
 
     def __init__(self, cell: Known, method: SceneMethod, camera: Camera, model: Model | None,
-                 gains: tuple[float, float] | None, log: LineLog, sensors: Sequence[DeviationSensor] = (),
-                 detection: DetectionSettings | None = None, moved: Sequence[RobotState] = ()) -> None:
+                 gains: tuple[float, float] | None, log: LineLog,
+                 sensors: Sequence[DeviationSensor] = ()) -> None:
         self.cell, self.method, self.camera, self.log, self.sensors = cell, method, camera, log, tuple(sensors)
         self.follower = follower = cell.follower
         self.n_d = follower.n_d
@@ -69,14 +66,12 @@ class LineTask:
         self._new: list[Field] = []
         self._sensed: tuple[Field, LineField] | None = None
         self._stamps: deque[float] = deque(maxlen=RECENT)
-        self._detection = detection or DetectionSettings()
         self.feedforward = method.following(Setting(cell.robot, model, given, cell.delay))
         self._deflection = GearDeflection(model, self._T) if model is not None else None
         effects = () if model is None else model.effects
         self._known, self._arm = CameraErrors.of(effects), CorrectedArm(cell.robot, effects)
         self._direct = DirectFeedback(follower, *gains) if method.key == DIRECT and gains else None
         self._state = self.feedforward.init(follower.q_start)
-        self.learn(moved)
         # Once for nothing, so that compiling does not fall into the first cycles.
         self.feedforward.step(self._state, np.tile(follower.q_start, (self.feedforward.n_d, 1)))
         follower.reference.project(follower.reference.position(np.array([0.1])), 0.1)
@@ -84,7 +79,7 @@ class LineTask:
             log.sensor_values[sensor.name] = log.sensor_used[sensor.name] = 0
 
     def learn(self, moved: Iterable[RobotState]) -> None:
-        """See ``moved`` of the class."""
+        """A feedforward that adapts learns from what the controller reported when the arm moved last."""
         for measured in moved:
             self._state = self.feedforward.observe(self._state, measured)
 
@@ -161,7 +156,7 @@ class LineTask:
         arrived = replace(arrived, t_stamp=arrived.t_stamp + self._known.late_by(arrived.t_stamp))
         pose = follower.history.pose(arrived.t_stamp)
         ahead = follower.predict(arrived.t_stamp).seen_by(self.cell.camera, arrived.t_stamp, follower.history.row_pose)
-        seen = self.cell.detector.detect(arrived, self.cell.camera, ahead, self._detection)
+        seen = self.cell.detector.detect(arrived, self.cell.camera, ahead, self.cell.detection)
         seen = replace(seen, points_tcp=self._known.points(seen.points_tcp, self.cell.camera.axis_on_surface))
         seen = at_middle_row(seen, self.cell.camera, follower.history.row_pose)
         if self._direct is not None:
@@ -189,7 +184,7 @@ class LineTask:
     def _windows(self, exposure: float) -> Sequence[Window]:
         exposure += self._known.late_by(exposure)
         ahead = self.follower.predict(exposure).seen_by(self.cell.camera, exposure, self.follower.history.row_pose)
-        return search_windows(self.cell.camera, ahead, self._detection)
+        return search_windows(self.cell.camera, ahead, self.cell.detection)
 
     def collect(self, t0: float, t1: float, measured: RobotState) -> None:
         """Lets a feedforward that adapts learn from the cycle, and keeps a field now and then for the report.

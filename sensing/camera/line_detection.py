@@ -20,8 +20,14 @@ from ideal_robot.errors import InputError
 from ideal_robot.jit import jit
 from sensing.camera.camera_device import Field
 from sensing.camera.camera_model import CameraModel, pixel_rays
-from sensing.camera.line_profile import MAX_CANDIDATES, find_sections
-from sensing.camera.line_search import DetectionSettings, PredictedLine, predict_image, search_windows
+from sensing.camera.line_profile import MAX_CANDIDATES, Look, find_sections
+from sensing.camera.line_search import (
+    DetectionSettings,
+    PredictedImage,
+    PredictedLine,
+    predict_image,
+    search_windows,
+)
 
 # Which points of a field the others confirm.
 #
@@ -187,16 +193,14 @@ def _consensus(
 
 
 @jit()
-def _sections(
-    pixels: Array, axis: NDArray[np.int64], slant: Array, metres: Array, gray: NDArray[np.uint8],
-    windows: NDArray[np.int64], line_width: float, blur: float, polarity: float, min_contrast: float,
-    width_tolerance: float,
-) -> tuple[Array, NDArray[np.int64], int]:  # fmt: skip
+def _sections(image: PredictedImage, gray: NDArray[np.uint8], windows: NDArray[np.int64],
+              look: Look) -> tuple[Array, NDArray[np.int64], int]:
     """All cross-sections of all windows, the window of each, and how many there are.
 
     Columns: scan coordinate in the image, width, depth, residual, standard deviation per gray, and window's middle row
     minus predicted row.
     """
+    pixels, axis, slant, metres = image
     m = pixels.shape[0]
     found, owner = np.empty((m * MAX_CANDIDATES, 6)), np.empty(m * MAX_CANDIDATES, dtype=np.int64)
     n = start = 0
@@ -210,7 +214,7 @@ def _sections(
         rows = np.ascontiguousarray(patch.T) if a == 1 else patch
         middle = windows[i, 1 - a] + 0.5 * (rows.shape[0] - 1) - pixels[i, 1 - a]
         sections = find_sections(rows, pixels[i, a] + slant[i] * middle - windows[i, a], slant[i],
-                                 line_width / abs(metres[i]), blur, polarity, min_contrast, width_tolerance)
+                                 look.line_width / abs(metres[i]), look)
         for j in range(sections.shape[0]):
             for c in range(5):
                 found[n, c] = sections[j, c]
@@ -222,15 +226,12 @@ def _sections(
 
 
 @jit()
-def _evaluate(
-    pixels: Array, axis: NDArray[np.int64], slant: Array, metres: Array, points: Array, gray: NDArray[np.uint8],
-    windows: NDArray[np.int64], line_width: float, blur: float, polarity: float, min_contrast: float,
-    width_tolerance: float, smoothness: float, sigma: float, least: float, noise: float, covariance: Array,
-) -> tuple[Array, Array, Array, Array, NDArray[np.bool_], int]:  # fmt: skip
+def _evaluate(image: PredictedImage, points: Array, gray: NDArray[np.uint8], windows: NDArray[np.int64], look: Look,
+              sigma: float, covariance: Array) -> tuple[Array, Array, Array, Array, NDArray[np.bool_], int]:
     """Pixels, lateral deviations, standard deviations, qualities, which are used, and windows with any section."""
+    pixels, axis, slant, metres = image
     m = pixels.shape[0]
-    s, owner, n = _sections(pixels, axis, slant, metres, gray, windows, line_width, blur, polarity, min_contrast,
-                            width_tolerance)
+    s, owner, n = _sections(image, gray, windows, look)
     deviation, grade, nearest = np.empty(n), np.empty(n), np.empty(m, dtype=np.int64)
     for i in range(m):
         nearest[i] = -1
@@ -238,7 +239,7 @@ def _evaluate(
         i = owner[j]
         # The window's middle row is not the predicted point's: what the line runs on between them is no deviation.
         deviation[j] = (s[j, 0] - pixels[i, axis[i]] - s[j, 5] * slant[i]) * metres[i]
-        width = s[j, 1] * abs(metres[i]) / line_width
+        width = s[j, 1] * abs(metres[i]) / look.line_width
         misfit = s[j, 3] / max(s[j, 2], 1.0)
         grade[j] = math.exp(-0.5 * ((width - 1.0) / 0.2) ** 2 - 0.5 * (misfit / 0.1) ** 2)
         if nearest[i] < 0:
@@ -249,12 +250,13 @@ def _evaluate(
         for c in range(3):
             square += (points[i, c] - points[i - 1, c]) ** 2
         along[i] = along[i - 1] + math.sqrt(square)
-    chosen = _consensus(deviation, np.where(grade < least, 0.0, grade), owner[:n], along, smoothness, sigma, covariance)
+    chosen = _consensus(deviation, np.where(grade < look.min_quality, 0.0, grade), owner[:n], along, look.smoothness,
+                        sigma, covariance)
     agreeing = np.zeros(m)
     for i in range(m):
         if chosen[i] >= 0:
             agreeing[i] = deviation[chosen[i]]
-    used = confirmed_points(along, agreeing, chosen >= 0, smoothness, covariance)
+    used = confirmed_points(along, agreeing, chosen >= 0, look.smoothness, covariance)
     at, lateral, spread = np.empty((m, 2)), np.empty(m), np.empty(m)
     quality, any_found = np.zeros(m), 0
     for i in range(m):
@@ -264,7 +266,7 @@ def _evaluate(
         any_found += 1
         j = chosen[i] if used[i] else nearest[i]
         lateral[i], quality[i] = deviation[j], grade[j]
-        spread[i] = math.hypot(s[j, 4] * max(s[j, 3], noise), SAMPLING) * abs(metres[i])
+        spread[i] = math.hypot(s[j, 4] * max(s[j, 3], look.noise), SAMPLING) * abs(metres[i])
         at[i, axis[i]] = s[j, 0]
         at[i, 1 - axis[i]] = pixels[i, 1 - axis[i]] + s[j, 5]
     return at, lateral, spread, quality, used, any_found
@@ -305,14 +307,11 @@ def detect_line(
     m = len(prediction.points)
     if len(field.windows) != m or len(field.patches) != m:
         raise InputError("expected one window per predicted point", field="field.windows", value=len(field.windows))
-    image = predict_image(camera, prediction)
     points = np.ascontiguousarray(prediction.points, dtype=float)
     gray = np.concatenate([patch.ravel() for patch in field.patches])
     pixels, lateral, sigma, quality, used, found = _evaluate(
-        image.pixels, image.axis, image.slant, image.metres, points, gray, np.array(field.windows, dtype=np.int64),
-        s.line_width, s.blur, 1.0 if s.dark else -1.0, s.min_contrast, s.width_tolerance, s.smoothness,
-        float(prediction.sigma), s.min_quality, s.noise, prediction.covariance_or_zero,
-    )  # fmt: skip
+        predict_image(camera, prediction), points, gray, np.array(field.windows, dtype=np.int64), s.look,
+        float(prediction.sigma), prediction.covariance_or_zero)
     T = camera.T_tool_camera
     points_tcp = _back_project(
         pixels, points, np.ascontiguousarray(prediction.normal, dtype=float), np.ascontiguousarray(T.rotation),

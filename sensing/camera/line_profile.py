@@ -11,6 +11,7 @@ middle row. All pixels enter the fit as they are, nothing is interpolated.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,24 @@ from ideal_robot.jit import jit
 MAX_EDGES = 8
 MAX_CANDIDATES = 4
 SQRT2, SQRT_2PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
+
+
+class Look(NamedTuple):
+    """How the line looks, and which cross-sections count: ``DetectionSettings`` as compiled functions take it.
+
+    Attributes:
+        line_width, blur, min_contrast, width_tolerance, min_quality, smoothness, noise: see ``DetectionSettings``.
+        polarity: 1 for a dark line, -1 for a bright one.
+    """
+
+    line_width: float
+    blur: float
+    polarity: float
+    min_contrast: float
+    width_tolerance: float
+    min_quality: float
+    smoothness: float
+    noise: float
 
 
 @jit()
@@ -190,8 +209,7 @@ def _centres(falling: Array, rising: Array, predicted: float, width: float, tole
 
 
 @jit()
-def find_sections(patch: NDArray[np.uint8], predicted: float, slant: float, width: float, blur: float, polarity: float,
-                  min_contrast: float, width_tolerance: float) -> Array:
+def find_sections(patch: NDArray[np.uint8], predicted: float, slant: float, width: float, look: Look) -> Array:
     """All cross-sections in a window that pass the gates of width and contrast, nearest to the prediction first.
 
     Args:
@@ -199,10 +217,7 @@ def find_sections(patch: NDArray[np.uint8], predicted: float, slant: float, widt
         predicted: where the line should be [px from the window's first pixel].
         slant: shift of the line along the scan from row to row.
         width: expected width along the scan [px].
-        blur: expected blur σ [px].
-        polarity: 1 for a dark line, -1 for a bright one.
-        min_contrast: least depth [gray].
-        width_tolerance: largest relative deviation of the width.
+        look: blur, polarity, least depth and tolerance of the width.
 
     Returns:
         ``(k, 5)`` with k ≤ 4: u_0, w, c, residual, standard deviation of u_0 per gray, as in ``fit_section``.
@@ -213,16 +228,16 @@ def find_sections(patch: NDArray[np.uint8], predicted: float, slant: float, widt
     for j in range(columns):
         for r in range(rows):
             c = min(max(j + round(slant * (r - 0.5 * (rows - 1))), 0), columns - 1)
-            profile[j] += polarity * patch[r, c] / rows
+            profile[j] += look.polarity * patch[r, c] / rows
     # A box of that depth, blurred, is at least this steep at its edges.
-    falling, rising, _, _ = _edges(profile, 0.15 * min_contrast)
-    centres = _centres(falling, rising, predicted, width, width_tolerance)
+    falling, rising, _, _ = _edges(profile, 0.15 * look.min_contrast)
+    centres = _centres(falling, rising, predicted, width, look.width_tolerance)
     n = 0
     for i in range(min(centres.size, 2 * MAX_CANDIDATES)):
         if n == MAX_CANDIDATES:
             break
-        u0, w, c, residual, spread = fit_section(patch, centres[i], slant, width, blur, polarity)
-        if not (c >= min_contrast and abs(w - width) <= width_tolerance * width):
+        u0, w, c, residual, spread = fit_section(patch, centres[i], slant, width, look.blur, look.polarity)
+        if not (c >= look.min_contrast and abs(w - width) <= look.width_tolerance * width):
             continue
         new = True
         for j in range(n):

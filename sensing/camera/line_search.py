@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -14,6 +15,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.jit import jit
 from sensing.camera.camera_device import Window
 from sensing.camera.camera_model import CameraModel, distort
+from sensing.camera.line_profile import Look
 
 Integers = NDArray[np.int64]
 
@@ -99,9 +101,14 @@ class DetectionSettings:
             if not getattr(self, name) > 0:
                 raise InputError("must be positive", field=f"detection.{name}", value=getattr(self, name))
 
+    @property
+    def look(self) -> Look:
+        """What compiled functions need of it."""
+        return Look(self.line_width, self.blur, 1.0 if self.dark else -1.0, self.min_contrast, self.width_tolerance,
+                    self.min_quality, self.smoothness, self.noise)
 
-@dataclass(frozen=True)
-class PredictedImage:
+
+class PredictedImage(NamedTuple):
     """The prediction in the image.
 
     Attributes:

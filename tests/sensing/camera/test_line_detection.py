@@ -31,6 +31,7 @@ from sensing.camera.line_profile import _edges, find_sections, fit_section
 from tests.sensing.camera.synthetic import NORMAL, GrayAt, make_field, stroke
 
 CAMERA = CameraModel.default()
+LOOK = DetectionSettings().look
 X = np.linspace(0.02, 0.11, 5)
 
 
@@ -315,7 +316,7 @@ def gray(image: Array) -> NDArray[np.uint8]:
 
 @given(u0=st.floats(12.0, 18.0), width=st.floats(2.5, 7.0), slant=st.floats(-1.0, 1.0), tilt=st.floats(-1.0, 1.0))
 def test_a_clean_section_is_found_to_a_hundredth_of_a_pixel(u0: float, width: float, slant: float, tilt: float) -> None:
-    found = find_sections(gray(section(u0, width, slant, tilt=tilt)), 15.0, slant, width, 0.5, 1.0, 30.0, 0.35)
+    found = find_sections(gray(section(u0, width, slant, tilt=tilt)), 15.0, slant, width, LOOK)
     assert len(found) == 1
     assert found[0, 0] == pytest.approx(u0, abs=0.01)
     assert found[0, 1] == pytest.approx(width, abs=0.03)
@@ -324,39 +325,39 @@ def test_a_clean_section_is_found_to_a_hundredth_of_a_pixel(u0: float, width: fl
 
 @given(u0=st.floats(12.0, 18.0))
 def test_bright_line_on_dark_ground(u0: float) -> None:
-    found = find_sections(gray(255.0 - section(u0, 4.0)), 15.0, 0.0, 4.0, 0.5, -1.0, 30.0, 0.35)
+    found = find_sections(gray(255.0 - section(u0, 4.0)), 15.0, 0.0, 4.0, DetectionSettings(dark=False).look)
     assert found[0, 0] == pytest.approx(u0, abs=0.01)
-    assert len(find_sections(gray(255.0 - section(u0, 4.0)), 15.0, 0.0, 4.0, 0.5, 1.0, 30.0, 0.35)) == 0
+    assert len(find_sections(gray(255.0 - section(u0, 4.0)), 15.0, 0.0, 4.0, LOOK)) == 0
 
 
 def test_width_and_contrast_gates() -> None:
-    accepted = [len(find_sections(gray(section(15.2, w)), 15.0, 0.0, 4.0, 0.5, 1.0, 30.0, 0.35))
+    accepted = [len(find_sections(gray(section(15.2, w)), 15.0, 0.0, 4.0, LOOK))
                 for w in (1.5, 2.4, 2.8, 4.0, 5.2, 5.8, 8.0)]
     assert accepted == [0, 0, 1, 1, 1, 0, 0]
-    assert len(find_sections(gray(section(15.2, 4.0, dark=25.0)), 15.0, 0.0, 4.0, 0.5, 1.0, 30.0, 0.35)) == 0
-    assert len(find_sections(gray(section(15.2, 4.0, dark=40.0)), 15.0, 0.0, 4.0, 0.5, 1.0, 30.0, 0.35)) == 1
+    assert len(find_sections(gray(section(15.2, 4.0, dark=25.0)), 15.0, 0.0, 4.0, LOOK)) == 0
+    assert len(find_sections(gray(section(15.2, 4.0, dark=40.0)), 15.0, 0.0, 4.0, LOOK)) == 1
 
 
 def test_two_lines_give_two_candidates_nearest_to_the_prediction_first() -> None:
     image = section(9.3, 4.0) + section(21.6, 4.0) - 200.0
     for predicted, order in ((11.0, [9.3, 21.6]), (20.0, [21.6, 9.3])):
-        found = find_sections(gray(image), predicted, 0.0, 4.0, 0.5, 1.0, 30.0, 0.35)
+        found = find_sections(gray(image), predicted, 0.0, 4.0, LOOK)
         np.testing.assert_allclose(found[:, 0], order, atol=0.02)
 
 
 @pytest.mark.parametrize("image", [np.full((3, 31), 90), np.zeros((3, 31)), np.full((3, 4), 7), np.zeros((1, 1))])
 def test_nothing_to_find(image: Array) -> None:
-    assert len(find_sections(gray(image), 1.0, 0.0, 4.0, 0.5, 1.0, 30.0, 0.35)) == 0
+    assert len(find_sections(gray(image), 1.0, 0.0, 4.0, LOOK)) == 0
 
 
 @settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_pure_noise_is_rarely_a_line_and_never_a_crash(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    hits = sum(len(find_sections(gray(120 + 10 * rng.standard_normal((3, 31))), 15.0, 0.0, 4.0, 0.5, 1.0, 30.0, 0.35))
+    hits = sum(len(find_sections(gray(120 + 10 * rng.standard_normal((3, 31))), 15.0, 0.0, 4.0, LOOK))
                for _ in range(20))
     assert hits <= 1
-    find_sections(rng.integers(0, 256, (3, 31)).astype(np.uint8), 15.0, 0.3, 4.0, 0.5, 1.0, 30.0, 0.35)
+    find_sections(rng.integers(0, 256, (3, 31)).astype(np.uint8), 15.0, 0.3, 4.0, LOOK)
 
 
 @pytest.mark.parametrize("noise", [2.0, 5.0, 10.0])
