@@ -70,7 +70,7 @@ class LifeSigns:
         self._sound: Array | None = None
         self._changes: deque[Array] = deque(maxlen=HEARD)
         self._innovations: deque[float] = deque(maxlen=TOGETHER)
-        self._asked = np.zeros((0, 3))
+        self._asked = np.zeros((0, 4))
 
     def learn(self, rests: list[Array]) -> None:
         """Takes the noise from readings ``(N, n)`` of stretches in which nothing happened."""
@@ -120,23 +120,25 @@ class LifeSigns:
     def answers(self, felt: Array, stiffness: float, frequency: float) -> None:
         r"""Takes what a tip that swings on a surface felt, and finds the fault where that does not swing.
 
-        The surface comes slowly, so a cubic takes it away, from heights and forces alike, and of both the same swing
-        remains, but for the stiffness:
+        A surface is a matter of the place, so a cubic along the path takes it away from heights and forces alike, also
+        where cycles are lost and the arm leaps in the path's time. Of both the same swing remains, but for the
+        stiffness:
 
-        .. math:: y = \sum_{i=0}^{3} c_i t^i + a \cos \omega t + b \sin \omega t
+        .. math:: y = \sum_{i=0}^{3} c_i s^i + a \cos \omega t + b \sin \omega t
 
         Args:
-            felt: instant [s], height [m] and force [N] of the last samples ``(m, 3)``.
+            felt: instant [s], arc length [m], height [m] and force [N] of the last samples ``(m, 4)``.
             stiffness: of the contact [N/m].
             frequency: ω/2π, at which it swings [Hz].
         """
         asked = np.concatenate([self._asked, felt])
         self._asked = asked = asked[asked[:, 0] > asked[-1, 0] - ASKED_FOR]
-        u, turned = (asked[:, 0] - asked[-1, 0]) / ASKED_FOR, 2.0 * np.pi * frequency * asked[:, 0]
+        s, turned = asked[:, 1] - asked[-1, 1], 2.0 * np.pi * frequency * asked[:, 0]
+        u = s / max(float(np.max(np.abs(s))), 1e-6)
         rows = np.column_stack([np.cos(turned), np.sin(turned), np.ones(len(u)), u, u**2, u**3])
         if len(u) < 2 * rows.shape[1]:
             return
-        values = asked[:, 1:] * [-stiffness, 1.0]
+        values = asked[:, 2:] * [-stiffness, 1.0]
         known = np.linalg.pinv(rows)
         fit = known @ values
         swing = fit[:2, 0] / max(float(fit[:2, 0] @ fit[:2, 0]), 1e-12)

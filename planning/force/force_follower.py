@@ -93,8 +93,8 @@ class SurfaceFollower:
         """Last instant at which there was contact [s]."""
         self.force = self.sideways = 0.0
         """Normal force of the last samples, and that along the surface [N]."""
-        self.felt = np.zeros((0, 3))
-        """Of the last samples instant [s], height of the tip over the reference [m] and normal force [N]."""
+        self.felt = np.zeros((0, 4))
+        """Of the last samples instant [s], arc length, height over the reference [m], normal force [N] ``(m, 4)``."""
         self.slope = np.zeros(2)
         """Slopes of the surface along and across the path, as the map and the force vector show them."""
 
@@ -151,8 +151,8 @@ class SurfaceFollower:
         middle = len(t) // 2
         up, across, along = frames.up[middle], frames.normal[middle], frames.tangent[middle]
         normal = self._normal(float(s[middle]), forces.mean(axis=0), along, across, up)
-        self.felt = np.column_stack([t, height, forces @ normal])
-        self.force = float(np.mean(self.felt[:, 2]))
+        self.felt = np.column_stack([t, s, height, forces @ normal])
+        self.force = float(np.mean(self.felt[:, 3]))
         self.sideways = float(np.linalg.norm(forces.mean(axis=0) - self.force * normal))
         if not self._in_contact(t):
             return None
