@@ -75,7 +75,7 @@ BAG_WORDS = Limit(1_000_000, "bytes of a bag's metadata.yaml", "a topic takes ha
 PICTURE_PIXELS = Limit(64_000_000, "pixels of a picture", "8000 × 8000")
 REPLAY_BYTES = Limit(200_000_000, "bytes of an unpacked replay", "that of a shipped line takes 0.4 MB")
 ALL = tuple(value for value in list(globals().values()) if isinstance(value, Limit))
-_FREE = {TABLE_UNFOLDING: 160_000_000, BAG_UNFOLDING: 64_000_000}
+_FREE = {TABLE_UNFOLDING: 160_000_000, BAG_UNFOLDING: 64_000_000}  # as their limits say
 
 
 def check_unfolding(limit: Limit, unpacked: float, packed: float, file: Path) -> None:

@@ -82,7 +82,7 @@ def let_go(*arrays: Array) -> None:
 
 KEPT = 32768
 """Rows held in memory at most; a power of two times the first ones."""
-_BEGIN = 512
+_BEGIN = 512  # rows at first: doubled as they fill
 _BLOCK = 4096
 """Rows that are read at a time."""
 

@@ -167,7 +167,7 @@ def _check_size(width: int, height: int, name: str) -> None:
                          field="source", value=name)
 
 
-_SURE, _UNSURE, _EDGE = (30, 160, 30), (40, 40, 220), (0, 106, 224)
+_SURE, _UNSURE, _EDGE = (30, 160, 30), (40, 40, 220), (0, 106, 224)  # blue, green, red
 _WIDEST = 900
 """Pictures on the page are no wider [px]."""
 _SHOWN = 24

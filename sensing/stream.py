@@ -126,7 +126,7 @@ _CONNECTS = 0.5
 """Time that an attempt to connect may take, or as long as is waited if that is less [s]."""
 _LEAST = 1e-3
 """A timeout of a socket that waits at all [s]."""
-_PIECE = 1 << 18
+_PIECE = 1 << 18  # bytes that are read at a time
 _FORGET = 1.001
 """Growth of the quickest time a question, so that a network that has become slower is believed in the end."""
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import typer
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, G
 from ideal_robot.effects import FittedEffect, Signals
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.feedforward.ideal import IdealRobot
@@ -105,7 +105,7 @@ def _drawn_misfit(rng: np.random.Generator, robot: Robot, world: World, count: i
         usual = world.per_joint(key, n) if isinstance(getattr(world, key), (float, tuple)) else np.zeros(n)
         size, coulomb = times * torque[j], world.per_joint("coulomb", n)[j]
         if key == "payload_mass":
-            result |= {"payload_mass": times * float(torque[1]) / 9.81, "payload_com": [0.02, 0.01, 0.08]}
+            result |= {"payload_mass": times * float(torque[1]) / G, "payload_com": [0.02, 0.01, 0.08]}
         elif key == "kinematic_error":
             result["kinematic_error"] = times * 2e-5
         else:

@@ -166,6 +166,25 @@ def test_what_travels_together_is_one_parameter() -> None:
     assert many == MORE_PARAMETERS, "a new one: make an object of what travels together; one less: take it out here"
 
 
+def test_a_number_says_what_it_is_or_where_it_comes_from() -> None:
+    """Below it, behind it, in its own words, or in a comment over the paragraph that it stands in."""
+    bare = []
+    for path, tree in ((path, tree) for folder in PACKAGES[:-1] for path, tree in trees(folder).items()):
+        lines = path.read_text(encoding="utf-8").splitlines()
+        for node, below in zip(tree.body, [*tree.body[1:], None], strict=True):
+            if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
+                continue
+            told = [one.value for one in ast.walk(node.value) if isinstance(one, ast.Constant)]
+            paragraph = "\n".join(lines[: node.end_lineno]).rpartition("\n\n")[2]
+            if not (all(type(one) not in (int, float) or one in (0, 1) for one in told)
+                    or any(isinstance(one, str) and " " in one for one in told)
+                    or (isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant))
+                    or re.search("^# ", paragraph, re.MULTILINE)
+                    or any("  # " in line for line in lines[node.lineno - 1 : node.end_lineno])):
+                bare.append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    assert bare == []
+
+
 # The picture of the architecture is what its generator draws from today's imports.
 
 def drawn(svg: str) -> tuple[set[str], set[tuple[str, str]]]:

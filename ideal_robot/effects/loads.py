@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, G
 from ideal_robot.effects.base import Effect, EffectParameter, Theta, WholeArmEffect
 from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
-_G = 9.80665
 _UPRIGHT = 1e-6
 """Weight that the first axis carries, over the most that any does, up to which it stands upright."""
 _LEAST_RANGE = 0.3
@@ -146,7 +146,7 @@ class BaseTilt(WholeArmEffect):
             known = np.linalg.norm(signals.across[:, 0], axis=1)
             if unknown > across * float(np.max(known)):
                 return False
-        return bool(across < 0.26 * _G)
+        return bool(across < math.sin(math.radians(15.0)) * G)
 
     def certain(self, large: np.ndarray, coefficients: Array, otherwise: bool) -> bool:
         """See ``Effect.certain``. Moments of a base that does not lean turn nothing."""
@@ -158,7 +158,7 @@ class BaseTilt(WholeArmEffect):
         size = float(np.hypot(x, y))
         across = float(np.hypot(x * std[0], y * std[1]) / max(size, 1e-12))
         along = float(np.hypot(y * std[0], x * std[1]) / max(size, 1e-12) ** 2)
-        return [EffectParameter("angle", size / _G, across / _G, "rad"),
+        return [EffectParameter("angle", size / G, across / G, "rad"),
                 EffectParameter("direction", float(np.arctan2(-y, -x)), along, "rad")]
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:

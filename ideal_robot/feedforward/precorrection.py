@@ -36,8 +36,7 @@ from ideal_robot.robots.robot import Robot
 # A penalised B-spline (degree 5, a knot per sample) is fitted to the samples. Fit and evaluation are linear, so for
 # fixed instants they are one matrix, made once and multiplied every cycle.
 
-_DEGREE = 5
-_PENALTY_ORDER = 4
+_DEGREE, _PENALTY_ORDER = 5, 4
 """A quintic has continuous third derivatives; differences of order 4 make the gain ``1/(1 + (f/cutoff)^8)``."""
 
 

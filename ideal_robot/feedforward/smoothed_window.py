@@ -31,6 +31,7 @@ _MEAN = np.array([1.0, 6.0, 15.0, 20.0, 15.0, 6.0, 1.0]) / 64.0
 """Weights of the mean of neighbours."""
 CYCLES = len(_MEAN) + 4
 """Cycles that are needed: one more on each side for the differences, and one for the motors' acceleration."""
+# Interpolation of fourth order, first and second central difference, each of the mean of neighbours.
 _VALUE = np.convolve(_MEAN, [1.0, 10.0, 1.0]) / 12.0
 _SLOPE = np.convolve(_MEAN, [-1.0, 0.0, 1.0]) / 2.0
 _BEND = np.convolve(_MEAN, [1.0, -2.0, 1.0])

@@ -168,8 +168,8 @@ def _built(text: str, file: str | Path | None) -> pin.Model:
             raise InputError(f"not a readable URDF ({shown[:200]})", file=file) from error
 
 
-# The drive data file of a robot (TOML), checked: types, lengths and ranges of what stands in it.
-
+# The drive data file of a robot (TOML), checked: types, lengths and ranges of what stands in it. They are
+# wide: what no arm has, 1e9 of any unit or a cycle of more than a second, is a slip of the pen.
 Number = Annotated[float, pydantic.Field(strict=True, allow_inf_nan=False)]
 Size = Annotated[float, pydantic.Field(strict=True, gt=0, le=1e9)]
 NotNegative = Annotated[float, pydantic.Field(strict=True, ge=0, le=1e9)]

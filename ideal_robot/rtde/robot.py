@@ -21,8 +21,8 @@ from ideal_robot.rtde.wire import Recipe, RtdeConnection, RtdeError, Values
 
 _OUTPUTS = {"timestamp": "DOUBLE", "actual_q": "VECTOR6D", "target_q": "VECTOR6D", "actual_current": "VECTOR6D",
             "runtime_state": "UINT32", "safety_status_bits": "UINT32"}
-_AXES = 6
-_MANY = 2.0**31
+_AXES = 6  # a VECTOR6D has
+_MANY = 2.0**31  # cycles between two packages at most: a time stamp may be anything
 _LARGEST = 1e9
 """No number is as large, in seconds, radians or ampere."""
 _PLAYING = 2

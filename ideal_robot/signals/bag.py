@@ -32,9 +32,9 @@ from ideal_robot.errors import InputError
 SUFFIXES = (".mcap", ".db3", ".bag")
 _TYPE = "sensor_msgs/msg/JointState"
 _WORDS = "metadata.yaml"
-_PIECE = 1 << 20
+_PIECE = 1 << 20  # bytes that are read and unfolded at a time
 _MCAP = b"\x89MCAP0\r\n"
-_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _CHUNK_INDEX = 3, 4, 5, 6, 8
+_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _CHUNK_INDEX = 3, 4, 5, 6, 8  # op codes of MCAP's specification
 _IN_CHUNK = {_SCHEMA: 14, _CHANNEL: 16, _MESSAGE: 22}
 """Records that a chunk may hold, and their least lengths [bytes]."""
 

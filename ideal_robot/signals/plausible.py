@@ -98,7 +98,7 @@ _NAMED_PAUSE = 1.0
 """Time between two samples from which on a pause is told [s]."""
 _HALF = 2
 """Samples to either side that a sample is compared with: bursts of up to two are seen."""
-_WINDOW = 2 * _HALF + 1
+_WINDOW = 2 * _HALF + 1  # both sides and the sample
 _FASTEST = 15.0
 """No joint of an arm moves faster [rad/s, m/s]."""
 _STRONGER = 50.0

@@ -26,7 +26,7 @@ ORDER = 4
 
 _FINE = 10.0
 """Samples a period of the cut-off that are enough for motion below it."""
-_MINIMUM_SAMPLES = 100
+_MINIMUM_SAMPLES = 100  # ten times what has to be left
 _FEWEST = 10
 """Samples that have to be left after filtering and decimation."""
 _GAP = 5.0

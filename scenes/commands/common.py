@@ -62,7 +62,7 @@ def progress_bar(title: str, rate: float = 10.0) -> Iterator[Told]:
 
 
 N = TypeVar("N", int, float)
-_MOST_NUMBERS = 100_000
+_MOST_NUMBERS = 100_000  # seeds of a command; 1-10⁹ is a slip, not a day's work
 _NO_EDGE = 10_000
 """Columns of an output that is no terminal."""
 

@@ -27,7 +27,7 @@ from sensing.camera.camera_model import CameraModel
 from sensing.camera.line_search import DetectionSettings
 from sensing.stream import host_and_port
 
-RSI_PORT, RTDE_PORT = 49152, 30004
+RSI_PORT, RTDE_PORT = 49152, 30004  # of KUKA's example of RSI, and the one that UR's controllers listen on
 
 
 @dataclass(frozen=True)

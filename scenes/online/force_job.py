@@ -58,8 +58,9 @@ _BY_MOTORS = 0.65
 """Share of the force that the surface bears beyond the wanted one of which the motors' word is enough."""
 _PULLS = -3.0
 """Force that no surface exerts [N]."""
-_GUESS = ContactElasticity(4000.0, 1000.0, 0.0, 0.0)
-_NO_LOAD = ToolLoad(np.zeros(6), 0.0, np.zeros(3), np.zeros(2))
+# Until pressing and turning have told them.
+_GUESS = ContactElasticity(4000.0, 1000.0, 0.0, 0.0)  # [N/m]
+_NO_LOAD = ToolLoad(np.zeros(6), 0.0, np.zeros(3), np.zeros(2))  # [N], [kg]
 
 
 class LiveForceTask(ForceTask):

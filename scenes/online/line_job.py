@@ -46,7 +46,7 @@ from sensing.camera.line_search import DetectionSettings, PredictedLine
 
 REST = 0.16
 """Rest at each pose, in which vibrations die out [s]."""
-_PIECE, _STEP = 0.25, 0.001
+_PIECE, _STEP = 0.25, 0.001  # of the reference to both sides, and between its points [m]
 _PATIENCE = 60.0
 """How long the computation may take; the arm is held meanwhile [s]."""
 

@@ -19,7 +19,7 @@ from sim.arm.body import Picture, Stage, View
 ENDINGS = (".mp4", ".gif")
 _ARM, _SIDE, _PLOT = (560, 420), 340, 120
 """Size of the arm's picture, width of the path's panel, height of the plot [px]."""
-_INK, _SOFT, _ACCENT, _PAPER = (28, 36, 48), (136, 147, 161), (224, 106, 0), (244, 246, 248)
+_INK, _SOFT, _ACCENT, _PAPER = (28, 36, 48), (136, 147, 161), (224, 106, 0), (244, 246, 248)  # red, green, blue
 
 
 def check_video(path: Path) -> None:

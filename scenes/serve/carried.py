@@ -15,6 +15,7 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.errors import BAD_ADDRESS
 from scenes.online.processes import called, undisturbed
+from sensing.stream import Kind
 from sim.camera.camera import CameraSettings
 from sim.camera.live_camera import LiveCamera
 from sim.contact.contact import ForceSensor
@@ -32,7 +33,6 @@ from sim.devices.stream_server import (
 PoseAt = Callable[[float], pin.SE3]
 ShapeAt = Callable[[float], tuple[Array, Array]]
 ForceAt = Callable[[float], Array]
-_FIELD, _WRENCH = 2, 4
 _BEHIND = 2
 """Pictures that may be drawn or wait for it: where there are as many the next one is left out, and comes not late."""
 _STARTS = 20.0
@@ -111,7 +111,7 @@ def send_picture(exposure: Exposure, camera: LiveCamera, server: StreamServer, o
     """
     gray = camera.picture(exposure.poses, exposure.at, exposure.shape)
     payload = field_payload(exposure.number, gray.shape[1], gray.shape[0], gray.tobytes())
-    outbox.put(exposure.arrival, lambda: server.send(_FIELD, exposure.stamp, payload))
+    outbox.put(exposure.arrival, lambda: server.send(Kind.FIELD, exposure.stamp, payload))
 
 
 class ServedCamera:

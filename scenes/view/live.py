@@ -25,7 +25,7 @@ _RECENT = 5000
 """Cycles that are read: of a long run the last ones."""
 _SHOWN = 400
 """Points of the way that are drawn."""
-_COLOUR = (0, 110, 190)
+_COLOUR = (0, 110, 190)  # a blue
 
 
 class LiveView:

@@ -257,7 +257,7 @@ _MARGIN, _WIDTH, _CONTROLS = 15, 320, 255
 """On a wide page: plot and picture are so far from the right edge, so wide, and below the controls [px]."""
 _PLOTTED = 600
 """Most points of the error's plot."""
-_COLOURS = ((40, 40, 40), (10, 110, 189), (120, 80, 160), (43, 138, 62))
+_COLOURS = ((40, 40, 40), (10, 110, 189), (120, 80, 160), (43, 138, 62))  # those of the next line
 _NAMES = ("black", "blue", "violet", "green")
 
 

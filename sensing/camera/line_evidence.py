@@ -24,6 +24,7 @@ SECTIONS = 48
 """Sections across a line in which it is looked at."""
 _ALONG = 3
 """Places of which the mean is taken in each section."""
+# Places across the line, its edges at ±1; those in it and beside it leave the blurred edges out.
 _T = np.linspace(-2.0, 2.0, 41)
 _INSIDE, _LEFT, _RIGHT = np.abs(_T) < 0.65, _T < -1.25, _T > 1.25
 _NOISE = 2.0

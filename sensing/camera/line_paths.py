@@ -39,7 +39,7 @@ _LEAST = 4.0
 """Contrast below which nothing is looked at [gray]."""
 _GAP = 4
 """Columns that a link may leap over."""
-_CENTRE, _WIDTH, _CONTRAST, _INSIDE, _CLEAR, _FIELDS = 0, 1, 2, 5, 8, 9
+_CENTRE, _WIDTH, _CONTRAST, _INSIDE, _CLEAR, _FIELDS = 0, 1, 2, 5, 8, 9  # columns of a pair, three a colour
 
 
 @dataclass(frozen=True)

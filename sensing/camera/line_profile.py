@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from ideal_robot.arrays import Array
 from ideal_robot.jit import jit
 
-MAX_EDGES = 8
-MAX_CANDIDATES = 4
-SQRT2, SQRT_2PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
+MAX_EDGES, MAX_CANDIDATES = 8, 4  # of a window: four lines side by side fill it
+SQRT2, SQRT_2PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)  # of the normal distribution
 
 
 class Look(NamedTuple):

@@ -154,7 +154,7 @@ class WrenchSource(Protocol):
 PORT = 49152
 """UDP port of a NetFT box."""
 _REQUEST, _RECORD = struct.Struct(">HHI"), struct.Struct(">IIIiiiiii")
-_HEADER, _STREAM, _STOP = 0x1234, 2, 0
+_HEADER, _STREAM, _STOP = 0x1234, 2, 0  # of a request, and its commands
 _MOST = 40
 """Records of a packet."""
 _ERROR = 1 << 31
@@ -309,7 +309,7 @@ class StreamForce:
 
 Opener = Callable[[str, float], WrenchSource]
 """Opens a sensor: what stands behind its scheme, and the least delay from measurement to arrival [s]."""
-_NETFT = {"rate": 7000.0, "counts_force": 1e6, "counts_torque": 1e6}
+_NETFT = {"rate": 7000.0, "counts_force": 1e6, "counts_torque": 1e6}  # samples a second, counts per N and N m
 
 
 def _netft(rest: str, least_delay: float) -> WrenchSource:

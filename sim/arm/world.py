@@ -32,7 +32,7 @@ _SIGNED = {"body", "start_temperature", "ambient_temperature", "reference_temper
 _CYCLES = {"t_ipo", "t_position", "t_velocity", "log_cycle"}
 _LONGEST = 1.0
 """Longest cycle [s]."""
-_FRACTION = {"inertia_tolerance": 0.9, "drive_gain_error": 0.9, "friction_asymmetry": 0.9}
+_FRACTION = {"inertia_tolerance": 0.9, "drive_gain_error": 0.9, "friction_asymmetry": 0.9}  # 1 less that stays positive
 
 
 def checked_value(name: str, kind: str, value: Any) -> Any:

@@ -40,7 +40,7 @@ triangles of the others."""
 # TinyRenderer samples at integer coordinates with rows counted from below: this much has to be added to the principal
 # point of OpenCV's convention (pixel centres at integers) before it goes into the projection matrix.
 PIXEL_SHIFT_U, PIXEL_SHIFT_V = 0.0, 1.0
-NEAR, FAR = 0.02, 3.0
+NEAR, FAR = 0.02, 3.0  # depths that are drawn [m]
 BESIDE = 3.0
 """Pixels around the tool's outline that count as the tool: the shift above, and where sub-exposures look."""
 STILL = ([0.0, 0.0], [[0.0, 0.0]])

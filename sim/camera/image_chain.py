@@ -99,7 +99,7 @@ class CameraSettings:
 
 Light = NDArray[Any]
 """Of pixels, in gray values; single or double precision."""
-WHITE = 255.0
+WHITE = 255.0  # eight bits
 BALANCE = {"red": 1.9, "green": 1.0, "blue": 1.6}
 """By how much less light a silicon sensor gets behind its red and blue filters than behind the green ones: the factors
 of daylight that raw files of cameras note. *Assumed*."""

@@ -203,7 +203,7 @@ def add_grain(gray: NDArray[np.float32], kind: str, seed: int) -> None:
 
 # The drawn line painted into a gray image, with soft edges, for a renderer that takes the nearest texel.
 
-MAX_TEXELS = 64_000_000
+MAX_TEXELS = 64_000_000  # bytes of the picture
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import islice
 
 _HEADER = struct.Struct(">HB")
-_PIECE = 1 << 16
+_PIECE = 1 << 16  # bytes that are read at a time
 _UNREAD = 1 << 17
 """What may wait for a client that does not read [bytes]; a thousand data packages of the usual fields."""
 _RECIPES = 255
@@ -230,7 +230,7 @@ _INPUTS = {
     "DOUBLE": "speed_slider_fraction standard_analog_output_0 standard_analog_output_1",
     "VECTOR6D": "external_force_torque"}
 _REGISTER = re.compile(r"(?P<way>input|output)_(?P<kind>bit|int|double)_register_(?P<number>[0-9]{1,3})")
-_REGISTERS = {"bit": ("BOOL", range(64, 128)), "int": ("INT32", range(48)), "double": ("DOUBLE", range(48))}
+_REGISTERS = {"bit": ("BOOL", range(64, 128)), "int": ("INT32", range(48)), "double": ("DOUBLE", range(48))}  # UR's
 
 
 def count(kind: str) -> int:

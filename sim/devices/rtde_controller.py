@@ -23,7 +23,7 @@ from ideal_robot.robots.interface import RobotState
 from sim.arm.arm import SimulatedArm
 from sim.devices.rtde_client import CODES, ClientError, Inputs, RtdeClient, RtdeFaults, count, output_type
 
-_PROTECTIVE = 1 << 2 | 1 << 10
+_PROTECTIVE = 1 << 2 | 1 << 10  # safety status bits: protective stop, stopped due to safety
 _MOST = 8
 """Clients at a time."""
 _AGREES = 10.0

@@ -20,10 +20,10 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 
 _HEADER = struct.Struct(">2sBBId")
-_CAMERA, _FIELD, _SENSOR, _WRENCH, _ASK, _TOLD = 1, 2, 3, 4, 5, 6
+_CAMERA, _FIELD, _SENSOR, _WRENCH, _ASK, _TOLD = 1, 2, 3, 4, 5, 6  # kinds of packages
 _MOST = 8
 """Clients at a time."""
-_QUESTION = _HEADER.size + 8
+_QUESTION = _HEADER.size + 8  # bytes of one
 
 
 def camera_description(width: int, height: int, rate: float) -> bytes:
@@ -155,7 +155,7 @@ class StreamServer:
 
 COUNTS_FORCE, COUNTS_TORQUE = 1_000_000, 1_000_000
 """Counts per newton and per newton metre."""
-_MAX = 2**31 - 1
+_MAX = 2**31 - 1  # of a count, an int32
 
 
 class NetFTServer:
