@@ -40,7 +40,7 @@ _REASONS = {
     **dict.fromkeys(("low_pass", "t_ipo", "t_position", "t_velocity", "position_gain", "velocity_feedforward",
                      "velocity_gain", "integral_time", "velocity_filter", "current_lag"), _CONTROLLER),
     **dict.fromkeys(("ideal", "elasticity", "friction", "torque_limits"), _SWITCH),
-    **dict.fromkeys(("body", "residual", "spread"), _TWIN),
+    **dict.fromkeys(("body", "geometry", "residual", "spread"), _TWIN),
     "damping": "no effect of the library is a gear's damping",
     "inertia_tolerance": 'all masses at once are no effect; give the scene an individual and model = "own"',
 }

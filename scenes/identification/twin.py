@@ -21,6 +21,7 @@ from ideal_robot.dynamics.base_parameters import consistent_parameters
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.identification.friction_runs import fit_ripple
+from ideal_robot.identification.geometry import has_geometry, measured_geometry
 from ideal_robot.identification.whole_model import IdentificationResult, identify_model
 from ideal_robot.model.arm_with_effects import changes_of
 from ideal_robot.model.cascade import SPREAD, Cascade
@@ -28,6 +29,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot, spread_postures
 from ideal_robot.signals.preprocess import preprocess
 from ideal_robot.signals.recording import Recording
+from scenes.scene_files.scene import ARM
 from sim.arm.arm import SimulatedArm
 from sim.arm.drive import motor_torque_limit
 from sim.arm.generic import generic_world, growth, too_fast
@@ -100,6 +102,7 @@ def twin_of(analysis: IdentificationResult, robot: Robot, name: str) -> Twin:
     seen.append(f"noise of the torque: {_listed(noise)} N m")
     table |= _encoder(model, robot, seen)
     table |= _ripple(ripples, robot)
+    table |= _geometry(recordings, robot, (seen, assumed))
     loads = links.mean(axis=0) + rotor, links.min(axis=0)
     _controller(model, robot, loads, (table, spread), (seen, assumed))
     _gears(model, robot, (body, rotor, *loads), (table, spread), (seen, assumed))
@@ -285,6 +288,17 @@ def _ripple(ripples: tuple[FittedEffect, ...], robot: Robot) -> dict[str, Array]
 
 Tables = tuple[dict[str, Any], dict[str, float]]
 Words = tuple[list[str], list[str]]
+
+
+def _geometry(recordings: Sequence[Recording], robot: Robot, words: Words) -> dict[str, Any]:
+    """Places of the joints from measured poses; else scenes draw them as an uncalibrated arm's."""
+    measured = [recording for recording in recordings if has_geometry(recording)]
+    if not measured:
+        words[1].append("geometry: off as an uncalibrated arm's, no poses beside arm angles in the recordings")
+        return {}
+    usual = ARM["kinematic_error"] / np.sqrt(3.0), np.hypot(ARM["zero_error"], ARM["twist_error"]) / np.sqrt(3.0)
+    words[0].append("geometry: from the poses")
+    return {**dict.fromkeys(ARM, 0.0), "geometry": measured_geometry(measured, robot, usual)}
 
 
 def _controller(model: Model, robot: Robot, loads: tuple[Array, Array], tables: Tables, words: Words) -> None:

@@ -56,8 +56,12 @@ def draw_specimen(robot: Robot, world: World) -> Specimen:
     phase = rng.uniform(0.0, 2.0 * np.pi, n)
     offsets, turns = rng.uniform(-1.0, 1.0, (n, 3)), rng.uniform(-1.0, 1.0, n)
     twists = rng.uniform(-1.0, 1.0, (n, 3))
-    if world.kinematic_error > 0.0 or world.zero_error > 0.0 or world.twist_error > 0.0:
-        _displace(model, world.kinematic_error * offsets, world.zero_error * turns, world.twist_error * twists)
+    measured = np.array(world.geometry) if world.geometry else np.zeros((n, 6))
+    if measured.shape != (n, 6):
+        raise InputError(f"expected {n} rows of six numbers, a row per joint", field="world.geometry")
+    if world.geometry or world.kinematic_error > 0.0 or world.zero_error > 0.0 or world.twist_error > 0.0:
+        _displace(model, measured[:, :3] + world.kinematic_error * offsets, world.zero_error * turns,
+                  measured[:, 3:] + world.twist_error * twists)
     if world.payload_mass > 0.0:
         frame = model.frames[robot.tool_id]
         load = pin.Inertia(world.payload_mass, np.array(world.payload_com), np.eye(3) * world.payload_inertia)

@@ -49,8 +49,8 @@ def checked_value(name: str, kind: str, value: Any) -> Any:
     if name in ("robot", "extra_torque"):
         return value
     field = f"world.{name}"
-    if name == "residual":
-        return _octaves(value)
+    if name in ("residual", "geometry"):
+        return _rows(field, value, 0.0 if name == "residual" else -np.inf)
     if kind == "bool":
         if not isinstance(value, bool):
             raise InputError("expected true or false", field=field, value=value)
@@ -85,14 +85,14 @@ def checked_value(name: str, kind: str, value: Any) -> Any:
     return tuple(array.tolist())
 
 
-def _octaves(value: Any) -> tuple[tuple[float, ...], ...]:
-    """Rows of numbers that are not negative."""
+def _rows(field: str, value: Any, least: float) -> tuple[tuple[float, ...], ...]:
+    """Rows of finite numbers from ``least`` up."""
     try:
         rows = tuple(tuple(float(one) for one in row) for row in value)
     except (TypeError, ValueError) as error:
-        raise InputError("expected a list of lists of numbers", field="world.residual") from error
-    if not np.all([np.isfinite(row).all() and (np.array(row) >= 0.0).all() for row in rows]):
-        raise InputError("must be finite and not negative", field="world.residual")
+        raise InputError("expected a list of lists of numbers", field=field) from error
+    if not np.all([np.isfinite(row).all() and (np.array(row) >= least).all() for row in rows]):
+        raise InputError(f"must be finite{' and not negative' if least == 0.0 else ''}", field=field)
     return rows
 
 
@@ -163,6 +163,8 @@ class World:
         body: identified bodies in the place of the data sheet's: of each link mass, first moments [kg m] and moments of
             inertia [kg m²] (``Ixx Ixy Iyy Ixz Iyz Izz``) about its joint's frame, then the rotor inertias, then
             constant torques [N m]; ``12 n`` numbers, none for the data sheet's.
+        geometry: measured places of the joints against the URDF's, in their parents' frames: rows of three shifts [m]
+            and three turns [rad], one row per joint; none for the URDF's.
         residual: torque without a name, drawn anew for each play: rows of standard deviations [N m], one number per
             joint, for the octaves from 0.05 Hz up.
         extra_torque: see ``ExtraTorque``; None is none.
@@ -228,6 +230,7 @@ class World:
     external_position_noise: float = 2.0e-5
     external_rotation_noise: float = 2.0e-5
     body: tuple[float, ...] = ()
+    geometry: tuple[tuple[float, ...], ...] = ()
     residual: tuple[tuple[float, ...], ...] = ()
     extra_torque: ExtraTorque | None = None
 
@@ -362,7 +365,7 @@ class World:
         """All settings that a table can hold, for reports and recordings."""
         values = {name: getattr(self, name) for name in TABLE_KEYS}
         return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()
-                if name not in ("body", "residual") or value}
+                if name not in ("body", "geometry", "residual") or value}
 
 
 TABLE_KEYS = tuple(field.name for field in dataclasses.fields(World) if field.name not in ("robot", "extra_torque"))

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from scipy.signal import welch
 from typer.testing import CliRunner
@@ -15,6 +16,7 @@ from typer.testing import CliRunner
 from ideal_robot.dynamics import base_parameters, link_parameters, with_link_parameters
 from ideal_robot.errors import InputError
 from ideal_robot.identification.excitation import design_excitation
+from ideal_robot.identification.geometry import POSE, has_geometry, measured_geometry
 from ideal_robot.identification.idim import identify
 from ideal_robot.identification.program import plan_two_step
 from ideal_robot.identification.two_step import identify_two_step
@@ -29,6 +31,7 @@ from scenes.identification.twin_play import TwinResult, make_twin, twin_text
 from scenes.line.play import play
 from scenes.scene_file import load_scene
 from scenes.scene_files.line_scene import LineScene
+from scenes.scene_files.scene import ARM
 from sim.arm.arm import SimulatedArm
 from sim.arm.specimen import draw_specimen, octave_edges, residual_torque
 from sim.arm.world import World
@@ -265,6 +268,31 @@ def test_the_twin_of_a_shipped_arm_is_a_scene_whose_model_is_its_own(made: TwinR
     assert isinstance(scene, LineScene)
     assert (scene.robot, scene.model) == ("kr6", "own")
     assert scene.arm_world["residual"] == made.twin.table["residual"]
+
+
+def test_the_twin_has_the_geometry_that_poses_show() -> None:
+    """Wherever the device stands; elsewhere in the range the tool is where the arm's is, to the device's 20 µm."""
+    robot, rng = Robot.load("kr6"), np.random.default_rng(3)
+    device = pin.SE3(pin.exp3(np.array([0.4, -1.0, 2.0])), np.array([1.0, 2.0, -1.0]))
+
+    def poses(world: World, q: np.ndarray) -> list[pin.SE3]:
+        fk = replace(robot, pinocchio=draw_specimen(robot, world).model).fk()
+        return [device * fk(one) for one in q]
+
+    uncalibrated = World.default("kr6").replace(individual=4, **ARM)
+    qa = 0.6 * rng.uniform(robot.q_min, robot.q_max, (400, robot.n))
+    measured = np.array([pin.SE3ToXYZQUAT(pose) for pose in poses(uncalibrated, qa)])
+    measured[:, :3] += 2e-5 * rng.standard_normal((400, 3))
+    seen = Recording({**Recording.from_arrays(np.arange(400.0), q=qa, tau=qa, qa=qa).columns,
+                      **dict(zip(POSE, measured.T, strict=True))})
+    assert has_geometry(seen)
+    twin = World.default("kr6").replace(geometry=measured_geometry([seen], robot, (2e-4, 3e-4)))
+    q = rng.uniform(robot.q_min, robot.q_max, (50, robot.n))
+    true, own, sheet = (poses(world, q) for world in (uncalibrated, twin, World.default("kr6")))
+    off, before = (np.array([(a[0].actInv(a[k]).translation - b[0].actInv(b[k]).translation) for k in range(1, 50)])
+                   for a, b in ((true, own), (true, sheet)))
+    assert np.linalg.norm(off, axis=1).max() < 2e-5
+    assert np.linalg.norm(before, axis=1).mean() > 5e-4
 
 
 def test_a_sensor_behind_the_gears_does_not_feel_what_turns_the_rotors() -> None:

@@ -1,0 +1,78 @@
+"""Geometry of an arm from measured poses: where its joints are, against its drawings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.arrays import Array
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+
+POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+_POSTURES = 400
+"""Postures of a recording that count: neighbouring samples show the same."""
+_PASSES = 3
+"""The device may stand turned by much; what is left of its turn squares with each pass."""
+
+
+def has_geometry(recording: Recording) -> bool:
+    """Whether a recording holds the tool's pose beside the arm's angles: gears give more than axes are off."""
+    return recording.has("qa") and all(name in recording.columns for name in POSE)
+
+
+def measured_geometry(recordings: Sequence[Recording], robot: Robot, usual: tuple[float, float]) -> Array:
+    """Shifts [m] and turns [rad] of the joints' places, in their parents' frames ``(n, 6)``.
+
+        Δx = R_p (d + w × r),  Δφ = R_p w     r: from the joint to the tool, R_p: of the joint's parent
+
+    Least squares of first order, as kinematic calibration is done. What no pose tells apart - of parallel axes, or of a
+    joint and its tool - is shared as is usual. The device stands anywhere, so where the first joint is remains open.
+
+    Args:
+        recordings: with arm angles and poses, see ``has_geometry``.
+        robot: the arm as its data sheet has it.
+        usual: standard deviations of shifts [m] and turns [rad] in arms of the class.
+    """
+    width = np.concatenate([np.full(6, np.inf), np.tile(np.repeat(usual, 3), robot.n)])
+    qa, pose = (np.concatenate(parts) for parts in zip(*map(_postures, recordings), strict=True))
+    measured = [pin.XYZQUATToSE3(one) for one in pose]
+    device, noise = measured[0] * robot.fk()(qa[0]).inverse(), np.array(usual)
+    for _ in range(_PASSES):
+        W, y = _equations(qa, [device.inverse() * one for one in measured], robot)
+        scale = 1.0 / np.repeat(noise, 3)
+        A = np.concatenate([(W * scale[:, None]).reshape(-1, W.shape[2]), np.diag(1.0 / width)])
+        found = np.linalg.lstsq(A, np.concatenate([(y * scale).ravel(), np.zeros(len(width))]), rcond=None)[0]
+        noise = np.sqrt(np.mean(((y - W @ found) ** 2).reshape(-1, 2, 3), axis=(0, 2)))
+        device = device * pin.SE3(pin.exp3(found[3:6]), found[:3])
+    return np.asarray(found[6:].reshape(robot.n, 6))
+
+
+def _postures(recording: Recording) -> tuple[Array, Array]:
+    """Arm angles ``(m, n)`` [rad] and poses ``(m, 7)`` of postures spread over the recording."""
+    some = np.unique(np.linspace(0, len(recording.t) - 1, _POSTURES).astype(int))
+    return recording.joints("qa", some), np.column_stack([recording.columns[name][some] for name in POSE])
+
+
+def _equations(qa: Array, measured: Sequence[pin.SE3], robot: Robot) -> tuple[Array, Array]:
+    """What device and joints change of the poses ``(m, 6, 6 + 6 n)``, and what they are off by ``(m, 6)``.
+
+    Args:
+        qa: arm angles ``(m, n)`` [rad].
+        measured: poses.
+        robot: the drawings.
+    """
+    model, data = robot.pinocchio, robot.pinocchio.createData()
+    W, y = np.zeros((len(qa), 6, 6 + 6 * robot.n)), np.zeros((len(qa), 6))
+    for i, (q, pose) in enumerate(zip(qa, measured, strict=True)):
+        pin.framesForwardKinematics(model, data, q)
+        tool = data.oMf[robot.tool_id]
+        y[i] = np.concatenate([pose.translation - tool.translation, pin.log3(pose.rotation @ tool.rotation.T)])
+        frames = [(np.eye(3), np.zeros(3)), *((data.oMi[model.parents[j]].rotation, data.oMi[j].translation)
+                                              for j in range(1, robot.n + 1))]
+        for k, (R, place) in enumerate(frames):
+            W[i, :3, 6 * k : 6 * k + 3] = W[i, 3:, 6 * k + 3 : 6 * k + 6] = R
+            W[i, :3, 6 * k + 3 : 6 * k + 6] = -pin.skew(tool.translation - place) @ R
+    return W, y
