@@ -30,7 +30,7 @@ from sim.arm.world import World
 
 def _identified(robot_name: str, **options: Any) -> Model:
     """Identification takes half a second to import, and most runs find their model kept."""
-    identified_model: Callable[..., tuple[Model, Any]] = imported("scenes.identification.plan:identified_model")
+    identified_model: Callable[..., tuple[Model, Any]] = imported("scenes.identification.own_model:identified_model")
     return identified_model(robot_name, **options)[0]
 
 

@@ -25,7 +25,7 @@ from ideal_robot.signals.preprocess import FilteredSignals, lowpass, preprocess
 from ideal_robot.signals.recording import Recording
 from scenes.arms import arm_of
 from scenes.commands.common import numbers, whole_numbers
-from scenes.identification.plan import identified_model
+from scenes.identification.own_model import identified_model
 from scenes.identification.twin import DRAWS, twin_of
 from scenes.identification.twin_play import COLUMNS, make_twin
 from scenes.line.play import play

@@ -134,6 +134,39 @@ def joint_frames(chain: Chain, q: Array, R: Array, p: Array) -> None:
                               + chain.rotation[i, r, 2] * turn[2, c])
 
 
+@jit()
+def joint_places(chain: Chain, q: Array, joint: int, point: Array) -> Array:
+    """Where the joints are in the base frame ``(N, n, 3)``, and behind them a point of the arm: ``(N, n + 1, 3)`` [m].
+
+    Args:
+        chain: kinematics.
+        q: joint positions ``(N, n)`` [rad].
+        joint: that carries the point, counted from 1; 0 for the base.
+        point: in that joint's frame ``(3,)`` [m].
+    """
+    N, n = q.shape
+    places = np.empty((N, n + 1, 3))
+    R, p = np.empty((n, 3, 3)), np.empty((n, 3))
+    turn, turned = np.empty((3, 3)), np.empty((3, 3))
+    for k in range(N):
+        joint_frames(chain, q[k], R, p)
+        turn[:] = np.eye(3)
+        places[k, n] = point
+        for i in range(n):
+            for r in range(3):
+                places[k, i, r] = turn[r, 0] * p[i, 0] + turn[r, 1] * p[i, 1] + turn[r, 2] * p[i, 2]
+                if i > 0:
+                    places[k, i, r] += places[k, i - 1, r]
+                for c in range(3):
+                    turned[r, c] = turn[r, 0] * R[i, 0, c] + turn[r, 1] * R[i, 1, c] + turn[r, 2] * R[i, 2, c]
+            turn[:] = turned
+            if i == joint - 1:
+                for r in range(3):
+                    places[k, n, r] = (places[k, i, r] + turn[r, 0] * point[0] + turn[r, 1] * point[1]
+                                       + turn[r, 2] * point[2])
+    return places
+
+
 @jit(inline="always")
 def _wrenches_on_bodies(chain: Chain, R: Array, p: Array, qd: Array, qdd: Array, gravity: float,
                         wrench: tuple[Array, Array]) -> None:

@@ -11,10 +11,11 @@ from collections import Counter
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pinocchio as pin
+from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
-from ideal_robot.dynamics import base_parameters, full_regressor
+from ideal_robot.dynamics import base_parameters, full_regressor, torques
+from ideal_robot.dynamics.newton_euler import chain_of, joint_places
 from ideal_robot.errors import InputError
 from ideal_robot.robots.collisions import Shapes
 from ideal_robot.robots.robot import Robot, spread_postures
@@ -45,14 +46,9 @@ class Workspace:
         The floor is never so high that the tool or a joint could not rise above it by half of the height it can reach:
         a turntable has its tool on the floor.
         """
-        data = robot.pinocchio.createData()
-        spans, heights = [], []
-        for q in spread_postures(robot.q_min, robot.q_max):
-            tip, joints = _points(robot, data, q, 0.0)
-            spans.append(float(np.hypot(tip[0], tip[1])))
-            heights.append([tip[2], *joints])
-        small = min(1.0, max(spans))
-        highest = float(np.min(np.max(heights, axis=0)))
+        span, heights = _points(robot, spread_postures(robot.q_min, robot.q_max), 0.0)
+        small = min(1.0, float(span.max()))
+        highest = float(heights.max(axis=0).min())
         # An axis that slides stands on no column that its tool could hit.
         column = 0.0 if robot.prismatic[0] else small * cls.r_min
         return cls(min(small * cls.z_min, highest - 0.5 * abs(highest)), column, small * cls.z_free)
@@ -79,49 +75,62 @@ class Workspace:
             robot: the arm.
             q: recorded postures ``(N, n)`` [rad].
         """
-        data, low, near = robot.pinocchio.createData(), self.z_min, self.r_min
-        for posture in q[:: max(1, len(q) // 400)]:
-            tip, heights = _points(robot, data, posture, self.beyond)
-            low = min(low, float(tip[2]), *heights)
-            if tip[2] < self.z_free:
-                near = min(near, float(np.hypot(tip[0], tip[1])))
-        return replace(self, z_min=low, r_min=near)
+        span, heights = _points(robot, q[:: max(1, len(q) // 400)], self.beyond)
+        beside = span[heights[:, 0] < self.z_free]
+        return replace(self, z_min=float(heights.min(initial=self.z_min)), r_min=float(beside.min(initial=self.r_min)))
 
 
-def clear_of_obstacles(robot: Robot, q: Array, workspace: Workspace) -> bool:
-    """Whether the arm keeps off floor and base column in all postures ``(N, n)``.
+def clear_of_obstacles(robot: Robot, q: Array, workspace: Workspace) -> NDArray[np.bool_]:
+    """In which of postures ``(N, n)`` the arm keeps off floor and base column ``(N,)``.
 
     Args:
         robot: the arm.
         q: postures ``(N, n)`` [rad].
         workspace: floor and base column.
     """
-    return obstacle(robot, q, workspace) is None
+    low, near = _met(robot, q, workspace)
+    return ~(low | near)
 
 
 def obstacle(robot: Robot, q: Array, workspace: Workspace) -> str | None:
-    """What the arm meets in postures ``(N, n)``, with the option that moves it; None for nothing.
+    """What the arm meets first in postures ``(N, n)``, with the option that moves it; None for nothing.
 
     Args:
         robot: the arm.
         q: postures ``(N, n)`` [rad].
         workspace: floor and base column.
     """
-    data, w = robot.pinocchio.createData(), workspace
-    for q_k in q:
-        tip, heights = _points(robot, data, q_k, w.beyond)
-        if min([tip[2], *heights]) < w.z_min:
-            return f"the tool or a joint would be lower than z_min = {w.z_min:.3g} m (--z-min)"
-        if tip[2] < w.z_free and np.hypot(tip[0], tip[1]) < w.r_min:
-            return f"the tool would be nearer to the base than r_min = {w.r_min:.3g} m (--r-min)"
-    return None
+    low, near = _met(robot, q, workspace)
+    met = low | near
+    if not met.any():
+        return None
+    if low[np.argmax(met)]:
+        return f"the tool or a joint would be lower than z_min = {workspace.z_min:.3g} m (--z-min)"
+    return f"the tool would be nearer to the base than r_min = {workspace.r_min:.3g} m (--r-min)"
 
 
-def _points(robot: Robot, data: pin.Data, q: Array, beyond: float) -> tuple[Array, list[float]]:
-    """Where the tool is at ``q (n,)``, ``beyond`` its frame ``(3,)`` [m], and how high the joints above the second."""
-    pin.framesForwardKinematics(robot.pinocchio, data, q)
-    tip = data.oMf[robot.tool_id].act(np.array([0.0, 0.0, beyond]))
-    return tip, [float(data.oMi[i].translation[2]) for i in range(3, robot.pinocchio.njoints)]
+def _met(robot: Robot, q: Array, workspace: Workspace) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """In which of postures ``(N, n)`` the arm is too low, and in which the tool is too near to the base ``(N,)``."""
+    span, heights = _points(robot, q, workspace.beyond)
+    return heights.min(axis=1) < workspace.z_min, (heights[:, 0] < workspace.z_free) & (span < workspace.r_min)
+
+
+def _points(robot: Robot, q: Array, beyond: float) -> tuple[Array, Array]:
+    """How far from the base axis the tool is, ``beyond`` its frame, and how high: it and the joints above the second.
+
+    Args:
+        robot: the arm.
+        q: postures ``(N, n)`` [rad].
+        beyond: the tool's frame, along its z axis [m].
+
+    Returns:
+        Distances ``(N,)`` and heights ``(N, 1 + n - 2)``, the tool's first [m].
+    """
+    frame = robot.pinocchio.frames[robot.tool_id]
+    point = frame.placement.act(np.array([0.0, 0.0, beyond]))
+    places = joint_places(chain_of(robot.pinocchio), np.ascontiguousarray(q), int(frame.parentJoint), point)
+    tip = places[:, -1]
+    return np.hypot(tip[:, 0], tip[:, 1]), np.column_stack([tip[:, 2], places[:, 2:-1, 2]])
 
 
 SHARES = (0.75, 0.6, 0.8)
@@ -311,14 +320,13 @@ class MotionSpace:
 
     def _too_weak(self, q: Array, qd: Array, qdd: Array) -> str | None:
         """Which joint the nominal arm could not do it with, by three quarters of its torque; None if with all."""
-        limit = 0.75 * self.robot.tau_max
-        data = self.robot.pinocchio.createData()
-        rotor = self.robot.rotor_inertia
-        for a, b, c in zip(q[::3], qd[::3], qdd[::3], strict=True):
-            share = np.abs(pin.rnea(self.robot.pinocchio, data, a, b, c) + rotor * c) / limit
-            if np.any(share > 1.0):
-                return f"joint {int(np.argmax(share)) + 1} would need more torque than its effort in the URDF allows"
-        return None
+        load = torques(self.robot.pinocchio, q[::3], qd[::3], qdd[::3]) + self.robot.rotor_inertia * qdd[::3]
+        share = np.abs(load) / (0.75 * self.robot.tau_max)
+        over = np.any(share > 1.0, axis=1)
+        if not over.any():
+            return None
+        joint = int(np.argmax(share[np.argmax(over)])) + 1
+        return f"joint {joint} would need more torque than its effort in the URDF allows"
 
 
 def _condition(robot: Robot, independent: list[int], q: Array, qd: Array, qdd: Array) -> float:
@@ -339,11 +347,13 @@ def _condition(robot: Robot, independent: list[int], q: Array, qd: Array, qdd: A
     friction[:, joints, n + joints] = np.sign(qd)
     W = np.concatenate([W, friction], axis=2)
     # A newton metre weighs as much as the joint can give of it.
-    weight = np.where(np.isfinite(robot.tau_max), robot.tau_max, np.std(W, axis=(0, 2)) + 1e-9)
+    limited = np.isfinite(robot.tau_max)
+    weight = robot.tau_max if limited.all() else np.where(limited, robot.tau_max, np.std(W, axis=(0, 2)) + 1e-9)
     flat = (W / weight[:, None]).reshape(len(q) * n, -1)
     flat /= np.maximum(np.linalg.norm(flat, axis=0), 1e-12)
-    s = np.linalg.svd(flat, compute_uv=False)
-    return float(s[0] / max(s[-1], 1e-12))
+    # The normal matrix has the squares of the singular values, exact enough up to conditions of a million.
+    squares = np.linalg.eigvalsh(flat.T @ flat)
+    return float(np.sqrt(squares[-1] / max(squares[0], 1e-24)))
 
 
 def approach(start: Array, goal: Array, t_ipo: float, v_max: Array, a_max: Array) -> Array:

@@ -165,21 +165,22 @@ def plan_two_step(robot: Robot, rng: np.random.Generator, *, points: int = 10, c
 def _telling(robot: Robot, postures: Array, count: int, shapes: Shapes | None) -> list[int]:
     """Which of postures ``(m, n)`` determine the base parameters best, each in reach of the one before."""
     base = base_parameters(robot.pinocchio)
-    rows = np.stack([observation_rows(robot, base, q) for q in postures])
+    rows = observation_rows(robot, base, postures)
     size = np.linalg.norm(rows.reshape(-1, rows.shape[2]), axis=0)
     rows = rows / np.where(size > 0, size, 1.0)
+    told = rows.transpose(0, 2, 1) @ rows
     information = 1e-6 * np.eye(rows.shape[2])
     chosen: list[int] = []
     for _ in range(min(count, len(postures))):
         left = [i for i in range(len(rows)) if i not in chosen]
-        gains = [np.linalg.slogdet(information + rows[i].T @ rows[i])[1] for i in left]
+        gains = np.linalg.slogdet(information + told[left])[1]
         here = postures[chosen[-1]] if chosen else robot.home
         best = next((left[k] for k in np.argsort(gains, kind="stable")[::-1]
                      if shapes is None or shapes.touch_between(here, postures[left[k]]) is None), None)
         if best is None:
             break
         chosen.append(best)
-        information += rows[best].T @ rows[best]
+        information += told[best]
     if len(chosen) < 2:
         raise InputError("no way between operating points keeps off the arm itself and what stands in the cell; give "
                          "another [joints] home to begin from", field="workspace")
@@ -187,35 +188,34 @@ def _telling(robot: Robot, postures: Array, count: int, shapes: Shapes | None) -
 
 
 def observation_rows(robot: Robot, base: BaseParameters, q: Array) -> Array:
-    """Rows ``(2 n, b)`` of g_i(q) and M_ii(q) as linear forms of the base parameters, [G] (6).
+    """Rows ``(m, 2 n, b)`` of g_i(q) and M_ii(q) as linear forms of the base parameters, [G] (6).
 
     Args:
         robot: the arm.
         base: base parameters of the rigid body.
-        q: posture ``(n,)`` [rad].
+        q: postures ``(m, n)`` [rad].
     """
-    n = robot.n
-    independent = list(base.independent)
-    still = np.zeros((n + 1, n))
-    W = full_regressor(robot.pinocchio, np.repeat(q[None], n + 1, axis=0), still, np.vstack([np.zeros(n), np.eye(n)]))
-    W = W[:, :, independent]
-    inertia = np.stack([W[i + 1, i] - W[0, i] for i in range(n)])
-    return np.concatenate([W[0], inertia])
+    m, n = q.shape
+    unit = np.tile(np.vstack([np.zeros(n), np.eye(n)]), (m, 1))
+    W = full_regressor(robot.pinocchio, np.repeat(q, n + 1, axis=0), np.zeros_like(unit), unit, base.independent)
+    W = W.reshape(m, n + 1, n, -1)
+    joints = np.arange(n)
+    return np.concatenate([W[:, 0], W[:, joints + 1, joints] - W[:, 0]], axis=1)
 
 
 def _postures(robot: Robot, rng: np.random.Generator, count: int, amplitude: Array, workspace: Workspace) -> Array:
     room = 4.0 * amplitude
     low = np.maximum(robot.q_min + room, -np.pi)
     high = np.minimum(robot.q_max - room, np.pi)
-    found = []
-    for _ in range(40 * count):
-        q = rng.uniform(low, high)
-        around = np.vstack([q, q + amplitude, q - amplitude])
-        if clear_of_obstacles(robot, around, workspace) and (
-                workspace.cell is None or workspace.cell.first_touch(around) is None):
-            found.append(q)
-            if len(found) == count:
-                break
+    found: list[Array] = []
+    left = 40 * count
+    while len(found) < count and left > 0:
+        q = rng.uniform(low, high, (min(count - len(found), left), robot.n))
+        left -= len(q)
+        around = np.stack([q, q + amplitude, q - amplitude], axis=1)
+        clear = clear_of_obstacles(robot, around.reshape(-1, robot.n), workspace).reshape(-1, 3).all(axis=1)
+        found += [three[0] for three in around[clear]
+                  if workspace.cell is None or workspace.cell.first_touch(three) is None]
     if len(found) < 2:
         raise InputError("no operating points within limits and workspace; relax the workspace", field="workspace")
     return np.array(found)

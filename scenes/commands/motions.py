@@ -156,11 +156,14 @@ def _workspace(arm: Robot, z_min: float | None, cell: Path | None) -> Workspace:
     from dataclasses import replace
 
     from ideal_robot.identification.excitation import Workspace
+
+    found = Workspace.of(arm) if z_min is None else replace(Workspace.of(arm), z_min=z_min)
+    if cell is None:
+        return found
     from scenes.placing import shapes_in
     from scenes.scene_file import load_scene
 
-    found = Workspace.of(arm) if z_min is None else replace(Workspace.of(arm), z_min=z_min)
-    return found if cell is None else replace(found, cell=shapes_in(load_scene(cell), arm))
+    return replace(found, cell=shapes_in(load_scene(cell), arm))
 
 
 def _questions(result: Path | None, taken: Recording, arm: Robot, known: Model | None,

@@ -1,11 +1,11 @@
-"""Identification motions: planned, written out, played on the simulated arm, and what is identified from them."""
+"""Identification motions: planned, written out, and played on the simulated arm."""
 
 from __future__ import annotations
 
+import io
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +14,11 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.identification.excitation import FourierMotion, Workspace, approach, design_excitation
-from ideal_robot.identification.friction_runs import fit_ripple
 from ideal_robot.identification.program import Program, finite_limits, plan_two_step
-from ideal_robot.identification.whole_model import identify_model
-from ideal_robot.model.model import Model
 from ideal_robot.results import Summarised
-from ideal_robot.robots.collisions import Obstacle, Shapes
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from ideal_robot.whole_file import write_text
-from scenes.arms import arm_of
-from scenes.result import Progress, part_of, silent
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 
@@ -65,12 +59,11 @@ class Plan(Summarised):
 
     def write(self, folder: Path) -> list[Path]:
         """Writes commands and program; returns the files."""
-        import pandas as pd  # a third of a second, and only here
-
-        n = self.commands.shape[1]
-        frame = pd.DataFrame(self.commands, columns=[f"q_c_{i + 1}" for i in range(n)])
-        frame.insert(0, "t", np.arange(1, len(frame) + 1) * self.t_ipo)
-        files = [write_text(folder / "commands.csv", frame.to_csv(index=False, float_format="%.9g"))]
+        table = io.StringIO()
+        rows = np.column_stack([np.arange(1, len(self.commands) + 1) * self.t_ipo, self.commands])
+        names = ["t", *(f"q_c_{i + 1}" for i in range(self.commands.shape[1]))]
+        np.savetxt(table, rows, fmt="%.9g", delimiter=",", header=",".join(names), comments="")
+        files = [write_text(folder / "commands.csv", table.getvalue())]
         if isinstance(self.source, Program):
             files += [write_text(folder / "program.json", json.dumps(self.source.to_dict(), indent=1) + "\n"),
                       write_text(folder / "program.txt", self.source.text())]
@@ -171,34 +164,3 @@ def play_plan(planned: Plan, robot: Robot, seed: int, progress: Callable[[float]
             if k % 100 == 0:
                 progress(k / len(planned.commands))
         return arm.recording(external=True)
-
-
-def identified_model(robot_name: str, *, seed: int = 1, period: float = 20.0, world: World | None = None,
-                     boxes: Sequence[Obstacle] = (), progress: Progress = silent) -> tuple[Model, list[Recording]]:
-    """Plays two identification motions on a simulated arm and identifies everything from them.
-
-    Args:
-        robot_name: the arm as its data sheet has it.
-        seed: of motions and noise.
-        period: of the motions [s].
-        world: what the arm is like; its default world if None.
-        boxes: that stand in the cell.
-        progress: called with the fraction done.
-    """
-    robot = arm_of(robot_name)
-    if world is not None:
-        robot = replace(robot, t_ipo=world.t_ipo, t_position=world.t_position, t_velocity=world.t_velocity)
-    recordings = []
-    workspace = replace(Workspace.of(robot), cell=Shapes(robot, boxes=boxes)) if boxes else None
-    for run in range(2):
-        progress(0.4 * run, "planning an identification motion")
-        planned = plan(robot, "joint", seed=seed + run, period=period, workspace=workspace)
-        played = part_of(progress, 0.4 * run + 0.1, 0.3)
-        recordings.append(play_plan(planned, robot, seed + run, partial(_moving, played), world))
-    progress(0.8, "identifying")
-    model = identify_model(recordings, robot).model
-    return model.with_effects(fit_ripple(recordings, model, robot)), recordings
-
-
-def _moving(progress: Progress, share: float) -> None:
-    progress(share, "moving to be identified")

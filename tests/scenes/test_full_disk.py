@@ -214,7 +214,7 @@ def test_a_cache_folder_that_cannot_be_written_is_told_before_the_arm_moves(tmp_
                                                                             monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "cache").write_text("a file")
     monkeypatch.setenv("IDEAL_ROBOT_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr("scenes.identification.plan.identified_model", lambda *_, **__: pytest.fail("moved"))
+    monkeypatch.setattr("scenes.identification.own_model.identified_model", lambda *_, **__: pytest.fail("moved"))
     with pytest.raises(InputError, match="IDEAL_ROBOT_CACHE"):
         prepared_model(Robot.load("kr6"), World.default("kr6"))
 

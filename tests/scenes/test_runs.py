@@ -177,7 +177,7 @@ def test_the_model_is_identified_once_and_kept_by_what_it_depends_on(tmp_path: P
         worlds.append(world)
         return shipped(), []
 
-    monkeypatch.setattr("scenes.identification.plan.identified_model", identified)
+    monkeypatch.setattr("scenes.identification.own_model.identified_model", identified)
     world = World.default("kr6")
     first = models.prepared_model(ROBOT, world.replace(individual=2))
     again = models.prepared_model(ROBOT, world.replace(individual=2))

@@ -212,7 +212,7 @@ def require_within_limits(robot: Robot, q_c: Array, workspace: Workspace) -> Non
     if workspace.cell is not None and (touch := workspace.cell.first_touch(q_c[::8])) is not None:
         raise InputError(f"on its way between two postures of the planned motion {touch}; try another --seed",
                          field="motion")
-    if not clear_of_obstacles(robot, q_c[::8], workspace):
+    if not clear_of_obstacles(robot, q_c[::8], workspace).all():
         raise InputError("on its way between two postures the planned motion comes too near to floor or base column; "
                          "try another --seed, or a lower --z-min", field="motion")
 

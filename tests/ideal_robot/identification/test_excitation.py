@@ -91,7 +91,7 @@ def test_motion_keeps_to_limits_and_workspace_and_starts_at_rest() -> None:
     assert np.all(q < arm.q_max)
     assert np.all(np.abs(qd) < arm.v_max)
     assert np.all(np.abs(qdd) < arm.a_max)
-    assert clear_of_obstacles(arm, q[::20], Workspace(z_min=0.05, r_min=0.25))
+    assert clear_of_obstacles(arm, q[::20], Workspace(z_min=0.05, r_min=0.25)).all()
     np.testing.assert_allclose(qd[[0, -1]], 0.0, atol=1e-9)
     np.testing.assert_allclose(qdd[[0, -1]], 0.0, atol=1e-9)
     np.testing.assert_allclose(np.gradient(q[:, 0], found.period / 1999)[5:-5], qd[5:-5, 0], atol=1e-3)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics, joint_frames, mass_matrix
+from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics, joint_frames, joint_places, mass_matrix
 from ideal_robot.dynamics.regressor import regressor
 from ideal_robot.effects import FittedEffect
 from ideal_robot.effects.fitted import Unknown
@@ -34,6 +34,12 @@ def test_compiled_dynamics_agree_with_pinocchio(name):
     mass_matrix(chain, R, p, M)
     full = pin.crba(model, data, q[0])
     np.testing.assert_allclose(M, np.triu(full) + np.triu(full, 1).T, atol=1e-10)
+    point, places = np.array([0.1, -0.2, 0.3]), []
+    for joint in (0, model.nv - 1, model.nv):
+        for q_k in q:
+            pin.forwardKinematics(model, data, q_k)
+            places.append([*(pose.translation.copy() for pose in list(data.oMi)[1:]), data.oMi[joint].act(point)])
+        np.testing.assert_allclose(joint_places(chain, q, joint, point), places[-len(q):], atol=1e-12)
 
 
 def test_prismatic_joints_too():

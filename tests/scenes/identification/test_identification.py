@@ -25,7 +25,8 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes import cli
-from scenes.identification.plan import fourier_commands, identified_model
+from scenes.identification.own_model import identified_model
+from scenes.identification.plan import fourier_commands
 from scenes.identification.twin import Twin, behind_gears, played_again
 from scenes.identification.twin_play import TwinResult, make_twin, twin_text
 from scenes.line.play import play

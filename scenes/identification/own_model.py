@@ -1,0 +1,49 @@
+"""An arm's own model: identified from motions that the simulated arm plays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+from ideal_robot.identification.excitation import Workspace
+from ideal_robot.identification.friction_runs import fit_ripple
+from ideal_robot.identification.whole_model import identify_model
+from ideal_robot.model.model import Model
+from ideal_robot.robots.collisions import Obstacle, Shapes
+from ideal_robot.signals.recording import Recording
+from scenes.arms import arm_of
+from scenes.identification.plan import plan, play_plan
+from scenes.result import Progress, part_of, silent
+from sim.arm.world import World
+
+
+def identified_model(robot_name: str, *, seed: int = 1, period: float = 20.0, world: World | None = None,
+                     boxes: Sequence[Obstacle] = (), progress: Progress = silent) -> tuple[Model, list[Recording]]:
+    """Plays two identification motions on a simulated arm and identifies everything from them.
+
+    Args:
+        robot_name: the arm as its data sheet has it.
+        seed: of motions and noise.
+        period: of the motions [s].
+        world: what the arm is like; its default world if None.
+        boxes: that stand in the cell.
+        progress: called with the fraction done.
+    """
+    robot = arm_of(robot_name)
+    if world is not None:
+        robot = replace(robot, t_ipo=world.t_ipo, t_position=world.t_position, t_velocity=world.t_velocity)
+    recordings = []
+    workspace = replace(Workspace.of(robot), cell=Shapes(robot, boxes=boxes)) if boxes else None
+    for run in range(2):
+        progress(0.4 * run, "planning an identification motion")
+        planned = plan(robot, "joint", seed=seed + run, period=period, workspace=workspace)
+        played = part_of(progress, 0.4 * run + 0.1, 0.3)
+        recordings.append(play_plan(planned, robot, seed + run, partial(_moving, played), world))
+    progress(0.8, "identifying")
+    model = identify_model(recordings, robot).model
+    return model.with_effects(fit_ripple(recordings, model, robot)), recordings
+
+
+def _moving(progress: Progress, share: float) -> None:
+    progress(share, "moving to be identified")
