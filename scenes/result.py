@@ -56,20 +56,14 @@ class CompareResult(Protocol):
         ...
 
 
-class ShownRun(Summarised):
-    """Base of results of a scene that was played once; ``scene``, ``failure`` and ``json`` are the subclass's."""
+class Shown(ABC):
+    """Base of what playing a scene gives; ``scene`` and ``json`` are the subclass's."""
 
     scene: Any
-    failure: str | None
 
     @abstractmethod
     def json(self) -> dict[str, Any]:
         """The content of ``--json``."""
-
-    def __repr__(self) -> str:
-        early = f", ended early: {self.failure}" if self.failure else ""
-        return in_lines(type(self).__name__, f"{self.scene.name!r}{early}",
-                        [f"{label} {value}" for label, value in self.summary()[:8]])
 
     def to_dict(self) -> dict[str, Any]:
         """The content of ``--json`` as plain values."""
@@ -77,14 +71,19 @@ class ShownRun(Summarised):
         return values
 
 
-class ShownTable(ABC):
-    """Base of results of a scene that was played several times; ``scene`` and ``json`` are the subclass's."""
+class ShownRun(Shown, Summarised):
+    """Base of results of a scene that was played once; ``failure`` is the subclass's, too."""
 
-    scene: Any
+    failure: str | None
 
-    @abstractmethod
-    def json(self) -> dict[str, Any]:
-        """The content of ``--json``."""
+    def __repr__(self) -> str:
+        early = f", ended early: {self.failure}" if self.failure else ""
+        return in_lines(type(self).__name__, f"{self.scene.name!r}{early}",
+                        [f"{label} {value}" for label, value in self.summary()[:8]])
+
+
+class ShownTable(Shown):
+    """Base of results of a scene that was played several times."""
 
     @abstractmethod
     def table(self) -> tuple[list[str], list[list[Any]]]:
@@ -103,11 +102,6 @@ class ShownTable(ABC):
 
     def _repr_html_(self) -> str:
         return html_table(*self.rows())
-
-    def to_dict(self) -> dict[str, Any]:
-        """The content of ``--json`` as plain values."""
-        values: dict[str, Any] = plain(self.json())
-        return values
 
 
 MOST = 100_000

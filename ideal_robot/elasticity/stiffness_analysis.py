@@ -201,7 +201,8 @@ def analyse_stiffness(recordings: Recording | Sequence[Recording], robot: Robot,
     wanted = [one for one in CLAMPED_METHODS if method in (one, "both")]
     if method == "both":
         # Both where both are recorded: a robot without a force sensor still gets its stiffnesses.
-        wanted = [one for one in wanted if all(_allows(signal, one) for signal in signals)]
+        wanted = [one for one in wanted
+                  if all((had.tau if one == "motor" else had.wrench) is not None for had in signals)]
     if clamp is None:
         clamp = robot.n == 6 and len(signals) > 1 and all(len(signal.measured) == 6 for signal in signals)
     joints: list[JointStiffness] = []
@@ -231,10 +232,6 @@ def _plausible(recordings: Sequence[Recording], robot: Robot) -> tuple[list[Reco
         usable.append(one)
         warnings += [f"{one.source}: {text}" for text in found]
     return usable, warnings
-
-
-def _allows(signals: ClampedSignals, method: Method) -> bool:
-    return (signals.tau if method == "motor" else signals.wrench) is not None
 
 
 def _warnings(signals: Sequence[ClampedSignals], robot: Robot, joints: Sequence[JointStiffness]) -> tuple[str, ...]:

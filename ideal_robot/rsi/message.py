@@ -204,7 +204,8 @@ def parse_rob(packet: bytes, n: int) -> RobMessage:
     setpoint, current = optional("ASPos"), optional("MACur")
     late = None
     if "Delay" in found:
-        counted = _LATE.fullmatch(_attributes(found["Delay"][0][0]).get("D", "").strip(_BLANKS))
+        named = {name: double or single for name, double, single in _ATTRIBUTE.findall(found["Delay"][0][0])}
+        counted = _LATE.fullmatch(named.get("D", "").strip(_BLANKS))
         if counted is None or len(found["Delay"]) > 1:
             ignored.append("Delay")
         else:
@@ -262,10 +263,6 @@ def _elements(text: str) -> dict[str, list[_Element]]:
     if open_tags or not closed or text[at:].strip(_BLANKS):
         raise PacketError("packet is not XML (it ends before </Rob>, or goes on after it)")
     return found
-
-
-def _attributes(text: str) -> dict[str, str]:
-    return {name: double or single for name, double, single in _ATTRIBUTE.findall(text)}
 
 
 def _only(found: dict[str, list[_Element]], tag: str) -> _Element | None:

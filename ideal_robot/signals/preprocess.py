@@ -7,6 +7,7 @@ the model does not claim to explain. Both cut-offs are chosen from the data unle
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
@@ -163,7 +164,8 @@ class EvenSignals:
         """Factor of decimation, and which decimated samples are clear of ends and holes."""
         rate = 1.0 / float(self.t[1] - self.t[0])
         factor = max(1, round(0.5 * rate / wanted))
-        return factor, _kept(self.hole, factor, edge=_edge_samples(rate, cutoff, factor))
+        # The ends of the recording are felt as far as the memory of both filters reaches.
+        return factor, _kept(self.hole, factor, edge=math.ceil(max(rate / cutoff, 5.0 * factor)))
 
 
 def evenly_sampled(recording: Recording, *, columns: bool = True) -> EvenSignals:
@@ -327,11 +329,6 @@ def chosen_cutoff(q: Array, dt: float) -> float:
     clear = f[1:][np.any(level > 10.0 * floor, axis=1)]
     noise_limit = float(clear[-1]) if len(clear) else rate
     return float(np.clip(10.0 * bandwidth, 2.0, max(2.0, min(noise_limit, 0.2 * rate))))
-
-
-def _edge_samples(rate: float, cutoff: float, factor: int) -> int:
-    """Samples that feel the ends of the recording: the memory of both filters."""
-    return int(np.ceil(max(1.0 * rate / cutoff, 5.0 * factor)))
 
 
 def _kept(hole: np.ndarray, factor: int, edge: int) -> np.ndarray:

@@ -203,13 +203,7 @@ class LiveForceTask(ForceTask):
         return super().command(t, q_d)
 
     def collect(self, t0: float, t1: float, measured: RobotState) -> None:
-        """See ``scenes.online.cycle.Task``.
-
-        Args:
-            t0: begin of the cycle [s].
-            t1: its end [s].
-            measured: what the controller reported at its end.
-        """
+        """See ``Task.collect``."""
         super().collect(t0, t1, measured)
         if self.follower.phase is Phase.TRAVEL:
             self.motors.hear(measured, self._torque[0] / self.cell.scene.force, self.follower.force,
@@ -295,13 +289,7 @@ class ForceJob:
         return CalibrationMotion.over(piece, self.calibration.camera, self.model, self.robot, self.detection)
 
     def ready(self, arm: LiveArm, camera: LiveCamera | None, force: LiveForce | None) -> Task:
-        """See ``Job``: bias and weight of the tool by turning it, the elasticity by pressing.
-
-        Args:
-            arm: connected, at the start.
-            camera: on the arm.
-            force: on the arm.
-        """
+        """See ``Job.ready``: bias and weight of the tool by turning it, the elasticity by pressing."""
         if force is None:
             raise SceneError("following a surface needs a force sensor")
         tool = tool_by_turning(self._known, self.q_start, arm, force)

@@ -231,13 +231,7 @@ class ForceTask:
         return self.follower.q_start
 
     def observe(self, t: float, q: Array, q_d: Array) -> None:
-        """Takes the motor angles at ``t``.
-
-        Args:
-            t: begin of the cycle [s].
-            q: motor angles ``(n,)`` [rad].
-            q_d: horizon of the last cycle ``(n_d, n)`` [rad]; not needed.
-        """
+        """See ``Task.observe``."""
         arm = q if self._arm is None else self._geometry.as_drawn(self._arm.step(t, q, self._torque[0], self.steps))
         self.follower.observe(t, arm)
 
@@ -300,13 +294,7 @@ class ForceTask:
             self._camera.request(t0, t1, self.vision.windows)
 
     def collect(self, t0: float, t1: float, measured: RobotState) -> None:
-        """Lets a feedforward that adapts learn from the cycle.
-
-        Args:
-            t0: begin of the cycle [s].
-            t1: its end [s].
-            measured: what the controller reported at its end.
-        """
+        """See ``Task.collect``: a feedforward that adapts learns from the cycle."""
         self._state = self.feedforward.observe(self._state, measured)
 
     def speed(self, t: float) -> float:

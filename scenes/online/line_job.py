@@ -241,13 +241,7 @@ class LineJob:
         self._task.prepare(0.0)
 
     def ready(self, arm: LiveArm, camera: LiveCamera | None, force: LiveForce | None) -> Task:
-        """See ``Job``.
-
-        Args:
-            arm: connected, at the start.
-            camera: on the arm.
-            force: on the arm.
-        """
+        """See ``Job.ready``."""
         if camera is None:
             raise SceneError("following a line needs a camera")
         camera.use(self.calibration.camera, self.calibration.time_offset)

@@ -99,13 +99,7 @@ class LineTask:
         return (self._count + 0.5) * self._T
 
     def observe(self, t: float, q: Array, q_d: Array) -> None:
-        """Takes the motor angles at ``t``; the arm's are those less the gears' deflection, where a model knows it.
-
-        Args:
-            t: begin of the cycle [s].
-            q: motor angles ``(n,)`` [rad].
-            q_d: horizon of the last cycle ``(n_d, n)`` [rad], from which the gears' deflection follows.
-        """
+        """See ``Task.observe``; the arm's angles are those less the gears' deflection, where a model knows it."""
         self.take_fields(t)
         self.take_angles(t, q, q_d)
 
@@ -119,13 +113,7 @@ class LineTask:
                 self._stamps.append(one.t_stamp)
 
     def take_angles(self, t: float, q: Array, q_d: Array) -> None:
-        """See ``observe``.
-
-        Args:
-            t: begin of the cycle [s].
-            q: motor angles ``(n,)`` [rad].
-            q_d: horizon of the last cycle ``(n_d, n)`` [rad].
-        """
+        """See ``Task.observe``."""
         self.follower.observe(t, self._arm.as_drawn(q if self._deflection is None else q - self._deflection.at(q_d)))
 
     def plan(self, t: float, q_d: Array) -> Array:
@@ -187,13 +175,7 @@ class LineTask:
         return search_windows(self.cell.camera, ahead, self.cell.detection)
 
     def collect(self, t0: float, t1: float, measured: RobotState) -> None:
-        """Lets a feedforward that adapts learn from the cycle, and keeps a field now and then for the report.
-
-        Args:
-            t0: begin of the cycle [s].
-            t1: its end [s].
-            measured: what the controller reported at its end.
-        """
+        """See ``Task.collect``: a feedforward that adapts learns, and a field now and then is kept for the report."""
         self._state = self.feedforward.observe(self._state, measured)
         k = round(t0 / self._T)
         if k not in self._picture_at:
@@ -271,13 +253,7 @@ class LiveLineTask(LineTask):
         self._prepared = round(t / self._T), found
 
     def observe(self, t: float, q: Array, q_d: Array) -> None:
-        """See ``scenes.online.cycle.Task``.
-
-        Args:
-            t: begin of the cycle [s].
-            q: motor angles ``(n,)`` [rad].
-            q_d: horizon of the last cycle ``(n_d, n)`` [rad].
-        """
+        """See ``Task.observe``."""
         if not self.ahead:
             self.take_fields(t)
         self.take_angles(t, q, q_d)
@@ -302,11 +278,5 @@ class LiveLineTask(LineTask):
         return super().command(t, q_d)
 
     def collect(self, t0: float, t1: float, measured: RobotState) -> None:
-        """Lets a feedforward that adapts learn; the pictures are in another process, none is kept.
-
-        Args:
-            t0: begin of the cycle [s].
-            t1: its end [s].
-            measured: what the controller reported at its end.
-        """
+        """See ``Task.collect``; the pictures are in another process, none is kept."""
         self._state = self.feedforward.observe(self._state, measured)

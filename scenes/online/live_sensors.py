@@ -59,14 +59,7 @@ class FoundBefore:
 
     def detect(self, field: Field, camera: CameraModel, prediction: PredictedLine,
                settings: DetectionSettings) -> LineField:
-        """As ``LineDetector.detect``.
-
-        Args:
-            field: an ``EvaluatedField``.
-            camera: not needed.
-            prediction: not needed.
-            settings: not needed.
-        """
+        """See ``LineDetector.detect``; of an ``EvaluatedField``, nothing else is needed."""
         return self.points(field)
 
     @staticmethod
@@ -120,14 +113,7 @@ class LiveCamera:
         return found
 
     def calibrate(self, camera: CameraModel, observations: Sequence[Observation], near: Array, normal: Array) -> None:
-        """Asks for a calibration; ``hand_eye`` is what comes of it.
-
-        Args:
-            camera: as mounted by hand.
-            observations: see ``sensing.camera.hand_eye.calibrate``.
-            near: see there.
-            normal: see there.
-        """
+        """See ``CameraProcess.calibrate``; ``hand_eye`` is what comes of it."""
         self.predict = None
         self._process.calibrate(camera, observations, near, normal)
 

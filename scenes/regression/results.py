@@ -99,7 +99,7 @@ def table(answers: Iterable[Mapping[Any, Any]]) -> pd.DataFrame:
     for answer in answers:
         kept = {key: value for key, value in plain(answer).items() if key not in NOT_RESULTS}
         kept.setdefault("individual", 1)
-        rows.append({key: value for key, value in _flat(kept).items() if not isinstance(value, list)})
+        rows.append({key: value for key, value in flat(kept).items() if not isinstance(value, list)})
     frame = pd.DataFrame(rows)
     texts = {"scene", "robot", "world", "method", "failure", "not_played", *HASHES}
     for name in (*CASE, *HASHES, "seed", "failure"):
@@ -119,10 +119,11 @@ def _is_number(value: Any) -> bool:
     return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
 
 
-def _flat(content: dict[str, Any], before: str = "") -> dict[str, Any]:
+def flat(content: dict[str, Any], before: str = "") -> dict[str, Any]:
+    """Values by dotted name, whether a name stands in quotes or as TOML's own dotted key."""
     found: dict[str, Any] = {}
     for key, value in content.items():
-        found |= _flat(value, f"{before}{key}.") if isinstance(value, dict) else {f"{before}{key}": value}
+        found |= flat(value, f"{before}{key}.") if isinstance(value, dict) else {f"{before}{key}": value}
     return found
 
 

@@ -13,7 +13,7 @@ from ideal_robot.errors import InputError, did_you_mean
 from scenes.kind import kind_of
 from scenes.methods import method_of
 from scenes.regression.paired import Rules
-from scenes.regression.results import MAIN, UNITS, unit_of
+from scenes.regression.results import MAIN, UNITS, flat, unit_of
 from scenes.scene_file import load_scene
 from scenes.scene_files.scene import Scene, Table, chosen, validated
 from scenes.sweep import MOST, Job, jobs
@@ -80,7 +80,7 @@ class Suite:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.file = _suite_file(path)
+        self.file = validated(SuiteFile, read_toml(path, "a suite file"), path)
         self.baseline = path.parent / self.file.baseline if self.file.baseline else Path(f"{path.stem}.baseline.json")
         self.rules = Rules(self.file.false_alarms, self.file.relevant)
         self.work: list[tuple[Job, dict[str, float]]] = []
@@ -89,7 +89,7 @@ class Suite:
         for number, case in enumerate(self.file.case):
             loaded = [_scene(name, path, f"case.{number}.scenes") for name in case.scenes]
             bounds = {figure: _bound(figure, value, path, f"case.{number}.bounds")
-                      for figure, value in _flat_bounds(case.bounds).items()}
+                      for figure, value in flat(case.bounds).items()}
             for job in jobs(loaded, case.methods, case.speeds, case.seeds, case.arms, case.world):
                 assert isinstance(job.scene, Scene)
                 _check_options(job.scene, job, path, number)
@@ -99,10 +99,6 @@ class Suite:
                                      file=path, field=f"case.{number}")
                 known[key] = job
                 self.work.append((job, bounds))
-
-
-def _suite_file(path: Path) -> SuiteFile:
-    return validated(SuiteFile, read_toml(path, "a suite file"), path)
 
 
 def _scene(name: str, suite: Path, field: str) -> Scene:
@@ -124,14 +120,6 @@ def _check_options(scene: Scene, job: Job, suite: Path, number: int) -> None:
     except InputError as error:
         raise InputError(error.message, file=suite, field=f"case.{number}.{(error.field or '').removeprefix('--')}",
                          value=error.value) from error
-
-
-def _flat_bounds(bounds: dict[str, Any], before: str = "") -> dict[str, Any]:
-    """Bounds by dotted name, whether the name stands in quotes or as TOML's own dotted key."""
-    found: dict[str, Any] = {}
-    for key, value in bounds.items():
-        found |= _flat_bounds(value, f"{before}{key}.") if isinstance(value, dict) else {f"{before}{key}": value}
-    return found
 
 
 def _bound(figure: str, value: Any, suite: Path, field: str) -> float:

@@ -150,13 +150,7 @@ class ServedCamera:
         self.address: tuple[str, int] = said
 
     def carry(self, t0: float, t1: float, host: float) -> None:
-        """See ``sim.devices.served_arm.Carried``.
-
-        Args:
-            t0: since when, of the session [s].
-            t1: until when [s].
-            host: this computer's time of ``t0`` [s].
-        """
+        """See ``Carried.carry``."""
         s, half = self._settings, 0.5 * self._settings.exposure
         end = host + (t1 - t0)
         # Exposures are evenly spaced on the camera's clock, whatever the arm does.
@@ -215,13 +209,7 @@ class ServedForce:
         self._number, self._next = 1000, 0.0
 
     def carry(self, t0: float, t1: float, host: float) -> None:
-        """See ``sim.devices.served_arm.Carried``.
-
-        Args:
-            t0: since when, of the session [s].
-            t1: until when [s].
-            host: this computer's time of ``t0`` [s].
-        """
+        """See ``Carried.carry``."""
         end = host + (t1 - t0)
         if self._next == 0.0:
             self._next = host

@@ -48,7 +48,8 @@ class LinePolynomial:
 
     def deviation(self, s: Array) -> tuple[Array, Array]:
         """Deviation and its standard deviation ``(k,)`` [m] at arc lengths ``(k,)`` [m]."""
-        V = _vandermonde(np.asarray(s, dtype=float), self.centre, self.scale, len(self.coefficients) - 1)
+        x = (np.asarray(s, dtype=float) - self.centre) / self.scale
+        V = np.vander(x, len(self.coefficients), increasing=True)
         variance = np.einsum("ij,jk,ik->i", V, self.covariance, V)
         return V @ self.coefficients, np.sqrt(variance)
 
@@ -169,10 +170,6 @@ def fit_of_lowest_order(
         if order == highest or (count == len(s) and fit.residual**2 * count <= chdtri(free, significance)):
             return fit
     return fit
-
-
-def _vandermonde(s: Array, centre: float, scale: float, degree: int) -> Array:
-    return np.vander((s - centre) / scale, degree + 1, increasing=True)
 
 
 @dataclass(frozen=True)

@@ -28,20 +28,10 @@ from scenes.commands import recordings
 from scenes.commands.common import progress_bar, show_table
 from scenes.path import kind
 from scenes.scene_file import load_scene
+from studies.sweeps import SCENES
 from tests.ideal_robot.test_door import ROBOT, frame
 
-SHORT = """
-kind = "line"
-title = "short"
-speed = 0.7
-[calibration]
-by_moving = false
-[surface]
-origin = [0.98, -0.6, 0.35]
-heading_deg = 90.0
-[line]
-points = [[0.4, 0.0], [0.8, 0.0]]
-"""
+SHORT = SCENES["short"]
 
 
 def test_run_writes_what_json_names(program, tmp_path: Path) -> None:

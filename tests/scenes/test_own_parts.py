@@ -40,6 +40,7 @@ from scenes.view.viewer import Viewer
 from sim.arm.world import World
 from sim.devices import rsi_controller
 from tests.conftest import Ended
+from tests.scenes.test_sweep import free_port
 from tests.sources import DATA, ROOT
 
 CALIBRATED = {"by_moving": False, "roll_deg": 0.01, "pitch_deg": 0.02, "yaw_deg": 0.02, "height_mm": 0.2,
@@ -196,7 +197,7 @@ def test_the_rsi_controller_plays_it(own: Path, tmp_path: Path) -> None:
 
 def test_it_is_viewed_as_rods_where_its_meshes_are_missing(own: Path) -> None:
     pytest.importorskip("viser")
-    viewer = Viewer(Robot.load(own), _free_port())
+    viewer = Viewer(Robot.load(own), free_port())
     try:
         assert len(viewer.shapes) >= 4
     finally:
@@ -214,12 +215,6 @@ def test_the_address_said_is_the_one_served() -> None:
     found = re.search(r"http://127\.0\.0\.1:(\d+)", done.output.partition("open ")[2])
     assert found is not None
     assert int(found[1]) != port
-
-
-def _free_port() -> int:
-    with socket.socket() as link:
-        link.bind(("127.0.0.1", 0))
-        return int(link.getsockname()[1])
 
 
 UR10E = DATA / "ur10e" / "ur10e.urdf"
