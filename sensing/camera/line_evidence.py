@@ -181,19 +181,20 @@ def _measured(lab: Lab, points: Array, halves: Array, edge: bool) -> tuple[Strip
     Returns:
         They; contrast over scatter; and difference of the sides over the contrast, 0 of an edge.
     """
-    tangents = _smooth(np.gradient(points, axis=0), 5)
+    steps = np.diff(points, axis=0)
+    tangents = _smooth(0.5 * (np.concatenate([steps[:1], steps]) + np.concatenate([steps, steps[-1:]])), 5)
     tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-9)
     normals = np.column_stack([-tangents[:, 1], tangents[:, 0]])
     along = _fine(points, normals)
     inner = np.zeros_like(halves) if edge else halves
-    half = float(np.median(halves))
+    half = float(_median(halves))
     outer = _EDGE_SIDE if edge else min(max(0.6 * half, 2.0), 12.0)
     offsets = np.clip(_T, -1.0, 1.0) * inner[:, None] + np.sign(_T) * np.maximum(np.abs(_T) - 1.0, 0.0) * outer
     X = _sampled(lab, along, offsets)
     groups = [X[:, _LEFT], X[:, _RIGHT]] if edge else [X[:, _LEFT], X[:, _RIGHT], X[:, _INSIDE]]
     means = [group.mean(axis=1) for group in groups]
     left, right, inside = means[0], means[1], means[-1]
-    color = np.median(inside - (left if edge else 0.5 * (left + right)), axis=0)
+    color = _median(inside - (left if edge else 0.5 * (left + right)))
     direction, clarity = _separating(groups, means, color)
     shown = (inside - left) @ direction
     shown = shown if edge else np.minimum(shown, (inside - right) @ direction)
@@ -203,8 +204,14 @@ def _measured(lab: Lab, points: Array, halves: Array, edge: bool) -> tuple[Strip
     middle, sigma = at.mean(axis=1), np.linalg.norm(sigmas, axis=1) / at.shape[1]
     widths = np.zeros_like(middle) if edge else np.maximum(at[:, 1] - at[:, 0], 0.5)
     found = points + middle[:, None] * normals
-    sides = 0.0 if edge else float(np.linalg.norm(np.median(left - right, axis=0)) / np.linalg.norm(color))
+    sides = 0.0 if edge else float(np.linalg.norm(_median(left - right)) / np.linalg.norm(color))
     return Strip(found, normals, widths, sigma, shown, color, direction, np.empty(0)), clarity, sides
+
+
+def _median(values: Array) -> Array:
+    """Median along the first axis: of few values a third of the time that NumPy's takes."""
+    values = np.sort(values, axis=0)
+    return np.asarray(0.5 * (values[(len(values) - 1) // 2] + values[len(values) // 2]))
 
 
 def _separating(groups: list[Array], means: list[Array], color: Array) -> tuple[Array, float]:
@@ -244,9 +251,8 @@ def _edges(lab: Lab, along: tuple[Array, Array], about: Array, direction: Array,
     slope = np.zeros_like(values)
     slope[..., 2:-2] = values[..., 3:-1] - values[..., 1:-3] + 0.5 * (values[..., 4:] - values[..., :-4])
     slope /= 4.0 * step
-    weight = slope - 0.02 * np.abs(offsets)
-    weight[..., :2] = weight[..., -2:] = -np.inf
-    k = weight.argmax(axis=2)
-    before, top, after = (np.take_along_axis(slope, k[..., None] + d, 2)[..., 0] for d in (-1, 0, 1))
+    k = 2 + slope[..., 2:-2].argmax(axis=2)
+    row, edge = np.ogrid[:n, :count]
+    before, top, after = (slope[row, edge, k + d] for d in (-1, 0, 1))
     shift = 0.5 * (before - after) / np.minimum(before - 2.0 * top + after, -1e-9)
     return about + offsets[k] + step * np.clip(shift, -0.5, 0.5), np.maximum(top, 1e-3)

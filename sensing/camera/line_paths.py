@@ -68,13 +68,13 @@ def lab_picture(picture: NDArray[np.uint8]) -> Lab:
     return lab
 
 
-def paths(lab: Lab, *, widest: float, most: int = 4) -> list[Path]:
+def paths(lab: Lab, *, widest: float, most: int = 8) -> list[Path]:
     """The paths that stand out most, along the picture's columns and along its rows.
 
     Args:
         lab: of ``lab_picture``.
         widest: of the lines, as a share of the picture's shorter side; 0 for single edges in the place of pairs.
-        most: how many of either direction and scale.
+        most: how many of either direction and scale at most.
     """
     height, width = lab.shape[:2]
     edges = widest == 0.0
@@ -93,7 +93,7 @@ def paths(lab: Lab, *, widest: float, most: int = 4) -> list[Path]:
             nodes, counts = _nodes(small, edges, widest * min(height, width) / scale)
             sums, came = _linked(nodes, counts, spacing)
             taken = np.zeros(sums.shape, np.bool_)
-            for _ in range(2 * most):
+            for _ in range(most):
                 place, score = _traced(nodes, counts, sums, came, taken)
                 if len(place) < 4:
                     continue
