@@ -97,14 +97,18 @@ def line_photographs(folder: Folder, kept: bool = True, seed: int = 1) -> None:
             verdicts = [_verdict(method(one), one) for one in of]
             count += len(of)
             for what in ("found", "another")[of is sets[2] or of is sets[3] :]:
-                cells.append(f"{100.0 * np.mean([one == what for one in verdicts]):.0f}")
+                cells.append(_share(verdicts, what))
         row(name, *cells, f"{1e3 * (time.process_time() - begun) / count:.0f}")
     twice = [one for one in sets[0] if len(one.second)]
     for name, verdicts in (
             ("the second marking", [_verdict(one.second[:, :2], one) for one in twice]),
             ("`detect`, by it", [_verdict(_ours(one, None), replace(one, line=one.second)) for one in twice])):
-        row(name, *(f"{100.0 * np.mean([one == what for one in verdicts]):.0f}" for what in ("found", "another")),
-            *[""] * 5)
+        row(name, *(_share(verdicts, what) for what in ("found", "another")), *[""] * 5)
+
+
+def _share(verdicts: list[str], what: str) -> str:
+    """How many of the verdicts are ``what`` [%]; a dash where there are none."""
+    return f"{100.0 * verdicts.count(what) / len(verdicts):.0f}" if verdicts else "–"
 
 
 def line_films(folder: Folder, most: int = 250) -> None:
