@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -24,6 +25,8 @@ def doubled(x):
 @pytest.fixture
 def source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr("numba.core.config.CACHE_DIR", "")
+    # Python's own bytecode tells versions of a source of equal size by the second.
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
     path = tmp_path / "compiled_here.py"
     path.write_text(SOURCE, encoding="utf-8")
     return path
