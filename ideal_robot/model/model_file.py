@@ -102,6 +102,8 @@ def _inertial(body: pin.Inertia) -> ET.Element:
 
 _SYMBOLS = 12
 """Full parameters a joint: ten of its link, its rotor inertia, its torque offset."""
+_ROUNDED = 1e-3
+"""Of correlations, what rounding may have made of them in the inverse of badly conditioned equations."""
 _SLOWEST_FILTER = 0.1
 """Of commands, each stage's time constant [s]: path planners smooth over less, and what is inverted grows with it."""
 
@@ -134,6 +136,7 @@ def require_consistent(model: Any, file: Path | str | None = None) -> None:
     ):
         if array is not None:
             _array(array, shape, key, file, finite=finite)
+    _covariance(model.covariance, file)
     _base(base, n, file)
     if model.stiffness is not None and np.any(model.stiffness <= 0):
         raise InputError("expected positive numbers", file=file, field="stiffness")
@@ -178,6 +181,20 @@ def _array(array: np.ndarray, shape: tuple[int, ...], key: str, file: Path | str
                          file=file, field=key)
     if finite and not np.all(np.isfinite(array)):
         raise InputError("expected finite numbers", file=file, field=key)
+
+
+def _covariance(covariance: np.ndarray, file: Path | str | None) -> None:
+    """Refuses what is no covariance; parameters with infinite entries are not known, and say nothing."""
+    known = np.isfinite(covariance).all(axis=0) & np.isfinite(covariance).all(axis=1)
+    C = covariance[np.ix_(known, known)]
+    if (np.diag(C) < 0.0).any():
+        i = int(np.flatnonzero(known)[np.argmin(np.diag(C))])
+        raise InputError("a variance is not negative", file=file, field=f"covariance.{i}.{i}",
+                         value=float(covariance[i, i]))
+    sigma = np.where(np.diag(C) > 0.0, np.sqrt(np.diag(C)), 1.0)
+    R = C / np.outer(sigma, sigma)
+    if not np.allclose(R, R.T, atol=_ROUNDED) or (R.size and np.linalg.eigvalsh(R)[0] < -_ROUNDED):
+        raise InputError("expected a symmetric matrix without negative eigenvalues", file=file, field="covariance")
 
 
 def _controller(controller: ControllerModel, n: int, file: Path | str | None) -> None:

@@ -41,6 +41,7 @@ def _set(values: Any, path: str, new: Any) -> None:
     ("base/independent/0", 9999), ("base/independent/0", "a"), ("base/full_names", ["a"]), ("base/gravitational", [1]),
     ("friction", []), ("friction/0/coefficients/0", [None]), ("friction/0/law", "magic"), ("friction/0/law", [1]),
     ("friction/0/shape", "x"), ("covariance", [[0.0]]), ("covariance", None), ("noise_std", [1.0] * 7),
+    ("covariance/14/14", -1.0), ("covariance/0/1", 1e9), ("covariance/0/0", 0.0),
     ("consistent", "text"), ("stiffness", [0.0] * 6), ("stiffness", [1.0]), ("robot/urdf", "<robot/>"),
     ("robot/urdf", None), ("robot/name", "[/red]\x1b"), ("effects", [{}]), ("effects", 3), ("effects", [3]),
     ("effects", [{"name": "unknown", "joint": 1, "coefficients": [1.0], "data": {}}]),
