@@ -8,9 +8,10 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -20,7 +21,7 @@ from scipy.interpolate import CubicSpline
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis import Diagnosis, Open, Options, diagnose, plan_diagnosis
 from ideal_robot.diagnosis.next_motion.questions import open_questions
-from ideal_robot.effects import SENSOR
+from ideal_robot.effects import SENSOR, library
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.identification.excitation import Workspace
 from ideal_robot.identification.idim import identify
@@ -37,12 +38,11 @@ from studies.strangers.effects import INSIDE, Setup
 from studies.strangers.engines import ENGINES
 from studies.strangers.logger import draw_logger, record
 from studies.strangers.plant import draw_plant
-from studies.strangers.score import Score, leaving_out, report, score
+from studies.strangers.score import Score, detection, leaving_out, power, reliability, report, score
 from studies.strangers.trial import Trial, Twin, draw_trial
 
 GAVE_UP = SimpleNamespace(verdict="failed", effects=(), unknown=())
 """What counts as the answer of a diagnosis that ends with an error."""
-Job = tuple[int, str | None, tuple[float, float], float]
 
 
 def strangers(seeds: str = "40000-40044", kind: str | None = None, sizes: str = "0.5,10", processes: int = 1,
@@ -56,32 +56,59 @@ def strangers(seeds: str = "40000-40044", kind: str | None = None, sizes: str = 
     of an effect halved, and says which factor on them each two engines ask for and what it does in the third.
     --kind known plays healthy recordings against the model that `identify` makes of another healthy recording.
     """
-    wanted, (least, most) = whole_numbers(seeds, "--seeds"), numbers(sizes, "--sizes")
-    texts = lines.read_text(encoding="utf-8").splitlines() if lines is not None and lines.is_file() else []
-    scores = [s for s in map(Score.from_dict, map(json.loads, texts)) if s.seed in wanted and kind in (None, s.kind)]
-    done = {s.seed for s in scores}
-    jobs: list[Job] = [(seed, kind, (least, most), share_scale) for seed in wanted if seed not in done]
-    with ProcessPoolExecutor(processes) as pool:
-        for s in filter(None, pool.map(_play, jobs) if processes > 1 else map(_play, jobs)):
-            scores.append(s)
-            print(_line(s), flush=True)
-            if lines is not None:
-                with lines.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(s.to_dict()) + "\n")
+    least, most = numbers(sizes, "--sizes")
+    play = partial(_play, kind=kind, size=(least, most), scale=share_scale)
+    scores = [s for s in _scores(whole_numbers(seeds, "--seeds"), lines, play, processes) if kind in (None, s.kind)]
     text = report(scores) if share_scale == 1.0 else leaving_out(scores, share_scale)
     print(text)
     if write:
         write_tables("stranger trials" if share_scale == 1.0 else "engines left out", text)
 
 
-def _play(job: Job) -> Score | None:
+def certainty(seeds: str = "1600000-1600079", inside: str = "1600100-1600163", sizes: str = "0.1,5",
+              lines: Path | None = None) -> None:
+    """How small a cause may be to be found, and how sure its name is: strangers with small effects.
+
+    Trials as in `strangers`, of 15 to 25 s: of --seeds the kind is drawn, those of --inside have one effect each that
+    the library has. --lines as there. The probability of a cause is that of `ideal-robot diagnose --explain`.
+    """
+    least, most = numbers(sizes, "--sizes")
+    play = partial(_play, size=(least, most), length=(15.0, 25.0), explain=True)
+    scores = [*_scores(whole_numbers(seeds, "--seeds"), lines, partial(play, kind=None)),
+              *_scores(whole_numbers(inside, "--inside"), lines, partial(play, kind="inside"))]
+    print("\n\n".join((power(scores), detection(scores, _family), reliability(scores))))
+
+
+def _family(cause: str) -> str:
+    """File of the effect that the library has for a cause."""
+    name = "dead_time" if cause == "arm_delay" else cause
+    return next(effect.__module__.rpartition(".")[2] for effect in library() if effect.name == name)
+
+
+def _scores(wanted: list[int], lines: Path | None, play: Callable[[int], Score | None],
+            processes: int = 1) -> list[Score]:
+    """Scores of seeds, played where they are no lines of a file yet, to which they are added."""
+    texts = lines.read_text(encoding="utf-8").splitlines() if lines is not None and lines.is_file() else []
+    scores = [s for s in map(Score.from_dict, map(json.loads, texts)) if s.seed in wanted]
+    jobs = sorted(set(wanted) - {s.seed for s in scores})
+    with ProcessPoolExecutor(processes) as pool:
+        for s in filter(None, pool.map(play, jobs) if processes > 1 else map(play, jobs)):
+            scores.append(s)
+            print(_line(s), flush=True)
+            if lines is not None:
+                with lines.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(s.to_dict()) + "\n")
+    return scores
+
+
+def _play(seed: int, *, kind: str | None, size: tuple[float, float], length: tuple[float, float] = (20.0, 45.0),
+          scale: float = 1.0, explain: bool = False) -> Score | None:
     """Draws, diagnoses and scores one trial; None where nothing can be drawn from its seed.
 
     A diagnosis that gives up has said nothing, and is never right.
     """
-    seed, kind, size, scale = job
     try:
-        trial = draw_trial(seed, kind, None, size)
+        trial = draw_trial(seed, kind, None, size, length)
     except RuntimeError as error:
         print(error, flush=True)
         return None
@@ -89,7 +116,8 @@ def _play(job: Job) -> Score | None:
         try:
             model = known_before(trial, robot)
             start = time.process_time()
-            found = diagnose(trial.recording, robot, model=model, options=Options().scaled(scale))
+            found = diagnose(trial.recording, robot, model=model, options=Options().scaled(scale),
+                             explain=explain)
         except (IdealRobotError, ArithmeticError, ValueError) as error:
             print(f"{seed}: {error}", flush=True)
             return score(trial, GAVE_UP)

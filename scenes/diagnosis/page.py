@@ -261,7 +261,7 @@ def _remaining(page: Report, diagnosis: Diagnosis) -> None:
     for words, found in (("before", diagnosis.before), ("after", diagnosis.remaining)):
         if found:
             page.table(["channel", "depends on", "share of squares", "by chance", "p-value"],
-                       [[s.channel, " and ".join(s.depends_on), s.share, s.expected, s.p_value]
+                       [[s.channel, " and ".join(s.depends_on), s.share, s.share_by_chance, s.p_value]
                         for s in found],
                        f"Residual {words}: smooth curves over single signals; by chance: with the signs of whole "
                        "blocks of time flipped at random.")

@@ -9,9 +9,12 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize
+from scipy.special import expit, logit
 
 from studies.strangers.trial import LATE, Trial
 
@@ -32,6 +35,8 @@ class Score:
         right: everything, and nothing else.
         covered: for each parameter that can be compared, its error over its standard deviation.
         seconds: processor time of the diagnosis.
+        probabilities: for each of ``named`` how probable it is by its argument, with what it is said not to be told
+            from, and whether one of these is there; empty where no arguments were asked for.
     """
 
     seed: int
@@ -53,6 +58,7 @@ class Score:
     covered: tuple[tuple[str, float], ...]
     seconds: float
     margins: tuple[float, ...] = ()
+    probabilities: tuple[tuple[float, bool], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -104,13 +110,39 @@ def score(trial: Trial, diagnosis: Any, seconds: float = 0.0) -> Score:
                  trial.friction, trial.gears, tuple((c.name, c.joint, c.size) for c in trial.causes),
                  str(diagnosis.verdict), named, unknown, false, found, bool(right), tuple(covered), seconds,
                  tuple(_margin(e) for e, said_ in zip((*diagnosis.effects, *diagnosis.unknown), said, strict=True)
-                       if said_ in false))
+                       if said_ in false),
+                 _probabilities(diagnosis, true | trial.healthy))
 
 
 def _margin(found: Any) -> float:
     """How many times the share of the residual an effect took away that was asked of it; NaN where it does not say."""
     evidence = getattr(found.fitted, "evidence", {})
     return float(evidence["share"] / evidence["share_asked"]) if evidence.get("share_asked") else float("nan")
+
+
+def _probabilities(diagnosis: Any, true: frozenset[tuple[str, int]]) -> tuple[tuple[float, bool], ...]:
+    """Of each cause that was named: its probability, and whether it or one it is not told from is there."""
+    arguments, result = [a for a in getattr(diagnosis, "arguments", ()) if a.name != "unknown"], []
+    for argument, effect in zip(arguments, diagnosis.effects, strict=False):
+        alike, fitted = {argument.name, *effect.indistinguishable_from}, effect.fitted
+        there = any((said_name(name, fitted.channel), joint) in true for name in alike for joint in (fitted.joint, 0))
+        result.append((probability(argument, alike), there))
+    return tuple(result)
+
+
+def probability(argument: Any, alike: set[str]) -> float:
+    """Probability of a cause by its argument, against the next best other cause, or none.
+
+    The odds are those of the score, averaged over its standard error: MacKay's moderated output (1992). A curve names
+    no cause, and is none of the others.
+
+    Args:
+        argument: an ``ideal_robot.diagnosis.validation.argument.Argument``, or anything with its sets.
+        alike: names of the cause and of what is said not to be told from it.
+    """
+    sets = [(one.nats / np.sqrt(1.0 + np.pi / 8.0 * one.std**2), one.name.partition("/")[0] in alike)
+            for one in argument.sets if not one.learned]
+    return float(expit(min(nats for nats, own in sets if not own) - min([0.0, *(nats for nats, own in sets if own)])))
 
 
 def said_name(name: str, channel: str) -> str:
@@ -120,7 +152,7 @@ def said_name(name: str, channel: str) -> str:
     return f"tool:{name}" if channel and channel[0] in "xyz" else name
 
 
-SIZES = (0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
+SIZES = (0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
 """Edges of the power curve, in multiples of visible."""
 VISIBLE = 3.0
 """Size from which on the rates that were asked for hold."""
@@ -158,23 +190,92 @@ def rates(scores: Sequence[Score]) -> str:
     return "\n".join(lines)
 
 
-def power(scores: Sequence[Score], by: str = "engine") -> str:
-    """Markdown table of finding one effect of the library, right and nothing else, over its size.
-
-    Args:
-        scores: of trials.
-        by: an attribute of the trials; a column for each of its values.
-    """
+def power(scores: Sequence[Score]) -> str:
+    """Markdown table of finding one effect of the library, right and nothing else, over its size, by engine."""
     single = [s for s in scores if s.kind in _SINGLE]
-    values = sorted({getattr(s, by) for s in single})
-    lines = [f"| size, × visible | effects | named at its joint | and nothing else | {' | '.join(values)} |",
-             "| --- | --- | --- | --- |" + " --- |" * len(values)]
+    engines = sorted({s.engine for s in single})
+    lines = [f"| size, × visible | effects | named at its joint | and nothing else | {' | '.join(engines)} |",
+             "| --- | --- | --- | --- |" + " --- |" * len(engines)]
     for low, high in zip((0.0, *SIZES), (*SIZES, np.inf), strict=True):
         here = [s for s in single if low <= s.causes[0][2] < high]
         if here:
-            cells = [_share(s.right for s in here if getattr(s, by) == value) for value in values]
+            cells = [_share(s.right for s in here if s.engine == engine) for engine in engines]
             lines.append(f"| {low:g} … {high:g} | {len(here)} | {_share(all(s.found) for s in here)} | "
                          f"{_share(s.right for s in here)} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def detection(scores: Sequence[Score], family_of: Callable[[str], str]) -> str:
+    """Markdown table: sizes at which half and nine tenths of the effects of a family are named at their joint.
+
+    The log odds of being named are a family's own plus a slope, common to all, times the logarithm of the size: one
+    logistic regression of all trials by Firth's penalised likelihood (1993), finite where a family was always named.
+    In brackets one standard error to either side. False names are those of recordings with an effect between half and
+    twice of that size; their standard error is a Poisson number's under Jeffreys' prior.
+
+    Args:
+        scores: of trials.
+        family_of: a cause by its name.
+    """
+    trials = [s for s in scores if s.kind in _SINGLE]
+    size, found, false = np.array([(np.log(s.causes[0][2]), all(s.found), len(s.false)) for s in trials]).T
+    family = np.array([family_of(s.causes[0][0]) for s in trials])
+    lines = ["| family | effects | named | half of them from | false names there | nine tenths from | "
+             "false names there |", "| --- " * 7 + "|"]
+    for group in (["all"], sorted(set(family))):
+        member = np.array([(family == one) | (one == "all") for one in group])
+        beta, covariance = _logistic(np.vstack([member, size]).T, found > 0.0)
+        for k, (one, own) in enumerate(zip(group, member, strict=True)):
+            cells = []
+            for share in (0.5, 0.9):
+                at = (logit(share) - beta[k]) / beta[-1]
+                slope = np.zeros(len(beta))
+                slope[[k, -1]] = -1.0, -at
+                error = np.sqrt(slope @ covariance @ slope) / beta[-1]
+                here = false[own & (np.abs(size - at) < np.log(2.0))]
+                cells.append(f"{np.exp(at):.2g} ({np.exp(at - error):.2g} … {np.exp(at + error):.2g})")
+                cells.append(f"{here.mean():.2f} ± {np.sqrt(here.sum() + 0.5) / len(here):.2f}" if len(here) else "")
+            lines.append(f"| {one} | {own.sum()} | {found[own].sum():.0f} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _logistic(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients of a logistic regression ``(p,)`` by Firth's penalised likelihood, and their covariance."""
+    def information(beta: np.ndarray) -> np.ndarray:
+        p = expit(x @ beta)
+        return np.asarray(x.T * (p * (1.0 - p)) @ x)
+
+    def loss(beta: np.ndarray) -> float:
+        at = np.where(y, 1.0, -1.0) * (x @ beta)
+        return float(np.logaddexp(0.0, -at).sum() - 0.5 * np.linalg.slogdet(information(beta))[1])
+
+    beta = minimize(loss, np.append(np.zeros(x.shape[1] - 1), 1.0)).x
+    return beta, np.linalg.inv(information(beta))
+
+
+PROBABILITIES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 1.0)
+"""Edges of the reliability table."""
+
+
+def reliability(scores: Sequence[Score]) -> str:
+    """Markdown table: of the causes that were said with a probability, how many are there.
+
+    There is one where it, or what it is said not to be told from, is there. The Brier score is the mean square of what
+    was said less what came out; beside it that of saying of every cause the share of all that are there. The standard
+    error is that of the share under Jeffreys' prior.
+    """
+    p, there = np.array([one for s in scores for one in s.probabilities], dtype=float).T
+    lines = ["| probability said | causes | its mean | there | share | Brier score | of one share for all |",
+             "| --- " * 7 + "|"]
+    for low, high in (*pairwise(PROBABILITIES), (0.0, 1.0)):
+        here = (p >= low) & ((p < high) | (high == 1.0))
+        if n := int(here.sum()):
+            k = float(there[here].sum())
+            share = (k + 0.5) / (n + 1.0)
+            scored = [np.mean((guess - there[here]) ** 2) for guess in (p[here], there.mean())]
+            lines.append(f"| {low:g} … {high:g} | {n} | {p[here].mean():.3f} | {k:.0f} | {k / n:.2f} ± "
+                         f"{np.sqrt(share * (1.0 - share) / (n + 2.0)):.2f} | "
+                         f"{' | '.join(f'{value:.3f}' for value in scored)} |")
     return "\n".join(lines)
 
 
@@ -226,11 +327,7 @@ def confusion(scores: Sequence[Score]) -> str:
 
 
 def intervals(scores: Sequence[Score]) -> str:
-    """Markdown table: how many 95 % intervals hold the truth, by parameter, and the factor on σ that would make it so.
-
-    The factor is the 95 % quantile of the errors over 1.96 σ; that of the engines but one is set against the intervals
-    of the engine left out.
-    """
+    """Markdown table: how many 95 % intervals hold the truth, by parameter, and its median error in σ."""
     rows: dict[str, list[float]] = defaultdict(list)
     for s in scores:
         for name, error in s.covered:
@@ -238,14 +335,6 @@ def intervals(scores: Sequence[Score]) -> str:
     lines = ["| parameter | 95 % intervals that hold the truth | median error, in σ |", "| --- | --- | --- |"]
     lines += [f"| {name} | {_of([e <= 1.96 for e in errors])} | {np.median(errors):.1f} |"
               for name, errors in sorted(rows.items())]
-    lines += ["", "| engine left out | factor on σ from the others | its intervals that hold the truth with it |",
-              "| --- | --- | --- |"]
-    for engine in sorted({s.engine for s in scores}):
-        others = [abs(e) for s in scores if s.engine != engine for _, e in s.covered]
-        own = [abs(e) for s in scores if s.engine == engine for _, e in s.covered]
-        if others and own:
-            factor = max(float(np.quantile(others, 0.95)) / 1.96, 1.0)
-            lines.append(f"| {engine} | {factor:.1f} | {_of([e <= 1.96 * factor for e in own])} |")
     return "\n".join(lines)
 
 
@@ -281,8 +370,7 @@ def leaving_out(scores: Sequence[Score], scale: float) -> str:
 
 def report(scores: Sequence[Score]) -> str:
     """All tables."""
-    parts = [rates(scores), *(power(scores, by) for by in ("engine", "motion", "logger")), falsehoods(scores),
-             confusion(scores), intervals(scores)]
+    parts = [rates(scores), power(scores), falsehoods(scores), confusion(scores), intervals(scores)]
     parts += [breakdown(scores, by) for by in ("engine", "motion", "logger", "friction", "gears", "controller")]
     return "\n\n".join(parts)
 

@@ -10,13 +10,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from ideal_robot.diagnosis.validation.argument import Argument, Weighed
 from ideal_robot.signals.recording import Recording
 from studies.__main__ import GROUPS, STUDIES, main
 from studies.strangers.effects import INSIDE, Setup
 from studies.strangers.engines import ENGINES
 from studies.strangers.logger import draw_logger, left, read, record, sizes
 from studies.strangers.other_effects import NEW
-from studies.strangers.score import Score, leaving_out, power, rates, score
+from studies.strangers.score import Score, detection, leaving_out, power, probability, rates, reliability, score
 from studies.strangers.trial import KINDS, SHARES, Cause, Trial, draw_trial, right_names
 from tests.arms import a_motion, a_plant, an_arm
 from tests.sources import ROOT
@@ -206,6 +207,64 @@ def test_scores_survive_json_and_make_tables() -> None:
     assert "| empty ones left alone | 0 % of 1 |" in rates(every)
     assert "| false names per recording | 0.50 |" in rates(every)
     assert "| 3 … 5 | 1 | 100 % of 1 | 100 % of 1 | 100 % of 1 |" in power(every)
+
+
+def test_the_size_that_is_found_half_of_the_time_comes_back_from_what_was_found() -> None:
+    right = score(a_trial(("stribeck", 2)), said("effects", ("stribeck", 2)))
+    rng = np.random.default_rng(3)
+    every = []
+    for size in np.exp(rng.uniform(np.log(0.1), np.log(5.0), 2000)):
+        # Half of them from 0.8 on, nine tenths from 0.8 * 9 ** 0.5 = 2.4.
+        seen = rng.uniform() < 1.0 / (1.0 + (size / 0.8) ** -2.0)
+        every.append(dataclasses.replace(right, causes=(("stribeck", 2, float(size)),), found=(bool(seen),)))
+    cells = detection(every, lambda cause: "friction").splitlines()[2].split("|")
+    half, nine = (float(cells[k].split()[0]) for k in (4, 6))
+    assert half == pytest.approx(0.8, rel=0.1)
+    assert nine == pytest.approx(2.4, rel=0.1)
+    assert cells[5].strip().startswith("0.00 ± 0.00")
+    # A family that was always found has finite sizes all the same.
+    alone = detection([dataclasses.replace(one, found=(True,)) for one in every[:5]],
+                      lambda cause: "friction")
+    assert "nan" not in alone
+    assert "inf" not in alone
+    assert "| friction | 5 | 5 |" in alone
+
+
+def test_the_probability_of_a_cause_is_against_what_else_could_be_named() -> None:
+    def of(*sets: Weighed) -> float:
+        every = (*sets, Weighed("", 0, 310.0, 40.0))
+        return probability(Argument("stribeck", 3, "tau_3", "joint 3", every, (2.0, 4.0), "", 1.0),
+                           {"stribeck", "degressive"})
+
+    # Without a standard error the odds are those of the score.
+    assert of(Weighed("backlash/tau_flight", 3, np.log(4.0), 0.0)) == pytest.approx(0.8)
+    # Nothing is certain because of a difference within its standard error.
+    assert 0.6 < of(Weighed("backlash", 3, 20.0, 40.0)) < 0.75
+    assert of(Weighed("backlash", 3, -20.0, 40.0)) < 0.4
+    # A curve is no cause, and a cause that is said beside it takes nothing away.
+    certain = of()
+    assert certain > 0.99
+    assert of(Weighed("a curve over qd_3", 3, -50.0, 3.0, learned=True)) == certain
+    assert of(Weighed("degressive", 3, -5.0, 3.0)) >= certain
+
+
+def test_causes_said_with_a_probability_are_counted_where_it_was_asked_for() -> None:
+    trial, answer = a_trial(("stribeck", 2)), said("effects", ("stribeck", 2), ("dead_time", 5), unknown=(3,))
+    assert score(trial, answer).probabilities == ()
+    for effect, rivals in zip(answer.effects, (("degressive",), ()), strict=True):
+        effect.indistinguishable_from = rivals
+    answer.arguments = [SimpleNamespace(name=name, sets=(Weighed("", 0, np.log(odds), 0.0),)) for name, odds in (
+        ("stribeck", 24.0), ("unknown", 1.0), ("dead_time", 1.5))]
+    made = score(trial, answer)
+    assert made.probabilities == (pytest.approx((0.96, True)), pytest.approx((0.6, False)))
+    lines = reliability([made, score(a_trial(), said("none"))]).splitlines()
+    assert lines[2].startswith("| 0.5 … 0.8 | 1 | 0.600 | 0 | 0.00 ±")
+    assert lines[3].startswith("| 0.95 … 0.99 | 1 | 0.960 | 1 | 1.00 ±")
+    # (0.04² + 0.6²) / 2, and half of them are there.
+    assert lines[4].startswith("| 0 … 1 | 2 | 0.780 | 1 | 0.50 ±")
+    assert lines[4].endswith("| 0.181 | 0.250 |")
+    # What it is said not to be told from is a right answer as well.
+    assert score(a_trial(("degressive", 2)), answer).probabilities[0][1]
 
 
 @pytest.mark.parametrize(("joint", "allowed"), [(5, True), (2, False)])

@@ -53,15 +53,9 @@ class Dependence:
 
 def signal_names(signals: Signals, channel: int) -> list[str]:
     """Signals of one channel's residual that are worth looking at, those that hardly vary left out."""
-    n = signals.n
-    names = ["t"]
-    for kind in ("q", "qd", "qdd"):
-        names += [f"{kind}_{i + 1}" for i in range(n)]
-    own = min(channel, n - 1) + 1
-    names += [f"load_{own}"]
-    if signals.temperature is not None:
-        names += [f"temp_{own}"]
-    names += list(signals.extra)
+    own = min(channel, signals.n - 1) + 1
+    names = ["t", *(f"{kind}_{i + 1}" for kind in ("q", "qd", "qdd") for i in range(signals.n)), f"load_{own}",
+             *([] if signals.temperature is None else [f"temp_{own}"]), *signals.extra]
     return [name for name in names if _varies(signal_of(signals, name))]
 
 

@@ -303,6 +303,4 @@ def weights_of_channels(design: Design, keys: list[str], prior: Array | None, ro
 def _inverse_variance(squares: Array, count: Array) -> Array:
     """1/σ² of each channel from squares ``(B, c)`` over as many samples ``(B, c)``; zero for an empty channel."""
     total, number = squares.sum(axis=0), count.sum(axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        weights = np.where((number > 0) & (total > 0), number / np.maximum(total, 1e-300), 0.0)
-    return np.asarray(weights)
+    return np.where((number > 0) & (total > 0), number / np.maximum(total, 1e-300), 0.0)

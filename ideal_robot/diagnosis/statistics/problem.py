@@ -110,7 +110,8 @@ def fitted_effect(candidate: Candidate, found: Estimate, k: int, *, sliding: boo
     theta_std = tuple(float(v) for v in found.theta_std[k])
     parameters = effect.parameters(found.coefficients[k], found.std[k], theta, theta_std)
     if sliding:
-        parameters = [replace(p, unit=linear_unit(p.unit)) for p in parameters]
+        parameters = [replace(p, unit=p.unit.replace("N m", "N").replace("kg m²", "kg").replace("rad", "m"))
+                      for p in parameters]
     return FittedEffect(effect.name, candidate.joint, effect.channel(candidate.joint),
                         tuple(float(v) for v in found.coefficients[k]), tuple(float(v) for v in found.std[k]), theta,
                         theta_std, effect.to_data(), tuple(parameters), evidence or {})
@@ -119,11 +120,6 @@ def fitted_effect(candidate: Candidate, found: Estimate, k: int, *, sliding: boo
 def fitted_effects(candidates: Sequence[Candidate], found: Estimate) -> tuple[FittedEffect, ...]:
     """All effects of a fit, in their order, with their numbers."""
     return tuple(fitted_effect(candidate, found, k) for k, candidate in enumerate(candidates))
-
-
-def linear_unit(unit: str) -> str:
-    """The unit of a prismatic joint's parameter: N m → N, rad → m, kg m² → kg."""
-    return unit.replace("N m", "N").replace("kg m²", "kg").replace("rad", "m")
 
 
 def with_parameters(model: Model, change: Array, covariance: Array | None = None) -> Model:

@@ -261,19 +261,18 @@ def with_named_effects(recording: Recording, robot: Robot, model: Model,
     """
     (recording,), _ = checked([recording], robot)
     torque = torque_regression(recording, robot, model, payload=True)
-    made: list[tuple[Domain, Regression | None]] = [
-        (domain, build(recording, robot, torque, model.stiffness)) for domain, build in
-        ((ARM_POSITION, arm_angle_regression), (TCP_POSITION, tool_regression))]
-    made.append((MOTOR_TORQUE, torque))
+    made: dict[Domain, Regression | None] = {
+        ARM_POSITION: arm_angle_regression(recording, robot, torque, model.stiffness),
+        TCP_POSITION: tool_regression(recording, robot, torque, model.stiffness), MOTOR_TORQUE: torque}
     wanted: dict[Domain, list[tuple[list[Effect], int]]] = {}
     for name, joint in effects:
-        place = next((domain for domain, regression in made if regression is not None and _named(name, domain)), None)
+        place = next((domain for domain, one in made.items() if one is not None and _named(name, domain)), None)
         if place is not None:
             wanted.setdefault(place, []).append((_named(name, place), joint))
         elif name not in names():
             raise InputError("no such effect", field="effect", value=name)
     found: list[FittedEffect] = []
-    for domain, regression in made:
+    for domain, regression in made.items():
         if regression is None or domain not in wanted:
             continue
         problem = held_problem(regression, model) if domain == MOTOR_TORQUE else Problem.of(regression, False)

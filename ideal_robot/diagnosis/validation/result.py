@@ -202,14 +202,14 @@ class Structure:
     Attributes:
         channel: where.
         depends_on: the signals.
-        share, expected: share of the squares explained, and by chance.
+        share, share_by_chance: of the squares, explained and expected.
         p_value: under the null hypothesis.
     """
 
     channel: str
     depends_on: tuple[str, ...]
     share: float
-    expected: float
+    share_by_chance: float
     p_value: float
 
 
@@ -312,8 +312,7 @@ class Diagnosis(Summarised):
             "held_out": {"how": self.held_out_how, "seconds": self.held_out_seconds},
             "not_transferred": [d.to_dict() for d in self.not_transferred],
             "undecided": [{"joint": joint, "reason": reason} for joint, reason in sorted(self.undecided.items())],
-            "residual_before": [_structure(s) for s in self.before],
-            "residual_after": [_structure(s) for s in self.remaining],
+            "residual_before": self.before, "residual_after": self.remaining,
             "warnings": list(self.warnings),
             "unused": [{"columns": names, "reason": reason} for names, reason in self.unused.items()],
             **({"explained": [a.to_dict() for a in self.arguments]} if self.arguments else {}),
@@ -324,8 +323,3 @@ class Diagnosis(Summarised):
             "above_noise": [c.channel for c in self.channels if c.above_noise],
         })
         return values
-
-
-def _structure(s: Structure) -> dict[str, Any]:
-    return {"channel": s.channel, "depends_on": list(s.depends_on), "share": s.share, "share_by_chance": s.expected,
-            "p_value": s.p_value}
