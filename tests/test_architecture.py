@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from functools import cache
 
 import pytest
 
@@ -41,6 +42,7 @@ RUN_NOT_IMPORTED = {"mypy", "pandas-stubs", "pytest-xdist", "ruff", "import-lint
 """Tools of development, and counterparts in tests, that are started as programs."""
 
 
+@cache
 def imports(tree: ast.AST) -> list[str]:
     """Full names of what is imported anywhere in a tree, whole modules and what is taken from them."""
     found = []
@@ -134,6 +136,7 @@ def test_importing_the_packages_is_cheap() -> None:
     assert done.returncode == 0, done.stderr
 
 
+@cache
 def functions() -> list[tuple[str, ast.FunctionDef]]:
     """All functions, named by file, class and name."""
     found = []

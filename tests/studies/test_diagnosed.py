@@ -27,6 +27,7 @@ def diagnosed(seed: int) -> tuple[Trial, Any, Score]:
     return trial, found, score(trial, found)
 
 
+@pytest.mark.slow
 def test_a_payload_that_refitting_could_swallow_is_said() -> None:
     trial, found, result = diagnosed(50051)
     assert [cause.name for cause in trial.causes] == ["payload"]
@@ -36,6 +37,7 @@ def test_a_payload_that_refitting_could_swallow_is_said() -> None:
     assert tau_2.rms_refit < 0.1 * tau_2.rms_before
 
 
+@pytest.mark.slow
 def test_an_uneven_gear_keeps_its_order_beside_elastic_ones() -> None:
     trial, found, result = diagnosed(50004)
     assert [cause.name for cause in trial.causes] == ["transmission_error"]
@@ -70,15 +72,15 @@ def _late_by(recording: Recording, delay: float) -> Recording:
     return dataclasses.replace(recording, columns=late)
 
 
-@pytest.mark.parametrize("seed", [994008, pytest.param(994001, marks=pytest.mark.slow),
-                                  pytest.param(994003, marks=pytest.mark.slow),
-                                  pytest.param(994005, marks=pytest.mark.slow)])
-def test_a_clock_that_is_late_for_all_torques_is_a_common_delay(seed: int) -> None:
+@pytest.mark.parametrize(("seed", "delays"), [
+    (994008, (5e-3,)), *(pytest.param(seed, (0.0, 5e-3, 12e-3), marks=pytest.mark.slow)
+                         for seed in (994001, 994003, 994005, 994008))])
+def test_a_clock_that_is_late_for_all_torques_is_a_common_delay(seed: int, delays: tuple[float, ...]) -> None:
     """In each of three engines; a filter as the only name would say that fast motion is weakened."""
     trial = draw_trial(seed, "none", size=(3.0, 10.0), seconds=(15.0, 25.0))
     assert trial.late == 0.0
     with robot_of(trial.urdf) as robot:
-        for delay in (0.0, 5e-3, 12e-3):
+        for delay in delays:
             found = [e for e in diagnose(_late_by(trial.recording, delay), robot).effects
                      if isinstance(e.fitted.effect, CommonDelay)]
             assert [e.fitted.name for e in found] == (["common_delay"] if delay else [])
@@ -141,11 +143,12 @@ def test_what_was_once_wrong(seed: int) -> None:
     assert diagnosed(seed)[2].right
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [
     pytest.param(733503, id="what the model's own recording left open of friction is nothing that refitting reveals"),
-    pytest.param(733508, marks=pytest.mark.slow, id="a cycle that is repeated tells friction no better"),
-    pytest.param(733517, marks=pytest.mark.slow, id="late torques bent the parameters of the model"),
-    pytest.param(733518, marks=pytest.mark.slow, id="joints that a few seconds of a Fourier motion excite badly"),
+    pytest.param(733508, id="a cycle that is repeated tells friction no better"),
+    pytest.param(733517, id="late torques bent the parameters of the model"),
+    pytest.param(733518, id="joints that a few seconds of a Fourier motion excite badly"),
 ])
 def test_nothing_is_said_against_the_model_of_another_healthy_recording(seed: int) -> None:
     trial = draw_trial(seed, "known")

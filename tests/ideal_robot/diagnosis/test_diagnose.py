@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -24,21 +25,26 @@ from studies.strangers.arm import robot_of
 from studies.strangers.integrator import simulate
 from studies.strangers.logger import draw_logger, record
 from studies.strangers.score import score
-from studies.strangers.trial import draw_trial
+from studies.strangers.trial import Trial, draw_trial
 from tests.arms import a_motion, a_plant, an_arm
 from tests.sources import DATA
 
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="measured data (../shared/data) are not beside the checkout")
 
 
+@cache
+def stranger(seed: int, kind: str) -> Trial:
+    return draw_trial(seed, kind, size=(3.0, 10.0), seconds=(12.0, 15.0))
+
+
 @pytest.mark.parametrize(("seed", "kind"), [(770002, "none"), (770017, "inside"), (770017, "outside"),
-                                            (770036, "two")])
+                                            pytest.param(770036, "two", marks=pytest.mark.slow)])
 def test_recording_of_a_stranger(seed, kind):
     """Short ones in other physics than the library has; more in ``tests/studies``.
 
     All are of chains of two joints, which are drawn whether measured arms are there or not.
     """
-    trial = draw_trial(seed, kind, size=(3.0, 10.0), seconds=(12.0, 15.0))
+    trial = stranger(seed, kind)
     with robot_of(trial.urdf) as robot:
         found = diagnose(trial.recording, robot)
     assert score(trial, found).right, (trial.causes, found.effects)

@@ -18,11 +18,11 @@ from ideal_robot.effects.registry import find
 from ideal_robot.model.model import Model
 from scenes.diagnosis.page import diagnosis_page
 from studies.strangers.arm import robot_of
-from studies.strangers.trial import draw_trial
+from tests.ideal_robot.diagnosis.test_diagnose import stranger
 
 
 def of_a_stranger(*, explain: bool) -> Diagnosis:
-    trial = draw_trial(770017, "inside", size=(3.0, 10.0), seconds=(12.0, 15.0))
+    trial = stranger(770017, "inside")
     with robot_of(trial.urdf) as robot:
         return diagnose(trial.recording, robot, explain=explain)
 
@@ -46,7 +46,7 @@ def test_each_cause_is_weighed_against_all_others_and_nothing_else_changes(tmp_p
 
 
 def test_the_score_is_that_of_blocks_left_out_and_vanishes_for_the_same_set() -> None:
-    trial = draw_trial(770017, "inside", size=(3.0, 10.0), seconds=(12.0, 15.0))
+    trial = stranger(770017, "inside")
     with robot_of(trial.urdf) as robot:
         made = torque_regression(trial.recording, robot, Model.nominal(robot))
     problem = Problem.of(made, held_out=True)

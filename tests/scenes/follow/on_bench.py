@@ -140,7 +140,8 @@ class Bench:
     def at(self) -> str:
         """The stage that is on."""
         begun = 0 if self.live is None else self.live.begun
-        felt = float(self.contact.history()["normal"][-1]) if self.arm.t > 0 else 0.0
+        log = self.contact._log
+        felt = float(log.row(log.rows - 1)[1]) if log.rows else 0.0
         first = self.turns
         if begun <= first:
             return "turning" if begun == first else ""

@@ -58,7 +58,8 @@ def test_a_drift_is_noticed_on_a_job_that_is_long_enough_for_it(name: str, speed
 
 
 @pytest.mark.parametrize(("fault", "begins", "says"), [
-    ("nothing but noise of 0.3 N", 1.0, "lies deeper"), ("stuck, with its usual noise", 1.0, "lies deeper"),
+    pytest.param("nothing but noise of 0.3 N", 1.0, "lies deeper", marks=pytest.mark.slow),
+    ("stuck, with its usual noise", 1.0, "lies deeper"),
     ("stuck, with its usual noise", 2.5, "no push")])
 def test_a_contour_is_not_pressed_by_a_sensor_that_does_not_answer(fault: str, begins: float, says: str, tmp_path: Path,
                                                                    monkeypatch: pytest.MonkeyPatch) -> None:

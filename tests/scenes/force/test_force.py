@@ -82,6 +82,7 @@ def test_no_dry_run_where_no_path_is_known_or_a_camera_helps() -> None:
     assert friction_shown(load_scene("glue")) is None
 
 
+@pytest.mark.slow
 def test_a_short_shape_is_not_made_of_the_arms_own_swing() -> None:
     """Faster than is asked for, so that rounding does not decide: the contact swung at 10 Hz with 12 N.
 

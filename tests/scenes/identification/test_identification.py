@@ -70,7 +70,7 @@ def deviations(robot: Robot, world: World, commands: np.ndarray, seed: int) -> t
     return (result.model.base_values - truth) / np.where(std > 0, std, np.inf), good
 
 
-@pytest.mark.parametrize("name", ["kr6", "kr15"])
+@pytest.mark.parametrize("name", ["kr6", pytest.param("kr15", marks=pytest.mark.slow)])
 def test_simulated_arm_is_found_from_inertias_wrong_by_half(name: str) -> None:
     robot = Robot.load(name)
     z, good = deviations(robot, noisy(name, 4), commands_of(robot), 4)
@@ -244,6 +244,7 @@ def test_what_the_recording_tells_comes_back(made: TwinResult) -> None:
     assert residual == pytest.approx(np.sqrt(1.0 + 1.5**2 + 1.0), rel=0.4)
 
 
+@pytest.mark.slow
 def test_without_commands_the_controller_is_of_a_class_and_each_individual_draws_its_own(
         axis: Path, recording: Recording) -> None:
     silent = Recording({name: values for name, values in recording.columns.items() if not name.startswith("q_c")},

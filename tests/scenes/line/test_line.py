@@ -98,10 +98,10 @@ def test_figures_count_the_distance_of_the_true_tool_from_the_drawn_line(ideal: 
 def test_methods_rank_as_the_papers_say(ideal: LineResult) -> None:
     scene = load_scene("line").changed(world="bench")
     with prepared(scene) as cell:
-        none = run(scene, method="none", shared=cell).control_error.mean
+        none = play(scene, "none", shared=cell).control_error.mean
         # Its best gain on this scene, as ``compare`` finds it; without overshoot it can take 0.03, and is far worse.
-        direct = run(scene, method="direct_feedback", gains=(0.13, 0.0), shared=cell).control_error.mean
-        sensor = run(scene, method="sensor_path", shared=cell).control_error.mean
+        direct = play(scene, "direct_feedback", gains=(0.13, 0.0), shared=cell).control_error.mean
+        sensor = play(scene, "sensor_path", shared=cell).control_error.mean
     assert ideal.control_error.mean < sensor / 3
     assert sensor < direct < none
 

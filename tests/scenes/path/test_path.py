@@ -212,7 +212,9 @@ def torques_alone(setting: Setting) -> Feedforward:
     return AdaptedIdeal(ideal, start.adaptation, known.factors)
 
 
-@pytest.mark.parametrize(("name", "bound"), [("vertical_circle", 0.95), ("iso9283_1", 0.85), ("edge", 1.03)])
+@pytest.mark.parametrize(("name", "bound"), [
+    ("iso9283_1", 0.85), pytest.param("vertical_circle", 0.95, marks=pytest.mark.slow),
+    pytest.param("edge", 1.03, marks=pytest.mark.slow)])
 def test_following_errors_tell_more_than_torques_on_known_paths(name: str, bound: float) -> None:
     scene = load_scene(name)
     both, torques = (run(scene, method=method).errors.time_matched.E_car for method in (ADAPTED, torques_alone))
