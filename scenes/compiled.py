@@ -24,7 +24,8 @@ from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 
 SHORT: dict[str, dict[str, Any]] = {"straight": {"line": {"points": [[0.0, 0.0], [0.4, 0.0]]}, "tool_mm": 250.0},
-                                    "iso9283_1": {}, "force_wave": {"line": {"length": 0.2}}}
+                                    "iso9283_1": {}, "force_wave": {"line": {"length": 0.2}},
+                                    "glue": {"line": {"length": 0.2}}}
 """A scene of each kind, with what makes it short; with a tool, so that the arm is in the picture."""
 
 

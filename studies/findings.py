@@ -34,7 +34,7 @@ from tests.scenes.follow.eye_on_bench import shaken, shifted
 from tests.scenes.follow.on_bench import FAULTS, followed
 from tests.scenes.rsi.test_faults import HOME, played
 from tests.scenes.test_sweep import swept_until_the_scheduler_dies
-from tests.sim.devices import test_rtde_controller as clients
+from tests.sim.devices import test_controllers as clients
 from tests.sim.devices.controllers import LaggingController
 
 Replay = tuple[str, str, bool]

@@ -301,6 +301,7 @@ class LinkedRobot(ABC):
         answer_times: from each packet's arrival to its answer [s].
         fault: why the arm does not do what it was commanded; None while it does. Bring it to rest then.
         gone_on: cycles before the last packet in which the controller had none of ours and went on as before.
+        missed: whether the controller had to do without a command of ours since the last one.
     """
 
     def __init__(self, robot: Robot, bridge: float, answers_within: float, relative: bool = False) -> None:
@@ -310,7 +311,7 @@ class LinkedRobot(ABC):
         self.commanded = np.full(robot.n, np.nan)
         self.answer_times = array("d")
         self.gone_on = 0
-        self._missed = False
+        self.missed = False
         # Data of an arm without limits give no room; then a start from rest takes a third of a second.
         v_max = np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
         self._room = np.where(np.isfinite(robot.a_max), 0.5 * robot.a_max, v_max / 0.3)

@@ -151,7 +151,7 @@ class RsiRobot(LinkedRobot):
     @property
     def settled(self) -> bool:
         """Whether what is in force is what was wanted: nothing missed and not yet found or made good."""
-        return not (self._missed or self._catch_up.active or self._in_doubt)
+        return not (self.missed or self._catch_up.active or self._in_doubt)
 
     def connect(self, patience: float = 60.0) -> RobotState:
         """Waits for the controller's first packet; who sends it is the controller from then on.
@@ -199,11 +199,11 @@ class RsiRobot(LinkedRobot):
             self._answer_with(self._slowed())
             return
         self._resynchronise(self._step)
-        if self._missed:
+        if self.missed:
             # What the controller has in force, it has without acceleration: it held the arm, or its speed.
             drift = self.axes.turned(self._in_force.step) - self._step
             self._catch_up.start(self.commanded - wanted, drift, before - self._step, before)
-            self._missed = False
+            self.missed = False
         if self._catch_up.active:
             q_c = np.clip(q_c + self._catch_up.next(self._step), self.robot.q_min, self.robot.q_max)
         position = self._in_force.position
@@ -224,7 +224,7 @@ class RsiRobot(LinkedRobot):
             InputError, LimitError: as ``cycle``.
         """
         self._want(q_c)
-        self._missed = True
+        self.missed = True
 
     def receive(self) -> RobotState:
         """The second half of ``cycle``: waits for the next packet.
@@ -274,7 +274,7 @@ class RsiRobot(LinkedRobot):
 
     def _resynchronise(self, step: Array) -> None:
         """After lost increments, at rest: where the arm is measured is where they have led."""
-        moving = np.max(np.abs(step)) > _RESTED or self._missed or self._catch_up.active
+        moving = np.max(np.abs(step)) > _RESTED or self.missed or self._catch_up.active
         self._still = 0 if moving or not self._in_doubt else self._still + 1
         if self._still * self.t_ipo >= _REST_TIME:
             self._still, self._in_doubt = 0, False
@@ -282,7 +282,7 @@ class RsiRobot(LinkedRobot):
             if np.max(np.abs(beside)) > _RESYNC:
                 self.commanded = self.commanded + beside
                 self._in_force.is_at(self.axes.angles(self.commanded) - self._begin)
-                self._missed = True
+                self.missed = True
                 self.counts.resynchronised += 1
 
     def _too_far(self, since: int) -> None:
@@ -320,7 +320,7 @@ class RsiRobot(LinkedRobot):
         untold = newest.late is None and bool(self._in_force.sent.any())
         self._in_doubt = self._in_doubt or (self.relative and (late + lost > 0 or untold))
         if self._in_force.advance(used=late <= lost, missed=lost):
-            self._missed = True
+            self.missed = True
             self.commanded = self.axes.joints(self._begin + self._in_force.position)
         self._last, self._answer = newest, None
         self._check_pace()

@@ -130,10 +130,10 @@ class RtdeRobot(LinkedRobot):
         q_c = checked_command(self.robot, q_c, self._wanted, self.t_ipo)
         wanted, before, self._wanted = self._wanted, self._step, q_c
         self._step = q_c - wanted
-        if self._missed:
+        if self.missed:
             # The arm was held: its speed is gone, the one that is wanted is not.
             self._catch_up.start(self.commanded - wanted, -self._step, before - self._step, before)
-            self._missed = False
+            self.missed = False
         if self._catch_up.active:
             q_c = np.clip(q_c + self._catch_up.next(self._step), self.robot.q_min, self.robot.q_max)
         self._number = self._number % (2**31 - 1) + 1
@@ -148,7 +148,7 @@ class RtdeRobot(LinkedRobot):
             InputError, LimitError: as ``cycle``.
         """
         self._wanted = checked_command(self.robot, q_c, self._wanted, self.t_ipo)
-        self._missed = True
+        self.missed = True
 
     def receive(self) -> RobotState:
         """The second half of ``cycle``: waits for the next data package.
@@ -169,7 +169,7 @@ class RtdeRobot(LinkedRobot):
                             "and load")
         if since > 1:
             self.counts.lost += since - 1
-            self._missed = True
+            self.missed = True
         self._last += since * self.t_ipo
         if not self._playing(data):
             raise RtdeError("the controller's program does not run any more")

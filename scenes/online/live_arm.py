@@ -42,6 +42,11 @@ _SPARE = 0.02
 """Share of a cycle that a packet was waited for, from which on there was time left: a packet that is there is read in
 less."""
 
+_LED_OVER, _LED = 0.4, 2.0 / 3.0
+"""Time [s] in which the arm has to have a command of ours in that share of the cycles. Less is no disturbance to be
+made good but a cycle that this computer does not hold: what is late makes the next answer later, and forces are felt
+and met too late. Beyond it no run of `glue` ended well, at 4 ms or on a busy computer at 12 ms."""
+
 Worked = TypeVar("Worked")
 
 
@@ -59,6 +64,7 @@ class Link(Protocol):
     counts: Any
     answer_times: Any
     gone_on: int
+    missed: bool
 
     @property
     def arrived(self) -> float:
@@ -114,6 +120,7 @@ class LiveArm:
         self._told: deque[float] = deque(maxlen=_REMEMBERED)
         self._played: deque[float] = deque(maxlen=_REMEMBERED)
         self._passed: deque[RobotState] = deque()
+        self._missed: deque[bool] = deque(maxlen=round(_LED_OVER / self.t_ipo))
         self.reported: deque[RobotState] = deque(maxlen=round(_REPORTED / self.t_ipo))
 
     def stop(self, reason: str) -> None:
@@ -175,7 +182,22 @@ class LiveArm:
         self.cycles += 1
         self.clock.add(state.t, self.link.arrived)
         self._journal.add(self.t + self.t_ipo, state, self.q_d, sent)
+        self._check_led()
         return self._counted(self._made_good(state))
+
+    def _check_led(self) -> None:
+        """Ends following where too many of the last cycles had no answer of ours in time."""
+        recent = self._missed
+        recent.append(self.link.missed)
+        if (late := sum(recent)) > (1.0 - _LED) * (recent.maxlen or 1):
+            self.stop(f"in {late} of the last {recent.maxlen} cycles of {1e3 * self.t_ipo:g} ms the controller had no "
+                      f"answer in time, which takes {1e3 * self._usual():.1f} ms: take a longer cycle (--cycle), a "
+                      "computer with less to do, or look at the network")
+
+    def _usual(self) -> float:
+        """Usual time of the last answers [s]."""
+        times = self.link.answer_times[-_RECENT:]
+        return float(sum(times)) / max(len(times), 1)
 
     def _counted(self, state: RobotState) -> RobotState:
         """One cycle further; torques of a state that is more than a cycle behind the one before belong to no motion."""
@@ -192,9 +214,7 @@ class LiveArm:
         """The state to go on with: the first of those unheard of, which lie between the last two."""
         if not self.link.gone_on or self._last is None:
             return state
-        times = self.link.answer_times[-_RECENT:]
-        usual = sum(times) / max(len(times), 1)
-        count = min(self.link.gone_on, max(int(_FOR_LOST * self.t_ipo / max(usual, 1e-6)), 1))
+        count = min(self.link.gone_on, max(int(_FOR_LOST * self.t_ipo / max(self._usual(), 1e-6)), 1))
         first, steps = self._last, self.link.gone_on + 1
         for i in range(self.link.gone_on + 1 - count, steps):
             share = i / steps

@@ -26,7 +26,10 @@ TIMEOUT = 0.1
 _HELD_UP = 0.25
 """Share of the cycle by which a cycle begins late that counts as held up."""
 _STANDING = 0.4
-"""Rest after a stop, and at the start before the next session [s]."""
+"""Rest after a stop [s]."""
+_BETWEEN = 1.5
+"""Silence at the start before the next session [s]: longer than who leads an arm waits for a packet, as a controller
+that has ended RSI moves by nobody's corrections before a person starts it again."""
 _BEHIND = 0.5
 """How far it may be behind its clock; it makes good what is less, packet after packet, as behind a network that stood
 still [s]."""
@@ -211,7 +214,7 @@ class ServedArm:
         u = np.arange(1, count + 1)[:, None] / count
         for row in q + eased(u) * way:
             self._moved(row)
-        for _ in range(round(_STANDING / self._T)):
+        for _ in range(round(_BETWEEN / self._T)):
             self._moved(self._start)
         self._reset()
 

@@ -216,7 +216,8 @@ COUNT = """
 from numba.core import event
 from scenes import load_scene, run_scene
 with event.install_recorder("numba:compile") as recorder:
-    run_scene(load_scene("line"), line={"length": 0.3})
+    for name in ("line", "glue", "contour"):
+        run_scene(load_scene(name), **({} if name == "contour" else {"line": {"length": 0.3}}))
 print("compiled", sorted({e.data["dispatcher"].py_func.__qualname__ for _, e in recorder.buffer}))
 """
 

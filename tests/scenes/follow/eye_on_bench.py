@@ -161,7 +161,7 @@ class Bench:
         self.arm, self.robot, self.t_ipo, self.fault, self.eye = arm, robot, robot.t_ipo, None, eye
         self.commanded = self.arm.truth.q_m.copy()
         self.answer_times: list[float] = []
-        self.arrived, self.gone_on, self.counts = 0.0, 0, SimpleNamespace()
+        self.arrived, self.gone_on, self.missed, self.counts = 0.0, 0, False, SimpleNamespace()
 
     def send(self, q_c: Array) -> None:
         """A command ``(n,)`` [rad]."""

@@ -104,7 +104,7 @@ class Bench:
         self.robot, self.t_ipo, self.fault = self.cell.known.robot, self.cell.known.robot.t_ipo, None
         self.commanded = self.arm.truth.q_m.copy()
         self.answer_times: list[float] = []
-        self.arrived, self.gone_on = 0.0, 0
+        self.arrived, self.gone_on, self.missed = 0.0, 0, False
         self.counts: Any = ReadingCounts()
         self.clock = ClockRelation()
         self.contact = TipContact(self.arm, self.cell.surface, true_tip(self.cell.known.scene.tip))

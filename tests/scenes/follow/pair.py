@@ -153,7 +153,7 @@ class Tame:
         self.arrived, self._k, self._begun = time.perf_counter(), 0, time.perf_counter()
         self.taken: list[Array] = []
         self.skipped: list[Array] = []
-        self.gone_on = 0
+        self.gone_on, self.missed = 0, False
 
     def send(self, q_c: Array) -> None:
         self.commanded = q_c
@@ -167,6 +167,6 @@ class Tame:
             raise self.raises
         lost = self._k + 1 in self.lost
         self._k += 1 + lost
-        self.gone_on = lost if self.repeats else 0
+        self.gone_on, self.missed = lost if self.repeats else 0, lost
         self.arrived = self._begun + self._k * self.t_ipo
         return RobotState(self._k * self.t_ipo, self.commanded.copy(), np.zeros(self.robot.n))

@@ -101,6 +101,17 @@ def test_torques_behind_lost_cycles_belong_to_no_motion(repeats: bool, link: Tam
     assert told == [(True, 1) if repeats or k != 19 else (False, 2) for k in range(30)]
 
 
+@pytest.mark.parametrize(("every", "ends"), [(2, True), (5, False)])
+def test_a_cycle_that_is_not_held_ends_following(every: int, ends: bool, link: Tame, arm: LiveArm) -> None:
+    """Behind late answers forces are met too late: on a computer too slow for 4 ms a sound sensor felt 112 N."""
+    link.lost, link.repeats = tuple(range(every, 400, every)), True
+    for _ in range(100):
+        arm.cycle(link.robot.home)
+    assert (arm.stop_reason is not None) == ends
+    assert not ends or "no answer in time" in str(arm.stop_reason)
+    assert not ends or "--cycle" in str(arm.stop_reason)
+
+
 def test_a_fault_and_a_gone_arm_end_following(link: Tame, arm: LiveArm) -> None:
     arm.check(0.0)
     link.fault = "joint 2 does not move"

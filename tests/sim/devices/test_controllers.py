@@ -1,4 +1,4 @@
-"""Our UR controller: whatever a client says, the others are served on and the arm is moved by sound commands alone."""
+"""Our controllers: whatever a client says, the others are served on and the arm is moved by sound commands alone."""
 
 from __future__ import annotations
 
@@ -14,12 +14,14 @@ import numpy as np
 import pytest
 
 from ideal_robot.robots.robot import Robot
+from ideal_robot.rsi.message import RsiError, RsiFormat
+from ideal_robot.rsi.robot import RsiRobot
 from ideal_robot.rtde import RtdeRobot
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 from sim.devices.rsi_controller import RsiController
 from sim.devices.rtde_controller import RtdeController
-from sim.devices.served_arm import ServedRtde, Session
+from sim.devices.served_arm import ServedArm, ServedRtde, Session
 from sim.devices.stream_server import Unkindness
 from tests.sim.devices.controllers import serving
 
@@ -209,3 +211,29 @@ def test_an_answer_to_another_cycle_moves_nothing(ipoc: str) -> None:
 
 def test_who_floods_the_port_does_not_hold_up_the_clock() -> None:
     assert answered(SOUND, "78", most=float("inf")) is None
+
+
+def play(arm: RsiRobot, commands: list[Any]) -> None:
+    for q in commands:
+        arm.cycle(q)
+
+
+def test_a_session_that_has_ended_is_not_gone_on_with() -> None:
+    """Who was silent and answers again is not led on from the start, somewhere else than where it believes the arm."""
+    said = list[Session]()
+    with RsiRobot(ROBOT, port=0, relative=True, form=RsiFormat(hold_on=True), bridge=1.0) as follower, \
+            SimulatedArm(ROBOT, World.ideal("kr6"), np.random.default_rng(1)) as arm:
+        cell = ServedArm(arm, follower.address, relative=True, unkind=Unkindness(), rng=np.random.default_rng(1),
+                         carried=(), sign=np.ones(6))
+        thread = threading.Thread(target=cell.sessions, args=(0, said.append))
+        thread.start()
+        try:
+            q = follower.connect().q
+            play(follower, [q] * 5)
+            time.sleep(0.3)
+            with pytest.raises(RsiError, match="no packet"):
+                play(follower, [q] * 500)
+        finally:
+            cell.stop()
+            thread.join()
+    assert [one.ended for one in said] == ["no answer for 100 ms"]
