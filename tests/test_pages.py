@@ -143,8 +143,8 @@ def assert_table_of_diagnosis(made: dict[str, Any]) -> None:
 
 # The documentation site is built without a warning, and holds tutorial, scene keys and API.
 
-@pytest.mark.parametrize("rooms", [{"SITE_ROOMS": "ideal_robot.friction"}, pytest.param({}, marks=pytest.mark.slow)],
-                         ids=["one room's API", "whole"])
+@pytest.mark.slow
+@pytest.mark.parametrize("rooms", [{"SITE_ROOMS": "ideal_robot.friction"}, {}], ids=["one room's API", "whole"])
 def test_the_site_is_built_without_warnings(rooms: dict[str, str], tmp_path: Path) -> None:
     words = ["-m", "mkdocs", "build", "--strict", "--quiet", "-d", str(tmp_path / "site")]
     done = subprocess.run([sys.executable, *words], cwd=ROOT, capture_output=True, text=True, check=False,

@@ -28,8 +28,8 @@ SHOWS = {
     "sweep": "worst mean",
 }
 """What each of them prints."""
-LONG = ("diagnose_plot", "own_feedforward")
-"""Those that take longer than a quarter of a minute."""
+QUICK = ("own_driver", "own_effect", "own_robot", "precorrect_arrays")
+"""Those that take a few seconds, and are played each time."""
 
 
 @pytest.fixture(scope="session")
@@ -122,7 +122,7 @@ def test_the_wheel_holds_everything(installed: Path, tmp_path: Path) -> None:
     assert [place for place in places if not Path(place).is_relative_to(installed)] == []
 
 
-@pytest.mark.parametrize("example", [pytest.param(one, marks=pytest.mark.slow if one.stem in LONG else ())
+@pytest.mark.parametrize("example", [pytest.param(one, marks=() if one.stem in QUICK else pytest.mark.slow)
                                      for one in EXAMPLES], ids=lambda path: path.stem)
 def test_runs_from_the_wheel(example: Path, installed: Path, tmp_path: Path) -> None:
     assert SHOWS[example.stem] in run([sys.executable, str(example)], tmp_path, installed)

@@ -234,7 +234,8 @@ def test_a_box_without_a_size_is_refused() -> None:
         line(middle=[0.0, 0.0, 0.0], size=[0.1, 0.0, 0.1])
 
 
-def test_identification_motions_keep_off_the_cell_also_on_the_way_to_them() -> None:
+@pytest.mark.parametrize("method", ["joint", pytest.param("two-step", marks=pytest.mark.slow)])
+def test_identification_motions_keep_off_the_cell_also_on_the_way_to_them(method: str) -> None:
     robot = arm_of("kr6")
     free = plan(robot, "joint", seed=1)
     data = robot.pinocchio.createData()
@@ -242,9 +243,8 @@ def test_identification_motions_keep_off_the_cell_also_on_the_way_to_them() -> N
     box = {"middle": [float(x) for x in data.oMi[5].translation], "size": [0.2, 0.2, 0.2]}
     shapes = shapes_in(load_scene("iso9283_1").changed(box=[box]), robot)
     assert shapes.first_touch(free.commands) is not None
-    for method in ("joint", "two-step"):
-        kept = plan(robot, method, seed=1, workspace=replace(Workspace.of(robot), cell=shapes))
-        assert shapes.first_touch(kept.commands) is None
+    kept = plan(robot, method, seed=1, workspace=replace(Workspace.of(robot), cell=shapes))
+    assert shapes.first_touch(kept.commands) is None
 
 
 def test_an_arm_that_stands_in_a_box_is_told_so_before_a_motion_is_looked_for() -> None:

@@ -274,7 +274,8 @@ def test_a_name_that_is_no_text_is_refused_before_work_begins(place: str, tmp_pa
             check_outputs(folders, json=file)
 
 
-@pytest.mark.parametrize("verb", ["run", "compare", "close-loop", "plan-identification"])
+@pytest.mark.parametrize("verb", ["run", "compare", "plan-identification",
+                                  pytest.param("close-loop", marks=pytest.mark.slow)])
 def test_figures_that_find_no_room_leave_the_previous_folder(verb: str, program, tmp_path: Path,
                                                              monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the file of figures, which is written last, the folder knew nothing: it was the new one already."""

@@ -277,7 +277,7 @@ def attributes(known: type) -> set[str]:
 
 
 @pytest.mark.parametrize(("name", "changes", "module", "task", "known"), [
-    ("straight", {"world": "bench"}, line_play, LineTask, KnownLine),
+    ("straight", {"world": "bench", "line": {"points": [(0.4, 0.0), (0.7, 0.0)]}}, line_play, LineTask, KnownLine),
     ("force_wave", {"line": {"length": 0.1}}, force_play, ForceTask, KnownSurface),
 ])
 def test_the_task_asks_for_nothing_of_the_world(name: str, changes: dict[str, Any], module: Any, task: type,

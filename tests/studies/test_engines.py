@@ -133,7 +133,7 @@ def test_springs_and_shafts_do_what_their_formulas_say(engine: str) -> None:
     assert np.std((change[:, 2] - expected)[rows]) < 0.2 * np.std(expected[rows])
 
 
-@pytest.mark.parametrize("engine", ["mujoco", "integrator"])
+@pytest.mark.parametrize("engine", ["integrator", pytest.param("mujoco", marks=pytest.mark.slow)])
 def test_two_shafts_and_two_springs_of_an_arm_are_all_there(engine: str) -> None:
     """Two effects of one recording may be of one kind: the second once took the place of the first."""
     arm = an_arm()

@@ -265,6 +265,7 @@ def test_late_encoders_on_the_arms_side_of_three_joints_are_one_delay_and_no_gea
     assert [c.channel for c in found.channels if c.channel.startswith("qa")] == ["qa_1", "qa_2", "qa_3"]
 
 
+@pytest.mark.slow
 def test_a_delay_of_one_encoder_stays_that_of_its_joint(arm_and_run):
     robot, plant, run, logger = arm_and_run
     good = record(logger, plant, run)
@@ -288,6 +289,7 @@ def test_a_dead_torque_channel_is_named_and_its_joint_left_out(arm_and_run):
     assert said["tau_1"] == pytest.approx(100.0 * counted["tau_1"])
 
 
+@pytest.mark.slow
 def test_clipped_torques_cost_samples_and_name_nothing(arm_and_run):
     robot, plant, run, logger = arm_and_run
     good = record(dataclasses.replace(logger, qa=()), plant, run)

@@ -126,7 +126,7 @@ def test_force_effects_have_their_size(seed, name, tmp_path):
         assert abs(value - true) < 3.0 * std
 
 
-@pytest.mark.parametrize("seed", [4, 5])
+@pytest.mark.parametrize("seed", [4, pytest.param(5, marks=pytest.mark.slow)])
 def test_a_good_force_sensor_is_left_alone(seed, tmp_path):
     found, _ = trial(seed, "none", tmp_path)
     assert not found.effects
@@ -141,6 +141,7 @@ def test_a_wrench_without_columns_or_numbers_is_not_looked_at():
         assert not [c for c in found.channels if c.channel.startswith("f")]
 
 
+@pytest.mark.slow
 def test_a_late_device_that_measures_two_axes_only():
     t, q, _ = motion()
     late = np.column_stack([np.interp(t - 3e-4, t, x) for x in tcp(robot().pinocchio, q).T])

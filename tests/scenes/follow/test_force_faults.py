@@ -83,7 +83,7 @@ def test_a_surface_does_not_leave_a_map_that_a_stuck_sensor_goes_on_with(begins:
     assert run.force <= most_force(scene.force)
 
 
-@pytest.mark.parametrize("name", ["force_wave", "contour"])
+@pytest.mark.parametrize("name", ["force_wave", pytest.param("contour", marks=pytest.mark.slow)])
 def test_a_sound_sensor_is_believed(name: str, tmp_path: Path) -> None:
     scene = load_scene(name)
     run = followed(scene, tmp_path)

@@ -139,7 +139,7 @@ def test_glue_follows_line_and_force_at_once() -> None:
 
 @pytest.mark.parametrize("trouble", [
     pytest.param({"camera": {"rate": 10.0}}, marks=pytest.mark.slow),
-    {"trouble": {"garbage": (1.0, 1.5)}},
+    pytest.param({"trouble": {"garbage": (1.0, 1.5)}}, marks=pytest.mark.slow),
     pytest.param({"trouble": {"loss": (1.0, 1.1)}}, marks=pytest.mark.slow),
 ], ids=["10 Hz", "garbage", "loss"])
 def test_glue_survives_a_bad_camera(trouble: dict[str, object]) -> None:

@@ -106,7 +106,8 @@ def test_methods_rank_as_the_papers_say(ideal: LineResult) -> None:
     assert sensor < direct < none
 
 
-@pytest.mark.parametrize("name", ["straight", "corner", "svg", "gap", "cluttered"])
+@pytest.mark.parametrize("name", ["corner", "svg", "gap", "cluttered",
+                                  pytest.param("straight", marks=pytest.mark.slow)])
 def test_every_scene_is_followed(name: str) -> None:
     # Twice the mean error of the default scene: gaps are bridged by the fusion, corners ask more of the wrist.
     result = run(load_scene(name).changed(world="bench", calibration=CALIBRATED), method="ideal")

@@ -70,6 +70,12 @@ def played(world: World, known: Model, *, of: Specimen | None = None, along: Joi
         return play(ROBOT, world, path_, law, np.random.default_rng(1))
 
 
+@lru_cache(maxsize=1)
+def aim() -> Play:
+    """What the exact model leaves of the arm without an effect."""
+    return played(WORLD, model())
+
+
 def exact() -> Specimen:
     """The individual without an effect."""
     return draw_specimen(ROBOT, WORLD)

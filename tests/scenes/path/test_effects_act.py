@@ -33,7 +33,7 @@ from tests.scenes.path.effect_cases import CASES, friction_of
 ACTING = [effect.key for effect in library() if not change_of(effect).nowhere and effect.domain != SENSOR]
 BY_MOTION = ("backlash/qa", "backlash/tcp")
 """Play that is crossed where the motion turns: the simulated arm has no friction that would hold it there."""
-QUICK = ("payload/tau", "cable_spring/tau", "transmission_error/qa", "kinematic_error/tcp")
+QUICK = ("payload/tau", "transmission_error/qa", "kinematic_error/tcp")
 SMALLEST = 5e-7
 """What an effect does to the path below this is nothing [m]."""
 
@@ -64,7 +64,7 @@ def test_extended_model_is_worth_the_true_number(key: str) -> None:
         known, known.with_effects((found,)), known.with_effects((case.true,))))
     assert extended.errors.aligned.E_car <= 1.25 * true.errors.aligned.E_car + SMALLEST
     # What the effect does to the path, beside what the exact model leaves of an arm without it.
-    aim = arm.played(arm.WORLD, arm.model())
+    aim = arm.aim()
     before, after = apart(ignored, aim), apart(extended, aim)
     if before > SMALLEST:
         assert after < 0.6 * before
