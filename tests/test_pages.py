@@ -12,14 +12,18 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import nbformat
 import pytest
 
-from docs import execute_notebooks, published_numbers
-from docs.execute_notebooks import NOTEBOOKS
+from docs import published_numbers
 from tests.sources import DATA, ROOT
+
+if TYPE_CHECKING:
+    # Takes longer to load than all else that collecting the tests loads.
+    from nbformat import NotebookNode
+
+NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 
 ANSWERS = {
     "controller": ("min(np.geomspace(0.001, 3.0, 300), key=with_gain)", "0.001"),
@@ -39,14 +43,21 @@ ANSWERS = {
 """A right and a wrong answer to the exercise of each notebook, of what its cells have made."""
 
 
-def read(path: Path) -> nbformat.NotebookNode:
-    return nbformat.read(path, as_version=4)
+def read(path: Path) -> NotebookNode:
+    import nbformat
+
+    book = nbformat.read(path, as_version=4)
+    nbformat.validate(book)
+    return book
+
+
+def is_quick(path: Path) -> bool:
+    return bool(json.loads(path.read_text(encoding="utf-8"))["metadata"].get("quick"))
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_has_question_slider_exercise_and_what_the_paper_shows(path: Path) -> None:
     book = read(path)
-    nbformat.validate(book)
     assert not any(cell.get("outputs") or cell.get("execution_count") for cell in book.cells)
     assert re.match(r"# .*\n\n\*\*.*\?\*\*\n", book.cells[0].source)
     parts = [cell.source.partition("\n")[0] for cell in book.cells if cell.source.startswith("## ")]
@@ -64,7 +75,9 @@ def test_the_course_has_eight_lessons_with_a_notebook_each() -> None:
     assert {path.name for path in NOTEBOOKS} <= set(re.findall(r"notebooks/(\w+\.ipynb)", text))
 
 
-def run(path: Path, monkeypatch: pytest.MonkeyPatch, longest: float = execute_notebooks.LONGEST_CELL) -> None:
+def run(path: Path, monkeypatch: pytest.MonkeyPatch, **longest: float) -> None:
+    from docs import execute_notebooks
+
     if "IDEAL_ROBOT_DATA" in path.read_text(encoding="utf-8"):
         if not DATA.is_dir():
             pytest.skip("needs the public data sets beside the repository")
@@ -72,17 +85,18 @@ def run(path: Path, monkeypatch: pytest.MonkeyPatch, longest: float = execute_no
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.setenv("MPLBACKEND", "agg")
     right, wrong = ANSWERS[path.stem]
-    execute_notebooks.played(path, f"assert check({right})\nassert not check({wrong})\nassert not check(None)", longest)
+    added = f"assert check({right})\nassert not check({wrong})\nassert not check(None)"
+    execute_notebooks.played(path, added, **longest)
 
 
-@pytest.mark.parametrize("path", [one for one in NOTEBOOKS if read(one).metadata.get("quick")],
+@pytest.mark.parametrize("path", [one for one in NOTEBOOKS if is_quick(one)],
                          ids=lambda path: path.stem)
 def test_a_quick_notebook_runs_and_knows_right_from_wrong(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run(path, monkeypatch, longest=100)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path", [one for one in NOTEBOOKS if not read(one).metadata.get("quick")],
+@pytest.mark.parametrize("path", [one for one in NOTEBOOKS if not is_quick(one)],
                          ids=lambda path: path.stem)
 def test_a_notebook_runs_and_knows_right_from_wrong(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run(path, monkeypatch)
