@@ -28,7 +28,7 @@ SHOWS = {
     "sweep": "worst mean",
 }
 """What each of them prints."""
-QUICK = ("own_driver", "own_effect", "own_robot", "precorrect_arrays")
+QUICK = ("own_driver", "own_effect", "precorrect_arrays")
 """Those that take a few seconds, and are played each time."""
 
 

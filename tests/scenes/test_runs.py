@@ -232,8 +232,8 @@ def test_nothing_is_left_to_compile(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "changes"), [
-    ("straight", {"world": {"base": "bench"}, "calibration": {"by_moving": False},
-                  "line": {"points": [(0.4, 0.0), (0.8, 0.0)]}}),
+    pytest.param("straight", {"world": {"base": "bench"}, "calibration": {"by_moving": False},
+                              "line": {"points": [(0.4, 0.0), (0.8, 0.0)]}}, marks=pytest.mark.slow),
     ("iso9283_1", {}),
 ])
 def test_a_shorter_cycle_is_no_worse(name: str, changes: dict) -> None:

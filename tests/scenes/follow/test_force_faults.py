@@ -71,8 +71,8 @@ def test_a_contour_is_not_pressed_by_a_sensor_that_does_not_answer(fault: str, b
     assert run.force <= most_force(scene.force)
 
 
-@pytest.mark.parametrize("begins", [0.2, pytest.param(1.0, marks=pytest.mark.slow),
-                                    pytest.param(1.2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("begins", [0.2, 1.0, 1.2])
 def test_a_surface_does_not_leave_a_map_that_a_stuck_sensor_goes_on_with(begins: float, tmp_path: Path,
                                                                          monkeypatch: pytest.MonkeyPatch) -> None:
     """Stuck near what is wanted, with its noise: the map went on by itself, and the surface bore 65 N."""

@@ -70,7 +70,8 @@ def test_baseline_then_same_then_worse_then_a_missed_bound(program: Any, suite: 
     assert worse.code == 1
     assert "verdict: worse" in worse.out
     _files_say_the_same(tmp_path / "out/check_suite")
-    _results_are_read_in_every_form(program, tmp_path)
+    assert program("compare-results", "suite.baseline.json", "out/check_suite").code == 1
+    assert (tmp_path / "out/compare_results/report.html").is_file()
     suite.write_text(SUITE_FILE.replace("LIMIT", "1 um"))
     missed = program("check", "suite.toml", "--runs", "runs", "--resume", "--time-limit", "0.001")
     assert missed.code == 1
@@ -94,23 +95,18 @@ def _files_say_the_same(folder: Path) -> None:
     assert "svg" in (folder / "report.html").read_text()
 
 
-def _results_are_read_in_every_form(program: Any, folder: Path) -> None:
+@pytest.mark.slow
+def test_results_of_a_sweep_are_compared_with_those_of_a_check(program: Any, suite: Path, tmp_path: Path) -> None:
+    assert program("check", "suite.toml", "--update-baseline", "--processes", "1").code == 0
     swept = program("sweep", "short.toml", "--seeds", "1-3", "--world", "bench", "--processes", "1", "--json", "s.json",
                     "--csv", "s.csv", "--lines", "s.jsonl")
     assert swept.code == 0, swept.err
-    told = json.loads((folder / "s.json").read_text())
-    assert (told["schema"], told["program"]) == (1, json.loads((folder / "suite.baseline.json").read_text())["program"])
-    assert "control_error_mm.mean" in pd.read_csv(folder / "s.csv")
+    told, baseline = (json.loads((tmp_path / name).read_text()) for name in ("s.json", "suite.baseline.json"))
+    assert (told["schema"], told["program"]) == (1, baseline["program"])
+    assert "control_error_mm.mean" in pd.read_csv(tmp_path / "s.csv")
     for name in ("s.json", "s.csv", "s.jsonl", "suite.baseline.json"):
-        found = read_results(folder / name)
-        assert len(found.runs) == 3
-        assert "control_error_mm.mean" in found.figures
-        assert compared(found, read_results(folder / "s.json")).verdict == SAME
-    done = program("compare-results", "s.csv", "s.json")
-    assert (done.code, "verdict: same" in done.out) == (0, True), done.err
-    done = program("compare-results", "suite.baseline.json", "out/check_suite")
-    assert done.code == 1
-    assert (folder / "out/compare_results/report.html").is_file()
+        done = program("compare-results", name, "s.json")
+        assert (done.code, "verdict: same" in done.out) == (0, True), done.err
 
 
 @pytest.mark.parametrize(("change", "says"), [
@@ -133,6 +129,18 @@ def test_a_wrong_suite_is_one_line(program: Any, suite: Path, change: tuple[str,
 def run_of(**changes: Any) -> dict[str, Any]:
     return {"scene": "short", "robot": "kr6", "world": "bench", "speed_m_s": 0.7, "method": "ideal", "seed": 1,
             "failure": None, "control_error_mm": {"mean": 0.1}, **changes}
+
+
+def test_results_are_read_in_every_form(tmp_path: Path) -> None:
+    answers = [run_of(seed=seed, control_error_mm={"mean": 0.1 + 0.01 * seed}) for seed in (1, 2, 3)]
+    (tmp_path / "s.json").write_text(json.dumps({"schema": 1, "runs": answers}))
+    (tmp_path / "s.jsonl").write_text("\n".join(json.dumps(answer) for answer in answers))
+    pd.json_normalize(answers).to_csv(tmp_path / "s.csv", index=False)
+    for name in ("s.json", "s.jsonl", "s.csv"):
+        found = read_results(tmp_path / name)
+        assert len(found.runs) == 3
+        assert "control_error_mm.mean" in found.figures
+        assert compared(found, read_results(tmp_path / "s.json")).verdict == SAME
 
 
 @pytest.mark.parametrize(("before", "says"), [
