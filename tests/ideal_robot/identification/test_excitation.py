@@ -64,10 +64,15 @@ def truth(laws: list[FrictionModel] | None = None) -> Truth:
 def record(what: Truth, rng: np.random.Generator, *, noise: float = 0.005, rate: float = 250.0,
            seed: int = 1) -> Recording:
     """A recording of two periods; the noise of the torque is relative to its limit, that of the position 2 µrad."""
-    arm = robot()
-    n = arm.n
     t = np.arange(0.0, 24.0, 1.0 / rate)
-    q, qd, qdd = motion(seed).at(t)
+    return logged(what, rng, t, motion(seed).at(t), noise)
+
+
+def logged(what: Truth, rng: np.random.Generator, t: np.ndarray, moved: tuple[np.ndarray, ...], noise: float
+           ) -> Recording:
+    """What is recorded of a motion: angles, velocities and accelerations ``(N, n)`` at ``t``."""
+    arm, (q, qd, qdd) = robot(), moved
+    n = arm.n
     model = with_link_parameters(arm.pinocchio, what.full[: 10 * n])
     load = torques(model, q, qd, qdd)
     tau = load + what.full[10 * n : 11 * n] * qdd + what.full[11 * n :] + what.friction.torque(qd, load, q)

@@ -11,13 +11,15 @@ from ideal_robot.arrays import Array
 from ideal_robot.friction import Arctan, CubeRoot, ViscousCoulomb
 from ideal_robot.identification.idim import identify, relative_error
 from ideal_robot.identification.joint_fit import regions_of_motion, stiffness_from_arm
+from ideal_robot.identification.program import plan_two_step
+from ideal_robot.identification.two_step import identify_two_step
 from ideal_robot.identification.verdict import JointVerdict, joint_verdicts, told
 from ideal_robot.identification.weighted_least_squares import weighted_least_squares
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import Parameter
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from tests.ideal_robot.identification.test_excitation import base, motion, record, robot, truth, wrong_by_half
+from tests.ideal_robot.identification.test_excitation import base, logged, motion, record, robot, truth, wrong_by_half
 from tests.sources import DATA
 
 EMPS = DATA / "emps" / "emps_estimation.parquet"
@@ -58,6 +60,21 @@ def test_known_truth_in_fifty_runs() -> None:
     share, rms = within(range(50))
     assert share >= 0.95
     assert 0.5 < rms < 1.3
+
+
+def test_two_step_method_finds_what_single_axis_moves_show() -> None:
+    """On the rigid arm; the simulated one plays the program in ``tests/scenes/identification``."""
+    arm, what, rng = robot(), truth(), np.random.default_rng(1)
+    q = plan_two_step(arm, rng, points=3, candidates=60).commands(arm.home, 0.004, arm)
+    qd = np.gradient(q, 0.004, axis=0)
+    moved = logged(what, rng, 0.004 * np.arange(len(q)), (q, qd, np.gradient(qd, 0.004, axis=0)), noise=0.005)
+    result, measured = identify_two_step([moved], wrong_by_half(rng))
+    gravity = [m for m in measured.measurements if m.quantity == "gravity" and m.joint in (1, 2)]
+    assert len(gravity) >= 6
+    for m in gravity:
+        assert m.value == pytest.approx(float(m.row @ what.base), abs=0.02 * arm.tau_max[m.joint])
+    z = (result.model.base_values - what.base) / np.sqrt(np.diag(result.model.covariance))[: base().count]
+    assert np.mean(np.abs(z) < 3.0) > 0.9
 
 
 def test_without_noise_the_truth_is_found() -> None:

@@ -91,6 +91,7 @@ def test_fifty_simulated_arms(name: str) -> None:
     assert np.mean(within) >= 0.95
 
 
+@pytest.mark.slow
 def test_two_step_method_finds_what_single_axis_moves_show() -> None:
     robot = Robot.load("kr15")
     world = noisy("kr15", 2).replace(friction=True)
