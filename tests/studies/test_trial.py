@@ -57,7 +57,8 @@ def test_size_of_an_effect_grows_with_it_and_is_zero_without() -> None:
     assert seen(4.0) > 1.5 * seen(2.0) > 0.0
 
 
-@pytest.mark.parametrize("engine", ["integrator", "pybullet", pytest.param("mujoco", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("engine", ["integrator", *(pytest.param(name, marks=pytest.mark.slow)
+                                                   for name in ("mujoco", "pybullet"))])
 def test_nothing_but_dry_friction_keeps_a_clean_rigid_plant_out_of_the_model_class(engine: str) -> None:
     """No clock or engine leaves a trace of its own: without dry friction the model class explains the torque."""
     arm = an_arm()

@@ -22,7 +22,7 @@ def test_a_camera_that_is_no_longer_what_it_was_is_named(fault: dict, says: str,
     assert not len(on_line) or on_line.max() < 1e-3
 
 
-@pytest.mark.parametrize("calibrated", [True, False])
+@pytest.mark.parametrize("calibrated", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_sound_camera_is_believed(calibrated: bool, tmp_path: Path) -> None:
     """Also one that is believed as it was mounted by hand, with its millimetres."""
     run = followed(load_scene("line"), tmp_path, calibrated=calibrated, check=True)

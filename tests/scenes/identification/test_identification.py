@@ -70,7 +70,8 @@ def deviations(robot: Robot, world: World, commands: np.ndarray, seed: int) -> t
     return (result.model.base_values - truth) / np.where(std > 0, std, np.inf), good
 
 
-@pytest.mark.parametrize("name", ["kr6", pytest.param("kr15", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["kr6", "kr15"])
 def test_simulated_arm_is_found_from_inertias_wrong_by_half(name: str) -> None:
     robot = Robot.load(name)
     z, good = deviations(robot, noisy(name, 4), commands_of(robot), 4)

@@ -50,6 +50,7 @@ def test_kinematic_errors_and_a_displaced_surface_hardly_matter() -> None:
     assert result.control_error.mean < 1.0e-4
 
 
+@pytest.mark.slow
 def test_a_line_of_another_shape_than_its_reference_is_followed() -> None:
     """A straight reference before a sine of 40 mm, with calibration by moving ([L] 5: *positions or the shapes*)."""
     result = run(load_scene("line").changed(reference={"shape": {"points": [[0.0, 0.0], [1.2, 0.0]]}}))
