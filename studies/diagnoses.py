@@ -65,7 +65,7 @@ def strangers(seeds: str = "40000-40044", kind: str | None = None, sizes: str = 
         write_tables("stranger trials" if share_scale == 1.0 else "engines left out", text)
 
 
-def certainty(seeds: str = "1600000-1600079", inside: str = "1600100-1600163", sizes: str = "0.1,5",
+def certainty(seeds: str = "1600000-1600079", inside: str = "1600100-1600155", sizes: str = "0.1,5",
               lines: Path | None = None) -> None:
     """How small a cause may be to be found, and how sure its name is: strangers with small effects.
 

@@ -218,13 +218,18 @@ def detection(scores: Sequence[Score], family_of: Callable[[str], str]) -> str:
         family_of: a cause by its name.
     """
     trials = [s for s in scores if s.kind in _SINGLE]
-    size, found, false = np.array([(np.log(s.causes[0][2]), all(s.found), len(s.false)) for s in trials]).T
+    size, found, false = np.array([(np.log(s.causes[0][2]), all(s.found), len(s.false))
+                                   for s in trials]).reshape(-1, 3).T
     family = np.array([family_of(s.causes[0][0]) for s in trials])
     lines = ["| family | effects | named | half of them from | false names there | nine tenths from | "
              "false names there |", "| --- " * 7 + "|"]
     for group in (["all"], sorted(set(family))):
         member = np.array([(family == one) | (one == "all") for one in group])
-        beta, covariance = _logistic(np.vstack([member, size]).T, found > 0.0)
+        x = np.vstack([member, size]).T
+        if np.linalg.matrix_rank(x) < x.shape[1]:
+            # Trials of one size, or none, say nothing of a slope.
+            continue
+        beta, covariance = _logistic(x, found > 0.0)
         for k, (one, own) in enumerate(zip(group, member, strict=True)):
             cells = []
             for share in (0.5, 0.9):
@@ -264,7 +269,7 @@ def reliability(scores: Sequence[Score]) -> str:
     was said less what came out; beside it that of saying of every cause the share of all that are there. The standard
     error is that of the share under Jeffreys' prior.
     """
-    p, there = np.array([one for s in scores for one in s.probabilities], dtype=float).T
+    p, there = np.array([one for s in scores for one in s.probabilities], dtype=float).reshape(-1, 2).T
     lines = ["| probability said | causes | its mean | there | share | Brier score | of one share for all |",
              "| --- " * 7 + "|"]
     for low, high in (*pairwise(PROBABILITIES), (0.0, 1.0)):

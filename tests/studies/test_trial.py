@@ -220,6 +220,7 @@ def test_the_size_that_is_found_half_of_the_time_comes_back_from_what_was_found(
     assert half == pytest.approx(0.8, rel=0.1)
     assert nine == pytest.approx(2.4, rel=0.1)
     assert cells[5].strip().startswith("0.00 ± 0.00")
+    assert len(detection(every[:1], lambda cause: "friction").splitlines()) == 2
     # A family that was always found has finite sizes all the same.
     alone = detection([dataclasses.replace(one, found=(True,)) for one in every[:5]],
                       lambda cause: "friction")
