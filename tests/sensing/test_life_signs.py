@@ -212,6 +212,7 @@ def test_of_stamps_that_wander_by_some_milliseconds_nearly_all_are_found(lost: f
     assert sum(_stamped(seed, 0.004, lost).fault is not None for seed in range(40)) >= 38
 
 
+@pytest.mark.slow
 def test_messages_that_are_lost_are_nothing_uneven() -> None:
     """Where a tenth was lost and the rest came 5 ms sooner or later, every fifth sound sensor was refused."""
     refused = 0
