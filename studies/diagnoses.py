@@ -70,7 +70,7 @@ def certainty(seeds: str = "1600000-1600079", inside: str = "1600100-1600155", s
     """How small a cause may be to be found, and how sure its name is: strangers with small effects.
 
     Trials as in `strangers`, of 15 to 25 s: of --seeds the kind is drawn, those of --inside have one effect each that
-    the library has. --lines as there. The probability of a cause is that of `ideal-robot diagnose --explain`.
+    the library has. --lines as there. The probability of a cause is what the score behind `--explain` says.
     """
     least, most = numbers(sizes, "--sizes")
     play = partial(_play, size=(least, most), length=(15.0, 25.0), explain=True)

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
+from filterpy.kalman import KalmanFilter
 
 from ideal_robot.arrays import Array
 from ideal_robot.model.model import Model
@@ -81,30 +82,32 @@ HEARD = 0.01
 """Time after which the motors are asked again [s]; a cycle of 12 ms asks each time."""
 SPAN = 0.012
 """Time between the motor angles that speed and acceleration are taken from [s]: shorter, and encoders are heard."""
-LASTS, WAY = 0.3, 0.02
-"""Time and way over which the torque that a model does not know stays as it is [s, rad]."""
+LASTS, WAY = 0.5, 0.004
+"""Time and way over which the torque that a model does not know at all stays as it is [s, rad]."""
+FADES = 0.2
+"""Way over which the friction beside the model's does [rad]."""
 STILL = 1e-6
 """Speed below which a joint stands still [rad/s]."""
-GROWS = 55.0
+GROWS = 35.0
 """By how much more a sensor may be wrong a metre further on, one standard deviation [N/√m]. With the others, sound
-sensors come to 11.5 N on the simulated KR 6: ``force_wave`` at 0.2, 0.05 and 0.02 m/s, ``glue`` at 0.3, 0.05 and 0.013,
-``contour``."""
+sensors come to 11 N on the simulated KR 6, of 13 N that stop it: ``glue`` at 0.3, 0.1, 0.05, 0.013 and 0.007 m/s,
+``force_wave`` at 0.2, 0.1 and 0.05, ``contour`` at 0.1 and 0.03."""
 
 
 class BeyondSensor:
     r"""Force that the motors feel and the force sensor does not: a random walk, seen through the joints that slide.
 
-    With the torque :math:`g_j` of one newton of contact in joint j and the rest that neither model nor sensor explain,
+    With the torque :math:`g_j` of one newton of contact in joint j, the rest that neither model nor sensor explain is
 
-    .. math:: z = - \frac{\sum_j w_j g_j r_j}{\sum_j w_j g_j^2}, \qquad r = \tau - \tau_M + g F, \qquad
-              w_j = \frac{T}{2\, u_j^2\, (t_0 + x_0 / |\dot q_j|)}, \qquad
-              \mathrm{var}\, z = \frac{1}{\sum_j w_j g_j^2}
+    .. math:: r_j = \tau_j - \tau_{M,j} + g_j F = - g_j e + \zeta_j b_j + \nu_j, \qquad
+              \mathrm{var}\, \nu_j = \frac{2\, u_j^2}{T} (t_0 + x_0 / |\dot q_j|)
 
     :math:`\tau_M` is what the model says of the motion that the motors made, not of what was wanted: the arm swings on
     its gears, and a joint turns round earlier or later. The direction of sliding ζ is followed along the motor angles
-    (Dahl, see ``ideal_robot.friction.presliding``). What the model does not know is its residual, and of the friction
-    :math:`\tau_F` what there is left to turn, :math:`u = \sigma + (1 - |\zeta|)\, \tau_F`; that stays as it is for a
-    time and a way. The slower a joint, the less it tells, and at rest nothing.
+    (Dahl, see ``ideal_robot.friction.presliding``). Friction b beside the model's is as large as its residual σ and
+    stays as it is for a way, slow joints' for long: it turns round with the motion, the force e does not, which tells
+    them apart. What is left, ν, is the residual, and of the friction :math:`\tau_F` what has not turned yet,
+    :math:`u = \sigma + (1 - |\zeta|)\, \tau_F`; that stays as it is for a time and a way.
 
     Args:
         model: of the arm, which says how large its residual σ is.
@@ -120,9 +123,14 @@ class BeyondSensor:
         self._distance = np.array([float(law.shape[-1, 0]) if law.presliding else 1e-12 for law in laws])
         self._sliding = np.zeros(model.n)
         self._waited = self._travelled = 0.0
-        self.excess = 0.0
-        """The force now [N]."""
-        self._variance = 0.0
+        self._filter = KalmanFilter(dim_x=1 + model.n, dim_z=model.n)
+        self._filter.x = np.zeros(1 + model.n)
+        self._filter.P = np.diag(np.r_[0.0, model.noise_std**2])
+
+    @property
+    def excess(self) -> float:
+        """The force e now [N]."""
+        return float(self._filter.x[0])
 
     def hear(self, measured: RobotState, torque: Array, felt: float, speed: float) -> None:
         """One cycle in contact, of which ``weigh`` makes something.
@@ -152,15 +160,15 @@ class BeyondSensor:
         (before, *_), (q, sliding, tau, sensed), (after, *_) = (self._heard[i * self._apart] for i in range(3))
         v, a = (after - before) / (2 * apart), (after - 2 * q + before) / apart**2
         rest = tau - self._model.inverse_dynamics(q, v, a, direction=sliding[None])[0] + sensed
-        weight = waited / self._unknown(v, sliding)
-        self._variance += GROWS**2 * self._travelled
+        fade = np.exp(-np.abs(v) * waited / FADES)
+        grows = np.r_[GROWS**2 * self._travelled, self._model.noise_std**2 * (1.0 - fade**2)]
+        self._filter.predict(F=np.diag(np.r_[1.0, fade]), Q=np.diag(grows))
+        self._filter.update(rest, R=np.diag(self._unknown(v, sliding) / waited),
+                            H=np.column_stack([-torque, np.diag(sliding)]))
         self._waited = self._travelled = 0.0
-        known = 1.0 + self._variance * float(torque @ (weight * torque))
-        self.excess -= self._variance * float(torque @ (weight * (rest + torque * self.excess))) / known
-        self._variance /= known
 
     def _unknown(self, v: Array, sliding: Array) -> Array:
-        """Spectral density ``(n,)`` [N² m² s] of the torque that is not known, at speeds ``(n,)`` [rad/s]."""
+        """Spectral density ``(n,)`` [N² m² s] of ν, at speeds ``(n,)`` [rad/s]."""
         at, one = np.maximum(np.abs(v), STILL), np.ones((1, len(v)))
         friction = self._model.friction.torque(at[None], None, None, one)[0]
         unknown = self._model.noise_std + (1.0 - np.abs(sliding)) * friction
