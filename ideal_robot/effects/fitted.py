@@ -122,7 +122,7 @@ def spline_basis(x: Array, knots: tuple[float, ...], margin: float) -> Array:
     """
     inner = np.asarray(knots)
     full = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
-    basis = BSpline.design_matrix(np.clip(x, inner[0], inner[-1] - 1e-12 * np.ptp(inner)), full, 3).toarray()
+    basis = BSpline(full, np.eye(len(inner) + 2), 3)(np.clip(x, inner[0], inner[-1] - 1e-12 * np.ptp(inner)))
     return np.asarray(basis * _inside(x, knots, margin)[:, None])
 
 

@@ -96,8 +96,10 @@ class TorqueRipple(Effect):
             joint: from 1.
             theta: the order [1/rad].
         """
-        phase = theta[0] * signals.q[:, joint - 1]
-        return np.column_stack([np.cos(phase), np.sin(phase)])
+        turns = theta[0] / (2.0 * np.pi) * signals.q[:, joint - 1]
+        # Within a turn sines take half the time.
+        phase = 2.0 * np.pi * (turns - np.round(turns))
+        return np.stack([np.cos(phase), np.sin(phase)]).T
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
         """See ``Effect.columns``. Shape ``(N, n, 2)``."""

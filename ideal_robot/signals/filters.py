@@ -123,7 +123,7 @@ def not_zero(rows: Array) -> np.ndarray:
     """Mask of the rows ``(m, N)`` that are not zero throughout: most show it in their middle."""
     found = np.asarray(rows[:, rows.shape[1] // 2] != 0.0)
     for k in np.flatnonzero(~found):
-        found[k] = np.count_nonzero(rows[k]) > 0
+        found[k] = rows[k].any()
     return found
 
 

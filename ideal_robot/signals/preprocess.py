@@ -264,10 +264,21 @@ def decimated(values: Array, factor: int) -> Array:
     """Every ``factor``-th sample of the zero-phase FIR-filtered values ``(N, …)``."""
     if factor == 1:
         return np.asarray(values, dtype=float)
-    taps = decimation_taps(factor)
-    if np.ndim(values) == 1:
-        return np.asarray(_thinned_out(np.ascontiguousarray(values, dtype=float)[None], taps, factor)[0])
-    return _column_by_column(values, lambda rows: np.asarray(_thinned_out(rows, taps, factor)))
+    live, rows = decimated_columns(values, factor)
+    result = np.zeros((rows.shape[1], len(live)))
+    result[:, live] = rows.T
+    return result.reshape(len(result), *np.shape(values)[1:])
+
+
+def decimated_columns(values: Array, factor: int) -> tuple[np.ndarray, Array]:
+    """Which columns of ``values (N, …)`` are not zero throughout ``(m,)``, and these decimated ``(r, M)``.
+
+    Zeros, most of what acts on one joint and half of a regressor, stay what they are without being filtered.
+    """
+    columns = np.asarray(values, dtype=float).reshape(len(values), -1).T
+    live = not_zero(columns)
+    rows = np.ascontiguousarray(columns[live])
+    return live, rows if factor == 1 else np.asarray(_thinned_out(rows, decimation_taps(factor), factor))
 
 
 # Sums in any order: the compiler takes several products at a time.
@@ -288,20 +299,6 @@ def _thinned_out(rows: Array, taps: Array, factor: int) -> Array:
                 total += weights[j] * x[j]
             out[r, m] = total
     return out
-
-
-def _column_by_column(values: Array, filtered: Callable[[Array], Array]) -> Array:
-    """A linear filter along the first axis of ``values (N, …)``, given as one along the rows of ``(m, N)``.
-
-    Columns of zeros, half of a regressor's, stay what they are without being filtered.
-    """
-    columns = np.asarray(values, dtype=float).reshape(len(values), -1).T
-    live = not_zero(columns)
-    rows = filtered(np.ascontiguousarray(columns[live]) if live.any() else np.zeros((1, len(values))))
-    result = np.zeros((rows.shape[1], len(columns)))
-    if live.any():
-        result[:, live] = rows.T
-    return result.reshape(len(result), *np.shape(values)[1:])
 
 
 @cache

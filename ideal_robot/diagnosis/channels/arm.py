@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -12,7 +11,7 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.regression import Regression, noise_in_band
 from ideal_robot.diagnosis.statistics.problem import Candidate
-from ideal_robot.effects import ARM_POSITION, TCP_POSITION, Frames, Signals
+from ideal_robot.effects import ARM_POSITION, TCP_POSITION, Frames
 from ideal_robot.effects.loads import AngleLaw
 from ideal_robot.robots.robot import Robot, common_normals
 from ideal_robot.signals.preprocess import resampled
@@ -36,8 +35,8 @@ def arm_angle_regression(recording: Recording, robot: Robot, torque: Regression,
         return None
     n = robot.n
     motor = resampled(recording.t, recording.joints("q"), torque.filtered.t)
-    y = torque.decimate(np.where(there, arm_angles(recording, torque, motor) - motor - deflection(torque, stiffness),
-                                 0.0))
+    bend = arm_angles(recording, torque, motor) - motor - deflection(torque, stiffness)
+    y = torque.filtered.decimate(np.where(there, bend, 0.0))
     W = np.zeros((len(y), n, n))
     W[:, np.arange(n), np.arange(n)] = 1.0
     names = tuple(f"qa_{j + 1}" for j in range(n))
@@ -132,26 +131,8 @@ def _jacobian(robot: Robot, data: pin.Data, q: Array) -> Array:
     return np.asarray(full).reshape(6, robot.n)
 
 
-@dataclass(frozen=True)
-class ToolRegression(Regression):
-    """The regression of the TCP's position: effects of every joint show in all three channels."""
-
-    def channel_of(self, joint: int) -> int | None:
-        """None: a joint has no channel of its own."""
-        return None
-
-    def decimated_signals(self) -> Signals:
-        """The signals at the rows of ``y`` with the frames, through which effects of a joint are looked for."""
-        signals, frames = super().decimated_signals(), self.signals.frames
-        if frames is None:
-            return signals
-        step, keep = self.filtered.factor, self.filtered.keep
-        at = {f.name: getattr(frames, f.name)[::step][keep] for f in dataclasses.fields(Frames)}
-        return dataclasses.replace(signals, frames=Frames(**at))
-
-
 def tool_regression(recording: Recording, robot: Robot, torque: Regression,
-                   stiffness: Array | None) -> ToolRegression | None:
+                   stiffness: Array | None) -> Regression | None:
     """Measured TCP minus that of the nominal kinematics at the arm angles; None where it was not measured.
 
     Where arm angles are not measured they are the motor angles with the gears' known deflection. An axis that was not
@@ -172,7 +153,7 @@ def tool_regression(recording: Recording, robot: Robot, torque: Regression,
     xyz = np.array(frames.tool)
     for k in np.flatnonzero(there):
         xyz[:, k] = resampled(recording.t, recording.columns["xyz"[k]][:, None], grid)[:, 0]
-    y = torque.decimate(xyz - frames.tool)
+    y = torque.filtered.decimate(xyz - frames.tool)
     p = frames.tool - frames.tool.mean(axis=0)
     W = np.zeros((len(grid), 3, 6))
     W[:, :, :3] = np.eye(3)
@@ -181,11 +162,10 @@ def tool_regression(recording: Recording, robot: Robot, torque: Regression,
     # With a measured arm angle the gear has no part in what is left.
     load = np.where(recording.having("qa"), 0.0, torque.signals.load)
     signals = dataclasses.replace(torque.signals, q=q, load=load, frames=frames)
-    own = {f.name: getattr(torque, f.name) for f in dataclasses.fields(Regression)}
-    own |= {"channels": ("x", "y", "z"), "units": ("m",) * 3, "y": y, "measured": y - y.mean(axis=0),
-            "W": torque.decimate(W), "use": np.tile(there, (len(y), 1)), "signals": signals, "domain": TCP_POSITION,
-            "noise_floor": noise_in_band(y, torque), "absent": frozenset(int(i) for i in np.flatnonzero(~there))}
-    return ToolRegression(**own)
+    return dataclasses.replace(
+        torque, channels=("x", "y", "z"), units=("m",) * 3, y=y, measured=y - y.mean(axis=0),
+        W=torque.filtered.decimate(W), use=np.tile(there, (len(y), 1)), signals=signals, domain=TCP_POSITION,
+        noise_floor=noise_in_band(y, torque), absent=frozenset(int(i) for i in np.flatnonzero(~there)))
 
 
 def measured_axes(recording: Recording) -> np.ndarray:

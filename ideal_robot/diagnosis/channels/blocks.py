@@ -37,7 +37,7 @@ class Blocks:
         """Which blocks select and estimate, not only report ``(B,)``."""
         return np.asarray(self.fold >= 0)
 
-    @property
+    @cached_property
     def selecting_samples(self) -> np.ndarray:
         """Which samples select and estimate ``(N,)``."""
         return np.asarray(self.selecting[self.of_samples()])
@@ -108,7 +108,7 @@ class Columns:
     channels: tuple[int, ...]
     alike: bool = False
     own: Array | None = None
-    in_blocks: dict[int, tuple[np.ndarray, Array]] = field(default_factory=dict, compare=False, repr=False)
+    in_blocks: dict[Any, tuple[np.ndarray, Array]] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def m(self) -> int:
@@ -157,6 +157,8 @@ class BlockProducts:
         self.W = Columns(W * use[:, :, None], everywhere)
         self.y = Columns((y * use)[:, :, None], everywhere)
         self.count = np.add.reduceat(use.astype(float), blocks.edges[:-1], axis=0)
+        # Weights of the channels by folds and prior, as the model's parameters leave them, with that prior.
+        self.of_model: dict[tuple[int, int], tuple[Array, Array | None]] = {}
 
     def in_folds_of(self, blocks: Blocks) -> BlockProducts:
         """The same rows in blocks with the same edges and other folds."""
@@ -176,13 +178,21 @@ class BlockProducts:
 
     def total(self, a: Columns, b: Columns) -> Array:
         """``a' b`` over all selecting blocks, for each channel of ``a``: ``(k, m_a, m_b)``."""
-        result = np.zeros((len(a.channels), a.m, b.m))
+        result, rows = np.zeros((len(a.channels), a.m, b.m)), self.blocks.selecting_samples
         for i, j in enumerate(a.channels):
             if j in b.channels:
-                (ours, left), (theirs, right) = self.acting(a, j), self.acting(b, j)
-                left = left * self.blocks.selecting[:, None, None]
-                result[i, ours[:, None], theirs] = np.tensordot(left, right, ((0, 1), (0, 1)))
+                left = a.values[rows, i]
+                acting, right = (slice(None), left) if a is b else self._selecting(b, j, rows)
+                result[i][:, acting] = left.T @ right
         return result
+
+    def _selecting(self, columns: Columns, j: int, rows: np.ndarray) -> tuple[np.ndarray, Array]:
+        """Which columns act on one channel, and their selecting rows ``(N, m)``."""
+        key = j, self.blocks.folds
+        if key not in columns.in_blocks:
+            acting = self.acting(columns, j)[0]
+            columns.in_blocks[key] = acting, columns.values[rows, columns.channels.index(j)][:, acting]
+        return columns.in_blocks[key]
 
     def acting(self, columns: Columns, j: int) -> tuple[np.ndarray, Array]:
         """Which columns act on one channel, and their rows block by block ``(B, L, m)``.

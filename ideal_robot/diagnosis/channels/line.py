@@ -52,18 +52,6 @@ class LineRegression(Regression):
         first = np.flatnonzero(np.diff(self.field, prepend=-1))
         return numbered_blocks((*(int(e) for e in first[::BLOCK]), len(self.t)), held_out, 6)
 
-    def channel_of(self, joint: int) -> int | None:
-        """The only channel."""
-        return 0
-
-    def decimate(self, columns: Array) -> Array:
-        """The columns as they are."""
-        return columns
-
-    def decimated_signals(self) -> Signals:
-        """The signals as they are."""
-        return self.signals
-
 
 @dataclasses.dataclass(frozen=True)
 class _SeenPoints:
@@ -152,8 +140,10 @@ def line_regression(recording: Recording, robot: Robot, torque: Regression,
     # As little known as the line is how its surface inclines: along it points come nearer or farther than taken for.
     inclined = seen_points.beside((s[rows] - s[rows].mean()) * seen_points.off(seen_points.out))
     y, W = residual[:, None], np.column_stack([np.ones(len(residual)), inclined])[:, None, :]
-    return LineRegression(times, ("line",), ("m",), y, y, W, np.ones(y.shape, dtype=bool), signals,
-                          torque.filtered, {}, noise_floor, torque.prismatic, SENSOR, field=number[rows])
+    use = np.ones(y.shape, dtype=bool)
+    return LineRegression(times, ("line",), ("m",), y, y, W, use, signals,
+                          dataclasses.replace(torque.filtered, factor=1, keep=use[:, 0]), {}, noise_floor,
+                          torque.prismatic, SENSOR, field=number[rows])
 
 
 def _signals_at(times: Array, torque: Regression, begin: float, extra: dict[str, Array]) -> Signals:

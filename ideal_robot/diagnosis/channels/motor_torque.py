@@ -250,7 +250,7 @@ def without_spikes(recording: Recording) -> Recording:
 
 def in_own_units(made: Regression) -> Regression:
     """Torque and load of the nominal model in the units of each joint's measurement, by one factor a joint."""
-    s, nominal = made.signals, made.decimate(made.signals.torque)
+    s, nominal = made.signals, made.filtered.decimate(made.signals.torque)
     factor = (nominal * made.measured).sum(axis=0) / np.maximum((nominal**2).sum(axis=0), 1e-300)
     # A vertical axis carries no weight in any unit.
     signals = replace(s, torque=s.torque * factor, load=s.load * factor, friction=s.friction * factor,

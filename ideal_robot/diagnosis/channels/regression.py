@@ -12,7 +12,7 @@ from scipy import ndimage, signal
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.blocks import Blocks, time_blocks
-from ideal_robot.effects import MOTOR_TORQUE, SENSOR, Domain, Effect, FittedEffect, Signals
+from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION, Domain, Effect, FittedEffect, Frames, Signals
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import FilteredSignals
 from ideal_robot.signals.recording import Recording
@@ -30,7 +30,7 @@ class Regression:
         W: derivative of the prediction by the model's parameters ``(N, c, p)``.
         use: samples that count ``(N, c)``.
         signals: undecimated signals for effects.
-        filtered: the filter that made them; ``decimate`` brings columns of effects to the rows of ``y``.
+        filtered: the filter that made them; its ``decimate`` brings columns of effects to the rows of ``y``.
         undecided: joints (from 1) that move too little, with the reason.
         domain: where its effects act.
         prismatic: which joints slide and are measured in N and m ``(n,)``.
@@ -60,23 +60,19 @@ class Regression:
         return time_blocks(rows, step, held_out)
 
     def channel_of(self, joint: int) -> int | None:
-        """Index of the channel of a joint; None where effects do not belong to one channel."""
-        return joint - 1 if joint else None
+        """Index of the channel of a joint; None where effects do not belong to one channel, as those of the TCP."""
+        return joint - 1 if joint and self.domain != TCP_POSITION else None
 
     @property
     def recorded(self) -> np.ndarray:
         """Which channels the recording has ``(c,)``."""
         return np.array([j not in self.absent for j in range(len(self.channels))])
 
-    def decimate(self, columns: Array) -> Array:
-        """Filters and decimates columns ``(N_raw, …)`` to the rows of ``y``; untouched zeros stay exactly zero."""
-        return self.filtered.decimate(columns)
-
     def columns_of(self, effect: Effect, joint: int, theta: tuple[float, ...]) -> Array:
         """See ``Effect.columns``. At the rows of ``y``, shape ``(N, c, m)``."""
         key = effect, joint, theta
         if key not in self._columns:
-            self._columns[key] = self.decimate(effect.columns(self.signals, joint, theta))
+            self._columns[key] = self.filtered.decimate(effect.columns(self.signals, joint, theta))
         return self._columns[key]
 
     @cached_property
@@ -92,7 +88,8 @@ class Regression:
 
         return replace(s, t=at(s.t), q=at(s.q), qd=at(s.qd), qdd=at(s.qdd), load=at(s.load), torque=at(s.torque),
                        friction=at(s.friction), weight=None if s.weight is None else at(s.weight), payload=None,
-                       rigid=None, bodies=None, gravity_across=None, frames=None,
+                       rigid=None, bodies=None, gravity_across=None,
+                       frames=None if s.frames is None else Frames(*(at(one) for one in vars(s.frames).values())),
                        temperature=None if s.temperature is None else at(s.temperature),
                        sliding=None if s.sliding is None else at(s.sliding),
                        extra={name: at(values) for name, values in s.extra.items()})
@@ -114,7 +111,7 @@ def without_known(made: Positions, effects: Sequence[FittedEffect]) -> Positions
     known = [effect for effect in effects if effect.domain == made.domain and made.domain != SENSOR]
     if not known:
         return made
-    said = [made.decimate(effect.contribution(made.signals)) for effect in known]
+    said = [made.filtered.decimate(effect.contribution(made.signals)) for effect in known]
     return replace(made, y=np.asarray(made.y - np.sum(said, axis=0)))
 
 

@@ -267,7 +267,7 @@ class Foresight:
         if self.case.shared:
             return np.ones(self.case.robot.n)
         plain = torque_regression(self.case.recording, self.case.robot, self.start)
-        nominal = plain.decimate(plain.signals.torque)
+        nominal = plain.filtered.decimate(plain.signals.torque)
         return np.asarray((nominal * plain.measured).sum(axis=0) / np.maximum((nominal**2).sum(axis=0), 1e-300))
 
     def regression(self, q_c: Array, domain: Domain) -> Regression:

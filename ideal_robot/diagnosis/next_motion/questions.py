@@ -149,7 +149,7 @@ class Causes:
             if best is None:
                 silent.append(f"{one.name} at joint {one.joint} does not show in this recording")
                 continue
-            self.model.take(best)
+            self.model.replace([*self.model.choices, best])
             taken.append((one, best))
         asked: list[Pair] = []
         for one, choice in taken:

@@ -74,7 +74,9 @@ class PresentModel:
         self.problem = problem
         self.design = problem.design()
         self.choices: list[Candidate] = []
+        self._starts: dict[str, list[tuple[float, ...]]] = {}
         self.weights = self._weights()
+        self._last: Fit | None = None
 
     def keys(self, *without: Candidate) -> list[str]:
         """Groups of the fit."""
@@ -82,7 +84,10 @@ class PresentModel:
 
     def fit(self, *without: Candidate) -> Fit:
         """Fit with the selected effects but some."""
-        return Fit(self.design, self.keys(*without), self.weights, self.problem.prior)
+        keys = self.keys(*without)
+        if self._last is None or self._last.keys != keys or self._last.weights is not self.weights:
+            self._last = Fit(self.design, keys, self.weights, self.problem.prior)
+        return self._last
 
     def fit_beside(self, candidate: Candidate, *without: Candidate) -> Fit:
         """Fit with the selected effects but some and with one more, with the weights of these."""
@@ -120,14 +125,11 @@ class PresentModel:
 
     def add_starts(self, starts: Sequence[Candidate]) -> str:
         """Makes all starts of a candidate one group of the design, unless it is; the name of the group."""
-        key = f"{starts[0].place}*"
-        if starts[0].effect.scanned or key not in self.design.groups:
+        key, thetas = f"{starts[0].place}*", [one.theta for one in starts]
+        if self._starts.get(key) != thetas:
             self.design.add(key, Columns.side_by_side([self.problem.columns(one) for one in starts]))
+            self._starts[key] = thetas
         return key
-
-    def take(self, choice: Candidate) -> None:
-        """Adds a choice."""
-        self.replace([*self.choices, choice])
 
     def drop(self, choice: Candidate) -> None:
         """Takes a choice out."""

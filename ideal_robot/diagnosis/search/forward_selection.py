@@ -193,7 +193,7 @@ class Search:
                 if not self._with_needed_form():
                     break
                 continue
-            self.model.take(choice)
+            self.model.replace([*self.model.choices, choice])
             if not choice.effect.learned:
                 self._prune()
             self._retune(choice)

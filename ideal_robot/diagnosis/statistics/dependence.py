@@ -99,6 +99,7 @@ class DependenceTest:
         self.signals, self.use, self.blocks = signals, use, blocks
         self._white: dict[tuple[Unknown, int], tuple[Array, Array]] = {}
         self._known: dict[tuple[str, tuple[float, ...]], Array] = {}
+        self._counts = [self._both_ways(one.astype(float), j) for j, one in enumerate(use.T)]
 
     def tests(self, residual: Array, channel: int, of: Sequence[Unknown]) -> list[Dependence]:
         """Tests curves on one channel's residual.
@@ -114,18 +115,19 @@ class DependenceTest:
         weights = self._both_ways(r, channel)
         return [self._test(weights, channel, term) for term in of]
 
-    def _both_ways(self, r: Array, channel: int) -> tuple[Array, Array]:
-        """Block by block ``(B, 1, L)`` values ``(N,)``, and these times the direction of the channel's joint."""
+    def _both_ways(self, r: Array, channel: int) -> tuple[Array, Array, Array]:
+        """Values ``(N,)`` block by block ``(B, 1, L)``, times its joint's direction, and sums ``(B, 1)``."""
         directed = r * self.signals.sliding_direction(channel + 1) if channel < self.signals.n else r
-        return self.blocks.cut(r)[:, None], self.blocks.cut(directed)[:, None]
+        here = self.blocks.cut(r)
+        return here[:, None], self.blocks.cut(directed)[:, None], here.sum(axis=1)[:, None]
 
-    def _test(self, weights: tuple[Array, Array], channel: int, term: Unknown) -> Dependence:
-        """Tests one curve on a channel's residual, given block by block, and times its direction."""
+    def _test(self, weights: tuple[Array, Array, Array], channel: int, term: Unknown) -> Dependence:
+        """Tests one curve on a channel's residual, given block by block, times its direction, and summed."""
         centre, T = self._whitened(term, channel)
         if not T.size:
             return Dependence(term, 0.0, 0.0, 1.0)
-        parts = (self._sums(weights[term.directed], term) - weights[0].sum(axis=2) * centre) @ T
-        total = max(float(np.sum(weights[0] ** 2)), 1e-300)
+        parts = (self._sums(weights[term.directed], term) - weights[2] * centre) @ T
+        total = max(float(np.vdot(weights[0], weights[0])), 1e-300)
         observed = float(np.sum(parts.sum(axis=0) ** 2))
         # With signs s_b of the blocks it would be |sum_b s_b p_b|²; of its distribution a gamma of the same mean and
         # variance stands for the tail.
@@ -138,7 +140,7 @@ class DependenceTest:
     def _whitened(self, term: Unknown, channel: int) -> tuple[Array, Array]:
         """Means of a curve's columns over the samples that count, and what makes them orthonormal about these."""
         if (term, channel) not in self._white:
-            use = self._both_ways(self.use[:, channel].astype(float), channel)
+            use = self._counts[channel]
             sums, count = self._sums(use[term.directed], term).sum(axis=0), max(float(use[0].sum()), 1.0)
             first, *other = self._curves(term)
             basis = (first[..., None] * other[0][..., None, :] if other else first).reshape(-1, len(sums))

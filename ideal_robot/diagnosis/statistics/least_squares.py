@@ -77,11 +77,10 @@ class Fit:
         self._precision = precision
         self._training = np.array([np.where(self.fold == k, LEFT_OUT, 1.0) * (self.fold >= 0)
                                    for k in range(-1, self.folds)])
-        self.inverse, self.beta = self._solved(self._training[0])
+        self.inverse, self.beta = self._solved(self.G.summed(weights, self._training[0]))
 
-    def _solved(self, training: Array) -> tuple[Array, Array]:
-        """Inverse of the normal equations' matrix ``(P, P)`` and parameters ``(P,)``; blocks are weighted ``(B,)``."""
-        H = self.G.summed(self.weights, training)
+    def _solved(self, H: Array) -> tuple[Array, Array]:
+        """Inverse of the normal equations' matrix ``(P, P)`` and parameters ``(P,)`` from all products with ``y``."""
         A = H[: self.P, : self.P] + self._precision
         A = A + ROUNDING * np.diag(np.maximum(np.diag(A), 1e-12 * (np.max(np.diag(A)) + 1e-300)))
         # Zero throughout where no sample is left to train on: nothing is known then, and nothing found.
@@ -92,7 +91,7 @@ class Fit:
     @cached_property
     def _solutions(self) -> tuple[Array, Array]:
         """Inverses ``(1 + folds, P, P)`` and parameters ``(1 + folds, P)`` on all selecting blocks and without each."""
-        solved = [(self.inverse, self.beta), *(self._solved(row) for row in self._training[1:])]
+        solved = [(self.inverse, self.beta), *map(self._solved, self.G.summed(self.weights, self._training[1:]))]
         return np.array([inverse for inverse, _ in solved]), np.array([beta for _, beta in solved])
 
     @property
@@ -294,7 +293,10 @@ def weights_of_channels(design: Design, keys: list[str], prior: Array | None, ro
         prior: precision of the parameters ``(P, P)``, or None.
         rounds: refits with ``keys``; after two the weights have settled.
     """
-    weights = Fit(design, ["W"], np.ones(design.data.c), prior).refitted_weights()
+    known, key = design.data.of_model, (design.data.blocks.folds, id(prior))
+    if key not in known:
+        known[key] = Fit(design, ["W"], np.ones(design.data.c), prior).refitted_weights(), prior
+    weights = known[key][0]
     for _ in range(rounds):
         weights = Fit(design, keys, weights, prior).refitted_weights()
     return weights

@@ -24,6 +24,7 @@ from ideal_robot.effects import Effect, FittedEffect
 from ideal_robot.friction import PerJointFriction
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import friction_places, parameter_vector
+from ideal_robot.signals.preprocess import decimated_columns
 
 
 @dataclass(frozen=True)
@@ -218,10 +219,12 @@ class Problem:
 
     def prepared(self, columns: Array) -> Columns:
         """Raw columns ``(N_raw, c, m)`` filtered, decimated and masked; channels that are zero are not touched."""
-        small = self.regression.decimate(columns)
-        channels = np.flatnonzero(small.any(axis=(0, 2)))
-        values = self._in_band(small[:, channels]) * self.regression.use[:, channels, None]
-        return Columns(np.ascontiguousarray(values), tuple(int(j) for j in channels))
+        live, rows = decimated_columns(columns, self.regression.filtered.factor)
+        live, rows = live.reshape(columns.shape[1:]), rows[:, self.regression.filtered.keep]
+        channels = np.flatnonzero(live.any(axis=1))
+        values = np.zeros((rows.shape[1], len(channels), columns.shape[2]))
+        values[:, live[channels]] = rows.T
+        return Columns(self._in_band(values) * self.regression.use[:, channels, None], tuple(int(j) for j in channels))
 
     def _in_band(self, values: Array) -> Array:
         """Rows ``(N, …)`` without what is above the band."""
@@ -230,7 +233,15 @@ class Problem:
         return np.asarray(signal.sosfiltfilt(signal.butter(4, self.band, output="sos"), values, axis=0))
 
     def columns(self, candidate: Candidate) -> Columns:
-        """A candidate's columns at the rows of the regression."""
+        """A candidate's columns at the rows of the regression; each round asks for many of the round before."""
+        recent, key = self.made.setdefault("recent", {}), (candidate.key, self.band)
+        recent[key] = recent.pop(key, None) or self._columns(candidate)
+        if len(recent) > 256:
+            del recent[next(iter(recent))]
+        made: Columns = recent[key]
+        return made
+
+    def _columns(self, candidate: Candidate) -> Columns:
         columns = candidate.effect.columns(self.regression.signals, candidate.joint, candidate.theta)
         made = replace(self.prepared(columns), alike=candidate.effect.learned)
         form = self.form_of_model(candidate)
@@ -254,10 +265,7 @@ class Problem:
         """Parameters of the model and columns of effects, with their cross-products."""
         design = Design(self.products)
         for candidate in effects:
-            key = candidate.key, self.band
-            if key not in self.made:
-                self.made[key] = self.columns(candidate)
-            design.add(candidate.key, self.made[key])
+            design.add(candidate.key, self.columns(candidate))
         return design
 
     def fit(self, effects: Sequence[Candidate] = (), *, uncertainty: bool = False,

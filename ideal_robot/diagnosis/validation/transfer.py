@@ -188,7 +188,7 @@ def behind_gears(known: Model, found: Diagnosis, run: Recording, robot: Robot) -
     if arm is None:
         return ()
     arm = without_known(arm, known.effects)
-    columns = {id(effect): arm.decimate(effect.contribution(arm.signals)) for effect in behind}
+    columns = {id(effect): arm.filtered.decimate(effect.contribution(arm.signals)) for effect in behind}
 
     def error(effects: Sequence[FittedEffect]) -> Array:
         left = arm.y - sum((columns[id(effect)] for effect in effects), np.zeros_like(arm.y))

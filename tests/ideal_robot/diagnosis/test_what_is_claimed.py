@@ -168,7 +168,7 @@ def test_what_does_not_lower_the_held_out_error_is_not_added_behind_the_gear_eit
     selecting = problem.blocks.selecting[problem.blocks.of_samples()]
     # A ripple that the blocks kept apart contradict.
     ripple = find("transmission_error", "qa")
-    column = made.decimate(ripple.columns(made.signals, 1, (40.0,)))[:, :, 0]
+    column = made.filtered.decimate(ripple.columns(made.signals, 1, (40.0,)))[:, :, 0]
     made = dataclasses.replace(made, y=made.y + 3e-5 * np.where(selecting, 1.0, -1.0)[:, None] * column)
     domain, dropped = with_choices(dataclasses.replace(problem, regression=made),
                                    Candidate(ripple, 1, (40.0,))).settled()

@@ -252,7 +252,7 @@ def test_a_leaning_base_shows_moments_of_an_upright_first_axis_that_the_urdf_has
 def test_a_spring_balances_gravity_where_there_is_some_in_any_unit(unit):
     _, regression = of_a_moved_arm()
     if unit == "A":
-        amperes = 0.1 * regression.decimate(regression.signals.torque)
+        amperes = 0.1 * regression.filtered.decimate(regression.signals.torque)
         regression = in_own_units(replace(regression, measured=amperes))
     usable = [find("gravity_spring", "tau").usable(regression.signals, joint) for joint in (1, 2, 3)]
     assert usable == [False, True, True]

@@ -88,7 +88,7 @@ def fitted(recording: Recording, known: Model, true: FittedEffect) -> FittedEffe
             ARM_POSITION: lambda: arm_angle_regression(recording, arm.ROBOT, torque, known.stiffness),
             TCP_POSITION: lambda: tool_regression(recording, arm.ROBOT, torque, known.stiffness)}[true.domain]()
     assert made is not None
-    shape = made.decimate(true.effect.columns(made.signals, true.joint, true.theta))
+    shape = made.filtered.decimate(true.effect.columns(made.signals, true.joint, true.theta))
     shown = np.flatnonzero(np.any(np.abs(shape) > 1e-12, axis=(0, 1)))
     rows = shape[..., shown] if true.domain == MOTOR_TORQUE else np.concatenate([shape[..., shown], made.W], axis=2)
     size = np.linalg.lstsq(rows[made.use], made.y[made.use], rcond=1e-9)[0]
