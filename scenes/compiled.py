@@ -14,7 +14,10 @@ import numpy as np
 from ideal_robot.execution.command_governor import CommandGovernor
 from ideal_robot.feedforward.method import Needs
 from ideal_robot.feedforward.registry import feedforward, methods
+from ideal_robot.identification.excitation import Workspace, obstacle
 from ideal_robot.identification.idim import identify
+from ideal_robot.loop.from_model import loop_model
+from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from scenes.models import shipped_model
@@ -33,12 +36,14 @@ def compile_all() -> float:
     """Plays a short scene of each kind, every feedforward and an identification; returns the time it took [s]."""
     started = time.perf_counter()
     for name, short in SHORT.items():
-        run_scene(load_scene(name), **short)
+        run_scene(load_scene(name), method="adapted", **short)
     robot = Robot.load("kr6")
     model = Model.load(shipped_model("kr6"))
     for key in methods(Needs.MODEL):
         law = feedforward(key, model, robot, n_d=30)
         law.step(law.init(robot.home), np.tile(robot.home, (law.n_d, 1)))
+    simulate(loop_model(model, robot), np.tile(robot.home, (3, 1)))
+    obstacle(robot, robot.home[None], Workspace())
     governor = CommandGovernor(robot, robot.home)
     with SimulatedArm(robot, World.default("kr6"), np.random.default_rng(0)) as arm:
         for k in range(400):

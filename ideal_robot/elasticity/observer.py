@@ -84,6 +84,7 @@ class ArmObserver:
             q: motor angles at its end ``(n,)`` [rad].
             tau_ext: joint torque of external forces during it ``(n,)`` [N m]; None for none.
         """
+        q = np.array(q, dtype=float)
         if self._rigid:
             return ObserverState(q, (q - state.q) / self._T, q, state.q, (q - state.q) / self._T)
         # Velocity at the end of the cycle from the parabola through the last three motor angles.
@@ -94,7 +95,7 @@ class ArmObserver:
             load = load - tau_ext
         motors = _Motors(state.q, q, state.v, v)
         q_a, v_a = _substeps(state.q_a, state.v_a, motors, upper, load, self._gears, self._T)
-        return ObserverState(q_a, v_a, np.array(q, dtype=float), state.q, v)
+        return ObserverState(q_a, v_a, q, state.q, v)
 
     def angles(self, q: Array, tau_ext: Array | None = None) -> Array:
         """Arm angles ``(N, n)`` of a whole recording of motor angles ``(N, n)`` taken every ``T``.

@@ -240,8 +240,8 @@ FRICTION = ("friction_torque", "friction_load", "friction_driven")
 
 
 def friction_of(loop: LoopModel) -> tuple[Array, Array, Array]:
-    """The fields ``FRICTION`` of a loop."""
-    return loop.friction_torque, loop.friction_load, loop.friction_driven
+    """The fields ``FRICTION`` of a loop; copies that may be written, see ``LoopModel.drives``."""
+    return np.array(loop.friction_torque, order="C"), np.array(loop.friction_load), np.array(loop.friction_driven)
 
 
 def table_terms(loop: LoopModel) -> Array:

@@ -162,10 +162,13 @@ class LoopModel:
         return np.where(np.isfinite(self.stiffness), 1.0 / self.stiffness, 0.0)
 
     def drives(self, stiffness: Array, damping: Array) -> Drives:
-        """The drives with gears of finite ``stiffness`` and ``damping (n,)``."""
+        """The drives with gears of finite ``stiffness`` and ``damping (n,)``.
+
+        Copies that may be written: numba compiles anew for every field that is read-only or is not.
+        """
         limit = np.where(np.isfinite(self.tau_max), self.tau_max, 1e12)
         given = {"stiffness": stiffness, "damping": damping, "tau_max": limit}
-        return Drives(**{name: given.get(name, getattr(self, name)) for name in Drives._fields})
+        return Drives(**{name: np.array(given.get(name, getattr(self, name)), order="C") for name in Drives._fields})
 
     def replace(self, **changes: Any) -> LoopModel:
         """A copy with some fields changed."""

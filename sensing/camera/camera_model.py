@@ -12,7 +12,8 @@ with pixel centres at integer coordinates.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -202,6 +203,10 @@ class CameraModel:
         distortion.setflags(write=False)
         object.__setattr__(self, "K", K)
         object.__setattr__(self, "distortion", distortion)
+
+    def __reduce__(self) -> tuple[type[CameraModel], tuple[Any, ...]]:
+        """In another process, too, its arrays are read-only: numba compiles anew for those that are not."""
+        return type(self), tuple(getattr(self, entry.name) for entry in fields(self))
 
     @property
     def axis_on_surface(self) -> Array:

@@ -213,11 +213,20 @@ def test_an_own_model_knows_its_arm_better_than_another_s(tmp_path: Path, monkey
 # After the compile step of the installation, a run has nothing left to compile.
 
 COUNT = """
+import pickle
 from numba.core import event
+from ideal_robot import Robot
+from ideal_robot.identification.excitation import design_excitation
 from scenes import load_scene, run_scene
+from sensing.camera.camera_model import CameraModel
+import numpy as np
 with event.install_recorder("numba:compile") as recorder:
     for name in ("line", "glue", "contour"):
         run_scene(load_scene(name), **({} if name == "contour" else {"line": {"length": 0.3}}))
+    for method in ("adapted", "trained"):
+        run_scene(load_scene("iso9283_1"), method=method)
+    design_excitation(Robot.load("kr6"), np.random.default_rng(0))
+    pickle.loads(pickle.dumps(CameraModel.default())).rays(np.zeros((1, 2)))
 print("compiled", sorted({e.data["dispatcher"].py_func.__qualname__ for _, e in recorder.buffer}))
 """
 

@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numba import typeof
 
 from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics, joint_frames, joint_places, mass_matrix
 from ideal_robot.dynamics.regressor import regressor
@@ -144,6 +145,13 @@ def test_bodies_that_are_none_are_no_traceback():
     loop = plant()
     with pytest.raises(IdealRobotError, match="mass matrix"):
         simulate(loop.replace(chain=loop.chain._replace(mass=-loop.chain.mass, inertia=-loop.chain.inertia)), motion())
+
+
+def test_drives_are_of_one_type_whatever_the_loop_was_made_of():
+    """What is read-only in one loop and not in another would be compiled twice, the second time while an arm moves."""
+    loop = plant()
+    own = loop.replace(k_v=np.array(loop.k_v)[::-1][::-1], friction_torque=np.array(loop.friction_torque, order="F"))
+    assert typeof(own.drives(own.stiffness, own.damping)) == typeof(loop.drives(loop.stiffness, np.array(loop.damping)))
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from dataclasses import replace
 
 import cv2
@@ -45,6 +46,16 @@ def test_rays_invert_the_projection(lens: tuple[float, ...], seed: int) -> None:
     # Only the most extreme of these lenses fold the picture over within the image.
     assert solved.mean() > 0.9
     np.testing.assert_allclose(camera.project(rays[solved]), pixels[solved], atol=1e-8)
+
+
+def test_a_camera_in_another_process_is_the_same_and_as_read_only() -> None:
+    camera = CameraModel.default(distortion=(-0.2, 0.05, 1e-3, 0.0, 0.0))
+    other = pickle.loads(pickle.dumps(camera))
+    assert (other.K == camera.K).all()
+    assert (other.distortion == camera.distortion).all()
+    assert other.T_tool_camera == camera.T_tool_camera
+    assert not other.K.flags.writeable
+    assert not other.distortion.flags.writeable
 
 
 def test_points_behind_the_camera_have_no_pixel() -> None:
