@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ideal_robot.arrays import Array, eased
+from ideal_robot.arrays import Array, eased, held
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.rsi.link import stamp_arrivals
@@ -212,10 +212,10 @@ class ServedArm:
                        float(np.sqrt(np.max(5.774 * np.abs(way) / (_SHARE * robot.a_max)))), self._T)
         count = int(np.ceil(duration / self._T))
         u = np.arange(1, count + 1)[:, None] / count
-        for row in q + eased(u) * way:
+        for row in held(q + eased(u) * way, after=round(_BETWEEN / self._T)):
+            if self._stopped:
+                return
             self._moved(row)
-        for _ in range(round(_BETWEEN / self._T)):
-            self._moved(self._start)
         self._reset()
 
     def _reset(self) -> None:
@@ -274,15 +274,15 @@ class ServedRtde(ServedArm):
 
     def _led(self) -> Session:
         """Waits for a client's command, then moves the arm by its commands until they stop coming."""
-        session, held, silent = Session(), self._start, 0
+        session, pose, silent = Session(), self._start, 0
         self._state, self._due = RobotState(0.0, self._start, np.zeros(self.arm.robot.n)), time.perf_counter()
         while not self._stopped:
             session.held_up += self._held_up(session)
             end = max(self._due, time.perf_counter()) + ANSWER_WITHIN * self._host_T
-            answered = self._controller.exchange(self._state, held, end if self._controller.led else 0.0)
+            answered = self._controller.exchange(self._state, pose, end if self._controller.led else 0.0)
             wanted = self._controller.commanded
             if answered and wanted is not None:
-                held, silent = wanted, 0
+                pose, silent = wanted, 0
                 session.answered += 1
             elif session.commands:
                 silent += 1
@@ -295,11 +295,11 @@ class ServedRtde(ServedArm):
                 return session
             if session.answered:
                 try:
-                    self._state = self.arm.cycle(held)
+                    self._state = self.arm.cycle(pose)
                 except IdealRobotError as error:
                     session.ended = f"the controller refuses: {error}"
                     return session
-                session.commands.append(held)
+                session.commands.append(pose)
             self._carry(len(session.commands), session)
         session.ended = "stopped"
         return session

@@ -119,7 +119,10 @@ def test_a_client_that_falls_silent_is_braked_and_let_go() -> None:
         client.sendall(AGREED + command(*(ROBOT.home + 1e-4)))
         while not sessions:
             client.recv(4096)
+        ended_at = cell.arm.t
     assert sessions[0].ended == "no command for 100 ms"
+    # Who stops it does not wait until the next session could begin.
+    assert ended_at <= cell.arm.t < ended_at + 1.0
 
 
 def test_who_only_looks_neither_leads_nor_holds_the_clock_up() -> None:
