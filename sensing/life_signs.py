@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from statistics import median
 
 import numpy as np
 
@@ -60,7 +61,7 @@ class LifeSigns:
         self.fault: str | None = None
         self.answered = np.inf
         self._largest, self._channels, self._contradicts = largest, channels, contradicts
-        self._times: deque[tuple[float, float]] = deque(maxlen=STAMPS)
+        self._times, self._stamps = np.zeros((STAMPS, 2)), 0
         self.begin()
 
     def begin(self) -> None:
@@ -165,18 +166,23 @@ class LifeSigns:
             stamp: by this computer's clock [s].
             arrived: by the same clock [s].
         """
-        self._times.append((stamp, arrived))
-        if len(self._times) < FEWEST:
+        self._times[:-1] = self._times[1:]
+        self._times[-1] = stamp, arrived
+        self._stamps = min(self._stamps + 1, STAMPS)
+        if self._stamps < FEWEST:
             return
-        s, a = np.diff(np.array(self._times), axis=0).T
-        own, pace = s - a - np.mean(s - a), max(float(np.median(s)), 1e-6)
+        times = self._times[-self._stamps :]
+        s, a = (times[1:] - times[:-1]).T
+        own, pace = s - a, max(median(s.tolist()), 1e-6)
+        own -= own.mean()
         # Where messages are lost steps are longer by whole ones: that is nothing uneven.
         s = s - pace * np.maximum(np.round(s / pace) - 1.0, 0.0)
         s = s - s.mean()
-        variance = float(np.median([np.mean(part) for part in np.array_split(s * own, STRETCHES)])) / 2.0
+        begins = len(s) * np.arange(STRETCHES + 1) // STRETCHES
+        variance = median((np.add.reduceat(s * own, begins[:-1]) / np.diff(begins)).tolist()) / 2.0
         # What both have in common, as where the sensor has a pace of its own, goes with their own noise by chance.
-        common = max(float(np.mean(s**2)) - 2.0 * variance, 0.0)
-        error = 0.5 * float(np.sqrt(common * np.mean(own**2) / len(s)))
+        common = max(float(s @ s) / len(s) - 2.0 * variance, 0.0)
+        error = 0.5 * float(np.sqrt(common * (own @ own))) / len(s)
         if variance > UNEVEN**2 + SURELY * error:
             self.fault = self.fault or (f"its time stamps wander by {1e3 * np.sqrt(variance):.1f} ms, which its "
                                         "messages do not; look whose clock they are of")
