@@ -42,11 +42,11 @@ _SPARE = 0.02
 """Share of a cycle that a packet was waited for, from which on there was time left: a packet that is there is read in
 less."""
 
-_LED_OVER, _LED = 0.4, 0.5
-"""Time [s] in which the arm has to have a command of ours in that share of the cycles. Less is no disturbance to be
-made good but a cycle that this computer does not hold: what is late makes the next answer later, and forces are felt
-and met too late. Runs of `glue` that went on below it lay 0.57 mm and more beside the line at 12 ms (0.13 otherwise),
-and pressed with 43 N and more at 4 ms."""
+_LATE_OVER, _LATE = 0.4, 0.5
+"""Time [s] in which the controller may be without an answer of ours in that share of the cycles. More is no disturbance
+to be made good but a cycle that this computer does not hold: what is late makes the next answer later, and forces are
+felt and met too late. Runs of `glue` that went on beyond it lay 0.57 mm and more beside the line at 12 ms (0.13
+otherwise), and pressed with 43 N and more at 4 ms."""
 
 Worked = TypeVar("Worked")
 
@@ -121,7 +121,7 @@ class LiveArm:
         self._told: deque[float] = deque(maxlen=_REMEMBERED)
         self._played: deque[float] = deque(maxlen=_REMEMBERED)
         self._passed: deque[RobotState] = deque()
-        self._missed: deque[bool] = deque(maxlen=round(_LED_OVER / self.t_ipo))
+        self._missed: deque[bool] = deque(maxlen=round(_LATE_OVER / self.t_ipo))
         self.reported: deque[RobotState] = deque(maxlen=round(_REPORTED / self.t_ipo))
 
     def stop(self, reason: str) -> None:
@@ -179,21 +179,25 @@ class LiveArm:
         except IdealRobotError as error:
             if isinstance(error, PlanningError):
                 raise
-            raise FollowStoppedError(f"stopped at {self.t:.3f} s: {error}") from error
+            # A controller that misses answers may give up before who sends them does.
+            late = f"; {self._late()}" if any(self._missed) else ""
+            raise FollowStoppedError(f"stopped at {self.t:.3f} s: {error}{late}") from error
         self.cycles += 1
         self.clock.add(state.t, self.link.arrived)
         self._journal.add(self.t + self.t_ipo, state, self.q_d, sent)
-        self._check_led()
+        self._check_late()
         return self._counted(self._made_good(state))
 
-    def _check_led(self) -> None:
+    def _check_late(self) -> None:
         """Ends following where too many of the last cycles had no answer of ours in time."""
-        recent = self._missed
-        recent.append(self.link.missed)
-        if (late := sum(recent)) > (1.0 - _LED) * (recent.maxlen or 1):
-            self.stop(f"in {late} of the last {recent.maxlen} cycles of {1e3 * self.t_ipo:g} ms the controller had no "
-                      f"answer in time, which takes {1e3 * self._usual():.1f} ms: take a longer cycle (--cycle), a "
-                      "computer with less to do, or look at the network")
+        self._missed.append(self.link.missed)
+        if sum(self._missed) > _LATE * (self._missed.maxlen or 1):
+            self.stop(f"{self._late()}: take a longer cycle (--cycle), a computer with less to do, or look at the "
+                      "network")
+
+    def _late(self) -> str:
+        return (f"in {sum(self._missed)} of the last {len(self._missed)} cycles of {1e3 * self.t_ipo:g} ms the "
+                f"controller had no answer in time, which takes {1e3 * self._usual():.1f} ms")
 
     def _usual(self) -> float:
         """Usual time of the last answers [s]."""

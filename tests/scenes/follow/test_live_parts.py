@@ -118,7 +118,16 @@ def test_a_fault_and_a_gone_arm_end_following(link: Tame, arm: LiveArm) -> None:
     with pytest.raises(FollowStoppedError, match="joint 2 does not move"):
         arm.check(0.5)
     link.raises = RsiError("no packet from the controller")
-    with pytest.raises(FollowStoppedError, match="no packet"):
+    with pytest.raises(FollowStoppedError, match=r"no packet from the controller$"):
+        arm.cycle(link.robot.home)
+
+
+def test_a_controller_that_gave_up_over_late_answers_is_no_riddle(link: Tame, arm: LiveArm) -> None:
+    link.lost, link.repeats = (3, 4), True
+    for _ in range(8):
+        arm.cycle(link.robot.home)
+    link.raises = RsiError("no packet from the controller")
+    with pytest.raises(FollowStoppedError, match=r"no packet.*; in 1 of the last 7 cycles .* no answer in time"):
         arm.cycle(link.robot.home)
 
 
