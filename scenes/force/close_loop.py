@@ -19,7 +19,7 @@ from ideal_robot.diagnosis import diagnose
 from ideal_robot.diagnosis.channels.force import force_regressions
 from ideal_robot.diagnosis.channels.motor_torque import in_position_band, torque_regression
 from ideal_robot.diagnosis.statistics.problem import Problem
-from ideal_robot.diagnosis.validation.refit import named_force_effects
+from ideal_robot.diagnosis.validation.refit import named_sensor_effects
 from ideal_robot.effects import SENSOR
 from ideal_robot.errors import InputError
 from ideal_robot.identification.checks import checked
@@ -55,7 +55,7 @@ def close_loop(scene: ForceScene, *, measured: str = "tcp", out: Path | None = N
         before = force.play(known)
         done = close(force, known, before, out=out, progress=job.part("rounds"))
         job.begin("oracle")
-        oracle = force.play(known.with_effects(named_force_effects(force.seen(before), robot, known, undeclared)))
+        oracle = force.play(known.with_effects(named_sensor_effects(force.seen(before), robot, known, undeclared)))
         right = {"sensor": scene.sensor.model_copy(update={"drift": ()}),
                  "assumed": scene.assumed.model_copy(update={"elasticity_ratio": 1.0})}
         true = force.play(known, scene.model_copy(update=right))

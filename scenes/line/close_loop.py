@@ -24,7 +24,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis import diagnose
 from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
-from ideal_robot.diagnosis.validation.refit import beside_held_model, named_camera_effects, with_named_effects
+from ideal_robot.diagnosis.validation.refit import beside_held_model, named_sensor_effects, with_named_effects
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.execution.play import play as play_motion
@@ -205,7 +205,7 @@ class _Line(Subject[LineResult]):
 
     def fitted(self, run: LineResult, model: Model, names: Sequence[str]) -> tuple[FittedEffect, ...]:
         """Effects of the camera by their names, in a run with a model."""
-        return named_camera_effects(self.seen(run), self.robot, model, names)
+        return named_sensor_effects(self.seen(run), self.robot, model, names)
 
     def moved(self) -> Recording:
         """What is measured in a motion about the reference path, to and fro at full and at a third of the speed."""

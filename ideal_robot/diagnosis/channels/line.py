@@ -15,7 +15,6 @@ from scipy import ndimage
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.arm import arm_angles, deflection, tool_motion
-from ideal_robot.diagnosis.channels.blocks import Blocks, numbered_blocks
 from ideal_robot.diagnosis.channels.regression import FEWEST, Regression
 from ideal_robot.effects import SENSOR, Signals, library
 from ideal_robot.effects.camera import CameraEffect, PointError, StampError, from_axis
@@ -35,22 +34,6 @@ _OUTLIER = 8.0
 """Standard deviations from the smooth line beyond which a point is none of it: of Gaussian noise none is so far."""
 _SEEN = 0.002
 """Of the squares of what an error does across the line, the share below which another line does it as well."""
-
-
-@dataclasses.dataclass(frozen=True)
-class LineRegression(Regression):
-    """Rows are points of the line in order of time; columns need no filter.
-
-    Attributes:
-        field: number of the camera field of each row ``(N,)``.
-    """
-
-    field: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=int))
-
-    def blocks(self, held_out: bool) -> Blocks:
-        """Blocks of a few fields each."""
-        first = np.flatnonzero(np.diff(self.field, prepend=-1))
-        return numbered_blocks((*(int(e) for e in first[::BLOCK]), len(self.t)), held_out, 6)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,7 +80,7 @@ class _SeenPoints:
 
 
 def line_regression(recording: Recording, robot: Robot, torque: Regression,
-                    stiffness: Array | None) -> LineRegression | None:
+                    stiffness: Array | None) -> Regression | None:
     """The regression of a line-following recording; None if there are no line points, or too few.
 
     Args:
@@ -141,9 +124,10 @@ def line_regression(recording: Recording, robot: Robot, torque: Regression,
     inclined = seen_points.beside((s[rows] - s[rows].mean()) * seen_points.off(seen_points.out))
     y, W = residual[:, None], np.column_stack([np.ones(len(residual)), inclined])[:, None, :]
     use = np.ones(y.shape, dtype=bool)
-    return LineRegression(times, ("line",), ("m",), y, y, W, use, signals,
-                          dataclasses.replace(torque.filtered, factor=1, keep=use[:, 0]), {}, noise_floor,
-                          torque.prismatic, SENSOR, field=number[rows])
+    # Rows are points in order of time, and need no filter.
+    filtered, first = dataclasses.replace(torque.filtered, factor=1, keep=use[:, 0]), np.diff(number[rows], prepend=-1)
+    return Regression(times, ("line",), ("m",), y, y, W, use, signals, filtered, {}, noise_floor, torque.prismatic,
+                      SENSOR, edges=(*np.flatnonzero(first)[::BLOCK].tolist(), len(y)))
 
 
 def _signals_at(times: Array, torque: Regression, begin: float, extra: dict[str, Array]) -> Signals:

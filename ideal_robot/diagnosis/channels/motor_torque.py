@@ -69,7 +69,9 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     """
     n = robot.n
     recorded = _filtered(recording, cutoff)
-    filtered = _differentiated(recorded if _measures_more(recording) else _thinned(recorded))
+    # Many samples average the noise of positions or forces that are measured beside the motors'.
+    more = {"x", "y", "z", "fx", "cam_t"} & recording.columns.keys() or recording.having("qa").any()
+    filtered = _differentiated(recorded if more else _thinned(recorded))
     q, qd, qdd = filtered.q, filtered.qd, filtered.qdd
     t = filtered.t - filtered.t[0]
     noise_velocity = small_velocity(recording, filtered)
@@ -213,12 +215,6 @@ def in_position_band(made: Regression, recording: Recording) -> Regression:
     if len(filtered.t) > len(made.filtered.t):
         filtered = _thinned(filtered)
     return replace(made, t=filtered.t_decimated - filtered.t[0], filtered=filtered)
-
-
-def _measures_more(recording: Recording) -> bool:
-    """Whether positions or forces are measured beside the motors', whose noise many samples average."""
-    others = ("x", "y", "z", "fx", "cam_t")
-    return bool(recording.having("qa").any()) or any(name in recording.columns for name in others)
 
 
 def _thinned(filtered: FilteredSignals) -> FilteredSignals:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import ndimage, signal
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.channels.blocks import Blocks, time_blocks
+from ideal_robot.diagnosis.channels.blocks import Blocks, numbered_blocks, time_blocks
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION, Domain, Effect, FittedEffect, Frames, Signals
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import FilteredSignals
@@ -36,6 +36,7 @@ class Regression:
         prismatic: which joints slide and are measured in N and m ``(n,)``.
         noise_floor: level of the measurement's own noise per channel ``(c,)``, in the band that is looked at.
         absent: channels (from 0) that the recording does not have; none of their samples counts.
+        edges: first row of each block and the end, of rows that are not even in time.
     """
 
     t: Array
@@ -52,9 +53,12 @@ class Regression:
     prismatic: tuple[bool, ...]
     domain: Domain = MOTOR_TORQUE
     absent: frozenset[int] = frozenset()
+    edges: tuple[int, ...] = ()
 
     def blocks(self, held_out: bool) -> Blocks:
         """Blocks of time of the rows; see ``time_blocks``. A sensor's are few and shorter than those of the torque."""
+        if self.edges:
+            return numbered_blocks(self.edges, held_out, 6)
         rows = len(self.t)
         step = 0.5 * int(np.clip(rows / 10, 8, 32)) / rows if self.domain == SENSOR else float(self.t[1] - self.t[0])
         return time_blocks(rows, step, held_out)
@@ -62,11 +66,6 @@ class Regression:
     def channel_of(self, joint: int) -> int | None:
         """Index of the channel of a joint; None where effects do not belong to one channel, as those of the TCP."""
         return joint - 1 if joint and self.domain != TCP_POSITION else None
-
-    @property
-    def recorded(self) -> np.ndarray:
-        """Which channels the recording has ``(c,)``."""
-        return np.array([j not in self.absent for j in range(len(self.channels))])
 
     def columns_of(self, effect: Effect, joint: int, theta: tuple[float, ...]) -> Array:
         """See ``Effect.columns``. At the rows of ``y``, shape ``(N, c, m)``."""

@@ -100,7 +100,9 @@ class LearnedCurves:
         at_rows = self.scoring.at_rows
         period = time_period(residual[:, j], use, at_rows.t, regression.domain)
         curves = [*self._terms(j, pairs), *([] if period is None else [period])]
-        tests = sorted(self.dependence.tests(residual[:, j], j, curves), key=lambda d: -d.adjusted)
+        # By the share explained of what would not be by chance: many curves follow a residual that is in few places.
+        tests = sorted(self.dependence.tests(residual[:, j], j, curves),
+                       key=lambda d: (d.expected - d.share) / max(1.0 - d.expected, 1e-12))
         # Only a first choice: what is promising is tested on blocks left out, corrected for all curves looked at.
         promising = [d for d in tests if d.p_value < 0.05 and 3.0 * d.share * squares > least]
         scored = []

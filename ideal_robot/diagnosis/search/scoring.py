@@ -135,7 +135,9 @@ class Scoring:
         if s.test.gain < self.options.smallest_own * weighted:
             return False
         # What counts is what it takes away, not what the other parameters would have taken as well.
-        size = self._taken_away(s)[channels]
+        problem = self.model.problem
+        squares = self.model.weights * problem.products.count[problem.blocks.selecting].sum(axis=0)
+        size = np.sqrt(np.maximum(s.test.reduction_by_channel, 0.0) / np.maximum(squares, 1e-300))[channels]
         if np.max(size / self.measured_std[channels]) <= self.options.smallest_torque:
             return False
         # Beside a far larger effect of the same joint it is the form of that one, which is never quite the right one.
@@ -186,12 +188,6 @@ class Scoring:
         effects = [*(c for c in self.model.choices if c.place != s.place), s]
         whole, slow = (made.fit(effects).coefficients[-1] for made in (problem, problem.slow()))
         return bool(np.all(slow * np.sign(whole) > 0.5 * np.abs(whole)))
-
-    def _taken_away(self, s: Candidate) -> Array:
-        """RMS of what a candidate takes away from each channel on blocks left out ``(c,)``."""
-        problem = self.model.problem
-        squares = self.model.weights * problem.products.count[problem.blocks.selecting].sum(axis=0)
-        return np.asarray(np.sqrt(np.maximum(s.test.reduction_by_channel, 0.0) / np.maximum(squares, 1e-300)))
 
     def _sizes_at(self, joint: int, without: Candidate | None) -> Array:
         """RMS of the largest effect but one that was taken at a joint in each channel ``(c,)``."""

@@ -45,11 +45,6 @@ class Dependence:
     expected: float
     p_value: float
 
-    @property
-    def adjusted(self) -> float:
-        """Share explained of what would not be by chance: many curves follow a residual that is in few places."""
-        return (self.share - self.expected) / max(1.0 - self.expected, 1e-12)
-
 
 def signal_names(signals: Signals, channel: int) -> list[str]:
     """Signals of one channel's residual that are worth looking at, those that hardly vary left out."""

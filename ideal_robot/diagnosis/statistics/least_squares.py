@@ -120,7 +120,8 @@ class Fit:
 
     def refitted_weights(self) -> Array:
         """1/σ² of each channel from the squares that this fit leaves ``(c,)``; zero for an empty channel."""
-        return _inverse_variance(self.squares(), self.design.data.count)
+        total, number = self.squares().sum(axis=0), self.design.data.count.sum(axis=0)
+        return np.where((number > 0) & (total > 0), number / np.maximum(total, 1e-300), 0.0)
 
     def covariance(self) -> Array:
         """Covariance of ``beta (P, P)`` from the scatter of the blocks' scores, so that coloured noise counts."""
@@ -300,9 +301,3 @@ def weights_of_channels(design: Design, keys: list[str], prior: Array | None, ro
     for _ in range(rounds):
         weights = Fit(design, keys, weights, prior).refitted_weights()
     return weights
-
-
-def _inverse_variance(squares: Array, count: Array) -> Array:
-    """1/σ² of each channel from squares ``(B, c)`` over as many samples ``(B, c)``; zero for an empty channel."""
-    total, number = squares.sum(axis=0), count.sum(axis=0)
-    return np.where((number > 0) & (total > 0), number / np.maximum(total, 1e-300), 0.0)

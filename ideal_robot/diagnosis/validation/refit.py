@@ -280,31 +280,9 @@ def with_named_effects(recording: Recording, robot: Robot, model: Model,
     return model.with_effects(tuple(found))
 
 
-def named_camera_effects(recording: Recording, robot: Robot, model: Model,
+def named_sensor_effects(recording: Recording, robot: Robot, model: Model,
                          names: Sequence[str]) -> tuple[FittedEffect, ...]:
-    """Effects of the camera by their names, fitted together to all of a line-following recording.
-
-    Args:
-        recording: as for ``diagnose``.
-        robot: likewise.
-        model: likewise.
-        names: of the effects.
-
-    Raises:
-        InputError: no such effect, or no line in the recording.
-    """
-    made = line_regression(recording, robot, torque_regression(recording, robot, model), model.stiffness)
-    kinds = [effect for name in names for effect in _named(name, SENSOR) if effect.acts_on(SENSOR.prefix)]
-    if made is None or len(kinds) < len(names):
-        raise InputError("no such effect of a camera, or no line in the recording", field="effect",
-                         value=", ".join(names))
-    candidates = [Candidate(kind, 0) for kind in kinds]
-    return fitted_effects(candidates, Problem.of(made, False).fit(candidates, uncertainty=True))
-
-
-def named_force_effects(recording: Recording, robot: Robot, model: Model,
-                        names: Sequence[str]) -> tuple[FittedEffect, ...]:
-    """Effects of force sensor and contact by their names, fitted to a recording; those it cannot show are left out.
+    """Effects of camera, force sensor and contact by their names, fitted together; those it cannot show are left out.
 
     Args:
         recording: as for ``diagnose``.
@@ -314,11 +292,13 @@ def named_force_effects(recording: Recording, robot: Robot, model: Model,
     """
     (recording,), _ = checked([recording], robot)
     torque = in_position_band(torque_regression(recording, robot, model), recording)
+    line = line_regression(recording, robot, torque, model.stiffness)
     result: list[FittedEffect] = []
-    for made, _ in force_regressions(recording, None, robot, torque, None, model.stiffness):
-        kinds = [effect for name in names for effect in _named(name, SENSOR) if effect.usable(made.signals, 0)]
-        candidates = [Candidate(kind, 0) for kind in kinds]
-        result += fitted_effects(candidates, Problem.of(made, False).fit(candidates, uncertainty=True))
+    for made in (line, *(one for one, _ in force_regressions(recording, None, robot, torque, None, model.stiffness))):
+        if made is not None:
+            candidates = [Candidate(effect, 0) for name in names for effect in _named(name, SENSOR)
+                          if effect.usable(made.signals, 0)]
+            result += fitted_effects(candidates, Problem.of(made, False).fit(candidates, uncertainty=True))
     return tuple(result)
 
 

@@ -13,7 +13,7 @@ import pytest
 from ideal_robot.diagnosis import Diagnosis, diagnose
 from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
-from ideal_robot.diagnosis.validation.refit import named_camera_effects
+from ideal_robot.diagnosis.validation.refit import named_sensor_effects
 from ideal_robot.effects import SENSOR, TCP_POSITION, FittedEffect, library
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
@@ -170,7 +170,7 @@ def gantry_robot(tmp_path_factory: pytest.TempPathFactory) -> Robot:
 def test_told_its_name_the_number_is_right(gantry_robot: Robot, name: str) -> None:
     # Small, so that the columns, which are derivatives, hold for all of it.
     kind, size, recording = draw_line_trial(31, name, share=0.2)
-    (fitted,) = named_camera_effects(recording, gantry_robot, Model.nominal(gantry_robot), (kind,))
+    (fitted,) = named_sensor_effects(recording, gantry_robot, Model.nominal(gantry_robot), (kind,))
     expected = 0.5 * size if name == "camera_offset" else size
     assert abs(fitted.coefficients[0] - expected) < 3.0 * fitted.std[0]
     assert fitted.domain == SENSOR
