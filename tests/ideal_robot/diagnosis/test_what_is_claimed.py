@@ -176,6 +176,19 @@ def test_what_does_not_lower_the_held_out_error_is_not_added_behind_the_gear_eit
     assert dropped[0].rms_with > dropped[0].rms_without
 
 
+def test_inertia_that_a_rotor_has_bends_no_gear(one):
+    # Torques tell 0.6 kg m² in all, of which the link has a third.
+    columns = moved()[0].columns
+    t, q = columns["t"], columns["q_1"]
+    load = 0.2 * np.gradient(np.gradient(q, t), t) - 14.7 * np.cos(q)
+    qa = q - load / 5e3 + 1e-5 * np.random.default_rng(5).normal(size=len(t))
+    found = diagnose(Recording({**columns, "qa_1": qa}), one)
+    behind = [e.fitted for e in found.effects if e.fitted.channel == "qa_1"]
+    assert [e.name for e in behind] == ["joint_elasticity"]
+    assert not found.unknown
+    assert behind[0].parameters[0].value == pytest.approx(5e3, rel=0.01)
+
+
 def test_the_noise_floor_is_that_of_the_band_and_never_above_the_residual(one):
     # A vibration far above the band makes the torque's own spectrum a bad witness of the noise within.
     quiet, shaken = (diagnose(moved(vibration=size)[0], one, only=()).channels[0] for size in (0.0, 3.0))
