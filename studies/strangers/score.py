@@ -385,13 +385,15 @@ def _large(scores: Iterable[Score]) -> list[Score]:
 
 
 def _share(values: Iterable[bool]) -> str:
+    """A share with its standard error under Jeffreys' prior, as in ``reliability``."""
     every = list(values)
-    return f"{100.0 * sum(every) / len(every):.0f} % of {len(every)}" if every else ""
+    n, p = len(every), (sum(every) + 0.5) / (len(every) + 1.0)
+    return f"{100.0 * sum(every) / n:.0f} ± {100.0 * np.sqrt(p * (1.0 - p) / (n + 2.0)):.0f} % of {n}" if n else ""
 
 
 def _mean(values: Iterable[float]) -> str:
     every = list(values)
-    return f"{sum(every) / len(every):.2f}" if every else ""
+    return f"{np.mean(every):.2f} ± {np.std(every) / np.sqrt(len(every)):.2f}" if every else ""
 
 
 def _of(values: list[bool]) -> str:

@@ -202,9 +202,9 @@ def test_scores_survive_json_and_make_tables() -> None:
     every = [score(a_trial(("stribeck", 2)), said("effects", ("stribeck", 2))),
              score(a_trial(), said("effects", ("degressive", 1)))]
     assert [Score.from_dict(s.to_dict()) for s in every] == every
-    assert "| empty ones left alone | 0 % of 1 |" in rates(every)
-    assert "| false names per recording | 0.50 |" in rates(every)
-    assert "| 3 … 5 | 1 | 100 % of 1 | 100 % of 1 | 100 % of 1 |" in power(every)
+    assert "| empty ones left alone | 0 ± 25 % of 1 |" in rates(every)
+    assert "| false names per recording | 0.50 ± 0.35 |" in rates(every)
+    assert "| 3 … 5 | 1 | 100 ± 25 % of 1 | 100 ± 25 % of 1 | 100 ± 25 % of 1 |" in power(every)
 
 
 def test_the_size_that_is_found_half_of_the_time_comes_back_from_what_was_found() -> None:
