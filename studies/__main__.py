@@ -29,7 +29,8 @@ GROUPS = {
         "fusion-cost": "fusion", "walks": "speed",
     },
     "accuracy": {
-        "arms": "arms", "arms-models": "arms", "arms-adapted": "arms", "knew": "arms", "urdfs": "arms",
+        "arms": "arms", "arms-models": "arms", "arms-adapted": "arms", "arms-fast": "arms", "knew": "arms",
+        "urdfs": "arms",
         "paths": "paths", "paths-causes": "paths", "warm-up": "paths",
         "methods": "line", "horizon": "line", "latency": "line", "causes": "line",
         "world": "paths", "heating": "paths", "camera": "camera", "calibration": "camera", "detectors": "camera",

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import IdealRobotError
@@ -37,6 +38,20 @@ CHANGES: dict[str, dict[str, Any]] = {
     "camera knocked by 0.5° midway": {"camera": {"knock_deg": 0.5}},
     "all three": {"world": HEAVY | COLD, "camera": {"knock_deg": 0.5}},
 }
+TOLD: dict[str, Any] = {"external_rotation_noise": 0.0}
+"""A measuring device without noise, for joint angles that a study takes for the truth."""
+WITHOUT: dict[str, dict[str, Any]] = {
+    "nothing": {},
+    "torque limits, current noise": {"world": {"torque_limits": False, "current_noise": 0.0}},
+    "noise of the picture, wear of the line": {
+        "camera": {"noise": 0.0}, "wear": {"width_percent": 0.0, "fade_percent": 0.0, "gaps": 0, "scratches": 0,
+                                           "crossings": 0, "glares": 0, "shades": 0}},
+    "the camera's latency": {"camera": {"latency": 0.0}},
+    "kinematic errors": {"world": {"kinematic_error": 0.0, "zero_error": 0.0, "twist_error": 0.0}},
+    "all of the workshop": {"world": "bench"},
+    "all of it, and the latency": {"world": "bench", "camera": {"latency": 0.0}},
+}
+"""What is taken away from the world while the arm's model stays, by name."""
 ASSUMED = {"masses": "the links weigh", "some masses": "no arm's masses", "speeds": "no arm's speed limit",
            "efforts": "no effort", "end of a turn": "turns without end", "joints held": "is held",
            "tool's direction": "last joint's axis"}
@@ -112,6 +127,22 @@ def arms_adapted(individuals: str = "1-20", seeds: str = "6-8") -> None:
         row(individual, *_mm(arm.mean(axis=1)), _ratio(*arm))
 
 
+def arms_fast(individuals: str = "1-4", seeds: str = "1-2", speed: float = 2.0) -> None:
+    """What a fast line's error is made of: the arm's part, the plan's, and both with single causes taken away.
+
+    The arm's part is the mean distance of the joints from the desired ones, across the path; the plan's that of the
+    desired path from the line.
+    """
+    arms = [chosen(scene_of(LineScene, "line"), individual=individual) for individual in _whole(individuals)]
+    arms = [scene.changed(model=_model(scene), world=TOLD, speed=speed) for scene in arms]
+    head("taken away", "mean mm", "worst run's mean", "the arm's part", "the plan's")
+    for name, change in WITHOUT.items():
+        parts = np.array([_parts(run(scene.changed(seed=seed, **change), method=ADAPTED))
+                          for scene in arms for seed in _whole(seeds)])
+        mean, arm, plan = parts.mean(axis=0)
+        row(name, *_mm([mean, parts[:, 0].max(), arm, plan]))
+
+
 def knew(seeds: int = 2, individual: int = 1) -> None:
     """A heavier tool, a cold start, a knocked camera: adapted beside the run that knew; mean errors in mm.
 
@@ -182,26 +213,38 @@ def _error(scene: LineScene, seed: int, method: str) -> tuple[float, float, floa
         return np.nan, np.nan, np.nan, np.nan
     error = result.control_error
     varying = float(np.mean(np.abs(error.lateral - np.mean(error.lateral))))
-    return error.mean, error.p95, varying, _arms_part(result)
+    return error.mean, error.p95, varying, float(np.mean(np.abs(_arms_part(result))))
 
 
-def _arms_part(result: LineResult) -> float:
-    """Mean distance across the path of where the true joint angles put the tool from where the desired ones do [m].
+def _parts(result: LineResult) -> tuple[float, float, float]:
+    """Mean sizes of a run's error, of the arm's part in it, and of the plan's [m]; NaN where the run failed."""
+    if result.failure:
+        return np.nan, np.nan, np.nan
+    arm, lateral = _arms_part(result), result.control_error.lateral
+    return result.control_error.mean, float(np.mean(np.abs(arm))), float(np.mean(np.abs(lateral - arm)))
 
-    Both by the geometry of the data sheet, so that its errors do not count.
+
+def _arms_part(result: LineResult) -> Array:
+    """Where the true joint angles put the tool, to the left of where the desired ones do ``(N,)`` [m].
+
+    Both by the geometry of the data sheet, so that its errors do not count. The recording's angles are those of a
+    measuring device, whose noise is as large as the arm's part: the scene has to be ``TOLD``.
     """
-    columns, fk, n = result.recording.columns, result.scene.arm.fk(), result.scene.arm.n
-    counts = np.isin(np.round(columns["t"], 6), np.round(result.control_error.t, 6))
-    actual, desired = (np.array([fk(q).translation[:2] for q in
-                                 np.column_stack([columns[f"{kind}_{i + 1}"][counts] for i in range(n)])])
-                       for kind in ("qa", "q_d"))
-    along = np.gradient(desired, axis=0)
-    beside = np.cross(along, actual - desired) / np.maximum(np.linalg.norm(along, axis=1), 1e-12)
-    return float(np.mean(np.abs(beside)))
+    columns, robot = result.recording.columns, result.scene.arm
+    t, fk = columns["t"], robot.fk()
+    q_a, q_d = (np.column_stack([columns[f"{kind}_{i + 1}"] for i in range(robot.n)]) for kind in ("qa", "q_d"))
+    # Between the cycles the recording has straight lines, which leave a fast path.
+    cycles = np.isclose(t / robot.t_ipo, np.round(t / robot.t_ipo), atol=1e-6)
+    counts = np.isin(np.round(t, 6), np.round(result.control_error.t, 6))
+    actual, desired = (np.array([fk(q).translation[:2] for q in angles])
+                       for angles in (q_a[counts], CubicSpline(t[cycles], q_d[cycles])(t[counts])))
+    along, off = np.gradient(desired, axis=0).T, (actual - desired).T
+    return np.asarray((along[0] * off[1] - along[1] * off[0]) / np.maximum(np.hypot(*along), 1e-12))
 
 
 def _played(scene: LineScene, seeds: Sequence[int]) -> Array:
     """What ``_error`` gives, by `ideal` and `adapted` ``(4, 2, seeds)`` [m]."""
+    scene = scene.changed(world=TOLD)
     return np.array([[_error(scene, seed, method) for seed in seeds] for method in (IDEAL, ADAPTED)]).transpose(2, 0, 1)
 
 

@@ -10,6 +10,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,7 @@ from scenes.scene_files.scene import chosen
 from scenes.sweep import jobs
 from sim.arm.specimen import draw_specimen
 from sim.arm.world import World
+from studies.arms import _arms_part
 from studies.limits import INPUTS, LOOPS, ROWS
 from tests.sources import ROOT
 
@@ -309,3 +311,17 @@ def test_the_task_asks_for_nothing_of_the_world(name: str, changes: dict[str, An
         np.testing.assert_array_equal(played.recording.columns[column], free.recording.columns[column])
     values = [getattr(guarded[0], field.name) for field in dataclasses.fields(known) if field.name != "scene"]
     assert not [value for value in values if type(value).__module__.partition(".")[0] == "sim"]
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-3])
+def test_an_arm_that_moves_as_it_should_has_no_part_in_the_error(off: float) -> None:
+    robot, t = Robot.load("kr6"), 0.002 * np.arange(301)
+    q = robot.home + np.stack([0.3 * np.sin(8.0 * t), 0.2 * np.sin(5.0 * t), *np.zeros((4, len(t)))], axis=1)
+    columns = {"t": t}
+    for i, angle in enumerate(q.T):
+        # As a recording has them: desired angles on straight lines between the cycles.
+        columns |= {f"q_d_{i + 1}": np.interp(t, t[::6], angle[::6]), f"qa_{i + 1}": angle + off * (i == 1)}
+    result: Any = SimpleNamespace(recording=SimpleNamespace(columns=columns), scene=SimpleNamespace(arm=robot),
+                                  control_error=SimpleNamespace(t=t[75:150]))
+    part = np.abs(_arms_part(result)).mean()
+    assert part > 2e-5 if off else part < 1e-6
