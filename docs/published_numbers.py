@@ -185,24 +185,29 @@ def _deeper(value: Any, name: str) -> list[Any]:
 
 
 def made(command: str, folder: Path) -> dict[str, Any] | None:
-    """The JSON of a command, or what it prints; None where it needs measured data that are not here."""
+    """The JSON of a command, or what it prints; None where it needs measured data that are not here.
+
+    Of several in a row, with && between them, that of the last one.
+    """
     if "{data}" in command and not DATA.is_dir():
         return None
-    words = shlex.split(command.replace("{data}", str(DATA)))
-    answer = folder / "answer.json"
-    prints = words[0] == "python"
-    words = words[1:] if prints else ["-m", "scenes.cli", *words, "--json", str(answer)]
-    done = subprocess.run([sys.executable, *words], cwd=folder, capture_output=True, text=True,
-                          check=False, env={**os.environ, "PYTHONPATH": str(ROOT)})
-    if done.returncode != 0 or not (prints or answer.is_file()):
-        raise RuntimeError(f"{typed(command)}: {done.stderr.strip()[-500:]}")
-    content: dict[str, Any] = {"printed": done.stdout} if prints else json.loads(answer.read_text(encoding="utf-8"))
+    content: dict[str, Any] = {}
+    for one in command.split(" && "):
+        words = shlex.split(one.replace("{data}", str(DATA)))
+        answer = folder / "answer.json"
+        prints = words[0] == "python"
+        words = words[1:] if prints else ["-m", "scenes.cli", *words, "--json", str(answer)]
+        done = subprocess.run([sys.executable, *words], cwd=folder, capture_output=True, text=True,
+                              check=False, env={**os.environ, "PYTHONPATH": str(ROOT)})
+        if done.returncode != 0 or not (prints or answer.is_file()):
+            raise RuntimeError(f"{typed(one)}: {done.stderr.strip()[-500:]}")
+        content = {"printed": done.stdout} if prints else json.loads(answer.read_text(encoding="utf-8"))
     return content
 
 
 def typed(command: str) -> str:
     """A command as a person types it."""
-    return command if command.startswith("python ") else f"ideal-robot {command}"
+    return " && ".join(one if one.startswith("python ") else f"ideal-robot {one}" for one in command.split(" && "))
 
 
 def compare(numbers: Sequence[Published]) -> Iterator[tuple[Published, float | None, str]]:

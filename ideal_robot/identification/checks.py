@@ -22,6 +22,8 @@ from ideal_robot.signals.recording import Recording
 _MINIMUM_DURATION = 1.0
 _STILL = 1e-3
 """A joint whose position stays within this does not move [rad or m]."""
+_NAMED = 8
+"""Parameters that a warning names; a line on the screen holds no more."""
 
 
 def checked(recordings: Sequence[Recording], robot: Robot) -> tuple[list[Recording], list[str]]:
@@ -121,6 +123,12 @@ def _with_torque(recording: Recording, robot: Robot) -> tuple[Recording, list[st
     return replace(recording, columns=columns), warnings
 
 
+def _some(names: Sequence[str]) -> str:
+    """The first names, and how many more there are: each parameter has its standard deviation beside it anyway."""
+    more = len(names) - _NAMED
+    return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
 def excitation_warnings(model: Model, solution: Solution, wrong_sign: Sequence[int] = ()) -> list[str]:
     """What the data do not show, from the solution's statistics.
 
@@ -135,11 +143,11 @@ def excitation_warnings(model: Model, solution: Solution, wrong_sign: Sequence[i
     silent = [p.name for p, dark in zip(parameters, solution.unexcited, strict=False)
               if dark and p.name not in within_friction]
     if silent:
-        warnings.append(f"not-excited: the motion says nothing about {', '.join(silent)}; nominal values are kept")
+        warnings.append(f"not-excited: the motion says nothing about {_some(silent)}; nominal values are kept")
     vague = [p.name for p, dark in zip(parameters, solution.unexcited, strict=False)
              if not dark and p.std > 0.3 * abs(p.value)]
     if vague:
-        warnings.append(f"poorly-excited: standard deviation above 30 % of the value for {', '.join(vague)}")
+        warnings.append(f"poorly-excited: standard deviation above 30 % of the value for {_some(vague)}")
     if solution.condition_number_scaled > 200.0:
         warnings.append(f"ill-conditioned: condition number {solution.condition_number_scaled:.3g} with scaled "
                         "columns; a motion from plan-identification excites better")
