@@ -192,9 +192,10 @@ def made(command: str, folder: Path) -> dict[str, Any] | None:
     if "{data}" in command and not DATA.is_dir():
         return None
     content: dict[str, Any] = {}
+    answer = folder / "answer.json"
     for one in command.split(" && "):
+        answer.unlink(missing_ok=True)
         words = shlex.split(one.replace("{data}", str(DATA)))
-        answer = folder / "answer.json"
         prints = words[0] == "python"
         words = words[1:] if prints else ["-m", "scenes.cli", *words, "--json", str(answer)]
         done = subprocess.run([sys.executable, *words], cwd=folder, capture_output=True, text=True,

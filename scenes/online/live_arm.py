@@ -196,6 +196,7 @@ class LiveArm:
                       "network")
 
     def _late(self) -> str:
+        """In how many of the last cycles the controller had no answer in time, in words."""
         return (f"in {sum(self._missed)} of the last {len(self._missed)} cycles of {1e3 * self.t_ipo:g} ms the "
                 f"controller had no answer in time, which takes {1e3 * self._usual():.1f} ms")
 
