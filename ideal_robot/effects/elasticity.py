@@ -91,10 +91,9 @@ class GearEffect(Effect):
         It is computed from the motor's position, which holds the bend: where the bend sets in, the motor's acceleration
         jumps, and that jump is no load of the arm. In recorded motions it is filtered out.
         """
-        load = signals.load[:, joint - 1]
         if self.domain == MOTOR_TORQUE and signals.cutoff is not None:
-            return lowpass(load, signals.dt, signals.cutoff / self.slow)
-        return load
+            return signals.slow_load(joint, signals.cutoff / self.slow)
+        return signals.load[:, joint - 1]
 
 
 class JointElasticity(GearEffect):

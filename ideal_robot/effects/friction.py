@@ -376,7 +376,7 @@ class ThermalDrift(WarmingEffect):
 
         Less at one end of the speeds and more at the other is another curve over speed, not another temperature.
         """
-        top = float(np.percentile(np.abs(signals.qd[:, joint - 1]), 99))
+        top = signals.top_speed(joint)
         slow, fast = float(coefficients[1]), float(coefficients[1] + coefficients[0] * top)
         return slow * fast > -_TURNS * max(slow**2, fast**2)
 
@@ -390,7 +390,7 @@ class ThermalDrift(WarmingEffect):
 
 
 def _top_speed(signals: Signals, joint: int) -> float:
-    return float(np.percentile(np.abs(signals.qd[:, joint - 1]), 99)) + 1e-12
+    return signals.top_speed(joint) + 1e-12
 
 
 def _inertia_of_load(signals: Signals, joint: int) -> float:

@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.jit import jit
+from ideal_robot.signals.preprocess import lowpass
 
 RigidBody = Callable[[Array, Array, Array], Array]
 """Rigid-body torque ``(N, n)`` of ``q, qd, qdd`` ``(N, n)`` each, without friction and rotors."""
@@ -89,9 +92,8 @@ class RigidDerivatives:
             velocity: change ``(N,)`` [rad/s].
             acceleration: change ``(N,)`` [rad/s²].
         """
-        by_position, by_velocity, by_acceleration = self.by(joint)
-        return np.asarray(by_position * position[:, None] + by_velocity * velocity[:, None]
-                          + by_acceleration * acceleration[:, None])
+        change = (np.ascontiguousarray(one) for one in (position, velocity, acceleration))
+        return np.asarray(_combined(*self.by(joint), *change))
 
     def _computed(self, j: int) -> tuple[Array, Array, Array]:
         return self._difference(j, 0, _STEP), self._difference(j, 1, 1.0), self.mass[j]
@@ -110,6 +112,16 @@ class RigidDerivatives:
             (q, qd, qdd)[k][:, j] += sign * step
             sides.append(self._rigid(q, qd, qdd))
         return np.asarray((sides[0] - sides[1]) / (2.0 * step))
+
+
+@jit()
+def _combined(a: Array, b: Array, c: Array, x: Array, y: Array, z: Array) -> Array:
+    """``a x + b y + c z`` of torques ``(N, n)`` and numbers ``(N,)``, without arrays in between."""
+    result = np.empty_like(a)
+    for k in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            result[k, j] = a[k, j] * x[k] + b[k, j] * y[k] + c[k, j] * z[k]
+    return result
 
 
 @dataclass(frozen=True)
@@ -179,6 +191,24 @@ class Signals:
     def derivatives(self) -> RigidDerivatives | None:
         """How the rigid body's torques change with the motion of one joint; None where no rigid body is known."""
         return None if self.rigid is None else RigidDerivatives(self.rigid, self.q, self.qd, self.qdd)
+
+    def slow_load(self, joint: int, cutoff: float) -> Array:
+        """Load of the gear of ``joint`` (from 1) below a frequency [Hz] ``(N,)`` [N m]."""
+        return self._once(("load", joint, cutoff), lambda: lowpass(self.load[:, joint - 1], self.dt, cutoff))
+
+    def top_speed(self, joint: int) -> float:
+        """Speed of ``joint`` (from 1) that is exceeded in a hundredth of the time [rad/s or m/s]."""
+        return self._once(("speed", joint), lambda: float(np.percentile(np.abs(self.qd[:, joint - 1]), 99)))
+
+    def _once(self, key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
+        """What effects ask for with many values of theta, made once."""
+        if key not in self._made:
+            self._made[key] = make()
+        return self._made[key]
+
+    @cached_property
+    def _made(self) -> dict[tuple[Any, ...], Any]:
+        return {}
 
     @cached_property
     def inertia(self) -> Array:
