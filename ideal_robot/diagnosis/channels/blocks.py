@@ -139,6 +139,10 @@ class Columns:
         return np.asarray(own - theirs @ np.linalg.lstsq(theirs, own, rcond=None)[0]).reshape(self.values.shape)
 
 
+Known = dict[str, dict[str, tuple[Columns, Columns, Any]]]
+"""Products of groups; with each the columns that it is of, as another group may take over a name."""
+
+
 class BlockProducts:
     """The rows of a recording, ready for cross-products.
 
@@ -157,6 +161,8 @@ class BlockProducts:
         self.W = Columns(W * use[:, :, None], everywhere)
         self.y = Columns((y * use)[:, :, None], everywhere)
         self.count = np.add.reduceat(use.astype(float), blocks.edges[:-1], axis=0)
+        # Products of groups that have been asked for; with each the columns that it is of.
+        self.known: Known = {}
         # Weights of the channels by folds and prior, as the model's parameters leave them, with that prior.
         self.of_model: dict[tuple[int, int], tuple[Array, Array | None]] = {}
 
@@ -165,11 +171,6 @@ class BlockProducts:
         made = copy.copy(self)
         made.blocks = blocks
         return made
-
-    @cached_property
-    def of_rows(self) -> tuple[dict[int, Array], dict[int, Array], dict[int, Array]]:
-        """``W'W``, ``W'y`` and ``y'y``, which are in every fit."""
-        return self.cross(self.W, self.W), self.cross(self.W, self.y), self.cross(self.y, self.y)
 
     def cross(self, a: Columns, b: Columns) -> dict[int, Array]:
         """``a_b' b_b`` for each block ``(B, k_a, k_b)`` of the columns that act on each channel that both act on."""
@@ -181,17 +182,16 @@ class BlockProducts:
         result, rows = np.zeros((len(a.channels), a.m, b.m)), self.blocks.selecting_samples
         for i, j in enumerate(a.channels):
             if j in b.channels:
-                left = a.values[rows, i]
-                acting, right = (slice(None), left) if a is b else self._selecting(b, j, rows)
-                result[i][:, acting] = left.T @ right
+                acting, right = (slice(None), a.values[:, i] * rows[:, None]) if a is b else self._selecting(b, j, rows)
+                result[i][:, acting] = a.values[:, i].T @ right
         return result
 
     def _selecting(self, columns: Columns, j: int, rows: np.ndarray) -> tuple[np.ndarray, Array]:
-        """Which columns act on one channel, and their selecting rows ``(N, m)``."""
+        """Which columns act on one channel, and their rows ``(N, m)``, zero where they do not select."""
         key = j, self.blocks.folds
         if key not in columns.in_blocks:
             acting = self.acting(columns, j)[0]
-            columns.in_blocks[key] = acting, columns.values[rows, columns.channels.index(j)][:, acting]
+            columns.in_blocks[key] = acting, columns.values[:, columns.channels.index(j), acting] * rows[:, None]
         return columns.in_blocks[key]
 
     def acting(self, columns: Columns, j: int) -> tuple[np.ndarray, Array]:
@@ -230,24 +230,19 @@ class Gram:
         return np.column_stack([np.maximum(quadratic(G, v[..., index]), 0.0) for index, G in self.parts])
 
 
-Known = dict[str, dict[str, tuple[Columns, Any]]]
-"""Products of groups; with each the columns it is of, as another group may take over a name."""
-
-
 class Design:
     """Named groups of columns and their cross-products, each computed once."""
 
     def __init__(self, data: BlockProducts) -> None:
         self.data = data
         self.groups: dict[str, Columns] = {"W": data.W, "y": data.y}
-        WW, Wy, yy = data.of_rows
-        self._cross: Known = {"W": {"W": (data.W, WW), "y": (data.y, Wy)}, "y": {"y": (data.y, yy)}}
         self._total: Known = {}
         self._gram: tuple[list[Columns], Gram] = [], Gram(0, [])
 
     def add(self, key: str, columns: Columns) -> None:
         """Adds or replaces a group."""
-        self.forget_products(key)
+        if any(one is not columns for one, _, _ in self.data.known.get(key, {}).values()) or key in self.groups:
+            self.forget_products(key)
         self.groups[key] = columns
 
     def drop(self, key: str) -> None:
@@ -257,14 +252,14 @@ class Design:
 
     def forget_products(self, key: str) -> None:
         """Forgets the cross-products of a group that is hardly asked for again; they are made anew where it is."""
-        self._cross.pop(key, None)
+        self.data.known.pop(key, None)
         self._total.pop(key, None)
         if key in self.groups:
             self.groups[key].in_blocks.clear()
 
     def cross(self, a: str, b: str) -> dict[int, Array]:
         """See ``BlockProducts.cross``."""
-        made: dict[int, Array] = self._known(self._cross, self.data.cross, a, b)
+        made: dict[int, Array] = self._known(self.data.known, self.data.cross, a, b)
         return made
 
     def total(self, a: str, b: str) -> Array:
@@ -272,10 +267,10 @@ class Design:
         return np.asarray(self._known(self._total, self.data.total, a, b))
 
     def _known(self, made: Known, make: Callable[[Columns, Columns], Any], a: str, b: str) -> Any:
-        of, other = made.setdefault(a, {}), self.groups[b]
-        if b not in of or of[b][0] is not other:
-            of[b] = other, make(self.groups[a], other)
-        return of[b][1]
+        of, left, right = made.setdefault(a, {}), self.groups[a], self.groups[b]
+        if b not in of or of[b][0] is not left or of[b][1] is not right:
+            of[b] = left, right, make(left, right)
+        return of[b][2]
 
     def gram(self, keys: list[str]) -> Gram:
         """Cross-products of several groups side by side with each other, and with ``y`` last."""
