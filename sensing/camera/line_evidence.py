@@ -3,8 +3,9 @@
 Sections across the path are laid beside each other, so that the edges of a line stand still: its inside at -1 … 1, its
 sides beyond. The direction of colour that separates inside and sides best (Fisher's) makes one number of every pixel, 1
 inside and 0 beside in the mean. From it follow the edges of each section to fractions of a pixel, and what tells
-lines from all else that is long: how much of the picture it crosses, how clear it is, how smooth, how evenly wide; and
-that it lies on one ground: rims, folds and shores have another thing on their other side.
+lines from all else that is long: how much of the picture it crosses, how clear it is, how smooth, how evenly wide; that
+it lies on one ground: rims, folds and shores have another thing on their other side; and that it lies there alone:
+beside rods, steps, slats, stripes and lines of a text run others.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ _SEEN = 0.4
 """Share of the usual contrast from which on a section shows the line; one of the inverse shows something else."""
 _EDGE_SIDE = 5.0
 """Reach to both sides of a single edge [px]."""
+_BESIDE = np.arange(1.0, 61.0, 2.0)
+"""Distances from its edges at which is looked for what runs beside a line [px]: to a tenth of the largest picture."""
 _COURSE = 6
 """Degree of the polynomials that lines follow: what is left of things that are none is larger."""
 _FINEST = 1.0 / REDUCED[0]
@@ -77,11 +80,12 @@ class Strip:
                        sigmas=self.sigmas[k], shown=self.shown[k])
 
 
-FEATURES = ("length", "clarity", "course", "taper", "sides")
+FEATURES = ("length", "clarity", "course", "taper", "sides", "alone")
 """What lines have more of: logarithms of the length over the picture's shorter side, of the contrast over the scatter
 within inside and sides, of how little a polynomial leaves of its course, over its length, and how little a linear taper
-of its width [px]; less the difference of both sides over the contrast."""
-WEIGHTS = np.array([7.135, 2.585, 4.132, 1.689, 10.18, -23.17])
+of its width [px]; less the difference of both sides over the contrast, and less the logarithm of 1 and what runs
+beside it over the contrast."""
+WEIGHTS = np.array([5.703, 0.4875, 0.6958, 2.053, 7.248, 5.661, 1.406])
 """Of the features, and an offset: `python -m studies line-weights`."""
 
 
@@ -109,7 +113,20 @@ def straightened(lab: Lab, path: Path, sections: int = SECTIONS) -> Strip:
     wiggle, uneven = (float(np.sqrt(np.mean(_rest(of, degree) ** 2)))
                       for of, degree in ((strip.points, _COURSE), (strip.widths, 1)))
     return replace(strip, features=np.array([np.log(length / min(lab.shape[:2])), np.log(clarity),
-                                             -np.log(_FINEST + wiggle / length), -np.log(_NARROWEST + uneven), -sides]))
+                                             -np.log(_FINEST + wiggle / length), -np.log(_NARROWEST + uneven), -sides,
+                                             -np.log1p(_beside(lab, strip))]))
+
+
+def _beside(lab: Lab, strip: Strip) -> float:
+    """What runs along a line beside it, in units of its contrast.
+
+    Of the mean section only what is parallel to the line is left; half of the total variation of its two wings is the
+    sum of all the heights of what stands there.
+    """
+    along = _fine(strip.points, strip.normals)
+    away = 0.5 * strip.widths[:, None] + _BESIDE
+    wings = (_sampled(lab, along, side * away).mean(axis=0) @ strip.direction for side in (-1.0, 1.0))
+    return 0.5 * sum(float(np.abs(np.diff(wing)).sum()) for wing in wings)
 
 
 def _best_run(good: NDArray[np.bool_]) -> tuple[int, int]:

@@ -241,6 +241,17 @@ def test_what_is_unevenly_wide_is_less_likely_a_line() -> None:
     assert evidence(strips[1]) < evidence(strips[0]) - 1.0
 
 
+def test_one_of_many_slats_is_less_likely_a_line() -> None:
+    values = []
+    for slats in ((230,), (230, 260), range(20, 480, 30)):
+        picture = np.full((480, 640, 3), 190, np.uint8)
+        for v in slats:
+            cv2.line(picture, (0, v), (640, v + 20), (60, 70, 80), 9, cv2.LINE_AA)
+        noisy = picture + np.random.default_rng(0).normal(0.0, 3.0, picture.shape)
+        values.append(find_lines(np.clip(noisy, 0, 255).astype(np.uint8))[0][0])
+    assert values[2] < values[1] - 1.0 < values[0] - 2.0
+
+
 def test_another_line_is_taken_late_and_said() -> None:
     last, states = None, []
     for frame in range(16):
