@@ -68,7 +68,7 @@ class LiveForceTask(ForceTask):
 
     No answer waits for a field: it is fused as soon as the command of a cycle has gone. Behind short cycles an answer
     waits for no sensor: forces are fused then, too, one thing between two cycles, forces first, or the next cycle is
-    planned anew. Only whether a force is too large is looked at before.
+    planned anew. Where answers are behind, only forces are. Whether a force is too large is looked at before.
     """
 
     arm: LiveArm | None = None
@@ -123,9 +123,10 @@ class LiveForceTask(ForceTask):
             self._unfit = error
 
     def prepare(self, t: float) -> None:
-        """Fuses what has arrived by ``t`` [s] and plans the next cycle."""
-        fused = self.fuse_forces(t) or self.fuse_fields(t)
-        if not fused:
+        """Fuses what has arrived by ``t`` [s] and plans the next cycle; where answers are behind, all but forces waits."""
+        behind = self.arm is not None and self.arm.behind
+        fused = self.fuse_forces(t) or (not behind and self.fuse_fields(t))
+        if not (fused or behind):
             self.witness()
         t += self.cell.robot.t_ipo
         self._prepared = round(t / self.cell.robot.t_ipo), self._surface.horizon(t, anew=not fused)

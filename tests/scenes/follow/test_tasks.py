@@ -188,10 +188,11 @@ class Bursts(Seen):
 
 
 @pytest.mark.parametrize(("spare", "waits"), [(1e-3, False), (1e-5, True)])
-def test_no_answer_waits_for_a_field_and_a_field_waits_where_answers_are_late(tmp_path: Path, spare: float, waits: bool
-                                                                             ) -> None:
+@pytest.mark.parametrize("cycle", [None, 0.004])
+def test_no_answer_waits_for_a_field_and_a_field_waits_where_answers_are_late(
+        tmp_path: Path, cycle: float | None, spare: float, waits: bool) -> None:
     """On a slow computer three fields at once took 40 ms before an answer, until the controller ended the session."""
-    job = _job(load_cell("glue"), Devices("rsi:"), None, None)
+    job = _job(load_cell("glue"), Devices("rsi:", cycle=cycle), None, None)
     assert isinstance(job, ForceJob)
     link = Waited(robot=job.robot)
     link.spare = spare
