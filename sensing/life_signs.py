@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from statistics import median
 
 import numpy as np
+from scipy.special import chdtri
 
 from ideal_robot.arrays import Array
 
@@ -21,12 +22,11 @@ QUIET, HEARD = 0.001, 8
 is the mean. Of a live one it is so small once in 10¹¹ times (χ² with 8 degrees of freedom)."""
 FAR = 8.0
 """Standard deviations of its noise that a sensor leaps by in addition to what it may change by."""
-CONTRADICTS, REFUSED = 2.5, 10.0
-"""Mean normalised innovation squared for each value above which readings contradict the motion, where nobody says
-otherwise, and what counts for readings that a filter refused. Of 48 values noise alone comes so far once in 10⁷ times
-(χ²)."""
+BY_CHANCE, REFUSED = 1e-7, 10.0
+"""Probability with which readings contradict the motion by noise alone, and the normalised innovation squared that
+counts for readings that a filter refused."""
 TOGETHER = 16
-"""Innovations whose mean that is."""
+"""Innovations whose sum is looked at: χ² of all their values, where noise alone is in them."""
 ASKED_FOR, ANSWERED, ERRORS = 0.2, 0.5, 4.0
 """Time over which a sensor is asked [s], share of what is asked that a live one answers at least, and standard errors
 by which an answer has to be less: one that answers all of it is twice as far away by chance."""
@@ -46,7 +46,6 @@ class LifeSigns:
     Args:
         largest: largest absolute value that a reading can have.
         channels: what the numbers are called.
-        contradicts: mean normalised innovation squared for each value above which readings contradict the motion.
 
     Attributes:
         noise: standard deviation of each channel while nothing happens ``(n,)``; None while it is not known.
@@ -55,12 +54,12 @@ class LifeSigns:
         answered: least share of what it was asked that it answered, ``ERRORS`` standard errors above.
     """
 
-    def __init__(self, largest: float, channels: Sequence[str], contradicts: float = CONTRADICTS) -> None:
+    def __init__(self, largest: float, channels: Sequence[str]) -> None:
         self.noise: Array | None = None
         self.stuck = self.impossible = self.leapt = self.quiet = 0
         self.fault: str | None = None
         self.answered = np.inf
-        self._largest, self._channels, self._contradicts = largest, channels, contradicts
+        self._largest, self._channels = largest, channels
         self._times, self._stamps = np.zeros((STAMPS, 2)), 0
         self.begin()
 
@@ -70,7 +69,7 @@ class LifeSigns:
         self._last: Array | None = None
         self._sound: Array | None = None
         self._changes: deque[Array] = deque(maxlen=HEARD)
-        self._innovations: deque[float] = deque(maxlen=TOGETHER)
+        self._innovations: deque[tuple[float, int]] = deque(maxlen=TOGETHER)
         self._asked = np.zeros((0, 4))
 
     def learn(self, rests: list[Array]) -> None:
@@ -106,17 +105,19 @@ class LifeSigns:
                 return False
         return self._near(values, reach)
 
-    def fits(self, innovation: float) -> None:
+    def fits(self, innovation: float, values: int) -> None:
         """Takes how well a reading fits what the arm's motion lets expect, and finds the fault where many do not.
 
         Args:
             innovation: normalised and squared, for each value; 1 on average; NaN where it was refused.
+            values: how many independent ones it is the mean of.
         """
-        self._innovations.append(REFUSED if np.isnan(innovation) else min(innovation, REFUSED))
-        mean = float(np.mean(self._innovations))
-        if len(self._innovations) == TOGETHER and mean > self._contradicts:
+        size = REFUSED if np.isnan(innovation) else min(innovation, REFUSED)
+        self._innovations.append((size * values, values))
+        total, count = np.sum(self._innovations, axis=0)
+        if len(self._innovations) == TOGETHER and total > chdtri(count, BY_CHANCE):
             self.fault = self.fault or ("what it tells does not change as the arm moves (innovations "
-                                        f"{mean:.1f} times as large as their variance)")
+                                        f"{total / count:.1f} times as large as their variance)")
 
     def answers(self, felt: Array, stiffness: float, frequency: float) -> None:
         r"""Takes what a tip that swings on a surface felt, and finds the fault where that does not swing.

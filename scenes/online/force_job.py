@@ -106,7 +106,8 @@ class LiveForceTask(ForceTask):
             return
         self._told = len(self.log.samples)
         if self.follower.phase is Phase.TRAVEL and self.maps:
-            self.force.signs.fits(self.log.samples[-1][2])
+            _, _, innovation, values = self.log.samples[-1]
+            self.force.signs.fits(innovation, int(values))
             self.force.signs.answers(self._surface.felt, self.elasticity.stiffness, ASKED)
 
     def answered(self, arm: LiveArm) -> None:
@@ -123,7 +124,7 @@ class LiveForceTask(ForceTask):
             self._unfit = error
 
     def prepare(self, t: float) -> None:
-        """Fuses what has arrived by ``t`` [s] and plans the next cycle; where answers are behind, all but forces waits."""
+        """Fuses what has arrived by ``t`` [s], forces alone where answers are behind, and plans the next cycle."""
         behind = self.arm is not None and self.arm.behind
         fused = self.fuse_forces(t) or (not behind and self.fuse_fields(t))
         if not (fused or behind):
@@ -352,10 +353,10 @@ class ForceJob:
         """See ``Job``."""
         log, wanted = self.log, self.scene.force
         moving = [t for t, phase in zip(log.t, log.phase, strict=False) if phase == Phase.TRAVEL.value]
-        felt = np.array([force for t, force, _ in log.samples if moving and moving[0] <= t <= moving[-1]])
+        felt = np.array([force for t, force, *_ in log.samples if moving and moving[0] <= t <= moving[-1]])
         figures: dict[str, Any] = {"force_N": {
             "wanted": wanted, "rms_error": float(np.sqrt(np.mean((felt - wanted) ** 2))) if len(felt) else float("nan"),
-            "largest": float(max((force for _, force, _ in log.samples), default=float("nan")))},
+            "largest": float(max((force for _, force, *_ in log.samples), default=float("nan")))},
             **self._calibrated()}
         if self._task.vision is not None:
             fields = self._task.vision.fields

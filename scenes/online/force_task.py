@@ -133,7 +133,8 @@ class ForceLog(CycleLog):
 
     Attributes:
         phase, s, planned: of the follower in each cycle: phase, arc length [m], planned deviation [m].
-        samples: of each cycle with samples: time of the newest [s], normal force [N], innovation squared per value.
+        samples: of each cycle with samples: time of the newest [s], normal force [N], innovation squared for each, how
+            many they were.
         wrenches: of all samples of the force sensor the time [s] and the wrench [N, N m].
         fields: for ``glue``: time stamp [s], values used, why not all.
     """
@@ -326,7 +327,7 @@ class ForceTask:
                 history.revise(at, self._geometry.as_drawn(q_a))
         fused = self.follower.update_force(t_felt, contact)
         nis = float("nan") if fused is None or not fused.dof else fused.nis / fused.dof
-        self.log.samples.append((float(t_felt[-1]), self.follower.force, nis))
+        self.log.samples.append((float(t_felt[-1]), self.follower.force, nis, len(t_felt)))
         if self._direct is not None:
             self._direct.update(self.follower.force)
         return True

@@ -34,9 +34,6 @@ OLDEST = 0.4
 AHEAD = 0.04
 """How far ahead of the arm's last state a picture may be stamped [s]."""
 
-CONTRADICTS = 4.0
-"""See ``LifeSigns``: sharp corners, which no map of the line expects, come to 2.8 (three seeds, with and without a look
-at the cell), pictures moved by two pixels to 7."""
 LEAP = 0.004
 """By how much the line may be beside its prediction all at once [m]. A camera that is mounted by hand shows 3.3 mm in
 the first field; pictures that are moved by eight pixels, 6 mm."""
@@ -90,7 +87,7 @@ class LiveCamera:
 
     def __init__(self, process: CameraProcess, arm: LiveArm, detection: DetectionSettings) -> None:
         self._process, self._arm, self.detection = process, arm, detection
-        self.signs, self.calibrated = LifeSigns(np.inf, ("the line's place [m]",), CONTRADICTS), False
+        self.signs, self.calibrated = LifeSigns(np.inf, ("the line's place [m]",)), False
         self.signs.noise = np.zeros(1)
         self.apart = float("nan")
         self.predict: Predict | None = None
@@ -132,7 +129,9 @@ class LiveCamera:
             return
         self.signs.check(fused.innovation[:1], LEAP)
         if self.calibrated:
-            self.signs.fits(fused.nis / len(fused.innovation))
+            # The points of a field err together: as one. Sharp corners, which no map of the line expects, come to 2.8
+            # (three seeds, with and without a look at the cell), pictures moved by two pixels to 7, of 4.0 allowed.
+            self.signs.fits(fused.nis / len(fused.innovation), 1)
         self._stop_at_fault()
 
     def _stop_at_fault(self) -> None:

@@ -128,7 +128,7 @@ class Waited(Wire):
         return state
 
 
-def _glued(tmp_path: Path, link: Wire, job: ForceJob, camera: Seen, *, fails: bool = False) -> None:
+def _glued(tmp_path: Path, link: Waited, job: ForceJob, camera: Seen, *, fails: bool = False) -> None:
     """Forty cycles of a glue scene; ``fails``: a field cannot be fused."""
     task, vision = job._task, job._task.vision
     link.said, link.commanded = [], job.q_start
@@ -163,7 +163,7 @@ def test_fields_of_a_surface_are_fused_between_packets_too(tmp_path: Path, fails
     """What goes wrong there stops the arm on its path, as it does elsewhere."""
     job = _job(load_cell("glue"), Devices("rsi:", cycle=0.004), None, None)
     assert isinstance(job, ForceJob)
-    link = Wire(robot=job.robot)
+    link = Waited(robot=job.robot)
     _glued(tmp_path, link, job, Seen(job.robot.t_ipo, 0), fails=fails)
     before = [link.said[i - 1] for i, said in enumerate(link.said) if said == "field"]
     assert set(before) == {"answer"}
