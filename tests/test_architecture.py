@@ -11,8 +11,8 @@ from functools import cache
 
 import pytest
 
-from docs.draw_architecture import PICTURE, layers, picture, reduced, structure
-from tests.sources import ROOT, trees
+from docs.draw_architecture import PICTURE, layers, picture, reduced, statements, structure, trees
+from tests.sources import ROOT
 
 OURS = {"ideal_robot", "sensing", "planning", "sim", "scenes", "studies", "examples", "tests", "docs"}
 IMPORTED_AS = {"dask[distributed]": "dask", "griffelib": "griffe", "opencv-python-headless": "cv2", "pin": "pinocchio",
@@ -46,7 +46,7 @@ RUN_NOT_IMPORTED = {"mypy", "pandas-stubs", "pytest-xdist", "ruff", "import-lint
 def imports(tree: ast.AST) -> list[str]:
     """Full names of what is imported anywhere in a tree, whole modules and what is taken from them."""
     found = []
-    for node in ast.walk(tree):
+    for node in statements(tree):
         if isinstance(node, ast.Import):
             found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
@@ -92,7 +92,7 @@ def test_imports_stand_at_the_top() -> None:
     for name, tree in files().items():
         if f"{name}.".startswith(STARTS_FAST):
             continue
-        functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+        functions = [node for node in statements(tree) if isinstance(node, ast.FunctionDef)]
         found = {module for function in functions for module in imports(function)}
         if not any(isinstance(node, ast.FunctionDef) and node.name == "__getattr__" for node in tree.body):
             late += [f"{name}: {module}" for module in sorted(found) if module.split(".")[0] not in IMPORTED_LATE]
@@ -142,10 +142,10 @@ def functions() -> list[tuple[str, ast.FunctionDef]]:
     found = []
     for folder in sorted(OURS):
         for path, tree in trees(folder).items():
-            for owner in ast.walk(tree):
-                of = f"{owner.name}." if isinstance(owner, ast.ClassDef) else ""
-                found += [(f"{path.relative_to(ROOT)}:{of}{node.name}", node) for node in ast.iter_child_nodes(owner)
-                          if isinstance(node, ast.FunctionDef)]
+            every = list(statements(tree))
+            of = {node: f"{one.name}." for one in every if isinstance(one, ast.ClassDef) for node in one.body}
+            found += [(f"{path.relative_to(ROOT)}:{of.get(node, '')}{node.name}", node) for node in every
+                      if isinstance(node, ast.FunctionDef)]
     return found
 
 

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from docs.draw_architecture import trees
 from scenes.cli import VERBS
-from tests.sources import ROOT, trees
+from tests.sources import ROOT
 
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes", "studies")
