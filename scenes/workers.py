@@ -370,6 +370,6 @@ def _quiet() -> Iterator[None]:
 def _workers(client: Client) -> int:
     """Workers that the scheduler knows; 0 if it does not answer."""
     try:
-        return len(client.sync(client.scheduler.ncores, callback_timeout=_ANSWERS))  # type: ignore[union-attr]
+        return len(client.sync(client.scheduler.ncores, callback_timeout=_ANSWERS))
     except Exception:  # a scheduler that has gone, hangs, or is another one by now
         return 0

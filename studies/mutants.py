@@ -161,7 +161,7 @@ def _compiled_with(file: str) -> tuple[str, ...]:
 
 def _one_stamp() -> None:
     """Lets numba trust compiled code of the copy whatever its file's time; what a fault touches is taken away here."""
-    caching._SourceFileBackedLocatorMixin.get_source_stamp = lambda self: (0.0, 0)  # type: ignore[method-assign]
+    caching._SourceFileBackedLocatorMixin.get_source_stamp = lambda self: (0.0, 0)
 
 
 class Copy:
