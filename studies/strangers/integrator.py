@@ -154,14 +154,17 @@ def _step(upper: Array, h: Array, rotors: Array, push: Array, gears: Array, rub:
             beyond = twist - half[j] if twist > half[j] else (twist + half[j] if twist < -half[j] else 0.0)
             x[LOAD, j] = k_gear[j] * beyond + (d_gear[j] * (x[V, j] - x[VA, j]) if beyond != 0.0 else 0.0)
         motor_step(rotors, push - x[LOAD], rub, x[V : FRICTION + 1])
-        x[VA] += STEP * _solution(M, x[LOAD] - h)
-        x[Q] += STEP * x[V]
-        x[QA] += STEP * x[VA]
+        faster = _solution(M, x[LOAD] - h)
+        for j in range(n):
+            x[VA, j] += STEP * faster[j]
+            x[Q, j] += STEP * x[V, j]
+            x[QA, j] += STEP * x[VA, j]
     else:
         before = x[V].copy()
         motor_step(M + rotors, push - h, rub, x[V : FRICTION + 1])
-        x[Q] += STEP * x[V]
+        # Number by number: assignments of rows take two seconds to compile.
         for j in range(n):
+            x[Q, j] += STEP * x[V, j]
             x[LOAD, j] = push[j] - x[FRICTION, j] - rotors[j, j] * (x[V, j] - before[j]) / STEP
             x[QA, j], x[VA, j] = x[Q, j], x[V, j]
 
