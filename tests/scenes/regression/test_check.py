@@ -19,11 +19,11 @@ from scenes.regression.comparison import SUITE, bounds_of, compared
 from scenes.regression.paired import BETTER, NOT_COMPARABLE, SAME, WORSE, Rules, judged, paired, seeds_needed
 from scenes.regression.results import Results, read_results
 from tests.scenes.test_command_line import SHORT as UNCALIBRATED
-from tests.sources import ROOT
 from tests.test_wheel import installed
 
 SHORT = UNCALIBRATED.replace("by_moving = false", "by_moving = false\nroll_deg = 0.01\npitch_deg = 0.02\n"
-                             "yaw_deg = 0.02\nheight_mm = 0.2\nlateral_mm = 0.02")
+                             "yaw_deg = 0.02\nheight_mm = 0.2\nlateral_mm = 0.02\nfocal_percent = 0.1\n"
+                             "principal_px = 0.05\nk1 = 0.001")
 """Calibrated well enough that nothing else is played to say what the run is worth."""
 SUITE_FILE = """
 title = "short line"
@@ -45,7 +45,10 @@ def suite(tmp_path: Path) -> Path:
     return tmp_path / "suite.toml"
 
 
-def test_baseline_then_same_then_worse_then_a_missed_bound(program: Any, suite: Path, tmp_path: Path) -> None:
+def test_baseline_then_same_then_worse_then_a_missed_bound(program: Any, suite: Path, tmp_path: Path,
+                                                           monkeypatch: pytest.MonkeyPatch) -> None:
+    # Played in this process, which has loaded the program.
+    monkeypatch.setattr("scenes.sweep.work_off", lambda tasks, play, *_: enumerate(map(play, tasks)))
     made = program("check", "suite.toml", "--update-baseline", "--processes", "1")
     assert made.code == 0, made.err
     assert "verdict: bounds kept, no baseline" in made.out
@@ -54,8 +57,7 @@ def test_baseline_then_same_then_worse_then_a_missed_bound(program: Any, suite: 
     assert {"version", "commit", "digest"} == set(told["program"])
     assert {"task_hash", "world_hash", "model_hash"} <= set(told["runs"][0])
     assert not {"real_time_factor", "urdf", "report", "recording"} & set(told["runs"][0])
-    # The same program with another number of processes: byte by byte.
-    again = program("check", "suite.toml", "--processes", "2", "--runs", "runs")
+    again = program("check", "suite.toml", "--processes", "1", "--runs", "runs")
     assert again.code == 0, again.err
     assert "verdict: same" in again.out
     parts = {path: path.read_bytes() for path in (tmp_path / "runs").rglob("*.parquet")}
@@ -93,6 +95,16 @@ def _files_say_the_same(folder: Path) -> None:
     assert len(root.findall(".//failure")) == len(worse) == sum(int(one.get("failures", 0)) for one in root)
     assert len(pd.read_parquet(folder / "results.parquet")) == 3
     assert "svg" in (folder / "report.html").read_text()
+
+
+@pytest.mark.slow
+def test_another_number_of_processes_says_the_same_byte_by_byte(program: Any, suite: Path, tmp_path: Path) -> None:
+    assert program("check", "suite.toml", "--update-baseline", "--processes", "1").code == 0
+    again = program("check", "suite.toml", "--processes", "2")
+    assert again.code == 0, again.err
+    assert "verdict: same" in again.out
+    results = (tmp_path / "out/check_suite/results.json").read_bytes()
+    assert results == (tmp_path / "suite.baseline.json").read_bytes()
 
 
 @pytest.mark.slow
@@ -335,17 +347,21 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def misses_its_baseline(folder: Path, path: Path, *words: str) -> None:
+def misses_its_baseline(said: str) -> None:
     """What is missing is said, with the remedy."""
-    without = run_tests(folder, path, *words)
-    assert "--update-path-errors writes it" in without.stdout, without.stdout + without.stderr
-    assert "did you mean 'straight'?" in without.stdout
-    assert "say which scene is played" in without.stdout
-    assert "2 failed, 2 errors" in without.stdout
+    assert "--update-path-errors writes it" in said, said
+    assert "did you mean 'straight'?" in said
+    assert "say which scene is played" in said
+    assert "2 failed, 2 errors" in said
 
 
-def test_in_a_users_folder(folder: Path) -> None:
-    misses_its_baseline(folder, ROOT, "-p", "scenes.pytest_plugin", "-p", "no:xdist")
+def test_in_a_users_folder(folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setitem(sys.modules, "test_own", None)  # whatever stands there is taken away afterwards
+    monkeypatch.delitem(sys.modules, "test_own")
+    pytest.main(["-q", "-p", "scenes.pytest_plugin", "-p", "no:xdist"])
+    misses_its_baseline(capfd.readouterr().out)
     # Three seeds; both tests share them, whose scene is the same.
     assert len(list((folder / ".pytest_cache" / "d" / "ideal_robot").glob("*.json"))) == 3
 
@@ -354,7 +370,7 @@ def test_in_a_users_folder(folder: Path) -> None:
 @pytest.mark.parametrize("words", [(), ("-n", "2")], ids=["alone", "xdist"])
 def test_from_the_wheel(installed: Path, folder: Path, words: tuple[str, ...]) -> None:
     """Baseline, the same from the cache, and worse against a baseline that was better."""
-    misses_its_baseline(folder, installed, *words)
+    misses_its_baseline(run_tests(folder, installed, *words).stdout)
     run_tests(folder, installed, "--update-path-errors", *words)
     kept = sorted((folder / "baselines").iterdir())
     assert len(kept) == 2
