@@ -28,7 +28,7 @@ SHOWS = {
     "sweep": "worst mean",
 }
 """What each of them prints."""
-QUICK = ("own_driver", "own_effect", "precorrect_arrays")
+QUICK = ("own_driver", "own_effect")
 """Those that take a few seconds, and are played each time."""
 
 

@@ -49,7 +49,8 @@ def test_a_quarter_of_direct_feedback_or_less(wave: ForceResult) -> None:
 
 def test_the_tip_does_not_plunge_when_the_travel_begins_on_a_stiff_surface() -> None:
     """How the tip gives way while the force rises was taken for a slope of the surface: 35 N of 20 N wanted."""
-    result = play(load_scene("force_wave").changed(tip={"stiffness": 2e4, "friction": 0.3}), "ideal")
+    result = play(load_scene("force_wave").changed(tip={"stiffness": 2e4, "friction": 0.3}, line={"length": 0.3}),
+                  "ideal")
     start = result.log.t[result.log.phase.index("travel")]
     first = (result.history["t"] > start) & (result.history["t"] < start + 0.5)
     assert result.history["normal"][first].max() < 30.0

@@ -151,6 +151,7 @@ def test_a_field_that_comes_twice_is_one_measurement() -> None:
     assert twice.control_error.mean == once.control_error.mean
 
 
+@pytest.mark.slow
 def test_the_tool_in_the_picture_is_not_taken_for_the_line() -> None:
     scene = load_scene("line").changed(seed=3)
     assert scene.camera.renderer == "bullet"
