@@ -82,10 +82,6 @@ def _diagnosed(case: Case, made: Regression, validation: Regression | None) -> D
     return DomainDiagnosis(problem, choices, final, validation, not sensor, case.recording.hash)
 
 
-_CHANGED = 0.2
-"""RMS of a change of columns over that of a channel's residual from which on the search is resumed with new ones."""
-
-
 def prepared(case: Case, warnings: tuple[str, ...]) -> Findings:
     """The regression of the motor torques about the model that is known, or about the nominal one."""
     start = case.given if case.given is not None else Model.nominal(case.robot)
@@ -116,26 +112,27 @@ def effects_of_motor_torque(case: Case, found: Findings) -> Findings:
     if not first.choices or not case.shared:
         return first
     first = replace(first, problem=first.problem.with_regression(_with_signals(case, first, found.problem.regression)))
-    if not _columns_changed(found.problem.regression, first):
+    if not _columns_changed(found.problem.regression, first, case.options.smallest):
         return first
     last = _searched(case, replace(found, problem=found.problem.with_regression(first.problem.regression),
                                    choices=first.choices))
     return replace(last, problem=last.problem.with_regression(_with_signals(case, last, last.problem.regression)))
 
 
-def _columns_changed(before: Regression, found: Findings) -> bool:
+def _columns_changed(before: Regression, found: Findings, share: float) -> bool:
     """Whether the columns of the effects changed so much that some channel's residual was made of it.
 
     Args:
         before: the regression in which the effects were selected.
         found: the effects, and the regression with columns that follow from the model with them in it.
+        share: of the residual's squares: what is asked of an effect.
     """
     after, effects = found.problem.regression, found.choices
     fit = found.problem.fit(effects)
     residual = fit.residual(after, effects) * after.use
     changes = [(new - old) * after.use for old, new in zip(fit.contributions(before, effects),
                                                            fit.contributions(after, effects), strict=True)]
-    return any(bool(np.any((change**2).sum(axis=0) > _CHANGED**2 * (residual**2).sum(axis=0))) for change in changes)
+    return any(bool(np.any((change**2).sum(axis=0) > share * (residual**2).sum(axis=0))) for change in changes)
 
 
 def _searched(case: Case, found: Findings) -> Findings:

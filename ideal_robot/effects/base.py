@@ -12,7 +12,7 @@ else that is linear: base parameters, friction, offsets.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -320,6 +320,21 @@ class Effect(ABC):
     def consistent_theta(self, coefficients: Array, theta: Theta) -> Theta:
         """Theta with which the coefficients ``(m,)`` are exact; by default as it is, for a physical one is fitted."""
         return theta
+
+    def settled(self, coefficients: Callable[[Theta], Array | None], theta: Theta) -> Theta:
+        """Theta with which its own coefficients are exact: a fixed point, approached while each step is smaller.
+
+        Args:
+            coefficients: those that come out with some theta ``(m,)``, None where physics does not allow them.
+            theta: to begin with.
+        """
+        kept, step = theta, np.inf
+        while (found := coefficients(theta)) is not None:
+            kept, theta = theta, self.consistent_theta(found, theta)
+            last, step = step, float(np.max(np.abs(np.subtract(theta, kept))))
+            if step >= last or np.allclose(theta, kept, rtol=0.01):
+                break
+        return kept
 
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
         """The physical numbers to report; by default the coefficients and theta as they are.

@@ -68,22 +68,12 @@ def time_blocks(samples: int, dt: float, held_out: bool) -> Blocks:
         held_out: whether every fourth block only reports.
     """
     count = int(np.clip(samples * dt / 0.5, 8, 32))
-    edges = np.linspace(0, samples, count + 1).astype(int)
-    return numbered_blocks(tuple(int(e) for e in edges), held_out, 6 if held_out else 8)
-
-
-def numbered_blocks(edges: tuple[int, ...], held_out: bool, folds: int) -> Blocks:
-    """Blocks between edges, their folds numbered through so that each is spread over the whole recording.
-
-    Args:
-        edges: first sample of each block, and the end.
-        held_out: whether every fourth block only reports.
-        folds: how many.
-    """
-    number = np.arange(len(edges) - 1)
+    number = np.arange(count)
     selecting = number % 4 != 2 if held_out else number >= 0
-    fold = np.where(selecting, (np.cumsum(selecting) - 1) % folds, -1)
-    return Blocks(edges, fold, int(fold.max()) + 1)
+    # Folds are numbered through, so that each is spread over the whole recording.
+    fold = np.where(selecting, (np.cumsum(selecting) - 1) % (6 if held_out else 8), -1)
+    edges = np.linspace(0, samples, count + 1).astype(int)
+    return Blocks(tuple(int(e) for e in edges), fold, int(fold.max()) + 1)
 
 
 # Cross-products of columns, block by block in time: all fits, folds and tests are made from these small matrices.

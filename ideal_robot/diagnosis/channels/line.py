@@ -26,8 +26,6 @@ KNOTS = 0.02
 """Distance of the curve's knots [m]."""
 FIELDS = 300
 """Fields looked at, at most."""
-BLOCK = 3
-"""Fields of a block."""
 _WIDTH = 0.012
 """Time to either side of a picture from which its pose is taken [s]: a parabola has seven samples of a 4 ms cycle."""
 _OUTLIER = 8.0
@@ -125,9 +123,9 @@ def line_regression(recording: Recording, robot: Robot, torque: Regression,
     y, W = residual[:, None], np.column_stack([np.ones(len(residual)), inclined])[:, None, :]
     use = np.ones(y.shape, dtype=bool)
     # Rows are points in order of time, and need no filter.
-    filtered, first = dataclasses.replace(torque.filtered, factor=1, keep=use[:, 0]), np.diff(number[rows], prepend=-1)
+    filtered = dataclasses.replace(torque.filtered, factor=1, keep=use[:, 0])
     return Regression(times, ("line",), ("m",), y, y, W, use, signals, filtered, {}, noise_floor, torque.prismatic,
-                      SENSOR, edges=(*np.flatnonzero(first)[::BLOCK].tolist(), len(y)))
+                      SENSOR)
 
 
 def _signals_at(times: Array, torque: Regression, begin: float, extra: dict[str, Array]) -> Signals:

@@ -22,6 +22,7 @@ from ideal_robot.diagnosis.channels.regression import (
     noise_above_band,
     small_velocity,
 )
+from ideal_robot.diagnosis.statistics.least_squares import CLEAR
 from ideal_robot.dynamics import regressor
 from ideal_robot.dynamics.base_parameters import full_regressor
 from ideal_robot.dynamics.newton_euler import chain_of, gravity_across, inverse_dynamics
@@ -40,9 +41,6 @@ BAND = 12.5
 which a rigid body with friction says nothing."""
 CUTOFF = 20.0
 """Cut-off of the position filter [Hz]: as far above the band that the filter is flat within it, no further."""
-_CREEPING = 3.0
-"""Times the speed over which friction changes sign up to which an axis creeps: there dry friction has all but half a
-percent of its size."""
 POSITION_BAND = 50.0
 """Band in which positions and forces are looked at [Hz]."""
 ROWS = 150_000
@@ -185,7 +183,7 @@ def with_reversal_width(made: Regression, model: Model, reversal_width: Array) -
         if not law.presliding:
             columns = law.regressor(s.qd[:, [j]], s.load[:, [j]], s.q[:, [j]], direction_of(s, j))
             W[:, j, place] = made.filtered.decimate(columns[:, 0])
-    sliding = np.abs(made.decimated_signals().qd) > _CREEPING * reversal_width
+    sliding = np.abs(made.decimated_signals().qd) > CLEAR * reversal_width
     return replace(made, W=W, use=made.use & sliding)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import ndimage, signal
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.channels.blocks import Blocks, numbered_blocks, time_blocks
+from ideal_robot.diagnosis.channels.blocks import Blocks, time_blocks
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION, Domain, Effect, FittedEffect, Frames, Signals
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import FilteredSignals
@@ -36,7 +36,6 @@ class Regression:
         prismatic: which joints slide and are measured in N and m ``(n,)``.
         noise_floor: level of the measurement's own noise per channel ``(c,)``, in the band that is looked at.
         absent: channels (from 0) that the recording does not have; none of their samples counts.
-        edges: first row of each block and the end, of rows that are not even in time.
     """
 
     t: Array
@@ -53,12 +52,9 @@ class Regression:
     prismatic: tuple[bool, ...]
     domain: Domain = MOTOR_TORQUE
     absent: frozenset[int] = frozenset()
-    edges: tuple[int, ...] = ()
 
     def blocks(self, held_out: bool) -> Blocks:
         """Blocks of time of the rows; see ``time_blocks``. A sensor's are few and shorter than those of the torque."""
-        if self.edges:
-            return numbered_blocks(self.edges, held_out, 6)
         rows = len(self.t)
         step = 0.5 * int(np.clip(rows / 10, 8, 32)) / rows if self.domain == SENSOR else float(self.t[1] - self.t[0])
         return time_blocks(rows, step, held_out)
@@ -114,7 +110,7 @@ def without_known(made: Positions, effects: Sequence[FittedEffect]) -> Positions
     return replace(made, y=np.asarray(made.y - np.sum(said, axis=0)))
 
 
-_SLOW = 0.004
+RESTING = 0.004
 """Share of its top speed below which a joint rests or touches zero. If that takes longer than a period of the position
 filter's cut-off, the filter has blurred the direction on which friction depends, and those samples do not count."""
 _BRISTLES = 0.003
@@ -142,7 +138,7 @@ def moving_samples(t: Array, q: Array, qd: Array, v_small: Array, rest: float,
     undecided: dict[int, str] = {}
     for j in range(q.shape[1]):
         speed = np.abs(qd[:, j])
-        slow = speed < np.maximum(2.0 * v_small[j], _SLOW * np.percentile(speed, 99))
+        slow = speed < np.maximum(2.0 * v_small[j], RESTING * np.percentile(speed, 99))
         edges = np.flatnonzero(np.diff(np.concatenate([[0], slow.astype(int), [0]])))
         for start, stop in zip(edges[::2], edges[1::2], strict=True):
             if (stop - start) * dt > rest:

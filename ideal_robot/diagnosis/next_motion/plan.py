@@ -27,6 +27,7 @@ from ideal_robot.diagnosis.next_motion.separation import (
     smallest_share,
 )
 from ideal_robot.diagnosis.search.choice import Options
+from ideal_robot.diagnosis.statistics.least_squares import CLEAR
 from ideal_robot.diagnosis.statistics.problem import Problem, prior_precision
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, TCP_POSITION, Domain, library
 from ideal_robot.errors import InputError
@@ -40,8 +41,6 @@ from ideal_robot.signals.recording import Recording
 
 LONGEST = 30.0
 """Length of a motion [s], at most, unless asked otherwise."""
-_PLENTY = 3.0
-"""Margin beyond which a pair no longer weighs: what is told apart three times over need not be told better."""
 _BEHIND = ("no motion within the limits tells them apart by what motors show; a device on the arm's side (qa_i or "
            "x y z) or a clamped flange ([J], ideal-robot stiffness) would")
 _NOTHING = "no motion within the limits and this time tells them apart"
@@ -220,10 +219,10 @@ def _best_motion(asked: Sequence[Pair], foresight: Foresight, room: Workspace, l
         margins = np.array([separation_of(one, reduce(add, own)).margin(asks)
                             for one, asks, own in zip(asked, least, zip(*several, strict=True), strict=True)])
         # Pairs that no motion tells must not keep the others waiting; beyond one, more is better, but not for long.
-        return float(np.mean(np.minimum(margins, 1.0) + 0.1 * np.minimum(margins, _PLENTY)))
+        return float(np.mean(np.minimum(margins, 1.0) + 0.1 * np.minimum(margins, CLEAR)))
 
     search = MotionSearch(robot, start, room, longest, np.random.default_rng(seed))
-    parts = search.best(told, worth, 1.0 + 0.1 * _PLENTY, lambda share, word: progress(0.05 + 0.85 * share, word))
+    parts = search.best(told, worth, 1.0 + 0.1 * CLEAR, lambda share, word: progress(0.05 + 0.85 * share, word))
     q_c = parts.commands()
     require_within_limits(robot, q_c, room)
     return q_c

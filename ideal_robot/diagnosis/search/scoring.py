@@ -15,13 +15,9 @@ from ideal_robot.diagnosis.channels.regression import spread
 from ideal_robot.diagnosis.search.choice import Options, PresentModel
 from ideal_robot.diagnosis.statistics.least_squares import TOLD, Fit
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
+from ideal_robot.effects.base import Theta
 from ideal_robot.effects.drive import DeadTime
 from ideal_robot.effects.kinematics import GeometryChange
-
-ITERATIONS = 4
-"""Steps that bring a computational theta to where its coefficients are exact; each leaves a small share of the last."""
-_PARTS = 4
-"""Parts of the range in each of which a ripple has to be there, at most; each holds a period or more."""
 
 
 class Scoring:
@@ -158,6 +154,8 @@ class Scoring:
     def holds_everywhere(self, fit: Fit, s: Candidate) -> bool:
         """Whether what repeats over the angle is in all parts of the range, half as large as in the whole at least.
 
+        Parts hold a period or more, and are no more than the parts of the time that are left out in turn.
+
         An odd shape at one place, or what a curve leaves of it, has a spectrum over the angle as well, but no torque
         elsewhere.
 
@@ -176,7 +174,7 @@ class Scoring:
         left = self.model.residual(fit)[:, channels] * use
         rows = np.flatnonzero(use.any(axis=1))
         q = self.at_rows.q[rows, joint - 1]
-        parts = int(np.clip(effect.periods(self.signals, joint, s.theta), 1, _PARTS))
+        parts = int(np.clip(effect.periods(self.signals, joint, s.theta), 1, blocks.folds))
         return all(np.sum(left[part] * wave[part]) > -0.5 * np.sum(wave[part] ** 2)
                    for part in np.array_split(rows[np.argsort(q)], parts))
 
@@ -239,16 +237,15 @@ class Scoring:
         return tried if tried.test.total > s.test.total else s
 
     def _made_consistent(self, fit: Fit, s: Candidate) -> Candidate:
-        """Theta that agrees with the coefficients, by fixed-point iteration."""
-        for _ in range(ITERATIONS):
-            theta = s.effect.consistent_theta(s.test.coefficients, s.theta)
-            if np.allclose(theta, s.theta, rtol=0.01):
-                break
-            better = replace(s, theta=theta)
-            if self.plausible_gain(fit, better) is None:
-                break
-            s = self.tested(fit, better)
-        return s
+        """Theta that agrees with the coefficients."""
+        def coefficients(theta: Theta) -> Array | None:
+            candidate = replace(s, theta=theta)
+            self.model.add_columns(candidate)
+            own = fit.gain(candidate.key)[1]
+            return own if self._plausible(candidate, own) else None
+
+        better = replace(s, theta=s.effect.settled(coefficients, s.theta))
+        return s if better.theta == s.theta else self.tested(fit, better)
 
     def scored(self, fit: Fit, pool: list[list[Candidate]]) -> list[Candidate]:
         """The best start of every effect at every joint, tested on blocks left out.

@@ -17,6 +17,7 @@ from scipy import linalg, optimize, special
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.blocks import Blocks, Design
 from ideal_robot.diagnosis.channels.motor_torque import direction_of
+from ideal_robot.diagnosis.channels.regression import RESTING
 from ideal_robot.diagnosis.statistics.least_squares import TOLD, weights_of_channels
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.effects import MOTOR_TORQUE, Domain, Signals
@@ -199,10 +200,8 @@ def _knots(x: Array, intervals: int) -> tuple[float, ...]:
 # How sharply dry friction changes sign at a reversal: a nuisance that no effect may be built on.
 #
 # Filters, sampling and bearings round the step of the sign; where the model has a hard one, each reversal leaves a
-# spike that looks like Stribeck or presliding. The width is fitted for each joint, up to a hundredth of its top speed.
-
-_WIDTHS = (0.0003, 0.001, 0.002, 0.004, 0.008)
-"""Shares of the top speed that are tried, before the best is refined."""
+# spike that looks like Stribeck or presliding. The width is fitted for each joint, up to twice the speed at
+# which it rests.
 
 
 def reversal_widths(problem: Problem, model: Model) -> Array:
@@ -219,15 +218,17 @@ def reversal_widths(problem: Problem, model: Model) -> Array:
     places = friction_places(model.base, model.friction)
     for j, (law, place) in enumerate(zip(model.friction.laws, places, strict=True)):
         top = float(np.percentile(np.abs(signals.qd[:, j]), 99))
-        speeds = [width * top for width in _WIDTHS if width * top > reversal_width[j]]
-        if j + 1 in problem.regression.undecided or law.presliding or not speeds:
+        widest = 2.0 * RESTING * top
+        if j + 1 in problem.regression.undecided or law.presliding or not widest > reversal_width[j]:
             continue
+        # Halved down to what the noise of the position asks for; the best is refined.
+        speeds = widest * 0.5 ** np.arange(np.ceil(np.log2(widest / reversal_width[j])))
         left = partial(_remaining, problem, design, weights, law, j, place.start)
         remaining = [left(speed) for speed in speeds]
         best = int(np.argmin(remaining))
         if left(reversal_width[j]) - remaining[best] < TOLD**2:
             continue
-        around = (max(0.5 * speeds[best], reversal_width[j]), min(2.0 * speeds[best], speeds[-1]))
+        around = (max(0.5 * speeds[best], reversal_width[j]), min(2.0 * speeds[best], widest))
         found = optimize.minimize_scalar(lambda x, of=left: of(np.exp(x)), bounds=np.log(around), method="bounded",
                                          options={"xatol": 0.02, "maxiter": 8})
         reversal_width[j] = float(np.exp(found.x)) if found.fun < remaining[best] else speeds[best]

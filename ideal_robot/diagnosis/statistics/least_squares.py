@@ -25,7 +25,9 @@ distribution. What takes away less than its square in weighted squares is not lo
 CLEAR = 3.0
 """The same where no more is claimed than what is beyond doubt, 99.7 %: a lag of all channels, a change of a model's
 parameter (the recording that the model was made of bent its parameters no less than this one), a parameter or a torque
-that refitting alone moves; and over the noise floor, an error."""
+that refitting alone moves; and over the noise floor, an error. A pair of causes that a motion tells so many times over
+need not be told better, and at so many widths of its change of sign dry friction has all but half a percent of its
+size."""
 LEFT_OUT = 0.05
 """Weight of a fold in the fit that leaves it out. Working cycles go to some places and speeds once: what other folds
 leave open would else be anything, and which of two candidates mends that says nothing of which is true."""

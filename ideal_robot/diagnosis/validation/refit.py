@@ -15,7 +15,6 @@ from ideal_robot.diagnosis.channels.force import force_regressions
 from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import about_model, in_position_band, torque_regression
 from ideal_robot.diagnosis.channels.regression import Regression
-from ideal_robot.diagnosis.search.scoring import ITERATIONS
 from ideal_robot.diagnosis.statistics.least_squares import CLEAR
 from ideal_robot.diagnosis.statistics.problem import (
     Candidate,
@@ -182,13 +181,12 @@ def beside_lag(torque: DomainDiagnosis) -> Estimate:
     lag = CommonDelay()
     if not lag.usable(signals, 0) or any(isinstance(c.effect, CommonDelay) for c in effects):
         return torque.final
-    candidate = Candidate(lag, 0, lag.starts(signals, 0)[0])
-    for _ in range(ITERATIONS):
-        found = torque.problem.on_all_blocks().fit([*effects, candidate], uncertainty=True)
-        theta = lag.consistent_theta(found.coefficients[-1], candidate.theta)
-        candidate = Candidate(lag, 0, theta)
+    problem = torque.problem.on_all_blocks()
+    theta = lag.settled(lambda some: problem.fit([*effects, Candidate(lag, 0, some)]).coefficients[-1],
+                        lag.starts(signals, 0)[0])
+    found = problem.fit([*effects, Candidate(lag, 0, theta)], uncertainty=True)
     own, std = found.coefficients[-1], found.std[-1]
-    if not abs(own[0]) > CLEAR * std[0] or not lag.plausible(own, candidate.theta, signals, 0):
+    if not abs(own[0]) > CLEAR * std[0] or not lag.plausible(own, theta, signals, 0):
         return torque.final
     return found
 
