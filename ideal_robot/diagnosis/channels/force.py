@@ -11,6 +11,8 @@ from scipy import ndimage
 
 from ideal_robot.arrays import GRAVITY, Array, G
 from ideal_robot.diagnosis.channels.arm import frames_along, tool_motion
+from ideal_robot.diagnosis.channels.line import KNOTS
+from ideal_robot.diagnosis.channels.motor_torque import BAND
 from ideal_robot.diagnosis.channels.regression import FEWEST, Regression, noise_in_band
 from ideal_robot.effects import SENSOR
 from ideal_robot.effects.fitted import spline_basis
@@ -188,12 +190,8 @@ def sensor_regression(torque: Regression, filtered: FilteredSignals, channels: t
 
 LEAST_FORCE = 3.0
 """Contact force that counts as contact [N]."""
-_CONTACT_BAND = 8.0
-"""Band in which a contact is looked at [Hz]."""
 _SLOW = 0.01
 """Speed below which the direction of sliding says little [m/s]."""
-_FEATURE = 0.04
-"""Shortest undulation of an unknown surface that is followed [m]."""
 
 
 def contact_regression(recording: Recording, robot: Robot, wrench: Wrench, torque: Regression,
@@ -230,7 +228,7 @@ def contact_regression(recording: Recording, robot: Robot, wrench: Wrench, torqu
     touching, = ndimage.distance_transform_edt(~strong, return_distances=False, return_indices=True)
     # Noise of the force is in the column as well and would make it look too small: less of it in a narrow band.
     dt = torque.filtered.dt
-    band = min(_CONTACT_BAND, 0.2 / dt)
+    band = min(BAND, 0.2 / dt)
     wide = noise_in_band(filtered.decimate(y[touching])[:, None], torque)
     y, W, pressed = (lowpass(values[touching], dt, band) for values in (y, W, pressed))
     small = filtered.decimate(y)
@@ -278,9 +276,9 @@ def _surface(place: Array, normal: Array, strong: np.ndarray) -> Array:
     _, _, axes = np.linalg.svd(flat[strong][:: max(1, int(strong.sum()) // 2000)], full_matrices=False)
     along, across = flat @ axes[0], flat @ axes[1]
     # A path on one line leaves nothing across but what tilts the normal; it must not stand for the force.
-    columns = [across] if float(np.std(across[strong])) > 0.1 * _FEATURE else []
+    columns = [across] if float(np.std(across[strong])) > 0.1 * KNOTS else []
     low, high = float(along[strong].min()), float(along[strong].max())
-    intervals = int(min((high - low) / _FEATURE, 40))
+    intervals = int(min((high - low) / KNOTS, 40))
     if intervals >= 2:
         knots = tuple(float(v) for v in np.linspace(low, high, intervals + 1))
         columns += list(spline_basis(along, knots, 0.1).T)

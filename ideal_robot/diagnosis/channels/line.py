@@ -16,6 +16,7 @@ from scipy import ndimage
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.arm import arm_angles, deflection, tool_motion
 from ideal_robot.diagnosis.channels.regression import FEWEST, Regression
+from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.effects import SENSOR, Signals, library
 from ideal_robot.effects.camera import CameraEffect, PointError, StampError, from_axis
 from ideal_robot.effects.fitted import spline_basis
@@ -23,15 +24,13 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 
 KNOTS = 0.02
-"""Distance of the curve's knots [m]."""
+"""Distance of the knots of a curve that is not known, a line's or a surface's [m]."""
 FIELDS = 300
 """Fields looked at, at most."""
 _WIDTH = 0.012
 """Time to either side of a picture from which its pose is taken [s]: a parabola has seven samples of a 4 ms cycle."""
 _OUTLIER = 8.0
 """Standard deviations from the smooth line beyond which a point is none of it: of Gaussian noise none is so far."""
-_SEEN = 0.002
-"""Of the squares of what an error does across the line, the share below which another line does it as well."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,7 +71,8 @@ class _SeenPoints:
             elif isinstance(error, StampError):
                 whole = error.late(self.t) * self.speed
             left = self.beside(whole)
-            if not error.optional or float(np.sum(left**2)) > _SEEN * float(np.sum(whole**2)):
+            # As of any effect: what another line can do nearly as well is none of the camera.
+            if not error.optional or float(np.sum(left**2)) > Options.smallest_own * float(np.sum(whole**2)):
                 result[error.signal] = left
         return result
 

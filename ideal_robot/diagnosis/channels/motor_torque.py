@@ -38,7 +38,7 @@ from ideal_robot.signals.recording import Recording
 
 BAND = 12.5
 """Band in which torques are looked at [Hz]: above it are the loops of the controller and the vibrations of the arm, of
-which a rigid body with friction says nothing."""
+which a rigid body with friction says nothing. In contact as well."""
 CUTOFF = 20.0
 """Cut-off of the position filter [Hz]: as far above the band that the filter is flat within it, no further."""
 POSITION_BAND = 50.0

@@ -53,6 +53,11 @@ class Regression:
     domain: Domain = MOTOR_TORQUE
     absent: frozenset[int] = frozenset()
 
+    @property
+    def step(self) -> float:
+        """Time from one row to the next [s]; in the mean, for points of one camera field have the same."""
+        return float(self.t[-1] - self.t[0]) / max(len(self.t) - 1, 1)
+
     def blocks(self, held_out: bool) -> Blocks:
         """Blocks of time of the rows; see ``time_blocks``. A sensor's are few and shorter than those of the torque."""
         rows = len(self.t)

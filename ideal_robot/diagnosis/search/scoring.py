@@ -47,14 +47,11 @@ class Scoring:
 
     def tested(self, fit: Fit, candidate: Candidate) -> Candidate:
         """A candidate, whose columns are part of the design, with its test on blocks left out by a fit without it."""
-        return self._all_tested(fit, [candidate])[0]
-
-    def _all_tested(self, fit: Fit, candidates: list[Candidate]) -> list[Candidate]:
-        selecting, tests = self.model.problem.blocks.selecting, fit.held_out_tests([one.key for one in candidates])
-        squares = np.maximum((fit.held_out_squares[selecting] * self.model.weights).sum(axis=0), 1e-300)
-        return [replace(one, p_value=min(1.0, test.p_value * one.tries), test=test,
-                        share=float(np.max(test.reduction_by_channel / squares)))
-                for one, test in zip(candidates, tests, strict=True)]
+        test = fit.held_out_test(candidate.key)
+        selecting = self.model.problem.blocks.selecting
+        squares = (fit.held_out_squares[selecting] * self.model.weights).sum(axis=0)
+        share = float(np.max(test.reduction_by_channel / np.maximum(squares, 1e-300)))
+        return replace(candidate, p_value=min(1.0, test.p_value * candidate.tries), share=share, test=test)
 
     def smallest_share(self, candidate: Candidate, own: Candidate | None = None) -> float:
         """Share of the residual's squares that is asked of a candidate; ``own`` is its choice if it was taken."""
@@ -266,8 +263,8 @@ class Scoring:
                 starts = [replace(first, theta=theta, tries=tries) for theta in found]
             best = self._best_start(fit, starts)
             if best is not None:
-                scored.append(best)
-        return self._all_tested(fit, scored)
+                scored.append(self.tested(fit, best))
+        return scored
 
     def _best_start(self, fit: Fit, starts: list[Candidate]) -> Candidate | None:
         """The plausible one that takes most away in sample; None if that is hardly anything."""

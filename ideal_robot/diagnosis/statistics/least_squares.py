@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -55,10 +54,6 @@ class HeldOutTest:
     def total(self) -> float:
         """Reduction of the weighted squares over all held-out folds."""
         return float(np.nansum(self.reduction))
-
-
-Products = dict[int, tuple[Array, Array]]
-"""Of a group, on each of its channels: products with all groups of a fit, and with itself (``Design.beside``)."""
 
 
 class Fit:
@@ -196,83 +191,41 @@ class Fit:
         CG = np.tensordot(weights, np.concatenate([total(key, other) for other in (*self.keys, "y")], axis=2), 1)
         CC = np.tensordot(weights, total(key, key), 1).reshape(count, m, count, m)
         own = np.arange(count)
-        part = None if group.own is None else group.own.reshape(count, m)
-        return self._joined(group.alike, part, CG.reshape(count, m, -1), CC[own, :, own], self.inverse, self.beta)[:2]
+        return self._joined(group, CG.reshape(count, m, -1), CC[own, :, own], self.inverse, self.beta)[:2]
 
     def held_out_test(self, key: str) -> HeldOutTest:
         """Held-out gain of one more group, everything refitted without each fold in turn."""
-        return self.held_out_tests([key])[0]
-
-    def held_out_tests(self, keys: Sequence[str]) -> list[HeldOutTest]:
-        """The same of several groups, each by itself."""
-        groups = [self.design.groups[key] for key in keys]
-        products = [{j: self.design.beside(key, self.keys, j) for j in group.channels}
-                    for key, group in zip(keys, groups, strict=True)]
-        joined = self._joined_in_folds(groups, products)
-        if not joined:
-            return []
-        at = 1 + self.fold
-        moved = np.stack([one[2] for one in joined], axis=2)
-        steps = np.concatenate([moved, np.zeros_like(moved[:, :1])], axis=1)[at]
-        # What a candidate changes, e = [X, y] step - C gamma, times the residual r that is left out; and its squares.
-        across, size = np.empty((2, len(self.weights), len(at), len(keys)))
-        for j, (index, G) in enumerate(self.G.parts):
-            step = steps[:, index]
-            across[j] = (self._along[j][:, None] @ step)[:, 0]
-            size[j] = np.sum(G @ step * step, axis=1)
-        return [self._test(gains[0], gamma[at], gamma[0], steps[:, :, k], own, across[:, :, k], size[:, :, k])
-                for k, (own, (gains, gamma, _)) in enumerate(zip(products, joined, strict=True))]
-
-    def _joined_in_folds(self, groups: Sequence[Columns],
-                         products: Sequence[Products]) -> list[tuple[Array, Array, Array]]:
-        """See ``_joined``, on all selecting blocks and without each fold, of each group by itself."""
-        CG, CC = [], []
-        for group, own in zip(groups, products, strict=True):
-            CG.append(np.zeros((1 + self.folds, group.m, self.P + 1)))
-            CC.append(np.zeros((1 + self.folds, group.m, group.m)))
-            for j, (with_others, with_itself) in own.items():
-                CG[-1][:, :, self.G.parts[j][0]] += self.weights[j] * np.tensordot(self._training, with_others, 1)
-                CC[-1] += self.weights[j] * np.tensordot(self._training, with_itself, 1)
-        result: dict[int, tuple[Array, Array, Array]] = {}
-        kinds = [(group.m, group.alike, group.own is None) for group in groups]
-        for kind in dict.fromkeys(kinds):
-            some = [k for k, one in enumerate(kinds) if one == kind]
-            part = None if kind[2] else np.array([groups[k].own for k in some])[:, None]
-            found = self._joined(kind[1], part, np.array([CG[k] for k in some]), np.array([CC[k] for k in some]),
-                                 *self._solutions)
-            result |= dict(zip(some, zip(*found, strict=True), strict=True))
-        return [result[k] for k in range(len(groups))]
-
-    def _test(self, gains: Array, gamma: Array, coefficients: Array, step: Array, products: Products, across: Array,
-              size: Array) -> HeldOutTest:
-        """Held-out gain of one group.
-
-        Args:
-            gains: without each fold, on all selecting blocks first.
-            gamma: its coefficients without each block's fold ``(B, m)``.
-            coefficients: on all selecting blocks ``(m,)``.
-            step: of all others without each block's fold ``(B, P + 1)``.
-            products: with the others and with itself, of each of its channels.
-            across: of the others' change with the residual left out ``(c, B)``.
-            size: of that change ``(c, B)``.
-        """
+        group = self.design.groups[key]
+        products = {j: self.design.beside(key, self.keys, j) for j in group.channels}
+        CG, CC = np.zeros((1 + self.folds, group.m, self.P + 1)), np.zeros((1 + self.folds, group.m, group.m))
         for j, (with_others, with_itself) in products.items():
-            index = self.G.parts[j][0]
-            across[j] -= np.sum(times(with_others, self._left_out[:, index]) * gamma, axis=1)
-            size[j] += quadratic(with_itself, gamma) - 2.0 * np.sum(times(with_others, step[:, index]) * gamma, axis=1)
-        selecting, reduction = self.fold >= 0, np.full(len(self.fold), np.nan)
-        by_channel = -self.weights * (2.0 * across + size)[:, selecting].sum(axis=1)
-        across, size = self.weights @ across[:, selecting], self.weights @ size[:, selecting]
+            CG[:, :, self.G.parts[j][0]] += self.weights[j] * np.tensordot(self._training, with_others, 1)
+            CC += self.weights[j] * np.tensordot(self._training, with_itself, 1)
+        gains, gammas, moved = self._joined(group, CG, CC, *self._solutions)
+        at = 1 + self.fold
+        v, step, gamma = self._left_out, np.column_stack([moved, np.zeros(len(moved))])[at], gammas[at]
+        # What a candidate changes, e = [X, y] step - C gamma, times the residual r that is left out; and its squares.
+        across, size = np.empty((2, len(at), len(self.weights)))
+        for j, (index, G) in enumerate(self.G.parts):
+            across[:, j] = np.sum(self._along[j] * step[:, index], axis=1)
+            size[:, j] = quadratic(G, step[:, index])
+            if j in products:
+                with_others, with_itself = products[j]
+                across[:, j] -= np.sum(times(with_others, v[:, index]) * gamma, axis=1)
+                size[:, j] += quadratic(with_itself, gamma) - 2.0 * np.sum(
+                    times(with_others, step[:, index]) * gamma, axis=1)
+        selecting, reduction = self.fold >= 0, np.full(len(at), np.nan)
+        by_channel = -self.weights * (2.0 * across + size)[selecting].sum(axis=0)
+        across, size = across[selecting] @ self.weights, size[selecting] @ self.weights
         reduction[selecting] = -2.0 * across - size
-        return HeldOutTest(float(gains), coefficients, reduction, by_channel, _one_sided(-across, -across - size))
+        return HeldOutTest(float(gains[0]), gammas[0], reduction, by_channel, _one_sided(-across, -across - size))
 
-    def _joined(self, alike: bool, own: Array | None, CG: Array, CC: Array, inverse: Array,
+    def _joined(self, group: Columns, CG: Array, CC: Array, inverse: Array,
                 present: Array) -> tuple[Array, Array, Array]:
         """Schur complements: gains ``(…,)``, coefficients ``(…, m)``, and by what all others fall ``(…, P)``.
 
         Args:
-            alike: whether the columns of the group that joins are pieces of one curve.
-            own: of each column's squares the share that is not of the form of the model's ``(…, m)``; None for all.
+            group: that joins.
             CG: its weighted products with the groups fitted and ``y`` ``(…, m, P + 1)``.
             CC: and with itself ``(…, m, m)``.
             inverse: of the normal equations ``(…, P, P)``.
@@ -282,19 +235,19 @@ class Fit:
         Z = CX @ inverse
         S = CC - Z @ np.swapaxes(CX, -1, -2)
         m = CC.shape[-1]
+        part = 1.0 if group.own is None else group.own.reshape(-1, m)
         # A column that the others explain all but what is rounding of has nothing of its own. What of it is of the form
         # of the model's own parameters does not count.
         size, left = (np.diagonal(one, axis1=-2, axis2=-1) for one in (CC, S))
-        least = ROUNDING * size if own is None else ROUNDING * own * size
-        some = (left > least) & (size > ROUNDING**2 * np.max(size, axis=-1, keepdims=True))
-        if alike and m > 6:
+        own = (left > ROUNDING * part * size) & (size > ROUNDING**2 * np.max(size, axis=-1, keepdims=True))
+        if group.alike and m > 6:
             S = S + _SMOOTH * np.mean(size, axis=-1)[..., None, None] * np.eye(m)
             left = np.diagonal(S, axis1=-2, axis2=-1)
-        scale = np.where(some, 1.0 / np.sqrt(np.where(some, left, 1.0)), 0.0)
+        scale = np.where(own, 1.0 / np.sqrt(np.where(own, left, 1.0)), 0.0)
         right = scale * (CG[..., -1] - times(CX, present))
-        inner = S * scale[..., :, None] * scale[..., None, :] + np.eye(m) * (~some[..., None] + 1e-6)
+        inner = S * scale[..., :, None] * scale[..., None, :] + np.eye(m) * (~own[..., None] + 1e-6)
         gamma = scale * np.linalg.solve(inner, right[..., None])[..., 0]
-        return np.sum(right / np.where(some, scale, 1.0) * gamma, axis=-1), gamma, times(np.swapaxes(Z, -1, -2), gamma)
+        return np.sum(right / np.where(own, scale, 1.0) * gamma, axis=-1), gamma, times(np.swapaxes(Z, -1, -2), gamma)
 
 
 def _inverse(A: Array) -> Array:

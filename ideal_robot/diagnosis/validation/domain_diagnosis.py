@@ -192,8 +192,7 @@ class DomainDiagnosis:
     @property
     def held_out_seconds(self) -> float:
         """How much time they are."""
-        t = self.reported.t
-        return float(self.held_out.sum() * (t[1] - t[0]))
+        return float(self.held_out.sum() * self.reported.step)
 
     def settled(self) -> tuple[DomainDiagnosis, tuple[NotTransferred, ...]]:
         """The same without effects that do not hold in the end, one after another, and what was dropped.

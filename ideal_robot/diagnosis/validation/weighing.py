@@ -28,9 +28,6 @@ from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, Effect, library
 from ideal_robot.effects.fitted import Unknown
 
-_BANDS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, np.inf)
-"""Octaves in which the difference is looked at [Hz]."""
-
 
 def arguments(domain: DomainDiagnosis, options: Options) -> Iterator[Argument]:
     """Why each cause of a domain was named, in their order.
@@ -112,15 +109,16 @@ class _Weighing:
 
     def _band(self, left: Array) -> tuple[float, float]:
         """The fewest adjoining octaves that hold half of the difference [Hz]."""
-        t = self.model.problem.regression.t
-        f = np.fft.rfftfreq(len(t), float(t[1] - t[0]))
+        f = np.fft.rfftfreq(len(left), self.model.problem.regression.step)
+        octaves = np.exp2(np.arange(np.ceil(np.log2(f[1])), np.log2(f[-1])))
+        edges = [0.0, *octaves.tolist(), np.inf]
         power = (np.abs(np.fft.rfft(left, axis=0)) ** 2 - np.abs(np.fft.rfft(self.best, axis=0)) ** 2).sum(axis=1)
-        parts = np.array([power[(f >= low) & (f < high)].sum() for low, high in pairwise(_BANDS)])
+        parts = np.array([power[(f >= low) & (f < high)].sum() for low, high in pairwise(edges)])
         parts = parts / (parts.sum() or 1.0)
         spans = [(b - a, -parts[a:b].sum(), a, b) for a in range(len(parts)) for b in range(a + 1, len(parts) + 1)
                  if parts[a:b].sum() >= 0.5] or [(0, 0.0, 0, len(parts))]
         _, _, a, b = min(spans)
-        return _BANDS[a], _BANDS[b]
+        return edges[a], edges[b]
 
     def _when(self, left: Array) -> tuple[str, float]:
         """The quarter of the time in which most of the difference lies, in words, and its share."""

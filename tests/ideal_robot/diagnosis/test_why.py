@@ -17,6 +17,7 @@ from ideal_robot.diagnosis.validation.weighing import _Weighing
 from ideal_robot.effects.registry import find
 from ideal_robot.model.model import Model
 from scenes.diagnosis.page import diagnosis_page
+from studies.sensors.scene import draw_line_trial, gantry
 from studies.strangers.arm import robot_of
 from tests.ideal_robot.diagnosis.test_diagnose import stranger
 
@@ -63,6 +64,15 @@ def test_the_score_is_that_of_blocks_left_out_and_vanishes_for_the_same_set() ->
     without = model.fit(cause).held_out_squares[selecting]
     expected = float(((without - squares) @ model.weights).sum()) / (2.0 * fit.inflation)
     assert nothing.nats == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_camera_error_is_argued_for_though_many_points_have_one_time() -> None:
+    kind, _, recording = draw_line_trial(9000)
+    with robot_of(gantry()) as robot:
+        found = diagnose(recording, robot, explain=True)
+    assert kind == "lens_distortion"
+    assert [one.name for one in found.arguments] == [kind]
+    assert found.arguments[0].sets[0].nats > 0.0
 
 
 @pytest.mark.parametrize(("nats", "words"), [(14.0, "Next best is joint_elasticity, 14 ± 3 nats worse"),
