@@ -131,7 +131,8 @@ def check_joints(root: ET.Element, file: str | Path | None) -> None:
         if joint.find("mimic") is not None:
             raise InputError("a joint of the arm that follows another one (mimic) is not supported; leave mimic away "
                              "where it is driven on its own", file=file, field=name)
-        written = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
+        # What reads the file takes x where there is no axis, and none where it has no direction.
+        written = "1 0 0" if axis is None else axis.get("xyz", "")
         if not 1e-3 <= math.hypot(*map(float, written.split())) <= 1e3:
             raise InputError("an axis needs a direction, e.g. 0 0 1", file=file, field=name, value=written[:40])
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import io
 import json
+import tokenize
 import zipfile
 import zlib
 from dataclasses import dataclass, field
@@ -290,7 +291,7 @@ def read_replay(path: Path, robot: Robot, recording: Recording) -> Replay | None
     except InputError as error:
         raise InputError(f"not a readable replay ({error}); delete it to see the recording alone", file=path) from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, SyntaxError, OverflowError,
-            RecursionError, zlib.error, RuntimeError, zipfile.BadZipFile) as error:
+            RecursionError, zlib.error, RuntimeError, zipfile.BadZipFile, tokenize.TokenError) as error:
         raise InputError(f"not a readable replay ({type(error).__name__}: {error}); delete it to see the "
                          "recording alone", file=path) from error
 

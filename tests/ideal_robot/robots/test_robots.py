@@ -282,6 +282,7 @@ def test_a_start_posture_lies_inside_the_limits(tmp_path: Path) -> None:
     (('<joint name="joint_4" type="revolute">', '<joint name="joint_4" type="revolute"><mimic joint="joint_2"/>'),
      "follows another one"),
     (('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>'), "an axis needs a direction"),
+    (('<axis xyz="0 0 1"/>', "<axis/>"), "an axis needs a direction"),
 ])
 def test_what_cannot_be_an_arm_is_said_with_its_joint(change: tuple[str, str], says: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=says) as refused:

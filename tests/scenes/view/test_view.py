@@ -7,6 +7,7 @@ import io
 import json
 import socket
 import time
+import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -334,6 +335,19 @@ def test_a_replay_with_an_array_of_another_shape_is_refused(name: str, value: np
         arrays = {**file, name: value}
     with path.open("wb") as written:
         np.savez_compressed(written, **arrays)
+    with pytest.raises(InputError, match="delete it"):
+        read_replay(path, ROBOT, of_replay(replay))
+
+
+def test_a_replay_with_half_a_header_is_refused(tmp_path: Path) -> None:
+    replay, path = whole_replay(), tmp_path / "recording.replay.npz"
+    write_replay(replay, path, of_replay(replay))
+    with zipfile.ZipFile(path) as file:
+        parts = {name: file.read(name) for name in file.namelist()}
+    parts["q.npy"] = parts["q.npy"].replace(b"), }", b"    ")
+    with zipfile.ZipFile(path, "w") as file:
+        for name, content in parts.items():
+            file.writestr(name, content)
     with pytest.raises(InputError, match="delete it"):
         read_replay(path, ROBOT, of_replay(replay))
 
