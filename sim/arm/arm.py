@@ -52,13 +52,17 @@ def require_integrable(model: pin.Model, q: Array, p: Array) -> None:
         p: parameter block of the drives.
 
     Raises:
-        InputError: beyond 1.2 / step, where semi-implicit integration is about to go wrong (its bound is 2 / step).
+        InputError: beyond 1.2 / step, where semi-implicit integration is about to go wrong (its bound is 2 / step), or
+            links without inertia about a joint.
     """
     elastic = p[P_ELASTIC] > 0.0
     if not elastic.any():
         return
     mass = pin.crba(model, model.createData(), q)
     mass = np.triu(mass) + np.triu(mass, 1).T
+    if np.linalg.matrix_rank(mass, hermitian=True) < len(mass):
+        raise InputError("a joint turns nothing that has inertia; give the links moments of inertia, or use inf for "
+                         "rigid gears", field="inertial")
     root = np.sqrt(p[P_STIFFNESS])
     rotor = np.where(elastic, 1.0 / np.where(elastic, p[P_ROTOR], 1.0), 0.0)
     fastest = float(np.sqrt(np.linalg.eigvalsh(root[:, None] * (np.linalg.inv(mass) + np.diag(rotor)) * root).max()))
