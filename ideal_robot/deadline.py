@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 TIME_LIMIT = 3600.0
 """How long a run may take unless another limit is given [s]; the longest scene of an hour takes a third of it."""
+LONGEST = 86400.0
+"""Longest single wait [s]: the system counts milliseconds in 32 bits. Who waits for longer asks again."""
 
 
 @dataclass(frozen=True)
@@ -28,8 +30,8 @@ class Deadline:
 
     @property
     def left(self) -> float:
-        """What is left [s]; 0 when it has passed."""
-        return max(self.end - time.perf_counter(), 0.0)
+        """What is left [s], ``LONGEST`` at most; 0 when it has passed."""
+        return min(max(self.end - time.perf_counter(), 0.0), LONGEST)
 
     @property
     def passed(self) -> bool:

@@ -57,6 +57,11 @@ def _own_number(task: int) -> int:
     return os.getpid()
 
 
+@pytest.mark.parametrize("limit", [1e7, 1e20])
+def test_a_limit_beyond_what_the_system_counts_is_one(limit: float) -> None:
+    assert dict(work_off([1, 2], abs, 1, limit)) == {0: 1, 1: 2}
+
+
 def test_a_process_is_replaced_after_its_share_of_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "TASKS", 2)
     numbers_of = dict(work_off(list(range(5)), _own_number, 1))
