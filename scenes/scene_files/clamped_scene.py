@@ -39,6 +39,13 @@ class ClampTable(Table):
             raise ValueError(f"expected numbers above 0, to {_LARGEST:g}")
         return values
 
+    @pydantic.field_validator("components")
+    @classmethod
+    def _are_of_a_wrench(cls, values: tuple[str, ...]) -> tuple[str, ...]:
+        if not values or not set(values) <= set(WRENCH):
+            raise ValueError(f"expected some of {', '.join(WRENCH)}")
+        return values
+
 
 class ClampedScene(Scene):
     """A clamped scene."""

@@ -114,7 +114,8 @@ def test_one_number_stands_for_all_joints(kr500: Robot) -> None:
     assert (world.stiffness.tolist(), world.wrench_noise, world.gaps) == ([2e6] * 6, (1.0, 2.0), False)
 
 
-@pytest.mark.parametrize("clamp", [{"forces": [0.0, 0.0]}, {"forces": []}, {"hold": 1e6}, {"payloads": [-1.0]}])
+@pytest.mark.parametrize("clamp", [{"forces": [0.0, 0.0]}, {"forces": []}, {"hold": 1e6}, {"payloads": [-1.0]},
+                                   {"components": ["fz", "f"]}, {"components": []}])
 def test_pushes_that_cannot_be_are_refused(clamp: dict[str, object]) -> None:
     with pytest.raises(InputError, match="clamp"):
         load_scene("clamped_kr500_1").changed(clamp=clamp)
