@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ideal_robot.errors import InputError
+from ideal_robot.errors import InputError, found_in
 from scenes.scene_files.scene import WORKSHOP, Scene
 from sim.arm.world import World
 
@@ -75,7 +75,7 @@ def effects_of_world(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
         InputError: a world that cannot be closed, which key and why.
     """
     default, file = World.default(scene.robot), scene.source
-    World.from_table(scene.robot, scene.arm_world, file)
+    world = World.from_table(scene.robot, scene.arm_world, file)
     for key, value in scene.arm_world.items():
         if key in _REASONS and _differs(default, key, value):
             raise InputError(f"a world with this key cannot be closed: {_REASONS[key]}", file=file,
@@ -89,7 +89,8 @@ def effects_of_world(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
         elif key in _OF_ALL_JOINTS:
             joints = list(range(1, n + 1))
         else:
-            own = np.broadcast_to(np.asarray(scene.arm_world[key], dtype=float), (n,))
+            with found_in(file):
+                own = world.per_joint(key, n)
             joints = [int(j) + 1 for j in np.flatnonzero(own != default.per_joint(key, n))]
         result += [(effect, joint) for effect in effects for joint in joints if (effect, joint) not in result]
     return tuple(result)
@@ -109,4 +110,5 @@ def declared_world(scene: Scene) -> dict[str, Any]:
 
 
 def _differs(default: World, key: str, value: Any) -> bool:
-    return bool(np.any(np.asarray(value) != np.asarray(getattr(default, key, False))))
+    own, usual = np.asarray(value), np.asarray(getattr(default, key, False))
+    return (bool(own.ndim and usual.ndim) and own.shape != usual.shape) or bool(np.any(own != usual))
