@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import BSpline
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import (
@@ -23,7 +24,6 @@ from ideal_robot.effects.base import (
 from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.registry import find
 from ideal_robot.effects.signals import Signals
-from ideal_robot.jit import jit
 
 _MOTION = re.compile(r"(q|qd|qdd|load)_\d+")
 """Signals that follow from where the arm shall go."""
@@ -122,30 +122,10 @@ def spline_basis(x: Array, knots: tuple[float, ...], margin: float) -> Array:
     """
     inner = np.asarray(knots)
     full = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
-    basis = _splines(np.clip(x, inner[0], inner[-1] - 1e-12 * np.ptp(inner)), full)
+    basis = BSpline(full, np.eye(len(inner) + 2), 3)(np.clip(x, inner[0], inner[-1] - 1e-12 * np.ptp(inner)))
     if np.any((x < inner[0]) | (x > inner[-1])):
         basis *= _inside(x, knots, margin)[:, None]
     return np.asarray(basis)
-
-
-@jit()
-def _splines(x: Array, knots: Array) -> Array:
-    """Cubic B-splines ``(N, len(knots) - 4)`` at ``x (N,)`` between the knots, by de Boor's recursion."""
-    basis = np.zeros((len(knots) - 4, len(x)))
-    left, right, here = np.empty(4), np.empty(4), np.empty(4)
-    for k in range(len(x)):
-        i = min(np.searchsorted(knots, x[k], side="right"), len(knots) - 4) - 1
-        here[0] = 1.0
-        for d in range(1, 4):
-            left[d], right[d] = x[k] - knots[i + 1 - d], knots[i + d] - x[k]
-            saved = 0.0
-            for r in range(d):
-                share = here[r] / (right[r + 1] + left[d - r])
-                here[r] = saved + right[r + 1] * share
-                saved = left[d - r] * share
-            here[d] = saved
-        basis[i - 3 : i + 1, k] = here
-    return basis.T
 
 
 def _inside(x: Array, knots: tuple[float, ...], margin: float) -> Array:

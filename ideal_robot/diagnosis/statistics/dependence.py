@@ -217,8 +217,7 @@ def reversal_widths(problem: Problem, model: Model) -> Array:
     reversal_width = np.full(signals.n, 1e-12) if signals.v_small is None else np.array(signals.v_small)
     places = friction_places(model.base, model.friction)
     for j, (law, place) in enumerate(zip(model.friction.laws, places, strict=True)):
-        top = float(np.percentile(np.abs(signals.qd[:, j]), 99))
-        widest = 2.0 * RESTING * top
+        widest = 2.0 * RESTING * signals.top_speed(j + 1)
         if j + 1 in problem.regression.undecided or law.presliding or not widest > reversal_width[j]:
             continue
         # Halved down to what the noise of the position asks for; the best is refined.
