@@ -81,8 +81,10 @@ def let_go(*arrays: Array) -> None:
 
 
 KEPT = 32768
-"""Rows held in memory at most; a power of two times the first ones."""
-_BEGIN = 512  # rows at first: doubled as they fill
+"""Rows held in memory at most."""
+_PIECE = 512
+"""Rows that are made room for at a time, and written to the file: a tenth of a millisecond of a row as long as the
+simulated arm's. Whatever is led in real time waits for no more."""
 _BLOCK = 4096
 """Rows that are read at a time."""
 
@@ -103,10 +105,10 @@ class RowLog:
     """
 
     def __init__(self, width: int | None = None) -> None:
-        self._numbers = False
-        self._log = np.zeros((_BEGIN, width or 0))
+        self._numbers, self._width = False, width or 0
+        self._pieces: list[Array] = []
         self._file: IO[bytes] | None = None
-        self._stored = np.zeros((0, width or 0))
+        self._stored = np.zeros((0, self._width))
         self._first = 0
         self.rows = 0
         self.refused: OutputError | None = None
@@ -114,45 +116,42 @@ class RowLog:
     @property
     def next_row(self) -> Array:
         """The row that is filled next."""
-        return self._log[self.rows - self._first]
+        piece, i = divmod(self.rows - self._first, _PIECE)
+        return self._pieces[piece][i]
 
     @property
     def kept(self) -> int:
         """Rows there is memory for."""
-        return len(self._log)
+        return _PIECE * len(self._pieces)
 
     def reserve(self, count: int) -> None:
         """Makes room for ``count`` further rows."""
-        if self.rows - self._first + count <= len(self._log):
-            return
-        if len(self._log) >= KEPT:
-            try:
-                self._store()
-                return
-            except OutputError as error:
-                self.refused = error
-        self._log = np.concatenate([self._log, np.zeros_like(self._log)])
+        while self.rows - self._first + count > self.kept:
+            self._pieces.append(self._empty_piece())
 
     def append(self, value: Any) -> None:
         """One more row ``(width,)``, or one more number."""
-        if not self.rows and not self._log.shape[1]:
+        if not self._width:
             shape = np.shape(value)
-            self._numbers = not shape
-            self._log = np.zeros((_BEGIN, shape[0] if shape else 1))
+            self._numbers, self._width = not shape, shape[0] if shape else 1
         self.reserve(1)
         self.next_row[:] = value
         self.rows += 1
 
     def row(self, i: int) -> Array:
         """Row ``i``, counted from 0; not to be written to."""
-        return self._stored[i] if i < self._first else self._log[i - self._first]
+        if i < self._first:
+            return self._mapped(self._first)[i]
+        piece, i = divmod(i - self._first, _PIECE)
+        return self._pieces[piece][i]
 
     def mapped(self) -> Array:
         """All rows ``(N, width)``: a copy, of a long log the file, which is read where it is used."""
         if not self._first:
-            return self._log[: self.rows].copy()
-        self._store()
-        return self._stored
+            return np.asarray(self).reshape(self.rows, self._width)
+        for i, piece in enumerate(self._pieces):
+            self._to_file(piece, self._first + _PIECE * i)
+        return self._mapped(self.rows)
 
     def column(self, i: int) -> Array:
         """Value ``i`` of all rows ``(N,)``, a copy."""
@@ -163,30 +162,47 @@ class RowLog:
 
     def blocks(self) -> Iterator[tuple[int, Array]]:
         """All rows in blocks, copied: number of the first one, and the rows."""
-        width = self._log.shape[1]
+        width = self._width
         for first in range(0, self._first, _BLOCK):
             count = min(_BLOCK, self._first - first)
             raw = os.pread(self._file.fileno(), 8 * width * count, 8 * width * first)  # type: ignore[union-attr]
             yield first, np.frombuffer(raw).reshape(count, width)
         for first in range(self._first, self.rows, _BLOCK):
-            yield first, self._log[first - self._first : min(first + _BLOCK, self.rows) - self._first].copy()
+            begin = (first - self._first) // _PIECE
+            pieces = self._pieces[begin : begin + _BLOCK // _PIECE]
+            yield first, np.concatenate(pieces)[: self.rows - first]
 
-    def _store(self) -> None:
-        """Brings the rows in memory to the file; what was handed out before stays valid."""
+    def _empty_piece(self) -> Array:
+        """The oldest piece, its rows in the file, where ``KEPT`` rows are held; else a new one."""
+        piece: Array | None = None
+        try:
+            while self.kept >= KEPT and self.rows - self._first >= _PIECE:
+                self._to_file(self._pieces[0], self._first)
+                piece, self.refused = self._pieces.pop(0), None
+                self._first += _PIECE
+        except OutputError as error:
+            self.refused = error
+        if piece is None:
+            return np.zeros((_PIECE, self._width))
+        piece[:] = 0.0
+        return piece
+
+    def _to_file(self, rows: Array, first: int) -> None:
+        """Writes rows to the file; the first of them is number ``first``."""
         try:
             if self._file is None:
                 self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 (open as long as the log is)
                 weakref.finalize(self, self._file.close)
-            _write(self._file.fileno(), self._log[: self.rows - self._first], 8 * self._log.shape[1] * self._first)
+            _write(self._file.fileno(), rows, 8 * self._width * first)
         except OSError as error:
             raise no_room(error) from error
-        self.refused = None
-        # The row that is filled next may have been begun already.
-        begun = self._log[self.rows - self._first :][:1].copy()
-        self._log[:] = 0.0
-        self._log[: len(begun)] = begun
-        self._first = self.rows
-        self._stored = np.asarray(np.memmap(self._file, dtype=float, mode="r", shape=(self.rows, self._log.shape[1])))
+
+    def _mapped(self, count: int) -> Array:
+        """The first ``count`` rows at least, which are in the file; what was handed out before stays valid."""
+        if len(self._stored) < count:
+            self._stored = np.asarray(np.memmap(  # type: ignore[call-overload]
+                self._file, dtype=float, mode="r", shape=(count, self._width)))
+        return self._stored
 
     def __len__(self) -> int:
         return self.rows
@@ -206,7 +222,7 @@ class RowLog:
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> Array:
         if not self.rows:
             return np.empty(0, dtype=dtype)
-        whole = np.empty((self.rows, self._log.shape[1]))
+        whole = np.empty((self.rows, self._width))
         for first, rows in self.blocks():
             whole[first : first + len(rows)] = rows
         found = whole[:, 0] if self._numbers else whole
