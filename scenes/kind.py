@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from ideal_robot.arrays import Array
 from ideal_robot.registry import Registry
-from scenes.result import CompareResult, ShownRun
+from scenes.result import CompareResult, RunResult
 from scenes.scene_files.scene import Scene
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 class Play(Protocol):
     """Plays a scene once; a kind may take further keywords, such as the sensors of a line scene."""
 
-    def __call__(self, scene: Any, *, method: Any = None, out: Any = None, progress: Any = ...) -> ShownRun:
+    def __call__(self, scene: Any, *, method: Any = None, out: Any = None, progress: Any = ...) -> RunResult:
         """Plays it.
 
         Args:

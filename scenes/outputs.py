@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import json
 import os
 import shutil
 import sys
@@ -12,19 +11,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any
 
 from ideal_robot.errors import InputError
-from ideal_robot.results import plain
-from ideal_robot.whole_file import (
-    OutputError,
-    is_device,
-    make_folder,
-    partial_name,
-    remove_empty,
-    synchronise,
-    write_text,
-)
+from ideal_robot.whole_file import OutputError, is_device, make_folder, partial_name, remove_empty, synchronise
 
 _EXCHANGE = 2
 """``RENAME_EXCHANGE`` of renameat2(2)."""
@@ -151,11 +140,6 @@ def whole_folder(folder: Path) -> Iterator[Path]:
         if new is not None:
             shutil.rmtree(new, ignore_errors=True)
         remove_empty(made)
-
-
-def write_json(path: str | Path, content: dict[str, Any]) -> Path:
-    """Writes ``content`` as strict JSON (NumPy values converted, NaN and infinities as null) and returns the path."""
-    return write_text(path, json.dumps(plain(content), indent=2, allow_nan=False) + "\n")
 
 
 def _fixed(folder: Path) -> bool:

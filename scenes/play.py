@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, overload
 from ideal_robot.errors import InputError
 from ideal_robot.registry import imported
 from scenes.kind import KINDS, kind_of
-from scenes.result import CompareResult, Progress, ShownRun, silent
+from scenes.result import CompareResult, Progress, RunResult, silent
 from scenes.scene_files.scene import Scene
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def run_scene(scene: Scene, *, method: Any = None, out: Path | None = None, prog
     """
     own = {key: value for key, value in changes.items() if key not in type(scene).model_fields}
     changed = scene.changed(**{key: value for key, value in changes.items() if key not in own})
-    result: ShownRun = kind_of(changed).run(changed, method=method, out=out, progress=progress, **own)
+    result: RunResult = kind_of(changed).run(changed, method=method, out=out, progress=progress, **own)
     return result
 
 

@@ -14,7 +14,29 @@ from ideal_robot.progress import Progress, part_of, silent
 from ideal_robot.results import Summarised, html_table, in_lines, plain, shown_cell
 from ideal_robot.row_log import let_go
 
-__all__ = ["CompareResult", "Progress", "ShownRun", "part_of", "silent"]
+__all__ = ["CompareResult", "Progress", "RunResult", "part_of", "silent"]
+
+
+class RunResult(Protocol):
+    """One scene played with one method."""
+
+    @property
+    def failure(self) -> str | None:
+        """Why the run ended early, or None; what was done until then is kept."""
+        ...
+
+    @property
+    def report(self) -> Path | None:
+        """The HTML page, where one was asked for."""
+        ...
+
+    def json(self) -> dict[str, Any]:
+        """The content of ``--json``."""
+        ...
+
+    def summary(self) -> list[tuple[str, str]]:
+        """The few figures a person wants first: label and value with unit."""
+        ...
 
 
 class CompareResult(Protocol):
@@ -50,15 +72,9 @@ class Shown(ABC):
 
 
 class ShownRun(Shown, Summarised):
-    """Base of results of a scene that was played once with one method.
-
-    Attributes:
-        failure: why the run ended early, or None; what was done until then is kept.
-        report: the HTML page, where one was asked for.
-    """
+    """Base of results of a scene that was played once; ``failure`` is the subclass's, too."""
 
     failure: str | None
-    report: Path | None
 
     def __repr__(self) -> str:
         early = f", ended early: {self.failure}" if self.failure else ""

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ideal_robot.errors import InputError
+from ideal_robot.errors import InputError, found_in
 from scenes.scene_files.scene import WORKSHOP, Scene
 from sim.arm.world import World
 
@@ -89,8 +89,9 @@ def effects_of_world(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
         elif key in _OF_ALL_JOINTS:
             joints = list(range(1, n + 1))
         else:
-            differ = world.per_joint(key, n) != default.per_joint(key, n)
-            joints = [int(j) + 1 for j in np.flatnonzero(differ)]
+            with found_in(file):
+                own = world.per_joint(key, n)
+            joints = [int(j) + 1 for j in np.flatnonzero(own != default.per_joint(key, n))]
         result += [(effect, joint) for effect in effects for joint in joints if (effect, joint) not in result]
     return tuple(result)
 

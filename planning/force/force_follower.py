@@ -132,14 +132,19 @@ class SurfaceFollower:
         return self._made((ratio, min(lateness, self.settings.lateness), FRICTION))
 
     def update_force(self, t: Array, contact: Array) -> Fused | None:
-        """Fuses the contact forces that arrived since the last cycle.
+        """Fuses what ``measured`` makes of the same; returns what became of it, None while there is no contact yet."""
+        measurement = self.measured(t, contact)
+        return None if measurement is None else self.fusion.update(measurement)
+
+    def measured(self, t: Array, contact: Array) -> Measurement | None:
+        """What the contact forces that arrived since the last cycle tell of the deviation.
 
         Args:
             t: instants they belong to ``(m,)`` [s].
             contact: forces of the environment on the tool ``(m, 3)`` in the tool frame [N], bias and weight taken away.
 
         Returns:
-            what became of them, or None while there is no contact yet.
+            the measurement for ``fusion``, or None while there is no contact yet.
         """
         poses = [self.history.pose(max(float(at), self.history.first)) for at in t]
         points = np.array([pose.translation for pose in poses])
@@ -174,9 +179,8 @@ class SurfaceFollower:
         # With E assumed too large a deviation is felt as too small, by a ratio.
         wrong = np.column_stack([np.zeros(len(t)), np.full(len(t), sinking),
                                  np.full(len(t), self._by_friction(float(s.mean())))])
-        return self.fusion.update(Measurement(float(t[-1]), s, value, covariance, direction, "force", wrong,
-                                              origin=None if self.phase is Phase.SETTLE else origin,
-                                              at=float(s.max())))
+        return Measurement(float(t[-1]), s, value, covariance, direction, "force", wrong,
+                           origin=None if self.phase is Phase.SETTLE else origin, at=float(s.max()))
 
     def _in_contact(self, t: Array) -> bool:
         """Whether what was felt at ``t (m,)`` [s] is a contact that is kept; the first one ends the approach."""

@@ -19,7 +19,7 @@ from ideal_robot.progress import Progress as Told
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from scenes.result import ShownRun
+    from scenes.result import RunResult
 
 
 def shown(text: object) -> str:
@@ -139,14 +139,14 @@ def write_signed(path: Path | None, content: dict[str, Any]) -> None:
         path: file to write; None for none.
         content: what it says.
     """
-    from scenes.outputs import write_json
     from scenes.program import signed
+    from scenes.report.page import write_json
 
     if path is not None:
         write_json(path, signed(content))
 
 
-def closed(run: ShownRun) -> None:
+def closed(run: RunResult) -> None:
     """Prints the result of a run; exit code 1 where it ended early."""
     show_table("", ["figure", "value"], [list(pair) for pair in run.summary()])
     if run.report is not None:

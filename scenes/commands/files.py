@@ -50,7 +50,7 @@ def list_(
 
     Example: `ideal-robot list scenes`
     """
-    from scenes.outputs import write_json
+    from scenes.report.page import write_json
     from scenes.schema import catalogue, json_schema
 
     columns, rows = catalogue(what.value, kind)
@@ -172,7 +172,8 @@ def fetch(
     Example: `ideal-robot fetch ur10e_ptp`
     """
     from scenes.data_sets import data_sets, fetch
-    from scenes.outputs import check_outputs, write_json
+    from scenes.outputs import check_outputs
+    from scenes.report.page import write_json
 
     if name is None:
         rows = [[one.name, one.title, one.licence, one.page] for one in data_sets().values()]

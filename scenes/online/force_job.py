@@ -18,6 +18,7 @@ from planning import PlanningError
 from planning.force.contact import ASKED, ASKING, CLEAR, EmergencyStopError, Phase, most_force
 from planning.force.contour import LATELY, ContourFollower
 from planning.force.felt_by_motors import BeyondSensor
+from planning.line.measurement import Measurement
 from scenes.methods import SceneMethod
 from scenes.online.camera_process import CalibratedCamera
 from scenes.online.cell_check import Look
@@ -67,8 +68,9 @@ class LiveForceTask(ForceTask):
     """``ForceTask`` with devices that may fall silent and an arm that may have to be stopped.
 
     No answer waits for a field: it is fused as soon as the command of a cycle has gone. Behind short cycles an answer
-    waits for no sensor: forces are fused then, too, one thing between two cycles, forces first, or the next cycle is
-    planned anew. Where answers are behind, only forces are. Whether a force is too large is looked at before.
+    waits for no sensor: forces are fused then, too. One thing is done between two cycles: what forces tell is worked
+    out, or fused behind the next one, or a field is fused. Where answers are behind, only forces are. Whether a force
+    is too large is looked at before.
     """
 
     arm: LiveArm | None = None
@@ -77,6 +79,8 @@ class LiveForceTask(ForceTask):
     """Whether what is sensed is fused, and the next cycle planned, between two cycles."""
     _unfit: IdealRobotError | None = None
     _prepared: tuple[int, Array] | None = None
+    _measured: tuple[Array, Measurement | None] | None = None
+    """Instants of forces ``(m,)`` [s] that are fused between the next two cycles, and what they tell."""
     _told = 0
     """How many fusions of forces were looked at."""
 
@@ -125,12 +129,23 @@ class LiveForceTask(ForceTask):
 
     def prepare(self, t: float) -> None:
         """Fuses what has arrived by ``t`` [s], forces alone where answers are behind, and plans the next cycle."""
-        behind = self.arm is not None and self.arm.behind
-        fused = self.fuse_forces(t) or (not behind and self.fuse_fields(t))
-        if not (fused or behind):
-            self.witness()
+        measured, self._measured = self._measured, None
+        fused = measured is not None
+        if measured is not None:
+            t_felt, told = measured
+            self._fused(t_felt, None if told is None else self._surface.fusion.update(told))
+        elif not self.fuse_forces(t) and not (self.arm is not None and self.arm.behind):
+            fused = self.fuse_fields(t)
+            if not fused:
+                self.witness()
         t += self.cell.robot.t_ipo
         self._prepared = round(t / self.cell.robot.t_ipo), self._surface.horizon(t, anew=not fused)
+
+    def _fuse_felt(self, t_felt: Array, contact: Array) -> None:
+        if self.ahead:
+            self._measured = t_felt, self._surface.measured(t_felt, contact)
+        else:
+            super()._fuse_felt(t_felt, contact)
 
     def _fields(self, t: float) -> Sequence[Field]:
         """See ``ForceTask``: the newest alone, which shows of the line what those before it have shown."""

@@ -23,6 +23,7 @@ from planning.force.surface_forecast import FeltArm, surfaces
 from planning.line.deviation_model import Expected, PathDeviation
 from planning.line.filter_bank import FilterBank
 from planning.line.fusion import DeviationFilter
+from planning.line.measurement import Fused
 from planning.path.desired_path import planned_cycles
 from planning.path.kinematics import InverseKinematics
 from scenes.methods import DIRECT, SceneMethod
@@ -325,12 +326,19 @@ class ForceTask:
                               for at, f in zip(t_felt, contact, strict=True)])
             for at, q_a in self._arm.feel(t_felt, force):
                 history.revise(at, self._geometry.as_drawn(q_a))
-        fused = self.follower.update_force(t_felt, contact)
+        self._fuse_felt(t_felt, contact)
+        return True
+
+    def _fuse_felt(self, t_felt: Array, contact: Array) -> None:
+        """Fuses contact forces ``(m, 3)`` [N, tool frame] of instants ``(m,)`` [s]."""
+        self._fused(t_felt, self.follower.update_force(t_felt, contact))
+
+    def _fused(self, t_felt: Array, fused: Fused | None) -> None:
+        """Writes down what became of the forces of instants ``(m,)`` [s]."""
         nis = float("nan") if fused is None or not fused.dof else fused.nis / fused.dof
         self.log.samples.append((float(t_felt[-1]), self.follower.force, nis, len(t_felt)))
         if self._direct is not None:
             self._direct.update(self.follower.force)
-        return True
 
     def _contact(self, t: float, arrived: Sequence[WrenchSample]) -> tuple[Array, Array]:
         """Instants ``(m,)`` [s] and contact forces ``(m, 3)`` [N, tool frame] of samples; ends on a force too large."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +10,18 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from scenes.online.result import FollowResult
-from scenes.report.page import Report, write_run_files
+from scenes.outputs import whole_folder
+from scenes.report.page import Report, write_json
 
 
 def write_run(result: FollowResult, out: Path) -> FollowResult:
     """Writes recording, page and figures of a run into a folder; returns the result with their places."""
-    return write_run_files(result, _page, out)
+    result = replace(result, recording_path=out / "recording.parquet", report=out / "report.html")
+    with whole_folder(out) as new:
+        result.recording.write(new / "recording.parquet")
+        _page(result).write(new / "report.html")
+        write_json(new / "report.json", result.json())
+    return result
 
 
 def _page(result: FollowResult) -> Report:

@@ -1,9 +1,10 @@
-"""A self-contained HTML page made of sections, and the folders of a run and of a comparison."""
+"""A self-contained HTML page made of sections, and the same content as JSON."""
 
 from __future__ import annotations
 
 import base64
 import io
+import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -15,7 +16,7 @@ import jinja2
 import numpy as np
 
 from ideal_robot.whole_file import write_text
-from scenes.outputs import whole_folder, write_json
+from scenes.outputs import whole_folder
 from scenes.report.replay import Replay, replay_beside, write_replay
 
 if TYPE_CHECKING:
@@ -130,6 +131,11 @@ class Report:
                                                                          blocks=self._blocks))
 
 
+def write_json(path: str | Path, content: dict[str, Any]) -> Path:
+    """Writes ``content`` as strict JSON (NumPy values converted, NaN and infinities as null) and returns the path."""
+    return write_text(path, json.dumps(plain(content), indent=2, allow_nan=False) + "\n")
+
+
 R = TypeVar("R", bound=Any)
 
 
@@ -168,6 +174,25 @@ def write_comparison_files(comparison: R, page: Callable[[R], Report], out: Path
         page(comparison).write(new / "report.html")
         write_json(new / "report.json", comparison.json())
     return comparison
+
+
+def plain(value: Any) -> Any:
+    """``value`` made of plain Python types only, as JSON needs them."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, (np.bool_, bool)):
+        return bool(value)
+    if isinstance(value, np.integer):
+        return int(value)
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, Path):
+        return str(value)
+    return value
 
 
 def _shown(cell: Any) -> str:

@@ -23,7 +23,7 @@ from scenes.line.cell import lamp_over
 from scenes.line.cell import set_up as set_up_line
 from scenes.line.cell import streams as line_streams
 from scenes.online.processes import undisturbed
-from scenes.outputs import write_json
+from scenes.report.page import write_json
 from scenes.scene_files.drawn_line import believed_camera, true_camera
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene

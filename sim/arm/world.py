@@ -289,8 +289,7 @@ class World:
             file: the table was read from, for messages.
 
         Raises:
-            InputError: unknown key (named, with the allowed ones), wrong type, value out of range, a list for another
-                number of joints.
+            InputError: unknown key (named, with the allowed ones), wrong type, value out of range.
         """
         table = dict(table)
         ideal, spread = table.pop("ideal", False), table.pop("spread", {})
@@ -301,10 +300,7 @@ class World:
             if unknown:
                 raise InputError(f"unknown key; allowed here are ideal, {', '.join(TABLE_KEYS)}",
                                  field=f"world.{unknown[0]}")
-            usual = cls.ideal(robot_name) if ideal else cls.default(robot_name)
-            world = usual.replace(**table)
-            for name in (key for key in table if key in SIZES):
-                world.per_joint(name, len(np.atleast_1d(usual.stiffness)))
+            world = (cls.ideal(robot_name) if ideal else cls.default(robot_name)).replace(**table)
             return world.drawn(spread) if spread else world
 
     def drawn(self, spread: dict[str, float]) -> World:
@@ -317,11 +313,12 @@ class World:
             InputError: a key that has no size, or a spread that is none.
         """
         rng, changed = np.random.default_rng([self.individual, 15485863]), {}
+        sizes = {field.name for field in dataclasses.fields(self) if str(field.type) == "PerJoint"}
         if not isinstance(spread, dict):
             raise InputError("expected a table", field="world.spread", value=spread)
         for name in sorted(spread):
             width = spread[name]
-            if name not in SIZES or type(width) not in (int, float) or not 0.0 <= width <= 3.0:
+            if name not in sizes or type(width) not in (int, float) or not 0.0 <= width <= 3.0:
                 raise InputError("expected a number from 0 to 3 for a key with a size per joint",
                                  field=f"world.spread.{name}", value=width)
             value = np.atleast_1d(getattr(self, name))
@@ -373,8 +370,6 @@ class World:
 
 TABLE_KEYS = tuple(field.name for field in dataclasses.fields(World) if field.name not in ("robot", "extra_torque"))
 """What a scene's ``[world]`` table may hold."""
-SIZES = {field.name for field in dataclasses.fields(World) if str(field.type) == "PerJoint"}
-"""Settings that each joint may have of its own."""
 
 def _table(robot: str | Robot) -> dict[str, Any]:
     """Settings of a shipped world, or such in proportion for any other robot; a wrong name fails in ``Robot.load``."""

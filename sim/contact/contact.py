@@ -150,11 +150,6 @@ class TipContact:
             let_go(*found.values())
         return found
 
-    @property
-    def pressed(self) -> float:
-        """The normal force at present [N], zero before the start."""
-        return float(self._log.row(self._log.rows - 1)[1]) if self._log.rows else 0.0
-
     def force_at(self, t: float) -> Array:
         """Force on the tip in the base frame ``(3,)`` at ``t`` [s], zero before the start."""
         index = min(round(t / STEP), self._log.rows - 1)

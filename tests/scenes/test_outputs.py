@@ -131,7 +131,7 @@ from pathlib import Path
 import numpy as np
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.signals.recording import Recording
-from scenes.outputs import write_json
+from scenes.report.page import write_json
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 folder = Path(sys.argv[1])
@@ -293,7 +293,7 @@ def test_figures_that_find_no_room_leave_the_previous_folder(verb: str, program,
         if path.name != "report.json":
             raise OutputError("j.json: cannot be written (No space left on device)")
 
-    monkeypatch.setattr("scenes.outputs.write_json", full)
+    monkeypatch.setattr("scenes.report.page.write_json", full)
     assert program(verb, *words, "--out", "o", "--json", "j.json").code == 1
     # The model of a round that was done stays, as it does where a closing is interrupted.
     assert sorted({*tmp_path.rglob("*")} - {tmp_path / "o" / "extended_model.json"}) == before

@@ -164,6 +164,11 @@ def test_a_world_that_cannot_be_is_refused_before_it_is_compared_with_the_model(
         undeclared_effects(load_scene(place), 6)
 
 
+def test_a_world_with_another_number_of_joints_is_not_closed() -> None:
+    with pytest.raises(InputError, match="one per joint"):
+        undeclared_effects(load_scene("close_stribeck").changed(world={"stribeck": []}), 6)
+
+
 def test_an_interrupt_before_a_verb_has_begun_ends_without_a_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(verb: str) -> None:
         raise KeyboardInterrupt

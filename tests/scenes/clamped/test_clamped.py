@@ -16,7 +16,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes import load_scene
 from scenes.clamped import configurations, record, run
-from scenes.outputs import write_json
+from scenes.report.page import write_json
 from sim.contact.clamp import ClampedArm
 from sim.contact.clamp_world import ClampWorld
 

@@ -140,11 +140,13 @@ class Bench:
     def at(self) -> str:
         """The stage that is on."""
         begun = 0 if self.live is None else self.live.begun
+        log = self.contact._log
+        felt = float(log.row(log.rows - 1)[1]) if log.rows else 0.0
         first = self.turns
         if begun <= first:
             return "turning" if begun == first else ""
         if begun == first + 1:
-            return "search" if self.contact.pressed == 0.0 else "press" if self.contact.pressed > 5.0 else ""
+            return "search" if felt == 0.0 else "press" if felt > 5.0 else ""
         phase = str(self.task.follower.phase.value)
         if phase != "travel":
             return phase

@@ -24,10 +24,10 @@ from scenes import load_scene
 from scenes.clamped import configurations, record
 from scenes.methods import ADAPTED, IDEAL
 from scenes.models import shipped_model
-from scenes.outputs import write_json
 from scenes.path.cell import measured_errors, set_up
 from scenes.path.kind import compare, run
 from scenes.path.precorrect import played, precorrected_path, table
+from scenes.report.page import write_json
 from scenes.scene_files.clamped_scene import ClampedScene
 from scenes.scene_files.scene import chosen
 from scenes.scene_files.tool_path import Arc, Line, Shape, duration, shape_of, tool_path, travel
