@@ -1,4 +1,4 @@
-"""What all rooms share of numbers: the array type, the time law of motions from rest to rest, gravity."""
+"""What all rooms share of numbers: the array type, motions from rest to rest, rows, gravity."""
 
 from __future__ import annotations
 
@@ -20,6 +20,32 @@ def eased(share: Array) -> Array:
     duration as acceleration, at its peaks.
     """
     return share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+
+
+def eased_way(start: Array, end: Array, limits: tuple[Array, Array], T: float, fewest: int = 1) -> Array:
+    """Positions ``(K, n)`` at the cycles of the quickest such motion of all axes together, the start left out.
+
+    Args:
+        start: ``(n,)``, at rest.
+        end: ``(n,)``, at rest.
+        limits: of speed and acceleration ``(n,)`` each.
+        T: cycle [s].
+        fewest: cycles at least.
+    """
+    way, (v, a) = np.abs(end - start), limits
+    duration = max(float(np.max(1.875 * way / v)), float(np.sqrt(np.max(5.774 * way / a))), T)
+    count = max(int(np.ceil(duration / T)), fewest)
+    return start + eased(np.arange(1, count + 1)[:, None] / count) * (end - start)
+
+
+def arc_lengths(points: Array) -> Array:
+    """Lengths ``(N,)`` from the first of the points ``(N, d)`` to each, along straight lines between them."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+
+
+def interpolated(at: Array, t: Array, rows: Array) -> Array:
+    """Rows ``(m, n)`` at ``at (m,)``, linearly between those ``(N, n)`` at rising ``t (N,)``, held beyond both ends."""
+    return np.column_stack([np.interp(at, t, column) for column in rows.T])
 
 
 def held(rows: Array, *, before: int = 0, after: int = 0) -> Array:

@@ -211,8 +211,7 @@ def _time_figure(signals: ClampedSignals, robot: Robot) -> Figure:
         axes[2].legend(loc="upper right")
     axes[1].set_ylabel(f"τ_{joint + 1} [kN m]")
     axes[1].legend(loc="upper right")
-    axes[2].set_ylabel("force [kN]")
-    axes[2].set_xlabel("t [s]")
+    axes[2].set(xlabel="t [s]", ylabel="force [kN]")
     for axis in axes:
         axis.grid(alpha=0.3)
     return figure
@@ -239,8 +238,7 @@ def _line_figure(signals: tuple[ClampedSignals, ...], robot: Robot, method: Meth
             axis.plot(1e3 * ends, result.stiffness * ends / 1e3, color=ORANGE)
         axis.set_title(f"joint {result.joint}: k = {result.stiffness:.3g} N m/rad, %σ = {result.std_percent:.2g}",
                        fontsize=9)
-        axis.set_xlabel("q_m − mean [mrad]")
-        axis.set_ylabel("τ − mean [kN m]")
+        axis.set(xlabel="q_m − mean [mrad]", ylabel="τ − mean [kN m]")
         axis.grid(alpha=0.3)
     return figure
 
@@ -252,17 +250,7 @@ METHODS = ("motor", "wrench", "both")
 
 def run(scene: ClampedScene, *, method: Any = None, out: Path | None = None,
         progress: Progress = silent) -> ClampedResult:
-    """Clamps, pushes, records, identifies.
-
-    Args:
-        scene: what to play.
-        method: ``motor``, ``wrench`` or ``both``, which is the default.
-        out: folder for recordings and report; nothing is written without.
-        progress: called with the fraction done.
-
-    Raises:
-        InputError: no such method, or a scene that cannot be played.
-    """
+    """See ``Play.__call__``: clamps, pushes, records, identifies; by ``motor``, ``wrench`` or ``both``, the default."""
     chosen = method_of(method or "both", METHODS).key
     robot = arm_of(scene.robot)
     world = ClampWorld.from_table(robot, scene.arm_world, scene.source)

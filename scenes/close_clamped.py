@@ -51,17 +51,10 @@ SOURCES = {"before": "none", "after": "clamped flange", "tracker": "arm angles o
 
 def close_loop(scene: CloseClampedScene, *, measured: str = "motor", out: Path | None = None,
                progress: Progress = silent) -> Closing:
-    """Clamps the flange, identifies the gears' stiffness and plays the path with it.
+    """See ``CloseLoop.__call__``: clamps the flange, identifies the gears' stiffness and plays the path with it.
 
-    Args:
-        scene: path, arm, and how the flange is clamped.
-        measured: ``tcp``: the wrench at the clamp too; ``motor``: motor angles and currents alone, so that an error of
-            the data sheet's drive gains goes into the stiffness in full. ``arm`` is not for an arm that is clamped.
-        out: folder for recordings, model and report; nothing is written without.
-        progress: called with the fraction done.
-
-    Raises:
-        InputError: a scene that cannot be played, or recordings that do not say all gears.
+    With ``tcp`` measured the wrench at the clamp counts, too; with ``motor`` angles and currents alone: then an error
+    of the data sheet's drive gains goes into the stiffness in full. ``arm`` is not for an arm that is clamped.
     """
     if measured not in ("motor", "tcp"):
         raise InputError("expected motor (angles and currents alone) or tcp (the wrench at the clamp too)",

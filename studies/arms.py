@@ -231,12 +231,12 @@ def _arms_part(result: LineResult) -> Array:
     measuring device, whose noise is as large as the arm's part: the scene has to be ``TOLD``.
     """
     columns, robot = result.recording.columns, result.scene.arm
-    t, fk = columns["t"], robot.fk()
+    t = columns["t"]
     q_a, q_d = (np.column_stack([columns[f"{kind}_{i + 1}"] for i in range(robot.n)]) for kind in ("qa", "q_d"))
     # Between the cycles the recording has straight lines, which leave a fast path.
     cycles = np.isclose(t / robot.t_ipo, np.round(t / robot.t_ipo), atol=1e-6)
     counts = np.isin(np.round(t, 6), np.round(result.control_error.t, 6))
-    actual, desired = (np.array([fk(q).translation[:2] for q in angles])
+    actual, desired = (robot.tool_places(angles)[:, :2]
                        for angles in (q_a[counts], CubicSpline(t[cycles], q_d[cycles])(t[counts])))
     along, off = np.gradient(desired, axis=0).T, (actual - desired).T
     return np.asarray((along[0] * off[1] - along[1] * off[0]) / np.maximum(np.hypot(*along), 1e-12))

@@ -328,8 +328,7 @@ def _drawn(curves: dict[tuple[str, bool], list[StabilityRun]]) -> Figure:
         axis.set_xscale("log")
         axis.set_xticks([0.25, 0.5, 1.0, 2.0, 4.0], ["1/4", "1/2", "1", "2", "4"])
         axis.minorticks_off()
-        axis.set_xlabel(f"assumed / true {quantity}")
-        axis.set_ylabel(UNITS[quantity])
+        axis.set(xlabel=f"assumed / true {quantity}", ylabel=UNITS[quantity])
         axis.grid(alpha=0.3)
         axis.legend()
     return figure

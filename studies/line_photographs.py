@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, interpolated
 from ideal_robot.errors import InputError
 from sensing.camera.line_evidence import FEATURES
 from sensing.camera.line_track import track
@@ -164,7 +164,7 @@ def _broad(line: Array) -> Array:
 def _even(line: Array) -> Array:
     """Marks ``(m, 3)`` at 60 places, as many between any two of them."""
     at, own = np.linspace(0.0, 1.0, 60), np.linspace(0.0, 1.0, len(line))
-    return np.column_stack([np.interp(at, own, column) for column in line.T])
+    return interpolated(at, own, line)
 
 
 def _off(along: Array, found: Array) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from matplotlib.figure import Figure
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, interpolated
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.loop.loop_model import LoopModel
@@ -133,8 +133,7 @@ def _circles(robot: Robot, world: World, law: Feedforward, once: Array, count: i
 
     The first ``drawn`` rows of ``once`` count; ``told`` makes the law of a circle from temperatures at its begin.
     """
-    fk = robot.fk()
-    lead, x_d = round(LEAD / world.t_ipo), np.array([fk(q).translation for q in once[:drawn]])
+    lead, x_d = round(LEAD / world.t_ipo), robot.tool_places(once[:drawn])
     with SimulatedArm(robot, world, np.random.default_rng(1), once[0]) as arm:
         state = law.init(once[0])
         q_d = np.concatenate([np.tile(once[0], (lead, 1)), np.tile(once, (count, 1)), np.tile(once[-1], (30, 1))])
@@ -149,7 +148,7 @@ def _circles(robot: Robot, world: World, law: Feedforward, once: Array, count: i
     errors = np.empty(count)
     for i in range(count):
         start = lead + i * len(once)
-        x = np.array([fk(q).translation for q in q_a[start : start + drawn]])
+        x = robot.tool_places(q_a[start : start + drawn])
         errors[i] = np.sqrt(np.mean(np.sum((x - x_d) ** 2, axis=1)))
     return errors, temperature[lead + len(once) - 1 :: len(once)][:count]
 
@@ -176,8 +175,7 @@ def _figure(minutes: Array, results: dict[str, Array], temperature: Array) -> Fi
     colours = {"fixed model": "#8893a1", "adapted": "#e06a00", "oracle": "#1c2430"}
     for name, values in results.items():
         axes.plot(minutes, 1e3 * values, label=name, color=colours[name], lw=1.6, ls="--" if name == "oracle" else "-")
-    axes.set_xlabel("minutes since switch-on")
-    axes.set_ylabel("E_car of each circle, time-matched [mm]")
+    axes.set(xlabel="minutes since switch-on", ylabel="E_car of each circle, time-matched [mm]")
     axes.set_ylim(bottom=0.0)
     axes.legend(frameon=False, loc="lower right")
     axes.spines[["top"]].set_visible(False)
@@ -255,14 +253,14 @@ def _path_error(robot: Robot, world: World) -> dict[str, tuple[float, float, flo
         for q in q_d:
             arm.cycle(q)
         log = arm.history()
-    fk, due = robot.fk(), robot.t_ipo * (1 + np.arange(len(q_d)))
+    due = robot.t_ipo * (1 + np.arange(len(q_d)))
     inside = (log["t"] > due[0] + 0.05) & (log["t"] < due[-1])
     found = {}
     for side in ("q_m", "q_a"):
-        actual = np.array([fk(q).translation for q in log[side][inside]])
+        actual = robot.tool_places(log[side][inside])
 
         def rms(delay: float, actual: Array = actual) -> float:
-            wanted = np.column_stack([np.interp(log["t"][inside] - delay, due, axis) for axis in positions.T])
+            wanted = interpolated(log["t"][inside] - delay, due, positions)
             return 1e3 * float(np.sqrt(np.mean(np.sum((wanted - actual) ** 2, axis=1))))
 
         best = min(np.arange(0.0, 0.03, 0.00025), key=rms)

@@ -144,22 +144,6 @@ def regressor(model: pin.Model, q: Array, qd: Array, qdd: Array, columns: Sequen
     return result.transpose(2, 0, 1)
 
 
-def split_regressor(model: pin.Model, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array, Array]:
-    """The three parts of [G] (6): of ``M(q) qdd``, of ``c(q, qd)`` and of ``g(q)``, each ``(N, n, 10 n)``.
-
-    Args:
-        model: kinematics; its inertias do not matter.
-        q: joint positions ``(N, n)`` [rad].
-        qd: joint velocities ``(N, n)`` [rad/s].
-        qdd: joint accelerations ``(N, n)`` [rad/s²].
-    """
-    still = np.zeros_like(q)
-    gravity = regressor(model, q, still, still)
-    inertia = regressor(model, q, still, qdd) - gravity
-    velocity = regressor(model, q, qd, still) - gravity
-    return inertia, velocity, gravity
-
-
 def link_parameters(model: pin.Model) -> Array:
     """The model's own inertias as parameters ``(10 n,)``."""
     return np.concatenate([inertia.toDynamicParameters() for inertia in list(model.inertias)[1:]])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ideal_robot.arrays import Array, eased
+from ideal_robot.arrays import Array, eased, interpolated
 from ideal_robot.effects import FittedEffect
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.model.arm_with_effects import changes_of
@@ -105,10 +105,9 @@ class CorrectedArm:
         return np.asarray(q_d + taken_up(t_ipo * np.arange(float(len(q_d))))[:, None] * (self.joints(q_d) - q_d))
 
 
-def taken_up(t: Array, settle: float = _SETTLE) -> Array:
+def taken_up(t: Array) -> Array:
     """Share of the correction at times ``(N,)`` [s] after the start: from none to all, smoothly."""
-    begun = np.minimum(t / settle, 1.0)
-    return eased(begun)
+    return eased(np.minimum(t / _SETTLE, 1.0))
 
 
 def _displace(model: pin.Model, robot: Robot, joint: int, normal: Array,
@@ -168,7 +167,7 @@ class ForCorrectedArm(Feedforward):
         # The correction turns slowly: every few rows of the horizon are enough.
         rows = np.unique(np.append(np.arange(0, len(path), max(1, round(_EVERY / self.t_ipo))), len(path) - 1))
         off = self.arm.joints(path[rows]) - path[rows]
-        path = path + share * np.column_stack([np.interp(np.arange(len(path)), rows, column) for column in off.T])
+        path = path + share * interpolated(np.arange(len(path)), rows, off)
         q_c, inner = self.feedforward.step(state.inner, path, tau_ext_d)
         return q_c, CorrectedState(inner, state.cycle + 1)
 

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, interpolated
 from ideal_robot.dynamics.newton_euler import inverse_dynamics, inverse_dynamics_with_point
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
@@ -237,7 +237,7 @@ class IdealRobot(Feedforward):
         """The contact torque on the torque grid, linear in between and constant beyond the horizon."""
         t = np.arange(len(tau_ext_d)) * self.t_ipo
         at = self.t_ipo * (self.loop.delay - 2 + 0.5 * np.arange(2 * (_CYCLES + 4) + 1))
-        return np.column_stack([np.interp(at, t, column) for column in tau_ext_d.T])
+        return interpolated(at, t, tau_ext_d)
 
 
 class _Operators:

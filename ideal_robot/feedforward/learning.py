@@ -81,8 +81,7 @@ class Learned(Summarised):
 
 
 def learn(play: Callable[[Array], Array], q_c: Array, law: LearningLaw, *, iterations: int = 4,
-          limits: tuple[Array, Array] | None = None, step_max: Array | None = None,
-          criterion: Callable[[Array], float] | None = None) -> Learned:
+          limits: tuple[Array, Array] | None = None, step_max: Array | None = None) -> Learned:
     """Plays and corrects a path.
 
     Args:
@@ -92,14 +91,15 @@ def learn(play: Callable[[Array], Array], q_c: Array, law: LearningLaw, *, itera
         iterations: number of learning steps.
         limits: lowest and highest command ``(n,)`` each [rad].
         step_max: largest change of a command from one cycle to the next ``(n,)`` [rad].
-        criterion: what shall become small; root mean square of the errors if not given.
 
     Raises:
         InputError: path and law differ in length.
     """
     if len(q_c) != law.length:
         raise InputError(f"the learning law is made for {law.length} cycles", field="q_c", value=len(q_c))
-    measure = criterion or (lambda error: float(np.sqrt(np.mean(error**2))))
+
+    def criterion(error: Array) -> float:
+        return float(np.sqrt(np.mean(error**2)))
 
     def safe(commands: Array) -> Array:
         if limits is not None:
@@ -110,14 +110,14 @@ def learn(play: Callable[[Array], Array], q_c: Array, law: LearningLaw, *, itera
 
     best = np.array(q_c)
     error = play(best)
-    history, kept = [measure(error)], [best]
+    history, kept = [criterion(error)], [best]
     lowest, gain, stopped = history[0], 1.0, None
     if not np.isfinite(lowest):
         return Learned(best, (float("inf"),), (best,), "the first play has no finite error")
     for _ in range(iterations):
         trial = safe(best + gain * law.correction(error))
         played = play(trial)
-        value = measure(played) if np.isfinite(played).all() else float("inf")
+        value = criterion(played) if np.isfinite(played).all() else float("inf")
         history.append(value)
         if value < lowest:
             best, error, lowest = trial, played, value

@@ -211,6 +211,11 @@ class Robot(Summarised):
 
         return pose
 
+    def tool_places(self, q: Array) -> Array:
+        """Positions of the TCP ``(N, 3)`` [m] at joint angles ``(N, n)`` [rad]."""
+        pose = self.fk()
+        return np.array([pose(row).translation for row in np.ascontiguousarray(q)])
+
 
 def _locate(name_or_urdf: str | Path, data: str | Path | None) -> tuple[Path, Path | None]:
     urdf = urdf_of(name_or_urdf)

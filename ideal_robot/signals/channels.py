@@ -188,30 +188,22 @@ class Segment:
     velocity: float
 
 
-def moving(s: FilteredSignals, share: float = 0.01, least: float = 2e-3) -> np.ndarray:
-    """Mask ``(N, n)`` of joints in motion: faster than a share of the joint's own largest speed, and than ``least``.
-
-    Args:
-        s: filtered signals of ``N`` samples.
-        share: of the joint's largest speed, 0 … 1.
-        least: speed [rad/s].
-    """
+def moving(s: FilteredSignals) -> np.ndarray:
+    """Mask ``(N, n)`` of joints in motion: faster than a hundredth of their own largest speed, and than 2 mrad/s."""
     fastest = np.max(np.abs(s.qd), axis=0)
-    return np.asarray(np.abs(s.qd) > np.maximum(share * fastest, least))
+    return np.asarray(np.abs(s.qd) > np.maximum(0.01 * fastest, 2e-3))
 
 
-def segments(s: FilteredSignals, *, shortest: float = 0.08, flat: float = 0.05) -> list[Segment]:
+def segments(s: FilteredSignals) -> list[Segment]:
     """Cuts every joint's motion into segments.
 
-    Args:
-        s: filtered signals.
-        shortest: of a segment at rest or at constant velocity [s].
-        flat: constant means that the acceleration is below this share of the joint's largest.
+    At rest or at constant velocity they last 0.08 s at least; constant means that the acceleration is below a twentieth
+    of the joint's largest.
     """
-    result = []
+    result, shortest = [], 0.08
     moves = moving(s)
     for j in range(s.q.shape[1]):
-        steady = np.abs(s.qdd[:, j]) < flat * max(float(np.max(np.abs(s.qdd[:, j]))), 1e-9)
+        steady = np.abs(s.qdd[:, j]) < 0.05 * max(float(np.max(np.abs(s.qdd[:, j]))), 1e-9)
         near = _near_reversal(s.qd[:, j], moves[:, j], round(shortest / s.dt))
         label = np.where(near, 2, np.where(~moves[:, j], 0, np.where(steady, 1, 3)))
         for start, stop in runs(label):

@@ -15,7 +15,7 @@ from functools import cache
 import numpy as np
 import scipy
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, interpolated
 from ideal_robot.errors import InputError
 from ideal_robot.jit import jit
 from ideal_robot.signals.filters import filtered_at, forwards_and_backwards, not_zero
@@ -236,7 +236,7 @@ def resampled(t: Array, values: Array, grid: Array, smooth: bool = False) -> Arr
         return np.array(values, dtype=float)
     if smooth:
         return np.asarray(scipy.interpolate.CubicSpline(t, values, axis=0)(grid))
-    return np.column_stack([np.interp(grid, t, values[:, j]) for j in range(values.shape[1])])
+    return interpolated(grid, t, values)
 
 
 def lowpass(values: Array, dt: float, cutoff: float) -> Array:

@@ -9,7 +9,7 @@ from enum import Enum
 import numpy as np
 import pinocchio as pin
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, interpolated
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from planning import PlanningError
@@ -197,7 +197,7 @@ def dry_run(robot: Robot, reference: ReferencePath, speed: float, q_start: Array
     if fastest <= 1.0:
         return q
     slower = np.linspace(0.0, steps, int(np.ceil(fastest * steps)) + 1)
-    return np.column_stack([np.interp(slower, np.arange(steps + 1), one) for one in q.T])
+    return interpolated(slower, np.arange(steps + 1), q)
 
 
 # When to stop: force too large, contact or line lost, or a command that would leave what the joints may do.

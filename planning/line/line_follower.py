@@ -168,17 +168,10 @@ class LineFollower:
         """Takes the joint angles ``q (n,)`` [rad] of the arm at ``t`` [s]; every cycle, before fields are handed in."""
         self.history.add(t, q)
 
-    def predict(self, t: float, ahead: Array | None = None) -> LineAhead:
-        """Where the line should be in a field exposed at ``t``.
-
-        Args:
-            t: instant of exposure [s].
-            ahead: distances from the TCP along the reference ``(m,)`` [m]; by default five from where the TCP will
-                be when the field takes effect.
-        """
+    def predict(self, t: float) -> LineAhead:
+        """Where the line should be in a field exposed at ``t`` [s], from where the TCP will be when it takes effect."""
         s_tcp, speed = self.profile.at(t - self.t_start)
-        s = s_tcp + (self._where_to_look(speed) if ahead is None else ahead)
-        return line_ahead(self.reference, self.fusion, s)
+        return line_ahead(self.reference, self.fusion, s_tcp + self._where_to_look(speed))
 
     def _where_to_look(self, speed: float) -> Array:
         """What the TCP passes before the field has come and gone into the plan need not be looked at, if there is more.

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, interpolated
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from planning.path.kinematics import InverseKinematics
@@ -147,7 +147,7 @@ class ReferenceTable:
         self.frames = reference.frames(self.s)
         self.rotations = reference.rotation(self.s)
         path = profile.joint_path or JointPath.of(kinematics.robot, reference)
-        self.q = np.column_stack([np.interp(self.s, path.s, column) for column in path.q.T])
+        self.q = interpolated(self.s, path.s, path.q)
         self.q = kinematics.refine_rows(self.rotations, self.frames.position, self.q, tolerance=1e-12)
 
     def __len__(self) -> int:

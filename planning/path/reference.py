@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.interpolate import CubicSpline
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, arc_lengths, interpolated
 from ideal_robot.errors import InputError
 from planning.path.path_kernels import cross, dot, exp, feet_of, frames_at, unit
 
@@ -33,13 +33,13 @@ def even_steps(points: Array, chord: Array, smoothing: float) -> tuple[Array, Ar
     curve = (
         CubicSpline(chord, points)(grid)
         if dense
-        else np.column_stack([np.interp(grid, chord, points[:, i]) for i in range(3)])
+        else interpolated(grid, chord, points)
     )
     curve = averaged(
         averaged(curve, round(0.5 * smoothing / (grid[1] - grid[0]))), round(0.5 * smoothing / (grid[1] - grid[0]))
     )
     for _ in range(3):
-        s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
+        s = arc_lengths(curve)
         spline = CubicSpline(s, curve)
         # Chords are shorter than arcs: Gauss' rule on each piece gives the arc length that the spline really has.
         node, weight = np.polynomial.legendre.leggauss(3)
@@ -142,7 +142,7 @@ class ReferencePath:
             raise InputError("expected one surface normal, or one for each point", field="up", value=normals.shape)
         normals = normals[keep] / np.linalg.norm(normals[keep], axis=1, keepdims=True)
         where = np.linspace(0.0, chord[-1], len(knots))
-        ups = CubicSpline(knots, np.column_stack([np.interp(where, chord, normals[:, i]) for i in range(3)]))
+        ups = CubicSpline(knots, interpolated(where, chord, normals))
         self._ups = np.ascontiguousarray(ups.c.transpose(1, 0, 2))
         self._start, self._turn = self._orientation(knots, turning, turn_smoothing, rotation)
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import minimum_filter1d
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, interpolated
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
@@ -247,9 +247,7 @@ def _excess(profile: SpeedProfile, path: JointPath, v_max: Array, a_max: Array) 
     """How far the joints are beyond their limits over time, as a factor of the speed, and where on the path."""
     t = np.arange(0.0, profile.duration, 4 * profile.tick)
     s, v, a = profile.s(t), profile.speed(t), profile.acceleration(t)
-    columns = range(path.q.shape[1])
-    dq = np.column_stack([np.interp(s, path.s, path.dq[:, i]) for i in columns])
-    ddq = np.column_stack([np.interp(s, path.s, path.ddq[:, i]) for i in columns])
+    dq, ddq = interpolated(s, path.s, path.dq), interpolated(s, path.s, path.ddq)
     velocity, acceleration = dq * v[:, None], dq * a[:, None] + ddq * v[:, None] ** 2
     return np.maximum(
         np.max(np.abs(velocity) / v_max, axis=1), np.sqrt(np.max(np.abs(acceleration) / a_max, axis=1))

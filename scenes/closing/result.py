@@ -12,7 +12,7 @@ from typing import Any, Literal, cast
 import numpy as np
 from matplotlib.figure import Figure
 
-from ideal_robot.arrays import Array, eased
+from ideal_robot.arrays import Array, eased, interpolated
 from ideal_robot.diagnosis import Diagnosis
 from ideal_robot.effects import FittedEffect
 from ideal_robot.elasticity.observer import GearDeflection
@@ -210,7 +210,7 @@ _STEPS = 80
 def at_speeds(motion: Array, slownesses: tuple[float, ...]) -> Array:
     """A joint motion ``(N, n)`` [rad] at several speeds, one after the other ``(M, n)`` [rad]."""
     rows = np.arange(len(motion))
-    parts = [np.column_stack([np.interp(np.arange(0.0, len(motion) - 1, 1.0 / slowness), rows, q) for q in motion.T])
+    parts = [interpolated(np.arange(0.0, len(motion) - 1, 1.0 / slowness), rows, motion)
              for slowness in slownesses]
     s = np.linspace(0.0, 1.0, _STEPS)[:, None]
     ease = eased(s)
@@ -237,26 +237,20 @@ def tool_deviation(recording: Recording, wanted: tuple[Array, Array, Array], rob
     if all(axis in recording.columns for axis in "xyz"):
         x: Array = np.column_stack([recording.columns[axis] for axis in "xyz"])
     elif recording.has("qa"):
-        x = tool(robot, recording.joints("qa"))
+        x = robot.tool_places(recording.joints("qa"))
     else:
         bent = _deflections(known, t, q_d, recording.t)
         if loads:
             bent = bent + (1.0 + doubt) * (_deflections(known.with_effects(loads), t, q_d, recording.t) - bent)
-        x = tool(robot, recording.joints("q") - bent)
-    return path_errors(t[counts], tool(robot, q_d[counts]), recording.t, x).aligned.deviation
-
-
-def tool(robot: Robot, q: Array) -> Array:
-    """Places of the tool ``(N, 3)`` [m] at joint angles ``(N, n)`` [rad]."""
-    pose = robot.fk()
-    return np.array([pose(row).translation for row in q])
+        x = robot.tool_places(recording.joints("q") - bent)
+    return path_errors(t[counts], robot.tool_places(q_d[counts]), recording.t, x).aligned.deviation
 
 
 def _deflections(model: Model, t: Array, q_d: Array, at: Array) -> Array:
     """Deflection of the gears ``(M, n)`` [rad] at times ``(M,)`` [s], as a model expects it along a motion."""
     gears = GearDeflection(model, float(t[1] - t[0]))
     at_cycles = gears.along(np.concatenate([q_d[:1], q_d, q_d[-1:]]))[1:-1]
-    return np.column_stack([np.interp(at, t, column) for column in at_cycles.T])
+    return interpolated(at, t, at_cycles)
 
 
 Measured = Literal["motor", "arm", "tcp"]

@@ -140,8 +140,7 @@ def effect_figure(effect: FoundEffect, name: str, unit: str, traces: Traces, j: 
     axes.axhline(0.0, color="0.6", lw=0.6)
     limit = 1.15 * float(np.percentile(np.abs(without[mask]), 99)) if mask.any() else 1.0
     axes.set_ylim(-limit, limit)
-    axes.set_xlabel(label if curve else f"what {word} foretells [{unit}]")
-    axes.set_ylabel(f"{name} [{unit}]")
+    axes.set(xlabel=label if curve else f"what {word} foretells [{unit}]", ylabel=f"{name} [{unit}]")
     axes.legend(fontsize=9, frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     axes.spines[["top", "right"]].set_visible(False)
     said = f"{word}: what remains of {name} without it (grey, means blue), and the effect (orange)"
@@ -184,8 +183,7 @@ def over_time(traces: Traces, j: int, name: str, unit: str) -> Figure:
     low.plot(t, np.where(mask, traces.residual_after[:, j], np.nan), color=_AFTER, lw=0.6, label="after")
     limit = 1.3 * np.nanpercentile(np.abs(traces.residual_before[mask, j]), 99.5) if mask.any() else 1.0
     low.set_ylim(-limit, limit)
-    low.set_ylabel(f"residual [{unit}]")
-    low.set_xlabel("t [s]")
+    low.set(xlabel="t [s]", ylabel=f"residual [{unit}]")
     low.legend(loc="upper right", ncols=2, fontsize=8)
     if not traces.held_out.all():
         for axis in (top, low):

@@ -23,17 +23,9 @@ SHARES = {"calibrating by moving": 0.15, "playing": 0.55, "report": 0.3}
 
 def run(scene: ForceScene, *, method: Any = None, out: Path | None = None, progress: Progress = silent,
         gains: tuple[float, float] | None = None) -> ForceResult:
-    """Presses and moves once.
+    """See ``Play.__call__``: presses and moves once.
 
-    Args:
-        scene: what to play.
-        method: a key of ``scenes.force.play.methods``, a ``Feedforward`` or a factory of one; the scene's own if None.
-        out: folder for recording and report; nothing is written without.
-        progress: called with the fraction done.
-        gains: K_p [m/N per cycle], K_d [m/N] of direct feedback; the scene's, or found by search, if None.
-
-    Raises:
-        InputError: the scene cannot be played.
+    ``gains`` are K_p [m/N per cycle], K_d [m/N] of direct feedback; the scene's, or found by search, if None.
     """
     chosen = method_of(method or scene.method, force_methods(scene.task))
     if chosen.key == DIRECT and gains is None:

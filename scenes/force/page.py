@@ -166,8 +166,7 @@ def _run_figure(result: ForceResult) -> Figure:
     seconds = history["t"][::every]
     bottom.plot(seconds, 1e3 * history["height"][::every], color="black", lw=0.9, label="surface")
     bottom.plot(seconds, 1e3 * history["tip"][::every, 2], color=COLOURS["ideal"], lw=0.9, label="undeformed tip")
-    bottom.set_ylabel("height over nominal plane [mm]")
-    bottom.set_xlabel("t [s]")
+    bottom.set(xlabel="t [s]", ylabel="height over nominal plane [mm]")
     bottom.legend(loc="upper right")
     let_go(*history.values())
     for axis in (top, bottom):
@@ -182,8 +181,7 @@ def _line_figure(result: ForceResult) -> Figure:
     top.set_ylabel("distance from the line [mm]")
     fields = result.log.fields
     bottom.plot([one[0] for one in fields], [one[1] for one in fields], ".", color="#1f5fa8")
-    bottom.set_ylabel("points used")
-    bottom.set_xlabel("t [s]")
+    bottom.set(xlabel="t [s]", ylabel="points used")
     for axis in (top, bottom):
         axis.grid(alpha=0.3)
     return figure

@@ -15,7 +15,7 @@ import pinocchio as pin
 from scipy.optimize import nnls
 from scipy.signal import welch
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, interpolated
 from ideal_robot.dynamics import link_parameters
 from ideal_robot.dynamics.base_parameters import consistent_parameters
 from ideal_robot.effects import FittedEffect
@@ -143,7 +143,7 @@ def played_again(world: World, robot: Robot, recording: Recording, seed: int) ->
     name = next(prefix for prefix in ("q_c", "q_d", "q") if recording.has(prefix))
     q = recording.joints(name)
     cycles = np.arange(recording.t[0], recording.t[-1], world.t_ipo)
-    commands = np.column_stack([np.interp(cycles, recording.t, column) for column in q.T])
+    commands = interpolated(cycles, recording.t, q)
     commands = np.clip(commands, robot.q_min, robot.q_max)
     with SimulatedArm(robot, world, np.random.default_rng(seed), commands[0]) as arm:
         for q_c in commands:
@@ -204,7 +204,7 @@ def behind_gears(own: Recording, twin: Twin, filters: dict[str, Any]) -> Recordi
     if not np.any(hidden):
         return own
     s = preprocess(own, cutoff=filters["cutoff"], cutoff_decimation=filters["cutoff_decimation"])
-    qdd = np.column_stack([np.interp(own.t, s.t, column) for column in s.qdd.T])
+    qdd = interpolated(own.t, s.t, s.qdd)
     tau = own.joints("tau") - hidden * qdd
     columns = {**own.columns, **{f"tau_{j + 1}": tau[:, j] for j in range(own.n)}}
     return Recording(columns, dict(own.meta), own.source)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import welch
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, interpolated
 from ideal_robot.identification.whole_model import IdentificationResult, identify_model, residual_std
 from ideal_robot.results import Summarised, listed, plain
 from ideal_robot.robots.size import FEWEST
@@ -112,7 +112,7 @@ def compared(measured: Recording, own: Recording) -> tuple[Array, Array]:
     for t, tau in both:
         step = float(np.median(np.diff(t)))
         even = np.arange(t[0], t[-1], step)
-        values = np.column_stack([np.interp(even, t, column) for column in tau.T])
+        values = interpolated(even, t, tau)
         f, density = welch(values, 1.0 / step, nperseg=min(len(even), round(_SEGMENT / step)), axis=0, detrend=False)
         amplitudes.append(np.sqrt([np.sum(density[(f >= low) & (f < high)], axis=0) * (f[1] - f[0])
                                    for low, high in pairwise(edges)]))

@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ideal_robot.arrays import Array, eased
+from ideal_robot.arrays import Array, eased_way
 from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
@@ -107,17 +107,13 @@ def _calibrated(view: CalibrationView, fields: int, at: float) -> HandEye:
 
 
 def _moves(robot: Robot, postures: Sequence[Array], T: float) -> Array:
-    """Commands ``(K, n)`` of smooth moves from posture to posture with a rest at each; their peaks: ``eased``."""
+    """Commands ``(K, n)`` of smooth moves from posture to posture with a rest at each."""
     rest = max(round(REST / T), 1)
     v = SPEED * np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
     a = ACCELERATION * np.where(np.isfinite(robot.a_max), robot.a_max, 5.0)
     rows = [np.tile(postures[0], (rest, 1))]
     for start, end in pairwise(postures):
-        way = np.abs(end - start)
-        duration = max(float(np.max(1.875 * way / v)), float(np.sqrt(np.max(5.774 * way / a))))
-        n = max(int(np.ceil(duration / T)), 2)
-        u = np.arange(1, n + 1)[:, None] / n
-        rows += [start + eased(u) * (end - start), np.tile(end, (rest, 1))]
+        rows += [eased_way(start, end, (v, a), T, fewest=2), np.tile(end, (rest, 1))]
     return np.concatenate(rows)
 
 

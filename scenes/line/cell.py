@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, arc_lengths
 from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.errors import InputError
 from ideal_robot.robots.interface import RobotState
@@ -50,7 +50,7 @@ def drawn_line(scene: LineScene, where: Geometry, rng: np.random.Generator) -> D
         rng: draws the wear.
     """
     look, wear = scene.line, scene.wear
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(where.drawn, axis=0), axis=1))])
+    s = arc_lengths(where.drawn)
     wide, pale = _smooth(s, rng), 0.5 * (1.0 + _smooth(s, rng))
     widths = 1e-3 * look.width_mm * (1.0 + 0.01 * wear.width_percent * wide)
     grays = look.gray + 0.01 * wear.fade_percent * pale * (look.background - look.gray)

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, interpolated
 from ideal_robot.diagnosis import diagnose
 from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
@@ -187,7 +187,7 @@ class _Line(Subject[LineResult]):
         """How far the tool was from where the follower wanted it ``(N,)`` [m]."""
         (recording,), _ = checked([self.seen(run)], self.robot)
         t = np.arange(recording.t[0], recording.t[-1], self.robot.t_ipo)
-        q_d = np.column_stack([np.interp(t, recording.t, column) for column in recording.joints("q_d").T])
+        q_d = interpolated(t, recording.t, recording.joints("q_d"))
         moving = np.flatnonzero(np.abs(np.diff(q_d, axis=0)).max(axis=1) > 1e-8)
         if len(moving) < 8:
             return np.empty(0)

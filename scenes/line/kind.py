@@ -29,19 +29,10 @@ _PREPARED, _PLAYED = 0.4, 0.35
 def run(scene: LineScene, *, method: Any = None, out: Path | None = None, progress: Progress = silent,
         gains: tuple[float, float] | None = None, shared: Prepared | None = None,
         sensors: Sequence[DeviationSensor] = ()) -> LineResult:
-    """Follows the line once.
+    """See ``Play.__call__``: follows the line once.
 
-    Args:
-        scene: what to play.
-        method: a key of ``scenes.line.play.methods``, a ``Feedforward`` or a factory of one; the scene's own if None.
-        out: folder for recording and report; nothing is written without.
-        progress: called with the fraction done.
-        gains: K_p, K_d of direct sensor feedback [1 per cycle]; found by search if None.
-        shared: from ``prepared`` of the same scene, to save its time.
-        sensors: besides the camera, fused with it ([L] 4.3).
-
-    Raises:
-        InputError: the scene cannot be played: unknown method, line out of reach, unreachable speed.
+    ``gains`` are K_p, K_d of direct sensor feedback [1 per cycle], found by search if None; ``shared``, ``prepared``
+    of the same scene, saves its time; ``sensors`` beside the camera are fused with it ([L] 4.3).
     """
     chosen = method_of(method or scene.method, play_methods())
     if shared is None:
@@ -70,18 +61,7 @@ def _beside_none(result: LineResult, shared: Prepared, sensors: Sequence[Deviati
 
 def compare(scene: LineScene, *, methods: Sequence[Any] | None = None, out: Path | None = None,
             progress: Progress = silent, sensors: Sequence[DeviationSensor] = ()) -> LineComparison:
-    """Follows the line with several methods, direct sensor feedback at its best gains.
-
-    Args:
-        scene: what to play.
-        methods: keys, ``Feedforward`` objects or factories; every method that applies if None.
-        out: folder for recordings and report; nothing is written without.
-        progress: called with the fraction done.
-        sensors: besides the camera, with every method.
-
-    Raises:
-        InputError: the scene cannot be played.
-    """
+    """See ``Compare.__call__``: direct sensor feedback at its best gains; ``sensors`` beside the camera with all."""
     comparison = compare_lines(scene, compared(methods, play_methods(), PLAIN), sensors=sensors, progress=progress)
     return comparison if out is None else write_comparison_files(comparison, comparison_page, out)
 

@@ -11,7 +11,7 @@ import pinocchio as pin
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, interpolated
 from ideal_robot.signals.recording import Recording
 from planning.path.reference import ReferencePath
 from scenes.line.compare import LineComparison
@@ -62,7 +62,7 @@ def with_ghost(replay: Replay, other: Recording) -> Replay:
     """
     rows = slice(None, None, step(len(other.t)))
     q = other.joints("qa", rows)
-    return replace(replay, ghost=np.column_stack([np.interp(replay.t, other.t[rows], column) for column in q.T]))
+    return replace(replay, ghost=interpolated(replay.t, other.t[rows], q))
 
 
 def _nearest(result: LineResult, points: Array) -> Array:
@@ -289,8 +289,7 @@ def _from_above(result: LineResult) -> Figure:
     if all(name in result.recording.columns for name in "xyz"):
         tcp = np.column_stack([result.recording.columns[name][::every] for name in "xyz"])
     else:
-        pose = result.scene.arm.fk()
-        tcp = np.array([pose(row).translation for row in result.recording.joints("q", slice(None, None, 5 * every))])
+        tcp = result.scene.arm.tool_places(result.recording.joints("q", slice(None, None, 5 * every)))
     axes.plot(*(1e3 * _in_plane(tcp, plane)).T, color=ACCENT, lw=1.3, label="tool centre point")
     axes.set(xlabel="x in the surface [mm]", ylabel="y [mm]", aspect="equal")
     axes.margins(y=0.25)

@@ -15,7 +15,7 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from ideal_robot.arrays import Array, eased
+from ideal_robot.arrays import Array, eased_way
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.loop_model import LoopModel
@@ -289,22 +289,8 @@ class LiveArm:
         return result.result()
 
 
-def smooth_way(start: Array, end: Array, count: int) -> Array:
-    """Positions ``(count, n)`` from rest to rest: 10 u³ - 15 u⁴ + 6 u⁵.
-
-    Args:
-        start: ``(n,)`` [rad].
-        end: ``(n,)`` [rad].
-        count: cycles.
-    """
-    u = np.arange(1, count + 1)[:, None] / count
-    return np.asarray(start + eased(u) * (end - start))
-
-
 def moves(robot: Robot, postures: list[Array], rest: float) -> Array:
     """Commands ``(N, n)`` from posture to posture with a rest at each.
-
-    The polynomial has 1.875 times the mean velocity and 5.774 times way/duration² at its peaks.
 
     Args:
         robot: cycle and limits.
@@ -316,9 +302,7 @@ def moves(robot: Robot, postures: list[Array], rest: float) -> Array:
     a = _SHARE * np.where(np.isfinite(robot.a_max), robot.a_max, 5.0)
     rows = [postures[0][None]]
     for start, end in pairwise(postures):
-        way = np.abs(end - start)
-        duration = max(float(np.max(1.875 * way / v)), float(np.sqrt(np.max(5.774 * way / a))), T)
-        rows += [smooth_way(start, end, int(np.ceil(duration / T))), np.tile(end, (max(round(rest / T), 1), 1))]
+        rows += [eased_way(start, end, (v, a), T), np.tile(end, (max(round(rest / T), 1), 1))]
     return np.concatenate(rows)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, interpolated
 from ideal_robot.diagnosis import Diagnosis, diagnose
 from ideal_robot.diagnosis.validation.refit import with_named_effects
 from ideal_robot.effects import FittedEffect
@@ -31,7 +31,6 @@ from scenes.closing.result import (
     Played,
     Words,
     checked_measured,
-    tool,
     tool_deviation,
     visible,
 )
@@ -61,18 +60,9 @@ _SIGMAS = 2.0
 
 def close_loop(scene: PathScene, *, measured: str = "tcp", ask: bool = True, out: Path | None = None,
                progress: Progress = silent) -> Closing:
-    """Plays a path, finds what its model misses from a diagnostic motion, extends the model and plays it again.
+    """See ``CloseLoop.__call__``: plays a path, and finds what its model misses from a diagnostic motion.
 
-    Args:
-        scene: what to play.
-        measured: what the arm measures: ``motor``, ``arm`` or ``tcp`` (``scenes.closing.result``).
-        ask: whether the motion that a diagnosis asks for is played before the loop gives up.
-        out: folder for recording, model and report; nothing is written without.
-        progress: called with the fraction done.
-
-    Raises:
-        InputError: a scene whose world holds nothing undeclared or cannot be closed, or another word for what is
-            measured.
+    ``ask``: whether the motion that a diagnosis asks for is played before the loop gives up.
     """
     checked = checked_measured(measured)
     undeclared = undeclared_effects(scene, arm_of(scene.robot).n)
@@ -243,8 +233,8 @@ def left_unexplained(cell: PathCell, model: Model, run: Play, measured: Measured
     angles = run.recording.joints("q" if measured == "motor" else "qa")
     counts = cell.path.counts[: len(motion.t)]
     t = motion.t[: len(counts)][counts]
-    seen = np.column_stack([np.interp(t, run.recording.t, column) for column in angles.T])
-    place = tool(cell.robot, (motion.q_m if measured == "motor" else motion.q_a)[: len(counts)][counts])
-    apart = tool(cell.robot, seen) - place
+    seen = interpolated(t, run.recording.t, angles)
+    place = cell.robot.tool_places((motion.q_m if measured == "motor" else motion.q_a)[: len(counts)][counts])
+    apart = cell.robot.tool_places(seen) - place
     apart, speed = apart - apart.mean(axis=0), np.gradient(place, axis=0)
     return np.asarray(apart - speed * np.sum(apart * speed) / max(np.sum(speed**2), 1e-300))

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import interpolated
 from scenes.arms import arm_of
 from scenes.path.cell import DELAY, PathResult, path_methods
 from scenes.path.compare import PathComparison
@@ -31,7 +31,7 @@ def path_replay(result: PathResult, ghost: PathResult | None = None) -> Replay |
     q = played.q_a[: len(path.t)]
     t = path.t[: len(q)]
     # Cycle by cycle: the desired position of a cycle is to be reached at its time stamp.
-    tool = np.column_stack([np.interp(t, played.t, column) for column in played.tcp.T])
+    tool = interpolated(t, played.t, played.tcp)
     counts = path.counts[: len(q)]
     error = np.where(counts, np.linalg.norm(tool - path.x_d[: len(q)], axis=1), np.nan)
     replay = Replay(robot, t, q, tool, path.x_d[: len(q)], 1e3 * error, "distance from the path at the time",
@@ -136,12 +136,11 @@ def path_figure(results: list[PathResult]) -> Figure:
     flat = (x_d - centre) @ plane.T
     axes.plot(*(1e3 * flat.T), color=INK, lw=2.5, alpha=0.35, label="desired")
     for result in results:
-        actual = _at(result, t + result.errors.delay)
+        actual = interpolated(t + result.errors.delay, result.played.t, result.played.tcp)
         drawn = flat + MAGNIFIED * (actual - x_d) @ plane.T
         axes.plot(*(1e3 * drawn.T), color=_colour(result), lw=1, label=result.method)
     axes.set_aspect("equal")
-    axes.set_xlabel("in the plane of the path, to the right [mm]")
-    axes.set_ylabel("across [mm]")
+    axes.set(xlabel="in the plane of the path, to the right [mm]", ylabel="across [mm]")
     axes.legend(fontsize=9, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False)
     _plain(axes)
     return figure
@@ -156,8 +155,7 @@ def deviation_figure(results: list[PathResult], kind: str) -> Figure:
         t = path.t[path.counts]
         deviation = 1e3 * getattr(result.errors, kind).deviation
         axes.semilogy(t - t[0], np.maximum(deviation, 1e-3), color=_colour(result), lw=1.1, label=result.method)
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel("deviation [mm]")
+    axes.set(xlabel="time [s]", ylabel="deviation [mm]")
     axes.set_ylim(bottom=5e-3)
     axes.yaxis.set_major_formatter("{x:g}")
     axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
@@ -177,16 +175,10 @@ def learning_figure(comparison: PathComparison) -> Figure:
         axes.axhline(1e3 * comparison.runs[method].errors.time_matched.E_car, color=COLOURS[method], lw=1, ls="--",
                      label=method)
     axes.set_xticks(range(len(values)))
-    axes.set_xlabel("learning steps on the arm")
-    axes.set_ylabel("E_car, time-matched [mm]")
+    axes.set(xlabel="learning steps on the arm", ylabel="E_car, time-matched [mm]")
     axes.legend(fontsize=8, frameon=False)
     _plain(axes)
     return figure
-
-
-def _at(result: PathResult, t: Array) -> Array:
-    played = result.played
-    return np.column_stack([np.interp(t, played.t, column) for column in played.tcp.T])
 
 
 def _colour(result: PathResult) -> str:

@@ -168,8 +168,7 @@ def write_page(result: PrecorrectedPath, path: Path, measured: tuple[Array, Arra
     axes = figure.add_subplot()
     for i in range(result.q_d.shape[1]):
         axes.plot(result.t, 1e3 * (result.q_c[:, i] - result.q_d[:, i]), lw=1, label=f"joint {i + 1}")
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel("correction [mrad]")
+    axes.set(xlabel="time [s]", ylabel="correction [mrad]")
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(fontsize=8, frameon=False, ncols=3)
     report.figure(figure, "Command minus desired position.")

@@ -176,8 +176,7 @@ def picture(comparison: Comparison) -> Figure | None:
         right.plot(share, np.full(len(share), float(i)), ".", color=f"C{i % 10}", alpha=0.5)
         spread = float(stats.sem(share) * stats.t.ppf(0.975, len(share) - 1)) if len(share) > 1 else 0.0
         right.errorbar(float(share.mean()), i, xerr=spread, fmt="k|", capsize=3.0)
-    left.set_xlabel(f"{name} before")
-    left.set_ylabel(f"{name} after")
+    left.set(xlabel=f"{name} before", ylabel=f"{name} after")
     right.axvline(0.0, color="0.6", lw=1.0)
     right.set_yticks(range(len(groups)), [one[0] for one in groups])
     right.invert_yaxis()

@@ -235,8 +235,8 @@ _ARRAYS = ("t", "q", "tool", "wanted", "error", "surface", "ghost", "force")
 def shown_motion(robot: Robot, recording: Recording) -> tuple[slice, Array, Array, Array]:
     """Rows of a recording that are shown; times ``(N,)`` [s], arm angles ``(N, n)`` [rad] and tool ``(N, 3)`` [m]."""
     rows = slice(None, None, step(len(recording.t)))
-    q, pose = recording.joints("qa", rows), robot.fk()
-    return rows, recording.t[rows], q, np.array([pose(row).translation for row in q])
+    q = recording.joints("qa", rows)
+    return rows, recording.t[rows], q, robot.tool_places(q)
 
 
 def replay_beside(recording: Path) -> Path:

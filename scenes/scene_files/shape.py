@@ -16,7 +16,7 @@ import numpy as np
 import pydantic
 from scipy.interpolate import CubicSpline
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, arc_lengths, interpolated
 from ideal_robot.bounded_values import SVG_BYTES, SVG_DEPTH, SVG_ELEMENTS, read_text
 from ideal_robot.errors import InputError
 
@@ -352,7 +352,7 @@ def _even(raw: Array) -> Array:
     step = np.linalg.norm(np.diff(raw, axis=0), axis=1)
     keep = np.concatenate([[True], step > 1e-9])
     raw = raw[keep]
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(raw, axis=0), axis=1))])
+    s = arc_lengths(raw)
     if len(raw) < 2 or s[-1] < 20 * STEP:
         raise InputError("the line is shorter than 10 mm", field="line", value=float(s[-1]) if len(s) else 0.0)
     if not s[-1] <= LONGEST:
@@ -361,4 +361,4 @@ def _even(raw: Array) -> Array:
     # Straight pieces have few points: linear between them; curves come finely sampled and get a spline.
     if len(raw) > 300:
         return np.asarray(CubicSpline(s, raw)(even), dtype=float)
-    return np.column_stack([np.interp(even, s, raw[:, 0]), np.interp(even, s, raw[:, 1])])
+    return interpolated(even, s, raw)

@@ -228,9 +228,9 @@ def replay_of_columns(arm: Robot, recording: Recording) -> Replay:
     rows, q = rows[measured], q[measured]
     if len(rows) < 2:
         raise InputError("no two samples have all positions", file=recording.source, field="q_1")
-    tool = _places(arm, q)
+    tool = arm.tool_places(q)
     name = next((one for one in ("q_d", "q_c") if recording.has(one)), None)
-    wanted = tool if name is None else _places(arm, recording.joints(name, rows))
+    wanted = tool if name is None else arm.tool_places(recording.joints(name, rows))
     error = np.full(len(rows), np.nan) if name is None else 1e3 * np.linalg.norm(tool - wanted, axis=1)
     sensed = sensed_line(arm, recording)
     curves = {"commanded" if name == "q_c" else "desired": wanted} if name is not None else {}
@@ -239,11 +239,6 @@ def replay_of_columns(arm: Robot, recording: Recording) -> Replay:
     words = "distance from the desired position" if name == "q_d" else "distance from the commanded position"
     return Replay(arm, recording.t[rows], q, tool, wanted, error, words, curves=curves,
                   force=sensed_force(arm, recording, rows))
-
-
-def _places(arm: Robot, q: Array) -> Array:
-    pose = arm.fk()
-    return np.array([pose(row).translation for row in np.ascontiguousarray(q)])
 
 
 PERIOD = 0.04

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, arc_lengths
 from ideal_robot.jit import jit
 from sensing.camera.line_paths import COLOR, REDUCED, Lab, Path
 
@@ -140,7 +140,7 @@ def _best_run(good: NDArray[np.bool_]) -> tuple[int, int]:
 def _even(points: Array, halves: Array, sections: int) -> tuple[Array, Array]:
     """The path smoothed, at equal distances ``(n, 2)``, ``(n,)``."""
     points, halves = _smooth(points, 5), _smooth(halves, 7)
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    s = arc_lengths(points)
     at = np.linspace(0.0, s[-1], sections)
     return (np.column_stack([np.interp(at, s, points[:, 0]), np.interp(at, s, points[:, 1])]),
             np.maximum(np.interp(at, s, halves), 0.5))

@@ -12,7 +12,7 @@ from typing import ClassVar, NamedTuple
 import cv2
 import numpy as np
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, arc_lengths
 from ideal_robot.errors import InputError
 from sensing.camera.camera_device import Field, Gray
 from sensing.camera.camera_model import CameraModel
@@ -57,7 +57,7 @@ class OpenCVProfiles:
         for i, section in enumerate(chosen):
             if section is not None:
                 deviation[i] = (section.at - expected[i]) * image.metres[i]
-        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(prediction.points, axis=0), axis=1))])
+        along = arc_lengths(prediction.points)
         used = _agreeing(along, deviation, settings.smoothness)
         pixels, sigma, quality = np.full((m, 2), np.nan), np.full(m, np.nan), np.zeros(m)
         for i, section in enumerate(chosen):

@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.interpolate import CubicSpline
 
-from ideal_robot.arrays import Array, G
+from ideal_robot.arrays import Array, G, interpolated
 from ideal_robot.jit import jit
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
@@ -223,7 +223,7 @@ class ClampedArm:
     def _sense(self, t: Array, wrench: Array, rng: np.random.Generator) -> tuple[Array, Array]:
         world = self.world
         true_time = np.arange(0.0, t[-1], 1 / world.rate_wrench)
-        sensed = np.column_stack([np.interp(true_time, t, wrench[:, i]) for i in range(6)])
+        sensed = interpolated(true_time, t, wrench)
         sensed += np.repeat(world.wrench_bias, 3) * rng.standard_normal(6)
         sensed += np.repeat(world.wrench_noise, 3) * rng.standard_normal(sensed.shape)
         keep = np.ones(len(true_time), dtype=bool)

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ideal_robot.arrays import Array, eased, held
+from ideal_robot.arrays import Array, eased_way, held
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.rsi.link import stamp_arrivals
@@ -207,12 +207,8 @@ class ServedArm:
 
     def _go_back(self, q: Array) -> None:
         """As a person would with the pendant: back to the start, where the next session begins."""
-        robot, way = self.arm.robot, self._start - q
-        duration = max(float(np.max(1.875 * np.abs(way) / (_SHARE * robot.v_max))),
-                       float(np.sqrt(np.max(5.774 * np.abs(way) / (_SHARE * robot.a_max)))), self._T)
-        count = int(np.ceil(duration / self._T))
-        u = np.arange(1, count + 1)[:, None] / count
-        for row in held(q + eased(u) * way, after=round(_BETWEEN / self._T)):
+        limits = _SHARE * self.arm.robot.v_max, _SHARE * self.arm.robot.a_max
+        for row in held(eased_way(q, self._start, limits, self._T), after=round(_BETWEEN / self._T)):
             if self._stopped:
                 return
             self._moved(row)

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from scipy import signal
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, interpolated
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from studies.strangers.arm import SHIPPED, Arm, arm_of, random_urdf
@@ -107,7 +107,7 @@ def measured(rng: np.random.Generator, s: Scene, qa: Array | None = None) -> Rec
         columns["qa"] = qa
     if rng.random() < 0.25:
         stamps = t + rng.uniform(-0.15, 0.15, len(t)) * (t[1] - t[0])
-        columns = {name: np.column_stack([np.interp(stamps, t, column) for column in values.T])
+        columns = {name: interpolated(stamps, t, values)
                    for name, values in columns.items()}
         t = stamps
     return Recording.from_arrays(np.array(t), **columns)

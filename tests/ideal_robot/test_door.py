@@ -148,12 +148,6 @@ def test_values_that_are_not_numbers() -> None:
     assert recording_error(q_2=q).field == "q_2"
 
 
-def test_time_that_goes_back() -> None:
-    t = frame()["t"].to_numpy().copy()
-    t[100] = t[99]
-    assert "time does not increase" in str(recording_error(t=t))
-
-
 def test_a_model_of_another_arm() -> None:
     error = path_error(model=ir.Model.load(MODELS / "kr6.json"))
     assert error.field == "model"

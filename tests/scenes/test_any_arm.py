@@ -31,6 +31,7 @@ from scenes.scene_files.path_scene import PathScene, joint_path
 from scenes.scene_files.scene import Scene, SceneError, boxes_of
 from sim.arm.generic import FOLLOWED, MARGIN, STEP, fastest, generic_world, growth
 from sim.arm.world import World
+from studies.report import scene_of
 from tests.arms import GRIPPER, urdf, written
 
 
@@ -47,8 +48,7 @@ def test_a_line_is_placed_where_a_bare_arm_reaches_it(joints: int, beyond: str, 
     place = place_line(scene_for(path))
     file = tmp_path / "placed.toml"
     file.write_text(scene_text((library() / "line.toml").read_text(encoding="utf-8"), str(path), place))
-    scene = load_scene(str(file))
-    assert isinstance(scene, LineScene)
+    scene = scene_of(LineScene, str(file))
     assert (scene.surface.origin, scene.speed, scene.model) == (place.origin, place.speed, "own")
     assert scene.speed >= 0.1
     assert fits(scene, scene.arm) == pytest.approx(place.speed)
@@ -164,8 +164,7 @@ ABOVE_THE_LINE = {"middle": [1.0, 0.2, 0.75], "size": [0.2, 0.2, 0.2], "heading_
 
 
 def line(**box: object) -> LineScene:
-    scene = load_scene("line").changed(box=[box])
-    assert isinstance(scene, LineScene)
+    scene = scene_of(LineScene, "line").changed(box=[box])
     return scene
 
 
@@ -191,15 +190,13 @@ def test_poses_of_the_calibration_keep_off_a_box_also_on_their_way() -> None:
 
 
 def test_paths_and_forces_are_checked_as_lines_are() -> None:
-    path = load_scene("iso9283_1")
-    assert isinstance(path, PathScene)
+    path = scene_of(PathScene, "iso9283_1")
     robot = arm_of(path.robot)
     way = joint_path(path, robot, robot.t_ipo)
     middle = way.x_d[len(way.x_d) // 2].tolist()
     with pytest.raises(InputError, match=r"touches box 2 .* s from the path's begin"):
         joint_path(path.changed(box=[BESIDE, {"middle": middle, "size": [0.1, 0.1, 0.1]}]), robot, robot.t_ipo)
-    force = load_scene("force_wave")
-    assert isinstance(force, ForceScene)
+    force = scene_of(ForceScene, "force_wave")
     set_up_force(force.changed(box=[BESIDE]))
     x, y, z = force.surface.origin
     with pytest.raises(InputError, match="touches box 1"):
@@ -208,8 +205,7 @@ def test_paths_and_forces_are_checked_as_lines_are() -> None:
 
 @pytest.mark.parametrize("name", ["line", "cluttered", "corner", "gap", "svg"])
 def test_no_pose_of_a_shipped_calibration_is_given_up(name: str) -> None:
-    scene = load_scene(name)
-    assert isinstance(scene, LineScene)
+    scene = scene_of(LineScene, name)
     known = set_up(scene).known
     free, kept = (calibration_postures(known.robot, known.reference, known.camera, 0.7, shapes=shapes)
                   for shapes in (None, shapes_about(scene, known.robot)))
@@ -257,13 +253,12 @@ def test_an_arm_that_stands_in_a_box_is_told_so_before_a_motion_is_looked_for() 
 
 @pytest.mark.parametrize("name", ["force_wave", "glue", "contour"])
 def test_postures_in_which_the_tool_is_weighed_keep_off_a_box(name: str) -> None:
-    scene = load_scene(name)
-    assert isinstance(scene, ForceScene)
+    scene = scene_of(ForceScene, name)
     known = set_up_force(scene).known
     start = known.q_start()
     free = postures_to_weigh(replace(known, scene=scene.changed(box=[BESIDE])), start)
     assert len(free) == sum(turned_within_limits(known.robot, free[0]))
-    tips = np.array([known.robot.fk()(q).translation for q in free])
+    tips = known.robot.tool_places(np.array(free))
     farthest = tips[np.argmax(np.linalg.norm(tips - tips[0], axis=1))]
     boxed = scene.changed(box=[{"middle": farthest.tolist(), "size": [0.04, 0.04, 0.04]}])
     shapes = shapes_about(boxed, known.robot)
@@ -280,8 +275,7 @@ def turned_within_limits(robot: Robot, lifted: np.ndarray) -> list[bool]:
 
 
 def test_a_tool_that_cannot_be_lifted_for_a_box_is_not_turned() -> None:
-    scene = load_scene("force_wave")
-    assert isinstance(scene, ForceScene)
+    scene = scene_of(ForceScene, "force_wave")
     known = set_up_force(scene).known
     x, y, z = known.reference.frames(np.zeros(1)).position[0]
     boxed = scene.changed(box=[{"middle": [x, y, z + 0.8], "size": [0.3, 0.3, 0.3]}])

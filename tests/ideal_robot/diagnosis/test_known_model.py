@@ -204,8 +204,7 @@ def test_errors_of_several_joints_kinematics_are_estimated_together(known_kr15):
     """Each alone takes all that the others make as well: together they would count it several times."""
     robot, known, recording = known_kr15
     q = recording.joints("q")
-    pose = robot.fk()
-    x = np.array([pose(row).translation for row in q])
+    x = robot.tool_places(q)
     columns = {**recording.columns, **dict(zip("xyz", (x + 2e-4 * np.sin(3.0 * q[:, 1:2])).T.copy(), strict=True))}
     seen = dataclasses.replace(recording, columns=columns)
     every = tuple(("kinematic_error", joint) for joint in range(1, 7))

@@ -11,7 +11,6 @@ from ideal_robot.dynamics import (
     full_regressor,
     link_parameters,
     regressor,
-    split_regressor,
     torques,
     with_link_parameters,
 )
@@ -50,8 +49,6 @@ def test_regressor_gives_the_torques_of_newton_and_euler(model: pin.Model) -> No
     q, qd, qdd = motion(model)
     by_regressor = regressor(model, q, qd, qdd) @ link_parameters(model)
     np.testing.assert_allclose(by_regressor, torques(model, q, qd, qdd), atol=1e-11)
-    parts = sum(part @ link_parameters(model) for part in split_regressor(model, q, qd, qdd))
-    np.testing.assert_allclose(parts, by_regressor, atol=1e-11)
 
 
 def test_regressor_is_pinocchios(model: pin.Model) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ideal_robot.arrays import interpolated
 from ideal_robot.diagnosis import diagnose
 from ideal_robot.effects import Signals, library
 from ideal_robot.effects.drive import LateTorque
@@ -134,8 +135,7 @@ def test_one_delay_is_every_joints():
 def test_a_late_device_sees_where_the_arm_was():
     signals, h = swinging_arm(2000), 2e-3
     column = named("dead_time", "tcp").columns(signals, 0, ())[:, :, 0]
-    before, after = (tcp(ROBOT.pinocchio, np.column_stack([np.interp(signals.t - s * h, signals.t, c)
-                                                       for c in signals.q.T])) for s in (-1.0, 1.0))
+    before, after = (tcp(ROBOT.pinocchio, interpolated(signals.t - s * h, signals.t, signals.q)) for s in (-1.0, 1.0))
     np.testing.assert_allclose(column[10:-10], ((after - before) / (2 * h))[10:-10], atol=2e-4)
 
 

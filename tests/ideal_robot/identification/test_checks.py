@@ -35,18 +35,13 @@ def test_a_good_recording_passes(good: Recording) -> None:
     assert usable[0].hash == good.hash
 
 
-def test_missing_columns(good: Recording) -> None:
-    with pytest.raises(InputError, match="tau_3"):
-        identify([changed(good, tau_3=None)], robot())
-    with pytest.raises(InputError, match="q_1"):
-        identify([changed(good, q_1=None)], robot())
-    with pytest.raises(InputError, match="t \\[s\\]"):
-        changed(good, t=None)
-
-
-def test_other_joint_count(good: Recording) -> None:
-    with pytest.raises(InputError, match=r"5 joints .*has 6"):
-        identify([changed(good, q_6=None)], robot())
+@pytest.mark.parametrize(("columns", "says"), [
+    ({"tau_3": None}, "tau_3"), ({"q_1": None}, "q_1"), ({"t": None}, r"t \[s\]"), ({"q_6": None}, r"5 joints .*has 6"),
+    ({"tau_4": 0.0}, "tau_4"), ({f"tau_{i + 1}": 0.0 for i in range(6)}, "every torque is zero")])
+def test_columns_that_are_missing_or_zero(columns: dict[str, float | None], says: str, good: Recording) -> None:
+    values = {name: None if value is None else np.full(len(good.t), value) for name, value in columns.items()}
+    with pytest.raises(InputError, match=says):
+        identify([changed(good, **values)], robot())
 
 
 def test_a_recording_of_another_shipped_arm(good: Recording) -> None:
@@ -69,19 +64,9 @@ def test_degrees_are_seen_from_the_limits(good: Recording) -> None:
         identify([changed(good, **degrees)], robot())
 
 
-def test_no_torque(good: Recording) -> None:
-    with pytest.raises(InputError, match="every torque is zero"):
-        identify([changed(good, **{f"tau_{i + 1}": np.zeros(len(good.t)) for i in range(6)})], robot())
-    with pytest.raises(InputError, match="tau_4"):
-        identify([changed(good, tau_4=np.zeros(len(good.t)))], robot())
-
-
-def test_too_short(good: Recording) -> None:
+def test_too_short_or_none_at_all(good: Recording) -> None:
     with pytest.raises(InputError, match="too short"):
         identify([Recording({k: v[:60].copy() for k, v in good.columns.items()})], robot())
-
-
-def test_no_recording() -> None:
     with pytest.raises(InputError, match="no recording"):
         identify([], robot())
 

@@ -81,14 +81,9 @@ def planned(speed: float, robot: Robot = ROBOT) -> Array:
     return dry_run(robot, REFERENCE, speed, InverseKinematics(robot).search(REFERENCE.pose(0.0), robot.home))
 
 
-def places(q: Array) -> Array:
-    fk = ROBOT.fk()
-    return np.array([fk(one).translation.copy() for one in q])
-
-
 def test_it_goes_along_the_path_and_back_without_coming_near_the_surface() -> None:
     q = planned(0.2)
-    where = places(q)
+    where = ROBOT.tool_places(q)
     assert where[:, 2].min() > 0.4 + CLEAR - 1e-6
     np.testing.assert_allclose(where[0], where[-1], atol=1e-6)
     assert np.ptp(where[:, 1]) > 0.55

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ideal_robot.arrays import interpolated
 from ideal_robot.errors import InputError
 from planning.path.desired_path import Smoother
 from planning.path.path_kernels import displaced_frames, sensor_errors, unit
@@ -221,11 +222,11 @@ def test_joints_keep_their_limits() -> None:
     travel = SpeedProfile.plan(robot, reference(), Limits(1.2), joint_path())
     t = np.arange(0.0, travel.duration, 0.004)
     path = joint_path()
-    q = np.column_stack([np.interp(travel.s(t), path.s, column) for column in path.q.T])
+    q = interpolated(travel.s(t), path.s, path.q)
     velocity = np.gradient(q, 0.004, axis=0)
     assert np.all(np.abs(velocity) <= robot.v_max)
-    dq = np.column_stack([np.interp(travel.s(t), path.s, column) for column in path.dq.T])
-    ddq = np.column_stack([np.interp(travel.s(t), path.s, column) for column in path.ddq.T])
+    dq = interpolated(travel.s(t), path.s, path.dq)
+    ddq = interpolated(travel.s(t), path.s, path.ddq)
     acceleration = dq * travel.acceleration(t)[:, None] + ddq * travel.speed(t)[:, None] ** 2
     assert np.all(np.abs(acceleration) <= 0.86 * robot.a_max)
 

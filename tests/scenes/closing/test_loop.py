@@ -26,6 +26,7 @@ from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError
 from studies.closings import drawn_error, drawn_line
+from studies.report import scene_of
 from tests.scenes.test_full_disk import HELP, files_of_at_most
 
 KNOWN = Model.nominal(Robot.load("kr6"))
@@ -258,8 +259,7 @@ def test_what_cannot_be_measured_does_not_fall() -> None:
 @pytest.fixture(scope="module")
 def late_stamps() -> Any:
     """Closing on a camera whose stamps are 8 ms late."""
-    scene = load_scene("close_latency")
-    assert isinstance(scene, LineScene)
+    scene = scene_of(LineScene, "close_latency")
     return close_loop(scene)
 
 
@@ -296,21 +296,18 @@ def test_follower_takes_the_latency_from_the_model() -> None:
 
 
 def test_right_time_stamps_are_refused() -> None:
-    scene = load_scene("line")
-    assert isinstance(scene, LineScene)
+    scene = scene_of(LineScene, "line")
     with pytest.raises(InputError, match="nothing is there"):
         close_loop(scene)
 
 
 def test_what_is_wrong_with_a_camera_is_named() -> None:
-    scene = load_scene("close_camera")
-    assert isinstance(scene, LineScene)
+    scene = scene_of(LineScene, "close_camera")
     assert undeclared_effects(scene) == ("clock_drift", "camera_scale", "camera_offset", "lens_distortion")
 
 
 def test_what_cannot_be_seen_along_a_line_is_refused_with_its_key() -> None:
-    scene = load_scene("close_camera").changed(calibration={"lateral_mm": 1.0})
-    assert isinstance(scene, LineScene)
+    scene = scene_of(LineScene, "close_camera").changed(calibration={"lateral_mm": 1.0})
     with pytest.raises(InputError, match="another line") as caught:
         close_loop(scene)
     assert caught.value.field == "calibration.lateral_mm"
@@ -318,8 +315,7 @@ def test_what_cannot_be_seen_along_a_line_is_refused_with_its_key() -> None:
 
 @pytest.mark.slow
 def test_camera_that_nobody_calibrated_is_set_right() -> None:
-    scene = load_scene("close_camera")
-    assert isinstance(scene, LineScene)
+    scene = scene_of(LineScene, "close_camera")
     result = close_loop(scene)
     assert result.errors["after"].mean < 0.7 * result.errors["before"].mean
     assert result.errors["after"].mean <= 1.5 * result.errors["oracle"].mean
@@ -327,8 +323,7 @@ def test_camera_that_nobody_calibrated_is_set_right() -> None:
 
 def test_geometry_of_the_arm_is_refused_along_a_line_with_its_key() -> None:
     """The camera rides on the arm: 0.5 mm of every joint leave the distance from the line as it was."""
-    scene = load_scene("line").changed(world={"base": "bench", "kinematic_error": 5e-4})
-    assert isinstance(scene, LineScene)
+    scene = scene_of(LineScene, "line").changed(world={"base": "bench", "kinematic_error": 5e-4})
     with pytest.raises(InputError, match="path scene") as caught:
         close_loop(scene)
     assert caught.value.field == "world.kinematic_error"
@@ -372,8 +367,7 @@ def test_right_sensor_is_refused_and_a_wrong_one_named() -> None:
 
 @pytest.mark.slow
 def test_after_is_close_to_the_truth() -> None:
-    scene = load_scene("close_force")
-    assert isinstance(scene, ForceScene)
+    scene = scene_of(ForceScene, "close_force")
     result = close_force_loop(scene)
     assert result.errors["after"].rms < 0.8 * result.errors["before"].rms
     assert result.errors["after"].rms <= 1.25 * result.errors["true"].rms

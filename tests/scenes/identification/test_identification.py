@@ -30,12 +30,12 @@ from scenes.identification.plan import fourier_commands
 from scenes.identification.twin import Twin, behind_gears, played_again
 from scenes.identification.twin_play import TwinResult, make_twin, twin_text
 from scenes.line.play import play
-from scenes.scene_file import load_scene
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import ARM
 from sim.arm.arm import SimulatedArm
 from sim.arm.specimen import draw_specimen, octave_edges, residual_torque
 from sim.arm.world import World
+from studies.report import scene_of
 from tests.sources import DATA, MODELS
 
 
@@ -268,8 +268,7 @@ def test_a_file_of_one_axis_holds_its_world_and_says_what_was_assumed(made: Twin
 def test_the_twin_of_a_shipped_arm_is_a_scene_whose_model_is_its_own(made: TwinResult, tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text(twin_text(made.twin, "kr6", "mine"), encoding="utf-8")
-    scene = load_scene(str(file))
-    assert isinstance(scene, LineScene)
+    scene = scene_of(LineScene, str(file))
     assert (scene.robot, scene.model) == ("kr6", "own")
     assert scene.arm_world["residual"] == made.twin.table["residual"]
 
@@ -380,6 +379,5 @@ def test_the_twin_of_an_arm_with_torque_sensors_behind_its_gears_follows_a_line(
     assert any(text.startswith("rotors: those of a class") for text in found.twin.assumed)
     file = tmp_path / "mine.toml"
     file.write_text(twin_text(found.twin, robot, "mine"), encoding="utf-8")
-    scene = load_scene(str(file))
-    assert isinstance(scene, LineScene)
+    scene = scene_of(LineScene, str(file))
     assert play(scene, "adapted").control_error.mean < 0.2e-3

@@ -33,6 +33,7 @@ from sensing.camera.hand_eye import HandEye
 from sim.arm.arm import SimulatedArm
 from sim.camera.camera import CameraSettings, RenderedCamera
 from sim.equipped_arm import CarriedCamera
+from studies.report import scene_of
 
 
 @pytest.fixture(scope="module")
@@ -282,8 +283,7 @@ def test_windows_are_asked_for_at_the_camera_s_own_time() -> None:
 # The camera calibrated by moving the simulated arm over the line, with everything on that disturbs it.
 
 def cell_of(**changes: object) -> Cell:
-    scene = load_scene("line").changed(world="bench").changed(**changes)
-    assert isinstance(scene, LineScene)
+    scene = scene_of(LineScene, "line").changed(world="bench").changed(**changes)
     return set_up(scene)
 
 

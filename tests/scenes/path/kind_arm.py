@@ -21,13 +21,13 @@ from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from scenes import load_scene
 from scenes.path.cell import Play, play
 from scenes.scene_files.path_scene import JointPath, PathScene, joint_path
 from sim.arm import arm as simulated
 from sim.arm.specimen import Specimen, draw_specimen
 from sim.arm.world import World
 from sim.bullet import pybullet
+from studies.report import scene_of
 
 ROBOT = Robot.load("kr15")
 WORLD = World.ideal("kr15").replace(elasticity=True)
@@ -50,8 +50,7 @@ def model() -> Model:
 @lru_cache(maxsize=1)
 def path() -> JointPath:
     """A circle of 250 mm at 0.5 m/s."""
-    scene = load_scene("close_stribeck").changed(path={"size_mm": 250.0}, speed=0.5)
-    assert isinstance(scene, PathScene)
+    scene = scene_of(PathScene, "close_stribeck").changed(path={"size_mm": 250.0}, speed=0.5)
     return joint_path(scene, ROBOT, ROBOT.t_ipo)
 
 

@@ -11,6 +11,7 @@ import pandas as pd
 import pinocchio as pin
 import pytest
 
+from ideal_robot.arrays import interpolated
 from ideal_robot.elasticity.stiffness_analysis import analyse_stiffness
 from ideal_robot.errors import InputError, LimitError
 from ideal_robot.execution.command_governor import check_limits
@@ -272,7 +273,7 @@ def test_other_sampling_is_brought_to_the_cycle(tmp_path):
     q = motion(lead=2)
     t = T * np.arange(len(q))
     fine = np.arange(0, t[-1], 0.002)
-    dense = np.column_stack([np.interp(fine, t, column) for column in q.T])
+    dense = interpolated(fine, t, q)
     result = precorrected_path(write(tmp_path, dense, fine, prefix="q"), MODEL)
     assert result.t[1] == pytest.approx(T)
     rest = round(0.6 / T)

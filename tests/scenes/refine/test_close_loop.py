@@ -24,6 +24,7 @@ from scenes.path.close_loop import ArmOnPath, close_loop, doubt_of_load, left_un
 from scenes.scene_files.path_scene import PathScene
 from scenes.undeclared import undeclared_effects
 from sim.arm.world import World
+from studies.report import scene_of
 from tests.scenes.path import kind_arm as arm
 from tests.scenes.path.effect_cases import CASES, friction_of
 
@@ -40,8 +41,7 @@ def test_after_is_close_to_the_oracle(name: str, seed: int) -> None:
 
 
 def test_undeclared_effect_is_named_with_its_joint() -> None:
-    scene = load_scene("close_stribeck")
-    assert isinstance(scene, PathScene)
+    scene = scene_of(PathScene, "close_stribeck")
     assert undeclared_effects(scene, 6) == (("stribeck", 2),)
 
 
@@ -74,8 +74,7 @@ def test_a_world_that_cannot_be_closed_says_which_key_and_why(key: str, value: o
 
 def _small(**changes: object) -> PathScene:
     """The scene with a worn gear on a path of 150 mm, which takes a third of the time."""
-    scene = load_scene("close_elastic").changed(path={"size_mm": 150.0}, **changes)
-    assert isinstance(scene, PathScene)
+    scene = scene_of(PathScene, "close_elastic").changed(path={"size_mm": 150.0}, **changes)
     return scene
 
 
@@ -167,8 +166,7 @@ def test_clamped_arm_has_no_arm_angles_to_measure():
 
 @pytest.mark.slow
 def test_path_is_nearly_as_good_as_with_a_tracker():
-    scene = load_scene("close_clamped")
-    assert isinstance(scene, CloseClampedScene)
+    scene = scene_of(CloseClampedScene, "close_clamped")
     result = close_clamped(scene)
     aligned = result.json()["E_car_aligned_mm"]
     assert aligned["after"] <= 1.3 * aligned["tracker"]
@@ -182,8 +180,7 @@ def test_path_is_nearly_as_good_as_with_a_tracker():
 
 @pytest.mark.slow
 def test_wrench_at_the_clamp_tells_the_stiffness_without_the_drives() -> None:
-    scene = load_scene("close_clamped")
-    assert isinstance(scene, CloseClampedScene)
+    scene = scene_of(CloseClampedScene, "close_clamped")
     found = close_clamped(scene, measured="tcp").json()["stiffness"]
     np.testing.assert_allclose(found["after"], found["oracle"], rtol=0.03)
 

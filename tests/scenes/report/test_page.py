@@ -236,8 +236,7 @@ ROBOT = Robot.load("kr6")
 def _replay(n: int = 1000, script: str = "") -> Replay:
     t = np.linspace(0.0, 4.0, n)
     q = ROBOT.home + 0.2 * np.sin(t)[:, None]
-    pose = ROBOT.fk()
-    tool = np.array([pose(row).translation for row in q])
+    tool = ROBOT.tool_places(q)
     error = np.where(t > 1.0, 0.1 + 0.05 * np.sin(9.0 * t), np.nan)
     return Replay(ROBOT, t, q, tool, tool + np.array([0.0, 1e-4, 0.0]), error, error_name=f"distance{script}",
                   curves={"line": tool})

@@ -20,7 +20,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi import PacketError
 from ideal_robot.rsi.message import RsiFormat, parse_rob
 from scenes.online.processes import stopping_on_signals
-from scenes.rsi.server import RsiRun, rsi_server
+from scenes.rsi.server import RsiRun, RsiServer, rsi_server
 from studies.rsi import rsi_hour
 from tests.ideal_robot.rsi.test_message import PACKET
 from tests.scenes.rsi.test_rsi import motion, written
@@ -31,11 +31,12 @@ SIGN = np.array([-1.0, 1.0, 1.0, -1.0, 1.0, -1.0])
 HOME = SIGN * np.degrees(ROBOT.home)
 
 
-def played(folder: Path, controller: LaggingController, **options) -> RsiRun:
+def played(folder: Path, controller: LaggingController, server_change=lambda server: None, **options) -> RsiRun:
     path = written(folder, motion())
     with rsi_server(path, **{"robot": "kr6", "method": "none", "port": 0, "cycle": controller.cycle, "rest": 0.4,
                              **options}) as server:
         server.link.timeout = PATIENCE
+        server_change(server)
         with playing(controller, server.link.address):
             return server.play(patience=PATIENCE)
 
@@ -92,13 +93,9 @@ def test_a_loop_that_answers_slowly_is_no_fault(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("rise", "says"), [(1, "rise by 1 a packet"), (0, "do not rise"), (None, "rise by 12 ms")])
 def test_how_time_stamps_rise_is_found(tmp_path: Path, rise: int | None, says: str) -> None:
-    controller = LaggingController(HOME, rise=rise)
-    path = written(tmp_path, motion())
-    with rsi_server(path, robot="kr6", method="none", port=0, rest=0.4) as server:
-        # In lockstep packets come as fast as they are answered, which on a real arm would be another cycle.
-        server.link.timeout, server.link.too_fast = PATIENCE, np.inf
-        with playing(controller, server.link.address):
-            run = server.play(patience=PATIENCE)
+    # In lockstep packets come as fast as they are answered, which on a real arm would be another cycle.
+    run = played(tmp_path, LaggingController(HOME, rise=rise),
+                 lambda server: setattr(server.link, "too_fast", np.inf))
     assert run.failure is None
     assert says in run.stamps
     np.testing.assert_allclose(np.diff(run.recording.t), ROBOT.t_ipo, atol=1e-9)
@@ -184,9 +181,7 @@ def test_the_port_that_fails_ends_the_run_and_keeps_the_recording(tmp_path: Path
             if self.sent % 10 == 0:
                 raise OSError(105, "No buffer space available")
 
-    controller = LaggingController(HOME)
-    with rsi_server(written(tmp_path, motion()), robot="kr6", method="none", port=0, rest=0.4) as server:
-        server.link.timeout = PATIENCE
+    def failing(server: RsiServer) -> None:
         link, begin = server.link._link, server.link._link._begin_with
 
         def begin_failing(peer: tuple[str, int]) -> None:
@@ -194,8 +189,8 @@ def test_the_port_that_fails_ends_the_run_and_keeps_the_recording(tmp_path: Path
             link._socket = Failing(link._socket)  # type: ignore[assignment]
 
         link._begin_with = begin_failing  # type: ignore[method-assign]
-        with playing(controller, server.link.address):
-            run = server.play(patience=PATIENCE)
+
+    run = played(tmp_path, LaggingController(HOME), failing)
     assert run.failure is not None
     assert "Network is down" in run.failure
     assert run.counts["unsent"] > 0

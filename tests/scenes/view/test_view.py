@@ -73,8 +73,7 @@ def replay_to_see() -> Replay:
     """A wide motion over a dark curve, a force towards the viewer, camera pictures in colours that nothing else has."""
     plain = _replay(200)
     wide = plain.q + 0.8 * np.sin(plain.t)[:, None] * np.array([1.0, 0, 0, 0, 0, 0])
-    pose = ROBOT.fk()
-    tool = np.array([pose(row).translation for row in wide])
+    tool = ROBOT.tool_places(wide)
     angle = np.linspace(0, 2 * np.pi, 200)
     ring = np.column_stack([0.7 + 0.5 * np.cos(angle), 0.5 * np.sin(angle), np.full(200, 0.02)])
     return dataclasses.replace(plain, q=wide, tool=tool, wanted=tool, curves={"drawn line": ring},
