@@ -96,7 +96,7 @@ def clamped_signals(recording: Recording, robot: Robot) -> ClampedSignals:
         wrench = np.zeros((len(keep), 6))
         columns = [WRENCH.index(name) for name in measured]
         wrench[:, columns] = _resampled(t[keep], clock.offset + (1 + clock.drift) * t_sensor, sensed)
-    load = _load(q_m, tau, wrench)
+    load = _load(tau, wrench)
     unloaded = np.argsort(load)[: max(5, len(load) // 50)]
     return ClampedSignals(recording.source, t[keep], q_m, tau, wrench, measured, q_m[unloaded].mean(axis=0),
                           load > 0.05, clock)
@@ -184,7 +184,7 @@ def synchronise(t: Array, q_m: Array, t_sensor: Array, sensed: Array, *, largest
     return Clock(float(best.x[0]), float(best.x[1] / length))
 
 
-def _load(q_m: Array, tau: Array | None, wrench: Array | None) -> Array:
+def _load(tau: Array | None, wrench: Array | None) -> Array:
     """How hard the flange is loaded ``(N,)``, 0 … 1; NaN where the sensor was silent.
 
     The recording begins without load: what the motors carry and the sensor shows in the first half second is gravity

@@ -48,7 +48,6 @@ class RsiFormat:
         hold_on: what the controller takes where no answer came in time: the last values again, or none. None where
             nothing says so.
         port: UDP port to which the controller sends, where its configuration says so.
-        sends_delay: whether the controller tells the answers it counted as late; None where nothing says so.
 
     Raises:
         InputError: a name that no XML element may have, another number of decimals than 1 to 9.
@@ -59,7 +58,6 @@ class RsiFormat:
     decimals: int = 6
     hold_on: bool | None = None
     port: int | None = None
-    sends_delay: bool | None = None
 
     def __post_init__(self) -> None:
         for name in ("correction", "sender"):
@@ -105,7 +103,7 @@ class RsiFormat:
         if not (port.isascii() and port.isdigit() and 0 < int(port[:6]) < 65536):
             raise InputError("expected a UDP port", file=file, field="CONFIG.PORT", value=port[:40])
         return cls(correction=groups[0], sender=(root.findtext("CONFIG/SENTYPE") or cls.sender).strip(),
-                   hold_on=hold == {"1"}, port=int(port), sends_delay="DEF_Delay" in sent)
+                   hold_on=hold == {"1"}, port=int(port))
 
 
 def _root(file: Path) -> ElementTree.Element:

@@ -30,9 +30,7 @@ def identified_model(robot_name: str, *, seed: int = 1, period: float = 20.0, wo
         boxes: that stand in the cell.
         progress: called with the fraction done.
     """
-    robot = arm_of(robot_name)
-    if world is not None:
-        robot = replace(robot, t_ipo=world.t_ipo, t_position=world.t_position, t_velocity=world.t_velocity)
+    robot = arm_of(robot_name) if world is None else world.with_cycles(arm_of(robot_name))
     recordings = []
     workspace = replace(Workspace.of(robot), cell=Shapes(robot, boxes=boxes)) if boxes else None
     for run in range(2):

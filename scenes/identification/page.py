@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ideal_robot.identification.closed_loop_fit import LinearLoopFit
@@ -207,16 +208,23 @@ def torque_figure(prediction: Prediction) -> Figure:
     return figure
 
 
+def _panels(n: int, height: float, sharex: bool = False) -> tuple[Figure, list[Axes]]:
+    """A panel for each of ``n`` joints, three beside each other, ``height`` [inch] each."""
+    columns, rows = min(3, n), int(np.ceil(n / min(3, n)))
+    figure = Figure(figsize=(3.7 * columns, height * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, sharex=sharex, squeeze=False).ravel()
+    for axis in axes[n:]:
+        axis.set_visible(False)
+    return figure, list(axes[:n])
+
+
 def friction_figure(analysis: IdentificationResult) -> Figure:
     """Friction over speed of each joint, with the torque that is left without the rest of the model."""
     model = analysis.model
-    n = model.n
-    columns = min(3, n)
-    figure = Figure(figsize=(3.7 * columns, 2.9 * int(np.ceil(n / columns))), layout="constrained")
-    axes = figure.subplots(int(np.ceil(n / columns)), columns, squeeze=False).ravel()
+    figure, axes = _panels(model.n, 2.9)
     points = friction_points(model, analysis.result)
     thin = max(1, len(points.speed) // 1000)
-    for j, axis in enumerate(axes[:n]):
+    for j, axis in enumerate(axes):
         speed, torque = points.speed[::thin, j], points.torque[::thin, j]
         axis.plot(speed, torque, ".", color=MEASURED, markersize=2, alpha=0.35, rasterized=True)
         axis.plot(speed, points.modelled[::thin, j], ".", color=PREDICTED, markersize=1.5, alpha=0.35, rasterized=True)
@@ -226,8 +234,6 @@ def friction_figure(analysis: IdentificationResult) -> Figure:
         axis.grid(alpha=0.25)
         low, high = np.percentile(torque, [0.5, 99.5])
         axis.set_ylim(low - 0.2 * (high - low), high + 0.2 * (high - low))
-    for axis in axes[n:]:
-        axis.set_visible(False)
     figure.supxlabel("speed [rad/s or m/s]", fontsize=9)
     figure.supylabel("torque [N m or N]", fontsize=9)
     return figure
@@ -248,11 +254,8 @@ def friction_spread(analysis: IdentificationResult) -> tuple[list[str], list[lis
 
 def drift_figure(found: ControllerIdentification) -> Figure:
     """Deviation of the simulated controller torque with the optimised and with the directly estimated k_I."""
-    n = found.measured.shape[1]
-    columns = min(3, n)
-    figure = Figure(figsize=(3.7 * columns, 2.6 * int(np.ceil(n / columns))), layout="constrained")
-    axes = figure.subplots(int(np.ceil(n / columns)), columns, sharex=True, squeeze=False).ravel()
-    for j, axis in enumerate(axes[:n]):
+    figure, axes = _panels(found.measured.shape[1], 2.6, sharex=True)
+    for j, axis in enumerate(axes):
         # Every sample of every joint: only axes and letters are drawn as vectors.
         axis.plot(found.t, found.drifting[:, j] - found.measured[:, j], color=MEASURED, linewidth=0.8,
                   label="k_I estimated directly", rasterized=True)
@@ -260,8 +263,6 @@ def drift_figure(found: ControllerIdentification) -> Figure:
                   label="k_I by simulation", rasterized=True)
         axis.set_title(f"joint {j + 1}", fontsize=9)
         axis.grid(alpha=0.25)
-    for axis in axes[n:]:
-        axis.set_visible(False)
     axes[0].legend(fontsize=8, frameon=False)
     figure.supxlabel("t [s]", fontsize=9)
     figure.supylabel("simulated - measured [N m]", fontsize=9)

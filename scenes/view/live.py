@@ -44,7 +44,6 @@ class LiveView:
         self._panel = viewer.server.gui.add_markdown("")
         self._plot: Any = None
         self._begun, self._grown, self._size = time.time(), time.monotonic(), -1
-        self._pose = viewer.robot.fk()
         self.state = ""
         self._say(f"waiting for a run in `{folder}`")
 
@@ -80,7 +79,7 @@ class LiveView:
         self.viewer.show(q_c[-1], GHOST)
         some = np.unique(np.linspace(0, len(q) - 1, min(len(q), _SHOWN)).astype(int))
         if len(some) > 1:
-            self.viewer.draw("way of the tool", np.array([self._pose(q[k]).translation for k in some]), _COLOUR)
+            self.viewer.draw("way of the tool", self.viewer.robot.tool_places(q[some]), _COLOUR)
         recent = slice(-max(round(5.0 / T), 2), None)
         t, off = rows[recent, 1], 1e3 * np.abs(q_d - q)[recent].max(axis=1)
         lost = round((rows[-1, 1] - begun) / T) + 1 - count
