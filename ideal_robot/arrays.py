@@ -44,7 +44,13 @@ def arc_lengths(points: Array) -> Array:
 
 
 def interpolated(at: Array, t: Array, rows: Array) -> Array:
-    """Rows ``(m, n)`` at ``at (m,)``, linearly between those ``(N, n)`` at rising ``t (N,)``, held beyond both ends."""
+    """Rows between rows ``(m, n)``: linear in between, and as the first and the last beyond them.
+
+    Args:
+        at: where they are wanted ``(m,)``.
+        t: where rows are known, rising ``(N,)``.
+        rows: those ``(N, n)``.
+    """
     return np.column_stack([np.interp(at, t, column) for column in rows.T])
 
 
