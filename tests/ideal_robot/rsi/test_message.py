@@ -151,7 +151,7 @@ def written(folder: Path, text: str) -> Path:
 
 def test_tag_sender_port_and_hold_are_the_controllers(tmp_path: Path) -> None:
     form = RsiFormat.read(written(tmp_path, CONFIG), 6)
-    assert form == RsiFormat("AKorr", "Mine", 6, True, 6008, True)
+    assert form == RsiFormat("AKorr", "Mine", 6, True, 6008)
     assert format_sen(np.array([0.5, -1.0]), 7, RsiFormat("AKorr", "Mine", 3)) == (
         b'<Sen Type="Mine"><AKorr A1="0.500" A2="-1.000"/><IPOC>7</IPOC></Sen>')
 
