@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -43,7 +45,7 @@ def arc_lengths(points: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 
-def interpolated(at: Array, t: Array, rows: Array) -> Array:
+def interpolated(at: NDArray[Any], t: NDArray[Any], rows: Array) -> Array:
     """Rows between rows ``(m, n)``: linear in between, and as the first and the last beyond them.
 
     Args:
