@@ -17,9 +17,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import zstd
-from rosbags.typesys import Stores, get_typestore
 
 from ideal_robot import bounded_values, row_log
 from ideal_robot.bounded_values import checked, parsed_json
@@ -27,6 +25,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.row_log import KEPT, RowLog, file_of, let_go, new_array
 from ideal_robot.signals.recording import Recording
 from scenes.scene_files.shape import first_path
+from tests.ideal_robot.signals.test_recording import write_bag
 from tests.sources import ROOT
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -78,21 +77,10 @@ def test_a_bag_of_many_equal_messages_unfolds_to_too_much(tmp_path: Path, compre
         Recording.read(path)
 
 
-def joint_states(folder: Path, compression: str = "", storage: StoragePlugin = StoragePlugin.SQLITE3) -> Path:
+def joint_states(folder: Path, compression: str = "", plugin: str = "SQLITE3") -> Path:
     """A bag that is sound."""
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    state, header, stamp = (store.types[name] for name in (
-        "sensor_msgs/msg/JointState", "std_msgs/msg/Header", "builtin_interfaces/msg/Time"))
-    writer = Writer(folder, version=9, storage_plugin=storage)
-    if compression:
-        writer.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
-    with writer:
-        topic = writer.add_connection("/joint_states", state.__msgtype__, typestore=store)
-        for k in range(200):
-            message = state(header(stamp(1, 4_000_000 * k), ""), ["b", "a"], np.array([0.1, k / 100]),
-                            np.zeros(2), np.array([]))
-            writer.write(topic, 10**9 + 4_000_000 * k, store.serialize_cdr(message, state.__msgtype__))
-    return folder
+    positions = np.column_stack([np.full(200, 0.1), np.arange(200) / 100])
+    return write_bag(folder, plugin, ["b", "a"], positions, np.zeros((200, 0)), compression=compression)
 
 
 @pytest.mark.parametrize("compression", ["", "FILE", "MESSAGE"])
@@ -104,7 +92,7 @@ def test_a_sound_bag_is_read_however_it_is_packed(tmp_path: Path, compression: s
 
 
 def test_an_index_that_names_a_chunk_twice_or_another_way_is_refused(tmp_path: Path) -> None:
-    folder = joint_states(tmp_path / "bag", storage=StoragePlugin.MCAP)
+    folder = joint_states(tmp_path / "bag", plugin="MCAP")
     file, = folder.glob("*.mcap")
     sound = file.read_bytes()
     begin = sound.index(b"\x08", struct.unpack_from("<Q", sound, len(sound) - 28)[0])
