@@ -29,6 +29,7 @@ from scenes.sweep import _described, jobs
 from scenes.view.viewer import replay_of_columns
 from sensing.camera.camera_model import CameraModel
 from tests.fuzz import mutate
+from tests.sensing.camera import synthetic
 
 URDF = b"""<?xml version="1.0"?>
 <robot name="arm">
@@ -239,12 +240,7 @@ def picture(ending: str) -> bytes:
 def film() -> bytes:
     """Six such pictures, the line moving, as an AVI file of JPEGs."""
     with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder) / "film.avi"
-        writer = cv2.VideoWriter(str(place), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (160, 120))
-        for shift in range(6):
-            writer.write(cv2.cvtColor(_drawn(shift), cv2.COLOR_GRAY2BGR))
-        writer.release()
-        return place.read_bytes()
+        return synthetic.film(Path(folder) / "film.avi", map(_drawn, range(6)), 25.0).read_bytes()
 
 
 def blank(height: int, width: int) -> bytes:

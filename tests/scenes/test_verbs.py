@@ -27,7 +27,7 @@ from scenes.scene_file import library, load_scene
 from scenes.scene_files.shape import STEP, Shape
 from scenes.schema import catalogue, commented_scene, json_schema, keys_pages, scene_keys, world_keys
 from tests.ideal_robot.diagnosis.poor_recording import URDF, poor_recording
-from tests.sensing.camera.synthetic import drawn_line
+from tests.sensing.camera.synthetic import drawn_line, film
 from tests.sources import ROOT
 
 app = typer.Typer()
@@ -71,13 +71,7 @@ def test_an_unknown_kind_or_place_is_refused(words: list[str], said: str, folder
 
 
 def test_frames_of_a_video(tmp_path: Path) -> None:
-    path = tmp_path / "line.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10.0, (640, 480))
-    if not writer.isOpened():
-        pytest.skip("this OpenCV cannot write MJPG videos")
-    for seed in range(4):
-        writer.write(cv2.cvtColor(drawn_line(seed=seed)[0], cv2.COLOR_GRAY2BGR))
-    writer.release()
+    path = film(tmp_path / "line.avi", (drawn_line(seed=seed)[0] for seed in range(4)), 10.0)
     assert [name for name, _ in pictures(str(path), every=2)] == ["frame 0", "frame 2"]
     done = CliRunner().invoke(app, [str(path), "--json", str(tmp_path / "line.json"), "--out", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output

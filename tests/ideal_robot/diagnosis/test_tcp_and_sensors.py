@@ -52,12 +52,7 @@ def recorded(xyz_at: np.ndarray | None, **more: np.ndarray) -> Recording:
 
 
 def tcp(model: pin.Model, q: np.ndarray) -> np.ndarray:
-    data, tool = model.createData(), robot().tool_id
-    result = []
-    for row in q:
-        pin.forwardKinematics(model, data, row)
-        result.append(pin.updateFramePlacement(model, data, tool).translation.copy())
-    return np.array(result)
+    return dataclasses.replace(robot(), pinocchio=model).tool_places(q)
 
 
 def within(found: Diagnosis, name: str, joint: int, **truth: float) -> None:

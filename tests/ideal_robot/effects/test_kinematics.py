@@ -42,12 +42,7 @@ def swinging_arm(count: int = 200) -> Signals:
 
 
 def tcp(model: pin.Model, q: np.ndarray) -> np.ndarray:
-    data, tool = model.createData(), ROBOT.tool_id
-    result = []
-    for row in q:
-        pin.forwardKinematics(model, data, row)
-        result.append(pin.updateFramePlacement(model, data, tool).translation.copy())
-    return np.array(result)
+    return dataclasses.replace(ROBOT, pinocchio=model).tool_places(q)
 
 
 def named(name: str, channel: str) -> Effect:

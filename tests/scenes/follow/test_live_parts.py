@@ -12,7 +12,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
@@ -33,6 +32,7 @@ from sensing.camera.line_search import DetectionSettings
 from sensing.clock_relation import ClockRelation
 from sensing.force.sensors import Reading, ReadingCounts
 from tests.scenes.follow.pair import Tame
+from tests.sensing.camera import synthetic
 from tests.sources import ROOT
 
 
@@ -322,11 +322,7 @@ def test_a_camera_that_is_ready_when_nobody_waits_any_more_ends_quietly(
     film: str, tmp_path: Path, capfd: pytest.CaptureFixture[str],
 ) -> None:
     camera = believed_camera(CameraTable())
-    writer = cv2.VideoWriter(str(tmp_path / "film.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 30.0,
-                             (camera.width, camera.height))
-    for _ in range(3):
-        writer.write(np.zeros((camera.height, camera.width, 3), np.uint8))
-    writer.release()
+    synthetic.film(tmp_path / "film.avi", [np.zeros((camera.height, camera.width), np.uint8)] * 3)
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=work, args=(f"file:{tmp_path / film}", 0.0, camera, "edge_pairs", theirs))

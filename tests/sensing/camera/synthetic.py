@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
@@ -54,6 +56,16 @@ def tool_over(x: float, y: float = 0.0, yaw: float = 0.0, plane: pin.SE3 | None 
 
 
 # Whole pictures of a drawn line, with uneven light, a scratch and noise.
+
+def film(path: Path, pictures: Iterable[np.ndarray], rate: float = 30.0) -> Path:
+    """Writes gray pictures as an AVI file of JPEGs."""
+    pictures = list(pictures)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), rate, pictures[0].shape[::-1])
+    for picture in pictures:
+        writer.write(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR))
+    writer.release()
+    return path
+
 
 def drawn_line(*, dark: bool = True, width: float = 8.0, upright: bool = False, seed: int = 0, noise: float = 4.0,
                size: tuple[int, int] = (640, 480)) -> tuple[NDArray[np.uint8], Callable[[Array], Array]]:

@@ -15,6 +15,7 @@ from ideal_robot.errors import InputError
 from sensing import SensingError
 from sensing.camera.cameras import Frame, GenICamCamera, StreamCamera, open_camera
 from sensing.camera.video_capture import VideoCapture
+from tests.sensing.camera import synthetic
 from tests.sensing.stream.test_stream import device, package
 
 
@@ -24,12 +25,7 @@ def picture(k: int) -> np.ndarray:
 
 @pytest.fixture(name="film")
 def _film(tmp_path: Path) -> Path:
-    path = tmp_path / "film.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 50.0, (64, 48))
-    for k in range(12):
-        writer.write(cv2.cvtColor(picture(k), cv2.COLOR_GRAY2BGR))
-    writer.release()
-    return path
+    return synthetic.film(tmp_path / "film.avi", map(picture, range(12)), 50.0)
 
 
 def test_a_film_is_read_with_its_stamps_and_its_pace(film: Path) -> None:
@@ -212,10 +208,7 @@ def test_what_opencv_says_of_a_broken_film_does_not_stand_beside_our_one_line(
     tmp_path: Path, capfd: pytest.CaptureFixture[str],
 ) -> None:
     """FFmpeg's complaint about the header, and that of OpenCV's own reader about a film of nothing."""
-    film = tmp_path / "film.avi"
-    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (160, 120))
-    writer.write(np.zeros((120, 160, 3), np.uint8))
-    writer.release()
+    film = synthetic.film(tmp_path / "film.avi", [np.zeros((120, 160), np.uint8)])
     raw = film.read_bytes()
     at = raw.find(b"JUNK")
     film.write_bytes(raw[:at] + b"\0\0\0L\xff\xff\xff\xf0" + raw[at + 8 :])
