@@ -123,8 +123,8 @@ def spline_basis(x: Array, knots: tuple[float, ...], margin: float) -> Array:
     inner = np.asarray(knots)
     full = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
     basis = BSpline(full, np.eye(len(inner) + 2), 3)(np.clip(x, inner[0], inner[-1] - 1e-12 * np.ptp(inner)))
-    if np.any((x < inner[0]) | (x > inner[-1])):
-        basis *= _inside(x, knots, margin)[:, None]
+    outside = np.flatnonzero((x < inner[0]) | (x > inner[-1]))
+    basis[outside] *= _inside(x[outside], knots, margin)[:, None]
     return np.asarray(basis)
 
 

@@ -194,14 +194,14 @@ class Signals:
 
     def slow_load(self, joint: int, cutoff: float) -> Array:
         """Load of the gear of ``joint`` (from 1) below a frequency [Hz] ``(N,)`` [N m]."""
-        return self._once(("load", joint, cutoff), lambda: lowpass(self.load[:, joint - 1], self.dt, cutoff))
+        return self.once(("load", joint, cutoff), lambda: lowpass(self.load[:, joint - 1], self.dt, cutoff))
 
     def top_speed(self, joint: int) -> float:
         """Speed of ``joint`` (from 1) that is exceeded in a hundredth of the time [rad/s or m/s]."""
-        return self._once(("speed", joint), lambda: float(np.percentile(np.abs(self.qd[:, joint - 1]), 99)))
+        return self.once(("speed", joint), lambda: float(np.percentile(np.abs(self.qd[:, joint - 1]), 99)))
 
-    def _once(self, key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
-        """What effects ask for with many values of theta, made once."""
+    def once(self, key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
+        """What follows from the signals alone and is asked for many times: with each value of theta, in each round."""
         if key not in self._made:
             self._made[key] = make()
         return self._made[key]

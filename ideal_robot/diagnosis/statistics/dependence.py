@@ -52,7 +52,7 @@ def signal_names(signals: Signals, channel: int) -> list[str]:
     own = min(channel, signals.n - 1) + 1
     names = ["t", *(f"{kind}_{i + 1}" for kind in ("q", "qd", "qdd") for i in range(signals.n)), f"load_{own}",
              *([] if signals.temperature is None else [f"temp_{own}"]), *signals.extra]
-    return [name for name in names if _varies(signal_of(signals, name))]
+    return [name for name in names if _varies(signals, name)]
 
 
 def terms(signals: Signals, channel: int, pairs: bool, domain: Domain = MOTOR_TORQUE) -> list[Unknown]:
@@ -65,11 +65,11 @@ def terms(signals: Signals, channel: int, pairs: bool, domain: Domain = MOTOR_TO
         domain: of the channel.
     """
     names = signal_names(signals, channel)
-    result = [Unknown((name,), False, (_knots(signal_of(signals, name), intervals),), domain=domain)
+    result = [Unknown((name,), False, (_knots(signals, name, intervals),), domain=domain)
               for name in names for intervals in (_SLOW if name == "t" else (9,))]
     directed = [name for name in names if name.startswith(("q_", "load_", "temp_")) or name == "t"]
     if domain == MOTOR_TORQUE:
-        result += [Unknown((name,), True, (_knots(signal_of(signals, name), 9),)) for name in directed]
+        result += [Unknown((name,), True, (_knots(signals, name, 9),)) for name in directed]
     if pairs:
         j = channel + 1
         ours = [f"{kind}_{j}" for kind in ("q", "qd")]
@@ -77,7 +77,7 @@ def terms(signals: Signals, channel: int, pairs: bool, domain: Domain = MOTOR_TO
         both = {tuple(sorted((a, b))) for a in ours for b in smooth if a != b and a in names}
         both |= {tuple(sorted((a, b))) for a in smooth for b in smooth
                  if a != b and a.split("_")[0] == b.split("_")[0]}
-        result += [Unknown(pair, False, tuple(_knots(signal_of(signals, name), 2) for name in pair), domain=domain)
+        result += [Unknown(pair, False, tuple(_knots(signals, name, 2) for name in pair), domain=domain)
                    for pair in sorted(both)]
     return result
 
@@ -185,16 +185,24 @@ def time_period(residual: Array, use: np.ndarray, t: Array, domain: Domain) -> U
     return Unknown(("t",), False, ((float(t[0]), float(t[-1])),), 2.0 * np.pi * best, domain=domain)
 
 
-def _varies(x: Array) -> bool:
-    spread = float(np.percentile(x, 99) - np.percentile(x, 1))
-    return bool(np.all(np.isfinite(x)) and spread > 1e-9 * (1.0 + float(np.max(np.abs(x)))))
+def _varies(signals: Signals, name: str) -> bool:
+    def made() -> bool:
+        x = signal_of(signals, name)
+        spread = float(np.percentile(x, 99) - np.percentile(x, 1))
+        return bool(np.all(np.isfinite(x)) and spread > 1e-9 * (1.0 + float(np.max(np.abs(x)))))
+
+    return bool(signals.once(("varies", name), made))
 
 
-def _knots(x: Array, intervals: int) -> tuple[float, ...]:
-    """Evenly spread knots over the range that holds all but the outermost percent."""
-    low, high = np.percentile(x, [0.5, 99.5]) if intervals > 2 else (float(x.min()), float(x.max()))
-    count = 2 if intervals <= 2 else intervals + 1
-    return tuple(float(v) for v in np.linspace(low, high, count))
+def _knots(signals: Signals, name: str, intervals: int) -> tuple[float, ...]:
+    """Evenly spread knots over the range of a signal; for a curve, over what holds all but the outermost percent."""
+    def made() -> tuple[float, ...]:
+        x = signal_of(signals, name)
+        low, high = np.percentile(x, [0.5, 99.5]) if intervals > 2 else (float(x.min()), float(x.max()))
+        return tuple(np.linspace(low, high, 2 if intervals <= 2 else intervals + 1).tolist())
+
+    knots: tuple[float, ...] = signals.once(("knots", name, intervals), made)
+    return knots
 
 
 # How sharply dry friction changes sign at a reversal: a nuisance that no effect may be built on.

@@ -11,7 +11,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.regression import Regression, noise_left, rms, spread
-from ideal_robot.diagnosis.statistics.dependence import Dependence, DependenceTest, terms
+from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms
 from ideal_robot.diagnosis.statistics.least_squares import CLEAR, TOLD
 from ideal_robot.diagnosis.statistics.problem import Candidate, Estimate, Problem, fitted_effect
 from ideal_robot.diagnosis.validation.result import ChannelResult, FoundEffect, NotTransferred, Structure, Traces
@@ -31,28 +31,30 @@ def discriminating_motion(name: str, rivals: tuple[str, ...]) -> str:
     return "; ".join(dict.fromkeys(found))
 
 
-def ranked_structure(problem: Problem, residual: Array, most: int = 3) -> tuple[Structure, ...]:
-    """For each channel the strongest dependences of a residual that stand out of their null distribution.
+def ranked_structure(problem: Problem, residuals: Sequence[Array], most: int = 3) -> list[tuple[Structure, ...]]:
+    """For each residual the strongest dependences of each channel that stand out of their null distribution.
 
     Args:
         problem: with signals and blocks.
-        residual: at its rows ``(N, c)``, in the units of the channels.
+        residuals: at its rows ``(N, c)``, in the units of the channels.
         most: dependences of a channel.
     """
     regression, use = problem.regression, problem.products.use
     signals = regression.decimated_signals()
     dependence = DependenceTest(signals, use, problem.blocks)
+    curves = [terms(signals, j, False, regression.domain) for j in range(use.shape[1])]
     result = []
-    for j, channel in enumerate(regression.channels):
-        if not use[:, j].any():
-            continue
-        tests = dependence.tests(residual[:, j], j, terms(signals, j, False, regression.domain))
-        limit = 0.01 / max(len(tests) * len(regression.channels), 1)
-        clear: list[Dependence] = [d for d in tests if d.p_value < limit and d.share - d.expected > 0.01]
-        clear.sort(key=lambda d: -(d.share - d.expected))
-        result += [Structure(channel, tuple(d.term.signals_of(j + 1)), d.share, d.expected, d.p_value)
-                   for d in clear[:most]]
-    return tuple(result)
+    for residual in residuals:
+        found: list[Structure] = []
+        for j in np.flatnonzero(use.any(axis=0)).tolist():
+            tests = dependence.tests(residual[:, j], j, curves[j])
+            limit = 0.01 / max(len(tests) * use.shape[1], 1)
+            clear = [d for d in tests if d.p_value < limit and d.share - d.expected > 0.01]
+            clear.sort(key=lambda d: d.expected - d.share)
+            found += [Structure(regression.channels[j], tuple(d.term.signals_of(j + 1)), d.share, d.expected, d.p_value)
+                      for d in clear[:most]]
+        result.append(tuple(found))
+    return result
 
 
 def with_limits(fitted: FittedEffect, candidate: Candidate, signals: Signals) -> FittedEffect:
@@ -320,11 +322,11 @@ class DomainDiagnosis:
         found = tuple(self._found(k) for k in range(len(effects)))
         # Dependences are looked for in the recording that the fit was made on.
         first = own.y if self.given else steps[0].residual(own, [])
-        structure = [ranked_structure(self.problem, r) for r in (first, steps[-1].residual(own, effects))]
+        before_it, after_it = ranked_structure(self.problem, [first, steps[-1].residual(own, effects)])
         at = reported.decimated_signals()
         traces = Traces(reported.t, reported.measured, before, residuals[-1], reported.use, self.held_out, at.q, at.qd,
                         tuple(steps[-1].contributions(reported, effects)))
-        return DomainResult(channels, found, structure[0], structure[1], (reported.channels, traces))
+        return DomainResult(channels, found, before_it, after_it, (reported.channels, traces))
 
     def _rms(self, values: Array) -> Array:
         return rms(values, self.reported.use & self.held_out[:, None])
