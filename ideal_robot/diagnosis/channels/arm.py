@@ -36,7 +36,7 @@ def arm_angle_regression(recording: Recording, robot: Robot, torque: Regression,
         return None
     n = robot.n
     motor = resampled(recording.t, recording.joints("q"), torque.filtered.t)
-    bend = arm_angles(recording, torque, motor) - motor - deflection(torque, stiffness)
+    bend = arm_angles(recording, torque, stiffness) - motor - deflection(torque, stiffness)
     y = torque.filtered.decimate(np.where(there, bend, 0.0))
     W = np.zeros((len(y), n, 2 * n))
     W[:, np.arange(n), np.arange(n)] = 1.0
@@ -54,15 +54,15 @@ def arm_angle_regression(recording: Recording, robot: Robot, torque: Regression,
                                absent=frozenset(int(j) for j in np.flatnonzero(~there)))
 
 
-def arm_angles(recording: Recording, torque: Regression, otherwise: Array) -> Array:
-    """Measured arm angles at the undecimated instants ``(N, n)``, where there are none something else.
+def arm_angles(recording: Recording, torque: Regression, stiffness: Array | None) -> Array:
+    """Arm angles at the undecimated instants ``(N, n)``: measured, or the motors' with the gears' known deflection.
 
     Args:
         recording: with ``qa_i`` of some joints.
-        torque: the regression of its torques, for the instants.
-        otherwise: for the other joints ``(N, n)``.
+        torque: the regression of its torques, for signals and instants.
+        stiffness: of the gears as far as the model knows ``(n,)`` [N m/rad], or None.
     """
-    angles = np.array(otherwise)
+    angles = torque.signals.q + deflection(torque, stiffness)
     for j in np.flatnonzero(recording.having("qa")):
         angles[:, j] = resampled(recording.t, recording.columns[f"qa_{j + 1}"][:, None], torque.filtered.t)[:, 0]
     return angles
@@ -154,7 +154,7 @@ def tool_regression(recording: Recording, robot: Robot, torque: Regression,
     if not there.any():
         return None
     grid = torque.filtered.t
-    q = arm_angles(recording, torque, torque.signals.q + deflection(torque, stiffness))
+    q = arm_angles(recording, torque, stiffness)
     frames = frames_along(robot, q)
     xyz = np.array(frames.tool)
     for k in np.flatnonzero(there):

@@ -12,8 +12,8 @@ from scipy import ndimage
 from ideal_robot.arrays import GRAVITY, Array, G
 from ideal_robot.diagnosis.channels.arm import frames_along, tool_motion
 from ideal_robot.diagnosis.channels.line import KNOTS
-from ideal_robot.diagnosis.channels.motor_torque import BAND
-from ideal_robot.diagnosis.channels.regression import FEWEST, Regression, noise_in_band
+from ideal_robot.diagnosis.channels.motor_torque import BAND, CUTOFF
+from ideal_robot.diagnosis.channels.regression import FEWEST, MEMORY, RESTING, Regression, noise_in_band
 from ideal_robot.effects import SENSOR
 from ideal_robot.effects.fitted import spline_basis
 from ideal_robot.effects.force import ASSUMED_GIVE, CONTACT_FORCE, MOMENTS
@@ -27,8 +27,6 @@ from ideal_robot.signals.recording import Recording
 
 TURNS = 0.1
 """Spread of the direction of gravity in the sensor [rad] from which on weight and bias are distinguished."""
-_CHUNK = 0.1
-"""Stretch that is without contact as a whole, or not [s]: long against the noise, short against a touch."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +109,8 @@ def _untouched(force: Array, pull: Array, push: Array, dt: float, calibrated: bo
     everything = fitted(*sums(slice(None)))
     if np.percentile(np.linalg.norm(smooth - rows @ everything, axis=1), 99.0) < limit:
         return np.ones(len(force), dtype=bool), everything[:4]
-    chunk = max(5, round(_CHUNK / dt))
+    # A stretch is without contact as a whole, or not: one that the filters remember.
+    chunk = max(5, round(MEMORY / CUTOFF / dt))
     free = np.zeros(len(force), dtype=bool)
     free[: 2 * chunk] = True
     gram, right = sums(slice(0, 2 * chunk))
@@ -190,8 +189,6 @@ def sensor_regression(torque: Regression, filtered: FilteredSignals, channels: t
 
 LEAST_FORCE = 3.0
 """Contact force that counts as contact [N]."""
-_SLOW = 0.01
-"""Speed below which the direction of sliding says little [m/s]."""
 
 
 def contact_regression(recording: Recording, robot: Robot, wrench: Wrench, torque: Regression,
@@ -247,7 +244,8 @@ def _normal(force: Array, place: Array, strong: np.ndarray, dt: float) -> Array:
     for _ in range(3):
         normal = normal / np.linalg.norm(normal)
         sliding = velocity - np.outer(velocity @ normal, normal)
-        sliding = sliding / np.sqrt((sliding**2).sum(axis=1, keepdims=True) + _SLOW**2)
+        speed = np.linalg.norm(sliding, axis=1, keepdims=True)
+        sliding = sliding / np.maximum(speed, RESTING * speed.max() + 1e-300)
         # direction = normal - mu sliding, mu from the scatter of both about their means.
         middle, spread = sliding.mean(axis=0), sliding - sliding.mean(axis=0)
         mu = -float(np.sum(spread * direction)) / max(float(np.sum(spread**2)), 1e-9)

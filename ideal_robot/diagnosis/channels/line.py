@@ -14,7 +14,8 @@ import numpy as np
 from scipy import ndimage
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.channels.arm import arm_angles, deflection, tool_motion
+from ideal_robot.diagnosis.channels.arm import arm_angles, tool_motion
+from ideal_robot.diagnosis.channels.motor_torque import POSITION_BAND
 from ideal_robot.diagnosis.channels.regression import FEWEST, Regression
 from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.effects import SENSOR, Signals, library
@@ -27,8 +28,6 @@ KNOTS = 0.02
 """Distance of the knots of a curve that is not known, a line's or a surface's [m]."""
 FIELDS = 300
 """Fields looked at, at most."""
-_WIDTH = 0.012
-"""Time to either side of a picture from which its pose is taken [s]: a parabola has seven samples of a 4 ms cycle."""
 _OUTLIER = 8.0
 """Standard deviations from the smooth line beyond which a point is none of it: of Gaussian noise none is so far."""
 
@@ -167,17 +166,10 @@ def _seen(recording: Recording) -> tuple[Array, np.ndarray, Array] | None:
     return stamps[fields], number, points[fields][number, which]
 
 
-def _arm_angles(recording: Recording, torque: Regression, stiffness: Array | None) -> tuple[Array, Array]:
-    """Times and arm angles ``(N, n)``: measured, or those of the motors less the deflection that is known."""
-    if recording.having("qa").all():
-        return recording.t, recording.joints("qa")
-    return torque.filtered.t, arm_angles(recording, torque, torque.signals.q + deflection(torque, stiffness))
-
-
 def _smooth(t: Array, values: Array, at: Array) -> tuple[Array, Array]:
-    """Values and rates ``(F, k)`` at some times: a parabola through what was measured within 12 ms to either side."""
+    """Values and rates ``(F, k)`` at some times, by a parabola through half a period of its band to each side."""
     result, rate = np.empty((len(at), values.shape[1])), np.empty((len(at), values.shape[1]))
-    half = max(_WIDTH, 2.5 * float(np.median(np.diff(t))))
+    half = max(0.5 / POSITION_BAND, 2.5 * float(np.median(np.diff(t))))
     for k, moment in enumerate(at):
         a, b = np.searchsorted(t, [moment - half, moment + half])
         a = max(min(a, len(t) - 4), 0)
@@ -190,7 +182,8 @@ def _smooth(t: Array, values: Array, at: Array) -> tuple[Array, Array]:
 def _poses(recording: Recording, robot: Robot, torque: Regression, stiffness: Array | None,
            stamps: Array) -> tuple[Array, Array, Array, Array]:
     """Rotation, place, velocity and angular velocity of the tool in the base frame at the time stamps."""
-    rotation, place, twist = tool_motion(robot, *_smooth(*_arm_angles(recording, torque, stiffness), stamps))
+    angles = arm_angles(recording, torque, stiffness)
+    rotation, place, twist = tool_motion(robot, *_smooth(torque.filtered.t, angles, stamps))
     return rotation, place, twist[:, :3], twist[:, 3:]
 
 

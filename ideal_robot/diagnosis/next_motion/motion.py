@@ -13,7 +13,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.case import Case
 from ideal_robot.diagnosis.channels.arm import arm_angle_regression, measured_axes, tool_regression
 from ideal_robot.diagnosis.channels.motor_torque import CUTOFF, in_position_band, torque_regression
-from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.diagnosis.channels.regression import MEMORY, Regression
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, Domain
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.identification.excitation import FourierMotion, MotionSpace, Workspace, approach, clear_of_obstacles
@@ -56,8 +56,6 @@ _DRAWN = 6
 """Parts of each kind to choose from, and draws of each until one lies within limits and workspace."""
 _REFINED = 30
 """Changes of the chosen parts that are tried."""
-_REST = 0.2
-"""Rest before and after each part [s]."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +83,7 @@ class Parts:
     def commands(self) -> Array:
         """Commands ``(N, n)`` [rad] every interpolation cycle, from rest to rest."""
         v_max, a_max = finite_limits(self.robot)
-        here, rows = self.start, [np.repeat(self.start[None], max(1, round(_REST / self.robot.t_ipo)), axis=0)]
+        here, rows = self.start, [np.repeat(self.start[None], _rest(self.robot.t_ipo), axis=0)]
         for part in self.parts:
             q = played(part, self.robot.t_ipo)
             rows += [approach(here, q[0], self.robot.t_ipo, v_max, a_max), q]
@@ -102,8 +100,13 @@ def played(part: Part, t_ipo: float) -> Array:
     """Commands ``(N, n)`` [rad] of one part with the rests before and after it."""
     t = np.asarray(t_ipo * np.arange(float(round(part.kind.seconds / t_ipo) + 1)))
     q = part.motion.at(t)[0]
-    hold = max(1, round(_REST / t_ipo))
+    hold = _rest(t_ipo)
     return np.concatenate([np.repeat(q[:1], hold, axis=0), q, np.repeat(q[-1:], hold, axis=0)])
+
+
+def _rest(t_ipo: float) -> int:
+    """Cycles of rest before and after each part: as long as the filters of a diagnosis remember."""
+    return max(1, round(MEMORY / CUTOFF / t_ipo))
 
 
 class MotionSearch:

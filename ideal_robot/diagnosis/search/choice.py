@@ -24,8 +24,6 @@ class Options:
         smallest_torque: rms of what an effect takes away over the torque's standard deviation below which nothing is
             claimed.
         smallest_beside: the same over the rms of the largest other effect at the same joint, at least.
-        smallest_slow: share that a law of speed has to take away in the lower half of the band where vibrations hide it
-            in the whole: twice what is asked there, as it is looked for a second time.
         learned_discovery: p-value of a learned curve; motions repeat themselves, and so does what a model leaves, so
             that blocks of time are fewer than they are counted.
         smallest_own: share of an effect's squares that the other parameters must not be able to cancel.
@@ -39,7 +37,6 @@ class Options:
     smallest_learned: float = 0.30
     smallest_torque: float = 0.002
     smallest_beside: float = 0.05
-    smallest_slow: float = 0.30
     learned_discovery: float = 1e-5
     smallest_own: float = 0.0005
     unknown_margin: float = 1.6
@@ -55,12 +52,11 @@ class Options:
 
     def scaled(self, factor: float) -> Options:
         """All shares of the residual that are asked of an effect, times a factor."""
-        return replace(self, smallest=factor * self.smallest, smallest_learned=factor * self.smallest_learned,
-                       smallest_slow=factor * self.smallest_slow)
+        return replace(self, smallest=factor * self.smallest, smallest_learned=factor * self.smallest_learned)
 
     def slow(self) -> Options:
-        """The same for the lower half of the band."""
-        return replace(self, smallest=self.smallest_slow)
+        """The same for the lower half of the band, where a cause is looked for a second time: as much as of a curve."""
+        return replace(self, smallest=self.smallest_learned)
 
 
 class PresentModel:
@@ -156,10 +152,8 @@ class PresentModel:
         return weights_of_channels(self.design, self.keys(), self.problem.prior)
 
 
-NEARLY = 0.9
-"""Share of a reduction from which on a cause is a rival, or is taken if it is likelier."""
-SIMPLER = 0.95
-"""Share of a reduction from which on a law with fewer parameters may stand for one with more."""
+NEARLY = 0.95
+"""Share of a reduction from which on a cause is a rival, or is taken if it is likelier or has fewer parameters."""
 FINALISTS = 6
 """Candidates of a round that are looked at closely, at most: effects that are refined over theta, or curves."""
 
@@ -181,7 +175,7 @@ def discoveries(scored: list[Candidate], tests: int, rate: float) -> list[Candid
 
 
 def rivals_of(model: PresentModel, best: Candidate, others: list[Candidate]) -> tuple[tuple[str, int, float], ...]:
-    """Candidates with nine tenths of the reduction: with other data they might be ahead.
+    """Candidates with nearly all of the reduction: with other data they might be ahead.
 
     Args:
         model: the present model.
@@ -203,7 +197,7 @@ def indistinguishable(model: PresentModel, best: Candidate, other: Candidate) ->
         best: scored against it.
         other: likewise.
     """
-    if not overlap(model, best, other) or other.test.total < SIMPLER * best.test.total:
+    if not overlap(model, best, other) or other.test.total < NEARLY * best.test.total:
         return False
     return standard_errors(best.test.reduction - other.test.reduction) < TOLD
 

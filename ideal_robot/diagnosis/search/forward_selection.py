@@ -15,7 +15,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.search.choice import (
     FINALISTS,
-    SIMPLER,
+    NEARLY,
     Options,
     PresentModel,
     discoveries,
@@ -29,7 +29,6 @@ from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms, t
 from ideal_robot.diagnosis.statistics.least_squares import Fit
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.effects import TCP_POSITION, Effect, Signals
-from ideal_robot.effects.fitted import Unknown
 from ideal_robot.effects.loads import AngleLaw
 from ideal_robot.progress import Progress, silent
 
@@ -46,7 +45,6 @@ class LearnedCurves:
         problem = self.model.problem
         self.use = problem.products.use & problem.blocks.selecting_samples[:, None]
         self.dependence = DependenceTest(scoring.at_rows, self.use, problem.blocks)
-        self._of_signals: dict[tuple[int, bool], list[Unknown]] = {}
 
     def best(self, fit: Fit, best: Candidate | None) -> Candidate | None:
         """A learned curve, if it reduces the residual clearly more than the best effect of the library.
@@ -86,7 +84,7 @@ class LearnedCurves:
             fit: of the present model.
             joint: from 1.
         """
-        curves = [Candidate(term, joint) for term in self._terms(joint - 1, False)
+        curves = [Candidate(term, joint) for term in terms(self.scoring.at_rows, joint - 1, False)
                   if term.depends_on == (f"q_{joint}",) and not term.directed]
         for curve in curves:
             self.model.add_columns(curve)
@@ -99,7 +97,7 @@ class LearnedCurves:
         squares = float(np.sum(residual[use, j] ** 2) * self.model.weights[j])
         at_rows = self.scoring.at_rows
         period = time_period(residual[:, j], use, at_rows.t, regression.domain)
-        curves = [*self._terms(j, pairs), *([] if period is None else [period])]
+        curves = [*terms(at_rows, j, pairs, regression.domain), *([] if period is None else [period])]
         # By the share explained of what would not be by chance: many curves follow a residual that is in few places.
         tests = sorted(self.dependence.tests(residual[:, j], j, curves),
                        key=lambda d: (d.expected - d.share) / max(1.0 - d.expected, 1e-12))
@@ -108,21 +106,11 @@ class LearnedCurves:
         scored = []
         for d in promising[:FINALISTS]:
             candidate = Candidate(d.term, j + 1, (), len(tests) * self.model.problem.products.c)
-            if d.term.frequency:
-                # One of an earlier round may have had the same name.
-                self.model.design.drop(candidate.key)
             self.model.add_columns(candidate)
             scored.append(self.scoring.tested(fit, candidate))
             # A curve has many columns, and every round has other curves.
             self.model.design.forget_products(candidate.key)
         return scored
-
-    def _terms(self, j: int, pairs: bool) -> list[Unknown]:
-        """Curves to try on channel ``j``; they follow from the signals alone and are the same in every round."""
-        if (j, pairs) not in self._of_signals:
-            domain = self.model.problem.regression.domain
-            self._of_signals[j, pairs] = terms(self.scoring.at_rows, j, pairs, domain)
-        return self._of_signals[j, pairs]
 
 
 def candidates(effects: Sequence[Effect], signals: Signals, undecided: dict[int, str],
@@ -190,7 +178,9 @@ class Search:
         for round_ in range(self.options.most):
             # How many rounds there will be is not known: each takes a share of what is left.
             self.progress(round_ / (round_ + 4.0), f"round {round_ + 1}")
-            choice = self._next()
+            fit = self.model.fit()
+            best = self._best(fit, self.scoring.scored(fit, self.pool))
+            choice = (self.curves.best(fit, best) if self.learns else None) or best
             if choice is None:
                 if not self._with_needed_form():
                     break
@@ -217,12 +207,6 @@ class Search:
                 continue
             if self.model.fit(choice).share_with_prior(choice.key) < self.scoring.smallest_share(choice, choice):
                 self._drop_if_small(choice)
-
-    def _next(self) -> Candidate | None:
-        fit = self.model.fit()
-        best = self._best(fit, self.scoring.scored(fit, self.pool))
-        learned = self.curves.best(fit, best) if self.learns else None
-        return learned if learned is not None else best
 
     def _best(self, fit: Fit, scored: list[Candidate]) -> Candidate | None:
         """The best candidate of this round: significant among all, large enough, best after refinement."""
@@ -267,15 +251,12 @@ class Search:
     def _prune(self) -> None:
         """Takes out what the others have made superfluous."""
         for choice in list(self.model.choices[:-1]):
-            s = self.scoring.tested(self.model.fit(choice), choice)
-            if s.p_value > self.options.false_discovery or (
-                    s.share < 0.5 * self.options.smallest and not self.scoring.share_slowly(s, choice)):
-                self.model.drop(choice)
+            self._drop_if_small(choice, 0.5)
 
-    def _drop_if_small(self, choice: Candidate) -> None:
-        """Takes a choice out that the others leave too little, curves among them."""
+    def _drop_if_small(self, choice: Candidate, part: float = 1.0) -> None:
+        """Takes a choice out that the others leave too little, curves among them: a part of what is asked of it."""
         s = self.scoring.tested(self.model.fit(choice), choice)
-        if s.p_value > self.options.false_discovery or s.share < self.scoring.share_asked(s, choice):
+        if s.p_value > self.options.false_discovery or s.share < part * self.scoring.share_asked(s, choice):
             self.model.drop(choice)
 
     def _with_needed_form(self) -> bool:
@@ -307,7 +288,7 @@ class Search:
                     self.scoring.tested(self.model.fit_beside(s, choice), rich).p_value < self.options.learned_discovery
                     for s in ([other] if simple is other else own))
                 if needed == (rich is other) and self.scoring.is_large(other, choice) \
-                        and other.test.total > SIMPLER * present.test.total:
+                        and other.test.total > NEARLY * present.test.total:
                     better = dataclasses.replace(other, rivals=rivals_of(self.model, other, [present]),
                                                  asked=self.scoring.smallest_share(other, choice))
                     self.model.replace([*self.model.choices[:position], better, *self.model.choices[position + 1 :]])

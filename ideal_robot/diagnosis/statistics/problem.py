@@ -60,7 +60,7 @@ class Candidate:
     @property
     def place(self) -> str:
         """Effect, channel and joint without theta: what competes with itself over theta."""
-        return f"{self.effect.name}:{self.effect.channel(self.joint)}:{self.joint}:{id(self.effect)}"
+        return f"{self.effect.name}:{self.effect.channel(self.joint)}:{self.joint}:{hash(self.effect)}"
 
     @property
     def parameter_count(self) -> int:

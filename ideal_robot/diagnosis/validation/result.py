@@ -114,7 +114,7 @@ class ChannelResult:
     @property
     def loud(self) -> bool:
         """Whether the error is still several times the noise of the measurement, and of what else is never still."""
-        return self.noise_floor > 0.0 and self.rms_after > CLEAR * max(self.noise_floor, self.usual)
+        return self.noise_floor > 0.0 and self.times_noise > CLEAR
 
     @property
     def unexplained(self) -> bool:
