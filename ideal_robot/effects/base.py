@@ -199,6 +199,10 @@ class Effect(ABC):
         """Name of the channel it is reported in."""
         return channel_name(self.channel_prefix, joint)
 
+    def complete(self, theta: Theta) -> bool:
+        """Whether that is all of theta, as a model file has it."""
+        return len(theta) == len(self.theta_names)
+
     def joints(self, signals: Signals) -> Iterator[int]:
         """Joints (from 1; 0 for the whole arm) at which the effect may sit."""
         yield from range(1, signals.n + 1)

@@ -131,6 +131,45 @@ class JointElasticity(GearEffect):
         return LoopChange(further_compliance=coefficients[0], from_arm_angle=self.domain == ARM_POSITION)
 
 
+class ElasticityAtArm(JointElasticity):
+    """Seen at the arm's angle: ``q_a = q - (tau_load - J qdd)/K``, of what is taken for load the rotor's inertia ``J``.
+
+    A rotor turns with its link, and torques tell the sum of their inertias; the link's alone bends the gear.
+    """
+
+    theta_names = ("rotor inertia",)
+    theta_units = ("kg m²",)
+
+    def starts(self, signals: Signals, joint: int) -> list[Theta]:
+        """As the model has it."""
+        return [(0.0,)]
+
+    def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
+        """Either may have all of the inertia."""
+        inertia = _mean_inertia(signals, joint)
+        return [(-inertia, inertia)]
+
+    def bounds_near(self, signals: Signals, joint: int, theta: Theta) -> list[tuple[float, float]]:
+        """See ``Effect.bounds_near``. All of it: zero is as good as any."""
+        return self.bounds(signals, joint)
+
+    def complete(self, theta: Theta) -> bool:
+        """See ``Effect.complete``. Without the rotor it is that of earlier versions."""
+        return len(theta) <= 1
+
+    def bend(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``GearEffect.bend``."""
+        return np.asarray(self.load(signals, joint) - (theta[0] * signals.qdd[:, joint - 1] if theta else 0.0))
+
+    def like_the_model(self, signals: Signals, joint: int) -> Array:
+        """See ``Effect.like_the_model``. What the gear bends all the time is a constant of the measuring device."""
+        return signals.on_joint(joint, np.ones(len(signals.t)))
+
+    def certain(self, large: np.ndarray, coefficients: Array, otherwise: bool) -> bool:
+        """See ``Effect.certain``. How much the rotor has says nothing of the gear."""
+        return bool(np.any(large))
+
+
 class GearResonance(GearEffect):
     """Seen in the motor torque: what the arm is late by behind a soft gear is the answer of an oscillator to its load.
 

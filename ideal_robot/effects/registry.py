@@ -49,7 +49,7 @@ _TABLE = {
     "backlash/tau_flight": "backlash:BacklashInFlight",
     "dead_time/qa": "drive:LateMeasurement",
     "dead_time/qa_all": "drive:LateMeasurement",
-    "joint_elasticity/qa": "elasticity:JointElasticity",
+    "joint_elasticity/qa": "elasticity:ElasticityAtArm",
     "transmission_error/qa": "ripple:TransmissionError",
     "backlash/qa": "backlash:BacklashByMotion",
     "backlash/qa_load": "backlash:Backlash",

@@ -235,6 +235,6 @@ def _effects(model: Any, n: int, file: Path | str | None) -> None:
         most = len(effect.coefficient_names)
         # Of a sensor's effect a recording may show the first coefficients only.
         least = 1 if effect.domain == SENSOR else most
-        if len(fitted.theta) != len(effect.theta_names) or not least <= len(fitted.coefficients) <= most:
+        if not effect.complete(fitted.theta) or not least <= len(fitted.coefficients) <= most:
             raise InputError(f"expected {'up to ' if least < most else ''}{most} coefficients and "
                              f"{len(effect.theta_names)} nonlinear parameters", file=file, field=key)

@@ -13,7 +13,6 @@ from ideal_robot.diagnosis.channels.regression import Regression, noise_in_band
 from ideal_robot.diagnosis.statistics.problem import Candidate
 from ideal_robot.effects import ARM_POSITION, TCP_POSITION, Frames
 from ideal_robot.effects.loads import AngleLaw
-from ideal_robot.effects.signals import constant_of_weight
 from ideal_robot.robots.robot import Robot, common_normals
 from ideal_robot.signals.preprocess import resampled
 from ideal_robot.signals.recording import Recording
@@ -38,13 +37,7 @@ def arm_angle_regression(recording: Recording, robot: Robot, torque: Regression,
     motor = resampled(recording.t, recording.joints("q"), torque.filtered.t)
     bend = arm_angles(recording, torque, stiffness) - motor - deflection(torque, stiffness)
     y = torque.filtered.decimate(np.where(there, bend, 0.0))
-    W = np.zeros((len(y), n, 2 * n))
-    W[:, np.arange(n), np.arange(n)] = 1.0
-    # A rotor turns with its link: torques tell the sum of their inertias, and the link's alone bends the gear. How much
-    # that is stays open where weight bends the gear as well, and differently from place to place.
-    weight = torque.signals.load if torque.signals.weight is None else torque.signals.weight
-    heavy = constant_of_weight(np.ones(n), weight - weight.mean(axis=0))
-    W[:, np.arange(n), n + np.arange(n)] = torque.filtered.decimate(torque.signals.qdd) * heavy
+    W = np.tile(np.eye(n), (len(y), 1, 1))
     names = tuple(f"qa_{j + 1}" for j in range(n))
     units = tuple("m" if unit == "N" else "rad" for unit in torque.units)
     without = {j + 1: "has no angle measured on the arm's side" for j in range(n) if not there[j]}

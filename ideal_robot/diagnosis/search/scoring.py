@@ -13,7 +13,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.blocks import Columns
 from ideal_robot.diagnosis.channels.regression import spread
 from ideal_robot.diagnosis.search.choice import Options, PresentModel
-from ideal_robot.diagnosis.statistics.least_squares import TOLD, Fit
+from ideal_robot.diagnosis.statistics.least_squares import TOLD, Fit, standard_errors
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.effects.base import Theta
 from ideal_robot.effects.drive import DeadTime
@@ -231,7 +231,9 @@ class Scoring:
         if self.plausible_gain(fit, better) is None:
             return s
         tried = self.tested(fit, better)
-        return tried if tried.test.total > s.test.total else s
+        # None of a theta is the law without it, which stays unless the data tell.
+        told = TOLD if s.theta == (0.0,) else 0.0
+        return tried if standard_errors(tried.test.reduction - s.test.reduction) > told else s
 
     def _made_consistent(self, fit: Fit, s: Candidate) -> Candidate:
         """Theta that agrees with the coefficients."""

@@ -21,7 +21,7 @@ from ideal_robot.effects import (
     unregister,
 )
 from ideal_robot.effects.fitted import Unknown
-from ideal_robot.effects.registry import EFFECTS
+from ideal_robot.effects.registry import EFFECTS, find
 from ideal_robot.errors import InputError
 from ideal_robot.signals.recording import Recording
 from tests.ideal_robot.diagnosis.test_diagnose import arm
@@ -124,6 +124,14 @@ def test_a_learned_term_still_holds_where_a_path_reaches_a_little_further():
 def test_a_learned_curve_of_an_older_file_is_read(key):
     data = {"depends_on": ["q_1"], "directed": False, "knots": [[-1.0, 1.0]], key: "tcp"}
     assert Unknown.from_data(data).channel(2) == "tcp_2"
+
+
+def test_a_rotor_bends_no_gear_and_an_older_file_says_nothing_of_it():
+    signals, effect = motion(), find("joint_elasticity", "qa")
+    whole, less = (effect.columns(signals, 1, (rotor,))[:, 0, 0] for rotor in (0.0, 0.3))
+    np.testing.assert_allclose(less - whole, 0.3 * signals.qdd[:, 0])
+    assert effect.complete(())
+    np.testing.assert_array_equal(effect.columns(signals, 1, ())[:, 0, 0], whole)
 
 
 def test_the_table_says_of_each_effect_what_its_class_says():
