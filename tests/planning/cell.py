@@ -83,7 +83,7 @@ class Seen:
     points_tcp: Array
     sigma: Array
     used: Array
-    seen: bool
+    seen: bool = True
 
 
 @dataclass

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,15 +25,7 @@ from planning.line.measurement import Fused, Measurement
 from planning.path.reference import ReferencePath
 from planning.path.speed_profile import SpeedProfile
 from sensing.camera.camera_model import default_mount
-
-
-@dataclass
-class Seen:
-    t: float
-    points_tcp: np.ndarray
-    sigma: np.ndarray
-    used: np.ndarray
-    seen: bool = True
+from tests.planning.cell import Seen
 
 
 def above_the_surface(**camera: Any) -> SurfaceFollower:

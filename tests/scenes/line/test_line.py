@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ideal_robot.arrays import Array
 from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.errors import InputError
 from ideal_robot.signals.recording import Recording
@@ -28,12 +27,12 @@ from scenes.online.line_known import SeenBefore
 from scenes.scene_files.drawn_line import geometry
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError
-from sensing.camera.camera_model import CameraModel
 from sensing.camera.hand_eye import HandEye
 from sim.arm.arm import SimulatedArm
 from sim.camera.camera import CameraSettings, RenderedCamera
 from sim.equipped_arm import CarriedCamera
 from studies.report import scene_of
+from tests.sensing.camera.test_camera_model import measuring_error
 
 
 @pytest.fixture(scope="module")
@@ -294,20 +293,12 @@ def calibrated(cell: Cell, deflection: GearDeflection | None = None) -> HandEye:
         return calibrate_by_moving(cell.known, arm, camera, deflection, middle, SeenBefore())
 
 
-def measuring_error(cell: Cell, believed: CameraModel) -> Array:
-    """Lateral error [m] of points 20 to 110 mm ahead of the TCP and 20 mm aside."""
-    x, y = np.meshgrid(np.linspace(0.02, 0.11, 5), np.linspace(-0.02, 0.02, 5))
-    points = np.column_stack([x.ravel(), y.ravel(), 0.0 * x.ravel()])
-    back = believed.on_plane(cell.true_camera.project_tool(points), np.array([0.0, 0.0, 1.0]), 0.0)
-    return np.asarray((back - points)[:, 1])
-
-
 def test_a_camera_mounted_by_hand_measures_to_thirty_micrometres_afterwards() -> None:
     cell = cell_of(seed=3)
     deflection = GearDeflection(model_for(cell.known.scene, cell.known.robot), cell.world.t_ipo)
     result = calibrated(cell, deflection)
-    assert np.abs(measuring_error(cell, cell.known.camera)).mean() > 0.5e-3
-    assert np.abs(measuring_error(cell, result.camera)).mean() < 3e-5
+    assert np.abs(measuring_error(cell.true_camera, cell.known.camera, aside=0.02)).mean() > 0.5e-3
+    assert np.abs(measuring_error(cell.true_camera, result.camera, aside=0.02)).mean() < 3e-5
     assert result.residual_after < 1e-4 < result.residual_before
 
 

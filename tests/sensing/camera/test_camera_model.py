@@ -169,9 +169,9 @@ def observations(true: CameraModel, rng: np.random.Generator, noise: float = 0.0
     return found
 
 
-def measuring_error(true: CameraModel, believed: CameraModel) -> Array:
-    """Lateral error [m] of points where the line is looked for: 20 to 110 mm ahead, ±30 mm aside."""
-    x, y = np.meshgrid(np.linspace(0.02, 0.11, 5), np.linspace(-0.03, 0.03, 5))
+def measuring_error(true: CameraModel, believed: CameraModel, aside: float = 0.03) -> Array:
+    """Lateral error [m] of points where the line is looked for: 20 to 110 mm ahead, and up to ``aside`` [m]."""
+    x, y = np.meshgrid(np.linspace(0.02, 0.11, 5), np.linspace(-aside, aside, 5))
     points = np.column_stack([x.ravel(), y.ravel(), 0.0 * x.ravel()])
     return np.asarray((believed.on_plane(true.project_tool(points), -UP, 0.0) - points)[:, 1])
 
