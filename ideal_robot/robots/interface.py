@@ -202,27 +202,28 @@ def _left(moved: Array, expected: Array) -> float:
 
 # Back to the commands that are wanted, from where and how fast the controller has the arm instead.
 #
-# What is sent is the wanted command plus an offset ``o``. Where an answer was missed the offset begins with the
-# difference in position, speed and acceleration between what the controller has in force and what is wanted, so that
-# the controller sees neither a jump nor a kink, and fades:
+# What is sent is the wanted command plus an offset. Where an answer was missed the offset begins with the difference in
+# position ``o``, speed ``d`` and acceleration ``b`` between what the controller has in force and what is wanted, so
+# that the controller sees neither a jump nor a kink. Changes of acceleration ``u`` lead it to nothing in the fewest
+# cycles N in which speed, acceleration and its change keep their limits:
 #
-# .. math:: \ddot o = \lambda (v - \dot o), \qquad v = -\tfrac{\lambda}{4} o
+# .. math:: \sum_{k=1}^{N} u_k^2 \to \min, \qquad b_k = b_{k-1} + u_k, \quad d_k = d_{k-1} + b_k, \quad
+#           o_k = o_{k-1} + d_k, \qquad o_N = d_N = b_N = 0
 #
-# which is critically damped, with limits of the acceleration, of its change, and of the speed ``v`` at which the arm
-# catches up: the faster it is, the more the next missed answer takes away at once. What exceeds a limit is shortened
-# for all joints alike, so that they keep step and what is left of the path is time alone.
+# All of it is linear in ``o, d, b`` and N is the same for all joints, so that they keep step and what is left of the
+# path is time alone. An offset that the longest plan does not lead back is led back by the share that it does.
 
 _RISE = 0.03
-"""Time in which the acceleration rises to its limit [s]: some cycles of the slowest controllers. With λ its inverse, an
-acceleration that falls from its limit keeps the same limit of jerk."""
-_STEADY = 0.4
-"""Largest λ T: with more than 1 the offset would not fade evenly from cycle to cycle."""
+"""Time in which the acceleration may rise to its limit [s]: some cycles of the slowest controllers."""
+_LONGEST = 0.4
+"""Longest plan [s]: in it an arm stops from full speed with a quarter of its acceleration."""
 _FASTER = 0.3
-"""Share by which the arm may be faster than wanted meanwhile."""
+"""Share by which the arm may be faster than wanted meanwhile: the faster it is, the more the next missed answer takes
+away at once."""
 _CREEP = 0.05
 """Share of the speed limit with which a joint may catch up at least."""
-_GONE, _AT_ONCE = 5e-6, 0.01
-"""An offset that is none any more [rad], and the share of the acceleration limit that taking it away may cost."""
+_LONGER = 1.2
+"""Times by which the next plan that is looked at is longer."""
 
 
 class CatchUp:
@@ -239,21 +240,21 @@ class CatchUp:
 
     def __init__(self, a_max: Array, v_max: Array, t_ipo: float) -> None:
         self._most, self._fastest, self._jerk = a_max * t_ipo**2, v_max * t_ipo, 0.5 * a_max / _RISE * t_ipo**3
-        self._rate = min(t_ipo / _RISE, _STEADY)
-        self._offset = self._drift = self._bend = self._wanted = np.zeros(len(a_max))
-        self.active = False
+        self._plans = _plans(max(round(_LONGEST / t_ipo), 6))
+        self._state, self._wanted = np.zeros((3, len(a_max))), np.zeros(len(a_max))
+        self._left, self.active = 0, False
 
     def start(self, offset: Array, drift: Array, bend: Array, wanted: Array) -> None:
         """From another position and speed.
 
         Args:
-            offset: position in force minus the one wanted ``(n,)`` [rad].
+            offset: position in force minus the one wanted in the last cycle ``(n,)`` [rad].
             drift: the same of the speeds ``(n,)`` [rad a cycle].
-            bend: the same of the accelerations ``(n,)`` [rad a cycle²].
-            wanted: speed wanted ``(n,)`` [rad a cycle].
+            bend: acceleration in force minus the one wanted in the coming cycle ``(n,)`` [rad a cycle²].
+            wanted: speed wanted in the last cycle ``(n,)`` [rad a cycle].
         """
-        self._offset, self._drift, self._bend, self._wanted = offset, drift, bend, wanted
-        self.active = True
+        self._state, self._wanted = np.array([offset, drift, bend]), wanted
+        self._left, self.active = 0, True
 
     def next(self, wanted: Array) -> Array:
         """Offset of the coming command ``(n,)`` [rad].
@@ -261,25 +262,54 @@ class CatchUp:
         Args:
             wanted: speed wanted ``(n,)`` [rad a cycle].
         """
-        if not self.active:
-            return self._offset
-        speed, asked = np.abs(wanted), np.abs(wanted - self._wanted)
-        self._wanted = wanted
-        room = np.clip(self._most - asked, 0.25 * self._most, 0.5 * self._most)
-        faster = np.maximum(np.minimum(_FASTER * speed, self._fastest - speed), _CREEP * self._fastest)
-        v = _shortened(-0.25 * self._rate * self._offset, faster)
-        bend = _shortened(self._rate * (v - self._drift), room)
-        self._bend = self._bend + _shortened(bend - self._bend, self._jerk)
-        self._drift = self._drift + self._bend
-        self._offset = self._offset + self._drift
-        if (np.maximum(np.abs(self._offset), np.abs(self._drift)) < np.minimum(_GONE, _AT_ONCE * self._most)).all():
-            self._offset, self.active = np.zeros_like(self._offset), False
-        return self._offset
+        if self.active:
+            speed, asked = np.abs(wanted), np.abs(wanted - self._wanted)
+            room = np.clip(self._most - asked, 0.25 * self._most, 0.5 * self._most)
+            faster = np.maximum(np.minimum(_FASTER * speed, self._fastest - speed), _CREEP * self._fastest)
+            offset, drift, bend = self._state
+            # A speed that the offset has already is kept, too, where it has it.
+            bend = bend + self._change(np.array([[-self._jerk, -room, np.minimum(-faster, drift)],
+                                                 [self._jerk, room, np.maximum(faster, drift)]]))
+            drift = drift + bend
+            self._state, self._wanted = np.array([offset + drift, drift, bend]), wanted
+            self._left -= 1
+            if not self._left:
+                self._state, self.active = np.zeros_like(self._state), False
+        return self._state[0]
+
+    def _change(self, limits: Array) -> Array:
+        """Change of the acceleration in the coming cycle ``(n,)`` [rad a cycle³].
+
+        Args:
+            limits: least and most change of the acceleration, acceleration, and speed ``(2, 3, n)``.
+        """
+        low, high = limits[:, :, None] * (1.0 + 1e-9)
+        count = self._left or 3
+        while count < len(self._plans):
+            way = self._plans[count] @ self._state
+            # In less than three cycles a plan only ends.
+            if count < 3 or ((low <= way) & (way <= high)).all():
+                self._left = count
+                return np.asarray(way[0, 0])
+            count = max(math.ceil(_LONGER * count), 3)
+        self._left, plan = len(self._plans) - 1, self._plans[-1]
+        rest, way = plan[..., 1:] @ self._state[1:], plan[..., :1] * self._state[0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shares = np.where(way > 0.0, (high - rest) / way, np.where(way < 0.0, (low - rest) / way, np.inf))
+        change = rest[0, 0] + np.clip(np.min(shares), 0.0, 1.0) * way[0, 0]
+        return np.asarray(change / max(float(np.max(np.abs(change) / self._jerk)), 1.0))
 
 
-def _shortened(values: Array, limits: Array) -> Array:
-    """Values ``(n,)``, all shortened by the same share until each keeps its limit ``(n,)``."""
-    return np.asarray(values / max(float(np.max(np.abs(values) / limits)), 1.0))
+def _plans(longest: int) -> list[Array]:
+    """Of each number of cycles N how its way follows from ``o, d, b``: change, acceleration, speed ``(3, N, 3)``."""
+    A, plans = np.triu(np.ones((3, 3))), [np.zeros((3, 0, 3))]
+    power, reach = A, np.ones((3, 1))
+    for _ in range(longest):
+        change = -np.linalg.pinv(reach) @ power
+        bend = np.eye(3)[2] + np.cumsum(change, axis=0)
+        plans.append(np.array([change, bend, np.eye(3)[1] + np.cumsum(bend, axis=0)]))
+        power, reach = A @ power, np.column_stack([A @ reach[:, 0], reach])
+    return plans
 
 
 # What arms behind the links of controllers have in common.

@@ -201,7 +201,7 @@ class RsiRobot(LinkedRobot):
         self._resynchronise(self._step)
         if self.missed:
             # What the controller has in force, it has without acceleration: it held the arm, or its speed.
-            drift = self.axes.turned(self._in_force.step) - self._step
+            drift = self.axes.turned(self._in_force.step) - before
             self._catch_up.start(self.commanded - wanted, drift, before - self._step, before)
             self.missed = False
         if self._catch_up.active:

@@ -132,7 +132,7 @@ class RtdeRobot(LinkedRobot):
         self._step = q_c - wanted
         if self.missed:
             # The arm was held: its speed is gone, the one that is wanted is not.
-            self._catch_up.start(self.commanded - wanted, -self._step, before - self._step, before)
+            self._catch_up.start(self.commanded - wanted, -before, before - self._step, before)
             self.missed = False
         if self._catch_up.active:
             q_c = np.clip(q_c + self._catch_up.next(self._step), self.robot.q_min, self.robot.q_max)
