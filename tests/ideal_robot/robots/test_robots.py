@@ -207,15 +207,15 @@ def test_speed_acceleration_and_jerk_are_kept(T: float, goes_on: bool, missed: t
     np.testing.assert_allclose(at[-1], wanted[-1], atol=1e-12)
 
 
+@pytest.mark.parametrize(("goes_on", "within"), [(True, 0.05), (False, 0.8)])
 @pytest.mark.parametrize("T", [0.004, 0.012])
-@pytest.mark.parametrize("goes_on", [False, True])
-def test_a_missed_answer_is_made_good_as_soon_as_the_limits_let_it(T: float, goes_on: bool) -> None:
-    """An arm that goes on by itself for a cycle is back within 0.15 s. What is lost of 2 % of the packets made 0.3 mm
-    of a line's error while each offset faded for 0.3 s, whatever its size."""
+def test_a_missed_answer_is_made_good_as_soon_as_the_limits_let_it(T: float, goes_on: bool, within: float) -> None:
+    """An arm that went on by itself has lost little, one that was held all of its speed. Where 2 % of the packets were
+    lost a line was left by 0.3 mm while each offset faded for 0.3 s, whatever its size."""
     wanted, at = received(T, (150,), goes_on)
     away = np.flatnonzero(np.abs(at - wanted).max(axis=1) > 1e-12)
     assert away[0] == 150
-    assert (away[-1] - away[0]) * T < (0.15 if goes_on else 0.3)
+    assert (away[-1] - away[0]) * T < within
 
 
 def test_the_joints_keep_step() -> None:
