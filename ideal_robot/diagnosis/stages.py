@@ -219,13 +219,12 @@ def joint_fit(case: Case, found: Findings) -> Findings:
         # What was dropped leaves more to friction.
         found = with_braking_friction(case, replace(found, choices=tuple(torque.choices)))
         torque = _domain_of(case, found)
-    torque = replace(torque, final=without_scatter(torque.final, found.held))
     return replace(found, domains=(torque,), choices=tuple(torque.choices),
                    not_transferred=found.not_transferred + dropped)
 
 
 def _domain_of(case: Case, found: Findings) -> DomainDiagnosis:
-    final = found.problem.on_all_blocks().fit(found.choices, uncertainty=True)
+    final = without_scatter(found.problem.on_all_blocks().fit(found.choices, uncertainty=True), found.held)
     return DomainDiagnosis(found.problem, list(found.choices), final, found.validation, case.given is not None,
                            case.recording.hash)
 
