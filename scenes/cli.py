@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import inspect
 import math
@@ -74,13 +75,15 @@ class Verb(TyperCommand):
         """As the library does it, then looks at the numbers, which ``float`` takes from ``nan`` on, and at the files.
 
         Raises:
-            InputError: a path that the verb takes as its argument, and so reads, leads nowhere.
+            InputError: a path that the verb takes as its argument, and so reads, leads nowhere, or any is too long.
         """
         rest = super().parse_args(ctx, args)
         for param, value in self._given(ctx):
             if isinstance(value, float) and not math.isfinite(value):
                 raise typer.BadParameter(f"{value} is no finite number", ctx=ctx, param_hint=" / ".join(param.opts))
         for param, value in self._given(ctx):
+            if isinstance(value, Path) and _too_long(value):
+                raise InputError("no file can have so long a name", field=param.opts[0], value=f"{str(value)[:40]}…")
             if isinstance(value, Path) and isinstance(param, TyperArgument) and not os.path.exists(value):
                 raise InputError(f"no such file or folder; expected: {param.help}", file=value)
         return rest
@@ -90,6 +93,14 @@ class Verb(TyperCommand):
         for param in self.params:
             value = ctx.params.get(param.name or "")
             yield from ((param, one) for one in (value if isinstance(value, (list, tuple)) else (value,)))
+
+
+def _too_long(path: Path) -> bool:
+    try:
+        os.lstat(path)
+    except OSError as error:
+        return error.errno == errno.ENAMETOOLONG
+    return False
 
 
 class Verbs(Mapping[str, TyperCommand]):

@@ -120,6 +120,14 @@ def test_the_help_lists_the_methods_of_the_registry(program, verb: str) -> None:
     assert completed(verb, "id") == ["ideal"]
 
 
+@pytest.mark.parametrize("words", [("fetch", "emps", "--file", "x" * 300), ("run", "line", "--out", "y/" * 3000),
+                                   ("diagnose", "z" * 300 + ".csv", "--robot", "kr6")])
+def test_a_name_that_no_file_can_have_is_refused_by_every_verb(program, words: tuple[str, ...]) -> None:
+    done = program(*words)
+    assert done.code == 2
+    assert "no file can have so long a name" in done.err
+
+
 @pytest.mark.parametrize("words", [("identify", "r.csv", "--robot", "kr6", "--decimate-to", "nan"),
                                    ("run", "line", "--speed", "inf")])
 def test_numbers_that_are_none_are_refused_by_every_verb(program, words: tuple[str, ...]) -> None:
