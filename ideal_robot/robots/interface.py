@@ -215,8 +215,9 @@ def _left(moved: Array, expected: Array) -> float:
 
 _RISE = 0.03
 """Time in which the acceleration may rise to its limit [s]: some cycles of the slowest controllers."""
-_LONGEST = 0.4
-"""Longest plan [s]: in it an arm stops from full speed with a quarter of its acceleration."""
+_LONGEST, _MOST = 0.4, 400
+"""Longest plan [s]: in it an arm stops from full speed with a quarter of its acceleration. In cycles, that of a
+controller of 1 ms."""
 _FASTER = 0.3
 """Share by which the arm may be faster than wanted meanwhile: the faster it is, the more the next missed answer takes
 away at once."""
@@ -240,7 +241,7 @@ class CatchUp:
 
     def __init__(self, a_max: Array, v_max: Array, t_ipo: float) -> None:
         self._most, self._fastest, self._jerk = a_max * t_ipo**2, v_max * t_ipo, 0.5 * a_max / _RISE * t_ipo**3
-        self._plans = _plans(max(round(_LONGEST / t_ipo), 6))
+        self._plans = _plans(min(max(round(_LONGEST / t_ipo), 6), _MOST))
         self._state, self._wanted = np.zeros((3, len(a_max))), np.zeros(len(a_max))
         self._left, self.active = 0, False
 

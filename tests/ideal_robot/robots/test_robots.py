@@ -6,6 +6,7 @@ At the controller what was missed is caught up under the arm's own limits of acc
 from __future__ import annotations
 
 import re
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -216,6 +217,16 @@ def test_a_missed_answer_is_made_good_as_soon_as_the_limits_let_it(T: float, goe
     away = np.flatnonzero(np.abs(at - wanted).max(axis=1) > 1e-12)
     assert away[0] == 150
     assert (away[-1] - away[0]) * T < within
+
+
+def test_a_cycle_that_no_controller_has_takes_no_memory() -> None:
+    """A file said 1 µs: plans of all lengths up to 0.4 s took 2.6 GB (fuzz, seed 9723220)."""
+    tracemalloc.start()
+    try:
+        CatchUp(ROBOT.a_max, ROBOT.v_max, 1e-6)
+        assert tracemalloc.get_traced_memory()[1] < 20e6
+    finally:
+        tracemalloc.stop()
 
 
 def test_the_joints_keep_step() -> None:
