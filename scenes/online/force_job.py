@@ -18,7 +18,7 @@ from planning import PlanningError
 from planning.force.contact import ASKED, ASKING, CLEAR, EmergencyStopError, Phase, most_force
 from planning.force.contour import LATELY, ContourFollower
 from planning.force.felt_by_motors import BeyondSensor
-from planning.line.measurement import Measurement
+from planning.line.measurement import Fused, Measurement
 from scenes.methods import SceneMethod
 from scenes.online.camera_process import CalibratedCamera
 from scenes.online.cell_check import Look
@@ -59,6 +59,8 @@ _BY_MOTORS = 0.65
 """Share of the force that the surface bears beyond the wanted one of which the motors' word is enough."""
 _PULLS = -3.0
 """Force that no surface exerts [N]."""
+_UNSEEN = 5
+"""Fusions of forces, 0.06 s of them, after which no field is fused before the sensor's signs of life are looked at."""
 # Until pressing and turning have told them.
 _GUESS = ContactElasticity(4000.0, 1000.0, 0.0, 0.0)  # [N/m]
 _NO_LOAD = ToolLoad(np.zeros(6), 0.0, np.zeros(3), np.zeros(2))  # [N], [kg]
@@ -67,10 +69,9 @@ _NO_LOAD = ToolLoad(np.zeros(6), 0.0, np.zeros(3), np.zeros(2))  # [N], [kg]
 class LiveForceTask(ForceTask):
     """``ForceTask`` with devices that may fall silent and an arm that may have to be stopped.
 
-    No answer waits for a field: it is fused as soon as the command of a cycle has gone. Behind short cycles an answer
-    waits for no sensor: forces are fused then, too. One thing is done between two cycles: what forces tell is worked
-    out, or fused behind the next one, or a field is fused. Where answers are behind, only forces are. Whether a force
-    is too large is looked at before.
+    No answer waits for a field: it is fused as soon as the command of a cycle has gone. Behind short cycles no answer
+    waits for forces either, and one thing is done between two: what forces tell is worked out, or fused behind the
+    next, or a field is. Where answers are behind, only forces are. Whether a force is too large is looked at before.
     """
 
     arm: LiveArm | None = None
@@ -81,11 +82,10 @@ class LiveForceTask(ForceTask):
     _prepared: tuple[int, Array] | None = None
     _measured: tuple[Array, Measurement | None] | None = None
     """Instants of forces ``(m,)`` [s] that are fused between the next two cycles, and what they tell."""
-    _told = 0
-    """How many fusions of forces were looked at."""
-
     maps = True
     """Whether what is felt goes into a map of the surface, which tells how well it fits."""
+    _swung: list[Array]
+    """What was felt of the tip's swing and not looked at, see ``SurfaceFollower.felt``."""
     motors: BeyondSensor
     """What they feel beyond what the sensor feels."""
     nearest: dict[str, float]
@@ -106,13 +106,16 @@ class LiveForceTask(ForceTask):
     def witness(self) -> None:
         """Looks whether what is felt answers the tip's swing, and at what the motors feel, for the next cycle."""
         self.motors.weigh()
-        if self.force is None or len(self.log.samples) == self._told:
-            return
-        self._told = len(self.log.samples)
-        if self.follower.phase is Phase.TRAVEL and self.maps:
+        if self.force is not None and self._swung:
+            self.force.signs.answers(np.concatenate(self._swung), self.elasticity.stiffness, ASKED)
+            self._swung.clear()
+
+    def _fused(self, t_felt: Array, fused: Fused | None) -> None:
+        super()._fused(t_felt, fused)
+        if self.force is not None and self.maps and self.follower.phase is Phase.TRAVEL:
             _, _, innovation, values = self.log.samples[-1]
             self.force.signs.fits(innovation, int(values))
-            self.force.signs.answers(self._surface.felt, self.elasticity.stiffness, ASKED)
+            self._swung.append(self._surface.felt)
 
     def answered(self, arm: LiveArm) -> None:
         """What is done once a command has gone; the next cycle is told if something goes wrong."""
@@ -130,12 +133,10 @@ class LiveForceTask(ForceTask):
     def prepare(self, t: float) -> None:
         """Fuses what has arrived by ``t`` [s], forces alone where answers are behind, and plans the next cycle."""
         measured, self._measured = self._measured, None
-        fused = measured is not None
-        if measured is not None:
-            t_felt, told = measured
-            self._fused(t_felt, None if told is None else self._surface.fusion.update(told))
+        if fused := measured is not None:
+            self._fused(measured[0], None if measured[1] is None else self._surface.fusion.update(measured[1]))
         elif not self.fuse_forces(t) and not (self.arm is not None and self.arm.behind):
-            fused = self.fuse_fields(t)
+            fused = len(self._swung) < _UNSEEN and self.fuse_fields(t)
             if not fused:
                 self.witness()
         t += self.cell.robot.t_ipo
@@ -388,7 +389,7 @@ class ForceJob:
     def _new_task(self) -> LiveForceTask:
         task = LiveForceTask(self._known, self.method, None, _NO_LOAD, _GUESS, np.random.default_rng(0))
         task.maps = self.scene.task != "contour"
-        task.motors, task.nearest = BeyondSensor(self._known.model, self.robot.t_ipo), {}
+        task.motors, task.nearest, task._swung = BeyondSensor(self._known.model, self.robot.t_ipo), {}, []
         if task.vision is not None:
             task.vision.detect = FoundBefore.points
         return task

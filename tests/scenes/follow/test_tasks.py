@@ -16,6 +16,8 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from planning import PlanningError
+from planning.force.contact import Phase
+from planning.line.measurement import Fused
 from scenes.arms import shipped_model
 from scenes.online.cycle import CycleSettings, play_cycles
 from scenes.online.devices import Devices
@@ -199,6 +201,27 @@ def test_one_thing_is_done_between_two_packets_and_what_is_felt_is_fused_behind_
     felt = [i for i, one in enumerate(between) if one == ["felt"]]
     assert len(felt) > 8
     assert all(between[i + 1] == ["force"] for i in felt if i + 1 < len(between))
+
+
+def test_no_fusion_is_left_out_where_the_sensor_is_looked_at_later() -> None:
+    """At 4 ms there is time for that behind two of five fusions, and none where a camera is quick: fields wait then."""
+    job = _job(load_cell("glue"), Devices("rsi:", cycle=0.004), None, None)
+    assert isinstance(job, ForceJob)
+    task, fits, answers = job._task, list[float](), list[Array]()
+    signs = SimpleNamespace(fits=lambda innovation, values: fits.append(innovation),
+                            answers=lambda felt, stiffness, frequency: answers.append(felt))
+    task.force = SimpleNamespace(signs=signs)  # type: ignore[assignment]
+    task.follower.phase = Phase.TRAVEL
+    for k in range(5):
+        task._surface.felt = np.full((3, 4), float(k))
+        task._fused(np.array([0.01 * k]), Fused(np.ones(3, dtype=bool), np.zeros(3), 3.0 * k, 3, ""))
+    task.fuse_fields = lambda t: True  # type: ignore[method-assign]
+    task._fused_at = 0.0
+    task._surface.horizon = lambda t, anew: task._surface.felt  # type: ignore[method-assign]
+    task.prepare(0.0)
+    task.prepare(0.0)
+    assert fits == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert [felt[:, 0].tolist() for felt in answers] == [np.repeat(np.arange(5.0), 3).tolist()]
 
 
 class Bursts(Seen):
