@@ -131,11 +131,12 @@ def _check_header(path: Path) -> None:
 
 def _frames(source: str, every: int, most: int) -> Iterator[tuple[str, Picture]]:
     address = "://" in source
-    if not (source.isdigit() or address or os.path.isfile(source)):
+    camera = int(source) if source.isdecimal() and len(source) < 10 else None
+    if not (camera is not None or address or os.path.isfile(source)):
         raise InputError("no such file or folder, nor the number of a camera or an address such as rtsp://…",
                          field="source", value=source)
     with kept_words():
-        capture = cv2.VideoCapture(int(source) if source.isdigit() else source)
+        capture = cv2.VideoCapture(source if camera is None else camera)
     try:
         if not capture.isOpened():
             raise InputError("no picture, and no video or camera that can be opened; give a PNG or JPEG, a folder "

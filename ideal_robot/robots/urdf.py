@@ -115,6 +115,8 @@ def _check_element(element: ET.Element, file: str | Path | None) -> None:
     if element.tag.startswith(("{http://www.ros.org/wiki/xacro}", "{http://ros.org/wiki/xacro}")):
         raise InputError("holds xacro commands, which are not carried out; write the URDF by `xacro FILE`", file=file,
                          field=element.tag.rpartition("}")[2][:40])
+    if element.tag == "mass" and "value" not in element.attrib:
+        raise InputError("expected a number of kg, or no inertial at all", file=file, field="mass.value")
 
 
 def check_joints(root: ET.Element, file: str | Path | None) -> None:

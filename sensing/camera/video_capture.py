@@ -89,7 +89,7 @@ def opened_usb(rest: str, least_delay: float) -> VideoCapture:
     Raises:
         InputError: no number of a camera, or it cannot be opened.
     """
-    if not rest.isdigit():
+    if not (rest.isdecimal() and len(rest) < 10):
         raise InputError("expected the number of a camera, as in usb:0", field="camera", value=rest)
     return VideoCapture(int(rest), least_delay)
 

@@ -26,6 +26,7 @@ from scenes.kind import KINDS
 from scenes.scene_file import library, load_scene
 from scenes.scene_files.shape import STEP, Shape
 from scenes.schema import catalogue, commented_scene, json_schema, keys_pages, scene_keys, world_keys
+from sensing.camera.video_capture import opened_usb
 from tests.ideal_robot.diagnosis.poor_recording import URDF, poor_recording
 from tests.sensing.camera.synthetic import drawn_line, film
 from tests.sources import ROOT
@@ -86,6 +87,14 @@ def test_what_cannot_be_read_is_said(source: str, tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(b"no picture at all")
     with pytest.raises(InputError):
         list(pictures(str(tmp_path / source)))
+
+
+@pytest.mark.parametrize("number", ["9" * 20, "²"])
+def test_a_number_that_no_camera_has_is_said(number: str) -> None:
+    with pytest.raises(InputError, match="nor the number of a camera"):
+        list(pictures(number))
+    with pytest.raises(InputError, match="expected the number of a camera"):
+        opened_usb(number, 0.0)
 
 
 def test_a_small_file_of_a_huge_picture_is_refused_before_it_is_unpacked(tmp_path: Path,
