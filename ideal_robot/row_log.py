@@ -149,8 +149,9 @@ class RowLog:
         """All rows ``(N, width)``: a copy, of a long log the file, which is read where it is used."""
         if not self._first:
             return np.asarray(self).reshape(self.rows, self._width)
-        for i, piece in enumerate(self._pieces):
-            self._to_file(piece, self._first + _PIECE * i)
+        if len(self._stored) < self.rows:
+            for i, piece in enumerate(self._pieces):
+                self._to_file(piece, self._first + _PIECE * i)
         return self._mapped(self.rows)
 
     def column(self, i: int) -> Array:

@@ -18,6 +18,7 @@ from ideal_robot.errors import IdealRobotError, InputError
 from scenes.report.page import Report
 from sensing.camera.line_track import track
 from sensing.camera.picture_line import PictureLine, detect_in_picture
+from sensing.camera.video_capture import camera_number
 
 Picture = NDArray[np.uint8]
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm")
@@ -131,7 +132,7 @@ def _check_header(path: Path) -> None:
 
 def _frames(source: str, every: int, most: int) -> Iterator[tuple[str, Picture]]:
     address = "://" in source
-    camera = int(source) if source.isdecimal() and len(source) < 10 else None
+    camera = camera_number(source)
     if not (camera is not None or address or os.path.isfile(source)):
         raise InputError("no such file or folder, nor the number of a camera or an address such as rtsp://…",
                          field="source", value=source)

@@ -292,7 +292,7 @@ class CatchUp:
             if count < 3 or ((low <= way) & (way <= high)).all():
                 self._left = count
                 return np.asarray(way[0, 0])
-            count = max(math.ceil(_LONGER * count), 3)
+            count = math.ceil(_LONGER * count)
         self._left, plan = len(self._plans) - 1, self._plans[-1]
         rest, way = plan[..., 1:] @ self._state[1:], plan[..., :1] * self._state[0]
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -83,15 +83,21 @@ class VideoCapture:
         self._capture.release()
 
 
+def camera_number(text: str) -> int | None:
+    """The number of a camera of this computer; None where it is none that OpenCV takes."""
+    return int(text) if text.isdecimal() and len(text) < 10 else None
+
+
 def opened_usb(rest: str, least_delay: float) -> VideoCapture:
     """``usb:0``.
 
     Raises:
         InputError: no number of a camera, or it cannot be opened.
     """
-    if not (rest.isdecimal() and len(rest) < 10):
+    number = camera_number(rest)
+    if number is None:
         raise InputError("expected the number of a camera, as in usb:0", field="camera", value=rest)
-    return VideoCapture(int(rest), least_delay)
+    return VideoCapture(number, least_delay)
 
 
 def opened_file(rest: str, least_delay: float) -> VideoCapture:
