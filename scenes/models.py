@@ -34,9 +34,9 @@ def _identified(robot_name: str, **options: Any) -> Model:
     return identified_model(robot_name, **options)[0]
 
 
-def write_models(names: Sequence[str], folder: Path) -> list[Path]:
+def write_models(names: Sequence[str]) -> list[Path]:
     """Identifies and writes the shipped models."""
-    return [_identified(name).save(folder / f"{name}.json") for name in names]
+    return [_identified(name).save(shipped_model(name)) for name in names]
 
 
 PROCEDURE = 2
@@ -143,7 +143,7 @@ def own_model(scene: Scene, robot: Robot, progress: Progress = silent) -> str:
 if __name__ == "__main__":
     import sys
 
-    for path in write_models(sys.argv[1:] or ["kr6", "kr15", "manutec_r15"], Path(__file__).parents[1] / "models"):
+    for path in write_models(sys.argv[1:] or ["kr6", "kr15", "manutec_r15"]):
         print(path)
 
 

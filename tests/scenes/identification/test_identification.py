@@ -125,9 +125,12 @@ def test_shipped_models_predict_their_arm() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["kr6", "kr15", "manutec_r15"])
 def test_shipped_models_are_made_again(name: str) -> None:
-    """``make models`` on the default worlds: the same laws and effects, numbers to 0.1 %.
+    """``make models`` on the default worlds: the same laws and effects, numbers within what noise leaves.
 
-    The tolerance is for other processors and versions of the linear algebra; on one machine the files are equal.
+    On one kind of processor the files are equal. Another kind rounds the motion otherwise in its last digit, of which
+    quantised encoders and dry friction make another draw of noise: as two recordings of one arm differ. Over three
+    kinds it is up to 0.8 % of a joint's torque, 2.3 % of k_D, 0.5 % of k_P k_I and 0.7 % of a stiffness; bounds are
+    twice that. k_P by itself is known to 20 % only: a motion without steps hardly tells it from the integrator.
     """
     shipped = Model.load(MODELS / f"{name}.json")
     made, recordings = identified_model(name)
@@ -136,13 +139,14 @@ def test_shipped_models_are_made_again(name: str) -> None:
     assert [one.name for one in made.effects] == [one.name for one in shipped.effects]
     assert made.controller is not None
     assert shipped.controller is not None
-    for gain in ("k_p", "k_d", "k_i"):
-        np.testing.assert_allclose(getattr(made.controller, gain), getattr(shipped.controller, gain), rtol=1e-3)
-    np.testing.assert_allclose(made.stiffness, shipped.stiffness, rtol=1e-3)
+    np.testing.assert_allclose(made.controller.k_d, shipped.controller.k_d, rtol=0.046)
+    np.testing.assert_allclose(made.controller.k_p * made.controller.k_i,
+                               shipped.controller.k_p * shipped.controller.k_i, rtol=0.01)
+    np.testing.assert_allclose(made.stiffness, shipped.stiffness, rtol=0.014)
     for recording in recordings:
         tau = shipped.predict(recording).tau
         error = made.predict(recording).tau - tau
-        assert np.all(np.sqrt(np.mean(error**2, axis=0)) < 1e-3 * np.sqrt(np.mean(tau**2, axis=0)))
+        assert np.all(np.sqrt(np.mean(error**2, axis=0)) < 0.016 * np.sqrt(np.mean(tau**2, axis=0)))
 
 
 def test_commands_from_plan_to_model(tmp_path: Path) -> None:
