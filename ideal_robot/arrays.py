@@ -24,7 +24,7 @@ def eased(share: Array) -> Array:
     return share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
 
 
-def eased_way(start: Array, end: Array, limits: tuple[Array, Array], T: float, fewest: int = 1) -> Array:
+def eased_way(start: Array, end: Array, limits: tuple[Array, Array], T: float) -> Array:
     """Positions ``(K, n)`` at the cycles of the quickest such motion of all axes together, the start left out.
 
     Args:
@@ -32,11 +32,10 @@ def eased_way(start: Array, end: Array, limits: tuple[Array, Array], T: float, f
         end: ``(n,)``, at rest.
         limits: of speed and acceleration ``(n,)`` each.
         T: cycle [s].
-        fewest: cycles at least.
     """
     way, (v, a) = np.abs(end - start), limits
     duration = max(float(np.max(1.875 * way / v)), float(np.sqrt(np.max(5.774 * way / a))), T)
-    count = max(int(np.ceil(duration / T)), fewest)
+    count = int(np.ceil(duration / T))
     return start + eased(np.arange(1, count + 1)[:, None] / count) * (end - start)
 
 

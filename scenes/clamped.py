@@ -16,13 +16,14 @@ from ideal_robot.elasticity.configurations import ClampLimits, choose_configurat
 from ideal_robot.elasticity.stiffness import JointStiffness, Method, joint_torque
 from ideal_robot.elasticity.stiffness_analysis import CLAMPED_METHODS, StiffnessAnalysis, analyse_stiffness
 from ideal_robot.errors import InputError
+from ideal_robot.results import plain
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.arms import arm_of
 from scenes.kind import SceneKind
 from scenes.methods import method_of
 from scenes.outputs import whole_folder
-from scenes.report.page import Report, plain
+from scenes.report.page import Report
 from scenes.result import Progress, ShownRun, silent
 from scenes.scene_files.clamped_scene import ClampedScene
 from sim.contact.clamp import ClampedArm, ClampTruth, hang_payloads

@@ -12,12 +12,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.optimize import minimize_scalar
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.row_log import let_go
+from scenes.result import step
 
 _DELAY_MIN, _DELAY_MAX = -0.1, 0.3
 """Delays looked for [s]."""
@@ -176,3 +178,44 @@ def distance_to_path(t: Array, x: Array, t_path: Array, x_path: Array) -> Array:
 def reduction_percent(before: float, after: float) -> float:
     """By how much an error became smaller [%]; negative where it grew."""
     return 100.0 * (1.0 - after / before) if before > 0 else float("nan")
+
+
+@dataclass(frozen=True)
+class ControlError:
+    """Distance of the true TCP from the drawn line, in the surface, while it counts.
+
+    Attributes:
+        mean, p95, max: of its absolute value [m].
+        t: instants ``(N,)`` [s]; of a long run at a stride.
+        s: arc length of the drawn line at them ``(N,)`` [m].
+        lateral: signed distance, positive to the left of the line ``(N,)`` [m].
+    """
+
+    mean: float
+    p95: float
+    max: float
+    t: Array
+    s: Array
+    lateral: Array
+
+    @classmethod
+    def of(cls, t: Array, s: Array, lateral: Array, counts: NDArray[np.bool_]) -> ControlError:
+        """From signed distances; without any that counts, all figures are NaN.
+
+        Args:
+            t: instants ``(N,)`` [s].
+            s: arc length of the drawn line ``(N,)`` [m].
+            lateral: signed distance, positive to the left ``(N,)`` [m].
+            counts: which of them count ``(N,)``.
+        """
+        size = np.abs(lateral[counts])
+        rows = np.flatnonzero(counts)[:: step(len(size))]
+        series = t[rows], s[rows], lateral[rows]
+        let_go(t, s, lateral)
+        if len(size) == 0:
+            return cls(np.nan, np.nan, np.nan, *series)
+        return cls(float(size.mean()), float(np.quantile(size, 0.95)), float(size.max()), *series)
+
+    def json_mm(self) -> dict[str, float]:
+        """The three figures in millimetres."""
+        return {"mean": 1e3 * self.mean, "p95": 1e3 * self.p95, "max": 1e3 * self.max}

@@ -83,9 +83,10 @@ def path_error(request: pytest.FixtureRequest, ideal_scene: Scene) -> Callable[.
 def _answer(scene: Scene, method: str | None, folder: Path, fresh: bool) -> dict[str, Any]:
     """A run's answer, from the cache where one of the same content is kept."""
     from ideal_robot.bounded_values import read_json
+    from ideal_robot.results import plain
     from scenes.models import digest_of, identity
     from scenes.program import program
-    from scenes.report.page import plain, write_json
+    from scenes.report.page import write_json
     from scenes.sweep import Job, play
 
     place = folder / f"{digest_of([program()['digest'], identity(scene), scene.model_dump(), method])}.json"

@@ -17,12 +17,12 @@ import pandas as pd
 from ideal_robot.bounded_values import parsed_json
 from ideal_robot.deadline import TIME_LIMIT
 from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.results import plain
 from ideal_robot.whole_file import OutputError
 from scenes.kind import KINDS, kind_of
 from scenes.methods import method_of
 from scenes.models import digest_of, identity
 from scenes.program import program
-from scenes.report.page import plain
 from scenes.result import silent
 from scenes.scene_file import load_scene
 from scenes.scene_files.scene import Scene, chosen

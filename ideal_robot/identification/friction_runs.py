@@ -15,6 +15,7 @@ from ideal_robot.effects import EffectParameter, FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.friction import Arctan, CubeRoot, FrictionModel
 from ideal_robot.model.model import Model
+from ideal_robot.model.parametrisation import shape_columns
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 
@@ -59,7 +60,7 @@ def fit_law(law: type[FrictionModel], qd: Array, tau: Array) -> FrictionFit:
                          value=len(qd))
     fitted = _fitted(law, qd, tau)
     residual = tau - fitted.torque(qd[:, None])[:, 0]
-    J = np.column_stack([fitted.regressor(qd[:, None])[:, 0], _shape_derivative(fitted, qd)])
+    J = np.column_stack([fitted.regressor(qd[:, None])[:, 0], shape_columns(fitted, qd[:, None], None, None)])
     sigma2 = float(residual @ residual) / (len(qd) - count)
     covariance = np.asarray(np.linalg.pinv(J.T @ J) * sigma2)
     return FrictionFit(fitted, covariance, float(np.sqrt(np.mean(residual**2))), _held_out(law, qd, tau))
@@ -90,16 +91,6 @@ def _fitted(law: type[FrictionModel], qd: Array, tau: Array) -> FrictionModel:
     found = [optimize.minimize(lambda x: with_shape(np.exp(x))[1], start, method="Nelder-Mead",
                                bounds=list(zip(low, high, strict=True))) for start in starts]
     return with_shape(np.exp(min(found, key=lambda result: result.fun).x))[0]
-
-
-def _shape_derivative(law: FrictionModel, qd: Array) -> Array:
-    columns = []
-    for i in range(len(law.shape)):
-        step = np.zeros_like(law.shape)
-        step[i] = 1e-5 * law.shape[i]
-        up, down = (law.altered(shape=law.shape + sign * step).torque(qd[:, None])[:, 0] for sign in (1, -1))
-        columns.append((up - down) / (2 * step[i, 0]))
-    return np.column_stack(columns) if columns else np.empty((len(qd), 0))
 
 
 def _held_out(law: type[FrictionModel], qd: Array, tau: Array) -> float:

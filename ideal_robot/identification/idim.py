@@ -20,7 +20,7 @@ from ideal_robot.identification.checks import checked, excitation_warnings, requ
 from ideal_robot.identification.joint_fit import JointFit, JointProblem
 from ideal_robot.identification.weighted_least_squares import Solution, prior_of
 from ideal_robot.model.model import Model
-from ideal_robot.model.parametrisation import Prediction
+from ideal_robot.model.parametrisation import Prediction, joined
 from ideal_robot.results import Summarised, listed
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.channels import ChannelFinding, channel_findings, dead_joints
@@ -93,7 +93,7 @@ class Identification(Summarised):
 
     def summary(self) -> list[tuple[str, str]]:
         """How well the model explains what was measured."""
-        errors = [(title, listed(relative_error(predictions), "%")) for title, predictions in
+        errors = [(title, listed(joined(predictions).relative_error_percent, "%")) for title, predictions in
                   (("error of the torque", self.estimation), ("on what was not used", self.validation)) if predictions]
         return [("model", f"{self.model.robot_name!r}: {len(self.recordings)} recordings"), *errors,
                 ("warnings", str(len(self.warnings)))]
@@ -180,16 +180,8 @@ def with_errors(model: Model, estimation: Sequence[Prediction], held_out: Sequen
         warnings: named warnings, each ``name: sentence``.
     """
     return replace(model, provenance={**model.provenance, "warnings": warnings, "relative_error_percent": {
-        "estimation": relative_error(estimation).tolist(),
-        "validation": relative_error(held_out).tolist() if held_out else []}})
-
-
-def relative_error(predictions: Sequence[Prediction]) -> Array:
-    """``100 ‖y - ŷ‖ / ‖y‖`` per joint over several recordings ``(n,)`` [%]."""
-    y = np.concatenate([p.measured for p in predictions])
-    e = y - np.concatenate([p.tau for p in predictions])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(100.0 * np.linalg.norm(e, axis=0) / np.linalg.norm(y, axis=0))
+        "estimation": joined(estimation).relative_error_percent.tolist(),
+        "validation": joined(held_out).relative_error_percent.tolist() if held_out else []}})
 
 
 def without_dead_channels(recording: Recording) -> tuple[Recording, tuple[ChannelFinding, ...]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.identification.idim import Identification
 from ideal_robot.model.model import Model
-from ideal_robot.model.parametrisation import Parameter, Prediction, sensitivity
+from ideal_robot.model.parametrisation import Parameter, joined, sensitivity
 from ideal_robot.robots.robot import Robot
 
 USABLE, WEAK, UNUSABLE = "usable", "weak", "unusable"
@@ -75,21 +74,14 @@ def joint_verdicts(model: Model, result: Identification, robot: Robot) -> tuple[
     q = np.concatenate([recording.joints("q") for recording in result.recordings])
     moved = np.ptp(q, axis=0) >= MOVED
     counted = np.asarray(model.provenance.get("samples_counted_percent", np.full(model.n, 100.0)))
-    own, unseen = _left(result.estimation), _left(result.validation) if result.validation else None
+    # Of a torque that never changes nothing is known.
+    left = [np.nan_to_num(joined(one).residual_std_percent, nan=np.inf, posinf=np.inf)
+            for one in (result.estimation, result.validation) if one]
     open_ = _uncertain(model, result, robot)
-    return tuple(_verdict(j, own[j], own[j] if unseen is None else unseen[j],
-                          {name: share[j] for name, share in open_.items()},
+    return tuple(_verdict(j, left[0][j], left[-1][j], {name: share[j] for name, share in open_.items()},
                           "it does not move" if not moved[j] else
                           "its torque channel does not measure it" if counted[j] == 0.0 else "")
                  for j in range(model.n))
-
-
-def _left(predictions: Sequence[Prediction]) -> Array:
-    """std(residual) / std(torque) per joint ``(n,)`` [%]; infinite where a torque never changes."""
-    y = np.concatenate([p.measured for p in predictions])
-    e = y - np.concatenate([p.tau for p in predictions])
-    spread = np.std(y, axis=0)
-    return np.where(spread > 0.0, 100.0 * np.std(e, axis=0) / np.where(spread > 0.0, spread, 1.0), np.inf)
 
 
 def _uncertain(model: Model, result: Identification, robot: Robot) -> dict[str, Array]:

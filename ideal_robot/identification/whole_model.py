@@ -16,13 +16,13 @@ from ideal_robot.friction import CubeRoot
 from ideal_robot.identification.closed_loop_fit import LinearLoopFit, fit_controller, identify_linear_loop
 from ideal_robot.identification.controller import ControllerIdentification, identify_controller
 from ideal_robot.identification.friction_choice import WarmUp, fit_warm_up
-from ideal_robot.identification.idim import Identification, identify, relative_error
+from ideal_robot.identification.idim import Identification, identify
 from ideal_robot.identification.joint_fit import stiffness_from_arm
 from ideal_robot.identification.two_step import TwoStep, identify_two_step
 from ideal_robot.identification.verdict import JointVerdict, joint_verdicts
 from ideal_robot.model.cascade import given_controller
 from ideal_robot.model.model import Model
-from ideal_robot.model.parametrisation import Prediction
+from ideal_robot.model.parametrisation import joined
 from ideal_robot.progress import Progress, Steps, silent
 from ideal_robot.results import Summarised, listed, over_time, plain
 from ideal_robot.robots.robot import Robot
@@ -75,7 +75,7 @@ class IdentificationResult(Summarised):
 
     def summary(self) -> list[tuple[str, str]]:
         """What was identified, how well, and what is missing."""
-        errors = listed(residual_std(self.result.estimation), "%")
+        errors = listed(joined(self.result.estimation).residual_std_percent, "%")
         return [("model", f"{self.model.robot_name!r}: std(residual)/std(torque) {errors} by joint"),
                 ("verdicts", ", ".join(f"{one.joint} {one.verdict}" for one in self.verdicts)),
                 ("warnings", str(len(self.warnings))),
@@ -100,12 +100,12 @@ class IdentificationResult(Summarised):
                  "unit": p.unit, "meaning": p.meaning} for p in model.parameters
             ],
             "relative_error_percent": {
-                "estimation": relative_error(self.result.estimation),
-                "validation": relative_error(self.result.validation) if self.validation else [],
+                "estimation": joined(self.result.estimation).relative_error_percent,
+                "validation": joined(self.result.validation).relative_error_percent if self.validation else [],
             },
             "residual_std_percent": {
-                "estimation": residual_std(self.result.estimation),
-                "validation": residual_std(self.result.validation) if self.validation else [],
+                "estimation": joined(self.result.estimation).residual_std_percent,
+                "validation": joined(self.result.validation).residual_std_percent if self.validation else [],
             },
             "recordings": [
                 {"source": Path(r.source).name, "role": role, "relative_error_percent": p.relative_error_percent,
@@ -132,14 +132,6 @@ class IdentificationResult(Summarised):
             "missing": self.missing,
         })
         return values
-
-
-def residual_std(predictions: Sequence[Prediction]) -> Array:
-    """Standard deviation of the residual over that of the torque, per joint over several recordings [%]."""
-    y = np.concatenate([p.measured for p in predictions])
-    e = y - np.concatenate([p.tau for p in predictions])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(100.0 * np.std(e, axis=0) / np.std(y, axis=0))
 
 
 def identify_model(recordings: Recording | Sequence[Recording], robot: Robot, *,

@@ -6,6 +6,7 @@ law, then for each joint the law's shape parameters, in which the torque is not 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from itertools import pairwise
 from typing import Any
@@ -250,3 +251,9 @@ class Prediction(Summarised):
         """Standard deviation of the residual over that of the torque per joint ``(n,)`` [%]."""
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(100.0 * np.std(self.measured - self.tau, axis=0) / np.std(self.measured, axis=0))
+
+
+def joined(predictions: Sequence[Prediction]) -> Prediction:
+    """Predictions of several recordings one behind the other."""
+    return Prediction(*(np.concatenate([getattr(one, entry.name) for one in predictions])
+                        for entry in fields(Prediction)))

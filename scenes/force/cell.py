@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from types import TracebackType
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -20,12 +18,12 @@ from planning import OutOfReachError
 from planning.force.contact import dry_run
 from planning.path.kinematics import InverseKinematics
 from scenes.arms import arm_of
+from scenes.metrics import ControlError
 from scenes.models import model_for
 from scenes.online.force_known import START_HEIGHT, Known, force_reference
-from scenes.online.force_task import GlueCamera
-from scenes.result import step
 from scenes.scene_files.drawn_line import Geometry, believed_camera, geometry, true_camera
 from scenes.scene_files.force_scene import ForceScene, SensorTable, TipTable, UnknownSurface
+from sensing.camera.camera_model import CameraModel
 from sensing.force.force_calibration import ContactElasticity, ToolLoad, identify_elasticity, identify_tool
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
@@ -185,6 +183,14 @@ def friction_above(key: str) -> FrictionAtWork | None:
     return friction_at_work(recording, loop_model(cell.known.model, cell.known.robot, delay=cell.known.delay))
 
 
+def glue_line(cell: Cell) -> tuple[DrawnLine, CameraModel]:
+    """The line that is drawn on the curved surface, and the camera as it truly is."""
+    scene, where = cell.known.scene, cell.geometry
+    line = DrawnLine(where.drawn, where.plane, width=1e-3 * scene.line.width_mm, gray=scene.line.gray,
+                     background=scene.line.background, edge=1e-3 * scene.line.edge_mm)
+    return line, true_camera(believed_camera(scene.camera), scene.calibration, cell.camera_streams[1])
+
+
 class GlueWorld:
     """Renders the line on the curved surface, and measures against it.
 
@@ -193,36 +199,22 @@ class GlueWorld:
     """
 
     def __init__(self, cell: Cell) -> None:
-        scene = cell.known.scene
-        noise, calibration = cell.camera_streams
-        true = true_camera(believed_camera(scene.camera), scene.calibration, calibration)
-        where = cell.geometry
-        self.line = DrawnLine(where.drawn, where.plane, width=1e-3 * scene.line.width_mm, gray=scene.line.gray,
-                              background=scene.line.background, edge=1e-3 * scene.line.edge_mm)
+        self.line, true = glue_line(cell)
         self._surface = cell.surface
-        self.rendered = BulletCamera(true, self.line, CameraSettings.of(scene.camera), noise, relief=cell.surface)
+        self.rendered = BulletCamera(true, self.line, CameraSettings.of(cell.known.scene.camera),
+                                     cell.camera_streams[0], relief=cell.surface)
 
     def close(self) -> None:
         """Frees the renderer."""
         self.rendered.close()
 
-    def __enter__(self) -> GlueWorld:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
-        self.close()
-
-    def control_error(self, seen: GlueCamera, t: Array, tip: Array) -> tuple[dict[str, Any], tuple[Array, Array]]:
+    def control_error(self, first_used: float, t: Array, tip: Array) -> ControlError:
         """Distance of the true tip from the drawn line, seen along the plane's normal, while it is followed.
 
         Args:
-            seen: what the camera saw.
+            first_used: when a field of the camera was used first [s]; NaN if never.
             t: instants during the travel ``(N,)`` [s].
             tip: true positions of the tip at them, in the surface's coordinates ``(N, 3)`` [m].
-
-        Returns:
-            the figures for ``--json`` and the series (instants, signed distances [m]), of a long run thinned.
         """
         surface, positions = self._surface.plane, new_array(len(tip), 3)
         for first in range(0, len(tip), AT_A_TIME):
@@ -230,14 +222,4 @@ class GlueWorld:
             positions[part] = tip[part] @ surface.rotation.T + surface.translation
             let_go(tip, positions)
         s, beside = self.line.beside(positions)
-        inside = (s > 1e-6) & (s < self.line.polyline.s[-1] - 1e-6)
-        inside &= t >= seen.first_used + 0.3 if np.isfinite(seen.first_used) else False
-        lateral = beside[inside]
-        size, every = 1e3 * np.abs(lateral), step(len(lateral))
-        nothing = {"mean": float("nan"), "p95": float("nan"), "max": float("nan")}
-        figures = nothing if not len(size) else {"mean": float(size.mean()), "p95": float(np.quantile(size, 0.95)),
-                                                 "max": float(size.max())}
-        used = sum(1 for one in seen.fields if one[1] > 0)
-        refused = sum(1 for one in seen.fields if one[1] == 0)
-        return ({"control_error_mm": figures, "fields": {"seen": len(seen.fields), "used": used, "left_out": refused}},
-                (t[np.flatnonzero(inside)[::every]], lateral[::every].copy()))
+        return ControlError.of(t, s, beside, (s > 1e-6) & (s < self.line.length - 1e-6) & (t >= first_used + 0.3))

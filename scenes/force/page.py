@@ -10,7 +10,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ideal_robot.row_log import let_go
-from planning.force.contact import Phase
 from scenes.arms import arm_of
 from scenes.force.cell import scene_curves
 from scenes.force.compare import ForceComparison
@@ -33,7 +32,7 @@ def force_replay(result: ForceResult) -> Replay | None:
         return None
     robot = arm_of(result.scene.robot)
     rows, t, q, tool = shown_motion(robot, recording)
-    travel = [t for t, phase in zip(result.log.t, result.log.phase, strict=False) if phase == Phase.TRAVEL.value]
+    travel = result.log.travel
     force = np.interp(t, result.history["t"], result.history["normal"])
     let_go(result.history["t"], result.history["normal"])
     error = np.full(len(t), np.nan)
@@ -68,7 +67,7 @@ def write_run(result: ForceResult, out: Path) -> ForceResult:
     page.figure(_run_figure(result), "Top: true normal force (every 0.5 ms) and the force that was wanted; shaded: the "
                 "travel, which counts. Bottom: height of the true surface and of the undeformed tip, which has to be "
                 "F/E below it.")
-    if "control_error_mm" in result.lateral:
+    if result.control_error is not None:
         page.heading("Line")
         page.figure(_line_figure(result), "Distance of the tip from the drawn line, and how many points "
                     "of each field were used.")
@@ -155,9 +154,7 @@ def _run_figure(result: ForceResult) -> Figure:
     rows = extremes(history["normal"])
     top.plot(history["t"][rows], history["normal"][rows], color=COLOURS["ideal"], lw=0.9, label="true")
     top.axhline(result.scene.force, color="black", lw=0.7, label="wanted")
-    t = np.array(log.t)
-    travel = t[np.array(log.phase) == Phase.TRAVEL.value]
-    if len(travel):
+    if travel := log.travel:
         top.axvspan(travel[0], travel[-1], color="#1f5fa8", alpha=0.07)
     top.set_ylim(0, min(3.2 * result.scene.force, 1.15 * max(result.figures.largest, 1.0)))
     top.set_ylabel("normal force [N]")
@@ -177,7 +174,8 @@ def _run_figure(result: ForceResult) -> Figure:
 def _line_figure(result: ForceResult) -> Figure:
     figure = Figure(figsize=(9, 4.5), layout="constrained")
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    top.plot(result.lateral_series[0], 1e3 * result.lateral_series[1], color=COLOURS["ideal"], lw=0.9)
+    assert result.control_error is not None
+    top.plot(result.control_error.t, 1e3 * result.control_error.lateral, color=COLOURS["ideal"], lw=0.9)
     top.set_ylabel("distance from the line [mm]")
     fields = result.log.fields
     bottom.plot([one[0] for one in fields], [one[1] for one in fields], ".", color="#1f5fa8")

@@ -16,9 +16,9 @@ from ideal_robot.arrays import Array
 from ideal_robot.feedforward.friction_at_work import FrictionAtWork
 from ideal_robot.row_log import ColumnStore, let_go
 from ideal_robot.signals.recording import Recording
-from planning.force.contact import Phase
 from scenes.force.cell import Cell, GlueWorld, calibrations, friction_above, set_up, true_tip
 from scenes.methods import DIRECT, following_methods, method_of
+from scenes.metrics import ControlError
 from scenes.online.cycle import CycleSettings, play_cycles
 from scenes.online.force_task import ForceLog, ForceTask
 from scenes.result import Progress, ShownRun, silent
@@ -67,13 +67,20 @@ class ForceResult(ShownRun):
     recording: Recording = field(repr=False)
     urdf: Path
     real_time_factor: float
-    lateral: dict[str, Any] = field(default_factory=dict)
+    control_error: ControlError | None = field(default=None, repr=False)
     """For ``glue``: distance from the drawn line."""
-    lateral_series: tuple[Array, Array] = field(default=(np.empty(0), np.empty(0)), repr=False)
-    """For ``glue``: instants [s] and signed distances from the line [m]."""
     failure: str | None = None
     recording_path: Path | None = None
     report: Path | None = None
+
+    @property
+    def lateral(self) -> dict[str, Any]:
+        """For ``glue``: figures of the distance from the drawn line, and of the camera's fields."""
+        if self.control_error is None:
+            return {}
+        used = sum(count > 0 for _, count, _ in self.log.fields)
+        return {"control_error_mm": self.control_error.json_mm(),
+                "fields": {"seen": len(self.log.fields), "used": used, "left_out": len(self.log.fields) - used}}
 
     def json(self) -> dict[str, Any]:
         """The content of ``--json``."""
@@ -98,8 +105,8 @@ class ForceResult(ShownRun):
         rows = [("method", self.method), ("speed", f"{self.scene.speed:g} m/s"),
                 ("RMS force error", f"{f.rms:.2f} N of {self.scene.force:g} N"),
                 ("largest force", f"{f.largest:.1f} N"), ("contact lost", f"{1e3 * f.lost:.0f} ms")]
-        if "control_error_mm" in self.lateral:
-            rows.append(("mean distance from the line", f"{self.lateral['control_error_mm']['mean']:.3f} mm"))
+        if self.control_error is not None:
+            rows.append(("mean distance from the line", f"{1e3 * self.control_error.mean:.3f} mm"))
         rows.append(("real-time factor", f"{self.real_time_factor:.1f}"))
         return rows
 
@@ -112,7 +119,7 @@ def force_figures(scene: ForceScene, history: dict[str, Array], log: ForceLog) -
         history: true normal force ``normal (N,)`` [N] at ``t (N,)`` [s], every 0.5 ms.
         log: of the play.
     """
-    moving = [t for t, phase in zip(log.t, log.phase, strict=True) if phase == Phase.TRAVEL.value]
+    moving = log.travel
     largest = float(history["normal"].max(initial=0.0))
     if len(moving) < 2:
         return ForceFigures(float("nan"), float("nan"), largest, float("nan"), float("nan"), 0.0)
@@ -236,16 +243,14 @@ def _result(cell: Cell, method: str, task: ForceTask, glue: GlueWorld | None, ar
             contact: TipContact, wall: float) -> ForceResult:
     """Collects what a run leaves behind."""
     scene, history, log = cell.known.scene, contact.history(), task.log
-    lateral: dict[str, Any] = {}
-    series = (np.empty(0), np.empty(0))
-    moving = [t for t, phase in zip(log.t, log.phase, strict=True) if phase == Phase.TRAVEL.value]
+    moving, error = log.travel, None
     if task.vision is not None and glue is not None and moving:
         log.fields = task.vision.fields
         first, last = np.searchsorted(history["t"], moving[0]), np.searchsorted(history["t"], moving[-1], side="right")
-        lateral, series = glue.control_error(task.vision, history["t"][first:last], history["tip"][first:last])
+        error = glue.control_error(task.vision.first_used, history["t"][first:last], history["tip"][first:last])
     return ForceResult(
         scene=scene, method=method, figures=force_figures(scene, history, log),
         elasticity=(task.follower.settings.elasticity, task.elasticity.std, scene.tip.stiffness),
         tool={"mass": task.tool.mass, "force_residual_N": float(task.tool.residual[0])}, history=history, log=log,
         recording=force_recording(arm, scene, method, task), urdf=cell.known.robot.urdf,
-        real_time_factor=arm.t / wall, lateral=lateral, lateral_series=series, failure=log.failure)
+        real_time_factor=arm.t / wall, control_error=error, failure=log.failure)

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from ideal_robot.identification.closed_loop_fit import LinearLoopFit
 from ideal_robot.identification.controller import ControllerIdentification
 from ideal_robot.identification.two_step import TwoStep
-from ideal_robot.identification.whole_model import IdentificationResult, friction_points, residual_std
+from ideal_robot.identification.whole_model import IdentificationResult, friction_points
 from ideal_robot.model.model import Model
-from ideal_robot.model.parametrisation import Prediction
+from ideal_robot.model.parametrisation import Prediction, joined
 from ideal_robot.signals.channels import segments
 from ideal_robot.signals.preprocess import preprocess
 from scenes.report.page import Report
@@ -25,11 +25,11 @@ MEASURED, PREDICTED, RESIDUAL = "#5b6675", "#e06a00", "#2a6fb0"
 def identification_page(analysis: IdentificationResult) -> Report:
     """Headings, tables and figures of an identification, most important first."""
     model, result = analysis.model, analysis.result
-    errors = residual_std(result.estimation)
+    errors = joined(result.estimation).residual_std_percent
     summary = (f"{len(model.parameters)} parameters from {len(analysis.estimation)} recording(s); the model explains "
                f"the torque of its own data up to {np.nanmin(errors):.1f} to {np.nanmax(errors):.1f} % per joint")
     if analysis.validation:
-        unseen = residual_std(result.validation)
+        unseen = joined(result.validation).residual_std_percent
         summary += f" and that of data it has never seen up to {np.nanmin(unseen):.1f} to {np.nanmax(unseen):.1f} %"
     page = Report(f"Dynamic model of {model.robot_name}", summary + " (standard deviation of residual over torque).")
     for warning in analysis.warnings:

@@ -11,7 +11,8 @@ import numpy as np
 from scipy.signal import welch
 
 from ideal_robot.arrays import Array, interpolated
-from ideal_robot.identification.whole_model import IdentificationResult, identify_model, residual_std
+from ideal_robot.identification.whole_model import IdentificationResult, identify_model
+from ideal_robot.model.parametrisation import joined
 from ideal_robot.results import Summarised, listed, plain
 from ideal_robot.robots.size import FEWEST
 from ideal_robot.signals.recording import Recording
@@ -94,7 +95,8 @@ def make_twin(recordings: list[Recording], robot_name: str, *, analysis: Identif
     again = identify_model(own, robot, cascade=False)
     rms, spectrum = compared(first, behind_gears(own, twin, analysis.model.provenance["filters"]))
     return TwinResult(twin, analysis, rms, spectrum,
-                      np.array([residual_std(analysis.result.estimation[:1]), residual_std(again.result.estimation)]))
+                      np.array([joined(some).residual_std_percent
+                                for some in (analysis.result.estimation[:1], again.result.estimation)]))
 
 
 def compared(measured: Recording, own: Recording) -> tuple[Array, Array]:

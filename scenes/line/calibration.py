@@ -6,12 +6,9 @@ stamps, and the reference path near the line.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import pairwise
-
 import numpy as np
 
-from ideal_robot.arrays import Array, eased_way
+from ideal_robot.arrays import held
 from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
@@ -20,6 +17,7 @@ from planning.line.line_follower import line_ahead
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
 from scenes.online.line_known import CalibrationView, Known, SeenBefore, calibration_postures, piece_map
+from scenes.online.live_arm import moves
 from scenes.placing import shapes_about
 from scenes.scene_files.scene import SceneError
 from sensing import SensingError
@@ -37,8 +35,6 @@ SPARING = 4
 """One field in so many is looked at: neighbours tell the same."""
 REST = 0.16
 """Rest at each pose, in which vibrations die out [s]."""
-SPEED, ACCELERATION = 0.35, 0.25
-"""Shares of the joints' limits that the moves between the poses use."""
 HOPELESS = 20
 """Fields without the line after which to give up."""
 BEFORE = 10**7
@@ -68,7 +64,7 @@ def calibrate_by_moving(known: Known, arm: SimulatedArm, camera: RenderedCamera,
     fusion, detection = piece_map(reference, at, before), before.detection
     postures = calibration_postures(robot, reference, believed, at, shapes=shapes_about(known.scene, robot),
                                     line=line_ahead(reference, fusion, np.array([at])))
-    commands = _moves(robot, postures, T)
+    commands = held(moves(robot, postures, REST), before=max(round(REST / T), 1) - 1)
     arm.reset(commands[0])
     camera.restart()
     view = CalibrationView(robot, reference, believed, detection, known.detector, commands[0], fusion)
@@ -104,17 +100,6 @@ def _calibrated(view: CalibrationView, fields: int, at: float) -> HandEye:
                          "where the line is, or set calibration.by_moving = false")
     near = view.reference.position(np.arange(at - 0.25, at + 0.25, 0.001))
     return calibrate(view.believed, view.observations, near, view.reference.frames(np.array([at])).up[0])
-
-
-def _moves(robot: Robot, postures: Sequence[Array], T: float) -> Array:
-    """Commands ``(K, n)`` of smooth moves from posture to posture with a rest at each."""
-    rest = max(round(REST / T), 1)
-    v = SPEED * np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
-    a = ACCELERATION * np.where(np.isfinite(robot.a_max), robot.a_max, 5.0)
-    rows = [np.tile(postures[0], (rest, 1))]
-    for start, end in pairwise(postures):
-        rows += [eased_way(start, end, (v, a), T, fewest=2), np.tile(end, (rest, 1))]
-    return np.concatenate(rows)
 
 
 LOOKS = (0.2, 0.35, 0.5, 0.65, 0.8)

@@ -17,9 +17,9 @@ from ideal_robot.row_log import ColumnStore
 from ideal_robot.signals.recording import Recording
 from planning.line.deviation_sensor import DeviationSensor
 from scenes.line.cell import Cell, LineWorld, Prepared, mounted, prepared, set_up
-from scenes.line.result import ControlError, LineResult, Timing, far_from_line
+from scenes.line.result import LineResult, Timing, far_from_line
 from scenes.methods import DIRECT, IDEAL, NONE, SceneMethod, following_methods, method_of
-from scenes.metrics import PathErrors, path_errors
+from scenes.metrics import ControlError, PathErrors, path_errors
 from scenes.models import model_for
 from scenes.online.cycle import CycleSettings, play_cycles
 from scenes.online.line_log import SETTLING, LineLog, field_columns, plan_error

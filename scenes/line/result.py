@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
-from ideal_robot.row_log import let_go
 from ideal_robot.signals.recording import Recording
-from scenes.metrics import PathErrors
+from scenes.metrics import ControlError, PathErrors
 from scenes.online.line_log import FieldShown
-from scenes.result import ShownRun, step
+from scenes.result import ShownRun
 from scenes.scene_files.drawn_line import Geometry
 from scenes.scene_files.line_scene import LineScene
 from sensing.camera.hand_eye import HandEye
@@ -46,47 +45,6 @@ def little_gained(mean: float, none: float) -> str:
         return ""
     return (f"the correction leaves {1e3 * mean:.2f} mm of {1e3 * none:.2f} mm that are there without it: the model "
             "does not fit the arm; identify it anew, or diagnose the recording")
-
-
-@dataclass(frozen=True)
-class ControlError:
-    """Distance of the true TCP from the drawn line, in the surface, while it counts.
-
-    Attributes:
-        mean, p95, max: of its absolute value [m].
-        t: instants ``(N,)`` [s]; of a long run at a stride.
-        s: arc length of the drawn line at them ``(N,)`` [m].
-        lateral: signed distance, positive to the left of the line ``(N,)`` [m].
-    """
-
-    mean: float
-    p95: float
-    max: float
-    t: Array
-    s: Array
-    lateral: Array
-
-    @classmethod
-    def of(cls, t: Array, s: Array, lateral: Array, counts: NDArray[np.bool_]) -> ControlError:
-        """From signed distances; without any that counts, all figures are NaN.
-
-        Args:
-            t: instants ``(N,)`` [s].
-            s: arc length of the drawn line ``(N,)`` [m].
-            lateral: signed distance, positive to the left ``(N,)`` [m].
-            counts: which of them count ``(N,)``.
-        """
-        size = np.abs(lateral[counts])
-        rows = np.flatnonzero(counts)[:: step(len(size))]
-        series = t[rows], s[rows], lateral[rows]
-        let_go(t, s, lateral)
-        if len(size) == 0:
-            return cls(np.nan, np.nan, np.nan, *series)
-        return cls(float(size.mean()), float(np.quantile(size, 0.95)), float(size.max()), *series)
-
-    def json_mm(self) -> dict[str, float]:
-        """The three figures in millimetres."""
-        return {"mean": 1e3 * self.mean, "p95": 1e3 * self.p95, "max": 1e3 * self.max}
 
 
 @dataclass(frozen=True)

@@ -368,7 +368,7 @@ class ForceJob:
     def figures(self) -> dict[str, Any]:
         """See ``Job``."""
         log, wanted = self.log, self.scene.force
-        moving = [t for t, phase in zip(log.t, log.phase, strict=False) if phase == Phase.TRAVEL.value]
+        moving = log.travel
         felt = np.array([force for t, force, *_ in log.samples if moving and moving[0] <= t <= moving[-1]])
         figures: dict[str, Any] = {"force_N": {
             "wanted": wanted, "rms_error": float(np.sqrt(np.mean((felt - wanted) ** 2))) if len(felt) else float("nan"),

@@ -147,6 +147,11 @@ class ForceLog(CycleLog):
     wrenches: RowLog = field(default_factory=RowLog)
     fields: list[tuple[float, int, str]] = field(default_factory=list)
 
+    @property
+    def travel(self) -> list[float]:
+        """When the cycles of the travel began [s]."""
+        return [t for t, phase in zip(self.t, self.phase, strict=False) if phase == Phase.TRAVEL.value]
+
     def add(self, t: float, follower: SurfaceFollower | ContourFollower) -> None:
         """One cycle that begins at ``t`` [s]."""
         self.phase.append(follower.phase.value)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,18 +9,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from scenes.online.result import FollowResult
-from scenes.outputs import whole_folder
-from scenes.report.page import Report, write_json
+from scenes.report.page import Report, write_run_files
 
 
 def write_run(result: FollowResult, out: Path) -> FollowResult:
     """Writes recording, page and figures of a run into a folder; returns the result with their places."""
-    result = replace(result, recording_path=out / "recording.parquet", report=out / "report.html")
-    with whole_folder(out) as new:
-        result.recording.write(new / "recording.parquet")
-        _page(result).write(new / "report.html")
-        write_json(new / "report.json", result.json())
-    return result
+    return write_run_files(result, _page, out)
 
 
 def _page(result: FollowResult) -> Report:

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import stats
 
+from ideal_robot.results import plain
 from ideal_robot.whole_file import whole_file, write_text
 from scenes.outputs import whole_folder
 from scenes.regression.comparison import Comparison
 from scenes.regression.paired import NOT_COMPARABLE, SAME, WORSE, Row
 from scenes.regression.results import unit_of
-from scenes.report.page import Report, plain, write_json
+from scenes.report.page import Report, write_json
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

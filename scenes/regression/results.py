@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 from ideal_robot.bounded_values import parsed_json, read_json, read_text
 from ideal_robot.errors import InputError, did_you_mean
+from ideal_robot.results import plain
 from ideal_robot.whole_file import OutputError, whole_file
 from scenes.program import PLACES, SCHEMA, TIMES, machine, program
-from scenes.report.page import plain, write_json
+from scenes.report.page import write_json
 from scenes.sweep import FIGURES, SweepFile, key_of
 
 if TYPE_CHECKING:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import jinja2
 import numpy as np
 
+from ideal_robot.results import plain
 from ideal_robot.whole_file import write_text
 from scenes.outputs import whole_folder
 from scenes.report.replay import Replay, replay_beside, write_replay
@@ -174,25 +175,6 @@ def write_comparison_files(comparison: R, page: Callable[[R], Report], out: Path
         page(comparison).write(new / "report.html")
         write_json(new / "report.json", comparison.json())
     return comparison
-
-
-def plain(value: Any) -> Any:
-    """``value`` made of plain Python types only, as JSON needs them."""
-    if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, (np.bool_, bool)):
-        return bool(value)
-    if isinstance(value, np.integer):
-        return int(value)
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, Path):
-        return str(value)
-    return value
 
 
 def _shown(cell: Any) -> str:

@@ -16,15 +16,15 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import BAD_ADDRESS, InputError
 from ideal_robot.rsi.message import Axes
 from scenes.force.cell import Cell as ForceCell
+from scenes.force.cell import glue_line, true_tip
 from scenes.force.cell import set_up as set_up_force
-from scenes.force.cell import true_tip
 from scenes.line.cell import Cell as LineCell
 from scenes.line.cell import lamp_over
 from scenes.line.cell import set_up as set_up_line
 from scenes.line.cell import streams as line_streams
+from scenes.metrics import ControlError
 from scenes.online.processes import undisturbed
 from scenes.report.page import write_json
-from scenes.scene_files.drawn_line import believed_camera, true_camera
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import Scene
@@ -128,18 +128,13 @@ class ServedCell:
     def _beside(self, t: Array, tcp: Array, line: DrawnLine) -> dict[str, float]:
         """Distance of the tool from the drawn line in the surface, while the tool is at it."""
         s, lateral = line.beside(tcp)
-        inside = (s > 1e-6) & (s < line.length - 1e-6)
-        if not inside.any():
-            return {"mean": float("nan"), "p95": float("nan"), "max": float("nan")}
-        # A calibration before has visited the line, too; what counts is the last visit.
-        last = len(t) - int(np.argmax(inside[::-1]))
-        outside = np.flatnonzero(~inside[:last])
-        first = int(outside[-1]) + 1 if len(outside) else 0
-        visit = slice(first, last)
-        size = 1e3 * np.abs(lateral[visit][t[visit] >= t[first] + SETTLING])
-        if not len(size):
-            return {"mean": float("nan"), "p95": float("nan"), "max": float("nan")}
-        return {"mean": float(size.mean()), "p95": float(np.quantile(size, 0.95)), "max": float(size.max())}
+        counts = (s > 1e-6) & (s < line.length - 1e-6)
+        if counts.any():
+            # A calibration before has visited the line, too; what counts is the last visit.
+            last = len(t) - int(np.argmax(counts[::-1]))
+            outside = np.flatnonzero(~counts[:last])
+            counts &= t >= t[int(outside[-1]) + 1 if len(outside) else 0] + SETTLING
+        return ControlError.of(t, s, lateral, counts).json_mm()
 
     def _pressed(self, contact: TipContact) -> dict[str, float]:
         """Normal force while the tip is on the surface and travels."""
@@ -221,12 +216,8 @@ def _line_of(cell: LineCell | ForceCell, scene: LineScene | ForceScene) -> tuple
                                      relief=cell.relief, tool=table.renderer == "bullet")
     if cell.known.scene.task != "glue":
         return None, None
-    noise, calibration = cell.camera_streams
-    where = cell.geometry
-    line = DrawnLine(where.drawn, where.plane, width=1e-3 * scene.line.width_mm, gray=scene.line.gray,
-                     background=scene.line.background, edge=1e-3 * scene.line.edge_mm)
-    true = true_camera(believed_camera(table), scene.calibration, calibration)
-    return line, LiveCamera(true, line, settings, noise, relief=cell.surface)
+    line, true = glue_line(cell)
+    return line, LiveCamera(true, line, settings, cell.camera_streams[0], relief=cell.surface)
 
 
 _PRIORITY = 30

@@ -9,14 +9,14 @@ import pytest
 
 from ideal_robot.arrays import Array
 from ideal_robot.friction import Arctan, CubeRoot, ViscousCoulomb
-from ideal_robot.identification.idim import identify, relative_error
+from ideal_robot.identification.idim import identify
 from ideal_robot.identification.joint_fit import regions_of_motion, stiffness_from_arm
 from ideal_robot.identification.program import plan_two_step
 from ideal_robot.identification.two_step import identify_two_step
 from ideal_robot.identification.verdict import JointVerdict, joint_verdicts, told
 from ideal_robot.identification.weighted_least_squares import weighted_least_squares
 from ideal_robot.model.model import Model
-from ideal_robot.model.parametrisation import Parameter
+from ideal_robot.model.parametrisation import Parameter, joined
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from tests.ideal_robot.identification.test_excitation import base, logged, motion, record, robot, truth, wrong_by_half
@@ -99,7 +99,8 @@ def test_friction_laws_and_refinements_are_found() -> None:
     assert found[3].presliding
     assert found[3].shape[-1, 0] == pytest.approx(5e-3, rel=0.2)
     plain = identify([record(what, rng)], arm, validation=[record(what, rng, seed=2)], friction="viscous_coulomb")
-    assert np.all(relative_error(result.validation)[:4] < relative_error(plain.validation)[:4])
+    errors = [joined(one.validation).relative_error_percent for one in (result, plain)]
+    assert np.all(errors[0][:4] < errors[1][:4])
     speed = np.linspace(0.05, 1.0, 20)[:, None]
     for j in (0, 1):
         np.testing.assert_allclose(found[j].torque(speed), laws[j].torque(speed), rtol=0.08)
@@ -145,7 +146,7 @@ def test_exported_urdf_moves_like_the_consistent_model(tmp_path) -> None:  # typ
 def test_published_estimates_of_the_emps_axis(law: str, published: dict[str, float], error: float) -> None:
     axis = Robot.load(DATA / "emps" / "emps.urdf")
     result = identify([Recording.read(EMPS)], axis, friction=law, cutoff=100.0, cutoff_decimation=50.0)
-    assert relative_error(result.estimation)[0] == pytest.approx(error, rel=1e-3)
+    assert joined(result.estimation).relative_error_percent[0] == pytest.approx(error, rel=1e-3)
     found = {p.name: p for p in result.model.parameters}
     for name, value in published.items():
         assert abs(found[name].value - value) < found[name].std
