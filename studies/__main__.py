@@ -43,7 +43,7 @@ GROUPS = {
         "line-shapes": "line",
         "measured": "measured", "measured-adapted": "measured", "twins": "measured", "twin-arms": "measured",
     },
-    "strangers": {"strangers": "diagnoses", "certainty": "diagnoses", "sensors": "diagnoses", "planned": "diagnoses",
+    "strangers": {"strangers": "diagnoses", "certainty": "diagnoses", "sensors": "diagnoses",
                   "ablation": "ablation", "rules": "ablation", "one-score": "one_score"},
     "closings": {"closings": "closings", "outside": "closings", "true-friction": "closings"},
     "robustness": {

@@ -342,7 +342,8 @@ def outside(size_mm: float = 250.0, rounds: int = 2, measured: str = "tcp") -> N
             f"{time.process_time() - begun:.0f}")
 
 
-def with_true_friction(loop: LoopModel, robot: Robot, world: World, joints: list[int]) -> LoopModel:
+def with_true_friction(loop: LoopModel, robot: Robot, world: World, joints: list[int],
+                       temperature: Array | None = None) -> LoopModel:
     """The identified loop with the true friction of some joints (from 1), in the units of the measured torque.
 
     Args:
@@ -350,16 +351,18 @@ def with_true_friction(loop: LoopModel, robot: Robot, world: World, joints: list
         robot: the arm.
         world: the arm as it is.
         joints: from 1.
+        temperature: of the gears ``(n,)`` [°C]; as the arm starts if None.
     """
-    gain = draw_specimen(robot, world).drive_gain
+    gain, n = draw_specimen(robot, world).drive_gain, robot.n
     speeds = np.maximum(loop.friction_velocity, 1e-9)
-    warm = float(world.per_joint("start_temperature", robot.n)[0])
-    sides = [sign * steady_friction(world, robot.n, sign * speeds, temperature=warm) / gain for sign in (1.0, -1.0)]
-    at = np.isin(np.arange(robot.n) + 1, joints)
-    load = world.per_joint("coulomb", robot.n) * world.per_joint("load_friction", robot.n) / robot.tau_max
+    warm = world.per_joint("start_temperature", n) if temperature is None else temperature
+    sides = [sign * steady_friction(world, n, sign * speeds, temperature=warm) / gain for sign in (1.0, -1.0)]
+    at = np.isin(np.arange(n) + 1, joints)
+    dry = np.exp(-world.dry_temperature * (warm - world.reference_temperature))
+    load = dry * world.per_joint("coulomb", n) * world.per_joint("load_friction", n) / robot.tau_max
     return loop.replace(friction_torque=np.where(at, np.stack(sides), loop.friction_torque),
                         friction_load=np.where(at, load, loop.friction_load),
-                        friction_bend=np.where(at, world.per_joint("presliding", robot.n), loop.friction_bend))
+                        friction_bend=np.where(at, world.per_joint("presliding", n), loop.friction_bend))
 
 
 def true_friction(scene: str = "close_stribeck", world: str = "{}") -> None:

@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from ideal_robot.arrays import Array, interpolated
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.ideal import IdealRobot
-from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.robots.robot import Robot
 from planning.path.kinematics import InverseKinematics
 from scenes.arms import arm_of
@@ -29,6 +28,7 @@ from sim.arm.arm import SimulatedArm
 from sim.arm.drive import steady_friction
 from sim.arm.specimen import draw_specimen
 from sim.arm.world import World
+from studies.closings import with_true_friction
 from studies.report import head, row, scene_of
 
 SCENES = "iso9283_1,iso9283_2,iso9283_3"
@@ -107,10 +107,11 @@ def _hour(scene: PathScene, minutes: float, compression: float, figure: Path | N
     # Back to the start without a jump: the circle ends where it began.
     once = np.concatenate([circle, np.tile(circle[0], (round(REST / world.t_ipo), 1))])
     count = max(2, round(60.0 * minutes / compression / (len(once) * world.t_ipo)))
-    truth, ideal = _true_friction(robot, world, loop), IdealRobot(loop)
+    ideal, every = IdealRobot(loop), list(range(1, robot.n + 1))
     results = {}
     for name, law in (("fixed model", ideal), ("adapted", place.feedforward(ADAPTED)), ("oracle", ideal)):
-        told = (lambda warm: IdealRobot(loop.replace(**truth(warm)))) if name == "oracle" else None
+        told = (lambda warm: IdealRobot(with_true_friction(loop, robot, world, every, warm))
+                ) if name == "oracle" else None
         results[name], temperature = _circles(robot, world, law, once, count, len(circle), told)
     at = (np.arange(count, dtype=float) + 0.5) * len(once) * world.t_ipo * compression / 60.0
     head("minute", *(f"{name}, E_car [mm]" for name in results))
@@ -151,22 +152,6 @@ def _circles(robot: Robot, world: World, law: Feedforward, once: Array, count: i
         x = robot.tool_places(q_a[start : start + drawn])
         errors[i] = np.sqrt(np.mean(np.sum((x - x_d) ** 2, axis=1)))
     return errors, temperature[lead + len(once) - 1 :: len(once)][:count]
-
-
-def _true_friction(robot: Robot, world: World, loop: LoopModel) -> Callable[[Array], dict[str, Array]]:
-    """True friction at given gear temperatures ``(n,)``, in the units of the measured torque."""
-    gain, n = draw_specimen(robot, world).drive_gain, robot.n
-    speeds = np.maximum(loop.friction_velocity, 1e-9)
-
-    def at(temperature: Array) -> dict[str, Array]:
-        columns = [steady_friction(world, n, speeds, temperature=float(temperature[i]))[:, i] for i in range(n)]
-        table = np.column_stack(columns) / gain
-        dry = np.exp(-world.dry_temperature * (temperature - world.reference_temperature))
-        load = dry * world.per_joint("coulomb", n) * world.per_joint("load_friction", n) / robot.tau_max
-        return {"friction_torque": np.stack([table, table]), "friction_load": load,
-                "friction_bend": world.per_joint("presliding", n)}
-
-    return at
 
 
 def _figure(minutes: Array, results: dict[str, Array], temperature: Array) -> Figure:
@@ -282,5 +267,5 @@ def heating() -> None:
     for minute in (0, 10, 20, 30, 45, 60):
         k = min(int(np.searchsorted(log["t"], minute * 60.0 / COMPRESSION)), len(log["t"]) - 1)
         warm = log["temperature"][k]
-        friction = [steady_friction(world, 6, half, temperature=float(warm[j]))[0, j] for j in (0, 3)]
+        friction = steady_friction(world, 6, half, temperature=warm)[0, [0, 3]]
         row(minute, *(f"{value:.1f}" for value in warm), f"{friction[0]:.1f}", f"{friction[1]:.2f}")

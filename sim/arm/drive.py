@@ -150,7 +150,7 @@ def drive_start(p: Array, q0: Array, holding_torque: Array, temperature: Array) 
 #     g(v)  = (F_c + F_s exp(-(v / v_s)²)) · load · dry temperature       Coulomb and Stribeck
 #     τ_f   = σ0 z + σ1 z' + viscosity(T) · (f_v v + F_e asinh(v / v_e))   asinh: degressive (Eyring)
 
-def steady_friction(world: World, n: int, velocity: Array, temperature: float | None = None) -> Array:
+def steady_friction(world: World, n: int, velocity: Array, temperature: Array | float | None = None) -> Array:
     """Friction torque ``(N, n)`` [N m] after sliding long enough at ``velocity (N, n)``, without load.
 
     For tests and documents about the world; no model may use it.
@@ -159,7 +159,7 @@ def steady_friction(world: World, n: int, velocity: Array, temperature: float | 
         world: the true world.
         n: number of joints.
         velocity: on the joint side ``(N, n)`` [rad/s].
-        temperature: of all gears [°C]; the world's reference temperature if None.
+        temperature: of all gears, or of each ``(n,)`` [°C]; the world's reference temperature if None.
     """
     velocity = np.asarray(velocity, dtype=float)
     p = {name: world.per_joint(name, n) for name in
