@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import ast
 import functools
-import json
 import re
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -38,7 +37,7 @@ from ideal_robot.progress import silent
 from ideal_robot.signals.sampling import shortened
 from scenes.commands.common import numbers, whole_numbers
 from studies.diagnoses import GAVE_UP, known_before
-from studies.report import head, row
+from studies.report import head, kept, row
 from studies.strangers.arm import robot_of
 from studies.strangers.score import Score, score
 from studies.strangers.trial import Trial, draw_trial
@@ -286,22 +285,13 @@ def ablation(seeds: str = "993100-993123", sizes: str = "3,10", lines: Path = Pa
     again. Differences are those of the pairs, with their standard error.
     """
     least, most = numbers(sizes, "--sizes")
-    done: dict[int, dict[str, Score]] = {}
-    for text in lines.read_text(encoding="utf-8").splitlines() if lines.is_file() else []:
-        values = json.loads(text)
-        done[values["seed"]] = {rule: Score.from_dict(one) for rule, one in values["scores"].items()}
-    for seed in whole_numbers(seeds, "--seeds"):
-        if seed in done:
-            continue
-        try:
-            done[seed] = dict(_played(draw_trial(seed, None, None, (least, most), (15.0, 25.0))))
-        except (RuntimeError, IdealRobotError) as error:
-            print(f"{seed}: {error}", flush=True)
-            continue
-        with lines.open("a", encoding="utf-8") as file:
-            scores = {rule: one.to_dict() for rule, one in done[seed].items()}
-            file.write(json.dumps({"seed": seed, "scores": scores}) + "\n")
-    _table([done[seed] for seed in whole_numbers(seeds, "--seeds") if seed in done])
+
+    def play(seed: int) -> dict[str, dict[str, Any]]:
+        trial = draw_trial(seed, None, None, (least, most), (15.0, 25.0))
+        return {rule: one.to_dict() for rule, one in _played(trial)}
+
+    _table([{rule: Score.from_dict(one) for rule, one in scores.items()}
+            for scores in kept(lines, whole_numbers(seeds, "--seeds"), play)])
 
 
 def _table(played: list[dict[str, Score]]) -> None:

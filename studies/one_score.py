@@ -14,11 +14,11 @@ sets. Named is what no set lacks that the data cannot reject by two standard err
 from __future__ import annotations
 
 import dataclasses
-import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +36,7 @@ from ideal_robot.signals.sampling import shortened
 from scenes.commands.common import numbers, whole_numbers
 from studies.ablation import altered, said
 from studies.diagnoses import GAVE_UP, known_before
-from studies.report import head, row
+from studies.report import head, kept, row
 from studies.strangers.arm import robot_of
 from studies.strangers.score import Score, score
 from studies.strangers.trial import Trial, draw_trial
@@ -224,21 +224,12 @@ def one_score(seeds: str = "1200000-1200041", sizes: str = "3,10", lines: Path =
     not played again. Differences are those of the pairs, with their standard error.
     """
     least, most = numbers(sizes, "--sizes")
-    texts = lines.read_text(encoding="utf-8").splitlines() if lines.is_file() else []
-    done = {values["seed"]: [Score.from_dict(one) for one in values["scores"]] for values in map(json.loads, texts)}
-    wanted = whole_numbers(seeds, "--seeds")
-    for seed in wanted:
-        if seed in done:
-            continue
-        try:
-            trial = draw_trial(seed, None, None, (least, most), (15.0, 25.0))
-        except RuntimeError as error:
-            print(f"{seed}: {error}", flush=True)
-            continue
-        done[seed] = [_played(trial, kind) for kind in (Search, SetSearch)]
-        with lines.open("a", encoding="utf-8") as file:
-            file.write(json.dumps({"seed": seed, "scores": [one.to_dict() for one in done[seed]]}) + "\n")
-    _table([done[seed] for seed in wanted if seed in done])
+
+    def play(seed: int) -> list[dict[str, Any]]:
+        trial = draw_trial(seed, None, None, (least, most), (15.0, 25.0))
+        return [_played(trial, kind).to_dict() for kind in (Search, SetSearch)]
+
+    _table([[Score.from_dict(one) for one in scores] for scores in kept(lines, whole_numbers(seeds, "--seeds"), play)])
 
 
 def _played(trial: Trial, kind: type[Search]) -> Score:

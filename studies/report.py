@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
+from ideal_robot.errors import IdealRobotError
 from scenes import load_scene
 from scenes.scene_files.scene import Scene
 
@@ -49,6 +51,23 @@ def used(job: Callable[[], object], clock: Callable[[], float] = time.process_ti
 def resident(process: int | str = "self") -> float:
     """Resident memory of this process, or of another one by its number, now [MiB]."""
     return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def kept(lines: Path, seeds: Sequence[int], play: Callable[[int], Any]) -> list[Any]:
+    """What was played of seeds: lines of a file where it has them, else played and added; refused ones are said."""
+    texts = lines.read_text(encoding="utf-8").splitlines() if lines.is_file() else []
+    done = {values["seed"]: values["scores"] for values in map(json.loads, texts)}
+    for seed in seeds:
+        if seed in done:
+            continue
+        try:
+            done[seed] = play(seed)
+        except (RuntimeError, IdealRobotError) as error:
+            print(f"{seed}: {error}", flush=True)
+            continue
+        with lines.open("a", encoding="utf-8") as file:
+            file.write(json.dumps({"seed": seed, "scores": done[seed]}) + "\n")
+    return [done[seed] for seed in seeds if seed in done]
 
 
 def write_tables(mark: str, text: str) -> None:
