@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import islice
 from typing import TYPE_CHECKING, Any
@@ -26,8 +27,8 @@ _BRAKING_MIN = 0.15
 """Speed over deceleration that braking counts with at least [s]."""
 _STANDING = 0.3
 """How long the arm is held after braking [s]."""
-_LONGEST_STOP = 5.0
-"""Longest that coming to rest behind a path takes [s]."""
+LONGEST_STOP = 5.0
+"""Longest that braking takes, and coming to rest behind it or behind a path [s]."""
 _STILL = 1e-7
 """Change of a command that counts as rest [rad or m]."""
 
@@ -102,92 +103,113 @@ def play(driver: RobotInterface, feedforward: Feedforward, q_d: Array, *, robot:
     """
     expect(feedforward, Feedforward, "feedforward", "make one by ideal_robot.feedforward(key, model, robot)")
     path = _checked(q_d, driver, feedforward, robot)
-    player = _Player(driver, feedforward, path, robot)
+    player = _Player(driver, PathCommands(feedforward, path, robot, driver.t_ipo))
     error, failure = None, None
     # Compiled code is loaded before the first cycle.
-    feedforward.step(feedforward.init(path[0]), player.ahead[: feedforward.n_d])
+    feedforward.step(feedforward.init(path[0]), held(path, after=feedforward.n_d)[: feedforward.n_d])
     try:
-        for k in range(len(path)):
-            player.cycle(path[k], player.ahead[k : k + feedforward.n_d])
-            if k % 50 == 0:
-                progress(k / len(path), "playing")
-        player.come_to_rest(player.ahead[-1])
+        player.hand_over(map(player.commands.row, range(len(path))), progress)
+        player.hand_over(player.commands.to_rest(path[-1]))
     except LimitError as limit:
+        k = len(player.q_c)
         failure = f"stopped on the path at {k * driver.t_ipo:.3f} s: {limit}"
-        error = player.brake(k) if robot is not None and len(player.q_c) == k else limit
+        error = player.brake(k) if robot is not None and k < len(path) else limit
     except IdealRobotError as raised:
         failure, error = str(raised), raised
     return player.result(meta or {}, failure, error)
 
 
+class PathCommands:
+    """Commands of a feedforward along a path, cycle by cycle, each with the desired position it is for.
+
+    Args:
+        feedforward: what corrects the path; who plays it may give ``state`` what was measured between two commands.
+        path: desired joint positions at the cycles ``(N, n)`` [rad].
+        robot: whose limits are kept; None where whoever takes the commands keeps them.
+        T: cycle [s].
+    """
+
+    def __init__(self, feedforward: Feedforward, path: Array, robot: Robot | None, T: float) -> None:
+        self.feedforward, self.robot, self._T, self.length = feedforward, robot, T, len(path)
+        self._ahead = held(path, after=feedforward.n_d + 2)
+        self.state = feedforward.init(path[0])
+        self._last = np.tile(path[0], (2, 1))
+        self._governor = None if robot is None else CommandGovernor(robot, path[0], t_ipo=T)
+
+    def row(self, k: int) -> tuple[Array, Array]:
+        """Row ``k`` of the path and its command, ``(n,)`` each [rad]; LimitError where that would leave a limit."""
+        q_c, after = self.feedforward.step(self.state, self._ahead[k : k + self.feedforward.n_d])
+        if self.robot is not None and self._governor is not None:
+            check_limits(np.vstack([self._last, q_c]), self.robot, self._T, start=(k - 2) * self._T)
+            self._governor.require_room(q_c, start=k * self._T)
+            self._governor.passed(q_c)
+        return self._handed_over(self._ahead[k], q_c, after)
+
+    def brake(self, k: int) -> Iterator[tuple[Array, Array]]:
+        """To rest on the path from row ``k`` on, of which nothing has been commanded."""
+        if self.robot is None:
+            return
+        # How fast the path is, as a share of what the joints may brake with.
+        speed = float(np.max(np.abs(self._ahead[k + 1] - self._ahead[k]) / self._T / self.robot.a_max))
+        braking, n_d = max(speed, _BRAKING_MIN), self.feedforward.n_d
+        cycles = int(np.ceil((min(1.5 * braking, LONGEST_STOP) + _STANDING) / self._T))
+        planned = held(self._ahead[k:], after=max(0, cycles + n_d - len(self._ahead) + k))[: cycles + n_d]
+        for rows in islice(stopping_rows(planned, self._T, braking, 1.0), cycles):
+            yield self.governed(rows[:n_d])
+        yield from self.to_rest(rows[0])
+
+    def governed(self, horizon: Array) -> tuple[Array, Array]:
+        """The command for a horizon ``(n_d, n)`` [rad], as near as the limits let it come."""
+        q_c, after = self.feedforward.step(self.state, horizon)
+        return self._handed_over(horizon[0], q_c if self._governor is None else self._governor.allowed(q_c), after)
+
+    def _handed_over(self, q_d: Array, q_c: Array, after: Any) -> tuple[Array, Array]:
+        self.state, self._last = after, np.vstack([self._last[1], q_c])
+        return q_d, q_c
+
+    def to_rest(self, q_d: Array) -> Iterator[tuple[Array, Array]]:
+        """To rest at ``q_d (n,)`` [rad] where commands end in motion; held at once, the arm would stop at once."""
+        if self.robot is None or stops_at_once(self._last[1] - self._last[0], self.robot, self._T):
+            return
+        for _ in range(int(np.ceil(LONGEST_STOP / self._T))):
+            yield self.governed(np.tile(q_d, (self.feedforward.n_d, 1)))
+            if np.all(np.abs(self._last[1] - self._last[0]) <= _STILL):
+                return
+
+
 class _Player:
     """What is known while a path is played."""
 
-    def __init__(self, driver: RobotInterface, feedforward: Feedforward, path: Array, robot: Robot | None) -> None:
-        self.driver, self.feedforward, self.robot = driver, feedforward, robot
-        self.ahead = held(path, after=feedforward.n_d + 2)
-        self.state = feedforward.init(path[0])
-        self.last = np.tile(path[0], (2, 1))
-        self.governor = None if robot is None else CommandGovernor(robot, path[0], t_ipo=driver.t_ipo)
+    def __init__(self, driver: RobotInterface, commands: PathCommands) -> None:
+        self.driver, self.commands, self.robot = driver, commands, commands.robot
         self.q_d: list[Array] = []
         self.q_c: list[Array] = []
         self.measured: list[RobotState] = []
         self.times: list[float] = []
 
-    def cycle(self, q_d: Array, horizon: Array, *, braking: bool = False) -> None:
-        """One cycle; raises LimitError before anything is handed over, except while braking."""
-        T, begun = self.driver.t_ipo, time.perf_counter()
-        q_c, after = self.feedforward.step(self.state, horizon)
-        if self.robot is not None and self.governor is not None:
-            if braking:
-                q_c = self.governor.allowed(q_c)
-            else:
-                check_limits(np.vstack([self.last, q_c]), self.robot, T, start=(len(self.q_c) - 2) * T)
-                self.governor.require_room(q_c, start=len(self.q_c) * T)
-                self.governor.passed(q_c)
-        taken = time.perf_counter() - begun
-        measured = self.driver.cycle(q_c)
+    def hand_over(self, rows: Iterator[tuple[Array, Array]], progress: Progress = silent) -> None:
+        """Cycle by cycle; what the arm reports goes to the feedforward before its next command."""
         begun = time.perf_counter()
-        self.state = self.feedforward.observe(after, measured)
-        self.times.append(taken + time.perf_counter() - begun)
-        self.last = np.vstack([self.last[1], q_c])
-        self.q_d.append(q_d)
-        self.q_c.append(q_c)
-        self.measured.append(measured)
+        for q_d, q_c in rows:
+            taken = time.perf_counter() - begun
+            measured = self.driver.cycle(q_c)
+            begun = time.perf_counter()
+            self.commands.state = self.commands.feedforward.observe(self.commands.state, measured)
+            self.times.append(taken + time.perf_counter() - begun)
+            self.q_d.append(q_d)
+            self.q_c.append(q_c)
+            self.measured.append(measured)
+            if len(self.q_c) % 50 == 1:
+                progress(min(len(self.q_c) / self.commands.length, 1.0), "playing")
+            begun = time.perf_counter()
 
     def brake(self, k: int) -> IdealRobotError | None:
         """Comes to rest on the path from row ``k`` on; returns what the driver raised meanwhile."""
-        if self.robot is None:
-            return None
-        T, n_d = self.driver.t_ipo, self.feedforward.n_d
-        # How fast the path is, as a share of what the joints may brake with.
-        speed = float(np.max(np.abs(self.ahead[k + 1] - self.ahead[k]) / T / self.robot.a_max))
-        braking = max(speed, _BRAKING_MIN)
-        cycles = int(np.ceil((1.5 * braking + _STANDING) / T))
-        planned = held(self.ahead[k:], after=max(0, cycles + n_d - len(self.ahead) + k))[: cycles + n_d]
         try:
-            for rows in islice(stopping_rows(planned, T, braking, 1.0), cycles):
-                self.cycle(rows[0], rows[:n_d], braking=True)
-            self.come_to_rest(self.q_d[-1])
+            self.hand_over(self.commands.brake(k))
         except IdealRobotError as error:
             return error
         return None
-
-    def come_to_rest(self, q_d: Array) -> None:
-        """Comes to rest within the limits where the commands end in motion; held at once, the arm would stop at once.
-
-        Args:
-            q_d: where the arm is wanted from now on ``(n,)`` [rad].
-        """
-        if self.robot is None:
-            return
-        T = self.driver.t_ipo
-        if stops_at_once(self.last[1] - self.last[0], self.robot, T):
-            return
-        for _ in range(int(np.ceil(_LONGEST_STOP / T))):
-            self.cycle(q_d, np.tile(q_d, (self.feedforward.n_d, 1)), braking=True)
-            if np.all(np.abs(self.last[1] - self.last[0]) <= _STILL):
-                return
 
     def result(self, meta: dict[str, Any], failure: str | None, error: IdealRobotError | None) -> PlayResult:
         """What was played; the state at the end of a cycle is the one at which the next command is handed over."""
@@ -207,7 +229,7 @@ class _Player:
             np.array([state.t for state in states]), source="play",
             meta={**named, "cycle_time": T, "source": "play",
                   "units": {"t": "s", "q_d": "rad", "q_c": "rad", "q": "rad", "tau": "N m"}, **meta}, **columns)
-        return PlayResult(recording, np.array(self.q_c), np.array(self.times), self.state, failure, error)
+        return PlayResult(recording, np.array(self.q_c), np.array(self.times), self.commands.state, failure, error)
 
 
 def _checked(q_d: Array, driver: RobotInterface, feedforward: Feedforward, robot: Robot | None) -> Array:

@@ -5,21 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ideal_robot.arrays import Array, eased, held
+from ideal_robot.arrays import Array, eased
 from ideal_robot.errors import IdealRobotError, InputError, LimitError
-from ideal_robot.execution.command_governor import (
-    CommandGovernor,
-    check_limits,
-    require_within_limits,
-    stopping_rows,
-    stops_at_once,
-)
+from ideal_robot.execution.command_governor import CommandGovernor, require_within_limits
+from ideal_robot.execution.play import LONGEST_STOP, PathCommands
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.corrected_arm import ForCorrectedArm
 from ideal_robot.feedforward.method import Needs
@@ -139,12 +133,6 @@ class RsiRun(Summarised):
 
 START_TOLERANCE = np.radians(0.5)
 """How far from the start of the path the arm may stand [rad]; the rest before the path takes it there."""
-_BRAKING_MIN = 0.15
-"""Speed over deceleration that braking counts with at least [s]."""
-_STANDING = 0.3
-"""How long the arm is held after braking [s]."""
-_BRAKING_MAX = 5.0
-"""Longest that braking takes [s]."""
 _SETTLING = 2.0
 """How long the arm is held at most behind the path until nothing that was missed is left to be made good [s]."""
 
@@ -191,7 +179,7 @@ class RsiServer:
         robot = self.link.robot
         anywhere = np.clip(robot.home, robot.q_min, robot.q_max)
         CommandGovernor(robot, anywhere, t_ipo=self.link.t_ipo).allowed(anywhere)
-        log = CycleLog(len(self.q_d) + round((_SETTLING + 2.0 * _BRAKING_MAX) / self.link.t_ipo), self.link.robot.n)
+        log = CycleLog(len(self.q_d) + round((_SETTLING + 2.0 * LONGEST_STOP) / self.link.t_ipo), self.link.robot.n)
         with undisturbed(core) as granted:
             self.link.connect(patience)
             q_d = self._from(self.link.commanded)
@@ -231,51 +219,22 @@ class RsiServer:
 
     def _commands(self, q_d: Array) -> Iterator[tuple[Array, Array]]:
         """Desired position and command of every cycle; braking from where a limit or ``stop`` ends the path."""
-        law, T, robot = self.feedforward, self.link.t_ipo, self.link.robot
-        state, last = law.init(q_d[0]), np.tile(q_d[0], (2, 1))
-        governor = CommandGovernor(robot, q_d[0], t_ipo=T)
-        ahead = held(q_d, after=law.n_d + 2)
+        T, commands = self.link.t_ipo, PathCommands(self.feedforward, q_d, self.link.robot, self.link.t_ipo)
         for k in range(len(q_d)):
-            if self._reason is not None:
-                break
-            q_c, after = law.step(state, ahead[k : k + law.n_d])
             try:
-                check_limits(np.vstack([last, q_c]), robot, T, start=(k - 2) * T)
-                governor.require_room(q_c, start=k * T)
+                row = commands.row(k) if self._reason is None else None
             except LimitError as error:
+                row = None
                 self.stop(f"stopped on the path at {k * T:.3f} s: {error}")
-                break
-            governor.passed(q_c)
-            state, last = after, np.vstack([last[1], q_c])
-            yield ahead[k], q_c
-        else:
-            for _ in range(round(_SETTLING / T)):
-                # Where the path ends in motion, to be held at once would be more than the arm's acceleration.
-                moving = not stops_at_once(last[1] - last[0], robot, T)
-                if not moving and (self.link.settled or self._reason is not None):
-                    break
-                q_c, state = law.step(state, ahead[-law.n_d :])
-                q_c = governor.allowed(q_c)
-                last = np.vstack([last[1], q_c])
-                yield ahead[-1], q_c
-            return
-        speed = float(np.max(np.abs(ahead[k + 1] - ahead[k]) / T / robot.a_max))
-        braking = max(speed, _BRAKING_MIN)
-        cycles = int(np.ceil((min(1.5 * braking, _BRAKING_MAX) + _STANDING) / T))
-        at = ahead[k]
-        for planned in islice(stopping_rows(ahead[k : k + cycles + law.n_d], T, braking, 1.0), cycles):
-            q_c, state = law.step(state, planned[: law.n_d])
-            at, q_c = planned[0], governor.allowed(q_c)
-            last = np.vstack([last[1], q_c])
-            yield at, q_c
-        for _ in range(round(_BRAKING_MAX / T)):
-            # The limits may let the commands arrive later than the plan.
-            if stops_at_once(last[1] - last[0], robot, T):
+            if row is None:
+                yield from commands.brake(k)
                 return
-            q_c, state = law.step(state, np.tile(at, (law.n_d, 1)))
-            q_c = governor.allowed(q_c)
-            last = np.vstack([last[1], q_c])
-            yield at, q_c
+            yield row
+        yield from commands.to_rest(q_d[-1])
+        for _ in range(round(_SETTLING / T)):
+            if self.link.settled or self._reason is not None:
+                return
+            yield commands.governed(np.tile(q_d[-1], (self.feedforward.n_d, 1)))
 
     def _run(self, log: CycleLog, granted: list[str]) -> RsiRun:
         robot, counts = self.link.robot, asdict(self.link.counts)
