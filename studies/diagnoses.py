@@ -7,6 +7,7 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -113,8 +114,11 @@ def known_before(trial: Trial, robot: Robot) -> Model | None:
     """The model of a trial's healthy reference, or None: a rigid body with friction, as an identification has it."""
     if trial.reference is None:
         return None
-    return (identify([trial.reference], robot).model if trial.kind == "known" else
-            diagnose(trial.reference, robot, only=()).model)
+    if trial.kind == "known":
+        return identify([trial.reference], robot).model
+    # A lag of all torques belongs to the recording; left in the parameters it would turn inertia into friction.
+    found = diagnose(trial.reference, robot, only=(("common_delay", 0),)).model
+    return None if found is None else replace(found, effects=())
 
 
 def _line(s: Score) -> str:

@@ -19,7 +19,7 @@ from ideal_robot.diagnosis.statistics.problem import (
     with_parameters,
     with_possible_inertias,
 )
-from ideal_robot.diagnosis.validation.refit import beside_lag, explained_by_refitting, without_scatter
+from ideal_robot.diagnosis.validation.refit import explained_by_refitting
 from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, FoundEffect
 from ideal_robot.diagnosis.validation.weighing import arguments
 from ideal_robot.effects import MOTOR_TORQUE, FittedEffect
@@ -99,7 +99,7 @@ def _extended(case: Case, found: Findings, added: list[FoundEffect]) -> tuple[Mo
     """The model with the parameters of the joint fit and all effects, and warnings; None for torques in amperes."""
     if not case.shared:
         return None, ()
-    final = found.domains[0].final if case.only is None else without_scatter(beside_lag(found.domains[0]), found.held)
+    final = found.domains[0].final
     model = with_parameters(found.start, final.change, final.covariance)
     warnings: tuple[str, ...] = ()
     try:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, interpolated
 from ideal_robot.errors import InputError
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.results import Summarised, listed
@@ -155,7 +155,7 @@ def _series(recording: Recording, t_cycle: float, delay: float, offsets: bool = 
     if every < 1 or abs(every * step - t_cycle) > 0.02 * t_cycle:
         raise InputError(f"the sampling step must divide the cycle of {1e3 * t_cycle:g} ms", file=recording.source,
                          field="t", value=f"{1e3 * step:.4g} ms")
-    q_d = np.column_stack([np.interp(t - delay, t, command[:, j]) for j in range(q.shape[1])])
+    q_d = interpolated(t - delay, t, command)
     e, qd = q_d - q, np.gradient(q, step, axis=0)
 
     def mean(x: Array) -> Array:

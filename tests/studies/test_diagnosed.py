@@ -14,6 +14,7 @@ from ideal_robot.effects import Signals
 from ideal_robot.effects.drive import AxisCoupling, CommonDelay
 from ideal_robot.identification.idim import identify
 from ideal_robot.signals.recording import Recording
+from studies.diagnoses import known_before
 from studies.strangers.arm import robot_of
 from studies.strangers.score import Score, score
 from studies.strangers.trial import LATE, Trial, draw_trial
@@ -22,8 +23,7 @@ from studies.strangers.trial import LATE, Trial, draw_trial
 def diagnosed(seed: int) -> tuple[Trial, Any, Score]:
     trial = draw_trial(seed, size=(3.0, 10.0))
     with robot_of(trial.urdf) as robot:
-        model = None if trial.reference is None else diagnose(trial.reference, robot, only=()).model
-        found = diagnose(trial.recording, robot, model=model)
+        found = diagnose(trial.recording, robot, model=known_before(trial, robot))
     return trial, found, score(trial, found)
 
 

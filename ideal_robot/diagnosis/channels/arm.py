@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.channels.regression import Regression, noise_in_band
+from ideal_robot.diagnosis.channels.regression import Regression, noise_floor
 from ideal_robot.diagnosis.statistics.problem import Candidate
 from ideal_robot.effects import ARM_POSITION, TCP_POSITION, Frames
 from ideal_robot.effects.loads import AngleLaw
@@ -42,7 +42,7 @@ def arm_angle_regression(recording: Recording, robot: Robot, torque: Regression,
     units = tuple("m" if unit == "N" else "rad" for unit in torque.units)
     without = {j + 1: "has no angle measured on the arm's side" for j in range(n) if not there[j]}
     return dataclasses.replace(torque, channels=names, units=units, y=y, measured=y - y.mean(axis=0),
-                               W=W, use=np.tile(there, (len(y), 1)), noise_floor=noise_in_band(y, torque),
+                               W=W, use=np.tile(there, (len(y), 1)), noise_floor=noise_floor(y),
                                undecided={**torque.undecided, **without}, domain=ARM_POSITION,
                                absent=frozenset(int(j) for j in np.flatnonzero(~there)))
 
@@ -164,7 +164,23 @@ def tool_regression(recording: Recording, robot: Robot, torque: Regression,
     return dataclasses.replace(
         torque, channels=("x", "y", "z"), units=("m",) * 3, y=y, measured=y - y.mean(axis=0),
         W=torque.filtered.decimate(W), use=np.tile(there, (len(y), 1)), signals=signals, domain=TCP_POSITION,
-        noise_floor=noise_in_band(y, torque), absent=frozenset(int(i) for i in np.flatnonzero(~there)))
+        noise_floor=noise_floor(y), absent=frozenset(int(i) for i in np.flatnonzero(~there)))
+
+
+def position_regressions(recording: Recording, robot: Robot, torque: Regression,
+                         stiffness: Array | None) -> Iterator[Regression]:
+    """The regressions of the arm angles and of the TCP, as far as they were measured.
+
+    Args:
+        recording: with ``qa_i`` or ``x y z`` of some joints and axes, else there are none.
+        robot: the arm.
+        torque: the regression of its torques, for signals and filters.
+        stiffness: of the gears as far as the model knows ``(n,)`` [N m/rad], or None.
+    """
+    for build in (arm_angle_regression, tool_regression):
+        made = build(recording, robot, torque, stiffness)
+        if made is not None:
+            yield made
 
 
 def measured_axes(recording: Recording) -> np.ndarray:

@@ -11,9 +11,17 @@ from scipy import ndimage
 
 from ideal_robot.arrays import GRAVITY, Array, G
 from ideal_robot.diagnosis.channels.arm import frames_along, tool_motion
-from ideal_robot.diagnosis.channels.line import KNOTS
-from ideal_robot.diagnosis.channels.motor_torque import BAND, CUTOFF
-from ideal_robot.diagnosis.channels.regression import FEWEST, MEMORY, RESTING, Regression, noise_in_band
+from ideal_robot.diagnosis.channels.regression import (
+    BAND,
+    CUTOFF,
+    FEWEST,
+    KNOTS,
+    MEMORY,
+    RESTING,
+    Regression,
+    noise_floor,
+)
+from ideal_robot.diagnosis.statistics.least_squares import CLEAR
 from ideal_robot.effects import SENSOR
 from ideal_robot.effects.fitted import spline_basis
 from ideal_robot.effects.force import ASSUMED_GIVE, CONTACT_FORCE, MOMENTS
@@ -40,6 +48,7 @@ class Wrench:
         push: minus the sensor's acceleration in its own frame ``(N, 3)`` [m/s²].
         free: samples without contact ``(N,)``.
         load: bias and mass ``(3 + 1,)`` as they follow from the free samples.
+        limit: what force a sample without contact has beside them at most [N].
     """
 
     values: Array
@@ -48,6 +57,7 @@ class Wrench:
     push: Array
     free: np.ndarray
     load: Array
+    limit: float
 
     @property
     def turns(self) -> bool:
@@ -81,12 +91,11 @@ def wrench_of(recording: Recording, robot: Robot, torque: Regression) -> Wrench 
         mass, com = float(known["mass"]), np.asarray(known["com"], dtype=float)
         weight = np.column_stack([mass * pull, np.cross(mass * com, pull)])
         values = values - (np.asarray(known["bias"], dtype=float) + weight)[:, : len(names)]
-    free, load = _untouched(values[:, :3], pull, push, filtered.dt, bool(known))
-    return Wrench(values, rotation, pull, push, free, load)
+    return Wrench(values, rotation, pull, push, *_untouched(values[:, :3], pull, push, filtered.dt, bool(known)))
 
 
-def _untouched(force: Array, pull: Array, push: Array, dt: float, calibrated: bool) -> tuple[np.ndarray, Array]:
-    """Samples without contact ``(N,)``, and bias and mass from them ``(4,)``.
+def _untouched(force: Array, pull: Array, push: Array, dt: float, calibrated: bool) -> tuple[np.ndarray, Array, float]:
+    """Samples without contact ``(N,)``, bias and mass from them ``(4,)``, and what they leave at most [N].
 
     All samples if bias and weight explain them all; else those that agree with the beginning, where nothing touches.
     """
@@ -108,7 +117,7 @@ def _untouched(force: Array, pull: Array, push: Array, dt: float, calibrated: bo
 
     everything = fitted(*sums(slice(None)))
     if np.percentile(np.linalg.norm(smooth - rows @ everything, axis=1), 99.0) < limit:
-        return np.ones(len(force), dtype=bool), everything[:4]
+        return np.ones(len(force), dtype=bool), everything[:4], limit
     # A stretch is without contact as a whole, or not: one that the filters remember.
     chunk = max(5, round(MEMORY / CUTOFF / dt))
     free = np.zeros(len(force), dtype=bool)
@@ -122,7 +131,7 @@ def _untouched(force: Array, pull: Array, push: Array, dt: float, calibrated: bo
             more = sums(here)
             gram, right = gram + more[0], right + more[1]
     # A touch begins before it is felt.
-    return ndimage.binary_erosion(free, iterations=chunk // 2, border_value=1), fitted(gram, right)[:4]
+    return ndimage.binary_erosion(free, iterations=chunk // 2, border_value=1), fitted(gram, right)[:4], limit
 
 
 def wrench_regression(wrench: Wrench, torque: Regression, turns: bool) -> Regression | None:
@@ -180,16 +189,12 @@ def sensor_regression(torque: Regression, filtered: FilteredSignals, channels: t
     signals = dataclasses.replace(torque.signals, extra=extra, frames=None)
     return dataclasses.replace(torque, t=filtered.t_decimated - filtered.t[0], channels=channels, units=units, y=y,
                                measured=y, W=W, use=np.ones(y.shape, dtype=bool), signals=signals,
-                               filtered=filtered, noise_floor=noise_in_band(y, torque), domain=SENSOR)
+                               filtered=filtered, noise_floor=noise_floor(y), domain=SENSOR)
 
 
 # The regression of the tip's place while it touches a surface.
 #
 # The tip stands on the surface, so what its place along the normal does in proportion to the force is compliance.
-
-LEAST_FORCE = 3.0
-"""Contact force that counts as contact [N]."""
-
 
 def contact_regression(recording: Recording, robot: Robot, wrench: Wrench, torque: Regression,
                        stiffness: Array | None) -> Regression | None:
@@ -206,14 +211,15 @@ def contact_regression(recording: Recording, robot: Robot, wrench: Wrench, torqu
     """
     contact = wrench.values[:, :3] - wrench.load[:3] - wrench.load[3] * wrench.pull
     force = np.einsum("kij,kj->ki", wrench.rotation, contact)
-    strong = ~wrench.free & (np.linalg.norm(force, axis=1) > LEAST_FORCE)
+    least = CLEAR * wrench.limit
+    strong = ~wrench.free & (np.linalg.norm(force, axis=1) > least)
     filtered = rows_of(torque, strong)
     if int(filtered.keep.sum()) < FEWEST:
         return None
     place = _arm_side(recording, robot, torque, force, stiffness)
     normal = _normal(force, place, strong, torque.filtered.dt)
     pressed = force @ normal
-    if float(np.mean(pressed[strong] > LEAST_FORCE)) < 0.9 or float(np.ptp(pressed[strong])) < LEAST_FORCE:
+    if float(np.mean(pressed[strong] > least)) < 0.9 or float(np.ptp(pressed[strong])) < least:
         return None
     assumed = recording.meta.get("contact_stiffness")
     y = place @ normal + (pressed / float(assumed) if assumed else 0.0)
@@ -226,13 +232,12 @@ def contact_regression(recording: Recording, robot: Robot, wrench: Wrench, torqu
     # Noise of the force is in the column as well and would make it look too small: less of it in a narrow band.
     dt = torque.filtered.dt
     band = min(BAND, 0.2 / dt)
-    wide = noise_in_band(filtered.decimate(y[touching])[:, None], torque)
+    noise = noise_floor(filtered.decimate(y[touching])[:, None], 2.0 * band * dt * filtered.factor)
     y, W, pressed = (lowpass(values[touching], dt, band) for values in (y, W, pressed))
     small = filtered.decimate(y)
     extra = {CONTACT_FORCE: pressed, ASSUMED_GIVE: np.full(len(pressed), 1.0 / float(assumed) if assumed else 0.0)}
     made = sensor_regression(torque, filtered, ("contact",), ("m",), small[:, None], filtered.decimate(W), extra)
-    return dataclasses.replace(made, measured=(small - small.mean())[:, None],
-                               noise_floor=wide * np.sqrt(2.0 * band * dt * filtered.factor))
+    return dataclasses.replace(made, measured=(small - small.mean())[:, None], noise_floor=noise)
 
 
 def _normal(force: Array, place: Array, strong: np.ndarray, dt: float) -> Array:

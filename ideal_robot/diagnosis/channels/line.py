@@ -13,10 +13,9 @@ import dataclasses
 import numpy as np
 from scipy import ndimage
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, arc_lengths, interpolated
 from ideal_robot.diagnosis.channels.arm import arm_angles, tool_motion
-from ideal_robot.diagnosis.channels.motor_torque import POSITION_BAND
-from ideal_robot.diagnosis.channels.regression import FEWEST, Regression
+from ideal_robot.diagnosis.channels.regression import FEWEST, KNOTS, POSITION_BAND, Regression
 from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.effects import SENSOR, Signals, library
 from ideal_robot.effects.camera import CameraEffect, PointError, StampError, from_axis
@@ -24,8 +23,6 @@ from ideal_robot.effects.fitted import spline_basis
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 
-KNOTS = 0.02
-"""Distance of the knots of a curve that is not known, a line's or a surface's [m]."""
 FIELDS = 300
 """Fields looked at, at most."""
 _OUTLIER = 8.0
@@ -132,10 +129,9 @@ def _signals_at(times: Array, torque: Regression, begin: float, extra: dict[str,
     s = torque.signals
     grid = torque.filtered.t - begin
 
-    def at(values: Array) -> Array:
-        return np.column_stack([np.interp(times, grid, column) for column in values.T])
-
-    return Signals(times, at(s.q), at(s.qd), at(s.qdd), at(s.load), at(s.torque), at(s.friction), extra=extra)
+    q, qd, qdd, load, motor, friction = (interpolated(times, grid, values)
+                                         for values in (s.q, s.qd, s.qdd, s.load, s.torque, s.friction))
+    return Signals(times, q, qd, qdd, load, motor, friction, extra=extra)
 
 
 def _finding_noise(residual: Array, number: np.ndarray) -> float:
@@ -193,18 +189,17 @@ def _tool_path(recording: Recording, robot: Robot, torque: Regression, stiffness
     moments = np.arange(stamps[0], min(stamps[-1] + 0.5, float(recording.t[-1])), 0.004)
     place = _poses(recording, robot, torque, stiffness, moments)[1]
     flat = place - np.outer((place - place[0]) @ up, up)
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(flat, axis=0), axis=1))])
+    way = arc_lengths(flat)
     keep = np.concatenate([[True], np.diff(way) > 1e-6])
     # Ten samples a knot, smoothed over half of one.
     s = np.arange(0.0, way[-1], KNOTS / 10.0)
     if len(s) < 40:
         return flat[:1], np.zeros(1)
-    path = np.column_stack([np.interp(s, way[keep], flat[keep, i]) for i in range(3)])
+    path = interpolated(s, way[keep], flat[keep])
     path = ndimage.gaussian_filter1d(path, 5.0, axis=0, mode="nearest")[10:-10]
     end = (path[-1] - path[-11]) / 10.0
     path = np.vstack([path, path[-1] + np.arange(1, 100)[:, None] * end])
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    return path, way
+    return path, arc_lengths(path)
 
 
 def _against(path: Array, s_path: Array, x: Array, tool: Array, up: Array) -> tuple[Array, Array, Array, np.ndarray]:
@@ -223,9 +218,8 @@ def _against(path: Array, s_path: Array, x: Array, tool: Array, up: Array) -> tu
         inside[k] = 0 < i < len(path) - 1
         s[k] = s_path[i]
         for _ in range(3):
-            foot = np.array([np.interp(s[k], s_path, path[:, a]) for a in range(3)])
-            direction = np.array([np.interp(s[k], s_path, tangents[:, a]) for a in range(3)])
-            direction /= np.linalg.norm(direction)
+            (foot,), (direction,) = (interpolated(s[k : k + 1], s_path, rows) for rows in (path, tangents))
+            direction = direction / np.linalg.norm(direction)
             s[k] += float(direction @ (point - foot))
         tangent[k], d[k] = direction, float(np.cross(up, direction) @ (point - foot))
     return s, d, tangent, inside

@@ -14,12 +14,14 @@ from scipy import interpolate, ndimage
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.regression import (
+    BAND,
+    CUTOFF,
     MEMORY,
+    POSITION_BAND,
     Regression,
-    apart_from_ends,
     apart_from_reversals,
     moving_samples,
-    noise_above_band,
+    noise_floor,
     small_velocity,
 )
 from ideal_robot.diagnosis.statistics.least_squares import CLEAR
@@ -36,13 +38,6 @@ from ideal_robot.signals.cutoff import thinned
 from ideal_robot.signals.preprocess import FilteredSignals, preprocess
 from ideal_robot.signals.recording import Recording
 
-BAND = 12.5
-"""Band in which torques are looked at [Hz]: above it are the loops of the controller and the vibrations of the arm, of
-which a rigid body with friction says nothing. In contact as well."""
-CUTOFF = 20.0
-"""Cut-off of the position filter [Hz]: as far above the band that the filter is flat within it, no further."""
-POSITION_BAND = 50.0
-"""Band in which positions and forces are looked at [Hz]."""
 ROWS = 150_000
 """Rows of the regression (samples × joints) that are looked at, at most; longer recordings are decimated further."""
 
@@ -91,10 +86,10 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     W = np.concatenate([bodies, filtered.decimate(friction_sensitivity(model.friction, q, qd, load))], axis=2)
     use, undecided = _counting_rows(recording, filtered, noise_velocity, robot)
     measured = filtered.decimate(filtered.tau)
-    prismatic = tuple(bool(slides) for slides in robot.prismatic)
+    noise, prismatic = noise_floor(recorded.tau, 1.0 / recorded.factor), tuple(map(bool, robot.prismatic))
     units = tuple("N" if slides else "N m" for slides in prismatic)
     made = Regression(filtered.t_decimated - filtered.t[0], tuple(f"tau_{j + 1}" for j in range(n)), units,
-                      measured, measured, W, use, signals, filtered, undecided, noise_above_band(recorded), prismatic)
+                      measured, measured, W, use, signals, filtered, undecided, noise, prismatic)
     made = with_reversal_width(made, model, noise_velocity if reversal_width is None else reversal_width)
     return made if shared else replace(made, W=_own_copies(made.W))
 
@@ -115,7 +110,7 @@ def _counting_rows(recording: Recording, filtered: FilteredSignals, noise_veloci
     moving, undecided = moving_samples(filtered.t - filtered.t[0], q, qd, noise_velocity, 1.0 / filtered.cutoff, robot)
     apart = apart_from_reversals(q, qd, moving, MEMORY / filtered.cutoff, filtered.dt)
     use = apart[:: filtered.factor][filtered.keep]
-    use &= apart_from_ends(filtered)[:, None] & ~_clipped(recording, filtered)
+    use &= ~_clipped(recording, filtered)
     return use, {**{int(j) + 1: "no sample is left away from ends, pauses, reversals and limits of the drive"
                     for j in np.flatnonzero(~use.any(axis=0))}, **undecided}
 

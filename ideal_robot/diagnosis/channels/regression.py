@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 from scipy import ndimage, signal
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, interpolated
 from ideal_robot.diagnosis.channels.blocks import Blocks, time_blocks
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION, Domain, Effect, FittedEffect, Frames, Signals
 from ideal_robot.robots.robot import Robot
@@ -115,6 +115,15 @@ def without_known(made: Positions, effects: Sequence[FittedEffect]) -> Positions
     return replace(made, y=np.asarray(made.y - np.sum(said, axis=0)))
 
 
+BAND = 12.5
+"""Band in which torques are looked at [Hz]: above it are the loops of the controller and the vibrations of the arm, of
+which a rigid body with friction says nothing. In contact as well."""
+CUTOFF = 20.0
+"""Cut-off of the position filter [Hz]: as far above the band that the filter is flat within it, no further."""
+POSITION_BAND = 50.0
+"""Band in which positions and forces are looked at [Hz]."""
+KNOTS = 0.02
+"""Distance of the knots of a curve that is not known, a line's or a surface's [m]."""
 RESTING = 0.004
 """Share of its top speed below which a joint rests or touches zero. If that takes longer than a period of the position
 filter's cut-off, the filter has blurred the direction on which friction depends, and those samples do not count."""
@@ -185,18 +194,9 @@ def apart_from_reversals(q: Array, qd: Array, moving: np.ndarray, width: float, 
     return np.asarray(apart & (travel > _BRISTLES))
 
 
-def apart_from_ends(filtered: FilteredSignals) -> np.ndarray:
-    """Mask ``(N,)`` without what the position filter does not know at both ends; at most a tenth is left out."""
-    t = filtered.t_decimated
-    first, last = float(filtered.t[0]), float(filtered.t[-1])
-    edge = min(MEMORY / filtered.cutoff, 0.05 * (last - first))
-    return np.asarray((t > first + edge) & (t < last - edge))
-
-
 def small_velocity(recording: Recording, filtered: FilteredSignals) -> Array:
     """Velocity below which its sign is not known ``(n,)``: twice the noise that the position filter lets through."""
-    raw = np.column_stack([np.interp(filtered.t, recording.t, recording.columns[f"q_{j + 1}"])
-                           for j in range(recording.n)])
+    raw = interpolated(filtered.t, recording.t, recording.joints("q"))
     noise = np.std(np.diff(raw, 3, axis=0), axis=0) / np.sqrt(20.0)
     # White position noise through the low-pass, differentiated: integral of (2 pi f)^2 up to the cut-off.
     share = 2.0 * np.pi * filtered.cutoff * np.sqrt(2.0 * filtered.cutoff * filtered.dt / 3.0)
@@ -218,33 +218,23 @@ def spread(values: Array, use: np.ndarray) -> Array:
     return rms(values - (values * use).sum(axis=0) / np.maximum(use.sum(axis=0), 1), use)
 
 
-def noise_above_band(filtered: FilteredSignals) -> Array:
-    """Noise of the torque in the band that is looked at ``(n,)`` [N m]: the floor of its spectrum above that band."""
-    rate = 1.0 / filtered.dt
-    band = min(filtered.cutoff_decimation, 0.5 * rate)
-    f, power = signal.welch(filtered.tau, fs=rate, nperseg=min(len(filtered.tau), 1024), axis=0)
-    above = f >= 0.8 * f[-1]
-    return np.sqrt(np.median(power[above], axis=0) / np.log(2.0) * band)
-
-
-def noise_in_band(y: Array, torque: Regression) -> Array:
-    """Noise of measured positions in the band that is looked at ``(c,)``.
+def noise_floor(values: Array, share: float = 1.0) -> Array:
+    """Noise of measured channels ``(c,)``, in as much of their band as is looked at.
 
     Effects follow the motion and are slow against the band's end; so the floor of the spectrum over the band's upper
     part, where only noise is left, times the whole band. Noise whose spectrum falls is underestimated by that.
 
     Args:
-        y: residual at the decimated rows ``(N, c)``.
-        torque: whose filters made them.
+        values: evenly spaced in time ``(N, c)``.
+        share: of their band that is looked at, from 0 Hz on.
     """
-    rate = 1.0 / (torque.filtered.dt * torque.filtered.factor)
-    length = min(len(y), 256)
-    f, power = signal.welch(y, fs=rate, nperseg=length, axis=0)
-    # The decimation filter falls off at the very end of the band.
-    upper = (f >= 0.25 * rate) & (f <= 0.42 * rate)
+    length = min(len(values), 256)
+    f, power = signal.welch(values, nperseg=length, axis=0)
+    # A decimation filter falls off at the very end of the band.
+    upper = (f >= 0.25) & (f <= 0.42)
     # The median of an average of K periodograms lies below its mean.
-    K = max(1.0, 2.0 * len(y) / length - 1.0)
-    return np.asarray(np.sqrt(np.median(power[upper], axis=0) / (1.0 - 1.0 / (9.0 * K)) ** 3 * 0.5 * rate))
+    K = max(1.0, 2.0 * len(values) / length - 1.0)
+    return np.asarray(np.sqrt(np.median(power[upper], axis=0) / (1.0 - 1.0 / (9.0 * K)) ** 3 * 0.5 * share))
 
 
 def noise_left(residual: Array, use: np.ndarray) -> tuple[Array, Array]:

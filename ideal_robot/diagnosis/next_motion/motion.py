@@ -11,10 +11,10 @@ from scipy import interpolate
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.case import Case
-from ideal_robot.diagnosis.channels.arm import arm_angle_regression, measured_axes, tool_regression
-from ideal_robot.diagnosis.channels.motor_torque import CUTOFF, in_position_band, torque_regression
-from ideal_robot.diagnosis.channels.regression import MEMORY, Regression
-from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, Domain
+from ideal_robot.diagnosis.channels.arm import measured_axes, position_regressions
+from ideal_robot.diagnosis.channels.motor_torque import in_position_band, torque_regression
+from ideal_robot.diagnosis.channels.regression import CUTOFF, MEMORY, Regression
+from ideal_robot.effects import MOTOR_TORQUE, Domain
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.identification.excitation import FourierMotion, MotionSpace, Workspace, approach, clear_of_obstacles
 from ideal_robot.identification.program import finite_limits
@@ -54,8 +54,6 @@ KINDS = (Kind(1.0, 5, 6, 0.75, 0.8), Kind(2.0, 3, 5, 0.75, 0.8), Kind(6.0, 1, 5,
 """From fast, short strokes, which show gears and delays, to wide and to slow ones, which show springs and friction."""
 _DRAWN = 6
 """Parts of each kind to choose from, and draws of each until one lies within limits and workspace."""
-_REFINED = 30
-"""Changes of the chosen parts that are tried."""
 
 
 @dataclass(frozen=True)
@@ -158,8 +156,9 @@ class MotionSearch:
         if not chosen:
             raise InputError("no motion within the limits, the workspace and the time was found; relax the workspace "
                              "or allow more time", field="length", value=self.longest)
-        for k in range(_REFINED if value < enough else 0):
-            progress(0.6 + 0.4 * k / _REFINED, "refining")
+        # Of the chosen parts as many changes as motions were drawn.
+        for k in range(len(kinds) if value < enough else 0):
+            progress(0.6 + 0.4 * k / len(kinds), "refining")
             i = int(self.rng.integers(len(chosen)))
             changed = self._changed(chosen[i][0])
             if changed is None:
@@ -285,6 +284,6 @@ class Foresight:
                                              reversal_width=self.reversal_width)
         if domain == MOTOR_TORQUE:
             return torque
-        build: Callable[..., Regression | None] = arm_angle_regression if domain == ARM_POSITION else tool_regression
-        made = build(recording, self.case.robot, in_position_band(torque, recording), self.case.stiffness)
-        return torque if made is None else made
+        made = position_regressions(recording, self.case.robot, in_position_band(torque, recording),
+                                    self.case.stiffness)
+        return next(one for one in made if one.domain == domain)

@@ -13,9 +13,8 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis import stages
 from ideal_robot.diagnosis.case import Case, Findings
-from ideal_robot.diagnosis.channels.arm import arm_angle_regression, tool_regression
+from ideal_robot.diagnosis.channels.arm import position_regressions
 from ideal_robot.diagnosis.channels.motor_torque import in_position_band
-from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.next_motion.motion import Foresight, MotionSearch, Part, played, require_within_limits
 from ideal_robot.diagnosis.next_motion.questions import Causes, Open, undecided_joints
 from ideal_robot.diagnosis.next_motion.separation import (
@@ -29,7 +28,7 @@ from ideal_robot.diagnosis.next_motion.separation import (
 from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.diagnosis.statistics.least_squares import CLEAR
 from ideal_robot.diagnosis.statistics.problem import Problem, prior_precision
-from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, TCP_POSITION, Domain, library
+from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, Domain, library
 from ideal_robot.errors import InputError
 from ideal_robot.identification.checks import checked
 from ideal_robot.identification.excitation import Workspace
@@ -235,12 +234,8 @@ def _problems(case: Case, found: Findings) -> Iterator[tuple[Domain, Problem]]:
         problem = problem.with_prior(prior_precision(found.start, problem)).held()
     yield MOTOR_TORQUE, problem
     torque = in_position_band(found.problem.regression, case.recording)
-    made: dict[Domain, Regression | None] = {
-        ARM_POSITION: arm_angle_regression(case.recording, case.robot, torque, case.stiffness),
-        TCP_POSITION: tool_regression(case.recording, case.robot, torque, case.stiffness)}
-    for domain, regression in made.items():
-        if regression is not None:
-            yield domain, Problem.of(regression, held_out=True)
+    for made in position_regressions(case.recording, case.robot, torque, case.stiffness):
+        yield made.domain, Problem.of(made, held_out=True)
 
 
 def planned_pair(pair: Pair, before: Separation, after: Separation, recording: Recording) -> PlannedPair:

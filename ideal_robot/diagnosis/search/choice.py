@@ -54,10 +54,6 @@ class Options:
         """All shares of the residual that are asked of an effect, times a factor."""
         return replace(self, smallest=factor * self.smallest, smallest_learned=factor * self.smallest_learned)
 
-    def slow(self) -> Options:
-        """The same for the lower half of the band, where a cause is looked for a second time: as much as of a curve."""
-        return replace(self, smallest=self.smallest_learned)
-
 
 class PresentModel:
     """Selected effects, the weights of the channels that follow from what they leave, and fits with them.
@@ -92,10 +88,7 @@ class PresentModel:
 
     def residual(self, fit: Fit) -> Array:
         """Residual at all rows ``(N, c)``."""
-        r = self.problem.products.y.values[:, :, 0].copy()
-        for group, place in self.parts(fit):
-            r[:, list(group.channels)] -= group.values @ fit.beta[place]
-        return np.asarray(r)
+        return self._left(fit, fit.beta[None])
 
     def parts(self, fit: Fit) -> Iterator[tuple[Columns, slice]]:
         """The groups of a fit and where their coefficients stand in it."""
@@ -108,10 +101,13 @@ class PresentModel:
     def left_out(self, fit: Fit) -> Array:
         """Residual at all rows ``(N, c)``, each block predicted by the fit without its fold."""
         blocks = self.problem.blocks
-        fold = blocks.fold[blocks.of_samples()]
+        return self._left(fit, fit.betas[1 + blocks.fold[blocks.of_samples()]])
+
+    def _left(self, fit: Fit, betas: Array) -> Array:
+        """What of ``y`` the groups of a fit leave with parameters of each row, or of all ``(N or 1, P)``."""
         r = self.problem.products.y.values[:, :, 0].copy()
         for group, place in self.parts(fit):
-            r[:, list(group.channels)] -= np.einsum("nkm,nm->nk", group.values, fit.betas[fold + 1, place])
+            r[:, list(group.channels)] -= (group.values @ betas[:, place, None])[:, :, 0]
         return np.asarray(r)
 
     def add_columns(self, candidate: Candidate) -> None:

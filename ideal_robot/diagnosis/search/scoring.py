@@ -12,7 +12,7 @@ from scipy import optimize
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.blocks import Columns
 from ideal_robot.diagnosis.channels.regression import spread
-from ideal_robot.diagnosis.search.choice import Options, PresentModel
+from ideal_robot.diagnosis.search.choice import NEARLY, Options, PresentModel
 from ideal_robot.diagnosis.statistics.least_squares import TOLD, Fit, standard_errors
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.effects.base import Theta
@@ -99,7 +99,9 @@ class Scoring:
 
     @cached_property
     def _in_slow_band(self) -> Scoring:
-        return Scoring(PresentModel(self.model.problem.slow()), self.options.slow())
+        # A cause that is looked for a second time has to be as large as a curve.
+        return Scoring(PresentModel(self.model.problem.slow()),
+                       replace(self.options, smallest=self.options.smallest_learned))
 
     def share_asked(self, s: Candidate, own: Candidate | None = None) -> float:
         """Share of the whole band's squares that is asked of a candidate which is large.
@@ -292,13 +294,12 @@ def _forms_of_one(a: Candidate, b: Candidate) -> bool:
     return a.joint == b.joint and (a.effect.name == b.effect.name or late)
 
 
-def with_equivalents(problem: Problem, choices: list[Candidate], share: float = 0.95) -> list[Candidate]:
+def with_equivalents(problem: Problem, choices: list[Candidate]) -> list[Candidate]:
     """The choices with what other joints' geometry could do as well: links of parallel axes are one length.
 
     Args:
         problem: the regression of the TCP.
         choices: what was selected.
-        share: of the squares that another joint's columns have to reproduce.
     """
     if not any(isinstance(choice.effect, GeometryChange) for choice in choices):
         return choices
@@ -315,7 +316,7 @@ def with_equivalents(problem: Problem, choices: list[Candidate], share: float = 
                 if other != joint and effect.usable(made.signals, other):
                     theirs = made.columns_of(effect, other, theta).reshape(len(own), -1)
                     left = float(np.sum(_without(np.column_stack([W, theirs]), own) ** 2))
-                    if left < (1.0 - share) * alone:
+                    if left < (1.0 - NEARLY) * alone:
                         more.append((f"{effect.name} of joint {other}", other, 1.0 - left / alone))
         result.append(dataclasses.replace(choice, rivals=choice.rivals + tuple(more)))
     return result

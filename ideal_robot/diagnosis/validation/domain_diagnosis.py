@@ -228,8 +228,8 @@ class DomainDiagnosis:
             if allowed and clear and not near:
                 continue
             why = ("it has a sign or a size that physics does not allow" if not allowed
-                   else "it is not distinguished from none" if not clear
-                   else "it is how friction goes through standstill, at the end of what was searched")
+                   else "it is how friction goes through standstill, at the end of what was searched" if near
+                   else "it is not distinguished from none")
             said = ", ".join(p.text for p in fitted_effect(candidate, widened, k).parameters)
             return k, self._not_added(k, f"in the fit of everything together {why} ({said})")
         return None

@@ -10,7 +10,7 @@ from scipy.optimize import lsq_linear
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.case import Case, Findings
-from ideal_robot.diagnosis.channels.arm import arm_angle_regression, tool_regression
+from ideal_robot.diagnosis.channels.arm import position_regressions
 from ideal_robot.diagnosis.channels.force import force_regressions
 from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import about_model, in_position_band, torque_regression
@@ -28,18 +28,7 @@ from ideal_robot.diagnosis.statistics.problem import (
 )
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
 from ideal_robot.diagnosis.validation.result import ChannelResult, MovedParameter, RefitExplains
-from ideal_robot.effects import (
-    ARM_POSITION,
-    MOTOR_TORQUE,
-    SENSOR,
-    TCP_POSITION,
-    Domain,
-    Effect,
-    FittedEffect,
-    library,
-    names,
-)
-from ideal_robot.effects.drive import CommonDelay
+from ideal_robot.effects import MOTOR_TORQUE, SENSOR, Domain, Effect, FittedEffect, library, names
 from ideal_robot.errors import InputError
 from ideal_robot.identification.checks import checked
 from ideal_robot.model.model import Model
@@ -168,29 +157,6 @@ def _held(found: Findings, index: np.ndarray) -> Findings:
                    held=(*found.held, *(int(i) for i in index)))
 
 
-def beside_lag(torque: DomainDiagnosis) -> Estimate:
-    """The fit of everything together, beside a lag of all torques where there clearly is one.
-
-    A late torque turns inertia into friction, by as much as the motion is fast: a model that holds that is wrong in
-    every other motion. The lag belongs to the recording, not to the arm, so only the parameters are of use.
-
-    Args:
-        torque: the domain of the motor torques, settled.
-    """
-    effects, signals = torque.choices, torque.problem.regression.signals
-    lag = CommonDelay()
-    if not lag.usable(signals, 0) or any(isinstance(c.effect, CommonDelay) for c in effects):
-        return torque.final
-    problem = torque.problem.on_all_blocks()
-    theta = lag.settled(lambda some: problem.fit([*effects, Candidate(lag, 0, some)]).coefficients[-1],
-                        lag.starts(signals, 0)[0])
-    found = problem.fit([*effects, Candidate(lag, 0, theta)], uncertainty=True)
-    own, std = found.coefficients[-1], found.std[-1]
-    if not abs(own[0]) > CLEAR * std[0] or not lag.plausible(own, theta, signals, 0):
-        return torque.final
-    return found
-
-
 # What refitting a given model's parameters alone explains: a cause that looks like them may hide in that.
 #
 # A spring, moved little, is a shift of masses; a wrong gain is heavier links and more friction. Where parameters have
@@ -259,22 +225,19 @@ def with_named_effects(recording: Recording, robot: Robot, model: Model,
     """
     (recording,), _ = checked([recording], robot)
     torque = torque_regression(recording, robot, model, payload=True)
-    made: dict[Domain, Regression | None] = {
-        ARM_POSITION: arm_angle_regression(recording, robot, torque, model.stiffness),
-        TCP_POSITION: tool_regression(recording, robot, torque, model.stiffness), MOTOR_TORQUE: torque}
+    made = {one.domain: one for one in (*position_regressions(recording, robot, torque, model.stiffness), torque)}
     wanted: dict[Domain, list[tuple[list[Effect], int]]] = {}
     for name, joint in effects:
-        place = next((domain for domain, one in made.items() if one is not None and _named(name, domain)), None)
+        place = next((domain for domain in made if _named(name, domain)), None)
         if place is not None:
             wanted.setdefault(place, []).append((_named(name, place), joint))
         elif name not in names():
             raise InputError("no such effect", field="effect", value=name)
     found: list[FittedEffect] = []
     for domain, regression in made.items():
-        if regression is None or domain not in wanted:
-            continue
-        problem = held_problem(regression, model) if domain == MOTOR_TORQUE else Problem.of(regression, False)
-        found += _together(problem, wanted[domain])
+        if domain in wanted:
+            problem = held_problem(regression, model) if domain == MOTOR_TORQUE else Problem.of(regression, False)
+            found += _together(problem, wanted[domain])
     return model.with_effects(tuple(found))
 
 

@@ -62,20 +62,19 @@ def eliminated(effects: Sequence[T], error: Error[T],
     return kept, dropped
 
 
-def accepted(effects: Sequence[T], error: Error[T], channel_of: Callable[[T], int | None], least: float) -> list[T]:
+def accepted(effects: Sequence[T], error: Error[T], channel_of: Callable[[T], int | None]) -> list[T]:
     """Takes, one after another, the effects that lower the error beside those already taken.
 
     Args:
         effects: in the order in which they are tried.
         error: of the other recording with some of them.
         channel_of: the channel of an effect, None if it has no own.
-        least: logarithm of the ratio by which an error has to fall.
     """
     kept: list[T] = []
     present = error(kept)
     for effect in effects:
         tried = error([*kept, effect])
-        if log_reduction(present, tried, channel_of(effect)) > least:
+        if log_reduction(present, tried, channel_of(effect)) > 0.0:
             kept, present = [*kept, effect], tried
     return kept
 
@@ -126,10 +125,6 @@ def _not_transferred(validation: Regression, choice: Candidate, without: Array, 
 # and its friction are one package: they are taken together or not at all. An effect on top of the friction of before
 # counts twice what both describe.
 
-_LEAST = -np.log(0.99)
-"""What does not lower an error by a hundredth is not taken for an improvement."""
-
-
 def adopted(known: Model, found: Diagnosis, run: Recording, robot: Robot) -> Model:
     """The known model with the joints, changed as the diagnosis says, that predict another recording better.
 
@@ -155,7 +150,7 @@ def adopted(known: Model, found: Diagnosis, run: Recording, robot: Robot) -> Mod
 
     joints = accepted(sorted({effect.joint for effect in at_torque} | {one.joint for one in found.refitted}),
                       lambda some: with_joints(some).predict(run).relative_error_percent,
-                      lambda joint: joint - 1 if joint else None, _LEAST)
+                      lambda joint: joint - 1 if joint else None)
     return with_joints(joints)
 
 
@@ -195,4 +190,4 @@ def behind_gears(known: Model, found: Diagnosis, run: Recording, robot: Robot) -
         # A constant difference of the measuring devices says nothing about gears.
         return np.asarray(np.linalg.norm(left - left.mean(axis=0), axis=0) + 1e-300)
 
-    return tuple(accepted(behind, error, lambda effect: effect.joint - 1, _LEAST))
+    return tuple(accepted(behind, error, lambda effect: effect.joint - 1))

@@ -144,7 +144,7 @@ def test_a_healthy_recording_of_our_world_against_the_model_of_another_one(bare)
     assert found.verdict == ("effects" if there else "none")
 
 
-def test_a_model_made_of_late_torques_is_no_other_than_one_made_of_punctual_ones(tmp_path):
+def test_where_their_delay_is_named_a_model_made_of_late_torques_is_that_of_punctual_ones(tmp_path):
     two = an_arm(seed=5, n=4)
     plant, rng = a_plant(two, kind=TANH), np.random.default_rng(8)
     run = ENGINES["integrator"](plant, draw_motion(rng, two, 25.0, "fourier"))
@@ -156,8 +156,9 @@ def test_a_model_made_of_late_torques_is_no_other_than_one_made_of_punctual_ones
     robot = Robot.load(urdf)
 
     def viscous(lag: float) -> np.ndarray:
-        model = diagnose(record(dataclasses.replace(logger, lag=lag), plant, run), robot, only=()).model
-        assert not model.effects
+        model = diagnose(record(dataclasses.replace(logger, lag=lag), plant, run), robot,
+                         only=(("common_delay", 0),)).model
+        assert [effect.name for effect in model.effects] == ["common_delay"] * (lag > 0.0)
         return np.array([p.value for p in model.parameters if p.name.startswith("Fv_")])
 
     # Inertia that is late by 8 ms is friction: left in the parameters it changes some of these by more than a tenth.
