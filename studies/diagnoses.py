@@ -102,8 +102,8 @@ def _play(seed: int, *, kind: str | None, size: tuple[float, float], length: tup
         try:
             model = known_before(trial, robot)
             start = time.process_time()
-            found = diagnose(trial.recording, robot, model=model, options=Options().scaled(scale),
-                             explain=explain)
+            options = Options(smallest=scale * Options.smallest, smallest_learned=scale * Options.smallest_learned)
+            found = diagnose(trial.recording, robot, model=model, options=options, explain=explain)
         except (IdealRobotError, ArithmeticError, ValueError) as error:
             print(f"{seed}: {error}", flush=True)
             return score(trial, GAVE_UP)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.case import Case, Findings
-from ideal_robot.diagnosis.channels.arm import arm_angle_regression, tool_regression, with_loose_weights
+from ideal_robot.diagnosis.channels.arm import arm_angle_regression, punctual, tool_regression, with_loose_weights
 from ideal_robot.diagnosis.channels.force import force_regressions
 from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import about_model, in_position_band, with_reversal_width
@@ -22,14 +22,19 @@ from ideal_robot.diagnosis.statistics.least_squares import TOLD
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem, prior_precision, with_parameters
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
 from ideal_robot.diagnosis.validation.refit import with_braking_friction, without_scatter
+from ideal_robot.diagnosis.validation.result import NotTransferred
 from ideal_robot.diagnosis.validation.transfer import deciding, transferring
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, SENSOR, TCP_POSITION, Effect, library
 from ideal_robot.effects.backlash import Backlash
+from ideal_robot.effects.drive import DeadTime
 from ideal_robot.effects.kinematics import GeometryChange
 from ideal_robot.model.model import Model
 
+Settled = tuple[DomainDiagnosis, tuple[NotTransferred, ...]]
+"""A domain after its search, and what does not hold in the end."""
 
-def diagnosed_channels(case: Case, found: Findings) -> Iterator[DomainDiagnosis]:
+
+def diagnosed_channels(case: Case, found: Findings) -> Iterator[Settled]:
     """The domains that the recording has beside the motor torque, after their search."""
     torque, validation = _in_position_band(case, found)
     for build in (arm_angle_regression, tool_regression):
@@ -42,11 +47,21 @@ def diagnosed_channels(case: Case, found: Findings) -> Iterator[DomainDiagnosis]
         other = None if validation is None or case.validate is None else \
             build(case.validate, case.robot, validation, case.stiffness)
         other = None if other is None else without_known(other, found.start.effects)
-        yield _diagnosed(case, made, other)
+        yield (settled := _diagnosed(case, made, other))
+        if made.domain == ARM_POSITION:
+            case = _with_punctual_angles(case, settled[0])
     yield from diagnosed_sensors(case, found)
 
 
-def diagnosed_sensors(case: Case, found: Findings) -> Iterator[DomainDiagnosis]:
+def _with_punctual_angles(case: Case, arm: DomainDiagnosis) -> Case:
+    """The case without the delays of arm angles that were found: else the tool would be early beside them."""
+    late = [(choice.joint, float(own[0])) for choice, own in zip(arm.choices, arm.final.coefficients, strict=True)
+            if isinstance(choice.effect, DeadTime)]
+    return replace(case, recording=punctual(case.recording, late),
+                   validate=None if case.validate is None else punctual(case.validate, late))
+
+
+def diagnosed_sensors(case: Case, found: Findings) -> Iterator[Settled]:
     """The domains of a force sensor and of a camera, as far as the recording has them, after their search."""
     torque, validation = _in_position_band(case, found)
     for made, other in force_regressions(case.recording, case.validate, case.robot, torque, validation,
@@ -64,7 +79,7 @@ def _in_position_band(case: Case, found: Findings) -> tuple[Regression, Regressi
     return in_position_band(found.problem.regression, case.recording), validation
 
 
-def _diagnosed(case: Case, made: Regression, validation: Regression | None) -> DomainDiagnosis:
+def _diagnosed(case: Case, made: Regression, validation: Regression | None) -> Settled:
     """The search in one regression; of a sensor nothing is learned, and what is reported as before is refitted."""
     effects = [effect for effect in library() if effect.domain == made.domain]
     sensor, only = made.domain == SENSOR, case.only
@@ -79,7 +94,7 @@ def _diagnosed(case: Case, made: Regression, validation: Regression | None) -> D
     choices = Search(problem, effects, case.options.finer(), absorbed=True, only=only).run()
     choices = with_equivalents(problem, choices)
     final = problem.on_all_blocks().fit(choices, uncertainty=True)
-    return DomainDiagnosis(problem, choices, final, validation, not sensor, case.recording.hash)
+    return DomainDiagnosis(problem, choices, final, validation, not sensor, case.recording.hash).settled()
 
 
 def prepared(case: Case, warnings: tuple[str, ...]) -> Findings:
@@ -234,10 +249,10 @@ def effects_of_other_channels(case: Case, found: Findings) -> Findings:
     return _settled(found, diagnosed_channels(case, found))
 
 
-def _settled(found: Findings, domains: Iterator[DomainDiagnosis]) -> Findings:
-    settled = [domain.settled() for domain in domains]
-    return replace(found, domains=(*found.domains, *(domain for domain, _ in settled)),
-                   not_transferred=found.not_transferred + tuple(d for _, dropped in settled for d in dropped))
+def _settled(found: Findings, domains: Iterator[Settled]) -> Findings:
+    for domain, dropped in domains:
+        found = replace(found, domains=(*found.domains, domain), not_transferred=found.not_transferred + dropped)
+    return found
 
 
 def sensors_alone(case: Case, found: Findings) -> Findings:

@@ -61,6 +61,22 @@ def arm_angles(recording: Recording, torque: Regression, stiffness: Array | None
     return angles
 
 
+def punctual(recording: Recording, delays: Sequence[tuple[int, float]]) -> Recording:
+    """The recording with arm angles as they were when it was recorded.
+
+    Nothing is recorded before it happens: where arm angles seem early, it is the motors' that are late.
+
+    Args:
+        recording: with ``qa_i`` of some joints.
+        delays: joints (from 1; 0 for all) and by how much their arm angles are late [s].
+    """
+    columns, t = dict(recording.columns), recording.t
+    for joint, delay in delays:
+        for name in columns.keys() & {f"qa_{j}" for j in ([joint] if joint else range(1, recording.n + 1))}:
+            columns[name] = np.interp(t + max(delay, 0.0), t, columns[name])
+    return dataclasses.replace(recording, columns=columns)
+
+
 def deflection(torque: Regression, stiffness: Array | None) -> Array:
     """Arm minus motor angle by gears of known stiffness ``(N, n)``, [J] (2)."""
     if stiffness is None:

@@ -50,10 +50,6 @@ class Options:
         """
         return replace(self, smallest=self.smallest / 3.0)
 
-    def scaled(self, factor: float) -> Options:
-        """All shares of the residual that are asked of an effect, times a factor."""
-        return replace(self, smallest=factor * self.smallest, smallest_learned=factor * self.smallest_learned)
-
 
 class PresentModel:
     """Selected effects, the weights of the channels that follow from what they leave, and fits with them.

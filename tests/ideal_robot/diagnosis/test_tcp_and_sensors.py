@@ -106,6 +106,14 @@ def test_a_late_device_and_a_good_one():
     np.testing.assert_allclose(floors, NOISE, rtol=0.2)
 
 
+def test_the_tool_is_not_early_beside_arm_angles_that_are_late():
+    t, q, _ = motion()
+    late = {f"qa_{j + 1}": np.interp(t - 4e-4, t, x) for j, x in enumerate(q.T)}
+    found = diagnose(recorded(tcp(robot().pinocchio, q), **late), robot(), only=(("dead_time", 0),))
+    assert [e.fitted.channel for e in found.effects] == ["qa_all"]
+    within(found, "dead_time", 0, delay=4e-4)
+
+
 def trial(seed: int, kind: str, folder: Path) -> tuple[Diagnosis, np.ndarray]:
     drawn = draw_force_trial(seed, kind)
     only = (("force_bias", 0), ("force_compliance", 0))
