@@ -21,6 +21,7 @@ from ideal_robot.diagnosis.channels.regression import (
     Regression,
     noise_floor,
 )
+from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.diagnosis.statistics.least_squares import CLEAR
 from ideal_robot.effects import SENSOR
 from ideal_robot.effects.fitted import spline_basis
@@ -32,10 +33,6 @@ from ideal_robot.signals.recording import Recording
 # The regression of a force sensor's wrench while nothing touches the tool.
 #
 # Then the wrench is bias, the tool's weight in the changing orientation, and its inertia.
-
-TURNS = 0.1
-"""Spread of the direction of gravity in the sensor [rad] from which on weight and bias are distinguished."""
-
 
 @dataclass(frozen=True)
 class Wrench:
@@ -61,9 +58,9 @@ class Wrench:
 
     @property
     def turns(self) -> bool:
-        """Whether the orientation changes enough for weight and bias to be distinguished."""
+        """Whether weight cannot do nearly all that a bias does, as is asked of any effect."""
         pull = self.pull[self.free] / G
-        return bool(np.linalg.norm(np.std(pull, axis=0)) > TURNS) if len(pull) else False
+        return bool(np.sum(np.var(pull, axis=0)) > Options.smallest_own) if len(pull) else False
 
 
 def wrench_of(recording: Recording, robot: Robot, torque: Regression) -> Wrench | None:
