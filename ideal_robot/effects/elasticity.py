@@ -145,9 +145,9 @@ class ElasticityAtArm(JointElasticity):
         return [(0.0,)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """Either may have all of the inertia."""
+        """Either may have all of the inertia; of none, which a poorly identified model may have, there is nothing."""
         inertia = _mean_inertia(signals, joint)
-        return [(-inertia, inertia)]
+        return [(-inertia, inertia)] if inertia > 0.0 else []
 
     def bounds_near(self, signals: Signals, joint: int, theta: Theta) -> list[tuple[float, float]]:
         """See ``Effect.bounds_near``. All of it: zero is as good as any."""

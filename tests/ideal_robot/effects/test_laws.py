@@ -134,6 +134,14 @@ def test_a_rotor_bends_no_gear_and_an_older_file_says_nothing_of_it():
     np.testing.assert_array_equal(effect.columns(signals, 1, ())[:, 0, 0], whole)
 
 
+def test_a_rotor_is_not_looked_for_where_a_poor_model_has_less_than_no_inertia():
+    signals, effect = motion(), find("joint_elasticity", "qa")
+    vars(signals)["inertia"] = -np.ones((len(signals.t), signals.n))
+    assert effect.bounds_near(signals, 1, (0.0,)) == []
+    vars(signals)["inertia"] = 0.2 * np.ones((len(signals.t), signals.n))
+    assert effect.bounds_near(signals, 1, (0.0,)) == [(-0.2, 0.2)]
+
+
 def test_the_table_says_of_each_effect_what_its_class_says():
     assert EFFECTS.names() == tuple(effect.key for effect in library())
     assert len(set(EFFECTS.names())) == len(library())

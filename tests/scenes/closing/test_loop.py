@@ -278,14 +278,12 @@ def test_a_delay_of_the_stamps_is_named_with_its_size(late_stamps: Any) -> None:
 
 
 @pytest.mark.slow
-def test_a_change_with_which_the_run_stops_is_refused_and_the_next_one_tried() -> None:
+def test_stamps_that_run_away_do_not_end_the_closing() -> None:
     """Stamps and their drift together lost the line after a quarter of a second, and the closing with it."""
     rng = np.random.default_rng([1014, 14])
     scene = drawn_line(rng).changed(**drawn_error(rng))
     assert isinstance(scene, LineScene)
     result = close_loop(scene, measured="motor")
-    assert [step.taken for step in result.steps][:2] == [False, True]
-    assert result.steps[0].refused.startswith("cannot be played")
     assert result.errors["after"].mean < 0.5 * result.errors["before"].mean
 
 
