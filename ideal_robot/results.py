@@ -108,6 +108,14 @@ def plain(value: Any, digits: int | None = None) -> Any:
     return value if value is None or isinstance(value, (str, int)) else str(value)
 
 
+def flat(content: dict[str, Any], before: str = "") -> dict[str, Any]:
+    """Values by dotted name, whether a name stands in quotes or as TOML's own dotted key."""
+    found: dict[str, Any] = {}
+    for key, value in content.items():
+        found |= flat(value, f"{before}{key}.") if isinstance(value, dict) else {f"{before}{key}": value}
+    return found
+
+
 # Pictures of results; the one file of this package that imports matplotlib, when a picture is asked for.
 
 Panel = tuple[str, Sequence[tuple[str, Array]]]

@@ -21,16 +21,12 @@ from planning.line.filter_bank import FilterBank
 from planning.line.fusion import DeviationFilter
 from planning.line.measurement import Measurement
 from scenes.commands.common import numbers, whole_numbers
-from scenes.force.cell import Cell, set_up, true_tip
+from scenes.force.cell import Cell, set_up
 from scenes.force.kind import run
-from scenes.force.play import BRAKING, LONGEST, REST, ForceResult, calibrated, friction_shown, methods, play
+from scenes.force.play import ForceResult, calibrated, friction_shown, methods, play, pressed
 from scenes.methods import DIRECT, IDEAL, method_of
-from scenes.online.cycle import CycleSettings, play_cycles
 from scenes.online.force_task import ForceTask
 from scenes.scene_files.force_scene import ForceScene
-from sim.arm.arm import SimulatedArm
-from sim.contact.contact import TipContact
-from sim.equipped_arm import CarriedForceSensor, EquippedArm
 from studies.closings import with_true_friction
 from studies.report import head, row, scene_of
 
@@ -136,8 +132,9 @@ def forecast_gains(speed: float = 0.2, stiffness: float = 20.0, hertz: str = "2,
 class _Watched(ForceTask):
     """Writes down for each cycle of the travel what was planned, where the arm is, and later where it is thought."""
 
-    def watch(self, arm: SimulatedArm) -> None:
-        self.arm = arm
+    def connect(self, sensor: Any, camera: Any) -> None:
+        super().connect(sensor, camera)
+        self.arm = vars(sensor)["_arm"]
         self.rows: list[tuple[float, float, float, Array]] = []
         self.believed: dict[float, Array] = {}
 
@@ -194,19 +191,10 @@ def _played(scene: ForceScene, method: Any = IDEAL, surface: _KnownSurface | Non
     if surface is not None:
         surface.in_place_of(vars(task.follower)["fusion"])
         vars(task.follower)["fusion"] = surface
-    with SimulatedArm(cell.known.robot, cell.world, cell.noise, task.q_start) as arm:
-        contact = TipContact(arm, cell.surface, true_tip(scene.tip))
-        sensor = CarriedForceSensor(cell.sensor, arm, contact)
-        task.connect(sensor, None)
-        task.watch(arm)
-        duration = cell.known.profile.duration
-        play_cycles(EquippedArm(arm, [sensor]), cell.known.robot, task, task.log,
-                    CycleSettings(BRAKING, REST * arm.t_ipo, duration + LONGEST, duration + 2.0, "ideal"),
-                    lambda *_: None)
-        history = contact.history()
-    if task.log.failure:
-        raise SystemExit(task.log.failure)
-    return _taken_apart(cell, task, scene, history)
+    result = pressed(cell, task, "ideal")
+    if result.failure:
+        raise SystemExit(result.failure)
+    return _taken_apart(cell, task, scene, result.history)
 
 
 def _taken_apart(cell: Cell, task: _Watched, scene: ForceScene, history: dict[str, Array]) -> _Parts:

@@ -26,13 +26,13 @@ from ideal_robot.feedforward.registry import feedforward, methods
 from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
+from ideal_robot.row_log import RowLog
 from ideal_robot.rsi import RsiRobot
 from ideal_robot.rsi.link import LinkCounts, Stamps
 from ideal_robot.rsi.message import RobMessage
 from scenes.models import shipped_model
 from scenes.online.cycle import CycleLog, CycleSettings, play_cycles
 from scenes.result import silent
-from scenes.rsi.server import CycleLog as RsiLog
 from scenes.rsi.server import RsiServer
 from studies.report import head, row
 
@@ -267,7 +267,7 @@ def _through_rsi(law: Feedforward, robot: Robot, kind: str, cycles: int) -> Shar
             arm.send = _stopping(arm.send, server, stop_at)  # type: ignore[method-assign,assignment]
         # A run that ends with a reason has commanded something all the same.
         with suppress(IdealRobotError):
-            server._answer(q_d, RsiLog(4 * len(q_d) + 1000, robot.n), silent)
+            server._answer(q_d, RowLog(1 + 4 * robot.n), silent)
         shares.add(_at_rest(wire.commands))
     return shares
 

@@ -21,6 +21,7 @@ from scenes.arms import arm_of
 from scenes.metrics import ControlError
 from scenes.models import model_for
 from scenes.online.force_known import START_HEIGHT, Known, force_reference
+from scenes.online.line_log import SETTLING
 from scenes.scene_files.drawn_line import Geometry, believed_camera, geometry, true_camera
 from scenes.scene_files.force_scene import ForceScene, SensorTable, TipTable, UnknownSurface
 from sensing.camera.camera_model import CameraModel
@@ -222,4 +223,4 @@ class GlueWorld:
             positions[part] = tip[part] @ surface.rotation.T + surface.translation
             let_go(tip, positions)
         s, beside = self.line.beside(positions)
-        return ControlError.of(t, s, beside, (s > 1e-6) & (s < self.line.length - 1e-6) & (t >= first_used + 0.3))
+        return ControlError.of(t, s, beside, (s > 1e-6) & (s < self.line.length - 1e-6) & (t >= first_used + SETTLING))

@@ -20,7 +20,7 @@ from scenes.force.cell import Cell, GlueWorld, calibrations, friction_above, set
 from scenes.methods import DIRECT, following_methods, method_of
 from scenes.metrics import ControlError
 from scenes.online.cycle import CycleSettings, play_cycles
-from scenes.online.force_task import ForceLog, ForceTask
+from scenes.online.force_task import BRAKING, LONGEST, ForceLog, ForceTask
 from scenes.result import Progress, ShownRun, silent
 from scenes.scene_files.force_scene import Assumed, CameraTrouble, Emergency, ForceScene
 from sensing.force.force_calibration import ContactElasticity, ToolLoad
@@ -172,12 +172,8 @@ def force_recording(arm: SimulatedArm, scene: ForceScene, method: str, task: For
     return Recording({**recording.columns, **store.finished()}, meta, recording.source)
 
 
-BRAKING = 2.0
-"""Deceleration of a stop on the path [m/s²]."""
 REST = 12
 """Cycles for which the recording goes on after a stop."""
-LONGEST = 60.0
-"""A run that has not ended so long after the time of its path is stuck [s]."""
 
 
 def methods(task: str = "surface") -> tuple[str, ...]:
@@ -201,9 +197,22 @@ def play(scene: ForceScene, method: Any, gains: tuple[float, float] | None = Non
     method = method_of(method, methods(scene.task))
     tool, elasticity = calibrated(scene)
     cell = set_up(scene)
-    glue = GlueWorld(cell) if scene.task == "glue" else None
     task = ForceTask(cell.known, method, gains, tool, elasticity, cell.camera_streams[0],
                      friction_shown(scene) if method.knows_model else None)
+    return pressed(cell, task, method.key, progress)
+
+
+def pressed(cell: Cell, task: ForceTask, method: str, progress: Progress = silent) -> ForceResult:
+    """What comes of a task on the simulated arm.
+
+    Args:
+        cell: the scene set up.
+        task: what is done, its devices not yet connected.
+        method: its key.
+        progress: called with the fraction done.
+    """
+    scene = cell.known.scene
+    glue = GlueWorld(cell) if scene.task == "glue" else None
     with SimulatedArm(cell.known.robot, cell.world, cell.noise, task.q_start) as arm:
         contact = TipContact(arm, cell.surface, true_tip(scene.tip))
         sensor = CarriedForceSensor(cell.sensor, arm, contact)
@@ -213,10 +222,10 @@ def play(scene: ForceScene, method: Any, gains: tuple[float, float] | None = Non
         duration = cell.known.profile.duration
         carried: list[Carried] = [sensor] if camera is None else [camera, sensor]
         play_cycles(EquippedArm(arm, carried), cell.known.robot, task, task.log,
-                    CycleSettings(BRAKING, REST * arm.t_ipo, duration + LONGEST, duration + 2.0, method.key), progress)
+                    CycleSettings(BRAKING, REST * arm.t_ipo, duration + LONGEST, duration + 2.0, method), progress)
         wall = time.perf_counter() - started
         task.log.wrenches = sensor.samples
-        result = _result(cell, method.key, task, glue, arm, contact, wall)
+        result = _result(cell, method, task, glue, arm, contact, wall)
     if glue is not None:
         glue.close()
     return result

@@ -25,7 +25,7 @@ from scenes.online.cell_check import Look
 from scenes.online.cycle import Task
 from scenes.online.force_calibration import elasticity_by_pressing, tool_by_turning
 from scenes.online.force_known import START_HEIGHT, Known, force_reference
-from scenes.online.force_task import ForceLog, ForceTask, GlueCamera
+from scenes.online.force_task import BRAKING, LONGEST, ForceLog, ForceTask, GlueCamera
 from scenes.online.line_job import CalibrationMotion, Piece
 from scenes.online.line_task import AT_ONCE
 from scenes.online.live_arm import LiveArm
@@ -39,10 +39,6 @@ from sensing.camera.camera_model import CameraModel
 from sensing.camera.line_search import DetectionSettings, PredictedLine
 from sensing.force.force_calibration import ContactElasticity, ToolLoad
 
-BRAKING = 2.0
-"""Deceleration of a stop on the path [m/s²]."""
-LONGEST = 60.0
-"""A run that has not ended so long after its travel is stuck [s]."""
 _BELOW = 1.25
 """Depth below where the surface was touched, as a share of what the wanted force takes, at which the tip is stopped."""
 _OTHER_TOOL, _OTHER_SURFACE = 0.05, 1.5

@@ -159,6 +159,10 @@ class ForceLog(CycleLog):
         self.planned.append(follower.planned())
 
 
+BRAKING = 2.0
+"""Deceleration of a stop on the path [m/s²]."""
+LONGEST = 60.0
+"""A run that has not ended so long after its travel is stuck [s]."""
 GATHERED = 0.01
 """Time for which samples are gathered before they are fused [s]: three samples at 250 Hz take no longer than one."""
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from ideal_robot.results import flat
 from scenes.online.result import FollowResult
 from scenes.report.page import Report, write_run_files
 
@@ -33,9 +34,9 @@ def _page(result: FollowResult) -> Report:
                 "Bottom: desired arm position minus motor angle, which is all a controller tells: gears stay between.")
     page.heading("Devices")
     for name, device in result.devices.items():
-        page.table(["figure", name], [[key, value] for key, value in _flat(device)])
+        page.table(["figure", name], _told(device))
     page.heading("Timing")
-    page.table(["figure", "value"], [[key, value] for key, value in _flat(result.timing)])
+    page.table(["figure", "value"], _told(result.timing))
     return page
 
 
@@ -58,12 +59,6 @@ def _motion(result: FollowResult) -> Figure:
     return figure
 
 
-def _flat(values: dict[str, Any], before: str = "") -> list[tuple[str, Any]]:
-    rows: list[tuple[str, Any]] = []
-    for key, value in values.items():
-        if isinstance(value, dict):
-            rows += _flat(value, f"{before}{key} ")
-        else:
-            shown = ", ".join(map(str, value)) if isinstance(value, list) else value
-            rows.append((before + key.replace("_", " "), shown))
-    return rows
+def _told(values: dict[str, Any]) -> list[list[Any]]:
+    return [[name.replace(".", " ").replace("_", " "), ", ".join(map(str, value)) if isinstance(value, list) else value]
+            for name, value in flat(values).items()]

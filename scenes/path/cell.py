@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from ideal_robot.arrays import Array
 from ideal_robot.execution.play import play as play_path
 from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.built_in import HORIZON
 from ideal_robot.feedforward.learning import AXES, Learned, joint_errors, pose_errors
 from ideal_robot.feedforward.method import Practice, Rehearsed, Setting
 from ideal_robot.feedforward.registry import methods
@@ -188,8 +189,6 @@ class PathResult(ShownRun):
 
 # What the scene needs before anything moves, and the feedforward of each method for its path.
 
-HORIZON = 0.36
-"""How far ahead the ideal robot is given desired positions [s]."""
 DELAY = "_delay"
 """Behind a method's key: the standard path planner's delay is in force."""
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from ideal_robot.bounded_values import parsed_json, read_json, read_text
 from ideal_robot.errors import InputError, did_you_mean
-from ideal_robot.results import plain
+from ideal_robot.results import flat, plain
 from ideal_robot.whole_file import OutputError, whole_file
 from scenes.program import PLACES, SCHEMA, TIMES, machine, program
 from scenes.report.page import write_json
@@ -118,14 +118,6 @@ def times_of(answers: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def _is_number(value: Any) -> bool:
     return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
-
-
-def flat(content: dict[str, Any], before: str = "") -> dict[str, Any]:
-    """Values by dotted name, whether a name stands in quotes or as TOML's own dotted key."""
-    found: dict[str, Any] = {}
-    for key, value in content.items():
-        found |= flat(value, f"{before}{key}.") if isinstance(value, dict) else {f"{before}{key}": value}
-    return found
 
 
 # Reading what run, compare, sweep and check have written.

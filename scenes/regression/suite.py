@@ -10,10 +10,11 @@ import pydantic
 
 from ideal_robot.bounded_values import read_toml
 from ideal_robot.errors import InputError, did_you_mean
+from ideal_robot.results import flat
 from scenes.kind import kind_of
 from scenes.methods import method_of
 from scenes.regression.paired import Rules
-from scenes.regression.results import MAIN, UNITS, flat, unit_of
+from scenes.regression.results import MAIN, UNITS, unit_of
 from scenes.scene_file import load_scene
 from scenes.scene_files.scene import Scene, Table, chosen, validated
 from scenes.sweep import MOST, Job, jobs

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import socket
-import struct
 import subprocess
 import sys
 import time
@@ -18,6 +17,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.rsi import RsiRobot
+from ideal_robot.rsi.link import received, stamp_arrivals
 from scenes.result import Progress, silent
 from scenes.rsi.server import RsiServer, prepared
 
@@ -159,10 +159,8 @@ def _spread(times: Array) -> list[float]:
 #
 #     python -m scenes.rsi.self_test PORT CYCLE_MS PACKETS A1 … An
 #
-# prints the delays in ms as a JSON list, null for no answer. Only the standard library: it shall disturb nothing.
+# prints the delays in ms as a JSON list, null for no answer.
 
-_TIMESTAMP = 35
-"""``SO_TIMESTAMPNS`` of Linux, which Python does not name."""
 _PATIENCE = 20.0
 """How long the first answer is waited for [s]."""
 _AFTER = 4
@@ -184,38 +182,27 @@ def delays(port: int, cycle: float, packets: int, axes: list[float]) -> list[flo
     sent, first = [0.0] * most, most
     found: list[float | None] = [None] * most
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
-        if sys.platform.startswith("linux"):
-            link.setsockopt(socket.SOL_SOCKET, _TIMESTAMP, 1)
-        due = time.time() + cycle
+        stamp_arrivals(link)
+        due = time.perf_counter() + cycle
         for k in range(most):
             if k >= first + packets + _AFTER:
                 break
-            while (left := due - time.time()) > 0:
+            while (left := due - time.perf_counter()) > 0:
                 link.settimeout(left)
                 try:
-                    answer, arrived = _received(link)
+                    answer, _, arrived = received(link)
                 except (TimeoutError, ConnectionError):
                     continue
                 at = (int(answer.split(b"<IPOC>")[1].split(b"<")[0]) - 1000) // step
                 if found[at] is None:
                     found[at], first = 1e3 * (arrived - sent[at]), min(first, at)
-            now = time.time()
+            now = time.perf_counter()
             # Late itself, it goes on from now: two packets at once would be no fault of the server's.
             due = max(due, now - 0.1 * cycle) + cycle
             sent[k] = now
             link.sendto(f'<Rob Type="KUKA"><AIPos {told}/><IPOC>{1000 + k * step}</IPOC></Rob>'.encode(),
                         ("127.0.0.1", port))
     return found[first : first + packets]
-
-
-def _received(link: socket.socket) -> tuple[bytes, float]:
-    """A packet and when the system had it [s], which is before this process was let run."""
-    packet, extra, _, _ = link.recvmsg(4096, 64)
-    for level, kind, data in extra:
-        if (level, kind) == (socket.SOL_SOCKET, _TIMESTAMP):
-            seconds, nanoseconds = struct.unpack("@ll", data[: struct.calcsize("@ll")])
-            return packet, seconds + 1e-9 * nanoseconds
-    return packet, time.time()
 
 
 if __name__ == "__main__":

@@ -25,8 +25,8 @@ from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.model import Model
 from ideal_robot.results import Summarised, shown_cell
-from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
+from ideal_robot.row_log import RowLog
 from ideal_robot.rsi import RsiRobot
 from ideal_robot.signals.recording import Recording
 from scenes.arms import shipped_model
@@ -35,42 +35,6 @@ from scenes.online.processes import undisturbed
 from scenes.path.precorrect import desired_path, robot_of
 from scenes.result import Progress, silent
 from scenes.scene_files.scene import SceneError
-
-
-class CycleLog:
-    """Time, desired and commanded position, measured position and torque of every cycle.
-
-    Args:
-        rows: cycles it holds; further ones are dropped.
-        n: number of joints.
-    """
-
-    def __init__(self, rows: int, n: int) -> None:
-        # Written once here: memory that is only promised would be fetched while a controller waits.
-        self._t, self._values = np.full(rows, 0.0), np.full((4, rows, n), 0.0)
-        self._count = 0
-
-    def __len__(self) -> int:
-        return self._count
-
-    def add(self, state: RobotState, q_d: Array, q_c: Array) -> None:
-        """Writes one cycle down.
-
-        Args:
-            state: of the arm before the command.
-            q_d: desired position ``(n,)`` [rad].
-            q_c: commanded position ``(n,)`` [rad].
-        """
-        if self._count < len(self._t):
-            self._t[self._count] = state.t
-            for values, row in zip(self._values, (q_d, q_c, state.q, state.tau), strict=True):
-                values[self._count] = row
-            self._count += 1
-
-    def columns(self) -> tuple[Array, dict[str, Array]]:
-        """Times ``(N,)`` [s] and ``q_d``, ``q_c``, ``q``, ``tau``, each ``(N, n)``."""
-        values = self._values[:, : self._count]
-        return self._t[: self._count], dict(zip(("q_d", "q_c", "q", "tau"), values, strict=True))
 
 
 @dataclass(frozen=True, repr=False)
@@ -179,7 +143,9 @@ class RsiServer:
         robot = self.link.robot
         anywhere = np.clip(robot.home, robot.q_min, robot.q_max)
         CommandGovernor(robot, anywhere, t_ipo=self.link.t_ipo).allowed(anywhere)
-        log = CycleLog(len(self.q_d) + round((_SETTLING + 2.0 * LONGEST_STOP) / self.link.t_ipo), self.link.robot.n)
+        # Of each cycle time, desired and commanded position, measured position and torque.
+        log = RowLog(1 + 4 * robot.n)
+        log.reserve(len(self.q_d) + round((_SETTLING + 2.0 * LONGEST_STOP) / self.link.t_ipo))
         with undisturbed(core) as granted:
             self.link.connect(patience)
             q_d = self._from(self.link.commanded)
@@ -189,7 +155,7 @@ class RsiServer:
                 self._reason = self._reason or str(error)
         return self._run(log, granted)
 
-    def _answer(self, q_d: Array, log: CycleLog, progress: Progress) -> None:
+    def _answer(self, q_d: Array, log: RowLog, progress: Progress) -> None:
         """Answers packet by packet; the command of the next cycle is computed while the controller is busy."""
         commands = self._commands(q_d)
         # The first answer changes nothing and needs no computing.
@@ -198,7 +164,7 @@ class RsiServer:
         state = self.link.receive()
         while command is not None:
             self.link.send(command[1])
-            log.add(state, *command)
+            log.append(np.concatenate([[state.t], *command, state.q, state.tau]))
             if len(log) % 50 == 0:
                 progress(min(len(log) / len(q_d), 1.0), "")
             if self.link.fault is not None:
@@ -236,16 +202,16 @@ class RsiServer:
                 return
             yield commands.governed(np.tile(q_d[-1], (self.feedforward.n_d, 1)))
 
-    def _run(self, log: CycleLog, granted: list[str]) -> RsiRun:
+    def _run(self, log: RowLog, granted: list[str]) -> RsiRun:
         robot, counts = self.link.robot, asdict(self.link.counts)
         meta = {"robot": robot.name, "cycle_time": robot.t_ipo, "source": "rsi",
                 "units": {"t": "s", "q_d": "rad", "q_c": "rad", "q": "rad", "tau": "N m", "current": "A"},
                 "corrections": "relative" if self.link.relative else "absolute", **self.meta}
-        t, columns = log.columns()
-        tau = columns.pop("tau")
+        t, q_d, q_c, q, tau = np.split(log.mapped(), 1 + robot.n * np.arange(4), axis=1)
+        columns = {"q_d": q_d, "q_c": q_c, "q": q}
         if np.isfinite(tau).all():
             columns |= {"current": tau / robot.drive_gain, "tau": tau}
-        recording = Recording.from_arrays(t, meta=meta, source="rsi", **columns)
+        recording = Recording.from_arrays(t[:, 0], meta=meta, source="rsi", **columns)
         times = 1e3 * np.array(self.link.answer_times or [np.nan])
         spread = {"median": float(np.median(times)), "p99": float(np.percentile(times, 99)), "max": float(times.max())}
         return RsiRun(recording, self._reason, counts, self.link.stamps.described(), spread, granted, self.rest,

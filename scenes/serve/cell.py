@@ -23,6 +23,7 @@ from scenes.line.cell import lamp_over
 from scenes.line.cell import set_up as set_up_line
 from scenes.line.cell import streams as line_streams
 from scenes.metrics import ControlError
+from scenes.online.line_log import SETTLING
 from scenes.online.processes import undisturbed
 from scenes.report.page import write_json
 from scenes.scene_files.force_scene import ForceScene
@@ -44,8 +45,6 @@ from sim.devices.stream_server import (
     Unkindness,
 )
 
-SETTLING = 0.3
-"""Time on the line until the distance counts, as in one process [s]."""
 MARGIN = 0.002
 """Distance from where the travel on the surface begins and ends within which the force does not count [m]."""
 
