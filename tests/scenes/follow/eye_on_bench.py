@@ -154,14 +154,15 @@ class Bench:
     Args:
         arm: simulated.
         robot: with the controller's cycle.
-        eye: on the arm.
+        eye: on the arm, if any.
     """
 
-    def __init__(self, arm: SimulatedArm, robot: Robot, eye: Eye) -> None:
+    def __init__(self, arm: SimulatedArm, robot: Robot, eye: Eye | None) -> None:
         self.arm, self.robot, self.t_ipo, self.fault, self.eye = arm, robot, robot.t_ipo, None, eye
         self.commanded = self.arm.truth.q_m.copy()
         self.answer_times: list[float] = []
-        self.arrived, self.gone_on, self.missed, self.counts = 0.0, 0, False, SimpleNamespace()
+        self.arrived, self.gone_on, self.missed = 0.0, 0, False
+        self.counts: Any = SimpleNamespace()
 
     def send(self, q_c: Array) -> None:
         """A command ``(n,)`` [rad]."""
@@ -170,8 +171,22 @@ class Bench:
     def receive(self) -> RobotState:
         state = self.arm.cycle(self.commanded)
         self.arrived = self.arm.t
-        self.eye.see(self.arm)
+        if self.eye is not None:
+            self.eye.see(self.arm)
         return state
+
+
+def led(live: LiveArm, job: Any, ready: Callable[[], Any]) -> str | None:
+    """Plays a job, ``ready`` giving its task once the arm is at its start; why it ended early, None for all of it."""
+    try:
+        live.approach(job.q_start)
+        task = ready()
+        live.begin()
+        play_cycles(live, job.robot, task, job.log, CycleSettings(job.braking, 0.3, job.longest, job.expected, ""),
+                    lambda *_: None)
+    except IdealRobotError as error:
+        return str(error)
+    return job.log.failure  # type: ignore[no-any-return]
 
 
 def followed(scene: LineScene, folder: Path, *, stamp: Stamp | None = None, picture: Picture | None = None,
@@ -193,20 +208,18 @@ def followed(scene: LineScene, folder: Path, *, stamp: Stamp | None = None, pict
                       else CalibratedCamera(known.camera))
         live = WaitingArm(bench, Journal(folder, known.robot, {}))  # type: ignore[arg-type]
         camera = LiveCamera(eye, live, job.detection)  # type: ignore[arg-type]
-        failure, begun = None, 0.0
-        try:
-            live.approach(job.q_start)
+        begun = 0.0
+
+        def ready() -> Any:
+            nonlocal begun
             if (look := job.look) is not None and check:
                 camera.use(job.calibration.camera, 0.0)
                 camera.apart = check_line(look, live, camera)
             task = job.ready(live, camera, None)
-            live.begin()
             begun = arm.t
-            play_cycles(live, job.robot, task, job.log, CycleSettings(job.braking, 0.3, job.longest, job.expected, ""),
-                        lambda *_: None)
-            failure = job.log.failure
-        except IdealRobotError as error:
-            failure = str(error)
+            return task
+
+        failure = led(live, job, ready)
         t, tcp = arm.tcp_path()
         s, lateral = cell.line.beside(tcp)
         inside = (s > 1e-6) & (s < cell.line.length - 1e-6) & (t > begun + 0.5)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,12 +12,10 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.errors import IdealRobotError
 from ideal_robot.robots.interface import RobotState
 from scenes.force.cell import Cell, set_up, true_tip
 from scenes.methods import following_methods, method_of
 from scenes.online.camera_process import CalibratedCamera
-from scenes.online.cycle import CycleSettings, play_cycles
 from scenes.online.force_job import ForceJob
 from scenes.online.journal import Journal
 from scenes.online.live_sensors import LiveCamera, LiveForce
@@ -27,7 +24,8 @@ from sensing.clock_relation import ClockRelation
 from sensing.force.sensors import Reading, ReadingCounts
 from sim.arm.arm import SimulatedArm
 from sim.contact.contact import TipContact
-from tests.scenes.follow.eye_on_bench import Eye, WaitingArm
+from tests.scenes.follow.eye_on_bench import Bench as EyeBench
+from tests.scenes.follow.eye_on_bench import Eye, WaitingArm, led
 
 Spoil = Callable[[float, Array], Array]
 """What a sensor tells that has been faulty for a time [s], of a wrench ``(6,)``."""
@@ -80,47 +78,31 @@ class BenchArm(WaitingArm):
         self.begun += 1
 
 
-@dataclass
-class Bench:
-    """A simulated arm that is handed each command at once; a ``Link`` and a ``WrenchSource`` in one.
+class Bench(EyeBench):
+    """A simulated arm with a force sensor, and with a camera where the scene has one; a ``WrenchSource``, too.
 
-    Attributes:
+    Args:
         cell: the scene set up.
         arm: simulated.
+        eye: the camera of a scene that has one.
         spoil: what the sensor makes of a wrench ``(6,)`` since how long it is faulty [s].
         stage: in which the fault begins; None for never.
         currents: whether the controller tells them.
-        eye: the camera of a scene that has one.
     """
 
-    cell: Cell
-    arm: SimulatedArm
-    spoil: Spoil | None = None
-    stage: str | None = None
-    currents: bool = True
-    eye: Eye | None = None
-
-    def __post_init__(self) -> None:
-        self.robot, self.t_ipo, self.fault = self.cell.known.robot, self.cell.known.robot.t_ipo, None
-        self.commanded = self.arm.truth.q_m.copy()
-        self.answer_times: list[float] = []
-        self.arrived, self.gone_on, self.missed = 0.0, 0, False
-        self.counts: Any = ReadingCounts()
-        self.clock = ClockRelation()
+    def __init__(self, cell: Cell, arm: SimulatedArm, eye: Eye | None, spoil: Spoil | None = None,
+                 stage: str | None = None, currents: bool = True) -> None:
+        super().__init__(arm, cell.known.robot, eye)
+        self.cell, self.spoil, self.stage, self.currents = cell, spoil, stage, currents
+        self.counts, self.clock = ReadingCounts(), ClockRelation()
         self.contact = TipContact(self.arm, self.cell.surface, true_tip(self.cell.known.scene.tip))
         self._due: deque[tuple[float, float, Array]] = deque()
         self.live: BenchArm | None = None
         self.force: LiveForce | None = None
         self.since = np.inf
-        self.travelled = 0.0
-
-    def send(self, q_c: Array) -> None:
-        self.commanded = np.array(q_c)
 
     def receive(self) -> RobotState:
-        t0 = self.arm.t
-        state = self.arm.cycle(self.commanded)
-        t1 = self.arrived = self.arm.t
+        t0, state, t1 = self.arm.t, super().receive(), self.arm.t
         for sample in self.cell.sensor.due(t0, t1, self.arm.tcp_at, self.contact.force_at):
             if not np.isfinite(self.since) and self.stage is not None and self.at() == self.stage:
                 self.since = sample.t
@@ -133,8 +115,6 @@ class Bench:
             self.clock.add(stamp, stamp)
             if self.force is not None:
                 self.force._readings.append((stamp, wrench))
-        if self.eye is not None:
-            self.eye.see(self.arm)
         return state if self.currents else RobotState(state.t, state.q, np.full(self.robot.n, np.nan))
 
     def at(self) -> str:
@@ -185,7 +165,7 @@ def followed(scene: ForceScene, folder: Path, before: dict[str, Any] | None = No
     cell = set_up(scene)
     with SimulatedArm(cell.known.robot, cell.world, cell.noise, cell.known.q_start()) as arm:
         known, eye = cell.known, Eye(cell) if scene.task == "glue" else None
-        bench = Bench(cell, arm, eye=eye, **faults)
+        bench = Bench(cell, arm, eye, **faults)
         job = ForceJob(scene, known.robot, known.model, method_of(scene.method, following_methods()), known.delay, 0.3,
                        CalibratedCamera(known.camera if eye is None else eye.true, folder / "camera.json"))
         job.before = before or {}
@@ -193,17 +173,12 @@ def followed(scene: ForceScene, folder: Path, before: dict[str, Any] | None = No
         live = bench.live = BenchArm(bench, journal)
         force = bench.force = LiveForce(bench, live)
         camera = None if eye is None else LiveCamera(eye, live, job.detection)  # type: ignore[arg-type]
-        failure = None
-        try:
-            live.approach(job.q_start)
+
+        def ready() -> Any:
             bench.task = job._task
-            task = job.ready(live, camera, force)
-            live.begin()
-            play_cycles(live, job.robot, task, job.log, CycleSettings(job.braking, 0.3, job.longest, job.expected, ""),
-                        lambda *_: None)
-            failure = job.log.failure
-        except IdealRobotError as error:
-            failure = str(error)
+            return job.ready(live, camera, force)
+
+        failure = led(live, job, ready)
         force.close()
         history, begun = bench.contact.history(), bench.since if np.isfinite(bench.since) else 0.0
         since = history["t"] >= begun
