@@ -6,7 +6,6 @@ import pickle
 import resource
 import sqlite3
 import struct
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -21,12 +20,12 @@ from rosbags.rosbag2.storage_mcap import zstd
 
 from ideal_robot import bounded_values, row_log
 from ideal_robot.bounded_values import checked, parsed_json
-from ideal_robot.errors import InputError
-from ideal_robot.row_log import KEPT, RowLog, file_of, let_go, new_array
+from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.row_log import KEPT, RowLog, file_of, in_new_file, let_go, new_array
 from ideal_robot.signals.recording import Recording
 from scenes.scene_files.shape import first_path
 from tests.ideal_robot.signals.test_recording import write_bag
-from tests.sources import ROOT
+from tests.sources import ROOT, files_of_at_most
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -120,21 +119,18 @@ def test_messages_that_are_computed_are_refused(tmp_path: Path, made: str) -> No
         Recording.read(folder)
 
 
-@pytest.mark.parametrize("text", [
-    "t,q_1\n" + "1," * 700_000 + "1\n", "t,q_1\n0,1\n" + "1," * 700_000 + "1\n", "a," * 700_000 + "\n1\n",
-    "t,q_1\n" + "1" * 1_500_000 + ",1\n"])
-def test_a_line_that_no_table_has_is_refused(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "r.csv"
-    path.write_text(text)
-    with pytest.raises(InputError, match="bytes of a line of a CSV file; at most 1000000 are read"):
-        Recording.read(path)
+LONG = "bytes of a line of a CSV file; at most 1000000 are read"
+OPEN = "has a quote that does not end in it"
 
 
-@pytest.mark.parametrize("text", ['t,q_1\n' + '"\n",' * 1000 + "1\n", 't,q_1\n0,"1\n1,2\n', 't,"q\n_1"\n0,1\n'])
-def test_a_quote_that_goes_on_in_the_next_line_is_refused(tmp_path: Path, text: str) -> None:
+@pytest.mark.parametrize(("text", "says"), [
+    ("t,q_1\n" + "1," * 700_000 + "1\n", LONG), ("t,q_1\n0,1\n" + "1," * 700_000 + "1\n", LONG),
+    ("a," * 700_000 + "\n1\n", LONG), ("t,q_1\n" + "1" * 1_500_000 + ",1\n", LONG),
+    ('t,q_1\n' + '"\n",' * 1000 + "1\n", OPEN), ('t,q_1\n0,"1\n1,2\n', OPEN), ('t,"q\n_1"\n0,1\n', OPEN)])
+def test_a_line_that_no_table_has_is_refused(tmp_path: Path, text: str, says: str) -> None:
     path = tmp_path / "r.csv"
     path.write_text(text)
-    with pytest.raises(InputError, match="has a quote that does not end in it"):
+    with pytest.raises(InputError, match=says):
         Recording.read(path)
 
 
@@ -208,33 +204,16 @@ def test_letting_go_does_nothing_to_arrays_in_memory() -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits the size of files as Linux does")
 def test_no_room_for_a_temporary_file_is_said_before_anything_is_written() -> None:
-    """A limit on the size of files stands for the disk."""
-    program = """
-import resource, signal
-import subprocess
-import sys
-
-import numpy as np
-from ideal_robot.errors import IdealRobotError
-from ideal_robot.row_log import in_new_file
-from ideal_robot.row_log import KEPT, RowLog
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
-def fill():
+    rows = np.arange(2.0 * KEPT + 2).reshape(-1, 2)
     log = RowLog()
-    for row in np.arange(2.0 * KEPT + 2).reshape(-1, 2):
-        log.append(row)
-    assert np.array_equal(np.array(log).ravel(), np.arange(2.0 * KEPT + 2))  # an arm that moves must not wait for it
-    raise log.refused
-for job in (lambda: in_new_file(10_000), fill):
-    try:
-        job()
-    except IdealRobotError as error:
-        print(error)
-"""
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count("set TMPDIR to another folder") == 2
+    with files_of_at_most(4096):
+        for row in rows:
+            log.append(row)
+        with pytest.raises(IdealRobotError, match="set TMPDIR to another folder"):
+            in_new_file(10_000)
+    # An arm that moves must not wait for it: what no file takes stays.
+    np.testing.assert_array_equal(np.array(log), rows)
+    assert "set TMPDIR to another folder" in str(log.refused)
 
 
 # A log of any length keeps a bounded number of rows in memory and loses none.

@@ -6,9 +6,7 @@ import dataclasses
 import errno
 import json
 import os
-import resource
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -38,6 +36,7 @@ from sim.bullet import pybullet
 from tests.fuzz import mutate, originals
 from tests.scenes.report.test_page import _replay
 from tests.scenes.test_pinned_findings import Drifting
+from tests.sources import files_of_at_most
 
 
 def test_an_arm_whose_log_finds_no_room_is_brought_to_rest_on_its_path(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -110,17 +109,6 @@ def test_places_of_an_export_are_tried_before_work_begins(tmp_path: Path) -> Non
 # A limit on the size of files stands for a disk that is full: verbs say in one line what and what helps.
 
 HELP = "raise the limit on the size of files"
-
-
-@contextmanager
-def files_of_at_most(size: int) -> Iterator[None]:
-    """No file may become larger [bytes]; Python ignores the signal, so that write(2) fails as on a full disk."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def _recording(rows: int = 3000) -> Recording:

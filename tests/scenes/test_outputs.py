@@ -21,7 +21,9 @@ from ideal_robot.errors import InputError
 from ideal_robot.signals.recording import Recording
 from ideal_robot.whole_file import OutputError, whole_file, whole_files, write_text
 from scenes.outputs import check_outputs, folders_held, whole_folder
+from scenes.report.page import write_json
 from tests.fuzz import mutate, originals
+from tests.sources import files_of_at_most
 
 WRITER = """
 import sys
@@ -124,33 +126,19 @@ def test_an_error_or_an_interrupt_leaves_what_was_there(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_keeps_the_previous_result_and_says_so_in_one_line(tmp_path: Path) -> None:
-    """A limit on the size of files stands for the disk; the system reports both from write(2)."""
-    program = """
-import resource, signal, sys
-from pathlib import Path
-import numpy as np
-from ideal_robot.errors import IdealRobotError
-from ideal_robot.signals.recording import Recording
-from scenes.report.page import write_json
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
-folder = Path(sys.argv[1])
-rng = np.random.default_rng(1)
-recording = Recording.from_arrays(np.arange(5000.0), q=rng.normal(size=(5000, 6)))
-for write in (lambda: recording.write(folder / "a.parquet"), lambda: recording.write(folder / "a.csv"),
-              lambda: write_json(folder / "a.json", {"x": rng.normal(size=5000)})):
-    try:
-        write()
-    except IdealRobotError as error:
-        print(error)
-"""
-    for name in ("a.parquet", "a.csv", "a.json"):
+    rng = np.random.default_rng(1)
+    recording = Recording.from_arrays(np.arange(5000.0), q=rng.normal(size=(5000, 6)))
+    previous = dict.fromkeys(("a.parquet", "a.csv", "a.json"), "previous")
+
+    def write_figures(path: Path) -> None:
+        write_json(path, {"x": rng.normal(size=5000)})
+
+    for name in previous:
         (tmp_path / name).write_text("previous")
-    done = subprocess.run([sys.executable, "-c", program, str(tmp_path)], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count("cannot be written") == 3
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == dict.fromkeys(
-        ("a.parquet", "a.csv", "a.json"), "previous")
+    for name, write in zip(previous, (recording.write, recording.write, write_figures), strict=True):
+        with files_of_at_most(4096), pytest.raises(OutputError, match=r"cannot be written [^\n]*$"):
+            write(tmp_path / name)
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == previous
 
 
 def test_two_runs_into_one_folder_do_not_mix(tmp_path: Path) -> None:

@@ -105,16 +105,10 @@ def test_it_makes_the_path_better_when_the_tool_is_heavier():
     assert error["adapted"] < 0.5 * error["fixed"]
 
 
-@pytest.mark.parametrize("factor", [0.7, 1.4])
-def test_finds_how_much_friction_has_changed(factor):
-    loop = plant()
-    factors = fed(FrictionAdaptation(loop), states(plant(friction=factor), motion()))
-    np.testing.assert_allclose(sliding_ratio(loop, factors), factor, rtol=0.1)
-
-
 @pytest.mark.parametrize("factor", [0.7, 1.0, 1.4])
-def test_what_torques_show_of_acceleration_is_not_taken_for_friction(factor):
-    """They are read where they jump, the arm lags behind its gears, and friction has to turn after each reversal."""
+def test_finds_how_much_friction_has_changed(factor):
+    """What torques show of acceleration is not taken for friction: they are read where they jump, the arm lags behind
+    its gears, and friction has to turn after each reversal."""
     loop = plant()
     factors = fed(FrictionAdaptation(loop), states(plant(friction=factor), motion()))
     np.testing.assert_allclose(sliding_ratio(loop, factors), factor, rtol=0.03)

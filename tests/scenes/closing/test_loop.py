@@ -27,7 +27,8 @@ from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError
 from studies.closings import drawn_error, drawn_line
 from studies.report import scene_of
-from tests.scenes.test_full_disk import HELP, files_of_at_most
+from tests.scenes.test_full_disk import HELP
+from tests.sources import files_of_at_most
 
 KNOWN = Model.nominal(Robot.load("kr6"))
 NOTHING = Recording({"t": np.arange(3.0)}, {}, "nothing")
@@ -304,11 +305,15 @@ def test_what_is_wrong_with_a_camera_is_named() -> None:
     assert undeclared_effects(scene) == ("clock_drift", "camera_scale", "camera_offset", "lens_distortion")
 
 
-def test_what_cannot_be_seen_along_a_line_is_refused_with_its_key() -> None:
-    scene = scene_of(LineScene, "close_camera").changed(calibration={"lateral_mm": 1.0})
-    with pytest.raises(InputError, match="another line") as caught:
-        close_loop(scene)
-    assert caught.value.field == "calibration.lateral_mm"
+@pytest.mark.parametrize(("name", "change", "says", "key"), [
+    ("close_camera", {"calibration": {"lateral_mm": 1.0}}, "another line", "calibration.lateral_mm"),
+    # The camera rides on the arm: 0.5 mm of every joint leave the distance from the line as it was.
+    ("line", {"world": {"base": "bench", "kinematic_error": 5e-4}}, "path scene", "world.kinematic_error")])
+def test_what_cannot_be_seen_along_a_line_is_refused_with_its_key(name: str, change: dict[str, Any], says: str,
+                                                                  key: str) -> None:
+    with pytest.raises(InputError, match=says) as caught:
+        close_loop(scene_of(LineScene, name).changed(**change))
+    assert caught.value.field == key
 
 
 @pytest.mark.slow
@@ -317,14 +322,6 @@ def test_camera_that_nobody_calibrated_is_set_right() -> None:
     result = close_loop(scene)
     assert result.errors["after"].mean < 0.7 * result.errors["before"].mean
     assert result.errors["after"].mean <= 1.5 * result.errors["oracle"].mean
-
-
-def test_geometry_of_the_arm_is_refused_along_a_line_with_its_key() -> None:
-    """The camera rides on the arm: 0.5 mm of every joint leave the distance from the line as it was."""
-    scene = scene_of(LineScene, "line").changed(world={"base": "bench", "kinematic_error": 5e-4})
-    with pytest.raises(InputError, match="path scene") as caught:
-        close_loop(scene)
-    assert caught.value.field == "world.kinematic_error"
 
 
 @pytest.mark.slow
