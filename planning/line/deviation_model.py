@@ -10,7 +10,8 @@ from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import multivariate_normal
+from scipy.linalg import solve_triangular
+from scipy.stats import chi2, multivariate_normal
 
 from ideal_robot.arrays import Array
 from planning.path.path_kernels import Rigid, Splines, deviation_basis
@@ -95,6 +96,10 @@ class DeviationModel(ABC):
 SHAPES = (0.003, 0.1), (0.006, 0.1), (0.02, 0.15)
 """How far a line's shape leaves its reference's [m], standard deviation, and over which distance that becomes another
 [m]: drawn again by hand, drawn otherwise, another line."""
+COPIED = 0.001, 0.1
+"""The same of a line that was drawn as its reference is, which a camera mounted by hand cannot tell."""
+_FIELD = 5
+"""Points of a field ([L] 5)."""
 
 
 class Expected(NamedTuple):
@@ -208,12 +213,37 @@ def shape_likelihoods(reference: ReferencePath, s: Array, deviation: Array, cova
     Returns:
         logarithms of the likelihoods.
     """
+    return np.array([multivariate_normal.logpdf(deviation, cov=_expected(reference, s, shape) + covariance)
+                     for shape in SHAPES])
+
+
+def fitting_shape(reference: ReferencePath, s: Array, deviation: Array, sigma: float) -> tuple[float, float] | None:
+    """The first of ``COPIED`` and ``SHAPES`` by which no piece of the line surprises one who comes along; None if none.
+
+    What is likeliest for the line as a whole may leave out one narrow bend. A field of five points is no surprise
+    where it is, after all points before it, within what the shape expects of 99 in 100.
+
+    Args:
+        reference: the path.
+        s: where along it ``(m,)``, ascending [m].
+        deviation: what was seen there ``(m,)`` [m].
+        sigma: standard deviation of that [m].
+    """
+    for shape in (COPIED, *SHAPES):
+        triangle = np.linalg.cholesky(_expected(reference, s, shape) + sigma**2 * np.eye(len(s)))
+        news = solve_triangular(triangle, deviation, lower=True) ** 2
+        if np.convolve(news, np.ones(_FIELD)).max() < chi2.ppf(0.99, _FIELD):
+            return shape
+    return None
+
+
+def _expected(reference: ReferencePath, s: Array, shape: tuple[float, float]) -> Array:
+    """Covariance of a line's deviations at ``s`` ``(m, m)`` [m²]: where the whole lies, and one of the shapes."""
     model = PathDeviation(reference)
     rigid = model.basis(s)[:, 0, : model.rigid]
-    moved = rigid @ model.prior()[1][: model.rigid, : model.rigid] @ rigid.T + covariance
-    distance = np.abs(np.subtract.outer(s, s))
-    return np.array([multivariate_normal.logpdf(deviation, cov=moved + sigma**2 * matern(distance, length))
-                     for sigma, length in SHAPES])
+    sigma, length = shape
+    return np.asarray(rigid @ model.prior()[1][: model.rigid, : model.rigid] @ rigid.T
+                      + sigma**2 * matern(np.abs(np.subtract.outer(s, s)), length))
 
 
 def matern(distance: Array, length: float) -> Array:

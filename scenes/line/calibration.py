@@ -6,6 +6,8 @@ stamps, and the reference path near the line.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ideal_robot.arrays import held
@@ -16,7 +18,7 @@ from planning import OutOfReachError
 from planning.line.line_follower import line_ahead
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
-from scenes.online.line_known import CalibrationView, Known, SeenBefore, calibration_postures, piece_map
+from scenes.online.line_known import CalibrationView, Known, SeenBefore, calibration_postures, piece_map, view_of
 from scenes.online.live_arm import moves
 from scenes.placing import shapes_about
 from scenes.scene_files.scene import SceneError
@@ -102,15 +104,15 @@ def _calibrated(view: CalibrationView, fields: int, at: float) -> HandEye:
     return calibrate(view.believed, view.observations, near, view.reference.frames(np.array([at])).up[0])
 
 
-LOOKS = (0.2, 0.35, 0.5, 0.65, 0.8)
-"""Shares of the line at which a whole picture is taken; one of them may fall into a gap."""
+LOOKS = 5
+"""Whole pictures of a line that are taken at least; one of them may fall into a gap."""
 CONTRAST = 0.3
 """Share of the line's contrast below which a cross-section does not count."""
 
 
 def look_at_line(robot: Robot, reference: ReferencePath, believed: CameraModel, arm: SimulatedArm,
                  camera: RenderedCamera, span: tuple[float, float], rng: np.random.Generator) -> SeenBefore:
-    """Puts the arm above a few places where the line ought to be, and takes from pictures how it looks and where it is.
+    """Takes pictures of all of the line from above where it ought to be: how it looks and where it is.
 
     Args:
         robot: the arm.
@@ -126,9 +128,11 @@ def look_at_line(robot: Robot, reference: ReferencePath, believed: CameraModel, 
     """
     kinematics = InverseKinematics(robot)
     pictures, poses, q = [], [], robot.home
-    for share in LOOKS:
+    near, far = view_of(believed)
+    looks = max(LOOKS, 1 + int(np.ceil((span[1] - span[0]) / (far - near))))
+    for s in np.linspace(span[0] - near, span[1] - far, looks):
         try:
-            q = kinematics.search(reference.pose(span[0] + share * (span[1] - span[0])), q)
+            q = kinematics.search(reference.pose(s), q)
         except OutOfReachError:
             continue
         arm.reset(q)
@@ -139,4 +143,5 @@ def look_at_line(robot: Robot, reference: ReferencePath, believed: CameraModel, 
     seen = line_appearance(pictures, believed)
     detection = DetectionSettings(line_width=seen.width, dark=seen.dark,
                                   min_contrast=min(DetectionSettings.min_contrast, CONTRAST * seen.contrast))
-    return SeenBefore.of(detection, seen.places, poses, reference)
+    return replace(SeenBefore.of(detection, seen.places, poses, reference),
+                   pictures=tuple(zip(pictures, poses, strict=True)))

@@ -17,7 +17,7 @@ from ideal_robot.signals.recording import Recording
 from planning.line.deviation_sensor import DeviationSensor
 from scenes.line.calibration import calibrate_by_moving, look_at_line
 from scenes.models import model_for
-from scenes.online.line_known import Known, SeenBefore, line_follower, span_of
+from scenes.online.line_known import Known, SeenBefore, line_follower, looked_again, span_of
 from scenes.result import Progress, silent
 from scenes.scene_files.drawn_line import Geometry, believed_camera, geometry, true_camera
 from scenes.scene_files.line_scene import LineScene, Wear
@@ -265,7 +265,9 @@ def _looked_at(scene: LineScene, cell: Cell, camera: RenderedCamera, progress: P
                 recorded = arm.recording()
             except (SceneError, SensingError) as error:
                 reasons.append(str(error))
-    return Prepared(camera, before.detection, hand_eye, before.shape(known.reference), moved=tuple(moved),
+    shape = (before.shape(known.reference) if hand_eye is None
+             else looked_again(known, hand_eye.camera, before, span))
+    return Prepared(camera, before.detection, hand_eye, shape, moved=tuple(moved),
                     recorded=recorded, warning="; ".join([*reasons, *filter(None, [before.too_far()])]))
 
 

@@ -15,7 +15,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.collisions import Shapes
 from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
-from planning.line.deviation_model import SHAPES, Expected, PathDeviation, shape_likelihoods
+from planning.line.deviation_model import COPIED, SHAPES, Expected, PathDeviation, fitting_shape, shape_likelihoods
 from planning.line.fusion import DeviationFilter
 from planning.line.line_follower import FollowerSettings, LineFollower, line_ahead
 from planning.line.measurement import LineAhead, Measurement
@@ -26,11 +26,11 @@ from planning.path.speed_profile import Limits, SpeedProfile
 from scenes.placing import check_way, where_it_fits
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError
-from sensing.camera.camera_device import Field
+from sensing.camera.camera_device import Field, Gray
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.detector import LineDetector
 from sensing.camera.hand_eye import Observation, calibration_poses
-from sensing.camera.line_search import DetectionSettings, PredictedLine
+from sensing.camera.line_search import DetectionSettings, PredictedLine, search_windows
 
 HORIZON = 0.3
 """Time for which desired positions are handed to the ideal robot, several of its main time constants ([L] 2.2) [s]."""
@@ -137,6 +137,8 @@ BY_HAND = 0.002
 """What a camera that is mounted by hand shows beside the line, another from pose to pose, standard deviation [m]."""
 ROUGH = 0.001
 """How exactly a whole picture shows the line, standard deviation [m]."""
+FINE = 0.0003
+"""The same of a calibrated camera: what two pictures of one place differ by where gears bend otherwise [m]."""
 STRAY, ANYWHERE = 0.05, 0.05
 """Probability with which a picture shows something else for the line, and where that lies, standard deviation [m]."""
 FOLLOWED, STEEP = 0.05, float(np.tan(np.radians(30.0)))
@@ -155,11 +157,13 @@ class SeenBefore:
         detection: how it looks.
         s: arc lengths of the reference ``(2 k,)`` [m].
         deviation: beside it there ``(2 k,)`` [m].
+        pictures: all of them, with the poses of the tool.
     """
 
     detection: DetectionSettings = field(default_factory=DetectionSettings)
     s: Array = field(default_factory=lambda: np.empty(0))
     deviation: Array = field(default_factory=lambda: np.empty(0))
+    pictures: tuple[tuple[Gray, pin.SE3], ...] = ()
 
     @classmethod
     def of(cls, detection: DetectionSettings, places: Array, poses: Sequence[pin.SE3], reference: ReferencePath
@@ -177,7 +181,8 @@ class SeenBefore:
                 if np.isfinite(two).all()]
         # What is nearer to across than along is no line that leads along the reference, but one that crosses it.
         seen = [(s, deviation) for s, deviation in seen if abs(np.diff(deviation)[0]) < abs(np.diff(s)[0])]
-        return cls(detection, *(np.concatenate(one) for one in zip(*seen, strict=True))) if seen else cls(detection)
+        s, deviation = (np.concatenate(one) for one in zip(*seen, strict=True)) if seen else (np.empty(0), np.empty(0))
+        return cls(detection, s, deviation)
 
     @property
     def covariance(self) -> Array:
@@ -212,24 +217,65 @@ class SeenBefore:
                 "followed surely: draw reference.shape or surface.origin nearer to the line, or go slower")
 
 
+def looked_again(known: Known, camera: CameraModel, before: SeenBefore, span: tuple[float, float]
+                 ) -> tuple[float, float] | None:
+    """How far the line's shape leaves its reference's, by the pictures before the run and the camera as calibrated.
+
+    That camera measures well enough to follow the line from picture to picture, and to tell a copy of its reference
+    and narrow bends. What was told before stays where the pictures show a piece of it nowhere, or no shape fits.
+
+    Args:
+        known: reference, detector, and the camera as it was believed to be when the pictures were taken.
+        camera: as calibrated.
+        before: the pictures, and what they told.
+        span: arc lengths of the reference between which the line ought to be [m].
+    """
+    told = before.shape(known.reference)
+    if told is None:
+        return None
+    line = piece_map(known.reference, 0.5 * known.reference.length, before, 0.5 * known.reference.length)
+    s, deviation = [np.empty(0)], [np.empty(0)]
+    for picture, pose in before.pictures:
+        at = _nearest(known.reference, pose.act(_middle_of_view(camera)))
+        prediction = line_ahead(known.reference, line, at + SPREAD).seen_from(pose)
+        windows = search_windows(camera, prediction, before.detection)
+        patches = [picture[one.v : one.v + one.height, one.u : one.u + one.width] for one in windows]
+        found = known.detector.detect(Field(0.0, 0.0, tuple(windows), tuple(patches)), camera, prediction,
+                                      before.detection)
+        if not found.seen:
+            continue
+        points = found.points_tcp[found.used] @ pose.rotation.T + pose.translation
+        seen = known.reference.project(points, at)[:2]
+        line.update(Measurement(0.0, *seen, FINE**2 * np.eye(len(points))))
+        s.append(seen[0])
+        deviation.append(seen[1])
+    places, beside = np.concatenate(s), np.concatenate(deviation)
+    if np.diff(np.sort(np.concatenate([places, span]))).max() > COPIED[1]:
+        return told
+    order = np.argsort(places)
+    return fitting_shape(known.reference, places[order], beside[order], FINE) or told
+
+
 def _nearest(reference: ReferencePath, point: Array) -> float:
     """Arc length of the reference's place nearest to a point [m]."""
     table = np.arange(0.0, reference.length, 0.005)
     return float(table[np.argmin(np.sum((reference.position(table) - point) ** 2, axis=1))])
 
 
-def piece_map(reference: ReferencePath, at: float, before: SeenBefore | None = None) -> DeviationFilter:
+def piece_map(reference: ReferencePath, at: float, before: SeenBefore | None = None, reach: float = REACH
+              ) -> DeviationFilter:
     """Map of the line's deviation from the reference around one piece of it.
 
     Args:
         reference: the reference path.
         at: arc length of it around which the piece lies [m].
         before: where pictures showed the line before.
+        reach: how far from there it is kept [m].
     """
     before = before or SeenBefore()
     shape, length = before.shape(reference) or SHAPES[0]
     across = Expected(shape=shape, length=length)
-    fusion = DeviationFilter(PathDeviation(reference, across=across, ahead=REACH, behind=REACH), confirm=0)
+    fusion = DeviationFilter(PathDeviation(reference, across=across, ahead=reach, behind=reach), confirm=0)
     fusion.travel(at)
     if len(before.s):
         fusion.update(Measurement(0.0, before.s, before.deviation, before.covariance))

@@ -14,6 +14,7 @@ import pytest
 from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.errors import InputError
 from ideal_robot.signals.recording import Recording
+from planning.line.deviation_model import COPIED, SHAPES
 from scenes import load_scene
 from scenes.commands.common import length
 from scenes.line.calibration import calibrate_by_moving
@@ -300,6 +301,21 @@ def test_a_camera_mounted_by_hand_measures_to_thirty_micrometres_afterwards() ->
     assert np.abs(measuring_error(cell.true_camera, cell.known.camera, aside=0.02)).mean() > 0.5e-3
     assert np.abs(measuring_error(cell.true_camera, result.camera, aside=0.02)).mean() < 3e-5
     assert result.residual_after < 1e-4 < result.residual_before
+
+
+@pytest.mark.parametrize(("bump", "gaps", "told"), [
+    (0.0, [], COPIED), (0.004, [], SHAPES[0]), (0.0, [{"kind": "gap", "at_mm": 500, "length_mm": 150}], SHAPES[0])])
+def test_pictures_tell_a_copy_of_the_reference_where_they_show_all_of_it(
+        bump: float, gaps: list[dict[str, Any]], told: tuple[float, float]) -> None:
+    """One narrow bend of 4 mm makes another line of it; what lies in a gap is not seen."""
+    x = np.linspace(0.0, 1.2, 601)
+    y = 0.04 * np.sin(2 * np.pi * x / 0.8)
+    bent = y + bump * np.exp(-0.5 * ((x - 0.4) / 0.035) ** 2)
+    scene = load_scene("line").changed(
+        line={"formula": None, "length": None, "points": np.column_stack([x, bent]).tolist()}, feature=gaps,
+        reference={"shape": {"points": np.column_stack([x, y]).tolist()}})
+    with prepared(scene) as seen:
+        assert seen.shape == told
 
 
 def test_a_line_that_is_not_there_is_no_calibration() -> None:
