@@ -182,6 +182,6 @@ def line_shapes(sizes: str = "10,25,50", seeds: str = "1-20") -> None:
             runs.append(run(scene.changed(seed=seed, line={"formula": None, "length": None, "points": points},
                                   reference={"shape": {"points": [[0.0, 0.0], [LENGTH, 0.0]]}})))
         means = [1e3 * one.control_error.mean for one in runs]
-        row(size, len(runs), f"{np.mean(means):.3f}", f"{max(means):.3f}",
-            f"{1e3 * max(one.control_error.max for one in runs):.2f}", f"{np.degrees(np.arctan(steepest)):.0f}",
+        row(size, len(runs), f"{np.nanmean(means):.3f}", f"{np.nanmax(means):.3f}",
+            f"{1e3 * np.nanmax([one.control_error.max for one in runs]):.2f}", f"{np.degrees(np.arctan(steepest)):.0f}",
             sum(one.failure is not None for one in runs))

@@ -217,24 +217,28 @@ def shape_likelihoods(reference: ReferencePath, s: Array, deviation: Array, cova
                      for shape in SHAPES])
 
 
-def fitting_shape(reference: ReferencePath, s: Array, deviation: Array, sigma: float) -> tuple[float, float] | None:
-    """The first of ``COPIED`` and ``SHAPES`` by which no piece of the line surprises one who comes along; None if none.
+def fitting_shape(reference: ReferencePath, s: Array, deviation: Array, sigma: float,
+                  likeliest: tuple[float, float]) -> tuple[float, float]:
+    """The first shape from the likeliest on by which no piece of the line surprises one who comes along; it if none.
 
     What is likeliest for the line as a whole may leave out one narrow bend. A field of five points is no surprise
-    where it is, after all points before it, within what the shape expects of 99 in 100.
+    where it is, after all points before it, within what the shape expects of 99 in 100. ``COPIED`` comes before the
+    first of ``SHAPES``.
 
     Args:
         reference: the path.
         s: where along it ``(m,)``, ascending [m].
         deviation: what was seen there ``(m,)`` [m].
         sigma: standard deviation of that [m].
+        likeliest: one of ``SHAPES``.
     """
-    for shape in (COPIED, *SHAPES):
+    first = SHAPES.index(likeliest)
+    for shape in ((COPIED, *SHAPES) if first == 0 else SHAPES[first:]):
         triangle = np.linalg.cholesky(_expected(reference, s, shape) + sigma**2 * np.eye(len(s)))
         news = solve_triangular(triangle, deviation, lower=True) ** 2
         if np.convolve(news, np.ones(_FIELD)).max() < chi2.ppf(0.99, _FIELD):
             return shape
-    return None
+    return likeliest
 
 
 def _expected(reference: ReferencePath, s: Array, shape: tuple[float, float]) -> Array:

@@ -253,7 +253,7 @@ def looked_again(known: Known, camera: CameraModel, before: SeenBefore, span: tu
     if np.diff(np.sort(np.concatenate([places, span]))).max() > COPIED[1]:
         return told
     order = np.argsort(places)
-    return fitting_shape(known.reference, places[order], beside[order], FINE) or told
+    return fitting_shape(known.reference, places[order], beside[order], FINE, told)
 
 
 def _nearest(reference: ReferencePath, point: Array) -> float:
