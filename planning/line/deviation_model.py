@@ -213,8 +213,9 @@ def shape_likelihoods(reference: ReferencePath, s: Array, deviation: Array, cova
     Returns:
         logarithms of the likelihoods.
     """
-    return np.array([multivariate_normal.logpdf(deviation, cov=_expected(reference, s, shape) + covariance)
-                     for shape in SHAPES])
+    moved, distance = _moved(reference, s) + covariance, np.abs(np.subtract.outer(s, s))
+    return np.array([multivariate_normal.logpdf(deviation, cov=moved + shape**2 * matern(distance, length))
+                     for shape, length in SHAPES])
 
 
 def fitting_shape(reference: ReferencePath, s: Array, deviation: Array, sigma: float,
@@ -232,22 +233,21 @@ def fitting_shape(reference: ReferencePath, s: Array, deviation: Array, sigma: f
         sigma: standard deviation of that [m].
         likeliest: one of ``SHAPES``.
     """
+    moved, distance = _moved(reference, s) + sigma**2 * np.eye(len(s)), np.abs(np.subtract.outer(s, s))
     first = SHAPES.index(likeliest)
-    for shape in ((COPIED, *SHAPES) if first == 0 else SHAPES[first:]):
-        triangle = np.linalg.cholesky(_expected(reference, s, shape) + sigma**2 * np.eye(len(s)))
+    for shape, length in ((COPIED, *SHAPES) if first == 0 else SHAPES[first:]):
+        triangle = np.linalg.cholesky(moved + shape**2 * matern(distance, length))
         news = solve_triangular(triangle, deviation, lower=True) ** 2
         if np.convolve(news, np.ones(_FIELD)).max() < chi2.ppf(0.99, _FIELD):
-            return shape
+            return shape, length
     return likeliest
 
 
-def _expected(reference: ReferencePath, s: Array, shape: tuple[float, float]) -> Array:
-    """Covariance of a line's deviations at ``s`` ``(m, m)`` [m²]: where the whole lies, and one of the shapes."""
+def _moved(reference: ReferencePath, s: Array) -> Array:
+    """Covariance of a line's deviations at ``s`` ``(m, m)`` [m²] by where the whole lies and how it is turned."""
     model = PathDeviation(reference)
     rigid = model.basis(s)[:, 0, : model.rigid]
-    sigma, length = shape
-    return np.asarray(rigid @ model.prior()[1][: model.rigid, : model.rigid] @ rigid.T
-                      + sigma**2 * matern(np.abs(np.subtract.outer(s, s)), length))
+    return np.asarray(rigid @ model.prior()[1][: model.rigid, : model.rigid] @ rigid.T)
 
 
 def matern(distance: Array, length: float) -> Array:

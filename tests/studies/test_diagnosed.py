@@ -57,7 +57,7 @@ def test_friction_that_differs_from_place_to_place_is_no_shaft_with_negative_fri
     assert result.verdict == "unknown"
 
 
-AGAIN_WRONG = pytest.mark.xfail(reason="was right for a while; of the one in ten strangers that are diagnosed wrong")
+AGAIN_WRONG = pytest.mark.xfail(strict=True, reason="of the one in ten strangers that are diagnosed wrong; was right")
 
 
 @pytest.mark.slow
