@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import betaln
 
 from ideal_robot.diagnosis import Options, diagnose
 from ideal_robot.effects import SENSOR, library
@@ -46,7 +50,7 @@ def strangers(seeds: str = "40000-40044", kind: str | None = None, sizes: str = 
     play = partial(_play, kind=kind, size=(least, most), scale=share_scale)
     scores = [s for s in _scores(whole_numbers(seeds, "--seeds"), lines, play, processes) if kind in (None, s.kind)]
     text = report(scores) if share_scale == 1.0 else leaving_out(scores, share_scale)
-    print(text)
+    print(text, reliability(by_name(scores), "probability by its name"), sep="\n\n")
     if write:
         write_tables("stranger trials" if share_scale == 1.0 else "engines left out", text)
 
@@ -63,6 +67,31 @@ def certainty(seeds: str = "1600000-1600079", inside: str = "1600100-1600155", s
     scores = [*_scores(whole_numbers(seeds, "--seeds"), lines, partial(play, kind=None)),
               *_scores(whole_numbers(inside, "--inside"), lines, partial(play, kind="inside"))]
     print("\n\n".join((power(scores), detection(scores, _family), reliability(scores))))
+
+
+def by_name(scores: Sequence[Score]) -> list[Score]:
+    """The scores, with the probability of all that is said: as often as its name was right in the other recordings.
+
+    The shares of all names are those of one Beta distribution, the likeliest (empirical Bayes, Robbins 1956).
+    """
+    said = [[(name, (name, joint) not in s.false) for name, joint in s.said] for s in scores]
+    every = Counter(one for each in said for one in each)
+
+    def probabilities(own: list[tuple[str, bool]]) -> Iterator[tuple[float, bool]]:
+        others = every - Counter(own)
+        counts = {name: np.array([others[name, True], others[name, False]]) for name, _ in every}
+
+        def unlikely(x: np.ndarray) -> float:
+            prior = np.exp(x)
+            return float(sum(betaln(*prior) - betaln(*(prior + each)) for each in counts.values()))
+
+        prior = np.exp(minimize(unlikely, np.zeros(2), method="Nelder-Mead").x)
+        for name, there in own:
+            right, wrong = prior + counts[name]
+            yield float(right / (right + wrong)), there
+
+    return [replace(s, probabilities=tuple(probabilities(own)) if own else ())
+            for s, own in zip(scores, said, strict=True)]
 
 
 def _family(cause: str) -> str:

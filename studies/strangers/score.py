@@ -60,6 +60,11 @@ class Score:
     margins: tuple[float, ...] = ()
     probabilities: tuple[tuple[float, bool], ...] = ()
 
+    @property
+    def said(self) -> tuple[tuple[str, int], ...]:
+        """All names with their joints, ``unknown`` among them."""
+        return (*self.named, *(("unknown", j) for j in self.unknown))
+
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
         return asdict(self)
@@ -262,15 +267,15 @@ PROBABILITIES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 1.0)
 """Edges of the reliability table."""
 
 
-def reliability(scores: Sequence[Score]) -> str:
-    """Markdown table: of the causes that were said with a probability, how many are there.
+def reliability(scores: Sequence[Score], title: str = "probability said") -> str:
+    """Markdown table with a title: of the causes that were said with a probability, how many are there.
 
     There is one where it, or what it is said not to be told from, is there. The Brier score is the mean square of what
     was said less what came out; beside it that of saying of every cause the share of all that are there. The standard
     error is that of the share under Jeffreys' prior.
     """
     p, there = np.array([one for s in scores for one in s.probabilities], dtype=float).reshape(-1, 2).T
-    lines = ["| probability said | causes | its mean | there | share | Brier score | of one share for all |",
+    lines = [f"| {title} | causes | its mean | there | share | Brier score | of one share for all |",
              "| --- " * 7 + "|"]
     for low, high in (*pairwise(PROBABILITIES), (0.0, 1.0)):
         here = (p >= low) & ((p < high) | (high == 1.0))
@@ -296,19 +301,15 @@ def breakdown(scores: Sequence[Score], by: str) -> str:
 
 
 def falsehoods(scores: Sequence[Score]) -> str:
-    """Markdown table: what is named and is not there, by engine; in brackets those of empty recordings."""
+    """Markdown table: what is said and is not there, of how many, by engine; in brackets those of empty recordings."""
     engines = sorted({s.engine for s in scores})
-    every: dict[str, Counter[str]] = defaultdict(Counter)
-    empty: dict[str, Counter[str]] = defaultdict(Counter)
-    for s in scores:
-        for name, _ in s.false:
-            every[name][s.engine] += 1
-            if s.kind == "none":
-                empty[name][s.engine] += 1
-    lines = ["| named, not there | " + " | ".join(engines) + " |", "| --- |" + " --- |" * len(engines)]
-    for name in sorted(every, key=lambda key: -every[key].total()):
-        cells = [f"{every[name][e]} ({empty[name][e]})" if every[name][e] else "" for e in engines]
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    said = Counter(name for s in scores for name, _ in s.said)
+    every = Counter((name, s.engine) for s in scores for name, _ in s.false)
+    empty = Counter((name, s.engine) for s in scores for name, _ in s.false if s.kind == "none")
+    lines = ["| named, not there | of | " + " | ".join(engines) + " |", "| --- | --- |" + " --- |" * len(engines)]
+    for name, _ in Counter(name for s in scores for name, _ in s.false).most_common():
+        cells = [f"{every[name, e]} ({empty[name, e]})" if every[name, e] else "" for e in engines]
+        lines.append(f"| {name} | {said[name]} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
@@ -319,9 +320,8 @@ def confusion(scores: Sequence[Score]) -> str:
              "| --- | --- |" + " --- |" * len(engines) + " --- |"]
     rows: dict[str, list[tuple[bool, list[str], str]]] = defaultdict(list)
     for s in scores:
-        said = [*s.named, *(("unknown", j) for j in s.unknown)]
         for (name, joint, _), found in zip(s.causes, s.found, strict=True):
-            here = [n for n, j in said if joint in (0, j)] or (["other joints"] if said else ["nothing"])
+            here = [n for n, j in s.said if joint in (0, j)] or (["other joints"] if s.said else ["nothing"])
             rows[name].append((found, here, s.engine))
     for name in sorted(rows):
         instead = Counter(n for found, here, _ in rows[name] if not found for n in set(here))

@@ -11,6 +11,7 @@ import pytest
 from ideal_robot.diagnosis.validation.argument import Argument, Weighed
 from ideal_robot.signals.recording import Recording
 from studies.__main__ import GROUPS, STUDIES, main
+from studies.diagnoses import by_name
 from studies.strangers.effects import INSIDE, Setup
 from studies.strangers.engines import ENGINES
 from studies.strangers.logger import draw_logger, left, read, record, sizes
@@ -264,6 +265,25 @@ def test_causes_said_with_a_probability_are_counted_where_it_was_asked_for() -> 
     assert lines[4].endswith("| 0.181 | 0.250 |")
     # What it is said not to be told from is a right answer as well.
     assert score(a_trial(("degressive", 2)), answer).probabilities[0][1]
+
+
+def test_a_name_is_as_probable_as_it_was_right_in_other_recordings() -> None:
+    trial = a_trial(("stribeck", 2))
+    answers = [*[(("stribeck", 2),)] * 30, *[(("backlash", 2),)] * 10, *[(("stribeck", 2), ("backlash", 2))] * 10]
+    right = dataclasses.replace(trial, healthy=frozenset({("backlash", 2)}))
+    made = by_name([score(right if k >= 40 else trial, said("effects", *named)) for k, named in enumerate(answers)])
+    (often, there), = made[0].probabilities
+    assert there
+    assert often > 0.97
+    # Ten of twenty were right; an answer's own is not among those that it is judged by.
+    (_, _), (one_right, _) = made[-1].probabilities
+    (one_wrong, there), = made[30].probabilities
+    assert not there
+    assert one_right < 0.5 < one_wrong < 0.56
+    # Of a name that no other recording has, as much is known as of all names.
+    alone = by_name([*made, score(trial, said("effects", ("payload", 0)))])[-1].probabilities[0][0]
+    assert 0.5 < alone < 0.97
+    assert by_name([score(trial, said("none"))])[0].probabilities == ()
 
 
 @pytest.mark.parametrize(("joint", "allowed"), [(5, True), (2, False)])
