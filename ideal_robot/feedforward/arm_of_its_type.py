@@ -12,9 +12,10 @@ What friction is wrong by is taken out, not kept: it changes while the arm works
 that rests, or has just turned round, is held by friction of any size up to the dry one: its torque tells nothing.
 Links move as the arm does, behind its gears.
 
-Whether it is another arm at all is asked first, by the probability of the torques under either (the evidence). What the
-very arm leaves that the model was identified from, friction and a heavier tool explain as well, and its model stays
-what it is: adaptation finds both.
+Whether it is another arm at all is asked first, by the probability of the torques under either (the evidence). The very
+arm that the model was identified from has the model's base parameters, as exactly as their covariance says [J] (16),
+and its ripple; what friction and a heavier tool explain of its torques, adaptation finds. So its motion counts like one
+more of those that the model was identified from.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from ideal_robot.feedforward.friction_estimator import (
     SHARED,
     SLIDES,
     TERMS,
+    Solved,
     friction_terms,
     noise_variance,
     solved,
@@ -55,9 +57,7 @@ OFFSET = 0.03
 
 
 def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
-    """The model of the arm that was recorded; ``model`` itself where no torques say that it is another arm.
-
-    So it is where no bodies that can be explain them.
+    """The model of the arm that was recorded; ``model`` itself where no bodies that can be explain its torques.
 
     Args:
         recording: a motion in free space of that arm, logged several times a cycle: ``t`` [s], ``q_i`` [rad], ``tau_i``
@@ -84,26 +84,41 @@ def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
     bend = model.rigid_body(*arm) - model.rigid_body(s.q, s.qd, s.qdd)
     left = [s.decimate(s.tau - bend - one.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0]))[slides] / std
             for one in (model, bare)]
-    n, root, size = model.n, _root(model, dry, robot), _ripples(ripple)
-    bodies = s.decimate_motion(lambda rows: _bodies(s, model, arm, rows))[slides] / std[:, None] @ root
+    n, root, own, size = model.n, _root(model, dry, robot), _own_root(model), _ripples(ripple)
+    counts = s.decimate_motion(lambda rows: _bodies(s, model, arm, rows))[slides] / std[:, None]
+    bodies = counts @ root
     friction = s.decimate(_friction(s, turned, dry, robot))[slides] / std[:, None]
     waves = s.decimate(_waves(s, ripple))[slides] / std[:, None] * size
     other = solved(np.hstack([bodies, friction, waves]), left[1])
-    # The very arm: an offset, friction, and a heavier tool explain what is left.
-    very = np.column_stack([bodies[:, 11 * n : 12 * n], bodies[:, -1], friction])
-    if solved(very, left[0]).evidence >= other.evidence:
-        return model
-    of_bodies = slice(root.shape[1])
-    found, covariance = root @ other.x[of_bodies], root @ other.covariance[of_bodies, of_bodies] @ root.T
-    base = model.base
-    values = model.base_values + base.of(found)
+    # The very arm: what its model leaves open, an offset, friction and a heavier tool explain what is left.
+    very = solved(np.column_stack([counts[:, model.base.independent] @ own, bodies[:, 11 * n : 12 * n], bodies[:, -1],
+                                   friction]), left[0])
     try:
-        full = consistent_parameters(base, values, base.grouping @ covariance @ base.grouping.T,
-                                     _nearby(model, found, other.x[12 * n : 13 * n])).full
+        if very.evidence >= other.evidence:
+            return _with_bodies(model, own, very, np.array(model.consistent))
+        waving = _of_sizes(ripple, size * other.x[len(other.x) - len(size) :])
+        return _with_bodies(replace(bare, effects=(*bare.effects, *waving)), model.base.grouping @ root, other,
+                            _nearby(model, root @ other.x[: root.shape[1]], other.x[12 * n : 13 * n]))
     except IdealRobotError:  # no bodies that can be: torques of something else
         return model
-    waving = _of_sizes(ripple, size * other.x[len(other.x) - len(size) :])
-    return replace(bare, base_values=values, consistent=full, effects=(*bare.effects, *waving))
+
+
+def _with_bodies(model: Model, root: Array, found: Solved, nearby: Array) -> Model:
+    """The model with base parameters by the first of those that were found.
+
+    Args:
+        model: of the arm but for its bodies.
+        root: of the covariance of base parameters beforehand ``(b, k)``.
+        found: the solution, of which the first ``k`` count ``root``.
+        nearby: see ``_nearby``.
+
+    Raises:
+        IdealRobotError: no bodies can be so.
+    """
+    some = slice(root.shape[1])
+    values = model.base_values + root @ found.x[some]
+    full = consistent_parameters(model.base, values, root @ found.covariance[some, some] @ root.T, nearby).full
+    return replace(model, base_values=values, consistent=full)
 
 
 def _nearby(model: Model, found: Array, heavier: Array) -> Array:
@@ -185,6 +200,15 @@ def _of_sizes(ripple: tuple[FittedEffect, ...], sizes: Array) -> tuple[FittedEff
     """The model's ripple with the waves ``(2 m,)`` [N m] of the arm that was recorded."""
     return tuple(replace(effect, coefficients=(float(a), float(b)), std=(), parameters=())
                  for effect, (a, b) in zip(ripple, sizes.reshape(-1, 2), strict=True))
+
+
+def _own_root(model: Model) -> Array:
+    """A root of the covariance of the model's own base parameters ``(b, b)``."""
+    covariance = model.covariance[: model.base.count, : model.base.count]
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    share = np.where(std > 0.0, std, 1.0)
+    eigenvalues, vectors = np.linalg.eigh(covariance / np.outer(share, share))
+    return np.asarray(std[:, None] * vectors * np.sqrt(np.maximum(eigenvalues, 0.0)))
 
 
 def _root(model: Model, dry: Array, robot: Robot) -> Array:
