@@ -214,15 +214,13 @@ def _selected_against(case: Case, found: Findings, prior: Array, effects: Sequen
 
 def found_but_not_added(case: Case, found: Findings) -> Findings:
     """Effects that make the error of the validation recording, or of the blocks kept apart, worse are dropped."""
-    if case.validate is None:
-        problem = found.problem
-        kept, dropped = transferring(problem, found.choices, problem.regression,
-                                     ~problem.blocks.selecting_samples)
-        return replace(found, choices=tuple(kept), not_transferred=dropped)
-    validation = case.torque_regression(case.validate, found.start, cutoff=found.problem.regression.filtered.cutoff,
-                                        reversal_width=found.reversal_width)
-    validation = _with_signals(case, found, validation)
-    kept, dropped = transferring(found.problem, found.choices, validation, deciding(validation))
+    problem, validation = found.problem, None
+    samples = ~problem.blocks.selecting_samples
+    if case.validate is not None:
+        validation = _with_signals(case, found, case.torque_regression(
+            case.validate, found.start, cutoff=problem.regression.filtered.cutoff, reversal_width=found.reversal_width))
+        samples = deciding(validation)
+    kept, dropped = transferring(problem, found.choices, validation or problem.regression, samples)
     return replace(found, choices=tuple(kept), validation=validation, not_transferred=dropped)
 
 

@@ -129,8 +129,8 @@ class Effect(ABC):
         absorbed_by_base: whether an ordinary identified model already has a parameter of the same form, so that the
             effect can only be seen against a model identified before.
         sooner_than: names of effects in whose place it is taken where it explains nearly as much: the likelier cause.
-        caution: how many times the usual share of the residual is asked for: of causes that are unlikely in one joint
-            alone.
+        caution: how many times the usual share of the residual is asked for, and how many times what the likelier cause
+            explains: of causes that are unlikely in one joint alone.
         at_all_frequencies: whether its coefficients are the same in slow and in fast motion while those of
             vibrations that look like it are not.
         of_slow_motion: whether it is a law of the joint's speed, which hardly acts in the upper half of the band: its

@@ -61,7 +61,6 @@ AGAIN_WRONG = pytest.mark.xfail(strict=True, reason="of the one in ten strangers
 
 
 @pytest.mark.slow
-@AGAIN_WRONG
 def test_one_lag_of_all_torques_comes_before_delays_of_three_joints() -> None:
     trial, found, result = diagnosed(731095)
     assert "dead_time" not in {name for name, _ in result.named}

@@ -195,9 +195,9 @@ def indistinguishable(model: PresentModel, best: Candidate, other: Candidate) ->
 
 
 def likelier(best: Candidate, others: list[Candidate]) -> Candidate:
-    """The best one, or one of the others that is taken sooner and reduces nearly as much."""
-    return next((other for other in others if best.effect.name in other.effect.sooner_than
-                 and other.test.total > NEARLY * best.test.total), best)
+    """The best one, or one of the others that is taken sooner and reduces nearly as much of what is asked of it."""
+    return next((other for other in others if best.effect.name in other.effect.sooner_than and
+                 other.test.total / other.effect.caution > NEARLY * best.test.total / best.effect.caution), best)
 
 
 def overlap(model: PresentModel, a: Candidate, b: Candidate) -> bool:

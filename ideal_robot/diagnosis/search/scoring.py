@@ -142,12 +142,7 @@ class Scoring:
         return bool(np.any(size > self.options.smallest_beside * self._sizes_at(s.joint, replaced)[channels]))
 
     def holds(self, fit: Fit, s: Candidate) -> bool:
-        """Whether a candidate is there at all frequencies and places at which its law says it is.
-
-        Args:
-            fit: without the candidate.
-            s: the candidate, scored.
-        """
+        """Whether a candidate that ``fit`` is without is at all frequencies and places where its law says it is."""
         return self.holds_slowly(s) and self.holds_everywhere(fit, s)
 
     def holds_everywhere(self, fit: Fit, s: Candidate) -> bool:

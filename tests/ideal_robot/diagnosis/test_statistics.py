@@ -9,10 +9,12 @@ import pytest
 
 from ideal_robot.diagnosis.channels.blocks import BlockProducts, Blocks, Columns, Design, time_blocks
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
+from ideal_robot.diagnosis.search.choice import likelier
 from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms
-from ideal_robot.diagnosis.statistics.least_squares import LEFT_OUT, Fit
+from ideal_robot.diagnosis.statistics.least_squares import LEFT_OUT, Fit, HeldOutTest
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.effects import library
+from ideal_robot.effects.registry import find
 from ideal_robot.model.model import Model
 from tests.ideal_robot.diagnosis.test_diagnose import arm, rippled
 from tests.ideal_robot.effects.test_laws import motion
@@ -248,3 +250,13 @@ def test_held_parameters_leave_their_changes_to_effects(problem):
     free = problem.with_prior(1e2 * np.eye(problem.products.W.m))
     assert np.abs(free.held().fit().change).max() < 0.1 * np.abs(free.fit().change).max()
     assert problem.held() is problem
+
+
+@pytest.mark.parametrize(("best", "share", "taken"), [
+    ("torque_filter", 0.96, True), ("torque_filter", 0.9, False),
+    # Two and a half times as much is asked of a delay of one joint.
+    ("dead_time", 0.4, True), ("dead_time", 0.37, False)])
+def test_a_likelier_cause_is_taken_where_the_other_is_no_clearer_than_is_asked_of_it(best, share, taken):
+    other, one = (Candidate(find(name, "tau"), joint, (8e-3,), test=HeldOutTest(reduction=np.array([size])))
+                  for name, joint, size in (("common_delay", 0, share), (best, 2, 1.0)))
+    assert (likelier(one, [one, other]) is other) is taken
