@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ from scenes.line.cell import set_up as set_up_line
 from scenes.line.cell import streams as line_streams
 from scenes.metrics import ControlError
 from scenes.online.line_log import SETTLING
-from scenes.online.processes import undisturbed
+from scenes.online.processes import stopping_on_signals, undisturbed
 from scenes.report.page import write_json
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
@@ -246,14 +245,9 @@ def serve_scene(scene: Scene, places: Places, unkind: Unkindness, sessions: int,
                 f"{session.ended}; "
                 + "; ".join(f"{key} {value}" for key, value in figures.items() if key.endswith(("_mm", "_N"))))
 
-        before = {number: signal.signal(number, lambda *_: arm.stop()) for number in (signal.SIGINT, signal.SIGTERM)}
-        try:
-            with undisturbed(priority=_PRIORITY):
-                _say_where(cell, places, scene, say)
-                arm.sessions(sessions, done)
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
+        with stopping_on_signals(lambda _: arm.stop()), undisturbed(priority=_PRIORITY):
+            _say_where(cell, places, scene, say)
+            arm.sessions(sessions, done)
     return told
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -91,6 +92,7 @@ class ServedArm:
     """
 
     anew: Callable[[], None] = staticmethod(lambda: None)
+    _awaited = "answer"
 
     def __init__(self, arm: SimulatedArm, address: tuple[str, int], *, relative: bool, unkind: Unkindness,
                  rng: np.random.Generator, carried: tuple[Carried, ...], sign: Array) -> None:
@@ -98,7 +100,8 @@ class ServedArm:
         self._wire = RsiController(arm, address, relative=relative, sign=sign.tolist())
         self._address, self._relative, self._sign = address, relative, sign
         self._T, self._host_T = arm.t_ipo, arm.t_ipo / (1.0 - 0.5 * unkind.drift)
-        self._start = arm.truth.q_m
+        self._start = self._pose = arm.truth.q_m
+        self._begin = self._command = sign * np.degrees(self._start)
         self._ipoc, self._stopped = IPOC, False
         self._due = time.perf_counter()
 
@@ -114,59 +117,80 @@ class ServedArm:
             done: called behind each, before the arm goes back.
         """
         count = 0
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
-            stamp_arrivals(link)
+        with self._wired():
             while not self._stopped and (most == 0 or count < most):
-                session = self._session(link)
-                if session.commands:
-                    self._brake(session)
-                    done(session)
-                    self._go_back(session.commands[-1])
-                    count += 1
+                count += self._over(self._session(), done)
 
-    def _session(self, link: socket.socket) -> Session:
-        """Waits for answers, then moves the arm by them until they stop coming."""
-        session = Session()
-        begin = self._sign * np.degrees(self._start)
-        command, step, silent = begin.copy(), np.zeros_like(begin), 0
-        state = RobotState(0.0, self._start, np.zeros(self.arm.robot.n))
-        self._due = time.perf_counter()
-        k = 0
+    @contextmanager
+    def _wired(self) -> Iterator[None]:
+        """Somebody can be answered within the block."""
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as self._link:
+            stamp_arrivals(self._link)
+            yield
+
+    def _over(self, session: Session, done: Callable[[Session], None]) -> bool:
+        """Behind a session the arm is brought to rest and back; whether it has moved."""
+        if session.commands:
+            self._brake(session)
+            done(session)
+            self._go_back(session.commands[-1])
+        return bool(session.commands)
+
+    def _session(self) -> Session:
+        """Waits until somebody leads the arm, then moves it until nothing more is commanded."""
+        session, silent, self._pose = Session(), 0, self._start
+        self._command, self._step = self._begin, np.zeros_like(self._begin)
+        self._state, self._due = RobotState(0.0, self._start, np.zeros(self.arm.robot.n)), time.perf_counter()
         while not self._stopped:
             session.held_up += self._held_up(session)
-            self._ipoc = (self._ipoc + round(1e3 * self._T)) % 2**32
-            self._send(link, self._wire.packet(state, begin, session.late, self._ipoc))
-            correction = self._wire.answer(link, self._ipoc,
-                                           max(self._due, time.perf_counter()) + ANSWER_WITHIN * self._host_T)
-            if correction is not None and self._rng.random() < self._unkind.loss:
-                correction = None
-            before = command
-            if correction is not None:
-                command = (command if self._relative else begin) + correction
+            if self._answered(session):
                 session.answered, silent = session.answered + 1, 0
             elif session.commands:
                 session.late, silent = session.late + 1, silent + 1
-                command = command + step if self._relative else command
-                if silent * self._T > TIMEOUT:
-                    session.ended = f"no answer for {1e3 * TIMEOUT:.0f} ms"
-                    return session
-            step = command - before
-            if correction is not None or session.commands:
+            if session.commands and (gone := self._gone()) is not None:
+                session.ended = gone
+                return session
+            if silent * self._T > TIMEOUT:
+                session.ended = f"no {self._awaited} for {1e3 * TIMEOUT:.0f} ms"
+                return session
+            if session.answered:
                 try:
-                    state = self.arm.cycle(self._sign * np.radians(command))
+                    self._state = self.arm.cycle(self._pose)
                 except IdealRobotError as error:
                     session.ended = f"the controller refuses: {error}"
                     return session
-                session.commands.append(self._sign * np.radians(command))
-            k = len(session.commands)
-            self._carry(k, session)
+                session.commands.append(self._pose)
+            self._carry(len(session.commands), session)
         session.ended = "stopped"
         return session
+
+    def _answered(self, session: Session) -> bool:
+        """Tells the state and takes the answer to it into ``_pose``; whether one came in time."""
+        self._ipoc = (self._ipoc + round(1e3 * self._T)) % 2**32
+        self._send(self._wire.packet(self._state, self._begin, session.late, self._ipoc))
+        correction = self._wire.answer(self._link, self._ipoc, self._until())
+        if correction is not None and self._rng.random() < self._unkind.loss:
+            correction = None
+        before = self._command
+        if correction is not None:
+            self._command = (before if self._relative else self._begin) + correction
+        elif session.commands and self._relative:
+            self._command = before + self._step
+        self._step, self._pose = self._command - before, self._sign * np.radians(self._command)
+        return correction is not None
+
+    def _until(self) -> float:
+        """Until when an answer counts, by ``time.perf_counter`` [s]."""
+        return max(self._due, time.perf_counter()) + ANSWER_WITHIN * self._host_T
+
+    def _gone(self) -> str | None:
+        """Why who led the arm does not any more; packets do not tell."""
+        return None
 
     def _held_up(self, session: Session) -> bool:
         return bool(session.commands) and time.perf_counter() > self._due + _HELD_UP * self._T
 
-    def _send(self, link: socket.socket, packet: bytes) -> None:
+    def _send(self, packet: bytes) -> None:
         u = self._unkind
         lost, twice, late = self._rng.random(3) < (u.loss, u.doubled, u.late_share)
         if late:
@@ -174,7 +198,7 @@ class ServedArm:
             time.sleep(u.late)
         for _ in range(0 if lost else 2 if twice else 1):
             try:
-                link.sendto(packet, self._address)
+                self._link.sendto(packet, self._address)
             except OSError:
                 return
 
@@ -234,75 +258,49 @@ class ServedRtde(ServedArm):
     commands what the controller refuses. Other clients are told the state all the time.
     """
 
+    _awaited = "command"
+
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self._controller = RtdeController(self.arm, address=self._address)
-        self._state = RobotState(0.0, self._start, np.zeros(self.arm.robot.n))
 
     @property
     def address(self) -> tuple[str, int]:
         """Where it listens."""
         return self._controller.address
 
-    def sessions(self, most: int, done: Callable[[Session], None]) -> None:
-        """See ``ServedArm.sessions``."""
-        count = 0
-        try:
-            while not self._stopped and (most == 0 or count < most):
-                session = self._led()
-                self._controller.playing = False
-                self._controller.let_go(session.ended)
-                if self._moved_by(session.commands):
-                    self._brake(session)
-                    done(session)
-                    self._go_back(session.commands[-1])
-                    count += 1
-                elif session.commands:
-                    self._reset()
-                self._controller.playing = True
-        finally:
-            self._controller.close()
+    @contextmanager
+    def _wired(self) -> Iterator[None]:
+        with closing(self._controller):
+            yield
+
+    def _over(self, session: Session, done: Callable[[Session], None]) -> bool:
+        self._controller.playing = False
+        self._controller.let_go(session.ended)
+        moved = bool(session.commands) and bool(np.abs(np.array(session.commands) - self._start).max() > 1e-6)
+        if moved:
+            super()._over(session, done)
+        elif session.commands:
+            self._reset()
+        self._controller.playing = True
+        return moved
 
     def stop(self) -> None:
         """Ends ``sessions`` after the present cycle."""
         super().stop()
         self._controller.stop()
 
-    def _led(self) -> Session:
-        """Waits for a client's command, then moves the arm by its commands until they stop coming."""
-        session, pose, silent = Session(), self._start, 0
-        self._state, self._due = RobotState(0.0, self._start, np.zeros(self.arm.robot.n)), time.perf_counter()
-        while not self._stopped:
-            session.held_up += self._held_up(session)
-            end = max(self._due, time.perf_counter()) + ANSWER_WITHIN * self._host_T
-            answered = self._controller.exchange(self._state, pose, end if self._controller.led else 0.0)
-            wanted = self._controller.commanded
-            if answered and wanted is not None:
-                pose, silent = wanted, 0
-                session.answered += 1
-            elif session.commands:
-                silent += 1
-                session.late += 1
-            if session.commands and not self._controller.led:
-                session.ended = self._controller.ended
-                return session
-            if silent * self._T > TIMEOUT:
-                session.ended = f"no command for {1e3 * TIMEOUT:.0f} ms"
-                return session
-            if session.answered:
-                try:
-                    self._state = self.arm.cycle(pose)
-                except IdealRobotError as error:
-                    session.ended = f"the controller refuses: {error}"
-                    return session
-                session.commands.append(pose)
-            self._carry(len(session.commands), session)
-        session.ended = "stopped"
-        return session
+    def _answered(self, session: Session) -> bool:
+        controller = self._controller
+        answered = controller.exchange(self._state, self._pose, self._until() if controller.led else 0.0)
+        if not answered or (wanted := controller.commanded) is None:
+            return False
+        self._pose = wanted
+        return True
+
+    def _gone(self) -> str | None:
+        return None if self._controller.led else self._controller.ended
 
     def _moved(self, q: Array, session: Session | None = None) -> None:
         self._controller.exchange(self._state, q, 0.0)
         super()._moved(q, session)
-
-    def _moved_by(self, commands: list[Array]) -> bool:
-        return bool(commands) and bool(np.abs(np.array(commands) - self._start).max() > 1e-6)
