@@ -191,10 +191,6 @@ class Effect(ABC):
         """Whether it is a torque at the motor, neither a delay of its positions nor a motion behind the gear."""
         return self.channel_prefix == MOTOR_TORQUE.prefix
 
-    def acts_on(self, channel: str) -> bool:
-        """Whether a fitted effect of this name in ``channel`` is one of these."""
-        return prefix_of(channel) == self.channel_prefix
-
     def channel(self, joint: int) -> str:
         """Name of the channel it is reported in."""
         return channel_name(self.channel_prefix, joint)

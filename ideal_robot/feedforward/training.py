@@ -12,6 +12,7 @@ another feedforward as base (the ideal robot, say) training learns only what tha
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -67,7 +68,37 @@ class Lags:
         return max(self.ahead, self.sign_ahead, self.torque_ahead + 2) + 1
 
 
-class Trained(Feedforward):
+class Windowed(Feedforward):
+    """A law that weighs the desired positions of some cycles before and behind now; commands keep the limits.
+
+    Attributes:
+        past: cycles before now.
+        limits: lowest and highest command ``(n,)`` each [rad]; None for none.
+    """
+
+    past: int
+    limits: tuple[Array, Array] | None
+
+    def init(self, q0: Array) -> Array:
+        """See ``Feedforward.init``."""
+        return np.tile(np.asarray(q0, dtype=float), (self.past, 1))
+
+    def step(self, state: Array, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, Array]:
+        """See ``Feedforward.step``."""
+        rows = np.concatenate([state, q_d[: self.n_d]])
+        if len(q_d) < self.n_d:
+            rows = held(rows, after=self.n_d - len(q_d))
+        q_c = self.weighed(rows)
+        if self.limits is not None:
+            q_c = np.clip(q_c, *self.limits)
+        return q_c, np.concatenate([state[1:], q_d[:1]])
+
+    @abstractmethod
+    def weighed(self, rows: Array) -> Array:
+        """The command ``(n,)`` [rad] of a window ``(past + n_d, n)`` [rad] in which now is row ``past``."""
+
+
+class Trained(Windowed):
     """Decoupled trained feedforward controllers.
 
     Args:
@@ -84,25 +115,14 @@ class Trained(Feedforward):
                  limits: tuple[Array, Array] | None = None) -> None:
         signs = lags.past + lags.ahead
         self.r, self.s, self.w = np.split(weights, [signs, signs + lags.sign_past + lags.sign_ahead])
-        self.lags, self.t_ipo, self.chain = lags, t_ipo, chain
-        self.n_d = lags.n_d
-        self._limits = limits
+        self.lags, self.t_ipo, self.chain, self.limits = lags, t_ipo, chain, limits
+        self.past, self.n_d = lags.before, lags.n_d
 
-    def init(self, q0: Array) -> Array:
-        """See ``Feedforward.init``."""
-        return np.tile(np.asarray(q0, dtype=float), (self.lags.before, 1))
-
-    def step(self, state: Array, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, Array]:
-        """See ``Feedforward.step``."""
-        rows = np.concatenate([state, q_d[: self.lags.n_d]])
-        if len(q_d) < self.lags.n_d:
-            rows = held(rows, after=self.lags.n_d - len(q_d))
+    def weighed(self, rows: Array) -> Array:
+        """See ``Windowed.weighed``."""
         positions, signs, torques = _regressors(rows[None], self.lags, self.t_ipo, self.chain)
-        q_c = q_d[0] + np.sum(self.r * positions[0], axis=0) + np.sum(self.s * signs[0], axis=0)
-        q_c = q_c + np.sum(self.w * torques[0], axis=0)
-        if self._limits is not None:
-            q_c = np.clip(q_c, *self._limits)
-        return q_c, np.concatenate([state[1:], q_d[:1]])
+        q_c = rows[self.past] + np.sum(self.r * positions[0], axis=0) + np.sum(self.s * signs[0], axis=0)
+        return np.asarray(q_c + np.sum(self.w * torques[0], axis=0))
 
 
 def train(paths: Sequence[tuple[Array, Array]], t_ipo: float, *, chain: Chain | None = None,
@@ -217,7 +237,7 @@ def training_motion(path: Array, t_ipo: float) -> Array:
 # allows. The horizon makes this work for systems that are not minimum phase, whose causal inverse would grow without
 # bound ([G] 4.2.1).
 
-class LinearInverse(Feedforward):
+class LinearInverse(Windowed):
     """Preview filter that inverts a :class:`LinearLoop`.
 
     Args:
@@ -231,23 +251,14 @@ class LinearInverse(Feedforward):
 
     def __init__(self, loop: LinearLoop, n_d: int = 30, *, past: int = 8, bandwidth: float = 3.0,
                  regularisation: float = 1e-2, limits: tuple[Array, Array] | None = None) -> None:
-        self.t_ipo, self.n_d, self.past, self._limits = loop.t_ipo, n_d, past, limits
+        self.t_ipo, self.n_d, self.past, self.limits = loop.t_ipo, n_d, past, limits
         self.weights = np.column_stack([
             _preview_weights(loop.g[:, i], past, n_d, bandwidth * loop.t_ipo, regularisation) for i in range(loop.n)])
 
-    def init(self, q0: Array) -> Array:
-        """See ``Feedforward.init``."""
-        return np.tile(np.asarray(q0, dtype=float), (self.past, 1))
-
-    def step(self, state: Array, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, Array]:
-        """See ``Feedforward.step``."""
-        rows = np.concatenate([state, q_d[: self.n_d]])
-        if len(q_d) < self.n_d:
-            rows = held(rows, after=self.n_d - len(q_d))
-        q_c = q_d[0] + np.sum(self.weights * (rows - q_d[0]), axis=0)
-        if self._limits is not None:
-            q_c = np.clip(q_c, *self._limits)
-        return q_c, np.concatenate([state[1:], q_d[:1]])
+    def weighed(self, rows: Array) -> Array:
+        """See ``Windowed.weighed``."""
+        now = rows[self.past]
+        return np.asarray(now + np.sum(self.weights * (rows - now), axis=0))
 
 
 def _preview_weights(g: Array, past: int, n_d: int, corner: float, regularisation: float) -> Array:

@@ -20,7 +20,7 @@ from ideal_robot.signals.plausible import plausible, require_joint_units, requir
 from ideal_robot.signals.recording import Recording
 
 _MINIMUM_DURATION = 1.0
-_STILL = 1e-3
+STILL = 1e-3
 """A joint whose position stays within this does not move [rad or m]."""
 _NAMED = 8
 """Parameters that a warning names; a line on the screen holds no more."""
@@ -42,8 +42,8 @@ def checked(recordings: Sequence[Recording], robot: Robot) -> tuple[list[Recordi
 
 def require_motion(recordings: Sequence[Recording]) -> None:
     """Raises InputError where no joint moves in any of the recordings."""
-    if recordings and all((np.ptp(one.joints("q"), axis=0) < _STILL).all() for one in recordings):
-        raise InputError(f"no joint moves (none by {_STILL:g} rad or m); record a motion, e.g. that of "
+    if recordings and all((np.ptp(one.joints("q"), axis=0) < STILL).all() for one in recordings):
+        raise InputError(f"no joint moves (none by {STILL:g} rad or m); record a motion, e.g. that of "
                          "plan-identification", file=recordings[0].source, field="q_i")
 
 
@@ -84,7 +84,7 @@ def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
         if not np.any(np.abs(tau[:, j]) > 0):
             raise InputError("all values are zero; the torque of every joint is needed", file=source,
                              field=f"tau_{j + 1}")
-        if np.ptp(q[:, j]) < _STILL:
+        if np.ptp(q[:, j]) < STILL:
             warnings.append(f"joint-never-moves: joint {j + 1} stays within {np.ptp(q[:, j]):.2g}; its friction and "
                             "inertia cannot be identified")
         if np.ptp(tau[:, j]) == 0.0:

@@ -258,13 +258,24 @@ def identify_linear_loop(recordings: Sequence[Recording], t_cycle: float) -> Lin
     return LinearLoopFit(LinearLoop(g, t_cycle), tuple(degree), std, error)
 
 
-def _sampled(recording: Recording, t_cycle: float) -> tuple[Array, Array]:
+def commanded(recording: Recording) -> Array:
+    """Commands ``(N, n)`` [rad]; the desired positions where there are none."""
+    return recording.joints("q_c" if recording.has("q_c") else "q_d")
+
+
+def in_cycle(recording: Recording, t_cycle: float) -> tuple[float, int]:
+    """Sampling step [s], and how many of them a cycle of ``t_cycle`` [s] has; raises InputError for no whole number."""
     step = float(np.median(np.diff(recording.t)))
     every = round(t_cycle / step)
     if every < 1 or abs(every * step - t_cycle) > 0.02 * t_cycle:
         raise InputError(f"the sampling step must divide the cycle of {1e3 * t_cycle:g} ms", file=recording.source,
                          field="t", value=f"{1e3 * step:.4g} ms")
-    return recording.joints("q_c" if recording.has("q_c") else "q_d")[::every], recording.joints("q")[::every]
+    return step, every
+
+
+def _sampled(recording: Recording, t_cycle: float) -> tuple[Array, Array]:
+    _, every = in_cycle(recording, t_cycle)
+    return commanded(recording)[::every], recording.joints("q")[::every]
 
 
 def _rows(series: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:

@@ -16,6 +16,7 @@ from scipy import optimize
 
 from ideal_robot.arrays import Array, interpolated
 from ideal_robot.errors import InputError
+from ideal_robot.identification.closed_loop_fit import commanded, in_cycle
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.results import Summarised, listed
 from ideal_robot.signals.recording import Recording
@@ -148,13 +149,8 @@ def _series(recording: Recording, t_cycle: float, delay: float, offsets: bool = 
         delay: by which the controller sees the command later than it was logged [s]: that of its low-pass.
         offsets: whether to use all samples; only the first series otherwise.
     """
-    command = recording.joints("q_c" if recording.has("q_c") else "q_d")
-    t, q, tau = recording.t, recording.joints("q"), recording.joints("tau")
-    step = float(np.median(np.diff(t)))
-    every = round(t_cycle / step)
-    if every < 1 or abs(every * step - t_cycle) > 0.02 * t_cycle:
-        raise InputError(f"the sampling step must divide the cycle of {1e3 * t_cycle:g} ms", file=recording.source,
-                         field="t", value=f"{1e3 * step:.4g} ms")
+    command, t, q, tau = commanded(recording), recording.t, recording.joints("q"), recording.joints("tau")
+    step, every = in_cycle(recording, t_cycle)
     q_d = interpolated(t - delay, t, command)
     e, qd = q_d - q, np.gradient(q, step, axis=0)
 
@@ -239,9 +235,9 @@ def _direct(recording: Recording, t_cycle: float, gains: Array) -> tuple[Array, 
     Signals are sampled once a cycle and differentiated backwards, as the interpolation cycle sees them:
     ``τ(k) - τ(k-1) - u(k) + u(k-1) = k_I u(k)``. Returns ``k_I (n,)`` and the torque ``(N, n)`` at the cycles' ends.
     """
-    every = round(t_cycle / float(np.median(np.diff(recording.t))))
-    q_d, q, tau = (recording.joints(key)[every::every]
-                   for key in ("q_c" if recording.has("q_c") else "q_d", "q", "tau"))
+    _, every = in_cycle(recording, t_cycle)
+    q_d, q, tau = (rows[every::every] for rows in
+                   (commanded(recording), recording.joints("q"), recording.joints("tau")))
 
     def rate(x: Array) -> Array:
         return np.concatenate([np.zeros_like(x[:1]), np.diff(x, axis=0)]) / t_cycle

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.identification.checks import STILL
 from ideal_robot.identification.idim import Identification
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import Parameter, joined, sensitivity
@@ -19,8 +20,6 @@ GOOD = 100.0 * 0.1**0.5
 """Share of a torque's standard deviation that holds a tenth of its power [%]: a usable model leaves no more …"""
 POOR = 100.0 * 0.5**0.5
 """… and one that leaves half of the power explains no more than it leaves."""
-MOVED = 1e-3
-"""A joint that stays within this does not move [rad or m]."""
 _STATES = 200
 """Random states: a standard deviation over N of them is right within ``1/√(2 N)``, 5 %."""
 
@@ -72,7 +71,7 @@ def joint_verdicts(model: Model, result: Identification, robot: Robot) -> tuple[
         robot: the arm, with the range of its joints.
     """
     q = np.concatenate([recording.joints("q") for recording in result.recordings])
-    moved = np.ptp(q, axis=0) >= MOVED
+    moved = np.ptp(q, axis=0) >= STILL
     counted = np.asarray(model.provenance.get("samples_counted_percent", np.full(model.n, 100.0)))
     # Of a torque that never changes nothing is known.
     left = [np.nan_to_num(joined(one).residual_std_percent, nan=np.inf, posinf=np.inf)

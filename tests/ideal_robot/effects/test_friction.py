@@ -22,7 +22,7 @@ from ideal_robot.friction.presliding import sliding_direction
 from ideal_robot.signals.recording import Recording
 from tests.ideal_robot.diagnosis.test_diagnose import arm
 from tests.ideal_robot.effects.test_gears import of_a_moved_arm
-from tests.ideal_robot.effects.test_kinematics import ROBOT, named, swinging_arm, tcp
+from tests.ideal_robot.effects.test_kinematics import ROBOT, swinging_arm, tcp
 from tests.ideal_robot.effects.test_laws import motion
 
 
@@ -48,7 +48,7 @@ def test_dry_friction_of_an_effect_builds_up_as_the_models_own_does(name):
     friction = PerJointFriction([ViscousCoulomb(np.array([[0.5], [1.0]]), np.array([[0.06]]), presliding=True),
                                  ViscousCoulomb(np.array([[0.5], [1.0]]))])
     known = replace(signals, sliding=friction.sliding(signals.q, signals.qd))
-    effect = next(e for e in library() if e.name == name and e.acts_on("tau_1"))
+    effect = find(name, "tau")
     theta = effect.starts(signals, 1)[0]
     sharp, gradual = (effect.columns(s, 1, theta)[:, 0, 0] for s in (signals, known))
     # After each reversal that ends a long stroke it still acts in the old direction, later it is the same.
@@ -134,7 +134,7 @@ def test_one_delay_is_every_joints():
 
 def test_a_late_device_sees_where_the_arm_was():
     signals, h = swinging_arm(2000), 2e-3
-    column = named("dead_time", "tcp").columns(signals, 0, ())[:, :, 0]
+    column = find("dead_time", "tcp").columns(signals, 0, ())[:, :, 0]
     before, after = (tcp(ROBOT.pinocchio, interpolated(signals.t - s * h, signals.t, signals.q)) for s in (-1.0, 1.0))
     np.testing.assert_allclose(column[10:-10], ((after - before) / (2 * h))[10:-10], atol=2e-4)
 

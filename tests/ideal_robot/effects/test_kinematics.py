@@ -18,9 +18,10 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.arm import frames_along
 from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
-from ideal_robot.effects import Effect, FittedEffect, Signals, library, register, unregister
+from ideal_robot.effects import FittedEffect, Signals, library, register, unregister
 from ideal_robot.effects.camera import CameraEffect, CameraErrors, PointError
 from ideal_robot.effects.force import CONTACT_FORCE, MOMENTS
+from ideal_robot.effects.registry import find
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
@@ -45,14 +46,10 @@ def tcp(model: pin.Model, q: np.ndarray) -> np.ndarray:
     return dataclasses.replace(ROBOT, pinocchio=model).tool_places(q)
 
 
-def named(name: str, channel: str) -> Effect:
-    return next(e for e in library() if e.name == name and e.acts_on(channel))
-
-
 @pytest.mark.parametrize("name", ["joint_elasticity", "backlash", "transmission_error"])
 def test_gears_move_the_tool_as_their_angle_does(name):
     signals, joint, h = swinging_arm(), 2, 1e-6
-    effect, angle = named(name, f"tcp_{joint}"), named(name, f"qa_{joint}")
+    effect, angle = find(name, "tcp"), find(name, "qa")
     theta = effect.starts(signals, joint)[0]
     columns, bend = effect.columns(signals, joint, theta), angle.columns(signals, joint, theta)
     for i in range(columns.shape[2]):
@@ -63,7 +60,7 @@ def test_gears_move_the_tool_as_their_angle_does(name):
 @pytest.mark.parametrize("joint", [2, 3, 4, 5])
 def test_kinematic_errors_are_those_of_altered_placements(joint):
     signals, h = swinging_arm(60), 1e-6
-    columns = named("kinematic_error", f"tcp_{joint}").columns(signals, joint, ())
+    columns = find("kinematic_error", "tcp").columns(signals, joint, ())
     data = ROBOT.pinocchio.createData()
     pin.forwardKinematics(ROBOT.pinocchio, data, signals.q[0])
     R = data.oMi[joint].rotation
@@ -81,7 +78,7 @@ def test_kinematic_errors_are_those_of_altered_placements(joint):
 
 def test_a_link_grows_along_itself():
     signals, joint, h = swinging_arm(60), 3, 1e-5
-    effect = named("thermal_growth", f"tcp_{joint}")
+    effect = find("thermal_growth", "tcp")
     warm = 1.0 - np.exp(-signals.t / 2.0)
     sides = []
     for sign in (1.0, -1.0):
