@@ -97,21 +97,6 @@ class ArmObserver:
         q_a, v_a = _substeps(state.q_a, state.v_a, motors, upper, load, self._gears, self._T)
         return ObserverState(q_a, v_a, q, state.q, v)
 
-    def angles(self, q: Array, tau_ext: Array | None = None) -> Array:
-        """Arm angles ``(N, n)`` of a whole recording of motor angles ``(N, n)`` taken every ``T``.
-
-        Args:
-            q: motor angles [rad]; the arm rests at the first.
-            tau_ext: external joint torques ``(N, n)`` [N m], None for none.
-        """
-        state = self.init(q[0], None if tau_ext is None else tau_ext[0])
-        result = np.empty_like(q)
-        result[0] = state.q_a
-        for i in range(1, len(q)):
-            state = self.step(state, q[i], None if tau_ext is None else tau_ext[i])
-            result[i] = state.q_a
-        return result
-
 
 class _Motors(NamedTuple):
     """Angles and velocities of the motors at both ends of a cycle, ``(n,)`` each."""

@@ -77,7 +77,8 @@ def least_squares(W: Array, Y: Array, *, lag: int = 0) -> LeastSquares:
 Method = Literal["motor", "wrench"]
 
 CORRELATED_SECONDS = 4.0
-"""Residuals of a quasi-static recording are alike while a level is held; σ for intervals allows for that."""
+"""Residuals of a quasi-static recording are alike while a level is held, 2 s with ramps of 0.7 s in the scenes; σ for
+intervals allows for that."""
 WORST_CONDITION = 60.0
 """A Jacobian (moments divided by 1 m) worse than this makes joint torques from wrenches unreliable, [J] 2.3."""
 LOADED_SHARE = 0.08

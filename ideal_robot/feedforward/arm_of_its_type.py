@@ -30,6 +30,7 @@ from ideal_robot.dynamics import full_regressor
 from ideal_robot.dynamics.base_parameters import consistent_parameters, parameter_scales
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.feedforward.friction_at_work import CUTOFF
 from ideal_robot.feedforward.friction_estimator import (
     OWN,
     SHARED,
@@ -48,8 +49,6 @@ from ideal_robot.signals.preprocess import FilteredSignals, lowpass, preprocess
 from ideal_robot.signals.recording import Recording
 
 RIPPLE = "torque_ripple"
-CUTOFF = 20.0
-"""Of the low-pass on positions [Hz]. Decimated torques are slow enough for the controller to answer ripple fully."""
 LINK, BODY, ROTOR = 0.1, 0.1, 0.03
 """Standard deviations of a link's weight, of single parameters of it over a body's of that size, and of a rotor."""
 OFFSET = 0.03

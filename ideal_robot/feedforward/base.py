@@ -10,6 +10,10 @@ import numpy as np
 from ideal_robot.arrays import Array, held
 from ideal_robot.robots.interface import RobotState
 
+SETTLE = 0.4
+"""Time over which an arm at rest takes up its gears' deflection and its own geometry at the start [s]: less than the
+0.6 s that it rests before a path."""
+
 
 class Feedforward(ABC):
     """Turns desired joint positions over a horizon into the position commanded now ([L] 2.2).

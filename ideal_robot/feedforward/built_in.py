@@ -19,7 +19,8 @@ from ideal_robot.feedforward.training import LinearInverse, train
 from ideal_robot.loop.impulse_response import LinearLoop
 
 HORIZON = 0.36
-"""Horizon of a method that may choose [s]."""
+"""Horizon of a method that may choose [s]: in the order of the robot's main time constant ([L] 2.2); from four cycles
+on more make no difference (``python -m studies horizon``, seeds 1 to 3)."""
 
 
 def _corrected(setting: Setting, feedforward: Feedforward) -> Feedforward:

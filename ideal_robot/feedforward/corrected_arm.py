@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array, eased, interpolated
 from ideal_robot.effects import FittedEffect
-from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.base import SETTLE, Feedforward
 from ideal_robot.model.arm_with_effects import changes_of
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot, common_normals
@@ -19,8 +19,6 @@ _STEPS = 2
 """Newton steps: of an error of millimetres nanometres are left."""
 _DAMPING = 1e-6
 """Of the least squares: near a singular posture the tool misses by micrometres rather than a joint running away."""
-_SETTLE = 0.4
-"""Time over which the correction at the start is taken up [s]."""
 _EVERY = 0.06
 """Time between the rows of a horizon at which the inverse kinematics is solved [s]."""
 _TURN = 0.2
@@ -107,7 +105,7 @@ class CorrectedArm:
 
 def taken_up(t: Array) -> Array:
     """Share of the correction at times ``(N,)`` [s] after the start: from none to all, smoothly."""
-    return eased(np.minimum(t / _SETTLE, 1.0))
+    return eased(np.minimum(t / SETTLE, 1.0))
 
 
 def _displace(model: pin.Model, robot: Robot, joint: int, normal: Array,

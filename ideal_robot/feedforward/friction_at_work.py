@@ -37,7 +37,7 @@ from ideal_robot.signals.preprocess import FilteredSignals, preprocess
 from ideal_robot.signals.recording import Recording
 
 CUTOFF = 20.0
-"""Of the low-pass on positions; torques up to half of it count [Hz]."""
+"""Of the low-pass on positions; torques up to half of it count [Hz], which a controller answers fully, ripple too."""
 BENDS = (0.5, 0.6, 0.7, 0.85, 1.0, 1.2, 1.45, 1.7, 2.0)
 """Angles over which friction turns that are tried, over the loop's."""
 BELIEVED = 0.4

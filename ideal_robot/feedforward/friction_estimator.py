@@ -65,7 +65,7 @@ NOISE, INTERVAL = 0.15, 0.05
 """Standard deviation of a torque over dry friction where one is taken every so often [s]. What the model lacks besides
 is alike in neighbouring samples: more of them in that time say no more."""
 FAR = 4.0
-"""Standard deviations within which measurements count and parameters stay."""
+"""Standard deviations within which measurements count and parameters stay; by chance one in 16,000 is beyond."""
 SLIDES, SLOWEST = 0.9, 0.002
 """How far friction must have turned, and share of the largest speed, from which on a joint tells its friction."""
 WARMING = 600.0

@@ -21,7 +21,7 @@ import numpy as np
 from ideal_robot.arrays import Array, interpolated
 from ideal_robot.dynamics.newton_euler import inverse_dynamics, inverse_dynamics_with_point
 from ideal_robot.errors import InputError
-from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.base import SETTLE, Feedforward
 from ideal_robot.feedforward.precorrection import command_inverse, spline_operators
 from ideal_robot.jit import jit
 from ideal_robot.loop.from_model import further_torque, loop_model
@@ -95,7 +95,7 @@ class IdealRobot(Feedforward):
     """
 
     def __init__(self, loop: LoopModel, n_d: int = 30, *, elastic: bool = True, cutoff: float = 14.0,
-                 settle: float = 0.4) -> None:
+                 settle: float = SETTLE) -> None:
         if n_d < 1:
             raise InputError("the horizon needs at least one row", field="n_d", value=n_d)
         self.loop, self.n_d, self.t_ipo, self.elastic, self.settle = loop, n_d, loop.t_ipo, elastic, settle

@@ -23,7 +23,7 @@ from scipy.interpolate import BSpline
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import inverse_dynamics
 from ideal_robot.errors import InputError
-from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.base import SETTLE, Feedforward
 from ideal_robot.loop.from_model import further_torque, loop_model
 from ideal_robot.loop.loop_model import LoopModel, behind_uneven_gears, bristles, low_pass_taps, ripple_torque
 from ideal_robot.model.arm_with_effects import side_of_gap
@@ -72,9 +72,6 @@ _BEFORE, _AFTER = 4, 4
 """Desired positions used on either side of the instant that counts, for its derivatives."""
 _STILL = 1e-4
 """Below this speed a joint counts as at rest [rad/s]: rounding at standstill must not switch friction."""
-
-_SETTLE = 0.4
-"""Time over which the gears' deflection at the start is taken up [s]."""
 
 
 @dataclass(frozen=True)
@@ -176,7 +173,7 @@ class Precorrection(Feedforward):
         if tau_ext_d is not None:
             load = load - tau_ext_d[min(self.n_d - _AFTER - 1, len(tau_ext_d) - 1)]
         # The deflection at the start is taken up smoothly: a jump would leave friction where no one knows.
-        begun = (state.cycle + np.array([[-1.0], [0.0], [1.0]])) * T / _SETTLE
+        begun = (state.cycle + np.array([[-1.0], [0.0], [1.0]])) * T / SETTLE
         left = 1.0 - np.clip(begun, 0.0, 1.0)
         motor = self._motor(arm, speed, load) - state.sag * left**3 * (10.0 - 15.0 * left + 6.0 * left**2)
         qd, qdd = (motor[2] - motor[0]) / (2 * T), (motor[2] - 2 * motor[1] + motor[0]) / T**2

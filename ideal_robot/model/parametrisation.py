@@ -187,22 +187,6 @@ class ControllerModel:
     std: dict[str, list[float]] = field(default_factory=dict)
     spread: dict[str, list[float]] = field(default_factory=dict)
 
-    @property
-    def position_gain(self) -> Array:
-        """Gain of the outer loop of the equivalent P/PI cascade ``k_p / k_d`` [1/s] ``(n,)``."""
-        return np.asarray(self.k_p / self.k_d)
-
-    @property
-    def velocity_gain(self) -> Array:
-        """Proportional gain of the inner loop of the equivalent cascade ``k_d`` [N m s/rad] ``(n,)``."""
-        return self.k_d
-
-    @property
-    def integral_time(self) -> Array:
-        """Integral time of the equivalent cascade ``t_cycle / k_i`` [s] ``(n,)``; inf without integrator."""
-        with np.errstate(divide="ignore"):
-            return np.asarray(self.t_cycle / self.k_i)
-
     def to_dict(self) -> dict[str, Any]:
         """Plain values for the model file."""
         values = {entry.name: getattr(self, entry.name) for entry in fields(self)}

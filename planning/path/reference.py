@@ -157,22 +157,6 @@ class ReferencePath:
         """Points at arc lengths ``s (m,)`` [m], shape ``(m, 3)`` [m]; a single ``s`` gives ``(3,)``."""
         return self.frames(s).position
 
-    def tangent(self, s: Array | float) -> Array:
-        """Unit vectors of travel at ``s``, shape ``(m, 3)``."""
-        return self.frames(s).tangent
-
-    def up(self, s: Array | float) -> Array:
-        """Unit normals of the surface at ``s``, made square to the tangent, shape ``(m, 3)``."""
-        return self.frames(s).up
-
-    def normal(self, s: Array | float) -> Array:
-        """Unit lateral normals at ``s``: in the surface, to the left of the travel, shape ``(m, 3)``."""
-        return self.frames(s).normal
-
-    def curvature(self, s: Array | float) -> Array:
-        """Curvature in the surface [1/m], positive to the left, shape ``(m,)``; 0 beyond the ends."""
-        return self.frames(s).curvature
-
     def rotation(self, s: Array | float) -> Array:
         """Tool orientations at ``s``, shape ``(m, 3, 3)``; constant beyond the ends."""
         w = self._turn(np.clip(s, 0.0, self.length))

@@ -58,7 +58,7 @@ _PULLS = -3.0
 _UNSEEN = 5
 """Fusions of forces, 0.06 s of them, after which no field is fused before the sensor's signs of life are looked at."""
 # Until pressing and turning have told them.
-_GUESS = ContactElasticity(4000.0, 1000.0, 0.0, 0.0)  # [N/m]
+_GUESS = ContactElasticity(4000.0, 1000.0, 0.0)  # [N/m]
 _NO_LOAD = ToolLoad(np.zeros(6), 0.0, np.zeros(3), np.zeros(2))  # [N], [kg]
 
 

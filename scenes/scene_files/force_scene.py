@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, Literal
 
-import numpy as np
 import pydantic
 
 from planning.force.contact import StopLimits
 from scenes.scene_files.drawn_line import Calibration, CameraTable, Displacement, Line, Reference, Surface
 from scenes.scene_files.scene import ARM, Box, Scene, Span, Table
-from scenes.scene_files.shape import Shape
 
 
 class WaveTable(Table):
@@ -117,7 +115,3 @@ class ForceScene(Scene):
     camera: CameraTable = CameraTable()
     calibration: Calibration = Calibration()
     trouble: CameraTrouble = CameraTrouble()
-
-    def path(self) -> np.ndarray:
-        """The path in plane coordinates ``(N, 2)`` [m]."""
-        return Shape(**{key: getattr(self.line, key) for key in Shape.model_fields}).curve(self.folder)

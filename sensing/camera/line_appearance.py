@@ -27,7 +27,6 @@ class LineAppearance:
         width: on the surface [m].
         dark: darker than its surroundings.
         contrast: how much darker or brighter [gray].
-        pictures: how many of the pictures showed it.
         places: of each picture two points of the line in the tool frame, in its direction away from the tool, on the
             plane through the tool's tip ``(k, 2, 3)`` [m]; NaN where the picture did not show it.
     """
@@ -35,7 +34,6 @@ class LineAppearance:
     width: float
     dark: bool
     contrast: float
-    pictures: int
     places: Array
 
 
@@ -60,7 +58,7 @@ def line_appearance(pictures: Sequence[Gray], camera: CameraModel) -> LineAppear
     dark = 2 * sum(one.dark for one in found) >= len(found)
     same = [one for one in found if one.dark == dark]
     return LineAppearance(float(np.median([_width(one, ahead, camera) for one in same])), dark,
-                          float(np.median([one.contrast for one in same])), len(same),
+                          float(np.median([one.contrast for one in same])),
                           np.array([_places(one, ahead, camera) if one.found and one.dark == dark
                                     else np.full((2, 3), np.nan) for one in seen]))
 

@@ -50,13 +50,11 @@ class Path:
         points: pixels along it ``(n, 2)``.
         widths: across it ``(n,)`` [px]; 0 at an edge.
         score: how much likelier than chance, as a logarithm.
-        along: image axis along which it runs: 0 for u, 1 for v.
     """
 
     points: Array
     widths: Array
     score: float
-    along: int
 
 
 def lab_picture(picture: NDArray[np.uint8]) -> Lab:
@@ -102,7 +100,7 @@ def paths(lab: Lab, *, widest: float, most: int = 8) -> list[Path]:
                 b = (node[:, _CENTRE] + 0.5) * across_size / size[1] - 0.5
                 found.append(Path(np.column_stack([a, b] if along == 0 else [b, a]).astype(float),
                                   np.exp(node[:, _WIDTH].astype(float)) * across_size / size[1] if not edges
-                                  else np.zeros(len(a)), float(score), along))
+                                  else np.zeros(len(a)), float(score)))
     return found
 
 

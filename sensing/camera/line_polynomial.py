@@ -53,12 +53,6 @@ class LinePolynomial:
         variance = np.einsum("ij,jk,ik->i", V, self.covariance, V)
         return V @ self.coefficients, np.sqrt(variance)
 
-    def slope(self, s: Array) -> Array:
-        """Derivative of the deviation over arc length ``(k,)``."""
-        x = (np.asarray(s, dtype=float) - self.centre) / self.scale
-        derivative = np.polynomial.polynomial.polyder(self.coefficients) / self.scale
-        return np.asarray(np.polynomial.polynomial.polyval(x, derivative), dtype=float)
-
 
 def fit_line_polynomial(
     s: Array, deviation: Array, sigma: Array, degree: int = 2, outlier: float = 5.0, shape_noise: float = 2e-5
@@ -86,8 +80,8 @@ def fit_line_polynomial(
     >>> line = fit_line_polynomial(s, 0.001 + 0.2 * s + [0, 0, 0.005, 0, 0], np.full(5, 1e-4), degree=1)
     >>> line.used
     array([ True,  True, False,  True,  True])
-    >>> line.slope([0.05]).round(6)
-    array([0.2])
+    >>> line.deviation([0.05])[0].round(6)
+    array([0.011])
     """
     s, deviation = np.asarray(s, dtype=float), np.asarray(deviation, dtype=float)
     variance = np.asarray(sigma, dtype=float) ** 2 + shape_noise**2

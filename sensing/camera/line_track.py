@@ -101,7 +101,7 @@ def _there(picture: NDArray[np.uint8], known: Strip, place: Array) -> tuple[floa
     if inside.sum() < len(place) // 2:
         return None
     widths = np.pad(known.widths, count, "edge")[inside]
-    strip = straightened(lab_picture(picture), Path(points[inside], widths, 0.0, 0))
+    strip = straightened(lab_picture(picture), Path(points[inside], widths, 0.0))
     value = evidence(strip)
     return (value, strip) if _same(value, strip, known) > 0.0 else None
 

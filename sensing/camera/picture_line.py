@@ -173,7 +173,7 @@ def measured(picture: NDArray[np.uint8], strip: Strip, scale: float, points: int
         points: how many along it.
     """
     if scale < 1.0 or points > len(strip.points):
-        path = Path((strip.points + 0.5) / scale - 0.5, strip.widths / scale, 0.0, 0)
+        path = Path((strip.points + 0.5) / scale - 0.5, strip.widths / scale, 0.0)
         strip = straightened(lab_picture(picture), path, sections=max(SECTIONS, points))
     return strip.thinned(points)
 

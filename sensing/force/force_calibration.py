@@ -159,13 +159,11 @@ class ContactElasticity:
         stiffness: E [N/m].
         std: its standard deviation [N/m].
         touch: position along the direction of motion at which the force begins [m].
-        residual: standard deviation of the force about the line [N].
     """
 
     stiffness: float
     std: float
     touch: float
-    residual: float
 
 
 def identify_elasticity(position: Array, force: Array, *, least_force: float = 2.0) -> ContactElasticity:
@@ -190,4 +188,4 @@ def identify_elasticity(position: Array, force: Array, *, least_force: float = 2
     if chi[0] <= 0:
         raise SensingError("force does not rise when the tip is pressed in; check the sensor's sign and the direction")
     touch = float(chi[1] / chi[0])
-    return ContactElasticity(float(chi[0]), float(np.sqrt(covariance[0, 0])), touch, float(np.std(rho)))
+    return ContactElasticity(float(chi[0]), float(np.sqrt(covariance[0, 0])), touch)

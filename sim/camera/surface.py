@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
 import cv2
@@ -53,22 +53,6 @@ class Feature:
         if not (self.length > 0.0 and self.width > 0.0):
             raise InputError("length and width of a feature must be positive", field=f"feature.{self.kind}",
                              value=(self.length, self.width))
-
-    @classmethod
-    def from_table(cls, table: dict[str, Any]) -> Feature:
-        """Reads a table of a scene file.
-
-        Raises:
-            InputError: unknown or missing key, unknown kind, size that is not positive.
-        """
-        allowed = [f.name for f in fields(cls)]
-        for key in table:
-            if key not in allowed:
-                raise InputError(f"unknown key; allowed are {', '.join(allowed)}", field=f"feature.{key}")
-        for key in ("kind", "at"):
-            if key not in table:
-                raise InputError("missing", field=f"feature.{key}")
-        return cls(**table)
 
 
 @dataclass(frozen=True)

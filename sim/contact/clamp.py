@@ -41,12 +41,10 @@ class Push:
 
 @dataclass(frozen=True)
 class ClampTruth:
-    """Not recorded: true gear stiffness, true over data-sheet drive gain, true sensor clock."""
+    """Not recorded: true gear stiffness, true over data-sheet drive gain."""
 
     stiffness: Array
     gain_factor: Array
-    clock_offset: float
-    clock_drift: float
 
 
 class ClampedArm:
@@ -192,7 +190,7 @@ class ClampedArm:
         meta = {"robot": robot.name, "kind": "clamped", "rate_motor": world.rate_motor,
                 "rate_wrench": world.rate_wrench, "wrench_frame": robot.tool_frame,
                 "wrench_sign": "arm on environment", "source": "simulated"}
-        truth = ClampTruth(world.stiffness, gain_factor, world.clock_offset, world.clock_drift)
+        truth = ClampTruth(world.stiffness, gain_factor)
         return Recording.from_arrays(t, meta=meta, source="simulated", **columns), truth
 
     def _motion(self, pushes: list[Push], hold: float, ramp: float, approach: float) -> tuple[Array, Array, Array]:

@@ -65,16 +65,6 @@ class HeightSurface:
             z = z + wave.amplitude * np.sin(k * (np.cos(wave.heading) * x + np.sin(wave.heading) * y) + wave.phase)
         return np.asarray(z)
 
-    def slope(self, x: float, y: float) -> tuple[float, float]:
-        """∂z/∂x and ∂z/∂y."""
-        along, across = self.tilt[0] - self.curvature * (x - self.crest), self.tilt[1]
-        for wave in self.waves:
-            k = 2 * np.pi / wave.wavelength
-            c, s = np.cos(wave.heading), np.sin(wave.heading)
-            steep = wave.amplitude * k * np.cos(k * (c * x + s * y) + wave.phase)
-            along, across = along + c * steep, across + s * steep
-        return float(along), float(across)
-
     def points(self, xy: Array) -> Array:
         """Points of the surface in the base frame ``(m, 3)`` above plane coordinates ``(m, 2)``."""
         local = np.column_stack([xy, self.height(xy[:, 0], xy[:, 1])])

@@ -102,7 +102,7 @@ def test_rigid_part_is_the_deviation_of_a_moved_path_to_first_order(x: float, y:
     move = x * frame.tangent + y * frame.normal + turn * np.cross(frame.up, lever)
     state = np.zeros(model.size)
     state[:3] = x, y, turn
-    np.testing.assert_allclose(model.basis(s)[:, 0] @ state, np.sum(move * path.normal(s), axis=1), atol=1e-9)
+    np.testing.assert_allclose(model.basis(s)[:, 0] @ state, np.sum(move * path.frames(s).normal, axis=1), atol=1e-9)
 
 
 # The filter is as sure as it has a right to be: 100 seeded runs with two sensors, against their 95 % bounds.

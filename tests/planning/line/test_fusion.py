@@ -147,11 +147,11 @@ def test_rigid_displacement_is_recognised_and_carried_ahead() -> None:
     for k in range(30):
         s = 0.014 * k + AHEAD
         fusion.travel(0.014 * k)
-        fusion.update(points(0.02 * k, s, path.normal(s) @ shift))
+        fusion.update(points(0.02 * k, s, path.frames(s).normal @ shift))
     ahead = np.array([0.014 * 29 + 0.25])
     mean, variance = fusion.deviation(ahead)
-    assert abs(mean[0, 0] - (path.normal(ahead) @ shift)[0]) < 3 * np.sqrt(variance[0, 0])
-    assert abs(mean[0, 0] - (path.normal(ahead) @ shift)[0]) < 2e-3
+    assert abs(mean[0, 0] - (path.frames(ahead).normal @ shift)[0]) < 3 * np.sqrt(variance[0, 0])
+    assert abs(mean[0, 0] - (path.frames(ahead).normal @ shift)[0]) < 2e-3
 
 
 def test_map_survives_the_moving_window() -> None:

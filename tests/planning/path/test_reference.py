@@ -29,9 +29,9 @@ def test_circle_has_its_length_curvature_and_centre() -> None:
     path = circle()
     s = np.linspace(0.02, path.length - 0.02, 200)
     assert path.length == pytest.approx(1.5 * np.pi * 0.2, rel=1e-6)
-    np.testing.assert_allclose(path.curvature(s), 5.0, rtol=1e-4)
+    np.testing.assert_allclose(path.frames(s).curvature, 5.0, rtol=1e-4)
     # Counter-clockwise seen from above: the left normal points to the centre.
-    np.testing.assert_allclose(path.position(s) + 0.2 * path.normal(s), 0.0, atol=1e-7)
+    np.testing.assert_allclose(path.position(s) + 0.2 * path.frames(s).normal, 0.0, atol=1e-7)
 
 
 def test_parameter_is_arc_length_and_frames_are_right_handed() -> None:
@@ -49,17 +49,17 @@ def test_curvature_and_tangent_are_derivatives() -> None:
     path, h = reference(), 1e-5
     s = np.linspace(0.05, path.length - 0.05, 101)
     numeric = (path.position(s + h) - path.position(s - h)) / (2 * h)
-    np.testing.assert_allclose(path.tangent(s), numeric, atol=1e-4)
-    bend = np.sum((path.tangent(s + h) - path.tangent(s - h)) / (2 * h) * path.normal(s), axis=1)
-    np.testing.assert_allclose(path.curvature(s), bend, atol=2e-3)
+    np.testing.assert_allclose(path.frames(s).tangent, numeric, atol=1e-4)
+    bend = np.sum((path.frames(s + h).tangent - path.frames(s - h).tangent) / (2 * h) * path.frames(s).normal, axis=1)
+    np.testing.assert_allclose(path.frames(s).curvature, bend, atol=2e-3)
 
 
 def test_goes_on_straight_beyond_its_ends() -> None:
     path = reference()
     for end, sign in ((0.0, -1.0), (path.length, 1.0)):
         there = path.position(end + sign * 0.08)
-        np.testing.assert_allclose(there, path.position(end) + sign * 0.08 * path.tangent(end), atol=1e-9)
-        assert path.curvature(np.array([end + sign * 0.08]))[0] == 0.0
+        np.testing.assert_allclose(there, path.position(end) + sign * 0.08 * path.frames(end).tangent, atol=1e-9)
+        assert path.frames(np.array([end + sign * 0.08])).curvature[0] == 0.0
 
 
 @settings(max_examples=40, deadline=None)
@@ -96,16 +96,16 @@ def test_moving_the_points_moves_everything_with_them(twist: list[float]) -> Non
     s = np.linspace(0.0, here.length - 1e-6, 30)
     assert there.length == pytest.approx(here.length, rel=1e-9)
     np.testing.assert_allclose(there.position(s), here.position(s) @ move.rotation.T + move.translation, atol=1e-8)
-    np.testing.assert_allclose(there.normal(s), here.normal(s) @ move.rotation.T, atol=1e-7)
+    np.testing.assert_allclose(there.frames(s).normal, here.frames(s).normal @ move.rotation.T, atol=1e-7)
     np.testing.assert_allclose(there.rotation(s), move.rotation @ here.rotation(s), atol=1e-6)
-    np.testing.assert_allclose(there.curvature(s), here.curvature(s), atol=1e-6)
+    np.testing.assert_allclose(there.frames(s).curvature, here.frames(s).curvature, atol=1e-6)
 
 
 def test_tool_turns_as_much_as_asked() -> None:
     points = sine_points()
     s = np.linspace(0.1, 0.9, 60)
     with_line = ReferencePath(points, turning=1.0, turn_smoothing=0.0)
-    np.testing.assert_allclose(with_line.rotation(s)[:, :, 0], with_line.tangent(s), atol=1e-3)
+    np.testing.assert_allclose(with_line.rotation(s)[:, :, 0], with_line.frames(s).tangent, atol=1e-3)
     np.testing.assert_allclose(with_line.rotation(s)[:, :, 2], np.tile([0, 0, -1.0], (60, 1)), atol=1e-9)
     fixed = ReferencePath(points, turning=0.0)
     np.testing.assert_allclose(fixed.rotation(s), np.broadcast_to(fixed.rotation(0.5), (60, 3, 3)), atol=1e-9)
@@ -136,7 +136,7 @@ def test_curved_surface_gives_the_tool_its_normal() -> None:
     path = ReferencePath(points, up=points / 0.5, turning=1.0)
     s = np.linspace(0.05, path.length - 0.05, 50)
     outward = path.position(s) / np.linalg.norm(path.position(s), axis=1, keepdims=True)
-    np.testing.assert_allclose(path.up(s), outward, atol=1e-4)
+    np.testing.assert_allclose(path.frames(s).up, outward, atol=1e-4)
     np.testing.assert_allclose(path.rotation(s)[:, :, 2], -outward, atol=1e-3)
 
 
@@ -144,7 +144,7 @@ def test_corner_is_rounded_and_curvature_stays_finite() -> None:
     corner = ReferencePath(np.array([[0.0, 0, 0], [0.3, 0, 0], [0.3, 0.3, 0]]), smoothing=0.04)
     s = np.linspace(0.0, corner.length, 2000)
     # Averaging twice over half the length weights with a triangle; at its top both tangents count the same.
-    assert np.max(np.abs(corner.curvature(s))) < 1.02 * 4.0 * np.sqrt(2.0) / 0.04
+    assert np.max(np.abs(corner.frames(s).curvature)) < 1.02 * 4.0 * np.sqrt(2.0) / 0.04
     assert corner.length < 0.6
     cut = np.min(np.linalg.norm(corner.position(s) - [0.3, 0, 0], axis=1))
     assert 0.0 < cut < 0.02

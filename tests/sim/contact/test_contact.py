@@ -15,16 +15,7 @@ from sim.arm.world import STEP, World
 from sim.bullet import pybullet
 from sim.contact.clamp import ClampedArm, dry_friction, hang_payloads, loaded_pose
 from sim.contact.clamp_world import ClampWorld
-from sim.contact.contact import ForceSensor, ForceSensorSettings, HeightSurface, Tip, TipContact, Wave
-
-
-def test_heights_and_slopes_belong_together() -> None:
-    surface = HeightSurface(pin.SE3.Identity(), (Wave(0.004, 0.2, 0.3, 1.0), Wave(0.001, 0.1, -1.0)), curvature=0.5,
-                            crest=0.1, offset=0.002, tilt=(0.02, -0.03))
-    x, y, h = 0.13, -0.07, 1e-6
-    along, across = surface.slope(x, y)
-    assert along == pytest.approx(float(surface.height(x + h, y) - surface.height(x - h, y)) / (2 * h), abs=1e-6)
-    assert across == pytest.approx(float(surface.height(x, y + h) - surface.height(x, y - h)) / (2 * h), abs=1e-6)
+from sim.contact.contact import ForceSensor, ForceSensorSettings, HeightSurface, Tip, TipContact
 
 
 def test_pressed_tip_is_a_spring_that_the_arm_feels() -> None:
