@@ -89,12 +89,6 @@ def _cross(a: Array, b: Array, out: Array) -> None:
 
 
 @jit(inline="always")
-def _turned(R: Array, v: Array, out: Array) -> None:
-    for r in range(3):
-        out[r] = R[r, 0] * v[0] + R[r, 1] * v[1] + R[r, 2] * v[2]
-
-
-@jit(inline="always")
 def _turned_back(R: Array, v: Array, out: Array) -> None:
     for r in range(3):
         out[r] = R[0, r] * v[0] + R[1, r] * v[1] + R[2, r] * v[2]

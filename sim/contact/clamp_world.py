@@ -83,13 +83,6 @@ class ClampWorld:
         return cls(stiffness, links, (hard, 0.4 * hard))
 
     @classmethod
-    def ideal(cls, robot: Robot) -> ClampWorld:
-        """Gear elasticity alone."""
-        return replace(cls.default(robot), link_stiffness=np.full(robot.n, np.inf), environment=(np.inf, np.inf),
-                       friction=0.0, force_control=0.0, drive_gain_std=0.0, current_noise=0.0, encoder=0.0,
-                       wrench_noise=(0.0, 0.0), wrench_bias=(0.0, 0.0), clock_offset=0.0, clock_drift=0.0, gaps=False)
-
-    @classmethod
     def from_table(cls, robot: Robot, table: dict[str, Any], file: str | None = None) -> ClampWorld:
         """The default changed by a scene's ``[world]`` table; one number stands for all joints.
 
