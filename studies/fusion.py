@@ -147,7 +147,7 @@ def shipped() -> dict[str, Scene]:
 
 
 def _error(result: Any) -> float:
-    return float(result.control_error.mean * 1e3 if hasattr(result, "control_error") else result.figures.rms)
+    return float(result.figures.rms if hasattr(result, "figures") else 1e3 * result.control_error.mean)
 
 
 def fusion() -> None:
