@@ -85,6 +85,7 @@ class FrictionFactors(NamedTuple):
         rows: measurements in the window.
         waiting: those that are not yet in it: motor angles, motor torques, joint torques of contact.
         cycle: cycles since the start.
+        t: of the last measurement [s]; not a number before the first.
     """
 
     x: Array
@@ -97,6 +98,7 @@ class FrictionFactors(NamedTuple):
     rows: int = 0
     waiting: tuple[tuple[Array, Array, Array], ...] = ()
     cycle: int = 0
+    t: float = np.nan
 
 
 class _Known(NamedTuple):
@@ -163,7 +165,7 @@ class FrictionAdaptation:
 
     def begun(self, state: FrictionFactors) -> FrictionFactors:
         """What is known, without the last measurements: before another motion, or after a hole in this one."""
-        return state._replace(rows=0, waiting=(), cycle=0)
+        return state._replace(rows=0, waiting=(), cycle=0, t=np.nan)
 
     def more(self, friction: tuple[Array, Array, Array], values: Array) -> tuple[Array, Array, Array]:
         """Friction of the loop with further values of friction's terms ``(n, TERMS)``."""
@@ -185,21 +187,24 @@ class FrictionAdaptation:
         q, tau = np.array(measured.q, dtype=float), np.array(measured.tau, dtype=float)
         if q.shape != self._still.shape or tau.shape != self._still.shape:
             return self.begun(state)
+        if not 0.5 < (measured.t - state.t) / self.loop.t_ipo < 1.5:
+            # What two motions make of one window is no motion of an arm.
+            state = self.begun(state)
         waiting = state.waiting
         if state.cycle % self._every == 0:
             waiting = (*waiting, (q, tau, self._still if tau_ext is None else tau_ext))
         if len(waiting) == self._apart:
-            return self._with_window(state, np.array(waiting))
-        return FrictionFactors(*state[:-2], waiting, state.cycle + 1)
+            return self._with_window(state, np.array(waiting), measured.t)
+        return FrictionFactors(*state[:-3], waiting, state.cycle + 1, measured.t)
 
-    def _with_window(self, state: FrictionFactors, measured: Array) -> FrictionFactors:
+    def _with_window(self, state: FrictionFactors, measured: Array, t: float) -> FrictionFactors:
         x, covariance, used, window = (one.copy() for one in (state.x, state.covariance, state.used, state.window))
         values, mass, friction = state.values, state.mass, state.friction
         further = self._further(window, state.rows, measured) if self.loop.terms else self._still
         rows, told = _told(self._known, self._drive, (window, state.rows, measured), further, (x, covariance, used))
         if told:
             values, mass, friction = _applied(self._known, x)
-        return FrictionFactors(x, covariance, values, mass, friction, used, window, rows, (), state.cycle + 1)
+        return FrictionFactors(x, covariance, values, mass, friction, used, window, rows, (), state.cycle + 1, t)
 
     def _further(self, window: Array, rows: int, measured: Array) -> Array:
         """Torque of further effects in the middle of the window that measurements make ``(n,)`` [N m]."""
