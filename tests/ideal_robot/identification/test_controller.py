@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ideal_robot.errors import InputError
-from ideal_robot.identification.closed_loop_fit import _JointCascade, fit_controller, identify_linear_loop
+from ideal_robot.identification.closed_loop_fit import _JointCascade, _products, fit_controller, identify_linear_loop
 from ideal_robot.identification.controller import identify_controller
 from ideal_robot.loop.from_model import cascade_gains
 from ideal_robot.robots.robot import Robot
@@ -122,15 +122,28 @@ def test_finds_the_cascade_behind_encoder_steps_and_current_noise(joint):
     true = {name: world.per_joint(name, 6)[joint]
             for name in ("position_gain", "velocity_feedforward", "velocity_gain", "integral_time")}
     k_v, k_ff, k_p, k_i = (float(values[0]) for values in cascade_gains(fit.controller))
-    # Gains trade against each other (a quicker integrator for a softer position loop); the commands that follow from
-    # them do not: what is left of the torque is the noise of the current below 12 Hz.
-    assert fit.error_percent[0] < 5.0
-    assert k_p == pytest.approx(true["velocity_gain"], rel=0.1)
-    assert k_v == pytest.approx(true["position_gain"], rel=0.35)
-    assert k_ff == pytest.approx(true["velocity_feedforward"], abs=0.04)
-    assert k_p / k_i == pytest.approx(true["integral_time"], rel=0.4)
-    # What the integrator makes of a position error decides slow motions, and is the best determined of all.
-    assert k_i * k_v == pytest.approx(true["velocity_gain"] / true["integral_time"] * true["position_gain"], rel=0.1)
+    # What is left of the torque is the noise of the current below 12 Hz. The log has the mean current since the sample
+    # before; taken for the present one, a softer position loop with a quicker integrator comes out (0.8 and 1.3 times).
+    assert fit.error_percent[0] < 3.0
+    assert k_p == pytest.approx(true["velocity_gain"], rel=0.03)
+    assert k_v == pytest.approx(true["position_gain"], rel=0.05)
+    assert k_ff == pytest.approx(true["velocity_feedforward"], abs=0.01)
+    assert k_p / k_i == pytest.approx(true["integral_time"], rel=0.05)
+
+
+def test_torques_that_are_logged_as_they_are_tell_the_same_gains() -> None:
+    """A cascade of the module's own equation before a sine: present torques, and means since the last sample."""
+    t, cycle, every = 0.002 * np.arange(6000), 0.002, 4
+    q_c = 0.3 * np.sin(2.0 * t) + 0.05 * np.sin(9.0 * t + 1.0)
+    q = np.interp(t - 0.012, t, q_c) + 2e-3 * np.sin(5.0 * t)
+    true = np.array([18.0, 0.92, 500.0, 9000.0])
+    for averaged in (False, True):
+        blank = _JointCascade(q_c, q, np.zeros(len(t)), cycle, cycle / every, averaged)
+        blank._smoothed = np.asarray  # type: ignore[method-assign]
+        tau = blank.columns(np.array([0.002, 0.001])) @ _products(true)
+        recording = Recording.from_arrays(t, q_c=q_c[:, None], q=q[:, None], tau=tau[:, None])
+        found = [float(values[0]) for values in cascade_gains(fit_controller(recording, ROBOT).controller)]
+        np.testing.assert_allclose(found, true, rtol=0.04)
 
 
 def test_refuses_slow_sampling_and_joints_at_rest():

@@ -252,8 +252,10 @@ def test_the_error_falls_with_the_horizon_until_it_covers_the_arm_s_lag() -> Non
     with prepared(scene) as cell:
         one, four = (run(scene.changed(n_d=n_d), shared=cell).control_error.mean for n_d in (1, 4))
         none = run(scene, method="none", shared=cell).control_error.mean
-    # Four cycles are 48 ms: delay, low-pass and what the joint controllers lag behind.
-    assert all_planned < 0.5 * one < 0.1 * none
+    # Four cycles are 48 ms: delay, low-pass and what the joint controllers lag behind. With one the inverse knows the
+    # present step alone.
+    assert all_planned < 0.1 * one
+    assert one < 0.3 * none
     assert four < 1.5 * all_planned
 
 
