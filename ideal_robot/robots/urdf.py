@@ -171,11 +171,21 @@ def _built(text: str, file: str | Path | None) -> pin.Model:
             raise InputError(f"not a readable URDF ({shown[:200]})", file=file) from error
 
 
+LEAST = 1e-12
+"""Least size of any unit: what is smaller divides to infinity somewhere."""
+
+
+def _none_or_size(value: float) -> float:
+    if 0.0 < value < LEAST:
+        raise ValueError(f"expected 0, for none, or at least {LEAST:g}")
+    return value
+
+
 # The drive data file of a robot (TOML), checked: types, lengths and ranges of what stands in it. They are
 # wide: what no arm has, 1e9 of any unit or a cycle of more than a second, is a slip of the pen.
 Number = Annotated[float, pydantic.Field(strict=True, allow_inf_nan=False)]
-Size = Annotated[float, pydantic.Field(strict=True, gt=0, le=1e9)]
-NotNegative = Annotated[float, pydantic.Field(strict=True, ge=0, le=1e9)]
+Size = Annotated[float, pydantic.Field(strict=True, ge=LEAST, le=1e9)]
+NoneOrSize = Annotated[float, pydantic.Field(strict=True, ge=0, le=1e9), pydantic.AfterValidator(_none_or_size)]
 Cycle = Annotated[float, pydantic.Field(strict=True, ge=1e-5, le=1.0)]
 Text = Annotated[str, pydantic.Field(strict=True, min_length=1, max_length=100)]
 
@@ -189,7 +199,7 @@ class Joints(_Table):
     """One number for all joints or a list with one each; on the motor side, as data sheets have it."""
 
     gear_ratio: Size | list[Size] = 1.0
-    rotor_inertia: NotNegative | list[NotNegative] = 0.0
+    rotor_inertia: NoneOrSize | list[NoneOrSize] = 0.0
     torque_constant: Size | list[Size] = 1.0
     a_max: Size | list[Size] = float("inf")
     home: Number | list[Number] = 0.0
@@ -242,8 +252,10 @@ def read_drive_data(path: Path | None) -> tuple[DriveData, dict[str, Any]]:
     try:
         return DriveData(**values), values
     except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"] if not (isinstance(part, str) and "[" in part))
+        # One number or a list: what is wrong with a list's number lies deepest.
+        first = max(error.errors(), key=lambda one: len(one["loc"]))
+        key = ".".join(part for part in first["loc"] if isinstance(part, str) and "[" not in part)
         shown = first.get("input")
-        raise InputError(first["msg"], file=path, field=key.removesuffix(".float").removesuffix(".constrained-float"),
+        raise InputError(first["msg"].removeprefix("Value error, "), file=path,
+                         field=key.removesuffix(".float").removesuffix(".constrained-float"),
                          value=shown if isinstance(shown, (str, int, float)) else None) from error

@@ -65,6 +65,8 @@ def test_a_urdf_that_cannot_be_is_refused_in_one_line(old: str, new: str, tmp_pa
 @pytest.mark.parametrize(("text", "field"), [
     ("joints = 3", "joints"), ("[joints]\ngear_ratio = 'x'", "joints.gear_ratio"),
     ("[joints]\ngear_ratio = 0", "joints.gear_ratio"), ("[joints]\ngear_ratio = [1, 2]", "joints.gear_ratio"),
+    ("[joints]\nrotor_inertia = [1e-320]", "joints.rotor_inertia"),
+    ("[joints]\ntorque_constant = [1e-320]", "joints.torque_constant"),
     ("[joints]\na_max = -1.0", "joints.a_max"), ("[joints]\nhome = nan", "joints.home"),
     ("[joints]\nhome = [[0.0]]", "joints.home"), ("[joints]\ntorque_constant = true", "joints.torque_constant"),
     ("[controller]\nt_ipo = 0", "controller.t_ipo"), ("[controller]\nt_ipo = 'fast'", "controller.t_ipo"),
