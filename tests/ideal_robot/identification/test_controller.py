@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ideal_robot.errors import InputError
-from ideal_robot.identification.closed_loop_fit import _JointCascade, _products, fit_controller, identify_linear_loop
+from ideal_robot.identification.closed_loop_fit import _JointCascade, fit_controller, identify_linear_loop
 from ideal_robot.identification.controller import identify_controller
 from ideal_robot.loop.from_model import cascade_gains
 from ideal_robot.robots.robot import Robot
@@ -136,11 +136,11 @@ def test_torques_that_are_logged_as_they_are_tell_the_same_gains() -> None:
     t, cycle, every = 0.002 * np.arange(6000), 0.002, 4
     q_c = 0.3 * np.sin(2.0 * t) + 0.05 * np.sin(9.0 * t + 1.0)
     q = np.interp(t - 0.012, t, q_c) + 2e-3 * np.sin(5.0 * t)
-    true = np.array([18.0, 0.92, 500.0, 9000.0])
+    true = k_v, k_ff, k_p, k_i = 18.0, 0.92, 500.0, 9000.0
     for averaged in (False, True):
         blank = _JointCascade(q_c, q, np.zeros(len(t)), cycle, cycle / every, averaged)
         blank._smoothed = np.asarray  # type: ignore[method-assign]
-        tau = blank.columns(np.array([0.002, 0.001])) @ _products(true)
+        tau = blank.columns(np.array([0.002, 0.001])) @ np.outer([k_p, k_i], [k_v, k_ff, 1.0]).ravel()
         recording = Recording.from_arrays(t, q_c=q_c[:, None], q=q[:, None], tau=tau[:, None])
         found = [float(values[0]) for values in cascade_gains(fit_controller(recording, ROBOT).controller)]
         np.testing.assert_allclose(found, true, rtol=0.04)

@@ -228,6 +228,13 @@ def test_with_another_arms_model_it_learns_what_this_arm_weighs_and_how_its_torq
     assert learned < 0.6 * fixed
 
 
+@pytest.mark.slow
+def test_an_arm_without_friction_is_identified_too() -> None:
+    """0.48 mm where the search for the controllers' gains ended beside them; encoders and ripple leave 0.02 mm."""
+    arm = chosen(load_scene("iso9283_1"), individual=2)
+    assert run(arm.changed(world={**arm.world, "friction": False}), method=IDEAL).errors.aligned.E_car < 5e-5
+
+
 # What knowing the gears is worth on the arm side ([L] 3.3), stiffness from the clamped procedure.
 
 def test_arm_error_of_the_kr15_with_clamped_stiffness() -> None:
