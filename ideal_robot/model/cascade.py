@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -15,9 +16,11 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import read_toml
 from ideal_robot.errors import InputError
-from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.robots.robot import Robot, spread_postures
+
+if TYPE_CHECKING:  # a model's file asks this module for the names of a cascade
+    from ideal_robot.model.model import Model
 
 CLASS = "class"
 """Asks for the values of a class instead of a file's."""
@@ -121,14 +124,14 @@ def given_controller(wanted: str | Path, model: Model, robot: Robot) -> Controll
                 raise InputError(f"unknown key; allowed here are {', '.join(known)} and the table spread", file=wanted,
                                  field=f"{place}{name}")
     usual = Cascade.of_class(moved_inertia(model, robot), robot.t_position)
-    values = {name: _per_joint(table[name], robot.n, wanted, name) for name in table}
+    values = {name: per_joint(table[name], robot.n, wanted, name) for name in table}
     if "integral_time" in values:
         values["integral_time"] = np.where(values["integral_time"] > 0.0, values["integral_time"], np.inf)
     for name in ("position_gain", "velocity_gain"):
         if np.any(values.get(name, np.ones(1)) <= 0.0):
             raise InputError("must be positive", file=wanted, field=name, value=table[name])
     widths = {name: np.full(robot.n, 0.0 if name in table else SPREAD[name]) for name in known}
-    widths |= {name: _per_joint(value, robot.n, wanted, f"spread.{name}") for name, value in spread.items()}
+    widths |= {name: per_joint(value, robot.n, wanted, f"spread.{name}") for name, value in spread.items()}
     return dataclasses.replace(usual, **values).controller(
         robot.t_position, {name: width.tolist() for name, width in widths.items() if width.any()})
 
@@ -140,11 +143,16 @@ def moved_inertia(model: Model, robot: Robot) -> Array:
                                for q in spread_postures(robot.q_min, robot.q_max)], axis=0))
 
 
-def _per_joint(value: object, n: int, file: str | Path, field: str) -> Array:
+def per_joint(value: object, n: int, file: str | Path | None, field: str) -> Array:
+    """One number, or one per joint, as ``(n,)``.
+
+    Raises:
+        InputError: no such numbers, or one below 0.
+    """
     try:
         array = np.asarray(value, dtype=float)
     except (TypeError, ValueError) as error:
         raise InputError("expected a number or a list of numbers", file=file, field=field) from error
-    if isinstance(value, (bool, str)) or array.shape not in ((), (n,)) or np.any(array < 0.0):
+    if isinstance(value, (bool, str)) or array.shape not in ((), (n,)) or not np.all(array >= 0.0):
         raise InputError(f"expected one number or {n}, none below 0", file=file, field=field, value=value)
     return np.array(np.broadcast_to(array, (n,)), dtype=float)

@@ -19,6 +19,7 @@ from ideal_robot.bounded_values import read_json
 from ideal_robot.dynamics import BaseParameters, with_link_parameters
 from ideal_robot.effects import SENSOR
 from ideal_robot.errors import InputError
+from ideal_robot.model.cascade import SPREAD, per_joint
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.whole_file import write_text
 
@@ -213,8 +214,14 @@ def _controller(controller: ControllerModel, n: int, file: Path | str | None) ->
                              value=value if isinstance(value, (int, float, str)) else None)
     if not isinstance(controller.filter_order, int):
         raise InputError("expected a whole number", file=file, field="controller.filter_order")
-    if not isinstance(controller.std, dict):
-        raise InputError("expected a table", file=file, field="controller.std")
+    for key in ("std", "spread"):
+        if not isinstance(getattr(controller, key), dict):
+            raise InputError("expected a table", file=file, field=f"controller.{key}")
+    for name, widths in controller.spread.items():
+        if name not in SPREAD:
+            raise InputError(f"unknown key; allowed here are {', '.join(SPREAD)}", file=file,
+                             field=f"controller.spread.{name}")
+        per_joint(widths, n, file, f"controller.spread.{name}")
 
 
 def _effects(model: Any, n: int, file: Path | str | None) -> None:

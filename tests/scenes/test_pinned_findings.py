@@ -198,6 +198,22 @@ def test_a_command_filter_of_a_second_is_refused_before_its_inverse_takes_minute
     assert refused.value.field == "controller.filter_time"
 
 
+@pytest.mark.parametrize(("spread", "field"), [
+    ([0.4, 0.4], "controller.spread"),
+    ({"gain": [0.4] * 6}, "controller.spread.gain"),
+    ({"position_gain": [0.4, None, 0.4, 0.4, 0.4, 0.4]}, "controller.spread.position_gain"),
+])
+def test_a_spread_that_no_cascade_has_is_refused_where_the_model_is_read(tmp_path: Path, spread: object,
+                                                                        field: str) -> None:
+    values = json.loads(shipped_model("kr6").read_text(encoding="utf-8"))
+    values["controller"]["spread"] = spread
+    place = tmp_path / "m.json"
+    place.write_text(json.dumps(values))
+    with pytest.raises(InputError) as refused:
+        Model.load(place)
+    assert refused.value.field == field
+
+
 def test_a_mat_file_that_its_reader_does_not_survive_is_refused(tmp_path: Path) -> None:
     """Numbers of no type end SciPy's compiled reader, and its process, by a segmentation fault."""
     made, place = io.BytesIO(), tmp_path / "emps.mat"
