@@ -197,7 +197,7 @@ def with_given_controller(analysis: IdentificationResult, wanted: str | Path, ro
     Raises:
         InputError: no such file, or wrong numbers in it.
     """
-    given = given_controller(wanted, analysis.model, robot)
+    given = given_controller(wanted, analysis.model.dynamics, robot)
     if analysis.model.controller is not None:
         return dataclasses.replace(analysis, warnings=(*analysis.warnings, "controller-given: the recordings tell the "
                                                        "controller; --controller was not needed"))

@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -18,9 +17,6 @@ from ideal_robot.bounded_values import read_toml
 from ideal_robot.errors import InputError
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.robots.robot import Robot, spread_postures
-
-if TYPE_CHECKING:  # a model's file asks this module for the names of a cascade
-    from ideal_robot.model.model import Model
 
 CLASS = "class"
 """Asks for the values of a class instead of a file's."""
@@ -101,13 +97,13 @@ class Cascade:
         return dataclasses.replace(self, **changed)
 
 
-def given_controller(wanted: str | Path, model: Model, robot: Robot) -> ControllerModel:
+def given_controller(wanted: str | Path, dynamics: pin.Model, robot: Robot) -> ControllerModel:
     """The controller of a file or of the class.
 
     Args:
         wanted: ``class``, or the path of a TOML with the keys of ``Cascade``, one number or one per joint each, and in
             ``[spread]`` their standard deviations; keys that it leaves out are the class's, with its spread.
-        model: says what inertia each joint moves.
+        dynamics: of the arm with its rotors; says what inertia each joint moves.
         robot: cycle, and postures.
 
     Raises:
@@ -123,7 +119,7 @@ def given_controller(wanted: str | Path, model: Model, robot: Robot) -> Controll
             if name not in known:
                 raise InputError(f"unknown key; allowed here are {', '.join(known)} and the table spread", file=wanted,
                                  field=f"{place}{name}")
-    usual = Cascade.of_class(moved_inertia(model, robot), robot.t_position)
+    usual = Cascade.of_class(moved_inertia(dynamics, robot), robot.t_position)
     values = {name: per_joint(table[name], robot.n, wanted, name) for name in table}
     if "integral_time" in values:
         values["integral_time"] = np.where(values["integral_time"] > 0.0, values["integral_time"], np.inf)
@@ -136,15 +132,21 @@ def given_controller(wanted: str | Path, model: Model, robot: Robot) -> Controll
         robot.t_position, {name: width.tolist() for name, width in widths.items() if width.any()})
 
 
-def moved_inertia(model: Model, robot: Robot) -> Array:
+def moved_inertia(dynamics: pin.Model, robot: Robot) -> Array:
     """Inertia that each joint moves, over postures of its range, its rotor included ``(n,)`` [kg m², or kg]."""
-    data = model.dynamics.createData()
-    return np.asarray(np.mean([pin.crba(model.dynamics, data, q).diagonal()
+    data = dynamics.createData()
+    return np.asarray(np.mean([pin.crba(dynamics, data, q).diagonal()
                                for q in spread_postures(robot.q_min, robot.q_max)], axis=0))
 
 
 def per_joint(value: object, n: int, file: str | Path | None, field: str) -> Array:
     """One number, or one per joint, as ``(n,)``.
+
+    Args:
+        value: as it was read.
+        n: number of joints.
+        file: where it stands, for the message.
+        field: its key there.
 
     Raises:
         InputError: no such numbers, or one below 0.

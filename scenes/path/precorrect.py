@@ -43,7 +43,7 @@ def precorrected_path(path: Path, model_file: Path, *, robot: str | None = None,
     model = Model.load(model_file)
     arm = robot_of(model, robot, model_file)
     if controller is not None:
-        model = replace(model, controller=given_controller(controller, model, arm))
+        model = replace(model, controller=given_controller(controller, model.dynamics, arm))
     t, q_d, column = columns_of(Recording.read(path), arm, path)
     result = precorrect(t, q_d, model, arm, method, delay=int(delay), rest=rest, file=path, column=column)
     meta = {**result.recording.meta, "model": str(model_file)}

@@ -107,7 +107,7 @@ def test_gains_of_a_file_are_taken_and_the_class_fills_in_the_rest(tmp_path: Pat
     file = tmp_path / "gains.toml"
     file.write_text("position_gain = 30\nvelocity_gain = [3000, 2800, 1100, 80, 78, 20]\nintegral_time = 0\n"
                     "[spread]\nposition_gain = 0.1\n", encoding="utf-8")
-    controller = given_controller(file, MODEL, ROBOT)
+    controller = given_controller(file, MODEL.dynamics, ROBOT)
     k_v, k_ff, k_p, k_i = cascade_gains(controller)
     np.testing.assert_allclose(k_v, 30.0)
     np.testing.assert_allclose(k_p, [3000, 2800, 1100, 80, 78, 20])
@@ -119,7 +119,7 @@ def test_gains_of_a_file_are_taken_and_the_class_fills_in_the_rest(tmp_path: Pat
 
 
 def test_a_cascade_survives_the_form_of_the_model_file() -> None:
-    model = dataclasses.replace(MODEL, controller=given_controller(CLASS, MODEL, ROBOT))
+    model = dataclasses.replace(MODEL, controller=given_controller(CLASS, MODEL.dynamics, ROBOT))
     again = type(model.controller).from_dict(model.controller.to_dict())
     assert again.spread == model.controller.spread
     cascade = Cascade.of(again)
@@ -136,7 +136,7 @@ def test_wrong_gains_are_refused(text: str, match: str, tmp_path: Path) -> None:
     file = tmp_path / "gains.toml"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=match):
-        given_controller(file, MODEL, ROBOT)
+        given_controller(file, MODEL.dynamics, ROBOT)
 
 
 def test_precorrection_says_how_far_its_error_reaches() -> None:
@@ -145,7 +145,7 @@ def test_precorrection_says_how_far_its_error_reaches() -> None:
     known = precorrect(t, q_d, MODEL, ROBOT)
     assert known.reach is None
     assert known.beyond_uncorrected == ()
-    given = given_controller(CLASS, MODEL, ROBOT)
+    given = given_controller(CLASS, MODEL.dynamics, ROBOT)
     path = precorrect(t, q_d, dataclasses.replace(MODEL, controller=given), ROBOT)
     assert path.reach is not None
     assert path.reach.shape == (DRAWS, 6)
