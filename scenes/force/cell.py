@@ -7,25 +7,23 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import pinocchio as pin
 
 from ideal_robot.arrays import Array
-from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.feedforward.friction_at_work import FrictionAtWork, friction_at_work
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.row_log import let_go, new_array
 from planning import OutOfReachError
 from planning.force.contact import dry_run
-from planning.path.kinematics import InverseKinematics
 from scenes.arms import arm_of
 from scenes.metrics import ControlError
 from scenes.models import model_for
-from scenes.online.force_known import START_HEIGHT, Known, force_reference
+from scenes.online.force_calibration import Pressed
+from scenes.online.force_known import Known, force_reference
 from scenes.online.line_log import SETTLING
 from scenes.scene_files.drawn_line import Geometry, believed_camera, geometry, true_camera
 from scenes.scene_files.force_scene import ForceScene, SensorTable, TipTable, UnknownSurface
 from sensing.camera.camera_model import CameraModel
-from sensing.force.force_calibration import ContactElasticity, ToolLoad, identify_elasticity, identify_tool
+from sensing.force.force_calibration import ContactElasticity, ToolLoad, identify_tool
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 from sim.camera.bullet_camera import BulletCamera
@@ -119,38 +117,21 @@ def calibrate_tool(cell: Cell) -> ToolLoad:
 def calibrate_elasticity(cell: Cell, tool: ToolLoad) -> ContactElasticity:
     """E by moving: the tip is pressed slowly into the surface at the start of the path and drawn back ([L] 4.4)."""
     follower = cell.known.follower(elasticity=1e6)
-    kinematics = InverseKinematics(cell.known.robot)
-    deflection = GearDeflection(cell.known.model, cell.world.t_ipo)
-    frames = cell.known.reference.frames(np.zeros(1))
-    up, start, rotation = frames.up[0], frames.position[0], cell.known.reference.rotation(0.0)
-    T, q = cell.world.t_ipo, follower.q_start
-    height, speed = START_HEIGHT, -0.03
-    stamps, forces, times, places = [], [], [], []
-    with SimulatedArm(cell.known.robot, cell.world, cell.noise, q) as arm:
+    pressed = Pressed(cell.known, tool, follower.q_start)
+    T, speed = cell.world.t_ipo, -0.03
+    with SimulatedArm(cell.known.robot, cell.world, cell.noise, follower.q_start) as arm:
         contact = TipContact(arm, cell.surface, true_tip(cell.known.scene.tip))
-        state = None
         for k in range(int(6.0 / T)):
-            height += speed * T
-            q = kinematics.refine([pin.SE3(rotation, start + height * up)], q[None])[0]
-            state = arm.cycle(q)
-            q_a = state.q - deflection.at(np.tile(q, (3, 1)))
-            times.append(state.t)
-            places.append(kinematics.fk(q_a).translation - start)
-            for sample in cell.sensor.due(k * T, (k + 1) * T, arm.tcp_at, contact.force_at):
-                stamps.append(sample.t)
-                forces.append(rotation @ tool.contact(sample.wrench, rotation)[:3])
-            recent = float(np.mean(forces[-5:], axis=0) @ up) if forces else 0.0
+            state = arm.cycle(pressed.go(speed * T))
+            pressed.hear(state, cell.sensor.due(k * T, (k + 1) * T, arm.tcp_at, contact.force_at))
+            recent = float(pressed.recent() @ pressed.up)
             if speed < 0 and recent > 3.0:
                 speed = -0.01
             if speed < 0 and recent > 1.6 * cell.known.scene.force:
                 speed = 0.01
             if speed > 0 and recent < 1.0:
                 break
-    felt, way = np.array(forces), np.array(places)
-    # The surface need not be square to the nominal normal: its own is where the force points.
-    normal = felt[felt @ up > 0.5 * cell.known.scene.force].mean(axis=0)
-    normal = normal / np.linalg.norm(normal)
-    return identify_elasticity(np.interp(stamps, times, way @ normal), felt @ normal)
+    return pressed.elasticity()
 
 
 @lru_cache(maxsize=64)

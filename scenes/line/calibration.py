@@ -6,8 +6,6 @@ stamps, and the reference path near the line.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from ideal_robot.arrays import held
@@ -18,10 +16,17 @@ from planning import OutOfReachError
 from planning.line.line_follower import line_ahead
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
-from scenes.online.line_known import CalibrationView, Known, SeenBefore, calibration_postures, piece_map, view_of
+from scenes.online.line_known import (
+    REST,
+    CalibrationView,
+    Known,
+    SeenBefore,
+    calibration_postures,
+    piece_map,
+    view_of,
+)
 from scenes.online.live_arm import moves
 from scenes.placing import shapes_about
-from scenes.scene_files.scene import SceneError
 from sensing import SensingError
 from sensing.camera.camera_device import Field
 from sensing.camera.camera_model import CameraModel
@@ -35,8 +40,6 @@ from sim.equipped_arm import shadow_of
 
 SPARING = 4
 """One field in so many is looked at: neighbours tell the same."""
-REST = 0.16
-"""Rest at each pose, in which vibrations die out [s]."""
 HOPELESS = 20
 """Fields without the line after which to give up."""
 BEFORE = 10**7
@@ -92,22 +95,11 @@ def calibrate_by_moving(known: Known, arm: SimulatedArm, camera: RenderedCamera,
             view.look(*late.pop(0), ahead)
         if fields >= HOPELESS and not view.observations:
             break
-    return _calibrated(view, fields, at)
-
-
-def _calibrated(view: CalibrationView, fields: int, at: float) -> HandEye:
-    """The camera that explains what was seen of the line around ``at``; SceneError where most fields showed none."""
-    if (seen := len(view.observations)) < max(fields // 2, 3):
-        raise SceneError(f"the camera could not be calibrated: only {seen} of {fields} fields showed the line; check "
-                         "where the line is, or set calibration.by_moving = false")
-    near = view.reference.position(np.arange(at - 0.25, at + 0.25, 0.001))
-    return calibrate(view.believed, view.observations, near, view.reference.frames(np.array([at])).up[0])
+    return calibrate(believed, view.observations, *view.piece(at, fields, "or set calibration.by_moving = false"))
 
 
 LOOKS = 5
 """Whole pictures of a line that are taken at least; one of them may fall into a gap."""
-CONTRAST = 0.3
-"""Share of the line's contrast below which a cross-section does not count."""
 
 
 def look_at_line(robot: Robot, reference: ReferencePath, believed: CameraModel, arm: SimulatedArm,
@@ -127,7 +119,7 @@ def look_at_line(robot: Robot, reference: ReferencePath, believed: CameraModel, 
         SensingError: no picture shows a line.
     """
     kinematics = InverseKinematics(robot)
-    pictures, poses, q = [], [], robot.home
+    pictures, q = [], robot.home
     near, far = view_of(believed)
     looks = max(LOOKS, 1 + int(np.ceil((span[1] - span[0]) / (far - near))))
     for s in np.linspace(span[0] - near, span[1] - far, looks):
@@ -136,12 +128,9 @@ def look_at_line(robot: Robot, reference: ReferencePath, believed: CameraModel, 
         except OutOfReachError:
             continue
         arm.reset(q)
-        poses.append(robot.fk()(q))
-        pictures.append(camera.frame(arm.truth.tcp, rng, q=arm.q_a))
+        pictures.append((camera.frame(arm.truth.tcp, rng, q=arm.q_a), robot.fk()(q)))
     if not pictures:
         raise SensingError("the arm reaches no place above the line")
-    seen = line_appearance(pictures, believed)
-    detection = DetectionSettings(line_width=seen.width, dark=seen.dark,
-                                  min_contrast=min(DetectionSettings.min_contrast, CONTRAST * seen.contrast))
-    return replace(SeenBefore.of(detection, seen.places, poses, reference),
-                   pictures=tuple(zip(pictures, poses, strict=True)))
+    seen = line_appearance([picture for picture, _ in pictures], believed)
+    return SeenBefore.of(DetectionSettings.of(seen.width, seen.contrast if seen.dark else -seen.contrast), seen.places,
+                         pictures, reference)

@@ -265,8 +265,7 @@ def _looked_at(scene: LineScene, cell: Cell, camera: RenderedCamera, progress: P
                 recorded = arm.recording()
             except (SceneError, SensingError) as error:
                 reasons.append(str(error))
-    shape = (before.shape(known.reference) if hand_eye is None
-             else looked_again(known, hand_eye.camera, before, span))
+    shape = before.shape if hand_eye is None else looked_again(known, hand_eye.camera, before, span)
     return Prepared(camera, before.detection, hand_eye, shape, moved=tuple(moved),
                     recorded=recorded, warning="; ".join([*reasons, *filter(None, [before.too_far()])]))
 

@@ -7,7 +7,7 @@ at; the motors; and what contact is, a push along the surface's normal.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 import pinocchio as pin
@@ -137,7 +137,7 @@ def elasticity_by_pressing(known: Known, start: Array, arm: LiveArm, force: Live
     Raises:
         SceneError: nothing is felt, or too much, or the witnesses do not agree. The tip has been drawn back then.
     """
-    press = arm.meanwhile(lambda: _Press(known, start, arm, force, tool))
+    press = arm.meanwhile(lambda: _Press(known, tool, start, arm, force))
     arm.begin()
     force.begin()
     force.reach = LEAP * known.scene.force
@@ -151,50 +151,91 @@ def elasticity_by_pressing(known: Known, start: Array, arm: LiveArm, force: Live
     return arm.meanwhile(press.elasticity)
 
 
-class _Press:
-    """One time down and up.
+class Pressed:
+    """Where the tip was along the normal at the start of the path, and what it felt there.
 
     Args:
         known: what is known of the scene.
-        start: joint angles at ``START_HEIGHT`` ``(n,)`` [rad].
-        arm: connected.
-        force: what it feels.
         tool: bias and weight.
+        start: joint angles at ``START_HEIGHT`` ``(n,)`` [rad].
+
+    Attributes:
+        up: unit normal away from the surface ``(3,)``.
+        height: of the tip above the start of the path [m].
+        q: commanded joint angles ``(n,)`` [rad].
     """
 
-    def __init__(self, known: Known, start: Array, arm: LiveArm, force: LiveForce, tool: ToolLoad) -> None:
-        self._known, self._arm, self._force, self._tool = known, arm, force, tool
-        self._kinematics = InverseKinematics(known.robot)
+    def __init__(self, known: Known, tool: ToolLoad, start: Array) -> None:
+        self._wanted, self._tool = known.scene.force, tool
+        self.kinematics = InverseKinematics(known.robot)
         self._deflection = GearDeflection(known.model, known.robot.t_ipo)
         frames = known.reference.frames(np.zeros(1))
-        self._up, self._origin, self._rotation = frames.up[0], frames.position[0], known.reference.rotation(0.0)
-        self._motors = FeltByMotors(known.model, known.robot, self._kinematics, self._up)
-        self._height, self._speed = START_HEIGHT, 0.0
-        self.q = self._joint_angles(start)
-        # Once before anything moves: what is compiled is loaded here, not in a cycle.
-        self._where(self.q, self.q)
+        self.up, self._origin, self._rotation = frames.up[0], frames.position[0], known.reference.rotation(0.0)
+        self.height, self.q = START_HEIGHT, start
         self._times: list[float] = []
         self._places: list[Array] = []
         self._stamps: list[float] = []
         self._felt: list[Array] = []
+
+    def go(self, way: float) -> Array:
+        """The command ``(n,)`` [rad] that leads on by so much away from the surface [m]."""
+        self.height += way
+        self.q = self.kinematics.refine([pin.SE3(self._rotation, self._origin + self.height * self.up)],
+                                        self.q[None])[0]
+        return self.q
+
+    def hear(self, state: RobotState, samples: Iterable[WrenchSample]) -> None:
+        """Notes the end of a cycle, and what was felt in it."""
+        self._times.append(state.t)
+        self._places.append(self.where(state.q))
+        for sample in samples:
+            self._stamps.append(sample.t)
+            self._felt.append(self._rotation @ self._tool.contact(sample.wrench, self._rotation)[:3])
+
+    def where(self, q: Array) -> Array:
+        """The tip, behind gears that bend under the command, against the path's start ``(3,)`` [m]; ``q`` [rad]."""
+        bent = self._deflection.at(np.tile(self.q, (3, 1)))
+        return np.asarray(self.kinematics.fk(q - bent).translation - self._origin)
+
+    def recent(self) -> Array:
+        """The force felt now ``(3,)`` [N, base frame]."""
+        return np.mean(self._felt[-_RECENT:], axis=0) if self._felt else np.zeros(3)
+
+    def elasticity(self) -> ContactElasticity:
+        """From what was felt where."""
+        felt, way = np.array(self._felt), np.array(self._places)
+        # The surface need not be square to the nominal normal: its own is where the force points.
+        normal = felt[felt @ self.up > 0.5 * self._wanted].mean(axis=0)
+        normal = normal / np.linalg.norm(normal)
+        return identify_elasticity(np.interp(self._stamps, self._times, way @ normal), felt @ normal)
+
+
+class _Press(Pressed):
+    """One time down and up.
+
+    Args:
+        known: what is known of the scene.
+        tool: bias and weight.
+        start: joint angles at ``START_HEIGHT`` ``(n,)`` [rad].
+        arm: connected.
+        force: what it feels.
+    """
+
+    def __init__(self, known: Known, tool: ToolLoad, start: Array, arm: LiveArm, force: LiveForce) -> None:
+        super().__init__(known, tool, start)
+        self._known, self._arm, self._force, self._speed = known, arm, force, 0.0
+        self._motors = FeltByMotors(known.model, known.robot, self.kinematics, self.up)
+        # Once before anything moves: what is compiled is loaded here, not in a cycle.
+        self.where(self.go(0.0))
 
     def down_and_up(self) -> None:
         """Raises ``SceneError`` where it cannot go on."""
         self._go(_UP, self._high)
         self._go(0.0, lambda: self._speed == 0.0)
         pressed = _HARD * self._known.scene.force
-        self._go(-_SLOW, lambda: float(self._recent() @ self._up) > pressed, heard=True)
-        self._go(_SLOW, lambda: float(self._recent() @ self._up) < _GONE or self._high())
-        self._go(_UP, lambda: self._height >= START_HEIGHT)
-
-    def elasticity(self) -> ContactElasticity:
-        """From what was felt where."""
-        felt, way = np.array(self._felt), np.array(self._places)
-        pressed = felt @ self._up > 0.5 * self._known.scene.force
-        # The surface need not be square to the nominal normal: its own is where the force points.
-        normal = felt[pressed].mean(axis=0)
-        normal = normal / np.linalg.norm(normal)
-        return identify_elasticity(np.interp(self._stamps, self._times, way @ normal), felt @ normal)
+        self._go(-_SLOW, lambda: float(self.recent() @ self.up) > pressed, heard=True)
+        self._go(_SLOW, lambda: float(self.recent() @ self.up) < _GONE or self._high())
+        self._go(_UP, lambda: self.height >= START_HEIGHT)
 
     def _go(self, target: float, done: Callable[[], bool], heard: bool = False) -> None:
         """Moves along the normal with a speed [m/s] until it is done, cycle by cycle, and looks at every witness.
@@ -210,16 +251,11 @@ class _Press:
             while not done():
                 arm.check(arm.t)
                 self._speed += float(np.clip(target - self._speed, -_JERKY * T, _JERKY * T))
-                self._height += self._speed * T
-                self.q = arm.q_d = self._joint_angles(self.q)
+                arm.q_d = self.go(self._speed * T)
                 state = arm.cycle(self.q)
                 if heard:
                     told.append((self.q, state))
-                self._times.append(arm.t)
-                self._places.append(self._where(state.q, self.q))
-                for sample in self._force.arrived(arm.t):
-                    self._stamps.append(sample.t)
-                    self._felt.append(self._rotation @ self._tool.contact(sample.wrench, self._rotation)[:3])
+                self.hear(state, self._force.arrived(arm.t))
                 self._check(self._motors.force if heard else float("nan"))
 
     def _hear(self, told: list[tuple[Array, RobotState]]) -> None:
@@ -228,26 +264,9 @@ class _Press:
             q_c, state = told.pop(0)
             self._motors.add(q_c, state.q, state.tau)
 
-    def _joint_angles(self, near: Array) -> Array:
-        """Joint angles ``(n,)`` [rad] at the present height, near others ``(n,)`` [rad]."""
-        return self._kinematics.refine([pin.SE3(self._rotation, self._origin + self._height * self._up)], near[None])[0]
-
-    def _where(self, q: Array, q_c: Array) -> Array:
-        """The tip, behind gears that bend, against the start of the path ``(3,)`` [m].
-
-        Args:
-            q: motor angles ``(n,)`` [rad].
-            q_c: commanded ones ``(n,)`` [rad].
-        """
-        return np.asarray(self._kinematics.fk(q - self._deflection.at(np.tile(q_c, (3, 1)))).translation - self._origin)
-
     def _high(self) -> bool:
         """Whether the tip is as high as pressing begins."""
-        return self._height >= START_HEIGHT + ABOVE
-
-    def _recent(self) -> Array:
-        """The force felt now ``(3,)`` [N, base frame]."""
-        return np.mean(self._felt[-_RECENT:], axis=0) if self._felt else np.zeros(3)
+        return self.height >= START_HEIGHT + ABOVE
 
     def _check(self, by_motors: float) -> None:
         """Raises ``SceneError`` where the witnesses do not agree, or the surface is not where it can be.
@@ -257,21 +276,21 @@ class _Press:
         """
         if (trouble := self._force.trouble(self._arm.t)) is not None:
             raise SceneError(f"pressing was stopped: {trouble}")
-        scene, felt = self._known.scene, self._recent()
-        normal = float(felt @ self._up)
-        sideways = float(np.linalg.norm(felt - normal * self._up))
+        scene, felt = self._known.scene, self.recent()
+        normal = float(felt @ self.up)
+        sideways = float(np.linalg.norm(felt - normal * self.up))
         if not abs(normal) < most_force(scene.force):
             raise SceneError(f"pressing was stopped: {normal:.1f} N felt of {most_force(scene.force):.0f} N allowed")
         if normal < -_FELT or sideways > max(_FELT, abs(normal)):
             raise SceneError(f"pressing was stopped: {normal:.1f} N felt along the surface's normal and {sideways:.1f} "
                              "N across it, which is no push; check the force sensor's sign, axes and bias")
-        if self._height > START_HEIGHT and normal > _FELT:
+        if self.height > START_HEIGHT and normal > _FELT:
             raise SceneError(f"pressing was stopped: {normal:.1f} N felt in the air; look whether the force sensor's "
                              "bias has leapt, or something stands in the way")
         if by_motors - normal > _MOTORS * scene.force:
             raise SceneError(f"pressing was stopped: the motors feel {by_motors:.0f} N and the force sensor "
                              f"{normal:.1f} N; look whether it is alive")
         deepest = START_HEIGHT - ContactSettings.reach
-        if self._height < deepest and normal < _FELT:
+        if self.height < deepest and normal < _FELT:
             raise SceneError(f"pressed {-1e3 * deepest:.0f} mm below where the surface should be and felt none; look "
                              "whether it is there, or move the surface in the scene")

@@ -22,6 +22,7 @@ from scenes.online.camera_process import CalibratedCamera
 from scenes.online.cell_check import Look
 from scenes.online.cycle import Task
 from scenes.online.line_known import (
+    REST,
     START,
     CalibrationView,
     Known,
@@ -44,9 +45,6 @@ from sensing.camera.line_search import DetectionSettings, PredictedLine
 
 # The camera on the tool is calibrated by moving the real arm over a piece of the line ([L] 4.4).
 
-REST = 0.16
-"""Rest at each pose, in which vibrations die out [s]."""
-_PIECE, _STEP = 0.25, 0.001  # of the reference to both sides, and between its points [m]
 _PATIENCE = 60.0
 """How long the computation may take; the arm is held meanwhile [s]."""
 
@@ -155,11 +153,7 @@ def calibrated_by_moving(motion: CalibrationMotion, arm: LiveArm, camera: LiveCa
             if motion.begin <= field.t_stamp <= motion.end:
                 fields += 1
                 view.look(field, view.predicted(field.t_stamp), 0.0)
-    if len(view.observations) < max(fields // 2, 3):
-        raise SceneError(f"the camera could not be calibrated: only {len(view.observations)} of {fields} fields showed "
-                         "the line; check where the line is, how it looks (line.gray, line.width_mm), and the camera")
-    near = piece.reference.position(np.arange(piece.at - _PIECE, piece.at + _PIECE, _STEP))
-    up = piece.reference.frames(np.array([piece.at])).up[0]
+    near, up = view.piece(piece.at, fields, "how it looks (line.gray, line.width_mm), and the camera")
     arm.meanwhile(lambda: camera.calibrate(view.believed, view.observations, near, up))
     for _ in range(int(_PATIENCE / arm.robot.t_ipo)):
         if camera.hand_eye is not None:
@@ -171,8 +165,6 @@ def calibrated_by_moving(motion: CalibrationMotion, arm: LiveArm, camera: LiveCa
     return camera.hand_eye
 
 
-_CONTRAST = 0.3
-"""Share of the line's contrast below which a cross-section does not count."""
 _UNDER_WAY = 2
 """Cycles from a picture's arrival until a plan is made with its line points; one more where plans are made ahead."""
 
@@ -205,10 +197,7 @@ class LineJob:
         self.log = LineLog()
         self._task = self._new_task(self._known, self.log, ImaginedCamera())
         self.longest = self.expected = self._task.longest
-        contrast = abs(scene.line.background - scene.line.gray)
-        self.detection = DetectionSettings(
-            line_width=1e-3 * scene.line.width_mm, dark=scene.line.gray < scene.line.background,
-            min_contrast=min(DetectionSettings.min_contrast, _CONTRAST * contrast))
+        self.detection = DetectionSettings.of(1e-3 * scene.line.width_mm, scene.line.background - scene.line.gray)
 
     @property
     def camera(self) -> CameraModel | None:

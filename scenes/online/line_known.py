@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
@@ -147,6 +147,8 @@ REACH = 0.2
 """How far from the middle of the piece the line's deviation from its reference is kept [m]."""
 PER_SPEED = 1e-3
 """Uncertainty of a moving tool's place: a millisecond's way, standard deviation [m per m/s]."""
+REST = 0.16
+"""Rest at each pose of the calibration, in which vibrations die out [s]."""
 
 
 @dataclass(frozen=True)
@@ -158,39 +160,42 @@ class SeenBefore:
         s: arc lengths of the reference ``(2 k,)`` [m].
         deviation: beside it there ``(2 k,)`` [m].
         pictures: all of them, with the poses of the tool.
+        shape: the likeliest of ``SHAPES``; None where nothing was seen.
     """
 
     detection: DetectionSettings = field(default_factory=DetectionSettings)
     s: Array = field(default_factory=lambda: np.empty(0))
     deviation: Array = field(default_factory=lambda: np.empty(0))
     pictures: tuple[tuple[Gray, pin.SE3], ...] = ()
+    shape: tuple[float, float] | None = None
 
     @classmethod
-    def of(cls, detection: DetectionSettings, places: Array, poses: Sequence[pin.SE3], reference: ReferencePath
-           ) -> SeenBefore:
+    def of(cls, detection: DetectionSettings, places: Array, pictures: Sequence[tuple[Gray, pin.SE3]],
+           reference: ReferencePath) -> SeenBefore:
         """From the points of each picture in the tool frame.
 
         Args:
             detection: how the line looks.
             places: ``(k, 2, 3)`` [m]; NaN where a picture did not show the line.
-            poses: of the tool, as the controller knows it, ``k``.
+            pictures: each with the pose of the tool, as the controller knows it, ``k``.
             reference: the reference path.
         """
-        points = [np.array([pose.act(point) for point in two]) for two, pose in zip(places, poses, strict=True)]
+        points = [np.array([pose.act(point) for point in two]) for two, (_, pose) in zip(places, pictures, strict=True)]
         seen = [reference.project(two, _nearest(reference, two.mean(axis=0)))[:2] for two in points
                 if np.isfinite(two).all()]
         # What is nearer to across than along is no line that leads along the reference, but one that crosses it.
         seen = [(s, deviation) for s, deviation in seen if abs(np.diff(deviation)[0]) < abs(np.diff(s)[0])]
         s, deviation = (np.concatenate(one) for one in zip(*seen, strict=True)) if seen else (np.empty(0), np.empty(0))
-        return cls(detection, s, deviation)
+        found = cls(detection, s, deviation, tuple(pictures))
+        return replace(found, shape=found._likeliest(reference))
 
     @property
     def covariance(self) -> Array:
         """Of the deviations ``(2 k, 2 k)`` [m²]: the two of a picture share what is wrong with the camera."""
         return np.kron(np.eye(len(self.s) // 2), np.full((2, 2), BY_HAND**2)) + ROUGH**2 * np.eye(len(self.s))
 
-    def shape(self, reference: ReferencePath) -> tuple[float, float] | None:
-        """The likeliest of ``SHAPES``, None where nothing was seen; one picture may show something else."""
+    def _likeliest(self, reference: ReferencePath) -> tuple[float, float] | None:
+        """See ``shape``; one picture may show something else."""
         pictures = np.repeat(np.arange(len(self.s) // 2), 2)
         if not len(pictures):
             return None
@@ -230,11 +235,10 @@ def looked_again(known: Known, camera: CameraModel, before: SeenBefore, span: tu
         before: the pictures, and what they told.
         span: arc lengths of the reference between which the line ought to be [m].
     """
-    told = before.shape(known.reference)
-    if told is None:
+    if (told := before.shape) is None:
         return None
     line = piece_map(known.reference, 0.5 * known.reference.length, before, 0.5 * known.reference.length)
-    s, deviation = [np.empty(0)], [np.empty(0)]
+    seen = [(np.empty(0), np.empty(0))]
     for picture, pose in before.pictures:
         at = _nearest(known.reference, pose.act(_middle_of_view(camera)))
         prediction = line_ahead(known.reference, line, at + SPREAD).seen_from(pose)
@@ -245,11 +249,9 @@ def looked_again(known: Known, camera: CameraModel, before: SeenBefore, span: tu
         if not found.seen:
             continue
         points = found.points_tcp[found.used] @ pose.rotation.T + pose.translation
-        seen = known.reference.project(points, at)[:2]
-        line.update(Measurement(0.0, *seen, FINE**2 * np.eye(len(points))))
-        s.append(seen[0])
-        deviation.append(seen[1])
-    places, beside = np.concatenate(s), np.concatenate(deviation)
+        seen.append(known.reference.project(points, at)[:2])
+        line.update(Measurement(0.0, *seen[-1], FINE**2 * np.eye(len(points))))
+    places, beside = np.concatenate(seen, axis=1)
     if np.diff(np.sort(np.concatenate([places, span]))).max() > COPIED[1]:
         return told
     order = np.argsort(places)
@@ -273,7 +275,7 @@ def piece_map(reference: ReferencePath, at: float, before: SeenBefore | None = N
         reach: how far from there it is kept [m].
     """
     before = before or SeenBefore()
-    shape, length = before.shape(reference) or SHAPES[0]
+    shape, length = before.shape or SHAPES[0]
     across = Expected(shape=shape, length=length)
     fusion = DeviationFilter(PathDeviation(reference, across=across, ahead=reach, behind=reach), confirm=0)
     fusion.travel(at)
@@ -312,9 +314,8 @@ class CalibrationView:
 
     def predicted(self, t: float) -> PredictedLine:
         """The line around the middle of the view at ``t`` [s], as the fields so far have shown it."""
-        pose = self.history.pose(t)
-        s = self._at(pose)
-        return line_ahead(self.reference, self._map, s + SPREAD).seen_by(self.believed, t, self.history.row_pose)
+        line = line_ahead(self.reference, self._map, self._at(self.history.pose(t)) + SPREAD)
+        return line.seen_by(self.believed, t, self.history.row_pose)
 
     def _at(self, pose: pin.SE3) -> float:
         """Arc length of the reference in the middle of the view [m]."""
@@ -337,8 +338,21 @@ class CalibrationView:
         self._map.update(Measurement(t, s, deviation, np.diag(found.sigma[found.used] ** 2) + BY_HAND**2))
         velocity, angular = self.history.velocity(t)
         sigma = np.hypot(found.sigma[found.used], PER_SPEED * np.linalg.norm(velocity))
-        self.observations.append(
-            Observation(pose, found.pixels[found.used], sigma, velocity, angular))
+        self.observations.append(Observation(pose, found.pixels[found.used], sigma, velocity, angular))
+
+    def piece(self, at: float, fields: int, remedy: str) -> tuple[Array, Array]:
+        """Points of the reference about a place ``(N, 3)`` [m], and the surface's normal there ``(3,)``.
+
+        Args:
+            at: arc length of the place [m].
+            fields: that were taken.
+            remedy: what ``SceneError`` says where fewer than half of them showed the line.
+        """
+        if (seen := len(self.observations)) < max(fields // 2, 3):
+            raise SceneError(f"the camera could not be calibrated: only {seen} of {fields} fields showed the line; "
+                             f"check where the line is, {remedy}")
+        return (self.reference.position(np.arange(at - 0.25, at + 0.25, 0.001)),
+                self.reference.frames(np.array([at])).up[0])
 
 
 def _middle_of_view(camera: CameraModel) -> Array:

@@ -62,6 +62,10 @@ class PredictedLine:
                    covariance)
 
 
+CONTRAST = 0.3
+"""Share of a line's contrast below which a cross-section does not count."""
+
+
 @dataclass(frozen=True)
 class DetectionSettings:
     """How the line looks and what is accepted.
@@ -100,6 +104,11 @@ class DetectionSettings:
                      "min_quality", "smoothness", "noise", "min_points"):
             if not getattr(self, name) > 0:
                 raise InputError("must be positive", field=f"detection.{name}", value=getattr(self, name))
+
+    @classmethod
+    def of(cls, width: float, darker: float) -> DetectionSettings:
+        """Of a line of this width [m], darker than its background by so much [gray], brighter where negative."""
+        return cls(line_width=width, dark=darker > 0, min_contrast=min(cls.min_contrast, CONTRAST * abs(darker)))
 
     @property
     def look(self) -> Look:
