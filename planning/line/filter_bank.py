@@ -47,11 +47,6 @@ class FilterBank:
         """Arc length at which the states stand [m]."""
         return self.members[0].s
 
-    @property
-    def weights(self) -> Array:
-        """Probabilities of the members."""
-        return self._weights.copy()
-
     def travel(self, s: float) -> None:
         """Moves all states along with the arm, which is at arc length ``s`` [m]."""
         for member in self.members:
@@ -84,9 +79,3 @@ class FilterBank:
     def _mixed(self, every: Array) -> Array:
         """Of the members' values ``(members, m, directions)``."""
         return np.asarray((self._weights @ every.reshape(len(every), -1)).reshape(every.shape[1:]))
-
-    def bias(self, sensor: str) -> tuple[Array, Array]:
-        """Estimated errors of a sensor ``(b,)`` and their standard deviations."""
-        means, sigmas = (np.array(part) for part in zip(*[one.bias(sensor) for one in self.members], strict=True))
-        mean = self._weights @ means
-        return mean, np.sqrt(self._weights @ (sigmas**2 + (means - mean) ** 2))

@@ -264,10 +264,6 @@ class LineFollower:
         d, velocity, acceleration = self.path.deviation(t)[:, 0]
         return float(d), float(velocity), float(acceleration)
 
-    def desired(self, t: float) -> pin.SE3:
-        """Desired TCP pose at ``t``, as planned so far."""
-        return self.path.pose(t)
-
     def horizon(self, t: float) -> Array:
         """Desired joint positions ``q_d(k) … q_d(k + n_d - 1)`` from ``t`` on, shape ``(n_d, n)`` [rad].
 

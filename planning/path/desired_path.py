@@ -6,7 +6,6 @@ from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array, interpolated
@@ -232,12 +231,6 @@ class DesiredPath:
     def deviation(self, t: float) -> Array:
         """Desired deviation at ``t``, its velocity and acceleration, ``(3, directions)`` [m, m/s, m/s²]."""
         return self._plan[:, self.cycle(t)].copy()
-
-    def pose(self, t: float) -> pin.SE3:
-        """Desired TCP pose at ``t``, as planned so far."""
-        k = self.cycle(t)
-        rotations, positions = self._targets(k, k + 1)
-        return pin.SE3(rotations[0], positions[0])
 
     def _replan(self, k: int, estimate: Callable[[Array], Array]) -> None:
         """New desired deviation behind the cycles that are being executed."""
