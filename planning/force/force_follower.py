@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
-from planning import PlanningError
 from planning.force.contact import ASKED, FORCE_ERRORS, SLOPE, ContactSettings, Phase
 from planning.force.contour import SPARE, SlidingPlan
 from planning.force.surface_forecast import surfaces
@@ -166,7 +165,7 @@ class SurfaceFollower:
                 for f in forces]
         value = np.array([one.value for one in seen])
         # A tip with damping adds a share of the velocity into the surface; along it there is none.
-        sinking = float(self._velocity(float(t[middle])) @ normal)
+        sinking = float(self.history.velocity(max(float(t[middle]), self.history.first + 2e-3))[0] @ normal)
         covariance = np.diag([one.sigma**2 for one in seen]) + self._in_common(value, sinking)
         if self._lateral and self._lateral_sigma(s[middle : middle + 1]) < KNOWN_LATERAL:
             # With a camera the force says how far to go along the surface's normal, not along the reference's. While
@@ -206,14 +205,6 @@ class SurfaceFollower:
         # forecast by a short length scale makes thirty times as much of it, and the arm swings all the more.
         common = self.settings.position_noise**2 + (FORCE_ERRORS[1] * sinking) ** 2
         return np.full((len(value), len(value)), common)
-
-    def _velocity(self, t: float) -> Array:
-        """Velocity of the tip in the base frame at ``t`` ``(3,)`` [m/s]; zero before there is a history."""
-        t = max(t, self.history.first + 2e-3)
-        try:
-            return self.history.velocity(t)[0]
-        except PlanningError:
-            return np.zeros(3)
 
     def _lateral_sigma(self, s: Array) -> float:
         """Standard deviation of the map across the path, in which members that differ along ``up`` alone agree [m]."""

@@ -20,11 +20,10 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.jit import jit
-from planning import LineLostError, LineNeverSeenError, PlanningError
+from planning import LineLostError, LineNeverSeenError
 from planning.force.force_follower import SurfaceFollower
 from planning.line.measurement import Fused, LineAhead, Measurement, SeenLine
-from planning.path.path_kernels import unit
+from planning.path.path_kernels import sensor_errors, unit
 
 OBLIQUE = 0.1
 """Slope of the rays across the path from which a field says something of the height, too."""
@@ -80,15 +79,13 @@ class LineOnSurface:
         self, follower: SurfaceFollower, camera: pin.SE3, settings: SightSettings, line_span: tuple[float, float]
     ) -> None:
         self.follower, self.settings, self._camera, self._span = follower, settings, camera, line_span
-        # The undeformed tip is F/E below the surface when the force is right.
-        self.seen = self.used = 0
         self._last_seen: tuple[float, float] | None = None
         self._front = -np.inf
         self._candidate: tuple[float, float, Array] | None = None
 
     @property
     def _sunk(self) -> float:
-        """By how much the tip is commanded below the surface [m]."""
+        """By how much the undeformed tip is below the surface when the force is right [m]."""
         return self.follower.settings.force / self.follower.settings.elasticity
 
     def predict(self, t: float) -> LineAhead:
@@ -112,7 +109,6 @@ class LineOnSurface:
         """Fuses one field, whenever it arrives; None if it showed nothing."""
         if not line.seen:
             return None
-        self.seen += 1
         used = np.asarray(line.used, dtype=bool) & np.isfinite(line.points_tcp).all(axis=1)
         if not used.any():
             return None
@@ -127,7 +123,6 @@ class LineOnSurface:
             measurement = self._measurement(line.t, line.points_tcp[used][ahead], line.sigma[used][ahead])
         fused = self.follower.fusion.update(measurement)
         if fused.dof:
-            self.used += 1
             self._last_seen = max(self._last_seen or (-np.inf, 0.0), (line.t, self.follower.s_at(line.t)))
             self._front = max(self._front, float(measurement.s[fused.used].max()))
         return fused
@@ -136,17 +131,19 @@ class LineOnSurface:
         follower, settings = self.follower, self.settings
         pose = follower.history.pose(t)
         eye = pose.act(self._camera.translation)
-        axis = np.ascontiguousarray(self._camera.rotation[:, 2])
-        lever, beside = _in_base(points_tcp, self._camera.translation, axis, settings.distance_ratio,
-                                 np.ascontiguousarray(pose.rotation))
+        axis = self._camera.rotation[:, 2]
+        beside = points_tcp - self._camera.translation
+        beside -= np.sum(beside * axis, axis=1)[:, None] * axis
+        # A wrongly assumed distance scales what is seen beside the optical axis.
+        lever = (points_tcp + (settings.distance_ratio - 1.0) * beside) @ pose.rotation.T
+        beside = beside @ pose.rotation.T
         points = lever + pose.translation
         s, lateral, height = follower.reference.project(points, follower.s_at(t) + 0.06)
         frames = follower.reference.frames(s)
-        try:
-            velocity, rate = follower.history.velocity(t)
-        except PlanningError:
-            velocity, rate = np.zeros(3), np.zeros(3)
-        g, wrong = _seen_along(points - eye, (lever, beside), (frames.normal, frames.up), velocity, rate)
+        turned, moved, _ = sensor_errors(frames.normal, frames.up, lever, lever, *follower.history.velocity(t))
+        ray = points - eye
+        g = np.column_stack([np.ones(len(s)), -np.vecdot(ray, frames.normal) / np.vecdot(ray, frames.up)])
+        wrong = np.column_stack([turned, moved, np.sum(frames.normal * beside, axis=1)])
         value = g[:, 0] * lateral + g[:, 1] * (height - self._sunk)
         extra = np.zeros(len(s))
         if np.max(np.abs(g[:, 1])) < OBLIQUE:
@@ -191,49 +188,3 @@ class LineOnSurface:
                 raise LineNeverSeenError(t, s, limit)
         elif s - max(self._last_seen[1], begin) > limit and self._front < end - 0.03:
             raise LineLostError(t, s, *self._last_seen, limit)
-
-
-@jit()
-def _in_base(points: Array, eye: Array, axis: Array, ratio: float, rotation: Array
-             ) -> tuple[Array, Array]:  # pragma: no cover
-    """Points from the tool's, and beside the optical axis, in directions of the base frame, ``(m, 3)`` each [m].
-
-    Args:
-        points: in the tool frame ``(m, 3)`` [m].
-        eye: of the camera, there ``(3,)`` [m].
-        axis: optical axis, there ``(3,)``.
-        ratio: by which a wrongly assumed distance scales what is seen about that axis.
-        rotation: of the tool frame ``(3, 3)``.
-    """
-    beside = points - eye
-    for i in range(len(points)):
-        depth = beside[i, 0] * axis[0] + beside[i, 1] * axis[1] + beside[i, 2] * axis[2]
-        for k in range(3):
-            beside[i, k] -= depth * axis[k]
-    return (points + (ratio - 1.0) * beside) @ rotation.T, beside @ rotation.T
-
-
-@jit()
-def _seen_along(ray: Array, points: tuple[Array, Array], frames: tuple[Array, Array], velocity: Array, rate: Array
-                ) -> tuple[Array, Array]:  # pragma: no cover
-    """Sensed directions ``(m, 2)``, and what each error of the camera adds to the values: yaw, stamp, scale ``(m, 3)``.
-
-    Args:
-        ray: from the eye to the points ``(m, 3)`` [m].
-        points: from the tool's, and beside the optical axis ``(m, 3)`` [m]: a wrong distance scales the latter.
-        frames: the path's normals and ups ``(m, 3)``.
-        velocity: of the tool ``(3,)`` [m/s].
-        rate: its angular velocity ``(3,)`` [rad/s].
-    """
-    (lever, beside), (normal, up) = points, frames
-    m = len(ray)
-    g, wrong = np.ones((m, 2)), np.zeros((m, 3))
-    for i in range(m):
-        n, u, r = normal[i], up[i], lever[i]
-        g[i, 1] = -(ray[i] @ n) / (ray[i] @ u)
-        for k in range(3):
-            a, b = (k + 1) % 3, (k + 2) % 3
-            wrong[i, 0] += n[k] * (u[a] * r[b] - u[b] * r[a])
-            wrong[i, 1] += n[k] * (velocity[k] + rate[a] * r[b] - rate[b] * r[a])
-            wrong[i, 2] += n[k] * beside[i, k]
-    return g, wrong

@@ -37,7 +37,6 @@ class DirectFeedback:
         self._correction = 0.0
         self._signal = self._last_signal = 0.0
         self._q: Array | None = None
-        self.fields_used = 0
 
     @property
     def correction(self) -> float:
@@ -58,7 +57,6 @@ class DirectFeedback:
         # The line as seen from the TCP against the reference as seen from the reference's TCP.
         _, own, _ = f.reference.project(pose.translation[None], s_tcp)
         self._signal = float(lateral[nearest] - own[0])
-        self.fields_used += 1
 
     def command(self, t: float) -> Array:
         """Commanded joint angles ``q_c(k) (n,)`` [rad] at the cycle ``t``; once a cycle."""

@@ -10,7 +10,7 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
-from planning import LineLostError, LineNeverSeenError, PlanningError
+from planning import LineLostError, LineNeverSeenError
 from planning.line.deviation_model import SHAPES, Expected, PathDeviation
 from planning.line.fusion import DeviationFilter
 from planning.line.measurement import Fused, LineAhead, Measurement, SeenLine, polynomial_measurement
@@ -139,7 +139,6 @@ class LineFollower:
         self.path = DesiredPath(robot, reference, profile, n_d, directions=self.fusion.model.directions,
                                 t_start=t_start)
         self._line_span = settings.line_span or (0.0, reference.length)
-        self.fields_seen = self.fields_used = 0
         self._last_seen: tuple[float, float] | None = None
         self._front = -np.inf
         self._changed = False
@@ -197,7 +196,6 @@ class LineFollower:
         self._field_t = max(self._field_t, line.t)
         if not line.seen:
             return None
-        self.fields_seen += 1
         used = np.asarray(line.used, dtype=bool) & np.isfinite(line.points_tcp).all(axis=1)
         if not used.any():
             return None
@@ -209,7 +207,6 @@ class LineFollower:
         else:
             fused = self.fuse(polynomial_measurement(points)[0])
         if fused.dof:
-            self.fields_used += 1
             seen = (line.t, self.profile.at(line.t - self.t_start)[0])
             self._last_seen = max(self._last_seen or seen, seen)
             self._front = max(self._front, front)
@@ -239,12 +236,8 @@ class LineFollower:
         # A camera turned about itself moves a point by up × (point - camera), a wrong time stamp by the velocity the
         # point has on the tool.
         ray = lever if self._eye is None else lever - pose.rotation @ self._eye
-        try:
-            velocity, rate = self.history.velocity(t)
-        except PlanningError:
-            # Poses given from outside, no history: then time stamps have to be right.
-            velocity, rate = np.zeros(3), np.zeros(3)
-        turned, moved, slant = sensor_errors(frames.normal, frames.up, ray, lever, velocity, rate)
+        # Of poses given from outside there is no history: then time stamps have to be right.
+        turned, moved, slant = sensor_errors(frames.normal, frames.up, ray, lever, *self.history.velocity(t))
         direction = None
         if self.fusion.model.directions > 1:
             direction = np.zeros((len(s), self.fusion.model.directions))

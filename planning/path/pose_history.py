@@ -98,9 +98,15 @@ class PoseHistory:
         return self.pose(max(t, self._t[0]) if self._t and t > self._t[0] - _ROWS else t)
 
     def velocity(self, t: float) -> tuple[Array, Array]:
-        """Velocity of the TCP [m/s] and angular velocity [rad/s] in the base frame at ``t``, each ``(3,)``."""
+        """Velocity of the TCP [m/s] and angular velocity [rad/s] in the base frame at ``t``, each ``(3,)``.
+
+        Zero where the joint angles about ``t`` are not known.
+        """
         step, model, data = 1e-3, self._robot.pinocchio, self._data
-        rate = (self.q(t + step) - self.q(t - step)) / (2 * step)
+        try:
+            rate = (self.q(t + step) - self.q(t - step)) / (2 * step)
+        except PlanningError:
+            return np.zeros(3), np.zeros(3)
         pin.forwardKinematics(model, data, self.q(t), rate)
         motion = pin.getFrameVelocity(model, data, self._tool, pin.LOCAL_WORLD_ALIGNED)
         return motion.linear.copy(), motion.angular.copy()
