@@ -219,3 +219,9 @@ class ControlError:
     def json_mm(self) -> dict[str, float]:
         """The three figures in millimetres."""
         return {"mean": 1e3 * self.mean, "p95": 1e3 * self.p95, "max": 1e3 * self.max}
+
+
+def spread_ms(seconds: Array) -> dict[str, float]:
+    """Median, 99th percentile and maximum of times ``(N,)`` [s], in milliseconds; NaN where there are none."""
+    values = 1e3 * seconds if len(seconds) else np.array([np.nan])
+    return {"median": float(np.median(values)), "p99": float(np.percentile(values, 99)), "max": float(np.max(values))}

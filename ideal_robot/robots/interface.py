@@ -339,10 +339,9 @@ class LinkedRobot(ABC):
         self.robot, self.t_ipo = robot, robot.t_ipo
         self.max_lost = max(math.ceil(bridge / robot.t_ipo), 1)
         self.fault: str | None = None
-        self.commanded = np.full(robot.n, np.nan)
+        self.commanded = self._wanted = self._step = np.full(robot.n, np.nan)
         self.answer_times = array("d")
-        self.gone_on = 0
-        self.missed = False
+        self.gone_on, self.missed = 0, False
         # Data of an arm without limits give no room; then a start from rest takes a third of a second.
         v_max = np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
         self._room = np.where(np.isfinite(robot.a_max), 0.5 * robot.a_max, v_max / 0.3)
@@ -360,6 +359,26 @@ class LinkedRobot(ABC):
         """
         self.send(q_c)
         return self.receive()
+
+    def skip(self, q_c: Array) -> None:
+        """What was wanted in a cycle that is not commanded: the next command leads from there; raises as ``cycle``."""
+        self._want(q_c)
+        self.missed = True
+
+    def _want(self, q_c: Array) -> Array:
+        """Notes what is wanted from now on, and by how much that is further than before."""
+        q_c, self._before = checked_command(self.robot, q_c, self._wanted, self.t_ipo), (self._wanted, self._step)
+        self._step, self._wanted = q_c - self._wanted, q_c
+        return q_c
+
+    def _led_back(self, q_c: Array, speed: Array) -> Array:
+        """The command ``(n,)`` [rad] for a wanted one, from the speed in force [rad a cycle], which is held evenly."""
+        if self.missed:
+            wanted, before = self._before
+            self._catch_up.start(self.commanded - wanted, speed - before, before - self._step, before)
+            self.missed = False
+        back = self._catch_up.active
+        return np.clip(q_c + self._catch_up.next(self._step), self.robot.q_min, self.robot.q_max) if back else q_c
 
     @abstractmethod
     def send(self, q_c: Array) -> None:

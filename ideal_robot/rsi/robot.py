@@ -13,7 +13,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.deadline import Deadline
 from ideal_robot.errors import InputError
-from ideal_robot.robots.interface import LinkedRobot, RobotState, checked_command
+from ideal_robot.robots.interface import LinkedRobot, RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi.link import PacketLink, Stamps
 from ideal_robot.rsi.message import Axes, RobMessage, RsiError, RsiFormat, format_sen
@@ -193,19 +193,12 @@ class RsiRobot(LinkedRobot):
         """
         if self._first is None:
             raise RsiError("connect to the controller before a command is handed over")
-        wanted, before = self._wanted, self._step
         q_c = self._want(q_c)
         if self._watch.adds_up:
             self._answer_with(self._slowed())
             return
         self._resynchronise(self._step)
-        if self.missed:
-            # What the controller has in force, it has without acceleration: it held the arm, or its speed.
-            drift = self.axes.turned(self._in_force.step) - before
-            self._catch_up.start(self.commanded - wanted, drift, before - self._step, before)
-            self.missed = False
-        if self._catch_up.active:
-            q_c = np.clip(q_c + self._catch_up.next(self._step), self.robot.q_min, self.robot.q_max)
+        q_c = self._led_back(q_c, self.axes.turned(self._in_force.step))
         position = self._in_force.position
         correction = self.axes.angles(q_c) - self._begin
         if self.relative:
@@ -216,15 +209,6 @@ class RsiRobot(LinkedRobot):
             self._in_force.send(correction)
         self.commanded = q_c
         self._answer_with(correction)
-
-    def skip(self, q_c: Array) -> None:
-        """What was wanted in a cycle in which the controller went on by itself: from there on the next command leads.
-
-        Raises:
-            InputError, LimitError: as ``cycle``.
-        """
-        self._want(q_c)
-        self.missed = True
 
     def receive(self) -> RobotState:
         """The second half of ``cycle``: waits for the next packet.
@@ -253,12 +237,6 @@ class RsiRobot(LinkedRobot):
     def close(self) -> None:
         """Stops listening; the controller holds the arm and reports that its sensor is gone."""
         self._link.close()
-
-    def _want(self, q_c: Array) -> Array:
-        """Notes what is wanted from now on and by how much that is further than before."""
-        q_c = checked_command(self.robot, q_c, self._wanted, self.t_ipo)
-        self._step, self._wanted = q_c - self._wanted, q_c
-        return q_c
 
     def _answer_with(self, correction: Array) -> None:
         self._answer = format_sen(correction, self._last.ipoc, self.form)

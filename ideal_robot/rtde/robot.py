@@ -15,7 +15,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.deadline import Deadline
 from ideal_robot.errors import InputError
-from ideal_robot.robots.interface import LinkedRobot, RobotState, checked_command
+from ideal_robot.robots.interface import LinkedRobot, RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rtde.wire import Recipe, RtdeConnection, RtdeError, Values
 
@@ -127,28 +127,12 @@ class RtdeRobot(LinkedRobot):
         """
         if self._connection is None:
             raise RtdeError("connect to the controller before a command is handed over")
-        q_c = checked_command(self.robot, q_c, self._wanted, self.t_ipo)
-        wanted, before, self._wanted = self._wanted, self._step, q_c
-        self._step = q_c - wanted
-        if self.missed:
-            # The arm was held: its speed is gone, the one that is wanted is not.
-            self._catch_up.start(self.commanded - wanted, -before, before - self._step, before)
-            self.missed = False
-        if self._catch_up.active:
-            q_c = np.clip(q_c + self._catch_up.next(self._step), self.robot.q_min, self.robot.q_max)
+        # Where an arm was held its speed is gone, the one that is wanted is not.
+        q_c = self._led_back(self._want(q_c), np.zeros(self.robot.n))
         self._number = self._number % (2**31 - 1) + 1
         self._connection.send(self._recipe.packed(*q_c.tolist(), self._number))
         self.answer_times.append(time.perf_counter() - self.arrived)
         self.commanded = q_c
-
-    def skip(self, q_c: Array) -> None:
-        """What was wanted in a cycle that is not commanded: from there on the next command leads.
-
-        Raises:
-            InputError, LimitError: as ``cycle``.
-        """
-        self._wanted = checked_command(self.robot, q_c, self._wanted, self.t_ipo)
-        self.missed = True
 
     def receive(self) -> RobotState:
         """The second half of ``cycle``: waits for the next data package.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.signals.recording import Recording
-from scenes.metrics import ControlError, PathErrors
+from scenes.metrics import ControlError, PathErrors, spread_ms
 from scenes.online.line_log import FieldShown
 from scenes.result import ShownRun
 from scenes.scene_files.drawn_line import Geometry
@@ -70,16 +70,8 @@ class Timing:
 
     def json_ms(self) -> dict[str, Any]:
         """Median, 99 % and maximum over all cycles, and the medians of both kinds of cycle [ms]."""
-        def median(values: Array) -> float:
-            return float(1e3 * np.median(values)) if len(values) else float("nan")
-
-        return {
-            "median": median(self.cycles),
-            "p99": float(1e3 * np.quantile(self.cycles, 0.99)) if len(self.cycles) else float("nan"),
-            "max": float(1e3 * np.max(self.cycles)) if len(self.cycles) else float("nan"),
-            "median_with_field": median(self.cycles[self.with_field]),
-            "median_without_field": median(self.cycles[~self.with_field]),
-        }
+        return {**spread_ms(self.cycles), "median_with_field": spread_ms(self.cycles[self.with_field])["median"],
+                "median_without_field": spread_ms(self.cycles[~self.with_field])["median"]}
 
 
 @dataclass(frozen=True, repr=False)

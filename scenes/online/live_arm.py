@@ -51,6 +51,26 @@ otherwise), and pressed with 43 N and more at 4 ms."""
 Worked = TypeVar("Worked")
 
 
+def near_start(held: Array, start: Array, tolerance: float) -> Array:
+    """How far from the start of the path the arm is held ``(n,)`` [rad].
+
+    Args:
+        held: joint angles ``(n,)`` [rad].
+        start: of the path ``(n,)`` [rad].
+        tolerance: how far that may be [rad].
+
+    Raises:
+        SceneError: further.
+    """
+    offset = held - start
+    joint = int(np.argmax(np.abs(offset)))
+    if abs(offset[joint]) > tolerance:
+        raise SceneError(f"joint {joint + 1} stands at {np.degrees(held[joint]):.2f}° and the path starts at "
+                         f"{np.degrees(start[joint]):.2f}°; move the arm to the start of the path, or check axis_sign "
+                         "and axis_zero in the robot's data")
+    return offset
+
+
 class FollowStoppedError(PlanningError):
     """Following has to end: the arm is brought to rest on its path."""
 
@@ -249,12 +269,7 @@ class LiveArm:
         Raises:
             SceneError: it is not near.
         """
-        offset = start - self.link.commanded
-        joint = int(np.argmax(np.abs(offset)))
-        if abs(offset[joint]) > START_TOLERANCE:
-            raise SceneError(f"joint {joint + 1} stands at {np.degrees(self.link.commanded[joint]):.2f}° and the path "
-                             f"starts at {np.degrees(start[joint]):.2f}°; move the arm to the start of the path, or "
-                             "check axis_sign and axis_zero in the robot's data")
+        near_start(self.link.commanded, start, START_TOLERANCE)
         self.lead(moves(self.robot, [self.link.commanded.copy(), start], _APPROACH))
 
     def lead(self, commands: Array) -> None:

@@ -20,6 +20,7 @@ from ideal_robot.loop.from_model import loop_model
 from ideal_robot.robots.interface import RobotState
 from scenes.arms import arm_of, model_at
 from scenes.methods import following_methods, method_of
+from scenes.metrics import spread_ms
 from scenes.online.camera_process import CameraProcess, calibrated_camera
 from scenes.online.cell_check import check_line
 from scenes.online.cycle import CycleSettings, holding_share, play_cycles
@@ -218,8 +219,8 @@ def _played(scene: Scene, job: Job, devices: Devices, folder: Path, method: str,
             failure = str(error)
         wall = max(time.perf_counter() - begun, 1e-9)
         shares = [(processor_seconds(pid) - before) / wall for pid, before in zip(pids, used, strict=True)]
-        timing = {"answer_ms": _spread(np.array(arm.link.answer_times)),
-                  "computing_ms": _spread(np.array(job.log.cycles)),
+        timing = {"answer_ms": spread_ms(np.array(arm.link.answer_times)),
+                  "computing_ms": spread_ms(np.array(job.log.cycles)),
                   "processor_share": dict(zip(("follower", "camera"), shares, strict=False)),
                   "peak_memory_MB": dict(zip(("follower", "camera"), map(peak_memory, pids), strict=False)),
                   "memory_together_MB": memory_together(pids), "seconds": wall, "granted": granted}
@@ -245,10 +246,9 @@ def _told(opened: _Opened, devices: Devices) -> dict[str, Any]:
     if not getattr(arm.link, "relative", True):
         told["arm"]["holding_share"] = holding_share(opened.journal.recording().joints("q_c"), arm.robot)
     if process is not None and camera is not None:
-        ages = np.array(camera.ages or [np.nan])
         told["camera"] = {"address": devices.camera, "stamps": process.stamps, "clock": process.clock,
-                          "age_when_used_ms": _spread(ages), "left_out": process.left_out, "too_old": camera.late,
-                          "from_the_future": camera.early, "ended": process.ended,
+                          "age_when_used_ms": spread_ms(np.array(camera.ages)), "left_out": process.left_out,
+                          "too_old": camera.late, "from_the_future": camera.early, "ended": process.ended,
                           "seen_apart_mm": 1e3 * camera.apart}
     if force is not None:
         told["force"] = {"address": devices.force, "counts": asdict(force.source.counts),
@@ -256,11 +256,6 @@ def _told(opened: _Opened, devices: Devices) -> dict[str, Any]:
                          "impossible": force.signs.impossible, "leapt": force.signs.leapt,
                          "without_noise": force.signs.quiet, "untimely": force.untimely}
     return told
-
-
-def _spread(seconds: np.ndarray) -> dict[str, float]:
-    values = 1e3 * seconds if len(seconds) else np.array([np.nan])
-    return {"median": float(np.median(values)), "p99": float(np.percentile(values, 99)), "max": float(np.max(values))}
 
 
 # Scene files as a follower reads them: without the world, which a real cell's file need not hold.

@@ -30,11 +30,11 @@ from ideal_robot.row_log import RowLog
 from ideal_robot.rsi import RsiRobot
 from ideal_robot.signals.recording import Recording
 from scenes.arms import shipped_model
-from scenes.online.live_arm import answers_within, at_cycle
+from scenes.metrics import spread_ms
+from scenes.online.live_arm import answers_within, at_cycle, near_start
 from scenes.online.processes import undisturbed
 from scenes.path.precorrect import desired_path, robot_of
 from scenes.result import Progress, silent
-from scenes.scene_files.scene import SceneError
 
 
 @dataclass(frozen=True, repr=False)
@@ -174,12 +174,7 @@ class RsiServer:
 
     def _from(self, held: Array) -> Array:
         """The path from where the arm is held: the offset to its start fades within the rest before it."""
-        offset = held - self.q_d[0]
-        joint = int(np.argmax(np.abs(offset)))
-        if abs(offset[joint]) > START_TOLERANCE:
-            raise SceneError(f"joint {joint + 1} stands at {np.degrees(held[joint]):.2f}° and the path starts at "
-                             f"{np.degrees(self.q_d[0, joint]):.2f}°; move the arm to the start of the path, or check "
-                             "axis_sign and axis_zero in the robot's data")
+        offset = near_start(held, self.q_d[0], START_TOLERANCE)
         share = np.clip(np.arange(len(self.q_d)) / max(self.rest - 1, 1), 0.0, 1.0)[:, None]
         return np.asarray(self.q_d + offset * (1.0 - eased(share)))
 
@@ -212,10 +207,8 @@ class RsiServer:
         if np.isfinite(tau).all():
             columns |= {"current": tau / robot.drive_gain, "tau": tau}
         recording = Recording.from_arrays(t[:, 0], meta=meta, source="rsi", **columns)
-        times = 1e3 * np.array(self.link.answer_times or [np.nan])
-        spread = {"median": float(np.median(times)), "p99": float(np.percentile(times, 99)), "max": float(times.max())}
-        return RsiRun(recording, self._reason, counts, self.link.stamps.described(), spread, granted, self.rest,
-                      len(self.q_d))
+        return RsiRun(recording, self._reason, counts, self.link.stamps.described(),
+                      spread_ms(np.array(self.link.answer_times)), granted, self.rest, len(self.q_d))
 
 
 # From what the command line gives to an RSI server: path, robot, model and feedforward that fit each other.
