@@ -104,19 +104,13 @@ def test_a_run_that_loses_the_line_ends_with_one_and_keeps_its_recording(program
     assert {"recording.parquet", "report.html"} <= {path.name for path in (tmp_path / "out" / "lost").iterdir()}
 
 
-@pytest.mark.parametrize("verb", ["run", "compare", "sweep", "view"])
-def test_help_has_an_example(program, verb: str) -> None:
-    done = program(verb, "--help")
-    assert done.code == 0
-    assert "Example" in done.out
-
-
 @pytest.mark.parametrize("verb", ["rsi", "precorrect"])
 def test_the_help_lists_the_methods_of_the_registry(program, verb: str) -> None:
     from scenes.commands.common import completed, methods_of
 
     told = " ".join(program(verb, "--help").out.replace("│", " ").split())
     assert ", ".join(methods_of(verb)) in told
+    assert "Example" in told
     assert completed(verb, "id") == ["ideal"]
 
 

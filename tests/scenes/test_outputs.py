@@ -225,16 +225,6 @@ def test_what_killed_runs_left_is_removed_after_a_day(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == [young.name, "a.json"]
 
 
-@pytest.mark.parametrize("ending", ["csv", "parquet"])
-def test_a_recording_is_written_by_its_ending_and_read_again_the_same(ending: str, tmp_path: Path) -> None:
-    rng = np.random.default_rng(2)
-    recording = Recording.from_arrays(np.arange(50.0), q=rng.normal(size=(50, 2)))
-    path = recording.write(tmp_path / f"a.{ending}")
-    if ending == "csv":
-        assert pd.read_csv(path).shape == (50, 3)
-    assert Recording.read(path).hash == recording.hash
-
-
 @pytest.mark.parametrize("failing", [False, True])
 def test_a_folder_waits_for_the_file_that_is_written_after_it(failing: bool, tmp_path: Path) -> None:
     folder = tmp_path / "deep" / "run"

@@ -32,8 +32,7 @@ from ideal_robot.robots.robot import Robot
 from scenes import Reading, compare_scene, load_scene, run_scene
 from scenes.cli import THEMES, VERBS, app, function_of
 from scenes.identification.plan import plan, play_plan
-from scenes.kind import KINDS, SceneKind, kind_of
-from scenes.line.kind import LINE
+from scenes.kind import kind_of
 from scenes.methods import compared, method_of
 from scenes.scene_files.scene import Scene
 from scenes.view.viewer import Viewer
@@ -134,18 +133,6 @@ def test_an_own_sensor_is_fused_with_the_camera() -> None:
     assert used > 0.9 * values
     assert helped.control_error.mean < without.control_error.mean
     assert led.control_error.mean > 2 * helped.control_error.mean
-
-
-def test_a_kind_of_scene_can_be_added() -> None:
-    class Mine(Scene):
-        """A scene of another package."""
-
-    mine = SceneKind(Mine, LINE.methods, LINE.run, LINE.compare)
-    KINDS.register("mine", mine)
-    try:
-        assert kind_of(Mine(name="a", kind="mine", title="b")) is mine
-    finally:
-        KINDS.unregister("mine")
 
 
 # An arm nobody wrote a world for: it is planned for, played, served over RSI and viewed, with meshes or without.

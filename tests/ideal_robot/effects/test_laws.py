@@ -95,11 +95,6 @@ def test_every_name_of_the_list_is_there():
     assert asked <= {effect.name for effect in library()}
 
 
-def test_an_effect_of_another_version_is_named():
-    with pytest.raises(InputError, match="known are"):
-        _ = FittedEffect("perpetual_motion", 1, "tau_1", (1.0,)).effect
-
-
 def test_a_learned_term_goes_to_zero_outside_of_where_it_was_learned():
     signals = motion(count=3)
     term = Unknown(("q_1",), False, (tuple(np.linspace(-1.0, 1.0, 6)),))

@@ -51,13 +51,6 @@ def test_a_recording_of_another_shipped_arm(good: Recording) -> None:
         checked([named], Robot.load("kr6"))
 
 
-def test_time_going_backwards(good: Recording) -> None:
-    t = np.array(good.t)
-    t[50] = t[48]
-    with pytest.raises(InputError, match="does not increase at sample 50"):
-        identify([changed(good, t=t)], robot())
-
-
 def test_degrees_are_seen_from_the_limits(good: Recording) -> None:
     degrees = {f"q_{i + 1}": np.degrees(good.columns[f"q_{i + 1}"]) for i in range(6)}
     with pytest.raises(InputError, match="degrees"):
