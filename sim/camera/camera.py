@@ -133,7 +133,7 @@ class RenderedCamera:
         return bool(self._stream(-1 - k).random() < self.settings.doubled)
 
     def windows(self, t_exposure: float, pose_at: PoseAt, windows: Sequence[Window],
-                shape: Sequence[Array] = (), q: Array | None = None, *, blurred: bool = True) -> Field:
+                shape: Sequence[Array] = (), q: Array | None = None, *, measured: bool = True) -> Field:
         """One field, cut to windows.
 
         Args:
@@ -142,7 +142,8 @@ class RenderedCamera:
             windows: rectangles inside the image; empty ones give empty patches.
             shape: what may stand in the lamp's way: ends of capsules ``(M, 2, 3)`` [m] and their radii ``(M,)`` [m].
             q: arm angles ``(n,)`` [rad] at ``t_exposure``, for an arm that is in the picture (``shows_arm``).
-            blurred: whether what moves during the exposure is; else it stands where it is in the middle.
+            measured: whether it is measured in; what is only looked at stands where it is in the middle of the
+                exposure, one sample a pixel.
 
         Raises:
             InputError: a window reaches outside the image.
@@ -158,12 +159,13 @@ class RenderedCamera:
         latency = max(s.latency + s.jitter * rng.standard_normal(), 0.5 * (s.exposure + s.rolling))
         rng.standard_normal()
         t_stamp = self.stamp(t_exposure)
-        n, gray = s.sub_exposures if blurred else 1, np.empty(0)
+        n, samples = (s.sub_exposures, s.supersampling) if measured else (1, 1)
+        gray = np.empty(0)
         if q is not None:
             self._stand(q, pose_at(t_exposure))
         for part, delay in self._in_time(read):
             poses = [pose_at(t_exposure + delay + ((i + 0.5) / n - 0.5) * s.exposure) for i in range(n)]
-            seen, bare = self._sampled(part, poses, s.supersampling)
+            seen, bare = self._sampled(part, poses, samples)
             gray = np.concatenate([gray, self._lit(seen, bare, part, poses[n // 2], shape)])
         if self.lamp is not None:
             middle = pose_at(t_exposure + ((n // 2 + 0.5) / n - 0.5) * s.exposure)
@@ -197,7 +199,7 @@ class RenderedCamera:
     def whole(self, seen: Field, pose_at: PoseAt, shape: Sequence[Array] = (), q: Array | None = None) -> Gray:
         """The whole picture ``(height, width)`` of a field, in which its windows stand as they were read out.
 
-        What is around them is drawn as it stands in the middle of the exposure: it is only looked at.
+        What is around them is only looked at.
 
         Args:
             seen: from ``windows``, since the camera was restarted.
@@ -207,7 +209,7 @@ class RenderedCamera:
         """
         all_of_it = Window(0, 0, self.model.width, self.model.height)
         picture = self.windows(self.exposed(seen.t_stamp), pose_at, [all_of_it], shape, q,
-                               blurred=False).patches[0]
+                               measured=False).patches[0]
         for window, patch in zip(seen.windows, seen.patches, strict=True):
             cut(picture, all_of_it, window)[...] = patch
         return picture
