@@ -46,7 +46,10 @@ def run(scene: LineScene, *, method: Any = None, out: Path | None = None, progre
                   pictures=out is not None)
     result = _beside_none(result, shared, sensors)
     progress(_PLAYED, "report")
-    return result if out is None else write_run_files(result, run_page, out, line_replay(result))
+    if out is None:
+        return result
+    moving = line_replay(result)
+    return write_run_files(result, run_page(result, moving), out, moving)
 
 
 def _beside_none(result: LineResult, shared: Prepared, sensors: Sequence[DeviationSensor]) -> LineResult:

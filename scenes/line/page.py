@@ -110,8 +110,8 @@ PAPER_MEAN_MM, PAPER_SPEED = 0.6, 0.7
 """[L] 5: mean control error at top speed."""
 
 
-def run_page(result: LineResult) -> Report:
-    """The page of one run."""
+def run_page(result: LineResult, moving: Replay | None) -> Report:
+    """The page of one run, with its replay where there is one."""
     scene, error = result.scene, result.control_error
     mm = error.json_mm()
     _, across, turn = result.geometry.displacement
@@ -128,7 +128,6 @@ def run_page(result: LineResult) -> Report:
                     ("largest", f"{mm['max']:.3f} mm"),
                     ("fields used", f"{result.fields_used} of {result.fields_seen}"),
                     ("real-time factor", f"{result.timing.real_time_factor:.1f}")])
-    moving = line_replay(result)
     if moving is not None:
         report.heading("The run")
         report.replay(moving, "Green to red: distance of the tool from the drawn line; the pale part is still to come.")
@@ -143,7 +142,7 @@ def run_page(result: LineResult) -> Report:
         report.text("Its URDF does not say these, or says what no arm of that size has:")
         report.table(["assumed"], [[one] for one in result.assumed])
     report.heading("The cell")
-    report.figure(_cell(result), "The arm at the middle of the path.")
+    report.image(_cell(result), "The arm at the middle of the path.")
     report.figure(_from_above(result), "The surface from above with the drawn line, the reference path and where the "
                   "tool truly went.")
     _camera(report, result)
@@ -261,10 +260,8 @@ def _in_plane(points: Array, plane: pin.SE3) -> Array:
     return np.asarray(((points - plane.translation) @ plane.rotation)[:, :2])
 
 
-def _cell(result: LineResult) -> Figure:
-    # No wider than a phone shows whole: there are no letters in it.
-    figure = Figure(figsize=(6.8, 5.1))
-    axes = figure.subplots()
+def _cell(result: LineResult) -> bytes:
+    """A PNG of the arm at the middle of the path."""
     middle = len(result.recording.t) // 2
     q = result.recording.joints("q", slice(middle, middle + 1))[0]
     robot = result.scene.arm
@@ -272,10 +269,8 @@ def _cell(result: LineResult) -> Figure:
     boxes = box_edges(result.scene.box).values()
     tool = [np.array([tip.translation, tip.act(np.array([0.0, 0.0, -robot.tool_length]))])]
     drawn = result.geometry.drawn[::10]  # every 5 mm, about two pixels
-    axes.imshow(picture(robot, q, lines=(drawn, *tool, *boxes), surface=surface_corners(result)))
-    axes.set_axis_off()
-    figure.tight_layout()
-    return figure
+    seen = picture(robot, q, lines=(drawn, *tool, *boxes), surface=surface_corners(result))
+    return bytes(cv2.imencode(".png", cv2.cvtColor(seen, cv2.COLOR_RGB2BGR))[1])
 
 
 def _from_above(result: LineResult) -> Figure:

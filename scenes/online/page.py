@@ -15,7 +15,7 @@ from scenes.report.page import Report, write_run_files
 
 def write_run(result: FollowResult, out: Path) -> FollowResult:
     """Writes recording, page and figures of a run into a folder; returns the result with their places."""
-    return write_run_files(result, _page, out)
+    return write_run_files(result, _page(result), out)
 
 
 def _page(result: FollowResult) -> Report:

@@ -58,14 +58,13 @@ DEFINITION = (
     "measure: elastic gears are invisible to it.")
 
 
-def run_page(result: PathResult) -> Report:
-    """The page of one run."""
+def run_page(result: PathResult, moving: Replay | None) -> Report:
+    """The page of one run, with its replay where there is one."""
     e = result.errors
     report = Report(f"{result.scene.title}: {result.method}",
                     f"The tool was {1e3 * e.time_matched.E_car:.3f} mm from where it should have been at the time "
                     f"(root mean square), at most {1e3 * e.time_matched.E_max:.3f} mm.")
     report.figures([*result.summary()[2:]])
-    moving = path_replay(result)
     if moving is not None:
         report.heading("The run")
         report.replay(moving, _MOVING)

@@ -140,12 +140,12 @@ def write_json(path: str | Path, content: dict[str, Any]) -> Path:
 R = TypeVar("R", bound=Any)
 
 
-def write_run_files(result: R, page: Callable[[R], Report], out: Path, replay: Replay | None = None) -> R:
+def write_run_files(result: R, page: Report, out: Path, replay: Replay | None = None) -> R:
     """Writes recording, page and figures of a run into ``out``; returns the result with their paths.
 
     Args:
         result: a frozen run result with ``recording``, ``recording_path``, ``report`` and ``json()``.
-        page: makes the page of it.
+        page: of it.
         out: folder.
         replay: written beside the recording, for the viewer.
     """
@@ -154,7 +154,7 @@ def write_run_files(result: R, page: Callable[[R], Report], out: Path, replay: R
         result.recording.write(new / "recording.parquet")
         if replay is not None:
             write_replay(replay, replay_beside(new / "recording.parquet"), result.recording)
-        page(result).write(new / "report.html")
+        page.write(new / "report.html")
         write_json(new / "report.json", result.json())
     return result
 

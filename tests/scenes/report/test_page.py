@@ -314,7 +314,7 @@ def test_a_paths_replay_shows_the_errors_of_its_table() -> None:
     assert replay.ghost is not None
     # The ghost is the arm without correction: late by its delay, so further away.
     assert np.max(np.abs(replay.ghost - replay.q)) > 1e-3
-    kinds = [block["kind"] for block in run_page(ideal)._blocks]
+    kinds = [block["kind"] for block in run_page(ideal, replay)._blocks]
     assert kinds.index("replay") < kinds.index("table")
 
 
