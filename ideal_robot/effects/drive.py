@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 from scipy import ndimage, signal
@@ -16,7 +16,6 @@ from ideal_robot.effects.base import (
     EffectParameter,
     Theta,
     WholeArmEffect,
-    domain_of,
 )
 from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
@@ -295,19 +294,11 @@ class LatePosition(DeadTime):
 class LateMeasurement(DeadTime):
     """An arm angle, all of them by one clock, or the TCP is late by ``delta``: to first order ``-delta qd``.
 
-    Args:
-        prefix: of the channels it is seen in; ``qa_all`` for all arm angles alike.
+    The channels of all arm angles alike are ``qa_all``.
     """
 
+    domain, in_several = ARM_POSITION, True
     longest = 0.1
-
-    def __init__(self, prefix: str = ARM_POSITION.prefix) -> None:
-        self.prefix, self.domain = prefix, domain_of(prefix.partition("_")[0])
-
-    @classmethod
-    def seen_in(cls, prefix: str) -> Self:
-        """See ``Effect.seen_in``."""
-        return cls(prefix)
 
     def joints(self, signals: Signals) -> Iterator[int]:
         """Each joint by itself, or the whole arm; of one joint alone both are the same."""

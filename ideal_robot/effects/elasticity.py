@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from ideal_robot.effects.base import (
     Effect,
     EffectParameter,
     Theta,
-    domain_of,
 )
 from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import LEVER, Signals
@@ -39,21 +38,11 @@ class GearEffect(Effect):
 
     The bend is seen at the arm's angle, at the TCP through the Jacobian, and in the motor torque, which moves the arm
     on ``q_a``: ``delta tau = tau_rigid(q - bend, …) - tau_rigid(q, …)`` on all joints, to first order in the bend.
-
-    Args:
-        prefix: of the channels it is seen in.
     """
 
+    in_several = True
     slow: ClassVar[float] = 2.5
     """The position filter lets pass all of the band that is looked at; the load counts up to two thirds of that."""
-
-    def __init__(self, prefix: str = MOTOR_TORQUE.prefix) -> None:
-        self.prefix, self.domain = prefix, domain_of(prefix.partition("_")[0])
-
-    @classmethod
-    def seen_in(cls, prefix: str) -> Self:
-        """See ``Effect.seen_in``."""
-        return cls(prefix)
 
     def usable(self, signals: Signals, joint: int) -> bool:
         """Torques tell of it where the rigid body is known as a function, a TCP where the joint moves it."""

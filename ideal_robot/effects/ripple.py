@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import ARM_POSITION, TCP_POSITION, Effect, EffectParameter, Theta, domain_of
+from ideal_robot.effects.base import ARM_POSITION, TCP_POSITION, Effect, EffectParameter, Theta
 from ideal_robot.effects.elasticity import shows_gear, turned_arm
 from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
@@ -120,25 +120,14 @@ class TorqueRipple(Effect):
 
 
 class TransmissionError(TorqueRipple):
-    """``q_a - q = a cos(k q) + b sin(k q)``: as ``torque_ripple``, of the position instead of the torque.
-
-    Args:
-        prefix: of the channels it is seen in, of arm angles or of the TCP.
-    """
+    """``q_a - q = a cos(k q) + b sin(k q)``: as ``torque_ripple``, of the position instead of the torque."""
 
     name = "transmission_error"
+    domain, in_several = ARM_POSITION, True
     coefficient_units = ("rad", "rad")
     # Fewer are how bodies bend a gear over the range.
     least_periods = _FEW
     source = "kinematic error of gears, k a multiple of the gear ratio"
-
-    def __init__(self, prefix: str = ARM_POSITION.prefix) -> None:
-        self.domain = domain_of(prefix)
-
-    @classmethod
-    def seen_in(cls, prefix: str) -> Self:
-        """See ``Effect.seen_in``."""
-        return cls(prefix)
 
     def usable(self, signals: Signals, joint: int) -> bool:
         """See ``shows_gear``."""
