@@ -62,6 +62,15 @@ def arm(tmp_path: Path) -> Robot:
     return Robot.load(urdf)
 
 
+def strokes() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Times, positions, velocities and noisy torques of that arm with rotor, dry and viscous friction."""
+    t, rng = np.arange(0.0, 40.0, 0.004), np.random.default_rng(3)
+    q = 0.6 * np.sin(0.7 * t)[:, None] + 0.3 * np.sin(1.9 * t)[:, None]
+    qd, qdd = np.gradient(q, t, axis=0), np.gradient(np.gradient(q, t, axis=0), t, axis=0)
+    tau = 0.6 * qdd - 14.7 * np.cos(q) + 2.0 * np.tanh(qd / 2e-3) + 1.5 * qd + 0.03 * rng.normal(size=q.shape)
+    return t, q, qd, tau
+
+
 def test_too_little_motion_is_said_instead_of_a_verdict(tmp_path):
     t = np.arange(0.0, 20.0, 0.004)
     rng = np.random.default_rng(0)

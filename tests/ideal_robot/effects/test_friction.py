@@ -20,7 +20,7 @@ from ideal_robot.effects.registry import find
 from ideal_robot.friction import LAWS, Arctan, CubeRoot, FrictionModel, PerJointFriction, Stribeck, ViscousCoulomb
 from ideal_robot.friction.presliding import sliding_direction
 from ideal_robot.signals.recording import Recording
-from tests.ideal_robot.diagnosis.test_diagnose import arm
+from tests.ideal_robot.diagnosis.test_diagnose import arm, strokes
 from tests.ideal_robot.effects.test_gears import of_a_moved_arm
 from tests.ideal_robot.effects.test_kinematics import ROBOT, swinging_arm, tcp
 from tests.ideal_robot.effects.test_laws import motion
@@ -64,11 +64,7 @@ def test_dry_friction_of_an_effect_builds_up_as_the_models_own_does(name):
 
 @pytest.mark.parametrize(("exponent", "channel"), [(1.0, "tau_1"), (2.0, "tau_bell_1")])
 def test_either_form_is_one_name_with_its_numbers(tmp_path: Path, exponent: float, channel: str) -> None:
-    one, rng = arm(tmp_path), np.random.default_rng(3)
-    t = np.arange(0.0, 40.0, 0.004)
-    q = 0.6 * np.sin(0.7 * t)[:, None] + 0.3 * np.sin(1.9 * t)[:, None]
-    qd, qdd = np.gradient(q, t, axis=0), np.gradient(np.gradient(q, t, axis=0), t, axis=0)
-    tau = 0.6 * qdd - 14.7 * np.cos(q) + 2.0 * np.tanh(qd / 2e-3) + 1.5 * qd + 0.03 * rng.normal(size=q.shape)
+    one, (t, q, qd, tau) = arm(tmp_path), strokes()
     tau = tau + 1.2 * np.tanh(qd / 2e-3) * np.exp(-((np.abs(qd) / 0.2) ** exponent))
     found = diagnose(Recording.from_arrays(t, q=q, tau=tau), one)
     assert [(e.fitted.name, e.fitted.channel) for e in found.effects] == [("stribeck", channel)]

@@ -24,7 +24,7 @@ from ideal_robot.effects.fitted import Unknown
 from ideal_robot.effects.registry import EFFECTS, find
 from ideal_robot.errors import InputError
 from ideal_robot.signals.recording import Recording
-from tests.ideal_robot.diagnosis.test_diagnose import arm
+from tests.ideal_robot.diagnosis.test_diagnose import arm, strokes
 
 
 def motion(n: int = 2, count: int = 1500) -> Signals:
@@ -168,11 +168,7 @@ def own_effect():
 def test_an_own_effect_is_found_by_the_diagnosis(own_effect, tmp_path):
     assert own_effect in library()
     assert "square_of_position" in names()
-    one, rng = arm(tmp_path), np.random.default_rng(3)
-    t = np.arange(0.0, 40.0, 0.004)
-    q = 0.6 * np.sin(0.7 * t)[:, None] + 0.3 * np.sin(1.9 * t)[:, None]
-    qd, qdd = np.gradient(q, t, axis=0), np.gradient(np.gradient(q, t, axis=0), t, axis=0)
-    tau = 0.6 * qdd - 14.7 * np.cos(q) + 2.0 * np.tanh(qd / 2e-3) + 1.5 * qd + 0.03 * rng.normal(size=q.shape)
+    one, (t, q, _, tau) = arm(tmp_path), strokes()
     tau = tau + 0.7 * np.sign(np.sin(7.0 * q))
     found = diagnose(Recording.from_arrays(t, q=q, tau=tau), one)
     assert [e.fitted.name for e in found.effects] == ["square_of_position"]

@@ -70,22 +70,23 @@ def test_command_inverse_is_exact_at_rest():
     np.testing.assert_allclose(total, 1.0, atol=1e-12)
 
 
-def test_all_six_degrees_of_freedom_give_the_joint_errors_back():
-    rng = np.random.default_rng(0)
-    q_d = ROBOT.home + rng.uniform(-0.2, 0.2, size=(20, 6))
+def off_postures(seed, count):
+    """Desired postures, how far the joints are off, and the poses."""
+    rng = np.random.default_rng(seed)
+    q_d = ROBOT.home + rng.uniform(-0.2, 0.2, size=(count, 6))
     true = rng.normal(scale=5e-4, size=q_d.shape)
     fk = ROBOT.fk()
-    error = pose_errors([fk(q) for q in q_d], [fk(q - dq) for q, dq in zip(q_d, true, strict=True)])
+    return q_d, true, pose_errors([fk(q) for q in q_d], [fk(q - dq) for q, dq in zip(q_d, true, strict=True)])
+
+
+def test_all_six_degrees_of_freedom_give_the_joint_errors_back():
+    q_d, true, error = off_postures(0, 20)
     np.testing.assert_allclose(joint_errors(ROBOT, q_d, error, noise=1e-7), true, atol=2e-6)
 
 
 def test_two_degrees_of_freedom_give_the_likeliest_joint_errors():
     """[L] 3.3: they must explain what was measured, and be closer to the truth than knowing nothing."""
-    rng = np.random.default_rng(1)
-    q_d = ROBOT.home + rng.uniform(-0.2, 0.2, size=(30, 6))
-    true = rng.normal(scale=5e-4, size=q_d.shape)
-    fk = ROBOT.fk()
-    error = pose_errors([fk(q) for q in q_d], [fk(q - dq) for q, dq in zip(q_d, true, strict=True)])
+    q_d, true, error = off_postures(1, 30)
     rows = [AXES.index("y"), AXES.index("z")]
     found = joint_errors(ROBOT, q_d, error[:, rows], axes=("y", "z"), prior=5e-4, noise=1e-6)
     data = ROBOT.pinocchio.createData()

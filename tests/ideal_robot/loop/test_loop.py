@@ -204,24 +204,15 @@ def test_what_acts_nowhere_leaves_the_loop(effect):
             assert not np.size(getattr(changed, name))
 
 
-def test_further_torques_move_the_simulated_loop_as_a_change_of_its_drives_does():
-    """Viscous friction as a torque beside the loop is viscous friction in it."""
+@pytest.mark.parametrize(("name", "size", "most"), [("viscous", 150.0, 0.1), ("load_dependent_friction", 0.3, 0.25),
+                                                    ("load_direction_friction", 0.3, 0.25)])
+def test_friction_in_the_drives_is_the_effects_torque_beside_them(name, size, most):
     loop, q_c = plant(delay=0), motion()
-    inside = with_effects(loop, (FittedEffect("viscous", 2, "tau_2", (150.0,)),))
-    beside = loop.replace(terms=(FittedEffect("viscous", 2, "tau_2", (150.0,)),))
-    moved = np.abs(simulate(inside, q_c).q_a - simulate(loop, q_c).q_a).max()
-    left = np.abs(simulate(inside, q_c).q_a - simulate(beside, q_c).q_a).max()
-    assert left < 0.1 * moved
-
-
-@pytest.mark.parametrize("name", ["load_dependent_friction", "load_direction_friction"])
-def test_friction_of_the_load_in_the_drives_is_the_effects_torque_beside_them(name):
-    loop, q_c = plant(delay=0), motion()
-    found = (FittedEffect(name, 2, "tau_2", (0.3,)),)
+    found = (FittedEffect(name, 2, "tau_2", (size,)),)
     inside, beside = with_effects(loop, found), loop.replace(terms=found)
     moved = np.abs(simulate(inside, q_c).q_a - simulate(loop, q_c).q_a).max()
     left = np.abs(simulate(inside, q_c).q_a - simulate(beside, q_c).q_a).max()
-    assert left < 0.25 * moved
+    assert left < most * moved
 
 
 def test_a_gear_found_again_from_torques_is_a_change_of_what_was_found():
