@@ -228,6 +228,19 @@ class Replay:
         }
 
 
+def error_colours(error: Array) -> Array:
+    """Green for none to red for the largest error, gray where it does not count ``(N, 3)``, 0 to 255.
+
+    Args:
+        error: ``(N,)``; NaN where it does not count.
+    """
+    counts = np.isfinite(error)
+    size = np.abs(np.nan_to_num(error)) / max(float(np.max(np.abs(error[counts]), initial=0.0)), 1e-12)
+    colours = np.column_stack([40 + 190 * size, 150 - 110 * size, np.full(len(error), 50.0)])
+    colours[~counts] = (136, 147, 161)
+    return np.asarray(colours.round().astype(np.uint8))
+
+
 ENDING = ".replay.npz"
 _ARRAYS = ("t", "q", "tool", "wanted", "error", "surface", "ghost", "force")
 

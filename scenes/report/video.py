@@ -13,13 +13,13 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.progress import Progress, silent
 from ideal_robot.whole_file import OutputError, whole_file
-from scenes.report.replay import Replay
+from scenes.report.replay import Replay, error_colours
 from sim.arm.body import Picture, Stage, View
 
 ENDINGS = (".mp4", ".gif")
 _ARM, _SIDE, _PLOT = (560, 420), 340, 120
 """Size of the arm's picture, width of the path's panel, height of the plot [px]."""
-_INK, _SOFT, _ACCENT, _PAPER = (28, 36, 48), (136, 147, 161), (224, 106, 0), (244, 246, 248)  # red, green, blue
+_INK, _ACCENT, _PAPER = (28, 36, 48), (224, 106, 0), (244, 246, 248)  # red, green, blue
 
 
 def check_video(path: Path) -> None:
@@ -97,7 +97,7 @@ def frames(replay: Replay, rate: float, progress: Progress = silent) -> Iterator
     lines = [curve[:: max(1, len(curve) // 60)] for curve in list(replay.curves.values())[:1]]
     counts = np.isfinite(replay.error)
     scale = float(np.nanmax(np.abs(replay.error))) if counts.any() else 1.0
-    seen, shown, box = _flattened(replay, counts)
+    colours, (seen, shown, box) = error_colours(replay.error), _flattened(replay, counts)
     middle = 0.5 * (replay.tool.min(axis=0) + replay.tool.max(axis=0))
     target = [0.6 * float(middle[0]), 0.6 * float(middle[1]), 0.42]
     view = View(*_ARM, azimuth=62.0, elevation=-26.0, distance=2.2, target=target)
@@ -106,7 +106,7 @@ def frames(replay: Replay, rate: float, progress: Progress = silent) -> Iterator
             progress(i / len(rows), "film")
             frame = np.full((_ARM[1] + _PLOT, _ARM[0] + _SIDE, 3), 255, dtype=np.uint8)
             frame[: _ARM[1], : _ARM[0]] = stage.show(replay.q[k])
-            _path_panel(frame[: _ARM[1], _ARM[0] :], replay, seen, shown, box, int(k), scale)
+            _path_panel(frame[: _ARM[1], _ARM[0] :], replay, seen, shown, box, int(k), colours)
             _error_panel(frame[_ARM[1] :], replay, int(k), scale)
             yield frame
 
@@ -126,7 +126,7 @@ def _flattened(replay: Replay, counts: np.ndarray) -> tuple[Array, Array, tuple[
 
 
 def _path_panel(panel: np.ndarray, replay: Replay, wanted: Array, shown: Array, box: tuple[Array, float], k: int,
-                scale: float) -> None:
+                colours: Array) -> None:
     panel[:] = _PAPER
     middle, zoom = box
     height, width = panel.shape[:2]
@@ -138,8 +138,7 @@ def _path_panel(panel: np.ndarray, replay: Replay, wanted: Array, shown: Array, 
     trace = at(shown)
     step = max(1, len(trace) // 500)
     for i in range(step, k + 1, step):
-        cv2.line(panel, trace[i - step].tolist(), trace[i].tolist(), _colour(float(replay.error[i]), scale), 2,
-                 cv2.LINE_AA)
+        cv2.line(panel, trace[i - step].tolist(), trace[i].tolist(), colours[i].tolist(), 2, cv2.LINE_AA)
     cv2.circle(panel, trace[k].tolist(), 4, _ACCENT, -1, cv2.LINE_AA)
     if replay.enlarged != 1.0:
         _text(panel, f"error enlarged {replay.enlarged:g} times", (10, 20))
@@ -168,14 +167,6 @@ def _pieces(counts: np.ndarray) -> list[tuple[int, int]]:
     """First and last-plus-one indices of the stretches that count."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], counts, [False]]).astype(int)))
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-
-
-def _colour(error: float, scale: float) -> tuple[int, int, int]:
-    """Green for none to red for the largest; gray where the error does not count."""
-    if not np.isfinite(error):
-        return _SOFT
-    share = min(1.0, abs(error) / scale)
-    return round(40 + 190 * share), round(150 - 110 * share), 50
 
 
 def _text(panel: np.ndarray, text: str, at: tuple[int, int]) -> None:

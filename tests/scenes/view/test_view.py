@@ -269,7 +269,7 @@ def test_the_slider_moves_arm_tool_ghost_and_picture(player) -> None:  # type: i
 
 
 def test_colours_go_from_green_to_red_and_gray_does_not_count() -> None:
-    from scenes.view.viewer import error_colours
+    from scenes.report.replay import error_colours
 
     green, red, gray = error_colours(np.array([0.0, -2.0, np.nan]))
     assert green[1] > green[0]
