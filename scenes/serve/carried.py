@@ -74,14 +74,18 @@ class Exposure:
     shape: tuple[Array, Array]
 
 
-def draw_and_send(device: CameraDevice, pipe: Connection) -> None:
+def draw_and_send(pipe: Connection) -> None:
     """The camera's process: listens, draws what somebody looks at, and sends it when it is due.
 
     Args:
-        device: the camera.
-        pipe: exposures come in, None for the end; out go the address, or why there is none, then one word a picture.
+        pipe: the camera comes in, then exposures, None for the end; out go the address, or why there is none, then
+            one word a picture.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        device: CameraDevice = pipe.recv()
+    except (EOFError, OSError):  # whoever began this process has ended
+        return
     model, clock = device.camera.model, device.clock
     try:
         server = StreamServer(*device.address, lambda: clock.shows(now()), 1,
@@ -139,10 +143,12 @@ class ServedCamera:
         self._number, self._waiting, self._next, self.left_out = 0, 0, 0.0, 0
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=called, args=("scenes.serve.carried:draw_and_send", device, theirs),
-                                        daemon=True)
+        self._process = context.Process(target=called, args=("scenes.serve.carried:draw_and_send", theirs), daemon=True)
         self._process.start()
         theirs.close()
+        # Not among the arguments: a process whose parent ends while it reads those ends with a traceback.
+        with suppress(OSError):
+            self._pipe.send(device)
         said = self._pipe.recv() if self._pipe.poll(_STARTS) else f"the camera does not begin within {_STARTS:g} s"
         if isinstance(said, str):
             self.close()

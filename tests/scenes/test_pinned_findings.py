@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import io
 import json
+import multiprocessing
 import os
 import sys
 from dataclasses import replace
@@ -40,6 +41,7 @@ from scenes.online.cycle import CycleLog, CycleSettings, play_cycles
 from scenes.result import silent
 from scenes.scene_file import load_scene
 from scenes.scene_files.drawn_line import CameraTable, believed_camera
+from scenes.serve import carried
 from scenes.sweep import SweepFile
 from scenes.undeclared import undeclared_effects
 from sim.arm.specimen import draw_specimen
@@ -212,6 +214,14 @@ def test_a_spread_that_no_cascade_has_is_refused_where_the_model_is_read(tmp_pat
     with pytest.raises(InputError) as refused:
         Model.load(place)
     assert refused.value.field == field
+
+
+def test_a_camera_s_process_ends_without_a_word_where_its_parent_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(carried.signal, "signal", lambda number, handler: None)
+    parent, pipe = multiprocessing.Pipe()
+    os.write(parent.fileno(), b"\0\0\1\0cut off")
+    parent.close()
+    carried.draw_and_send(pipe)
 
 
 def test_a_mat_file_that_its_reader_does_not_survive_is_refused(tmp_path: Path) -> None:
