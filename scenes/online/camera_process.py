@@ -17,7 +17,6 @@ from ideal_robot.bounded_values import read_json
 from ideal_robot.errors import InputError
 from ideal_robot.whole_file import write_text
 from scenes.online.processes import called
-from sensing.camera.camera_device import Gray, Window
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.hand_eye import HandEye
 from sensing.camera.line_detection import LineField
@@ -32,15 +31,6 @@ class Header:
     number: int
     taken: float
     read: float
-
-
-@dataclass(frozen=True)
-class Evaluated:
-    """What was found in a picture, and its windows."""
-
-    seen: LineField
-    windows: tuple[Window, ...]
-    patches: tuple[Gray, ...]
 
 
 _ASKED = 3
@@ -99,8 +89,8 @@ class CameraProcess:
         """Of the process."""
         return self._process.pid
 
-    def poll(self) -> list[Header | Evaluated | Any]:
-        """What has come since: headers, evaluated fields, a calibration."""
+    def poll(self) -> list[Header | LineField | Any]:
+        """What has come since: headers, what was found in pictures, a calibration."""
         found: list[Any] = []
         try:
             while self.ended is None and self._pipe.poll():

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.errors import IdealRobotError, InputError
-from scenes.online.camera_process import Evaluated, Header
+from scenes.online.camera_process import Header
 from scenes.online.processes import give_back
 from sensing.camera.camera_device import Field
 from sensing.camera.camera_model import CameraModel
@@ -115,15 +115,13 @@ class _Worker:
             number, t, prediction, detection = content
             frame = next((one for one in self._frames if one.number == number), None)
             nothing = np.empty(0)
-            empty = Evaluated(LineField(t, np.empty((0, 3)), np.empty((0, 2)), nothing, nothing, nothing,
-                                        np.empty(0, dtype=bool), False, "the picture was gone"), (), ())
+            empty = LineField(t, np.empty((0, 3)), np.empty((0, 2)), nothing, nothing, nothing,
+                              np.empty(0, dtype=bool), False, "the picture was gone")
             self._send("seen", empty if frame is None else self._evaluated(frame, t, prediction, detection))
 
-    def _evaluated(self, frame: Frame, t: float, prediction: PredictedLine, detection: DetectionSettings) -> Evaluated:
-        windows = tuple(search_windows(self.camera, prediction, detection))
-        patches = tuple(frame.image[w.v : w.v + w.height, w.u : w.u + w.width] for w in windows)
-        field = Field(t, t, windows, tuple(np.ascontiguousarray(patch) for patch in patches))
-        return Evaluated(self.detector.detect(field, self.camera, prediction, detection), windows, ())
+    def _evaluated(self, frame: Frame, t: float, prediction: PredictedLine, detection: DetectionSettings) -> LineField:
+        field = Field.cut(t, frame.image, search_windows(self.camera, prediction, detection))
+        return self.detector.detect(field, self.camera, prediction, detection)
 
     def _send(self, kind: str, content: Any) -> None:
         with self._lock:

@@ -242,10 +242,8 @@ def looked_again(known: Known, camera: CameraModel, before: SeenBefore, span: tu
     for picture, pose in before.pictures:
         at = _nearest(known.reference, pose.act(_middle_of_view(camera)))
         prediction = line_ahead(known.reference, line, at + SPREAD).seen_from(pose)
-        windows = search_windows(camera, prediction, before.detection)
-        patches = [picture[one.v : one.v + one.height, one.u : one.u + one.width] for one in windows]
-        found = known.detector.detect(Field(0.0, 0.0, tuple(windows), tuple(patches)), camera, prediction,
-                                      before.detection)
+        shown = Field.cut(0.0, picture, search_windows(camera, prediction, before.detection))
+        found = known.detector.detect(shown, camera, prediction, before.detection)
         if not found.seen:
             continue
         points = found.points_tcp[found.used] @ pose.rotation.T + pose.translation

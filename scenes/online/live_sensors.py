@@ -17,7 +17,7 @@ from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.row_log import RowLog
 from planning.line.measurement import Fused
-from scenes.online.camera_process import CameraProcess, Evaluated, Header
+from scenes.online.camera_process import CameraProcess, Header
 from scenes.online.cycle import Task
 from scenes.online.live_arm import LiveArm
 from sensing import SensingError
@@ -155,9 +155,8 @@ class LiveCamera:
         for message in self._process.poll():
             if isinstance(message, Header):
                 self._headers.append(message)
-            elif isinstance(message, Evaluated):
-                seen = message.seen
-                self._evaluated.append(EvaluatedField(seen.t, self._arm.t, message.windows, message.patches, seen))
+            elif isinstance(message, LineField):
+                self._evaluated.append(EvaluatedField(message.t, self._arm.t, (), (), message))
             else:
                 self.hand_eye = message
         if self._process.ended is not None:

@@ -37,6 +37,18 @@ class Field:
     windows: tuple[Window, ...]
     patches: tuple[Gray, ...]
 
+    @classmethod
+    def cut(cls, t: float, picture: Gray, windows: Sequence[Window]) -> Field:
+        """Of a whole picture ``(height, width)``, there at ``t`` [s], when it was exposed.
+
+        Args:
+            t: stamp [s].
+            picture: gray values.
+            windows: inside it.
+        """
+        return cls(t, t, tuple(windows),
+                   tuple(np.ascontiguousarray(picture[w.v : w.v + w.height, w.u : w.u + w.width]) for w in windows))
+
 
 WindowsAt = Callable[[float], Sequence[Window] | None]
 """Rectangles to read out of the field exposed at a controller time [s]; None where the field is not wanted."""
