@@ -127,14 +127,14 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
             raise SceneError(f"the arm did not move: {log.failure or 'no cycle was played'}")
         shown = tuple(replace(seen, image=camera.whole(seen.field)) for seen in log.shown) if pictures else ()
         recording = line_recording(arm, scene, method.key, log, cell.known.camera)
-    whole, error, followed_from = _control_error(cell, t, tcp, log.first_used)
+    whole, error = _control_error(cell, t, tcp, log.first_used)
     far = "" if method.key == NONE else far_from_line(error.mean)
     return LineResult(
         scene=scene, method=method.key, control_error=error, control_error_from_start=whole,
         path_errors=_path_errors(cell, log, t, tcp), fields_seen=len(log.fields), fields_used=log.used,
         recording=recording, timing=Timing(np.array(log.cycles), np.array(log.with_field, dtype=bool), wall,
                                            float(t[-1])),
-        geometry=cell.geometry, followed_from=followed_from, failure=log.failure, urdf=cell.known.robot.urdf,
+        geometry=cell.geometry, failure=log.failure, urdf=cell.known.robot.urdf,
         shown=shown,
         world=cell.world.table(), hand_eye=shared.hand_eye, warning="; ".join(filter(None, [shared.warning, far])),
         assumed=cell.known.robot.assumed,
@@ -144,17 +144,16 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
         sensors={sensor.name: (log.sensor_values[sensor.name], log.sensor_used[sensor.name]) for sensor in sensors})
 
 
-def _control_error(cell: Cell, t: Array, tcp: Array, first_used: float) -> tuple[ControlError, ControlError, float]:
+def _control_error(cell: Cell, t: Array, tcp: Array, first_used: float) -> tuple[ControlError, ControlError]:
     """Distance of the true TCP from the drawn line: over all of it, and from 0.3 s after it is first followed."""
     s, lateral = cell.line.beside(tcp)
     inside = (s > 1e-6) & (s < cell.line.length - 1e-6)
     if not inside.any() or not np.isfinite(first_used):
         nothing = ControlError.of(t, s, lateral, np.zeros(len(t), dtype=bool))
-        return nothing, nothing, float("nan")
+        return nothing, nothing
     followed_from = max(first_used, float(t[np.argmax(inside)]))
     counts = inside & (t >= followed_from + SETTLING)
-    whole, counted = (ControlError.of(t, s, lateral, which) for which in (inside, counts))
-    return whole, counted, followed_from
+    return ControlError.of(t, s, lateral, inside), ControlError.of(t, s, lateral, counts)
 
 
 def _path_errors(cell: Cell, log: LineLog, t: Array, tcp: Array) -> PathErrors | None:

@@ -87,7 +87,6 @@ class LineResult(ShownRun):
         recording: what a controller would have logged, plus desired angles and line points.
         timing: computing times.
         geometry: where everything was.
-        followed_from: when the line was first followed [s]; NaN if never.
         failure: why the run ended early, or None.
         shown: fields for the report.
         world: the world's settings.
@@ -111,7 +110,6 @@ class LineResult(ShownRun):
     recording: Recording = field(repr=False)
     timing: Timing = field(repr=False)
     geometry: Geometry = field(repr=False)
-    followed_from: float
     failure: str | None
     urdf: Path
     shown: tuple[FieldShown, ...] = field(repr=False, default=())

@@ -35,7 +35,6 @@ class LineLog(CycleLog):
     Attributes:
         fields: of each camera field that arrived its time stamp [s] and the line points used in the tool frame, three
             values each, NaN where one was left out [m]; used: how many of the fields gave a measurement.
-        latest: the field that arrived last, whole.
         shown: fields for the report.
         with_field: whether a field was worked on in each cycle.
         s: arc length of the reference at each cycle [m].
@@ -46,7 +45,6 @@ class LineLog(CycleLog):
 
     fields: RowLog = field(default_factory=RowLog)
     used: int = 0
-    latest: LineField | None = None
     shown: list[FieldShown] = field(default_factory=list)
     with_field: RowLog = field(default_factory=RowLog)
     s: RowLog = field(default_factory=RowLog)
@@ -66,7 +64,7 @@ class LineLog(CycleLog):
         row[0], used = seen.t, seen.used[:some]
         row[1:].reshape(count, 3)[:some][used] = seen.points_tcp[:some][used]
         self.fields.append(row)
-        self.latest, self.used = seen, self.used + int(seen.seen)
+        self.used += int(seen.seen)
 
     def field_columns(self, t: Array, count: int) -> Iterator[tuple[str, Array]]:
         """Columns of a recording one by one: values in the rows at the fields' time stamps, NaN elsewhere.

@@ -28,11 +28,10 @@ _REACH = 4.0
 
 
 class _Section(NamedTuple):
-    """A cross-section in a window: place along the scan, width [px], depth [gray], standard deviation [px]."""
+    """A cross-section in a window: place along the scan, width and standard deviation [px]."""
 
     at: float
     width: float
-    depth: float
     sigma: float
 
 
@@ -119,7 +118,7 @@ class OpenCVProfiles:
                 steep = 0.5 * (-slope[round(begin)] + slope[round(end)])
                 sigma = math.hypot(noise / (steep * math.sqrt(2.0 * rows.shape[0])), _SAMPLING)
                 # A resized row's sample k stands at (k + 0.5)/finer - 0.5 of the original.
-                found.append(_Section((0.5 * (begin + end) + 0.5) / _FINER - 0.5 + window[a], width, depth, sigma))
+                found.append(_Section((0.5 * (begin + end) + 0.5) / _FINER - 0.5 + window[a], width, sigma))
         return found
 
 
