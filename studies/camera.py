@@ -17,8 +17,8 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.elasticity.observer import GearDeflection
+from scenes.camera_calibration import calibrate_by_moving
 from scenes.commands.common import whole_numbers
-from scenes.line.calibration import calibrate_by_moving
 from scenes.line.cell import set_up
 from scenes.models import model_for
 from scenes.online.line_known import SeenBefore

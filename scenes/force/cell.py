@@ -9,12 +9,14 @@ from functools import lru_cache
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.feedforward.friction_at_work import FrictionAtWork, friction_at_work
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.row_log import let_go, new_array
 from planning import OutOfReachError
 from planning.force.contact import dry_run
 from scenes.arms import arm_of
+from scenes.camera_calibration import calibrate_by_moving, look_at_line
 from scenes.metrics import ControlError
 from scenes.models import model_for
 from scenes.online.force_calibration import Pressed
@@ -23,6 +25,7 @@ from scenes.online.line_log import SETTLING
 from scenes.scene_files.drawn_line import Geometry, believed_camera, geometry, true_camera
 from scenes.scene_files.force_scene import ForceScene, SensorTable, TipTable, UnknownSurface
 from sensing.camera.camera_model import CameraModel
+from sensing.camera.line_search import DetectionSettings
 from sensing.force.force_calibration import ContactElasticity, ToolLoad, identify_tool
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
@@ -75,23 +78,28 @@ def scene_curves(scene: ForceScene) -> dict[str, Array]:
 
 
 def _streams(scene: ForceScene) -> list[np.random.Generator]:
-    """Independent random streams: place, arm, force sensor, camera, calibration."""
-    return [np.random.default_rng(child) for child in np.random.SeedSequence(scene.seed).spawn(5)]
+    """Independent random streams: place, arm, force sensor, camera, calibration, pictures before the run."""
+    return [np.random.default_rng(child) for child in np.random.SeedSequence(scene.seed).spawn(6)]
 
 
-def set_up(scene: ForceScene) -> Cell:
+def set_up(scene: ForceScene, seen: tuple[CameraModel, DetectionSettings] | None = None) -> Cell:
     """Builds a scene.
+
+    Args:
+        scene: what is played.
+        seen: camera and looks of the line as moving over it has shown them; as the scene tells them if None.
 
     Raises:
         InputError: path out of reach, unreachable speed, a value that makes no sense.
     """
     world = World.from_table(scene.robot, scene.arm_world, scene.source)
     robot = world.with_cycles(arm_of(scene.robot))
-    place, noise, sensor_noise, camera_noise, calibration = _streams(scene)
+    place, noise, sensor_noise, camera_noise, calibration, _ = _streams(scene)
+    camera, detection = seen or (believed_camera(scene.camera, scene.calibration), scene.line.detection)
     where = geometry(scene, place)
     reference, profile = force_reference(scene, robot, where.reference)
     known = Known(scene=scene, robot=robot, delay=int(world.correction_delay), model=model_for(scene, robot),
-                  reference=reference, profile=profile, camera=believed_camera(scene.camera, scene.calibration))
+                  reference=reference, profile=profile, camera=camera, detection=detection)
     return Cell(known=known, world=world, surface=true_surface(scene.surface), geometry=where,
                 sensor=ForceSensor(true_sensor(scene.sensor), sensor_noise), noise=noise,
                 camera_streams=(camera_noise, calibration))
@@ -163,6 +171,30 @@ def friction_above(key: str) -> FrictionAtWork | None:
             arm.cycle(q)
         recording = arm.recording()
     return friction_at_work(recording, loop_model(cell.known.model, cell.known.robot, delay=cell.known.delay))
+
+
+@lru_cache(maxsize=64)
+def seen_by_moving(key: str) -> tuple[CameraModel, DetectionSettings] | None:
+    """Camera and looks of the line as moving over it shows them, once for all methods; ``key`` is the scene as JSON.
+
+    None where there is no camera, or it is believed as mounted.
+
+    Raises:
+        SceneError: the arm reaches too few of the poses, or too few of them show the line.
+        SensingError: no picture shows it.
+    """
+    scene = ForceScene.model_validate_json(key)
+    if scene.task != "glue" or not scene.calibration.by_moving:
+        return None
+    cell = set_up(scene)
+    known, world = cell.known, GlueWorld(cell)
+    span = (scene.reference.run_up, known.reference.length - scene.reference.run_out)
+    with SimulatedArm(known.robot, cell.world, cell.noise, known.q_start()) as arm:
+        before = look_at_line(known, arm, world.rendered, span, _streams(scene)[5])
+        found = calibrate_by_moving(known, arm, world.rendered, GearDeflection(known.model, cell.world.t_ipo),
+                                    0.5 * sum(span), before)
+    world.close()
+    return found.camera, before.detection
 
 
 def glue_line(cell: Cell) -> tuple[DrawnLine, CameraModel]:

@@ -16,13 +16,15 @@ from ideal_robot.arrays import Array
 from ideal_robot.feedforward.friction_at_work import FrictionAtWork
 from ideal_robot.row_log import ColumnStore, let_go
 from ideal_robot.signals.recording import Recording
-from scenes.force.cell import Cell, GlueWorld, calibrations, friction_above, set_up, true_tip
+from scenes.force.cell import Cell, GlueWorld, calibrations, friction_above, seen_by_moving, set_up, true_tip
 from scenes.methods import DIRECT, following_methods, method_of
 from scenes.metrics import ControlError
 from scenes.online.cycle import CycleSettings, play_cycles
 from scenes.online.force_task import BRAKING, LONGEST, ForceLog, ForceTask
 from scenes.result import Progress, ShownRun, silent
 from scenes.scene_files.force_scene import Assumed, CameraTrouble, Emergency, ForceScene
+from sensing.camera.camera_model import CameraModel
+from sensing.camera.line_search import DetectionSettings
 from sensing.force.force_calibration import ContactElasticity, ToolLoad
 from sim.arm.arm import SimulatedArm
 from sim.contact.contact import TipContact
@@ -196,7 +198,7 @@ def play(scene: ForceScene, method: Any, gains: tuple[float, float] | None = Non
     """
     method = method_of(method, methods(scene.task))
     tool, elasticity = calibrated(scene)
-    cell = set_up(scene)
+    cell = set_up(scene, camera_shown(scene))
     task = ForceTask(cell.known, method, gains, tool, elasticity, cell.camera_streams[0],
                      friction_shown(scene) if method.knows_model else None)
     return pressed(cell, task, method.key, progress)
@@ -234,6 +236,11 @@ def pressed(cell: Cell, task: ForceTask, method: str, progress: Progress = silen
 def calibrated(scene: ForceScene) -> tuple[ToolLoad, ContactElasticity]:
     """Tool and contact as calibration by moving finds them in this scene."""
     return calibrations(_before(scene).model_dump_json())
+
+
+def camera_shown(scene: ForceScene) -> tuple[CameraModel, DetectionSettings] | None:
+    """Camera and looks of the line as moving over it shows them; None where nothing is looked at."""
+    return seen_by_moving(_before(scene).model_dump_json())
 
 
 def friction_shown(scene: ForceScene) -> FrictionAtWork | None:

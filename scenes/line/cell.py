@@ -15,7 +15,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.signals.recording import Recording
 from planning.line.deviation_sensor import DeviationSensor
-from scenes.line.calibration import calibrate_by_moving, look_at_line
+from scenes.camera_calibration import calibrate_by_moving, look_at_line
 from scenes.models import model_for
 from scenes.online.line_known import Known, SeenBefore, line_follower, looked_again, span_of
 from scenes.result import Progress, silent
@@ -254,7 +254,7 @@ def _looked_at(scene: LineScene, cell: Cell, camera: RenderedCamera, progress: P
     model = model_for(scene, known.robot, progress) if scene.calibration.by_moving else None
     with SimulatedArm(known.robot, cell.world, cell.noise, known.follower.q_start) as arm:
         try:
-            before = look_at_line(known.robot, known.reference, known.camera, arm, camera, span, streams(scene)[4])
+            before = look_at_line(known, arm, camera, span, streams(scene)[4])
         except SensingError as error:
             reasons.append(str(error))
         if model is not None:

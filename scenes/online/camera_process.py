@@ -120,7 +120,7 @@ class CameraProcess:
         elif self._tell("detect", (number, t, prediction, detection)):
             self._asked += 1
 
-    def calibrate(self, camera: CameraModel, observations: Any, near: Any, normal: Any) -> None:
+    def calibrate(self, camera: CameraModel, observations: Any, near: Any, normal: Any, prior: Any) -> None:
         """Asks for a calibration from what was observed; it comes out of ``poll``.
 
         Args:
@@ -128,8 +128,9 @@ class CameraProcess:
             observations: see ``sensing.camera.hand_eye.calibrate``.
             near: see there.
             normal: see there.
+            prior: see there.
         """
-        self._tell("calibrate", (camera, observations, near, normal))
+        self._tell("calibrate", (camera, observations, near, normal, prior))
 
     def use(self, camera: CameraModel) -> None:
         """The camera as it is calibrated, from now on."""

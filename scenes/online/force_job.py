@@ -36,7 +36,7 @@ from scenes.scene_files.force_scene import CameraTrouble, ForceScene
 from scenes.scene_files.scene import SceneError
 from sensing.camera.camera_device import Field
 from sensing.camera.camera_model import CameraModel
-from sensing.camera.line_search import DetectionSettings, PredictedLine
+from sensing.camera.line_search import PredictedLine
 from sensing.force.force_calibration import ContactElasticity, ToolLoad
 
 _BELOW = 1.25
@@ -250,12 +250,12 @@ class ForceJob:
         self.calibration = calibration
         reference, profile = force_reference(scene, robot, reference_points(scene))
         self._known = Known(scene=self.scene, robot=robot, delay=delay, model=model, reference=reference,
-                            profile=profile, camera=calibration.camera, asking=ASKING)
+                            profile=profile, camera=calibration.camera, asking=ASKING, detection=scene.line.detection)
         self.expected = profile.duration + 4.0
         self.longest = self.expected + LONGEST
         self._task = self._new_task()
         self.log: ForceLog = self._task.log
-        self.detection = (self._task.vision.detection if self._task.vision is not None else DetectionSettings())
+        self.detection = self._known.detection
         self._force: LiveForce | None = None
 
     @property
@@ -299,7 +299,7 @@ class ForceJob:
         """See ``Job``; the tip keeps away from the surface. Where that lies the force tells later."""
         reference = self._known.reference
         piece = Piece(reference, 0.5 * (self.scene.reference.run_up + reference.length - self.scene.reference.run_out),
-                      self.q_start, CLEAR, shapes_about(self.scene, self.robot))
+                      self.q_start, CLEAR, shapes_about(self.scene, self.robot), bent=True)
         return CalibrationMotion.over(piece, self.calibration.camera, self.model, self.robot, self.detection)
 
     def ready(self, arm: LiveArm, camera: LiveCamera | None, force: LiveForce | None) -> Task:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
@@ -24,6 +24,8 @@ from planning.path.speed_profile import Limits, SpeedProfile
 from scenes.placing import check_clear, shapes_about
 from scenes.scene_files.force_scene import ForceScene
 from sensing.camera.camera_model import CameraModel
+from sensing.camera.detector import DETECTORS, LineDetector
+from sensing.camera.line_search import DetectionSettings
 
 HORIZON = 0.24
 """How far ahead the ideal robot is given desired positions [s]."""
@@ -49,6 +51,7 @@ class Known:
         reference: the reference path.
         profile: travel along it.
         camera: of a ``glue`` scene, as it is believed to be.
+        detection: how its line looks.
         asking: see ``ContactSettings``.
     """
 
@@ -59,7 +62,13 @@ class Known:
     reference: ReferencePath
     profile: SpeedProfile
     camera: CameraModel
+    detection: DetectionSettings = field(default_factory=DetectionSettings)
     asking: float = 0.0
+
+    @property
+    def detector(self) -> LineDetector:
+        """A new one of those that find a line's points in a field."""
+        return DETECTORS.get(self.scene.camera.detector)()
 
     @property
     def n_d(self) -> int:

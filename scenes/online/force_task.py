@@ -31,8 +31,7 @@ from scenes.online.cycle import CycleLog
 from scenes.online.force_known import Known
 from scenes.scene_files.force_scene import ForceScene
 from sensing.camera.camera_device import Camera, Field, Window
-from sensing.camera.detector import DETECTORS, LineDetector
-from sensing.camera.line_detection import DetectionSettings, LineField, at_middle_row, search_windows
+from sensing.camera.line_detection import LineField, at_middle_row, search_windows
 from sensing.force.force_calibration import ContactElasticity, ToolLoad
 from sensing.force.sensors import ForceSensor, WrenchSample
 
@@ -75,14 +74,12 @@ class GlueCamera:
     def __init__(self, cell: Known, follower: SurfaceFollower, rng: np.random.Generator) -> None:
         scene: ForceScene = cell.scene
         self._rng, self.follower, self._trouble = rng, follower, scene.trouble
-        self.camera = cell.camera
-        self.detection = DetectionSettings(line_width=1e-3 * scene.line.width_mm,
-                                           dark=scene.line.gray < scene.line.background)
+        self.camera, self.detection = cell.camera, cell.detection
         reference = cell.reference
         span = (scene.reference.run_up, reference.length - scene.reference.run_out)
         sight = SightSettings(latency=scene.camera.latency, distance_ratio=scene.assumed.distance_ratio)
         self.sight = LineOnSurface(follower, self.camera.T_tool_camera, sight, span)
-        self._detector: LineDetector = DETECTORS.get(scene.camera.detector)()
+        self._detector = cell.detector
         self.detect: Callable[[Field], LineField] = self._detected
         self.fields: list[tuple[float, int, str]] = []
         self.first_used = float("nan")

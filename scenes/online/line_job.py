@@ -40,7 +40,7 @@ from scenes.scene_files.drawn_line import reference_points
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError
 from sensing.camera.camera_model import CameraModel
-from sensing.camera.hand_eye import HandEye
+from sensing.camera.hand_eye import BENT, PRIOR, HandEye
 from sensing.camera.line_search import DetectionSettings, PredictedLine
 
 # The camera on the tool is calibrated by moving the real arm over a piece of the line ([L] 4.4).
@@ -59,6 +59,7 @@ class Piece:
         start: where the arm is, and is again afterwards ``(n,)`` [rad].
         clear: how far the tip keeps away from the reference at least [m].
         shapes: the arm in its cell.
+        bent: whether the surface may be bent there, too.
     """
 
     reference: ReferencePath
@@ -66,6 +67,7 @@ class Piece:
     start: Array
     clear: float = 0.0
     shapes: Shapes | None = None
+    bent: bool = False
 
     def check_ways(self, *ends: Array) -> None:
         """Refuses a way from the start to one of ``ends (n,)`` [rad] on which the arm would touch something."""
@@ -154,7 +156,8 @@ def calibrated_by_moving(motion: CalibrationMotion, arm: LiveArm, camera: LiveCa
                 fields += 1
                 view.look(field, view.predicted(field.t_stamp), 0.0)
     near, up = view.piece(piece.at, fields, "how it looks (line.gray, line.width_mm), and the camera")
-    arm.meanwhile(lambda: camera.calibrate(view.believed, view.observations, near, up))
+    prior = BENT if piece.bent else PRIOR
+    arm.meanwhile(lambda: camera.calibrate(view.believed, view.observations, near, up, prior))
     for _ in range(int(_PATIENCE / arm.robot.t_ipo)):
         if camera.hand_eye is not None:
             break
@@ -197,7 +200,7 @@ class LineJob:
         self.log = LineLog()
         self._task = self._new_task(self._known, self.log, ImaginedCamera())
         self.longest = self.expected = self._task.longest
-        self.detection = DetectionSettings.of(1e-3 * scene.line.width_mm, scene.line.background - scene.line.gray)
+        self.detection = scene.line.detection
 
     @property
     def camera(self) -> CameraModel | None:

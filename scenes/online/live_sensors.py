@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -109,10 +109,11 @@ class LiveCamera:
         self.ages += [t - field.t_stamp for field in found]
         return found
 
-    def calibrate(self, camera: CameraModel, observations: Sequence[Observation], near: Array, normal: Array) -> None:
+    def calibrate(self, camera: CameraModel, observations: Sequence[Observation], near: Array, normal: Array,
+                  prior: Mapping[str, float]) -> None:
         """See ``CameraProcess.calibrate``; ``hand_eye`` is what comes of it."""
         self.predict = None
-        self._process.calibrate(camera, observations, near, normal)
+        self._process.calibrate(camera, observations, near, normal, prior)
 
     def use(self, camera: CameraModel, time_offset: float) -> None:
         """The camera as it is calibrated, and what has to be added to its stamps [s]."""

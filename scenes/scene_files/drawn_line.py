@@ -15,6 +15,7 @@ from ideal_robot.arrays import Array
 from scenes.scene_files.scene import Table
 from scenes.scene_files.shape import STEP, Shape
 from sensing.camera.camera_model import CalibrationError, CameraModel, default_mount
+from sensing.camera.line_search import DetectionSettings
 
 _HALL = 100.0
 """How far from the base a surface may be [m]; much farther, numbers of a path have no digits left for its points."""
@@ -50,6 +51,11 @@ class Line(Shape):
     gray: float = pydantic.Field(default=40.0, ge=0, le=255)
     background: float = pydantic.Field(default=200.0, ge=0, le=255)
     edge_mm: float = pydantic.Field(default=1.0, gt=0)
+
+    @property
+    def detection(self) -> DetectionSettings:
+        """How it looks, told to those who look for it."""
+        return DetectionSettings.of(1e-3 * self.width_mm, self.background - self.gray)
 
 
 class Feature(Table):

@@ -13,8 +13,9 @@ d and s being lateral distance from and arc length on the reference path: Gauss-
 
     ∂d/∂θ = n · ∂x/∂θ,   ∂s/∂θ = t · ∂x/∂θ
 
-n, t the reference's normal and tangent at the foot of x. The surface's slope is solved for as well: it is the same in
-the base frame at all poses, the camera's errors are the same in the tool frame.
+n, t the reference's normal and tangent at the foot of x. The surface's slope is solved for as well, and its bend along
+the line where its shape is unknown: they are the same in the base frame at all poses, the camera's errors are the same
+in the tool frame.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from sensing import SensingError
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.line_polynomial import Polyline
 
-TILT = "surface_tilt"
+TILT, BEND = "surface_tilt", "surface_bend"
 PRIOR = {
     "roll": 0.01,
     "pitch": 0.01,
@@ -49,6 +50,9 @@ PRIOR = {
 """Standard deviations of a camera mounted by hand: 0.6°, 3 mm, 1 %, 2 px, 3 ms; and of the surface's slope along the
 line, 1°. What one line shows stays the same where the surface turns about it, or where camera and surface rise
 together: neither is a parameter."""
+BENT = PRIOR | {BEND: 0.5}
+"""The same on a surface of unknown shape: near one place it is bent along the line, by a radius of 2 m [1/m]. A fall of
+4 mm over 0.1 m that is taken for even is found as distance, focal length and lens."""
 
 
 _STILL, _NEAR = 1e-3, 3e-2
@@ -136,7 +140,7 @@ def calibrate(
     observations: Sequence[Observation],
     reference: Array,
     normal: Array,
-    prior: dict[str, float] | None = None,
+    prior: Mapping[str, float] = PRIOR,
     knot: float = 0.015,
 ) -> HandEye:
     """Estimates what is wrong with the camera from observations of one piece of the line.
@@ -146,13 +150,12 @@ def calibrate(
         observations: fields from different poses; at least three with three points.
         reference: polyline near the line ``(N, 3)`` [m] in the base frame, in the surface.
         normal: unit normal of the surface ``(3,)``.
-        prior: standard deviations of the parameters; those missing are not estimated. Default ``PRIOR``.
+        prior: standard deviations of the parameters; those missing are not estimated.
         knot: spacing of the spline of the line's deviation from the reference [m].
 
     Raises:
         SensingError: too few points.
     """
-    prior = PRIOR if prior is None else prior
     names = list(prior)
     scale = np.array([prior[name] for name in names])
     problem = _Problem(camera, observations, Polyline(reference), np.asarray(normal, dtype=float), names, knot)
@@ -166,7 +169,7 @@ def calibrate(
     sigma = np.sqrt(np.diag(fit.covariance))
     values = dict(zip(names, (float(v) for v in fit.values), strict=True))
     corrected = camera.perturbed(**{name: value for name, value in values.items()
-                                    if name not in ("time_offset", TILT)})
+                                    if name not in ("time_offset", TILT, BEND)})
     return HandEye(
         corrected, values.get("time_offset", 0.0), values, dict(zip(names, (float(v) for v in sigma), strict=True)),
         fit.covariance, before.rms, fit.rms, problem.count, problem.surface(values),
@@ -205,7 +208,8 @@ class _Problem:
         self.centre = reference.points.mean(axis=0)
         along = reference.points[-1] - reference.points[0]
         along = along - along @ normal * normal
-        self.axis = np.cross(normal, along / np.linalg.norm(along))
+        self.along = along / np.linalg.norm(along)
+        self.axis = np.cross(normal, self.along)
         self.good = np.ones(len(self.pixels), dtype=bool)
         if self.count:
             s = self.reference.nearest(self._on_surface(np.zeros(len(names))), self.normal).s
@@ -233,7 +237,7 @@ class _Problem:
     def _on_surface(self, values: Array) -> Array:
         """Where the rays of all points meet the surface ``(M, 3)`` [m], with the parameters' corrections."""
         given = dict(zip(self.names, values, strict=True))
-        delay = given.pop("time_offset", 0.0)
+        delay, bend = given.pop("time_offset", 0.0), given.pop(BEND, 0.0)
         moved = self.surface(given)
         normal, centre = moved.rotation @ self.normal, moved.act(self.centre)
         camera = self.camera.perturbed(**{name: value for name, value in given.items() if name != TILT})
@@ -250,7 +254,11 @@ class _Problem:
             rotation = self.rotation[own] + late[:, None, None] * self.rotation_rate[own]
             ray = np.einsum("ijk,ik->ij", rotation, directions)
             origin = self.position[own] + late[:, None] * self.velocity[own] + rotation @ T.translation
-        depth = (centre - origin) @ normal / (ray @ normal)
+        meets, along = ray @ normal, moved.rotation @ self.along
+        plane = depth = (centre - origin) @ normal / meets
+        for _ in range(3 if bend else 0):
+            way = (origin + depth[:, None] * ray - centre) @ along
+            depth = plane + 0.5 * bend * way**2 / meets
         return np.asarray(origin + depth[:, None] * ray)
 
     def solve(self, values: Array, scale: Array, steps: int = 6, still: float = _STILL) -> _Fit:

@@ -28,7 +28,7 @@ class LineAppearance:
         dark: darker than its surroundings.
         contrast: how much darker or brighter [gray].
         places: of each picture two points of the line in the tool frame, in its direction away from the tool, on the
-            plane through the tool's tip ``(k, 2, 3)`` [m]; NaN where the picture did not show it.
+            surface ``(k, 2, 3)`` [m]; NaN where the picture did not show it.
     """
 
     width: float
@@ -37,8 +37,8 @@ class LineAppearance:
     places: Array
 
 
-def line_appearance(pictures: Sequence[Gray], camera: CameraModel) -> LineAppearance:
-    """Width, polarity and contrast of the line in whole pictures, taken with the tool's tip on the surface's height.
+def line_appearance(pictures: Sequence[Gray], camera: CameraModel, above: float = 0.0) -> LineAppearance:
+    """Width, polarity and contrast of the line in whole pictures, from which only the surface's place is known.
 
     In each picture the line ahead of the tool counts (``detect_in_picture``); behind, the tool itself or its hose could
     be clearer. The polarity is that of most pictures, width and contrast are the medians of those.
@@ -46,6 +46,7 @@ def line_appearance(pictures: Sequence[Gray], camera: CameraModel) -> LineAppear
     Args:
         pictures: gray, of different pieces of the line ``(height, width)`` each.
         camera: as it is believed to be.
+        above: height of the tool's tip over the surface [m].
 
     Raises:
         SensingError: no picture shows a line.
@@ -57,9 +58,9 @@ def line_appearance(pictures: Sequence[Gray], camera: CameraModel) -> LineAppear
         raise SensingError(f"none of {len(pictures)} pictures shows a line")
     dark = 2 * sum(one.dark for one in found) >= len(found)
     same = [one for one in found if one.dark == dark]
-    return LineAppearance(float(np.median([_width(one, ahead, camera) for one in same])), dark,
+    return LineAppearance(float(np.median([_width(one, ahead, camera, above) for one in same])), dark,
                           float(np.median([one.contrast for one in same])),
-                          np.array([_places(one, ahead, camera) if one.found and one.dark == dark
+                          np.array([_places(one, ahead, camera, above) if one.found and one.dark == dark
                                     else np.full((2, 3), np.nan) for one in seen]))
 
 
@@ -76,18 +77,18 @@ def _ahead_of_the_tool(camera: CameraModel) -> tuple[slice, slice]:
     return slice(low[1], high[1]), slice(low[0], high[0])
 
 
-def _places(line: PictureLine, ahead: tuple[slice, slice], camera: CameraModel) -> Array:
+def _places(line: PictureLine, ahead: tuple[slice, slice], camera: CameraModel, above: float) -> Array:
     """Points at a third and at two thirds of the picture's line in the tool frame ``(2, 3)`` [m]."""
     n = len(line.points) - 1
     pixels = line.points[[round(n / 3), round(2 * n / 3)]] + [ahead[1].start, ahead[0].start]
-    points = camera.on_plane(pixels, np.array([0.0, 0.0, 1.0]), 0.0)
+    points = camera.on_plane(pixels, np.array([0.0, 0.0, 1.0]), above)
     return np.asarray(points if points[0, 0] <= points[1, 0] else points[::-1])
 
 
-def _width(line: PictureLine, ahead: tuple[slice, slice], camera: CameraModel) -> float:
+def _width(line: PictureLine, ahead: tuple[slice, slice], camera: CameraModel, above: float) -> float:
     """Width on the surface, the median along the picture's line [m]."""
     assert line.strip is not None
     half = 0.5 * line.strip.widths[:, None] * line.strip.normals
-    low, high = (camera.on_plane(line.points + side + [ahead[1].start, ahead[0].start], np.array([0.0, 0.0, 1.0]), 0.0)
-                 for side in (-half, half))
+    first, down = [ahead[1].start, ahead[0].start], np.array([0.0, 0.0, 1.0])
+    low, high = (camera.on_plane(line.points + side + first, down, above) for side in (-half, half))
     return float(np.median(np.linalg.norm(high - low, axis=1)))

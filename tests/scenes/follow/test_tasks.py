@@ -329,8 +329,8 @@ class SeeingCamera:
                          np.ones(count, dtype=bool), True, "")
         return [EvaluatedField(t - LATE, t, (), (), seen)]
 
-    def calibrate(self, camera, observations, near, normal) -> None:
-        self.hand_eye = calibrate(camera, observations, near, normal)
+    def calibrate(self, camera, observations, near, normal, prior) -> None:
+        self.hand_eye = calibrate(camera, observations, near, normal, prior)
 
 
 @pytest.mark.parametrize("misled", [False, True])

@@ -16,8 +16,8 @@ from ideal_robot.errors import InputError
 from ideal_robot.signals.recording import Recording
 from planning.line.deviation_model import COPIED, SHAPES
 from scenes import load_scene
+from scenes.camera_calibration import calibrate_by_moving
 from scenes.commands.common import length
-from scenes.line.calibration import calibrate_by_moving
 from scenes.line.cell import Cell, Prepared, prepared, set_up
 from scenes.line.compare import _law, _reaching, fastest
 from scenes.line.kind import run

@@ -17,7 +17,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from sensing import SensingError
 from sensing.camera.camera_model import CalibrationError, CameraModel, default_mount, distort, undistort
-from sensing.camera.hand_eye import PRIOR, TILT, HandEye, Observation, calibrate, calibration_poses
+from sensing.camera.hand_eye import BEND, BENT, PRIOR, TILT, HandEye, Observation, calibrate, calibration_poses
 from sensing.camera.line_polynomial import Polyline
 from sensing.camera.line_search import PredictedLine, predict_image
 
@@ -148,17 +148,20 @@ DRAWN = Polyline((pin.exp3(0.017 * UP) @ np.column_stack([X, 0.041 * np.sin(8.1 
 
 
 def observations(true: CameraModel, rng: np.random.Generator, noise: float = 0.02, pose_noise: float = 0.0,
-                 poses: list[pin.SE3] | None = None, speed: float = 0.0, delay: float = 0.0) -> list[Observation]:
+                 poses: list[pin.SE3] | None = None, moving: tuple[float, float] = (0.0, 0.0), bend: float = 0.0
+                 ) -> list[Observation]:
     """What a true camera sees of the drawn line, with pixel noise; ``pose_noise`` in the reported poses.
 
-    With ``speed`` the tool moves, and the pose is reported ``delay`` too early.
+    ``moving``: at which speed the tool moves, and by how much too early its pose is reported. ``bend``: of the surface
+    along x [1/m].
     """
-    found = []
+    found, (speed, delay) = [], moving
     if poses is None:
         poses = calibration_poses(ORIGIN, np.array([1.0, 0.3, 0.0]) / math.hypot(1.0, 0.3), UP, 0.065)
     for pose in poses:
         middle = DRAWN.nearest(pose.act(np.array([0.065, 0.0, 0.0]))[None], UP).s
         points = DRAWN.at(middle + np.linspace(-0.07, 0.07, 9))[0]
+        points = points + 0.5 * bend * (points[:, :1] - ORIGIN[0]) ** 2 * UP
         pixels = true.project_tool((points - pose.translation) @ pose.rotation)
         inside = np.all((pixels > 5) & (pixels < (true.width - 5, true.height - 5)), axis=1)
         velocity = speed * pin.exp3(rng.uniform(0, 2 * math.pi) * UP)[:, 0]
@@ -224,7 +227,7 @@ def test_pose_errors_of_the_arm_cost_little_and_raise_the_residual() -> None:
 def test_time_stamp_error_shows_while_moving() -> None:
     rng = np.random.default_rng(5)
     believed = CameraModel.default()
-    result = calibrate(believed, observations(believed, rng, speed=0.3, delay=0.0012), REFERENCE, UP)
+    result = calibrate(believed, observations(believed, rng, moving=(0.3, 0.0012)), REFERENCE, UP)
     assert result.time_offset == pytest.approx(0.0012, abs=4 * result.sigma["time_offset"])
     assert result.sigma["time_offset"] < 1e-4
 
@@ -283,6 +286,20 @@ def test_the_slope_of_the_surface_is_told_from_the_camera_that_looks_at_it() -> 
     assert np.abs(measuring_error(true, result.camera)).mean() < 1e-4
     flat = calibrate(believed, told, REFERENCE, UP, {key: value for key, value in PRIOR.items() if key != TILT})
     assert flat.residual_after > 2.0 * result.residual_after
+
+
+@pytest.mark.parametrize("bend", [-0.9, 0.6])
+def test_the_bend_of_the_surface_is_told_from_lens_and_distance(bend: float) -> None:
+    """A surface that rises or falls by 4 mm over 0.1 m: taken for flat it is found as focal length."""
+    rng = np.random.default_rng(9)
+    believed = CameraModel.default()
+    true = believed.perturbed(**ERROR.signed(rng))
+    told = observations(true, rng, bend=bend)
+    result = calibrate(believed, told, REFERENCE, UP, BENT)
+    assert result.parameters[BEND] == pytest.approx(bend, abs=4 * result.sigma[BEND])
+    assert np.abs(measuring_error(true, result.camera)).mean() < 2e-5
+    flat = calibrate(believed, told, REFERENCE, UP)
+    assert abs(result.camera.K[0, 0] - true.K[0, 0]) < 1.0 < 5.0 < abs(flat.camera.K[0, 0] - true.K[0, 0])
 
 
 # What a search goes by: where a line is in the picture, how it slants, and what a pixel is worth across it.

@@ -7,15 +7,16 @@ stamps, and the reference path near the line.
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 
 from ideal_robot.arrays import held
 from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.robots.interface import RobotState
-from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
+from planning.force.contact import CLEAR
 from planning.line.line_follower import line_ahead
 from planning.path.kinematics import InverseKinematics
-from planning.path.reference import ReferencePath
+from scenes.online.force_known import Known as ForceKnown
 from scenes.online.line_known import (
     REST,
     CalibrationView,
@@ -29,8 +30,7 @@ from scenes.online.live_arm import moves
 from scenes.placing import shapes_about
 from sensing import SensingError
 from sensing.camera.camera_device import Field
-from sensing.camera.camera_model import CameraModel
-from sensing.camera.hand_eye import HandEye, calibrate
+from sensing.camera.hand_eye import BENT, PRIOR, HandEye, calibrate
 from sensing.camera.line_appearance import line_appearance
 from sensing.camera.line_search import DetectionSettings, PredictedLine, search_windows
 from sim.arm.arm import SimulatedArm
@@ -46,8 +46,9 @@ BEFORE = 10**7
 """Numbers the calibration's fields apart from those of the run: their noise must not be the same."""
 
 
-def calibrate_by_moving(known: Known, arm: SimulatedArm, camera: RenderedCamera, deflection: GearDeflection | None,
-                        at: float, before: SeenBefore, moved: list[RobotState] | None = None) -> HandEye:
+def calibrate_by_moving(known: Known | ForceKnown, arm: SimulatedArm, camera: RenderedCamera,
+                        deflection: GearDeflection | None, at: float, before: SeenBefore,
+                        moved: list[RobotState] | None = None) -> HandEye:
     """The camera that explains all that is seen while the arm moves it over one piece of the line.
 
     The arm goes from pose to pose through its positional interface; fields are taken at short rests and on the way.
@@ -67,7 +68,7 @@ def calibrate_by_moving(known: Known, arm: SimulatedArm, camera: RenderedCamera,
     robot, reference, believed = known.robot, known.reference, known.camera
     T, ahead = arm.t_ipo, BEFORE / camera.settings.rate  # its clock runs ahead by a whole number of fields
     fusion, detection = piece_map(reference, at, before), before.detection
-    postures = calibration_postures(robot, reference, believed, at, shapes=shapes_about(known.scene, robot),
+    postures = calibration_postures(robot, reference, believed, at, _clear(known), shapes_about(known.scene, robot),
                                     line=line_ahead(reference, fusion, np.array([at])))
     commands = held(moves(robot, postures, REST), before=max(round(REST / T), 1) - 1)
     arm.reset(commands[0])
@@ -75,8 +76,7 @@ def calibrate_by_moving(known: Known, arm: SimulatedArm, camera: RenderedCamera,
     view = CalibrationView(robot, reference, believed, detection, known.detector, commands[0], fusion)
     shape = ArmShape(robot) if camera.lamp is not None else None
     sag = np.zeros(commands.shape) if deflection is None else deflection.along(commands)
-    late: list[tuple[Field, PredictedLine]] = []
-    due, fields, moved = 0, 0, [] if moved is None else moved
+    late, due, fields, moved = list[tuple[Field, PredictedLine]](), 0, 0, [] if moved is None else moved
     for k, q_c in enumerate(commands):
         exposures = camera.due(k * T + ahead, (k + 1) * T + ahead)
         taken = [t for i, t in enumerate(exposures, due) if i % SPARING == 0]
@@ -85,31 +85,34 @@ def calibrate_by_moving(known: Known, arm: SimulatedArm, camera: RenderedCamera,
         moved.append(arm.cycle(q_c))
         view.history.add((k + 1) * T, moved[-1].q - sag[k])
         for t, prediction in zip(taken, predictions, strict=True):
-            windows = search_windows(believed, prediction, detection)
-            late.append((camera.windows(t, lambda at: arm.tcp_at(max(at - ahead, 0.0)), windows,
-                                        shadow_of(shape, arm, t - ahead),
-                                        arm.q_at(t - ahead) if camera.shows_arm else None), prediction))
+            late.append((camera.windows(
+                t, lambda at: arm.tcp_at(max(at - ahead, 0.0)), search_windows(believed, prediction, detection),
+                shadow_of(shape, arm, t - ahead), arm.q_at(t - ahead) if camera.shows_arm else None), prediction))
         # The pose of a time stamp is known once the controller has told of it.
         while late and late[0][0].t_stamp - ahead < k * T:
             fields += 1
             view.look(*late.pop(0), ahead)
         if fields >= HOPELESS and not view.observations:
             break
-    return calibrate(believed, view.observations, *view.piece(at, fields, "or set calibration.by_moving = false"))
+    return calibrate(believed, view.observations, *view.piece(at, fields, "or set calibration.by_moving = false"),
+                     BENT if isinstance(known, ForceKnown) else PRIOR)
+
+
+def _clear(known: Known | ForceKnown) -> float:
+    """How far the tip keeps away from the reference [m]: where a surface lies that a force is to find is not known."""
+    return CLEAR if isinstance(known, ForceKnown) else 0.0
 
 
 LOOKS = 5
 """Whole pictures of a line that are taken at least; one of them may fall into a gap."""
 
 
-def look_at_line(robot: Robot, reference: ReferencePath, believed: CameraModel, arm: SimulatedArm,
-                 camera: RenderedCamera, span: tuple[float, float], rng: np.random.Generator) -> SeenBefore:
+def look_at_line(known: Known | ForceKnown, arm: SimulatedArm, camera: RenderedCamera, span: tuple[float, float],
+                 rng: np.random.Generator) -> SeenBefore:
     """Takes pictures of all of the line from above where it ought to be: how it looks and where it is.
 
     Args:
-        robot: the arm.
-        reference: the reference path; where the line really is stays unknown.
-        believed: the camera as mounted by hand.
+        known: arm, reference path and camera as mounted by hand; where the line really is stays unknown.
         arm: the arm; it is put to rest above each place.
         camera: renders what the true camera sees.
         span: arc lengths of the reference between which the line ought to be [m].
@@ -118,19 +121,20 @@ def look_at_line(robot: Robot, reference: ReferencePath, believed: CameraModel, 
     Raises:
         SensingError: no picture shows a line.
     """
-    kinematics = InverseKinematics(robot)
+    robot, reference, believed, clear = known.robot, known.reference, known.camera, _clear(known)
+    kinematics, above = InverseKinematics(robot), pin.SE3(np.eye(3), np.array([0.0, 0.0, -clear]))
     pictures, q = [], robot.home
     near, far = view_of(believed)
     looks = max(LOOKS, 1 + int(np.ceil((span[1] - span[0]) / (far - near))))
     for s in np.linspace(span[0] - near, span[1] - far, looks):
         try:
-            q = kinematics.search(reference.pose(s), q)
+            q = kinematics.search(reference.pose(s) * above, q)
         except OutOfReachError:
             continue
         arm.reset(q)
         pictures.append((camera.frame(arm.truth.tcp, rng, q=arm.q_a), robot.fk()(q)))
     if not pictures:
         raise SensingError("the arm reaches no place above the line")
-    seen = line_appearance([picture for picture, _ in pictures], believed)
+    seen = line_appearance([picture for picture, _ in pictures], believed, clear)
     return SeenBefore.of(DetectionSettings.of(seen.width, seen.contrast if seen.dark else -seen.contrast), seen.places,
                          pictures, reference)
