@@ -39,7 +39,7 @@ GROUPS = {
         "line-films": "line_photographs",
         "fusion": "fusion", "fusion-banks": "fusion",
         "force": "force", "force-parts": "force", "stability": "force", "surface-shapes": "force",
-        "forecast-gains": "force",
+        "forecast-gains": "force", "forecast-errors": "fusion",
         "line-shapes": "line",
         "measured": "measured", "measured-adapted": "measured", "twins": "measured", "twin-arms": "measured",
     },

@@ -17,13 +17,17 @@ import numpy as np
 from filterpy.kalman import IMMEstimator, KalmanFilter, MMAEFilterBank
 
 from ideal_robot.arrays import Array
+from planning.force.force_follower import surface_filter
 from planning.line import fusion as fusing
 from planning.line.fusion import DeviationFilter
 from planning.line.measurement import Fused, Measurement
 from scenes import load_scene
+from scenes.commands.common import numbers, whole_numbers
+from scenes.force.cell import true_surface
 from scenes.line.kind import run as run_line
 from scenes.methods import IDEAL
 from scenes.play import run_scene as run
+from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import Scene
 from studies.report import head, row, scene_of
@@ -277,3 +281,30 @@ def fusion_banks() -> None:
             p, off, seconds = _bank(taken, kind)
             row("", kind, sum(one > 0.5 for one in p), 0, f"{1e6 * np.median(off):.0f}, {1e6 * off.max():.0f}",
                 f"{1e6 * seconds:.0f}")
+
+
+def forecast_errors(speed: float = 0.2, stiffness: str = "2,5,10,20,50", ms: str = "34,41,50,67", seeds: str = "1,2,3"
+                    ) -> None:
+    """RMS in N by which the filter forecasts the surface of `force_wave` wrongly, by stiffness [N/mm] and time ahead.
+
+    Samples come at 250 Hz with the sensor's noise; the arm is where it should be, and all else is known.
+    """
+    scene, ahead = scene_of(ForceScene, "force_wave"), 1e-3 * np.array(numbers(ms, "--ms"))
+    noise, surface = scene.sensor.noise[0], true_surface(scene.surface)
+    t = np.arange(0.0, (scene.line.length or 0.0) / speed, 1.0 / scene.sensor.rate)
+    along = np.array([0.0, 1.0])
+    head("contact", *(f"{1e3 * one:g} ms" for one in ahead))
+    for k in numbers(stiffness, "--stiffness"):
+        wrong = []
+        for seed in whole_numbers(seeds, "--seeds"):
+            bank, sigma = surface_filter((1e-6, 1e-6, 1e-6)), noise / (1e3 * k)
+            felt = surface.height(speed * t, 0.0) + sigma * np.random.default_rng(seed).standard_normal(len(t))
+            for at, z in zip(t, felt, strict=True):
+                s = speed * np.array([at])
+                bank.update(Measurement(at, s, np.array([z]), np.array([[sigma**2]]), along[None], "force",
+                                        at=float(s[0])))
+                # Of the first tenth of a second a forecast knows next to nothing.
+                if at > 0.1:
+                    places = speed * (at + ahead)
+                    wrong.append(bank.mean(places)[:, 1] - surface.height(places, 0.0))
+        row(f"{k:g} N/mm", *(f"{one:.2f}" for one in 1e3 * k * np.sqrt(np.mean(np.square(wrong), axis=0))))
