@@ -13,7 +13,6 @@ from ideal_robot.arrays import held
 from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.robots.interface import RobotState
 from planning import OutOfReachError
-from planning.force.contact import CLEAR
 from planning.line.line_follower import line_ahead
 from planning.path.kinematics import InverseKinematics
 from scenes.online.force_known import Known as ForceKnown
@@ -30,7 +29,7 @@ from scenes.online.live_arm import moves
 from scenes.placing import shapes_about
 from sensing import SensingError
 from sensing.camera.camera_device import Field
-from sensing.camera.hand_eye import BENT, PRIOR, HandEye, calibrate
+from sensing.camera.hand_eye import HandEye, calibrate
 from sensing.camera.line_appearance import line_appearance
 from sensing.camera.line_search import DetectionSettings, PredictedLine, search_windows
 from sim.arm.arm import SimulatedArm
@@ -68,7 +67,7 @@ def calibrate_by_moving(known: Known | ForceKnown, arm: SimulatedArm, camera: Re
     robot, reference, believed = known.robot, known.reference, known.camera
     T, ahead = arm.t_ipo, BEFORE / camera.settings.rate  # its clock runs ahead by a whole number of fields
     fusion, detection = piece_map(reference, at, before), before.detection
-    postures = calibration_postures(robot, reference, believed, at, _clear(known), shapes_about(known.scene, robot),
+    postures = calibration_postures(robot, reference, believed, at, known.clear, shapes_about(known.scene, robot),
                                     line=line_ahead(reference, fusion, np.array([at])))
     commands = held(moves(robot, postures, REST), before=max(round(REST / T), 1) - 1)
     arm.reset(commands[0])
@@ -95,12 +94,7 @@ def calibrate_by_moving(known: Known | ForceKnown, arm: SimulatedArm, camera: Re
         if fields >= HOPELESS and not view.observations:
             break
     return calibrate(believed, view.observations, *view.piece(at, fields, "or set calibration.by_moving = false"),
-                     BENT if isinstance(known, ForceKnown) else PRIOR)
-
-
-def _clear(known: Known | ForceKnown) -> float:
-    """How far the tip keeps away from the reference [m]: where a surface lies that a force is to find is not known."""
-    return CLEAR if isinstance(known, ForceKnown) else 0.0
+                     known.prior)
 
 
 LOOKS = 5
@@ -121,7 +115,7 @@ def look_at_line(known: Known | ForceKnown, arm: SimulatedArm, camera: RenderedC
     Raises:
         SensingError: no picture shows a line.
     """
-    robot, reference, believed, clear = known.robot, known.reference, known.camera, _clear(known)
+    robot, reference, believed, clear = known.robot, known.reference, known.camera, known.clear
     kinematics, above = InverseKinematics(robot), pin.SE3(np.eye(3), np.array([0.0, 0.0, -clear]))
     pictures, q = [], robot.home
     near, far = view_of(believed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -187,13 +188,13 @@ def seen_by_moving(key: str) -> tuple[CameraModel, DetectionSettings] | None:
     if scene.task != "glue" or not scene.calibration.by_moving:
         return None
     cell = set_up(scene)
-    known, world = cell.known, GlueWorld(cell)
+    known = cell.known
     span = (scene.reference.run_up, known.reference.length - scene.reference.run_out)
-    with SimulatedArm(known.robot, cell.world, cell.noise, known.q_start()) as arm:
+    with (closing(GlueWorld(cell)) as world,
+          SimulatedArm(known.robot, cell.world, cell.noise, known.q_start()) as arm):
         before = look_at_line(known, arm, world.rendered, span, _streams(scene)[5])
         found = calibrate_by_moving(known, arm, world.rendered, GearDeflection(known.model, cell.world.t_ipo),
                                     0.5 * sum(span), before)
-    world.close()
     return found.camera, before.detection
 
 

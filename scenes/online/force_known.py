@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 import pinocchio as pin
@@ -14,7 +15,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
-from planning.force.contact import FORCE_ERRORS, ContactSettings
+from planning.force.contact import CLEAR, FORCE_ERRORS, ContactSettings
 from planning.force.contour import ContourFollower, ContourSettings
 from planning.force.force_follower import Errors, SurfaceFollower, surface_filter
 from planning.line.filter_bank import FilterBank
@@ -25,6 +26,7 @@ from scenes.placing import check_clear, shapes_about
 from scenes.scene_files.force_scene import ForceScene
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.detector import DETECTORS, LineDetector
+from sensing.camera.hand_eye import BENT
 from sensing.camera.line_search import DetectionSettings
 
 HORIZON = 0.24
@@ -52,9 +54,14 @@ class Known:
         profile: travel along it.
         camera: of a ``glue`` scene, as it is believed to be.
         detection: how its line looks.
+        clear: how far the tip keeps away from the reference while the camera is calibrated [m]: where the surface
+            lies the force is to find.
+        prior: of that calibration: how the surface is shaped is not known.
         asking: see ``ContactSettings``.
     """
 
+    clear: ClassVar[float] = CLEAR
+    prior: ClassVar[Mapping[str, float]] = BENT
     scene: ForceScene
     robot: Robot
     delay: int

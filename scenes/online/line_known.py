@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 import pinocchio as pin
@@ -29,7 +30,7 @@ from scenes.scene_files.scene import SceneError
 from sensing.camera.camera_device import Field, Gray
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.detector import LineDetector
-from sensing.camera.hand_eye import Observation, calibration_poses
+from sensing.camera.hand_eye import PRIOR, Observation, calibration_poses
 from sensing.camera.line_search import DetectionSettings, PredictedLine, search_windows
 
 HORIZON = 0.3
@@ -55,8 +56,11 @@ class Known:
         follower: plans along it.
         detector: finds the line's points in a field.
         detection: how the line looks.
+        clear, prior: of the camera's calibration: how far the tip keeps off the reference [m], see ``calibrate``.
     """
 
+    clear: ClassVar[float] = 0.0
+    prior: ClassVar[Mapping[str, float]] = PRIOR
     scene: LineScene
     robot: Robot
     delay: int
@@ -307,8 +311,7 @@ class CalibrationView:
         self.reference, self.believed, self.detection, self.detector = reference, believed, detection, detector
         self.history = PoseHistory(robot)
         self.history.add(0.0, q)
-        self.observations: list[Observation] = []
-        self._map = fusion
+        self.observations, self._map = list[Observation](), fusion
 
     def predicted(self, t: float) -> PredictedLine:
         """The line around the middle of the view at ``t`` [s], as the fields so far have shown it."""
@@ -355,8 +358,7 @@ class CalibrationView:
 
 def _middle_of_view(camera: CameraModel) -> Array:
     """Where the optical axis meets the plane through the TCP, in the tool frame ``(3,)`` [m]."""
-    T = camera.T_tool_camera
-    axis = T.rotation[:, 2]
+    T, axis = camera.T_tool_camera, camera.T_tool_camera.rotation[:, 2]
     return np.asarray(T.translation - T.translation[2] / axis[2] * axis)
 
 
