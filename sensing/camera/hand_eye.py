@@ -15,7 +15,8 @@ d and s being lateral distance from and arc length on the reference path: Gauss-
 
 n, t the reference's normal and tangent at the foot of x. The surface's slope is solved for as well, and its bend along
 the line where its shape is unknown: they are the same in the base frame at all poses, the camera's errors are the same
-in the tool frame.
+in the tool frame. Of a height only the sum is seen, h = h_camera - h_surface: by what was known before, the surface has
+the share σ_s² / (σ_s² + σ_c²) of it.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from sensing import SensingError
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.line_polynomial import Polyline
 
-TILT, BEND = "surface_tilt", "surface_bend"
+TILT, RISE, BEND = "surface_tilt", "surface_rise", "surface_bend"
 PRIOR = {
     "roll": 0.01,
     "pitch": 0.01,
@@ -46,10 +47,10 @@ PRIOR = {
     "k1": 0.03,
     "time_offset": 0.003,
     TILT: 0.02,
+    RISE: 0.01,
 }
 """Standard deviations of a camera mounted by hand: 0.6°, 3 mm, 1 %, 2 px, 3 ms; and of the surface's slope along the
-line, 1°. What one line shows stays the same where the surface turns about it, or where camera and surface rise
-together: neither is a parameter."""
+line, 1°, and its height, 10 mm. What one line shows stays the same where the surface turns about it: that is none."""
 BENT = PRIOR | {BEND: 0.5}
 """The same on a surface of unknown shape: near one place it is bent along the line, by a radius of 2 m [1/m]. A fall of
 4 mm over 0.1 m that is taken for even is found as distance, focal length and lens."""
@@ -104,7 +105,7 @@ class HandEye:
 
 
 def calibration_poses(
-    centre: Array, tangent: Array, normal: Array, ahead: float, move: float = 0.04, lift: float = 0.03
+    centre: Array, tangent: Array, normal: Array, ahead: float, move: float = 0.04, lift: float = 0.045
 ) -> list[pin.SE3]:
     """Tool poses from which one piece of the line determines all mounting parameters of the camera.
 
@@ -156,8 +157,9 @@ def calibrate(
     Raises:
         SensingError: too few points.
     """
-    names = list(prior)
-    scale = np.array([prior[name] for name in names])
+    names = [name for name in prior if name != RISE]
+    rise = prior.get(RISE, 0.0)
+    scale = np.array([np.hypot(prior[name], rise) if name == "height" else prior[name] for name in names])
     problem = _Problem(camera, observations, Polyline(reference), np.asarray(normal, dtype=float), names, knot)
     if len(observations) < 3 or problem.count < len(names) + 10:
         raise SensingError(f"{problem.count} line points from {len(observations)} poses are too few for a calibration")
@@ -166,14 +168,36 @@ def calibrate(
     first = problem.solve(np.zeros(len(names)), scale, still=_NEAR)
     problem.drop_outliers(first.residual)
     fit = problem.solve(first.values, scale)
-    sigma = np.sqrt(np.diag(fit.covariance))
-    values = dict(zip(names, (float(v) for v in fit.values), strict=True))
+    found, covariance = fit.values, fit.covariance
+    if rise:
+        found, covariance = _shared(found, covariance, names.index("height"), prior["height"] ** 2, rise**2)
+        names.append(RISE)
+    sigma = np.sqrt(np.diag(covariance))
+    values = dict(zip(names, (float(v) for v in found), strict=True))
     corrected = camera.perturbed(**{name: value for name, value in values.items()
-                                    if name not in ("time_offset", TILT, BEND)})
+                                    if name not in ("time_offset", TILT, RISE, BEND)})
     return HandEye(
         corrected, values.get("time_offset", 0.0), values, dict(zip(names, (float(v) for v in sigma), strict=True)),
-        fit.covariance, before.rms, fit.rms, problem.count, problem.surface(values),
+        covariance, before.rms, fit.rms, problem.count, problem.surface(values),
     )  # fmt: skip
+
+
+def _shared(values: Array, covariance: Array, height: int, of_camera: float, of_surface: float
+            ) -> tuple[Array, Array]:
+    """A height that was seen, shared by camera and surface; the surface's is the last of the parameters ``(k + 1,)``.
+
+    Args:
+        values: parameters that were found ``(k,)``.
+        covariance: of them ``(k, k)``.
+        height: place of the height among them.
+        of_camera: variance of the camera's height beforehand [m²].
+        of_surface: of the surface's [m²].
+    """
+    k, share = len(values), of_surface / (of_camera + of_surface)
+    parts, together = np.eye(k + 1, k), np.zeros(k + 1)
+    parts[[height, k], height], together[[height, k]] = (1.0 - share, -share), 1.0
+    # Nothing is seen of what both rise by together.
+    return parts @ values, parts @ covariance @ parts.T + share * of_camera * np.outer(together, together)
 
 
 @dataclass(frozen=True)
@@ -222,10 +246,10 @@ class _Problem:
         return int(self.good.sum())
 
     def surface(self, values: Mapping[str, float]) -> pin.SE3:
-        """How the surface is moved in the base frame: a turn about the line's middle."""
+        """How the surface is moved in the base frame: a turn about the line's middle, and along its normal."""
         # With a positive tilt the surface rises along the line.
         R = pin.exp3(-values.get(TILT, 0.0) * self.axis)
-        return pin.SE3(R, self.centre - R @ self.centre)
+        return pin.SE3(R, self.centre - R @ self.centre + values.get(RISE, 0.0) * self.normal)
 
     def _rays_of(self, camera: CameraModel) -> Array:
         """Rays of all points in the camera's frame ``(M, 3)``: most corrections leave lens and picture as they are."""

@@ -37,7 +37,7 @@ from sensing.camera.hand_eye import HandEye, calibrate
 from sensing.camera.line_detection import LineField
 from sensing.camera.line_search import DetectionSettings, PredictedLine
 from tests.scenes.follow.pair import Tame
-from tests.sensing.camera.test_camera_model import measuring_error
+from tests.sensing.camera.test_hand_eye import measuring_error
 
 _CYCLES = round(START / 0.004) + 40
 _EVERY = 5
@@ -352,5 +352,5 @@ def test_what_is_seen_on_the_way_to_the_piece_does_not_spoil_the_calibration(mis
                                     Model.load(shipped_model(robot.name)), robot, camera.detection)
     found = calibrated_by_moving(motion, arm, camera)  # type: ignore[arg-type]
     assert np.abs(measuring_error(true, by_hand)).mean() > 1e-4
-    assert np.abs(measuring_error(true, found.camera)).max() < 1e-5
+    assert np.abs(measuring_error(true, found)).max() < 1e-5
     assert found.residual_after < 1e-5

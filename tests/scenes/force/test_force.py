@@ -20,7 +20,7 @@ from scenes.force.play import ForceResult, camera_shown, friction_shown, play
 from sim.arm.drive import steady_friction
 from sim.arm.specimen import draw_specimen
 from studies.force import StabilityRun, bounds, curve
-from tests.sensing.camera.test_camera_model import measuring_error
+from tests.sensing.camera.test_hand_eye import measuring_error
 
 
 @pytest.fixture(scope="module")

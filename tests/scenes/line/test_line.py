@@ -33,7 +33,7 @@ from sim.arm.arm import SimulatedArm
 from sim.camera.camera import CameraSettings, RenderedCamera
 from sim.equipped_arm import CarriedCamera
 from studies.report import scene_of
-from tests.sensing.camera.test_camera_model import measuring_error
+from tests.sensing.camera.test_hand_eye import measuring_error
 
 
 @pytest.fixture(scope="module")
@@ -301,7 +301,7 @@ def test_a_camera_mounted_by_hand_measures_to_thirty_micrometres_afterwards() ->
     deflection = GearDeflection(model_for(cell.known.scene, cell.known.robot), cell.world.t_ipo)
     result = calibrated(cell, deflection)
     assert np.abs(measuring_error(cell.true_camera, cell.known.camera, aside=0.02)).mean() > 0.5e-3
-    assert np.abs(measuring_error(cell.true_camera, result.camera, aside=0.02)).mean() < 3e-5
+    assert np.abs(measuring_error(cell.true_camera, result, aside=0.02)).mean() < 3e-5
     assert result.residual_after < 1e-4 < result.residual_before
 
 

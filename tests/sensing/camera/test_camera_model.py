@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import pickle
 from dataclasses import replace
 
@@ -13,17 +12,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from sensing import SensingError
 from sensing.camera.camera_model import CalibrationError, CameraModel, default_mount, distort, undistort
-from sensing.camera.hand_eye import BEND, BENT, PRIOR, TILT, HandEye, Observation, calibrate, calibration_poses
 from sensing.camera.line_polynomial import Polyline
 from sensing.camera.line_search import PredictedLine, predict_image
 
 lens = st.tuples(st.floats(-0.3, 0.3), st.floats(-0.1, 0.1), st.floats(-0.01, 0.01), st.floats(-0.01, 0.01),
                  st.floats(-0.05, 0.05))
-DOWN = np.array([0.0, 0.0, 1.0])
+DOWN = UP = np.array([0.0, 0.0, 1.0])
+"""The surface's normal in the tool frame, and in the base frame."""
 
 
 @given(lens=lens, focal=st.floats(100.0, 1200.0), seed=st.integers(0, 2**32 - 1))
@@ -133,173 +130,6 @@ def test_impossible_cameras_are_refused(change: dict[str, object]) -> None:
               "T_tool_camera": default_mount(), **change}
     with pytest.raises(InputError, match="camera"):
         CameraModel(**values)  # type: ignore[arg-type]
-
-
-# Calibration from the line itself: recovers a known wrong camera, and says how sure it is.
-
-UP = np.array([0.0, 0.0, 1.0])
-ORIGIN = np.array([0.9, 0.0, 0.3])
-ERROR = CalibrationError(roll=0.0035, pitch=0.0035, yaw=0.0035, height=0.001, lateral=0.0005, focal=0.003,
-                         principal_point=1.0, distortion=0.01)  # fmt: skip
-X = np.arange(-0.25, 0.25, 0.0005)
-REFERENCE = np.column_stack([X, 0.04 * np.sin(8.0 * X), 0.0 * X]) + ORIGIN
-# 8 mm beside the reference, turned by 1°, and of a slightly different shape.
-DRAWN = Polyline((pin.exp3(0.017 * UP) @ np.column_stack([X, 0.041 * np.sin(8.1 * X) + 0.008, 0.0 * X]).T).T + ORIGIN)
-
-
-def observations(true: CameraModel, rng: np.random.Generator, noise: float = 0.02, pose_noise: float = 0.0,
-                 poses: list[pin.SE3] | None = None, moving: tuple[float, float] = (0.0, 0.0), bend: float = 0.0
-                 ) -> list[Observation]:
-    """What a true camera sees of the drawn line, with pixel noise; ``pose_noise`` in the reported poses.
-
-    ``moving``: at which speed the tool moves, and by how much too early its pose is reported. ``bend``: of the surface
-    along x [1/m].
-    """
-    found, (speed, delay) = [], moving
-    if poses is None:
-        poses = calibration_poses(ORIGIN, np.array([1.0, 0.3, 0.0]) / math.hypot(1.0, 0.3), UP, 0.065)
-    for pose in poses:
-        middle = DRAWN.nearest(pose.act(np.array([0.065, 0.0, 0.0]))[None], UP).s
-        points = DRAWN.at(middle + np.linspace(-0.07, 0.07, 9))[0]
-        points = points + 0.5 * bend * (points[:, :1] - ORIGIN[0]) ** 2 * UP
-        pixels = true.project_tool((points - pose.translation) @ pose.rotation)
-        inside = np.all((pixels > 5) & (pixels < (true.width - 5, true.height - 5)), axis=1)
-        velocity = speed * pin.exp3(rng.uniform(0, 2 * math.pi) * UP)[:, 0]
-        reported = pose * pin.SE3(pin.exp3(pose_noise * rng.standard_normal(3)), pose_noise * rng.standard_normal(3))
-        reported.translation = reported.translation - delay * velocity
-        found.append(Observation(reported, pixels[inside] + noise * rng.standard_normal((inside.sum(), 2)),
-                                 np.full(inside.sum(), 2e-5), velocity))
-    return found
-
-
-def measuring_error(true: CameraModel, believed: CameraModel, aside: float = 0.03) -> Array:
-    """Lateral error [m] of points where the line is looked for: 20 to 110 mm ahead, and up to ``aside`` [m]."""
-    x, y = np.meshgrid(np.linspace(0.02, 0.11, 5), np.linspace(-aside, aside, 5))
-    points = np.column_stack([x.ravel(), y.ravel(), 0.0 * x.ravel()])
-    return np.asarray((believed.on_plane(true.project_tool(points), -UP, 0.0) - points)[:, 1])
-
-
-def run(seed: int, **options: float) -> tuple[CameraModel, CameraModel, HandEye]:
-    rng = np.random.default_rng(seed)
-    believed = CameraModel.default()
-    true = believed.perturbed(**ERROR.signed(rng))
-    return true, believed, calibrate(believed, observations(true, rng, **options), REFERENCE, UP)  # type: ignore[arg-type]
-
-
-def test_without_noise_the_camera_is_found() -> None:
-    true, believed, result = run(0, noise=0.0)
-    assert np.abs(measuring_error(true, believed)).mean() > 1e-4
-    # What is left is the spline's error in describing the line, and what the prior holds back.
-    assert np.abs(measuring_error(true, result.camera)).max() < 5e-6
-    assert result.residual_after < 2e-6
-    assert result.residual_before > 1e-4
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_with_pixel_noise_the_measuring_error_falls_below_twenty_micrometres(seed: int) -> None:
-    true, believed, result = run(seed)
-    before, after = (np.abs(measuring_error(true, camera)).mean() for camera in (believed, result.camera))
-    assert before > 1e-4
-    assert after < 2e-5
-
-
-def test_stated_uncertainty_is_honest() -> None:
-    """Well determined parameters and the poorly determined ones alike: estimates spread as much as is stated."""
-    scaled = []
-    for seed in range(12):
-        rng = np.random.default_rng(100 + seed)
-        believed = CameraModel.default()
-        wrong = {"roll": rng.normal(0, 0.01), "pitch": rng.normal(0, 0.01), "yaw": rng.normal(0, 0.01),
-                 "height": rng.normal(0, 0.003), "lateral": rng.normal(0, 0.002), "forward": rng.normal(0, 0.002),
-                 "focal": rng.normal(0, 0.01), "principal_u": rng.normal(0, 2), "principal_v": rng.normal(0, 2),
-                 "k1": rng.normal(0, 0.03)}  # fmt: skip
-        result = calibrate(believed, observations(believed.perturbed(**wrong), rng), REFERENCE, UP)
-        scaled.append([(result.parameters[key] - wrong[key]) / result.sigma[key] for key in wrong])
-    assert 0.6 < np.sqrt(np.mean(np.square(scaled))) < 1.5
-
-
-def test_pose_errors_of_the_arm_cost_little_and_raise_the_residual() -> None:
-    true, _, result = run(2, pose_noise=1e-4)
-    assert np.abs(measuring_error(true, result.camera)).mean() < 1.5e-4
-    assert result.residual_after > 3e-5
-
-
-def test_time_stamp_error_shows_while_moving() -> None:
-    rng = np.random.default_rng(5)
-    believed = CameraModel.default()
-    result = calibrate(believed, observations(believed, rng, moving=(0.3, 0.0012)), REFERENCE, UP)
-    assert result.time_offset == pytest.approx(0.0012, abs=4 * result.sigma["time_offset"])
-    assert result.sigma["time_offset"] < 1e-4
-
-
-def test_outliers_are_dropped() -> None:
-    rng = np.random.default_rng(7)
-    believed = CameraModel.default()
-    true = believed.perturbed(**ERROR.signed(rng))
-    seen = observations(true, rng)
-    for k in (3, 11):
-        seen[k].pixels[2] += (3.0, -2.0)
-    result = calibrate(believed, seen, REFERENCE, UP)
-    assert result.used <= sum(len(o.pixels) for o in seen) - 2
-    assert np.abs(measuring_error(true, result.camera)).mean() < 3e-5
-
-
-def test_parameters_left_out_stay_as_they_are() -> None:
-    rng = np.random.default_rng(1)
-    believed = CameraModel.default()
-    result = calibrate(believed, observations(believed, rng), REFERENCE, UP, prior={"roll": 0.01, "yaw": 0.01})
-    assert set(result.parameters) == {"roll", "yaw"}
-    np.testing.assert_array_equal(result.camera.K, believed.K)
-
-
-def test_one_pose_tells_nothing() -> None:
-    rng = np.random.default_rng(1)
-    with pytest.raises(SensingError, match="too few"):
-        calibrate(CameraModel.default(), observations(CameraModel.default(), rng)[:1], REFERENCE, UP)
-
-
-def test_calibration_poses_look_at_the_line() -> None:
-    tangent = np.array([0.0, 1.0, 0.0])
-    for pose in calibration_poses(ORIGIN, tangent, UP, 0.065):
-        np.testing.assert_allclose(pose.rotation.T @ pose.rotation, np.eye(3), atol=1e-12)
-        assert pose.rotation[2, 2] == pytest.approx(-1.0)
-        look = pose.act(np.array([0.065, 0.0, 0.0])) - ORIGIN
-        assert np.linalg.norm(look[:2]) < 0.041
-        assert 0.0 <= look[2] <= 0.0301
-
-
-def test_the_slope_of_the_surface_is_told_from_the_camera_that_looks_at_it() -> None:
-    rng = np.random.default_rng(9)
-    believed = CameraModel.default()
-    true = believed.perturbed(**ERROR.signed(rng))
-    # All of the cell turned about the base's y axis: the line rises by 1°, the poses stay as they are.
-    slope = math.radians(1.0)
-    R = pin.exp3(slope * np.array([0.0, 1.0, 0.0]))
-    poses = calibration_poses(ORIGIN, np.array([1.0, 0.3, 0.0]) / math.hypot(1.0, 0.3), UP, 0.065)
-    seen = observations(true, rng, poses=[pin.SE3(R.T @ p.rotation, R.T @ (p.translation - ORIGIN) + ORIGIN)
-                                          for p in poses])  # fmt: skip
-    told = [Observation(pose, one.pixels, one.sigma) for pose, one in zip(poses, seen, strict=True)]
-    result = calibrate(believed, told, REFERENCE, UP)
-    assert abs(result.parameters["surface_tilt"]) == pytest.approx(slope, abs=4 * result.sigma["surface_tilt"])
-    # Across the line nothing is told of it.
-    np.testing.assert_allclose(result.surface.rotation @ UP, R @ UP, atol=3e-3)
-    assert np.abs(measuring_error(true, result.camera)).mean() < 1e-4
-    flat = calibrate(believed, told, REFERENCE, UP, {key: value for key, value in PRIOR.items() if key != TILT})
-    assert flat.residual_after > 2.0 * result.residual_after
-
-
-@pytest.mark.parametrize("bend", [-0.9, 0.6])
-def test_the_bend_of_the_surface_is_told_from_lens_and_distance(bend: float) -> None:
-    """A surface that rises or falls by 4 mm over 0.1 m: taken for flat it is found as focal length."""
-    rng = np.random.default_rng(9)
-    believed = CameraModel.default()
-    true = believed.perturbed(**ERROR.signed(rng))
-    told = observations(true, rng, bend=bend)
-    result = calibrate(believed, told, REFERENCE, UP, BENT)
-    assert result.parameters[BEND] == pytest.approx(bend, abs=4 * result.sigma[BEND])
-    assert np.abs(measuring_error(true, result.camera)).mean() < 2e-5
-    flat = calibrate(believed, told, REFERENCE, UP)
-    assert abs(result.camera.K[0, 0] - true.K[0, 0]) < 1.0 < 5.0 < abs(flat.camera.K[0, 0] - true.K[0, 0])
 
 
 # What a search goes by: where a line is in the picture, how it slants, and what a pixel is worth across it.

@@ -22,8 +22,8 @@ from sim.camera.live_camera import LiveCamera
 from sim.camera.surface import DrawnLine, Texture, paint
 from sim.contact.contact import HeightSurface, Wave
 from tests.sensing.camera.synthetic import tool_over
-from tests.sensing.camera.test_camera_model import DRAWN, ORIGIN, REFERENCE
-from tests.sensing.camera.test_camera_model import UP as NORMAL
+from tests.sensing.camera.test_hand_eye import DRAWN, ORIGIN, REFERENCE
+from tests.sensing.camera.test_hand_eye import UP as NORMAL
 
 LINE = DrawnLine.from_plane_points(np.array([[-0.1, 0.0], [0.3, 0.0]]), pin.SE3.Identity())
 QUIET = CameraSettings(exposure=0.0, noise=0.0, jitter=0.0, stamp_noise=0.0)
