@@ -204,10 +204,12 @@ def follow_hour(minutes: float = 60.0, cycle: float = 0.012, scene: str = "glue"
         folder, text = Path(name), (library() / f"{scene}.toml").read_text(encoding="utf-8")
         file = folder / f"{scene}.toml"
         file.write_text(f"max_duration = 7200.0\n{text}", encoding="utf-8")
+        camera = _calibrated(scene, folder)
         length = float(scene_of(ForceScene, scene).line.length or 1.0)
         print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores", flush=True)
         with served(str(file), folder, "--cycle", str(cycle)) as cell, _through(cell) as wire:
-            follower = cell.follow(str(file), "--cycle", str(cycle), "--speed", str(length / (60.0 * minutes)))
+            follower = cell.follow(str(file), "--calibration", str(camera), "--cycle", str(cycle),
+                                   "--speed", str(length / (60.0 * minutes)))
             memory, begun, gone = list[float](), time.monotonic(), False
             while follower.poll() is None:
                 with suppress(subprocess.TimeoutExpired):
