@@ -195,7 +195,7 @@ def follow_hour(minutes: float = 60.0, cycle: float = 0.012, scene: str = "glue"
 
     Processes of their own: the arm's controller with the force sensor (250 Hz), the camera (50 Hz), the wire to it, the
     follower, the evaluation of pictures. Memory is that of the follower's two, what they share counted once. Exit code
-    1 where the path was not completed.
+    1 where the path was not completed. A camera is calibrated before.
     """
     if relay:
         _relayed(*map(int, relay.split(":")))
@@ -204,11 +204,11 @@ def follow_hour(minutes: float = 60.0, cycle: float = 0.012, scene: str = "glue"
         folder, text = Path(name), (library() / f"{scene}.toml").read_text(encoding="utf-8")
         file = folder / f"{scene}.toml"
         file.write_text(f"max_duration = 7200.0\n{text}", encoding="utf-8")
-        camera = _calibrated(scene, folder)
+        camera = ("--calibration", str(_calibrated(scene, folder))) if scene in SEEN else ()
         length = float(scene_of(ForceScene, scene).line.length or 1.0)
         print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores", flush=True)
         with served(str(file), folder, "--cycle", str(cycle)) as cell, _through(cell) as wire:
-            follower = cell.follow(str(file), "--calibration", str(camera), "--cycle", str(cycle),
+            follower = cell.follow(str(file), *camera, "--cycle", str(cycle),
                                    "--speed", str(length / (60.0 * minutes)))
             memory, begun, gone = list[float](), time.monotonic(), False
             while follower.poll() is None:

@@ -50,7 +50,7 @@ PRIOR = {
     RISE: 0.01,
 }
 """Standard deviations of a camera mounted by hand: 0.6°, 3 mm, 1 %, 2 px, 3 ms; and of the surface's slope along the
-line, 1°, and its height, 10 mm. What one line shows stays the same where the surface turns about it: that is none."""
+line, 1°, and its height, 10 mm. A turn of the surface about the line is no parameter: it shows nowhere."""
 BENT = PRIOR | {BEND: 0.5}
 """The same on a surface of unknown shape: near one place it is bent along the line, by a radius of 2 m [1/m]. A fall of
 4 mm over 0.1 m that is taken for even is found as distance, focal length and lens."""
