@@ -32,8 +32,7 @@ ONE = ("`ideal`, n_d = 1", "#c2255c")
 def methods(seed: int = 1, speed: float | None = None, figure: Path | None = None) -> None:
     """Every method, adapted and with n_d = 1 besides: table, and a picture into --figure.
 
-    Direct sensor feedback has the best gains that a search on this very scene finds. The page's picture is
-    docs/pictures/line_methods.png.
+    Direct sensor feedback has the best gains that a search on this very scene finds.
     """
     scene = chosen(scene_of(LineScene, "line"), seed=seed, speed=speed)
     with prepared(scene) as shared:
