@@ -26,6 +26,7 @@ from scenes.online.line_log import SETTLING
 from scenes.scene_files.drawn_line import Geometry, believed_camera, geometry, true_camera
 from scenes.scene_files.force_scene import ForceScene, SensorTable, TipTable, UnknownSurface
 from sensing.camera.camera_model import CameraModel
+from sensing.camera.hand_eye import HandEye
 from sensing.camera.line_search import DetectionSettings
 from sensing.force.force_calibration import ContactElasticity, ToolLoad, identify_tool
 from sim.arm.arm import SimulatedArm
@@ -83,7 +84,7 @@ def _streams(scene: ForceScene) -> list[np.random.Generator]:
     return [np.random.default_rng(child) for child in np.random.SeedSequence(scene.seed).spawn(6)]
 
 
-def set_up(scene: ForceScene, seen: tuple[CameraModel, DetectionSettings] | None = None) -> Cell:
+def set_up(scene: ForceScene, seen: tuple[HandEye, DetectionSettings] | None = None) -> Cell:
     """Builds a scene.
 
     Args:
@@ -96,7 +97,9 @@ def set_up(scene: ForceScene, seen: tuple[CameraModel, DetectionSettings] | None
     world = World.from_table(scene.robot, scene.arm_world, scene.source)
     robot = world.with_cycles(arm_of(scene.robot))
     place, noise, sensor_noise, camera_noise, calibration, _ = _streams(scene)
-    camera, detection = seen or (believed_camera(scene.camera, scene.calibration), scene.line.detection)
+    camera, detection = believed_camera(scene.camera, scene.calibration), scene.line.detection
+    if seen is not None:
+        camera, detection = seen[0].camera, seen[1]
     where = geometry(scene, place)
     reference, profile = force_reference(scene, robot, where.reference)
     known = Known(scene=scene, robot=robot, delay=int(world.correction_delay), model=model_for(scene, robot),
@@ -175,7 +178,7 @@ def friction_above(key: str) -> FrictionAtWork | None:
 
 
 @lru_cache(maxsize=64)
-def seen_by_moving(key: str) -> tuple[CameraModel, DetectionSettings] | None:
+def seen_by_moving(key: str) -> tuple[HandEye, DetectionSettings] | None:
     """Camera and looks of the line as moving over it shows them, once for all methods; ``key`` is the scene as JSON.
 
     None where there is no camera, or it is believed as mounted.
@@ -195,7 +198,7 @@ def seen_by_moving(key: str) -> tuple[CameraModel, DetectionSettings] | None:
         before = look_at_line(known, arm, world.rendered, span, _streams(scene)[5])
         found = calibrate_by_moving(known, arm, world.rendered, GearDeflection(known.model, cell.world.t_ipo),
                                     0.5 * sum(span), before)
-    return found.camera, before.detection
+    return found, before.detection
 
 
 def glue_line(cell: Cell) -> tuple[DrawnLine, CameraModel]:

@@ -46,7 +46,7 @@ class ForceComparison(ShownTable):
     """A scene with every method."""
 
     scene: ForceScene
-    results: tuple[ForceResult, ...]
+    runs: dict[str, ForceResult]
     trials: tuple[GainTrial, ...]
     troubles: tuple[tuple[str, ForceResult], ...] = ()
     """For ``glue``: the ideal robot with a camera in trouble."""
@@ -55,7 +55,7 @@ class ForceComparison(ShownTable):
     def json(self) -> dict[str, Any]:
         """The content of ``--json``."""
         return {**self.scene.played(), "speed_m_s": self.scene.speed,
-                "methods": {result.method: result.json() for result in self.results},
+                "methods": {method: one.json() for method, one in self.runs.items()},
                 "direct_feedback_search": [{"k_p": one.k_p, "k_d": one.k_d, "rms_N": one.error} for one in self.trials],
                 "camera_troubles": {name: one.json() for name, one in self.troubles}, "report": self.report}
 
@@ -64,10 +64,10 @@ class ForceComparison(ShownTable):
         columns = ["method", "RMS force error [N]", "largest [N]", "least [N]", "contact lost [ms]", "stopped because"]
         rows: list[list[Any]] = [
             [one.method, one.figures.rms, one.figures.largest, one.figures.least, 1e3 * one.figures.lost,
-             "" if one.failure is None else one.failure] for one in self.results]
+             "" if one.failure is None else one.failure] for one in self.runs.values()]
         if self.scene.task == "glue":
             columns.insert(1, "mean distance from the line [mm]")
-            for row, one in zip(rows, self.results, strict=True):
+            for row, one in zip(rows, self.runs.values(), strict=True):
                 row.insert(1, one.lateral.get("control_error_mm", {}).get("mean", float("nan")))
         return columns, rows
 
@@ -87,12 +87,12 @@ def compare_forces(scene: ForceScene, methods: Sequence[SceneMethod], *, progres
     trials: tuple[GainTrial, ...] = ()
     if any(method.key == DIRECT for method in methods):
         gains, trials = best_gains(scene, progress=lambda part, text: progress(0.7 * part, text))
-    results = []
+    runs = {}
     for i, method in enumerate(methods):
         progress(0.7 + 0.3 * i / len(methods), method.key)
-        results.append(play(scene, method, gains))
+        runs[method.key] = play(scene, method, gains)
     troubles = []
     for name, changes in TROUBLES.items() if scene.task == "glue" else ():
         progress(0.9, f"camera: {name}")
         troubles.append((name, play(scene.changed(**changes), IDEAL)))
-    return ForceComparison(scene, tuple(results), trials, tuple(troubles))
+    return ForceComparison(scene, runs, trials, tuple(troubles))

@@ -9,11 +9,12 @@ from typing import Any
 from ideal_robot.progress import Steps
 from scenes.force.cell import scene_curves
 from scenes.force.compare import ForceComparison, best_gains, compare_forces
-from scenes.force.page import force_replay, write_comparison, write_run
+from scenes.force.page import comparison_page, force_replay, run_page
 from scenes.force.play import ForceResult, play
 from scenes.force.play import methods as force_methods
 from scenes.kind import SceneKind
 from scenes.methods import DIRECT, PLAIN, compared, method_of
+from scenes.report.page import write_comparison_files, write_run_files
 from scenes.result import Progress, part_of, silent
 from scenes.scene_files.force_scene import ForceScene
 
@@ -36,14 +37,17 @@ def run(scene: ForceScene, *, method: Any = None, out: Path | None = None, progr
     # The first thing that playing says is that it has calibrated.
     result = play(scene, chosen, gains, steps.part("playing"))
     steps.begin("report")
-    return result if out is None else write_run(result, out)
+    if out is None:
+        return result
+    moving = force_replay(result)
+    return write_run_files(result, run_page(result, moving), out, moving)
 
 
 def compare(scene: ForceScene, *, methods: Sequence[Any] | None = None, out: Path | None = None,
             progress: Progress = silent) -> ForceComparison:
     """See ``Compare.__call__``: presses and moves, direct feedback at its best gains."""
     comparison = compare_forces(scene, compared(methods, force_methods(scene.task), PLAIN), progress=progress)
-    return comparison if out is None else write_comparison(comparison, out)
+    return comparison if out is None else write_comparison_files(comparison, comparison_page, out)
 
 
 FORCE = SceneKind(ForceScene, force_methods, run, compare, scene_curves,

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -14,9 +12,8 @@ from scenes.arms import arm_of
 from scenes.force.cell import scene_curves
 from scenes.force.compare import ForceComparison
 from scenes.force.play import ForceResult
-from scenes.outputs import whole_folder
 from scenes.report.page import Report
-from scenes.report.replay import Replay, replay_beside, sensed_force, shown_motion, write_replay
+from scenes.report.replay import Replay, sensed_force, shown_motion
 from scenes.result import extremes, step
 from scenes.scene_files.scene import box_edges
 
@@ -48,8 +45,8 @@ def force_replay(result: ForceResult) -> Replay | None:
 COLOURS = {"ideal": "#e06000", "adapted": "#7d3c98", "sensor_path": "#1f5fa8", "direct_feedback": "#808080"}
 
 
-def write_run(result: ForceResult, out: Path) -> ForceResult:
-    """Writes recording and page of one run and returns the result with their paths."""
+def run_page(result: ForceResult, moving: Replay | None) -> Report:
+    """The page of one run, with its replay where there is one."""
     f, scene = result.figures, result.scene
     line = result.lateral.get("control_error_mm")
     beside = f", mean distance from the line {line['mean']:.3f} mm" if line else ""
@@ -59,7 +56,6 @@ def write_run(result: ForceResult, out: Path) -> ForceResult:
         page.warning(result.failure)
     page.figures(result.summary())
     page.text(scene.description)
-    moving = force_replay(result)
     if moving is not None:
         page.heading("The run")
         page.replay(moving, "Green to red: how far the true force is from the wanted one while the tool travels.")
@@ -77,19 +73,16 @@ def write_run(result: ForceResult, out: Path) -> ForceResult:
     page.table(["", "found", "true"], [["elasticity E [N/m]", f"{assumed:.0f} ± {std:.0f}", f"{true:.0f}"],
                                        ["mass of the tool [kg]", result.tool["mass"], scene.sensor.mass]],
                "E is that of the whole chain, tip and gears.")
-    with whole_folder(out) as new:
-        result.recording.write(new / "recording.parquet")
-        if moving is not None:
-            write_replay(moving, replay_beside(new / "recording.parquet"), result.recording)
-        page.write(new / "report.html")
-    return replace(result, recording_path=out / "recording.parquet", report=out / "report.html")
+    if result.hand_eye is not None:
+        page.calibration(result.hand_eye)
+    return page
 
 
-def write_comparison(comparison: ForceComparison, out: Path) -> ForceComparison:
-    """Writes the page of a comparison."""
+def comparison_page(comparison: ForceComparison) -> Report:
+    """The page that compares the methods on one scene."""
     scene = comparison.scene
-    by = {one.method: one.figures.rms for one in comparison.results}
-    shown = ", ".join(f"{rms:.2f} N with {method.replace('_', ' ')}" for method, rms in reversed(by.items()))
+    shown = ", ".join(f"{one.figures.rms:.2f} N with {method.replace('_', ' ')}"
+                      for method, one in reversed(comparison.runs.items()))
     page = Report(f"{scene.title}: methods compared", f"RMS force error {shown}.")
     columns, rows = comparison.table()
     if not any(row[-1] for row in rows):
@@ -112,22 +105,22 @@ def write_comparison(comparison: ForceComparison, out: Path) -> ForceComparison:
         page.table(["K_p [µm/N per cycle]", "K_d [µm/N]", "RMS force error [N]"],
                    [[1e6 * one.k_p, 1e6 * one.k_d, one.error] for one in comparison.trials],
                    "Each line is a play; the best gains are those of direct_feedback above. –: ended early.")
-    return replace(comparison, report=page.write(out / "report.html"))
+    return page
 
 
 def forces_figure(comparison: ForceComparison) -> Figure:
     """The true normal force of each method, one below the other: laid over each other the best could not be seen."""
-    results, wanted = comparison.results, comparison.scene.force
-    figure = Figure(figsize=(6.5, 0.5 + 1.35 * len(results)), layout="constrained")
-    axes = figure.subplots(len(results), sharex=True, sharey=True, squeeze=False).ravel()
-    for axis, one in zip(axes, results, strict=True):
+    runs, wanted = comparison.runs, comparison.scene.force
+    figure = Figure(figsize=(6.5, 0.5 + 1.35 * len(runs)), layout="constrained")
+    axes = figure.subplots(len(runs), sharex=True, sharey=True, squeeze=False).ravel()
+    for axis, (method, one) in zip(axes, runs.items(), strict=True):
         axis.axhline(wanted, color="black", lw=0.7, ls="--")
         rows = extremes(one.history["normal"])
         axis.plot(one.history["t"][rows], one.history["normal"][rows], lw=0.9,
-                  color=COLOURS.get(one.method, "#2b8a3e"))
-        axis.set_title(f"{one.method}: {one.figures.rms:.2f} N RMS", loc="left", fontsize=9)
+                  color=COLOURS.get(method, "#2b8a3e"))
+        axis.set_title(f"{method}: {one.figures.rms:.2f} N RMS", loc="left", fontsize=9)
         axis.grid(alpha=0.25)
-    highest = max(float(np.max(one.history["normal"])) for one in results)
+    highest = max(float(np.max(one.history["normal"])) for one in runs.values())
     axes[0].set_ylim(0.0, min(1.1 * highest, 3.0 * wanted))
     axes[-1].set_xlabel("t [s]")
     figure.supylabel("normal force [N]", fontsize=10)

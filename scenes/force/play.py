@@ -6,7 +6,7 @@ Its result holds forces, what was felt of the surface, the recording and the tim
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from scenes.online.cycle import CycleSettings, play_cycles
 from scenes.online.force_task import BRAKING, LONGEST, ForceLog, ForceTask
 from scenes.result import Progress, ShownRun, silent
 from scenes.scene_files.force_scene import Assumed, CameraTrouble, Emergency, ForceScene
-from sensing.camera.camera_model import CameraModel
+from sensing.camera.hand_eye import HandEye
 from sensing.camera.line_search import DetectionSettings
 from sensing.force.force_calibration import ContactElasticity, ToolLoad
 from sim.arm.arm import SimulatedArm
@@ -71,6 +71,8 @@ class ForceResult(ShownRun):
     real_time_factor: float
     control_error: ControlError | None = field(default=None, repr=False)
     """For ``glue``: distance from the drawn line."""
+    hand_eye: HandEye | None = field(default=None, repr=False)
+    """For ``glue``: how the camera was calibrated, if it was."""
     failure: str | None = None
     recording_path: Path | None = None
     report: Path | None = None
@@ -198,10 +200,11 @@ def play(scene: ForceScene, method: Any, gains: tuple[float, float] | None = Non
     """
     method = method_of(method, methods(scene.task))
     tool, elasticity = calibrated(scene)
-    cell = set_up(scene, camera_shown(scene))
+    shown = camera_shown(scene)
+    cell = set_up(scene, shown)
     task = ForceTask(cell.known, method, gains, tool, elasticity, cell.camera_streams[0],
                      friction_shown(scene) if method.knows_model else None)
-    return pressed(cell, task, method.key, progress)
+    return replace(pressed(cell, task, method.key, progress), hand_eye=None if shown is None else shown[0])
 
 
 def pressed(cell: Cell, task: ForceTask, method: str, progress: Progress = silent) -> ForceResult:
@@ -238,7 +241,7 @@ def calibrated(scene: ForceScene) -> tuple[ToolLoad, ContactElasticity]:
     return calibrations(_before(scene).model_dump_json())
 
 
-def camera_shown(scene: ForceScene) -> tuple[CameraModel, DetectionSettings] | None:
+def camera_shown(scene: ForceScene) -> tuple[HandEye, DetectionSettings] | None:
     """Camera and looks of the line as moving over it shows them; None where nothing is looked at."""
     return seen_by_moving(_before(scene).model_dump_json())
 

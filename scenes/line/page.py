@@ -180,17 +180,7 @@ def _camera(report: Report, result: LineResult) -> None:
     else:
         report.text("No field with a detected line was kept.")
     if result.hand_eye is not None:
-        calibrated = result.hand_eye
-        report.text(
-            "Before the run the camera was calibrated by moving it over a piece of the line ([L] 4.4): seen from 20 "
-            f"poses, its points lay {1e3 * calibrated.residual_before:.2f} mm (RMS) from one common curve with the "
-            f"camera as mounted by hand, and {1e3 * calibrated.residual_after:.3f} mm with the camera as calibrated.")
-        units = {"roll": ("°", 57.2958), "pitch": ("°", 57.2958), "yaw": ("°", 57.2958), "height": ("mm", 1e3),
-                 "lateral": ("mm", 1e3), "forward": ("mm", 1e3), "focal": ("%", 100.0), "principal_u": ("px", 1.0),
-                 "principal_v": ("px", 1.0), "k1": ("1", 1.0), "surface_rise": ("mm", 1e3)}
-        report.table(["correction found", "value", "± σ", "unit"],
-                     [[name, calibrated.parameters[name] * scale, calibrated.sigma[name] * scale, unit]
-                      for name, (unit, scale) in units.items()])
+        report.calibration(result.hand_eye)
 
 
 def comparison_page(comparison: LineComparison) -> Report:

@@ -23,10 +23,16 @@ from scenes.report.replay import Replay, replay_beside, write_replay
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from sensing.camera.hand_eye import HandEye
+
 _PHONE = 7.0
 """Width of a figure from which on it is scrolled on a phone instead of made smaller [inch]."""
 _SVG_MAX = 600_000
 """Drawings of more bytes than that (clouds of points) are embedded as pixels."""
+_CORRECTIONS = {"roll": ("°", 57.2958), "pitch": ("°", 57.2958), "yaw": ("°", 57.2958), "height": ("mm", 1e3),
+                "lateral": ("mm", 1e3), "forward": ("mm", 1e3), "focal": ("%", 100.0), "principal_u": ("px", 1.0),
+                "principal_v": ("px", 1.0), "k1": ("1", 1.0), "surface_rise": ("mm", 1e3), "surface_bend": ("1/m", 1.0)}
+"""Unit that a correction of a camera is shown in, and its factor."""
 
 
 @dataclass
@@ -123,6 +129,16 @@ class Report:
             caption: the sentence that says what to see in it.
         """
         self._blocks.append({"kind": "replay", "html": replay.html(), "caption": caption})
+
+    def calibration(self, camera: HandEye) -> None:
+        """What moving over the line before the run has shown of the camera."""
+        self.text(
+            "Before the run the camera was calibrated by moving it over a piece of the line ([L] 4.4): seen from 20 "
+            f"poses, its points lay {1e3 * camera.residual_before:.2f} mm (RMS) from one common curve with the "
+            f"camera as mounted by hand, and {1e3 * camera.residual_after:.3f} mm with the camera as calibrated.")
+        self.table(["correction found", "value", "± σ", "unit"],
+                   [[name, camera.parameters[name] * scale, camera.sigma[name] * scale, unit]
+                    for name, (unit, scale) in _CORRECTIONS.items() if name in camera.parameters])
 
     def write(self, path: str | Path) -> Path:
         """Writes the page to ``path`` (parents are made) and returns it."""

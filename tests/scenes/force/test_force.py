@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -143,11 +145,11 @@ def test_camera_and_looks_of_a_line_on_a_bent_surface_are_found_by_moving() -> N
     scene = load_scene("glue")
     cell, found = set_up(scene), camera_shown(scene)
     assert found is not None
-    camera, detection = found
+    calibrated, detection = found
     true = glue_line(cell)[1]
     # Ahead of the tip: how high the surface lies, which scales what is beside, the map tells later.
     assert np.abs(measuring_error(true, cell.known.camera, aside=0.0)).mean() > 1e-3
-    assert np.abs(measuring_error(true, camera, aside=0.0)).mean() < 1e-4
+    assert np.abs(measuring_error(true, calibrated.camera, aside=0.0)).mean() < 1e-4
     assert (1e3 * detection.line_width, detection.dark) == (pytest.approx(scene.line.width_mm, rel=0.05), True)
     for blind in (load_scene("force_wave"), scene.changed(calibration={"by_moving": False})):
         assert camera_shown(blind) is None
@@ -174,12 +176,13 @@ def test_glue_survives_a_bad_camera(trouble: dict[str, object]) -> None:
     ({"emergency": {"force": 12.0}}, "above the limit 12.0 N"),
     ({"surface": {"offset_mm": -70.0}}, "no contact within 50 mm"),
 ])
-def test_emergency_stops_on_the_path_within_limits(changes: dict[str, object], reason: str, tmp_path: object) -> None:
+def test_emergency_stops_on_the_path_within_limits(changes: dict[str, object], reason: str, tmp_path: Path) -> None:
     result = run(load_scene("force_wave").changed(**changes), out=tmp_path)  # type: ignore[arg-type]
     assert result.failure is not None
     assert reason in result.failure
     written = Recording.read(result.recording_path)  # type: ignore[arg-type]
     assert written.meta["stopped_because"] == result.failure
+    assert json.loads((tmp_path / "report.json").read_text())["failure"] == result.failure
     q_c = np.array(result.log.q_d)
     v = np.diff(q_c, axis=0) / 0.012
     from ideal_robot.robots.robot import Robot
@@ -244,10 +247,10 @@ def test_estimating_on_the_way_widens_the_range() -> None:
 
 def test_each_method_has_a_panel_with_its_error_on_one_scale() -> None:
     t = np.linspace(0.0, 6.0, 200)
-    results = [SimpleNamespace(method=method, history={"t": t, "normal": 20.0 + size * np.sin(9.0 * t)},
-                               figures=SimpleNamespace(rms=size / np.sqrt(2.0)))
-               for method, size in (("direct_feedback", 6.0), ("ideal", 1.0), ("adapted", 1.0))]
-    figure = forces_figure(SimpleNamespace(results=results, scene=SimpleNamespace(force=20.0)))  # type: ignore[arg-type]
+    runs = {method: SimpleNamespace(history={"t": t, "normal": 20.0 + size * np.sin(9.0 * t)},
+                                    figures=SimpleNamespace(rms=size / np.sqrt(2.0)))
+               for method, size in (("direct_feedback", 6.0), ("ideal", 1.0), ("adapted", 1.0))}
+    figure = forces_figure(SimpleNamespace(runs=runs, scene=SimpleNamespace(force=20.0)))  # type: ignore[arg-type]
     titles = [axis.get_title(loc="left") for axis in figure.axes]
     assert titles == ["direct_feedback: 4.24 N RMS", "ideal: 0.71 N RMS", "adapted: 0.71 N RMS"]
     assert len({axis.get_ylim() for axis in figure.axes}) == 1
