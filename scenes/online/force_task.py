@@ -77,7 +77,7 @@ class GlueCamera:
         self.camera, self.detection = cell.camera, cell.detection
         reference = cell.reference
         span = (scene.reference.run_up, reference.length - scene.reference.run_out)
-        sight = SightSettings(latency=scene.camera.latency, distance_ratio=scene.assumed.distance_ratio)
+        sight = SightSettings(distance_ratio=scene.assumed.distance_ratio)
         self.sight = LineOnSurface(follower, self.camera.T_tool_camera, sight, span)
         self._detector = cell.detector
         self.detect: Callable[[Field], LineField] = self._detected
