@@ -39,7 +39,7 @@ class SightSettings:
         yaw, stamp, scale: standard deviations of mounting angle [rad], time stamps [s] and relative distance (or focal
             length); all are estimated on the way.
         view: nearest and farthest distance ahead of the TCP at which the camera shows the line well [m].
-        latency: assumed age of a field when it arrives [s]; only where to look depends on it, its time stamp tells the rest.
+        latency: assumed age of a field when it arrives [s]: where to look depends on it, no measurement does.
         max_gap: distance that may be travelled without seeing the line [m].
         scatter: largest scatter of a field's points about the estimated line, moved and turned [m].
         doubt: time without a good field after which one field alone is not used any more [s].
