@@ -92,7 +92,7 @@ def _held_out(case: Case, found: Findings) -> str:
         return (f"parameters and selection from {_name(case.recording)}; of {_name(case.validate)} every second "
                 "block of time decides what transfers, and the errors are those of the others")
     return (f"every fourth of {found.problem.blocks.count} blocks of time of {_name(case.recording)}, which "
-            "neither selection nor estimation saw")
+            "took no part in finding effects; one that does not lower their error is dropped")
 
 
 def _extended(case: Case, found: Findings, added: list[FoundEffect]) -> tuple[Model | None, tuple[str, ...]]:

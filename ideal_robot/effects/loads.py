@@ -153,13 +153,13 @@ class BaseTilt(WholeArmEffect):
         return otherwise or bool(np.any(large[:2]))
 
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
-        """See ``Effect.parameters``. The angle, and the direction in which the base's z axis leans."""
+        """See ``Effect.parameters``. The angle, and the direction in which the base's z axis leans: where gravity pulls."""
         x, y = (float(v) for v in coefficients[:2])
         size = float(np.hypot(x, y))
         across = float(np.hypot(x * std[0], y * std[1]) / max(size, 1e-12))
         along = float(np.hypot(y * std[0], x * std[1]) / max(size, 1e-12) ** 2)
         return [EffectParameter("angle", size / G, across / G, "rad"),
-                EffectParameter("direction", float(np.arctan2(-y, -x)), along, "rad")]
+                EffectParameter("direction", float(np.arctan2(y, x)), along, "rad")]
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
         """See ``Effect.loop_change``. Gravity from elsewhere; the moments are the URDF's."""

@@ -265,13 +265,16 @@ def bounds_of(results: Results, asked: Sequence[dict[str, float]]) -> tuple[Boun
                                        for row in results.runs[list(CASE)].to_dict("records")])
     found = []
     for label, group in frame.groupby("label", sort=False):
-        for figure, limit in asked[int(group.index.min())].items():
-            if figure not in frame and not group["failure"].notna().all():
+        # Other cases of this label, with other seeds, may ask for something else.
+        limits = dict.fromkeys(one for i in group.index for one in asked[int(i)].items())
+        for figure, limit in limits:
+            runs = group.loc[[asked[int(i)].get(figure) == limit for i in group.index]]
+            if figure not in frame and not runs["failure"].notna().all():
                 known = [name for name in results.figures if unit_of(name)]
                 raise InputError(f"no run has this figure; there are {', '.join(known)}", field="bounds", value=figure)
-            ended = group.loc[group["failure"].isna()]
+            ended = runs.loc[runs["failure"].isna()]
             values = ended[figure].astype(float).dropna().to_numpy() if figure in ended else np.empty(0)
-            found.append(_bound(str(label), figure, limit, values, len(group) - len(values)))
+            found.append(_bound(str(label), figure, limit, values, len(runs) - len(values)))
     return tuple(found)
 
 

@@ -243,7 +243,7 @@ class ServedArm:
         self.anew()
 
     def _moved(self, q: Array, session: Session | None = None) -> None:
-        self.arm.cycle(q)
+        self._state = self.arm.cycle(q)
         if session is not None:
             session.commands.append(q)
         self._carry(round(self.arm.t / self._T))

@@ -96,7 +96,8 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
 
 def _filtered(recording: Recording, cutoff: float | None) -> FilteredSignals:
     """The recording behind both filters, with no more rows than ``ROWS``."""
-    rate = (len(recording.t) - 1) / max(float(recording.t[-1] - recording.t[0]), 1e-9)
+    # Within pauses nothing was sampled.
+    rate = 1.0 / max(float(np.median(np.diff(recording.t))), 1e-9)
     duration = len(recording.t) / rate
     cutoff = min(CUTOFF, 0.25 * rate) if cutoff is None else cutoff
     band = min(BAND * cutoff / CUTOFF, 0.5 * ROWS / (recording.n * duration), 0.5 * rate)

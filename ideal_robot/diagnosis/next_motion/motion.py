@@ -211,7 +211,8 @@ def require_within_limits(robot: Robot, q_c: Array, workspace: Workspace) -> Non
         if np.any(wrong):
             raise InputError(f"the planned motion leaves the {what} limit of joint {int(np.argmax(wrong)) + 1}; "
                              "nothing is written", field="motion")
-    if workspace.cell is not None and (touch := workspace.cell.first_touch(q_c[::8])) is not None:
+    cell = workspace.on_the_way(robot)
+    if cell is not None and (touch := cell.first_touch(q_c[::8])) is not None:
         raise InputError(f"on its way between two postures of the planned motion {touch}; try another --seed",
                          field="motion")
     if not clear_of_obstacles(robot, q_c[::8], workspace).all():

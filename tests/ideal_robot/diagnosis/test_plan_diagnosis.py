@@ -18,6 +18,7 @@ from ideal_robot.effects import Effect
 from ideal_robot.effects.registry import find
 from ideal_robot.errors import InputError
 from ideal_robot.identification.excitation import Workspace
+from ideal_robot.robots.collisions import Shapes
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from tests.ideal_robot.diagnosis.poor_recording import TRUTH, poor_arm, poor_recording, recording_of
@@ -70,6 +71,18 @@ def test_motion_that_leaves_a_limit_is_refused(planned, limit):
              "speed": {"v_max": np.array([np.inf, 1e-3])}, "acceleration": {"a_max": np.array([np.inf, 1e-3])}}[limit]
     with pytest.raises(InputError, match=f"{limit} limit of joint 2"):
         require_within_limits(dataclasses.replace(robot, **tight), q, ANYWHERE)
+
+
+def test_motion_that_touches_the_base_plane_is_refused_where_no_cell_is_named():
+    robot = Robot.load("kr6")
+    low = robot.home.copy()
+    low[1] += 1.4
+    assert Shapes(robot).first_touch(robot.home[None]) is None
+    assert Shapes(robot).first_touch(low[None]) is not None
+    ramp = np.clip(np.linspace(-0.2, 1.2, 4000), 0.0, 1.0)
+    ease = ramp**3 * (10.0 - 15.0 * ramp + 6.0 * ramp**2)
+    with pytest.raises(InputError, match="touches"):
+        require_within_limits(robot, robot.home + ease[:, None] * (low - robot.home), ANYWHERE)
 
 
 def test_gear_that_motors_cannot_show_is_left_to_a_device_on_the_arm_side(planned):

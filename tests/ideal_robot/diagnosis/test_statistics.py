@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -260,3 +261,12 @@ def test_a_likelier_cause_is_taken_where_the_other_is_no_clearer_than_is_asked_o
     other, one = (Candidate(find(name, "tau"), joint, (8e-3,), test=HeldOutTest(reduction=np.array([size])))
                   for name, joint, size in (("common_delay", 0, share), (best, 2, 1.0)))
     assert (likelier(one, [one, other]) is other) is taken
+
+
+def test_a_pause_leaves_the_filters_as_they_are(tmp_path: Path):
+    one = arm(tmp_path)
+    recording = rippled(one, 0.0, 1)
+    t = recording.t + 600.0 * (np.arange(len(recording.t)) >= len(recording.t) // 2)
+    apart = replace(recording, columns={**recording.columns, "t": t})
+    whole, halves = (torque_regression(some, one, Model.nominal(one)).filtered for some in (recording, apart))
+    assert (halves.cutoff, halves.factor) == (whole.cutoff, whole.factor)

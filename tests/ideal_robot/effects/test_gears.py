@@ -227,6 +227,19 @@ def test_they_are_what_the_changed_arm_does():
     np.testing.assert_allclose(columns @ body.toDynamicParameters(), torques(loaded, signals) - before, atol=1e-6)
 
 
+def test_a_base_leans_where_its_z_axis_does():
+    robot, regression = of_a_moved_arm()
+    base = pin.exp3(np.array([0.0, 0.05, 0.0]))
+    leaning, angle = robot.pinocchio.copy(), np.arctan2(*base[1::-1, 2])
+    leaning.gravity.linear = base.T @ leaning.gravity.linear
+    tilt, signals = find("base_tilt", "tau"), regression.signals
+    shown = torques(leaning, signals) - torques(robot.pinocchio, signals)
+    found = np.linalg.lstsq(tilt.columns(signals, 0, ())[:, :, :2].reshape(-1, 2), shown.ravel(), rcond=None)[0]
+    size, direction = tilt.parameters(np.append(found, [0.0, 0.0]), np.full(4, 1e-3), (), ())
+    assert size.value == pytest.approx(0.05, rel=0.02)
+    assert direction.value == pytest.approx(angle, abs=0.05)
+
+
 def test_a_leaning_base_shows_moments_of_an_upright_first_axis_that_the_urdf_has_wrong():
     robot, regression = of_a_moved_arm()
     signals, tilt = regression.signals, find("base_tilt", "tau")

@@ -286,6 +286,17 @@ def test_what_shares_no_pair_or_is_of_another_arm_or_twice_is_refused() -> None:
         compared(runs(0), runs(0, speed_m_s=1.0, scene="line"))
 
 
+def test_cases_of_one_label_keep_their_own_bounds() -> None:
+    results, figure = runs(0), "control_error_mm.mean"
+    asked: list[dict[str, float]] = [{figure: 0.01} if i % 2 else {} for i in range(len(results.runs))]
+    asked[-1] = {figure: 10.0}
+    bounds = bounds_of(results, asked)
+    for label in {bound.case for bound in bounds}:
+        assert [bound.limit for bound in bounds if bound.case == label].count(0.01) == 1
+    assert sum(bound.seeds for bound in bounds) == sum(map(bool, asked))
+    assert [bound.seeds for bound in bounds if bound.limit == 10.0] == [1]
+
+
 def test_a_bound_says_how_many_seeds_it_needs() -> None:
     results = runs(0)
     label = results.runs["scene"] == "corner"
