@@ -153,7 +153,7 @@ class BaseTilt(WholeArmEffect):
         return otherwise or bool(np.any(large[:2]))
 
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
-        """See ``Effect.parameters``. The angle, and the direction in which the base's z axis leans: where gravity pulls."""
+        """See ``Effect.parameters``. The angle, and where the base's z axis leans to, gravity with it."""
         x, y = (float(v) for v in coefficients[:2])
         size = float(np.hypot(x, y))
         across = float(np.hypot(x * std[0], y * std[1]) / max(size, 1e-12))
