@@ -23,11 +23,11 @@ class PoseHistory:
 
     Args:
         robot: the arm.
-        length: how far back one can ask [s].
+        length: how far back one can ask [s]; what sensors see may be known 2 s later.
         ahead: how far ahead of the last sample one can ask [s].
     """
 
-    def __init__(self, robot: Robot, length: float = 0.5, ahead: float = 0.05) -> None:
+    def __init__(self, robot: Robot, length: float = 2.5, ahead: float = 0.05) -> None:
         self._robot, self._data, self._tool = robot, robot.pinocchio.createData(), robot.tool_id
         self._length, self._ahead = length, ahead
         self._t: deque[float] = deque()

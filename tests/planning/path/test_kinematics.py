@@ -236,9 +236,12 @@ def test_few_samples_are_enough_to_begin_with() -> None:
 
 
 def test_old_samples_are_forgotten_and_time_runs_forwards() -> None:
-    history = filled(200)
+    history = filled(300)
     with pytest.raises(PlanningError, match="no pose at"):
         history.q(0.1)
+    # A scene's camera is up to 2 s late.
+    late = 299 * T - 2.0
+    np.testing.assert_allclose(history.q(late), motion(late), atol=1e-6)
     with pytest.raises(PlanningError, match="came after"):
         history.add(1.0, motion(1.0))
 
