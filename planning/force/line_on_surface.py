@@ -140,8 +140,9 @@ class LineOnSurface:
         points = lever + pose.translation
         s, lateral, height = follower.reference.project(points, follower.s_at(t) + 0.06)
         frames = follower.reference.frames(s)
-        turned, moved, _ = sensor_errors(frames.normal, frames.up, lever, lever, *follower.history.velocity(t))
+        # As in ``LineFollower``: turned about the camera, moved on the tool.
         ray = points - eye
+        turned, moved, _ = sensor_errors(frames.normal, frames.up, ray, lever, *follower.history.velocity(t))
         g = np.column_stack([np.ones(len(s)), -np.vecdot(ray, frames.normal) / np.vecdot(ray, frames.up)])
         wrong = np.column_stack([turned, moved, np.sum(frames.normal * beside, axis=1)])
         value = g[:, 0] * lateral + g[:, 1] * (height - self._sunk)

@@ -167,6 +167,15 @@ def test_an_oblique_camera_measures_across_its_rays(follower: SurfaceFollower) -
     np.testing.assert_allclose(values[1], values[0], atol=2e-5)
 
 
+def test_a_camera_turned_about_itself_moves_what_it_sees_about_itself(follower: SurfaceFollower) -> None:
+    """Taken for turned about the TCP, it leaves the line off by the angle times the camera's distance ahead."""
+    mount, right = default_mount(), field(follower, 0.03, 0.002).points_tcp
+    sight = LineOnSurface(follower, mount, SightSettings(), (0.0, 0.5))
+    turned = mount.translation + (right - mount.translation) @ pin.exp3(np.array([0.0, 0.0, -1e-3])).T
+    one, other = (sight._measurement(0.03, points, np.full(5, 5e-5)) for points in (right, turned))
+    np.testing.assert_allclose(other.value - one.value, 1e-3 * np.asarray(one.bias)[:, 0], atol=2e-6)
+
+
 def test_approach_ends_with_touch_and_travel_begins_when_the_force_has_settled(follower: SurfaceFollower) -> None:
     up = follower.history.pose(0.03).rotation.T @ np.array([0.0, 0.0, 1.0])
     assert follower.phase is Phase.APPROACH
