@@ -64,9 +64,10 @@ class SlidingPlan:
         passed = cycle - self.cycle
         if passed <= 0:
             return
-        self._states = held(self._states[passed:], after=passed)
+        first = min(passed, len(self.q) - 1)
+        self._states = held(self._states[first:], after=first)
         self._states[-passed:, 1:] = 0.0
-        self.q = held(self.q[passed:], after=passed)
+        self.q = held(self.q[first:], after=first)
         self.cycle = cycle
 
     def follow(self, estimate: Array, keep: int) -> None:

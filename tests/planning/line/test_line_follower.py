@@ -228,6 +228,16 @@ def test_plans_reach_as_far_in_time_whatever_the_cycle(t_ipo: float) -> None:
     assert sliding.position[round(0.024 / t_ipo), 0] == pytest.approx(0.5e-3, rel=0.1)
 
 
+def test_a_plan_that_has_run_out_is_held_at_its_end() -> None:
+    sliding = SlidingPlan(20, T, kr6().home, np.zeros(2))
+    sliding.follow(np.tile([1e-3, 0.0], (sliding.samples, 1)), 0)
+    end = sliding.position[-1].copy()
+    sliding.advance(1000)
+    np.testing.assert_array_equal(sliding.position, np.tile(end, (sliding.samples + 2, 1)))
+    sliding.follow(np.tile(end, (sliding.samples, 1)), 0)
+    np.testing.assert_allclose(sliding.position, np.tile(end, (sliding.samples + 2, 1)), atol=1e-12)
+
+
 def test_blind_end_of_the_path_is_no_loss() -> None:
     # Nothing of the line is left to see while the arm travels the last stretch.
     f = follower(max_gap=0.05)
