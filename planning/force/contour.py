@@ -8,6 +8,7 @@ give a local parabola; the tip moves along its tangent at the wanted speed and k
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -319,16 +320,17 @@ class ContourFollower:
         return self._kinematics.refine_rows(np.ascontiguousarray(rotations), positions, guess)
 
     def _way(self, t: npt.ArrayLike) -> Array:
-        """Way along the contour at ``t``: a trapezoid of speed."""
+        """Way along the contour at ``t``: a trapezoid of speed, or a triangle where it is too short for the speed."""
         if self._moving_from is None:
             return np.zeros_like(np.asarray(t, dtype=float))
         s = self.settings
-        ramp = s.speed / s.acceleration
+        speed = min(s.speed, math.sqrt(s.length * s.acceleration))
+        ramp = speed / s.acceleration
         tau = np.maximum(np.asarray(t, dtype=float) - self._moving_from, 0.0)
-        up = np.where(tau < ramp, 0.5 * s.acceleration * tau**2, s.speed * (tau - 0.5 * ramp))
-        braking = s.length - 0.5 * s.speed * ramp
-        late = np.maximum(tau - (braking / s.speed + 0.5 * ramp), 0.0)
-        down = braking + s.speed * np.minimum(late, ramp) - 0.5 * s.acceleration * np.minimum(late, ramp) ** 2
+        up = np.where(tau < ramp, 0.5 * s.acceleration * tau**2, speed * (tau - 0.5 * ramp))
+        braking = s.length - 0.5 * speed * ramp
+        late = np.maximum(tau - (braking / speed + 0.5 * ramp), 0.0)
+        down = braking + speed * np.minimum(late, ramp) - 0.5 * s.acceleration * np.minimum(late, ramp) ** 2
         return np.where(up < braking, up, down)
 
     def _estimate(self, t: float, keep: int) -> Array:

@@ -7,6 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from hypothesis import given
+from hypothesis import settings as examples
+from hypothesis import strategies as st
 
 from ideal_robot.arrays import Array
 from ideal_robot.elasticity.observer import ArmObserver
@@ -259,6 +262,22 @@ def test_the_felt_path_tells_the_normal_whatever_friction_pulls_at_the_tip() -> 
     force, aligned = np.array(pressed).T
     assert np.degrees(np.arccos(aligned.min())) < 2.0
     assert np.abs(force - settings.force).max() < 2.0
+
+
+@examples(max_examples=50, deadline=None)
+@given(st.tuples(st.floats(-4.0, 1.0), st.floats(-3.0, 0.0), st.floats(-1.0, 1.0)))
+def test_a_contour_is_passed_within_speed_and_acceleration_however_short(powers: tuple[float, ...]) -> None:
+    length, speed, acceleration = (10.0**power for power in powers)
+    wanted = ContourSettings(length=length, speed=speed, acceleration=acceleration)
+    follower = ContourFollower(kr6(), pin.SE3.Identity(), np.eye(3)[:2], kr6().home, 20, wanted)
+    follower._moving_from = 0.0
+    t = np.linspace(-0.1, 1.1, 601) * (length / speed + 2.0 * speed / acceleration)
+    s = np.array([follower.s_at(at) for at in t])
+    v, slack = np.diff(s) / (t[1] - t[0]), 1e-9 * speed
+    assert s[0] == 0.0
+    assert s[-1] == pytest.approx(length)
+    assert np.all((v >= -slack) & (v <= speed + slack))
+    assert np.abs(np.diff(v)).max() <= acceleration * (t[1] - t[0]) + slack
 
 
 # The motors as a witness along a path.
