@@ -176,7 +176,7 @@ class Job(Protocol):
         ...
 
     def columns(self, t: Array) -> dict[str, Array]:
-        """What the recording holds besides the arm's own, at times of the run ``t (N,)`` [s]."""
+        """What the recording holds besides the arm's own, at times of the run ``t (N,)`` [s]; times in it are such."""
         ...
 
     def figures(self) -> dict[str, Any]:

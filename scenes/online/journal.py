@@ -49,18 +49,22 @@ class Journal:
         self._row = np.zeros(2 + len(_QUANTITIES) * robot.n)
         self._each = self._row[2:].reshape(len(_QUANTITIES), robot.n)
         self.unwritten = 0
-        self._rows = 0
+        self._rows = self._begun = 0
         try:
             self._file = (folder / ROWS).open("w+b", buffering=0)
         except OSError as error:
             raise OutputError.of(folder / ROWS, error) from error
 
+    def begin(self) -> None:
+        """The time of the run begins anew: the next row is the first of it."""
+        self._begun = self._rows
+
     def add(self, t: float, state: RobotState, q_d: Array, q_c: Array) -> None:
         """One cycle; what the disk does not take is missing.
 
         Args:
-            t: time of the run at its end [s].
-            state: of the arm then; its time is the controller's.
+            t: time of the run that belongs to the state [s].
+            state: of the arm at the end of the cycle; its time is the controller's.
             q_d: desired position of the cycle ``(n,)`` [rad].
             q_c: commanded position of the cycle ``(n,)`` [rad].
         """
@@ -77,9 +81,16 @@ class Journal:
 
     def recording(self) -> Recording:
         """The rows so far, also where the folder is gone meanwhile."""
+        return _recording(self._values(), dict(self._meta))
+
+    def times(self) -> Array:
+        """The time of the run and the controller's time ``(2, N)`` [s] in the rows since ``begin``."""
+        return self._values()[self._begun :, :2].T
+
+    def _values(self) -> Array:
         self._file.seek(0)
         values = np.fromfile(self._file, dtype=np.float64, count=self._rows * len(self._row))
-        return _recording(values.reshape(-1, len(self._row)), dict(self._meta))
+        return values.reshape(-1, len(self._row))
 
     def close(self) -> None:
         """No more rows; the file stays, unless there is none in it: a run to which no arm came leaves nothing."""

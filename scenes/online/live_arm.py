@@ -158,6 +158,7 @@ class LiveArm:
     def begin(self) -> None:
         """Time begins anew: the next cycle is the first."""
         self._k = 0
+        self._journal.begin()
         self._passed.clear()
         self._told.clear()
         self._played.clear()
@@ -204,9 +205,11 @@ class LiveArm:
             raise FollowStoppedError(f"stopped at {self.t:.3f} s: {error}{late}") from error
         self.cycles += 1
         self.clock.add(state.t, self.link.arrived)
-        self._journal.add(self.t + self.t_ipo, state, self.q_d, sent)
+        first = self._made_good(state)
+        # Cycles that are made good lie before the state.
+        self._journal.add(self.t + self.t_ipo * (1 + len(self._passed)), state, self.q_d, sent)
         self._check_late()
-        return self._counted(self._made_good(state))
+        return self._counted(first)
 
     def _check_late(self) -> None:
         """Ends following where too many of the last cycles had no answer of ours in time."""

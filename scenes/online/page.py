@@ -45,7 +45,7 @@ def _motion(result: FollowResult) -> Figure:
     top, middle, bottom = figure.subplots(3, 1)
     if len(result.planned):
         top.plot(result.planned[:, 0], 1e3 * result.planned[:, 1], color="#2f6690")
-    top.set_ylabel("deviation [mm]")
+    top.set(ylabel="deviation [mm]", xlabel="time of the run [s]")
     recording = result.recording
     t, q_c = recording.t, recording.joints("q_c")
     if len(t) > 2:

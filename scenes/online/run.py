@@ -13,11 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import parsed_json
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.feedforward.registry import feedforward
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.robots.interface import RobotState
+from ideal_robot.signals.recording import Recording
 from scenes.arms import arm_of, model_at
 from scenes.methods import following_methods, method_of
 from scenes.metrics import spread_ms
@@ -224,15 +226,30 @@ def _played(scene: Scene, job: Job, devices: Devices, folder: Path, method: str,
                   "processor_share": dict(zip(("follower", "camera"), shares, strict=False)),
                   "peak_memory_MB": dict(zip(("follower", "camera"), map(peak_memory, pids), strict=False)),
                   "memory_together_MB": memory_together(pids), "seconds": wall, "granted": granted}
-        recording = opened.journal.recording()
-        if job.log.t and len(recording.t):
-            # The run's own time begins behind approach and calibration.
-            begin = arm.controller_time - arm.t
-            recording = replace(recording, columns={**recording.columns, **job.columns(recording.t - begin)},
-                                meta={**recording.meta, "run_begins_at": float(begin)})
+        recording = _recorded(opened.journal, job)
         recording = replace(recording, meta={**recording.meta, "stopped_because": failure})
         return FollowResult(scene, method, failure, recording, job.figures(), _told(opened, devices), timing,
                             job.planned())
+
+
+def _recorded(journal: Journal, job: Job) -> Recording:
+    """The recording of a run, all of it by the controller's time, which goes on through approach, calibration and run.
+
+    The job's own time begins with the run, and waits where cycles are lost.
+    """
+    recording, (run, told) = journal.recording(), journal.times()
+    if not (job.log.t and len(run)):
+        return recording
+    columns = job.columns(_by_clock(recording.t, told, run))
+    if "cam_t" in columns:
+        columns["cam_t"] = _by_clock(columns["cam_t"], run, told)
+    return replace(recording, columns={**recording.columns, **columns},
+                   meta={**recording.meta, "run_begins_at": float(_by_clock(np.zeros(1), run, told)[0])})
+
+
+def _by_clock(t: Array, clock: Array, other: Array) -> Array:
+    """Times ``t`` of one clock by the other [s], both read at once ``(N,)``; beyond the readings both go alike."""
+    return np.interp(t, clock, other) + t - np.clip(t, clock[0], clock[-1])
 
 
 def _told(opened: _Opened, devices: Devices) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,11 +24,13 @@ from scenes.online.camera_process import CalibratedCamera, Header, calibrated_ca
 from scenes.online.camera_worker import work
 from scenes.online.cycle import holding_share
 from scenes.online.journal import Journal, left_behind, rescue
+from scenes.online.line_log import LineLog
 from scenes.online.live_arm import FollowStoppedError, LiveArm, moves
 from scenes.online.live_sensors import LiveCamera, LiveForce
-from scenes.online.run import load_cell
+from scenes.online.run import _recorded, load_cell
 from scenes.scene_files.drawn_line import CameraTable, believed_camera
 from scenes.scene_files.scene import SceneError
+from sensing.camera.line_detection import LineField
 from sensing.camera.line_search import DetectionSettings
 from sensing.clock_relation import ClockRelation
 from sensing.force.sensors import Reading, ReadingCounts
@@ -91,6 +94,29 @@ def test_where_the_controller_went_on_the_path_goes_on_with_it(link: Tame, arm: 
     T = arm.t_ipo
     host = [link.arrived - k * T for k in (0, 10, 30, 50)]
     np.testing.assert_allclose([arm.play_time(h) for h in host], [60 * T, 50 * T, 30 * T, 10 * T], atol=1e-6)
+
+
+@pytest.mark.parametrize("repeats", [False, True])
+def test_pictures_are_recorded_by_the_clock_of_the_motor_angles(repeats: bool, link: Tame, tmp_path: Path) -> None:
+    """Whatever came before the run, and whatever packets are lost on the way: poses are looked up at ``cam_t``."""
+    journal = Journal(tmp_path, link.robot, {})
+    arm, log, at, T = LiveArm(link, journal), LineLog(), [], link.t_ipo
+    link.repeats, link.lost = repeats, (60, 64, 68, 90)
+    arm.lead(np.tile(link.robot.home, (50, 1)))
+    arm.begin()
+    for k in range(70):
+        log.t.append(k * T)
+        arm.cycle(link.robot.home)
+        if k % 3 == 2 and arm.steps == 1:
+            at.append(arm.controller_time - 0.25 * T)
+            log.add_field(LineField(arm.t - 0.25 * T, np.zeros((1, 3)), *np.zeros((4, 1)), np.ones(1, dtype=bool), True,
+                                    ""), 1)
+    job: Any = SimpleNamespace(log=log, columns=lambda t: dict(log.field_columns(t, 1)))
+    found = _recorded(journal, job)
+    seen = np.isfinite(found.columns["cam_t"])
+    np.testing.assert_allclose(found.columns["cam_t"][seen], at, atol=1e-9)
+    assert np.all((at <= found.t[seen]) & (found.t[seen] < np.add(at, 2.0 * T)))
+    assert found.meta["run_begins_at"] == pytest.approx(50 * T)
 
 
 @pytest.mark.parametrize("repeats", [False, True])
