@@ -23,9 +23,12 @@ from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics
 from ideal_robot.jit import jit
 from ideal_robot.model.arm_with_effects import chain_with, changes_of, dynamics_with, side_of_gap, stiffness_with
 from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import spread_postures
 
 SUBSTEP = 0.0005
-"""Time step of the model; far below the period of the stiffest gear [s]."""
+"""Time step of the model; far below the period of the stiffest gear of an industrial arm [s]."""
+FOLLOWED = 2.0
+"""Largest h² k + 2 h d over the inertia of the arm that a substep h follows; beyond 4 the leapfrog diverges."""
 LEAST_DAMPING = 0.04
 """Damping ratio that is assumed where none was identified."""
 
@@ -45,7 +48,8 @@ class ArmObserver:
     """Observer for the arm angles.
 
     Args:
-        model: identified model; gears of unknown or infinite stiffness count as rigid.
+        model: identified model; gears of unknown or infinite stiffness count as rigid, and so do those too stiff for
+            the model's time step.
         T: cycle at which motor angles come [s].
     """
 
@@ -59,12 +63,30 @@ class ArmObserver:
         known = np.full(model.n, np.inf) if model.stiffness is None else np.array(model.stiffness)
         stiffness = stiffness_with(known, changes)
         self._elastic = np.isfinite(stiffness)
-        self._rigid = not self._elastic.any()
         self._k = np.where(self._elastic, stiffness, 0.0)
         given = np.zeros(model.n) if model.damping is None else np.array(model.damping)
         inertia = np.diag(pin.crba(self._dynamics, self._data, pin.neutral(self._dynamics)))
         damping = np.maximum(given, 2 * LEAST_DAMPING * np.sqrt(self._k * inertia)) * self._elastic
-        self._gears = _Gears(self._k, damping, self._elastic, max(1, round(T / SUBSTEP)))
+        steps = max(1, round(T / SUBSTEP))
+        self._leave_followed((T / steps) ** 2 * self._k + 2 * T / steps * damping)
+        self._rigid = not self._elastic.any()
+        self._gears = _Gears(np.where(self._elastic, self._k, 0.0), damping * self._elastic, self._elastic, steps)
+
+    def _leave_followed(self, pull: Array) -> None:
+        """Makes gears rigid until the substep follows the others' oscillation wherever the arm stands.
+
+        Args:
+            pull: h² k + 2 h d of each gear ``(n,)`` [kg m²].
+        """
+        for q in spread_postures(self._dynamics.lowerPositionLimit, self._dynamics.upperPositionLimit):
+            upper = pin.crba(self._dynamics, self._data, q)
+            while len(gears := np.flatnonzero(self._elastic)):
+                root = np.sqrt(pull[gears])
+                # Beside rigid joints, which the motors lead, elastic ones move with their own part of the mass matrix.
+                values, ways = np.linalg.eigh(upper[np.ix_(gears, gears)] / np.outer(root, root), UPLO="U")
+                if values[0] * FOLLOWED >= 1.0:
+                    break
+                self._elastic[gears[np.argmax(np.abs(ways[:, 0]))]] = False
 
     def init(self, q: Array, tau_ext: Array | None = None) -> ObserverState:
         """State at rest with motors at ``q (n,)`` [rad] under an external joint torque ``(n,)`` [N m]."""
@@ -108,7 +130,7 @@ class _Motors(NamedTuple):
 
 
 class _Gears(NamedTuple):
-    """Stiffness, damping and which gears give, ``(n,)`` each; and substeps of a cycle."""
+    """Stiffness, damping and which gears give, ``(n,)`` each (0 where rigid); and substeps of a cycle."""
 
     k: Array
     d: Array
@@ -119,16 +141,25 @@ class _Gears(NamedTuple):
 @jit()
 def _substeps(q_a: Array, v_a: Array, motors: _Motors, upper: Array, load: Array, gears: _Gears, T: float
               ) -> tuple[Array, Array]:
-    """Leapfrog with the mass matrix of the cycle's beginning, of which the upper half is given; motors on a cubic."""
+    """Leapfrog with the mass matrix of the cycle's beginning, of which the upper half is given; motors on a cubic.
+
+    A rigid joint follows its motor: it leaves the equations, and its mean acceleration loads the elastic ones.
+    """
     x, v = q_a.copy(), v_a.copy()
     q0, q1, v0, v1 = motors.q0, motors.q1, motors.v0, motors.v1
     k, d, elastic, steps = gears.k, gears.d, gears.elastic, gears.steps
     h = T / steps
     n = len(x)
-    mass = upper.copy()
+    mass, load = upper.copy(), load.copy()
     for i in range(n):
         for j in range(i):
             mass[i, j] = upper[j, i]
+    for i in range(n):
+        if not elastic[i]:
+            for j in range(n):
+                load[j] += mass[j, i] * (v1[i] - v0[i]) / T
+                mass[i, j] = mass[j, i] = 0.0
+            mass[i, i], load[i] = 1.0, 0.0
     inverse, torque = np.linalg.inv(mass), np.zeros(n)
     for step in range(steps):
         # Leapfrog: positions at the steps' ends, velocities half a step before.
@@ -141,9 +172,8 @@ def _substeps(q_a: Array, v_a: Array, motors: _Motors, upper: Array, load: Array
             torque[j] = k[j] * (q_m - x[j]) + d[j] * (v_m - v[j]) - load[j]
         acceleration = inverse @ torque
         for j in range(n):
-            if elastic[j]:
-                v[j] += h * acceleration[j]
-                x[j] += h * v[j]
+            v[j] += h * acceleration[j]
+            x[j] += h * v[j]
     for j in range(n):
         if not elastic[j]:
             x[j], v[j] = q1[j], v1[j]

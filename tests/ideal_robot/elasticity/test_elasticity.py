@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -105,10 +107,9 @@ def test_a_whole_path_is_its_rows_one_by_one() -> None:
 
 # The arm angles behind elastic gears, against the simulated arm that the observer does not know.
 
-@pytest.fixture(scope="module")
-def moved() -> tuple[np.ndarray, np.ndarray]:
+def lively(world: World) -> tuple[np.ndarray, np.ndarray]:
     """Motor angles (as the controller tells) and true arm angles of a lively motion."""
-    robot, world = Robot.load("kr6"), World.default("kr6")
+    robot = Robot.load("kr6")
     frequency = 2 * np.pi * np.array([0.8, 1.1, 1.3, 1.5, 0.9, 1.1])
     motors, arms = [robot.home], []
     with SimulatedArm(robot, world, np.random.default_rng(0)) as arm:
@@ -119,6 +120,12 @@ def moved() -> tuple[np.ndarray, np.ndarray]:
             motors.append(arm.cycle(robot.home + swing + 2e-4 * np.sin(2 * np.pi * 7 * t)).q)
             arms.append(arm.truth.q_a)
     return np.array(motors), np.array(arms)
+
+
+@pytest.fixture(scope="module")
+def moved() -> tuple[np.ndarray, np.ndarray]:
+    """Of the arm whose gears all give."""
+    return lively(World.default("kr6"))
 
 
 def angles(observer: ArmObserver, q: np.ndarray) -> np.ndarray:
@@ -151,6 +158,38 @@ def test_at_rest_it_is_the_spring_under_weight_and_contact() -> None:
     for _ in range(100):
         state = observer.step(state, robot.home, tau_ext)
     np.testing.assert_allclose(state.q_a, pressed.q_a, atol=2e-7)
+
+
+def test_rigid_gears_lead_the_arm_and_hold_it() -> None:
+    """Only joint 2 gives: the motion of its rigid neighbours deflects it, their weight does not."""
+    robot, world, model = Robot.load("kr6"), World.default("kr6"), Model.load(shipped_model("kr6"))
+    elastic = np.arange(6) == 1
+    q, q_a = lively(replace(world, stiffness=np.where(elastic, world.per_joint("stiffness", 6), np.inf)))
+    observer = ArmObserver(replace(model, stiffness=np.where(elastic, model.stiffness, np.inf)), 0.012)
+    before, after = (q - q_a)[40:, 1], (angles(observer, q) - q_a)[40:, 1]
+    assert np.std(after) < 0.15 * np.std(before)
+    assert np.sqrt(np.mean(after**2)) < 0.05 * np.sqrt(np.mean(before**2))
+    rest = observer.init(robot.home)
+    np.testing.assert_allclose(angles(observer, np.tile(robot.home, (400, 1)))[-1], rest.q_a, atol=2e-7)
+
+
+@pytest.mark.parametrize("joint", range(1, 7))
+def test_a_gear_too_stiff_for_the_time_step_is_rigid(joint: int, moved: tuple[np.ndarray, np.ndarray]) -> None:
+    """1e12 N m/rad is what the fit finds for a gear that does not bend; the others' angles are those beside a rigid."""
+    model = Model.load(shipped_model("kr6"))
+    stiff, rigid = (np.where(np.arange(1, 7) == joint, k, model.stiffness) for k in (1e12, np.inf))
+    q = moved[0][:60]
+    np.testing.assert_array_equal(*(angles(ArmObserver(replace(model, stiffness=k), 0.012), q) for k in (stiff, rigid)))
+
+
+def test_the_stiffer_the_gears_the_less_they_bend(moved: tuple[np.ndarray, np.ndarray]) -> None:
+    """Hooke's law up to any stiffness; vibrations may double it."""
+    model, q = Model.load(shipped_model("kr6")), moved[0]
+    assert model.stiffness is not None
+    soft, *stiffer = (np.max(np.abs(angles(ArmObserver(replace(model, stiffness=factor * model.stiffness), 0.012), q)
+                                    - q), axis=0) for factor in 10.0 ** np.arange(0.0, 6.5, 0.5))
+    for i, bent in enumerate(stiffer, start=1):
+        assert np.all(bent < 2.0 * soft / 10.0 ** (0.5 * i))
 
 
 def test_without_stiffness_the_motors_are_the_arm() -> None:
