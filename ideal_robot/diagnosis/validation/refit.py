@@ -166,7 +166,7 @@ def _held(found: Findings, index: np.ndarray) -> Findings:
 
 def explained_by_refitting(model: Model, torque: DomainDiagnosis,
                            channels: Sequence[ChannelResult]) -> tuple[RefitExplains, ...]:
-    """Joints whose error falls by refitting alone, and not by an effect that was found.
+    """Joints whose error falls by refitting alone; effects that were found take less than half of that away.
 
     Args:
         model: as given.
@@ -178,9 +178,10 @@ def explained_by_refitting(model: Model, torque: DomainDiagnosis,
     sigma = np.sqrt(np.diag(prior_covariance(model, torque.problem)))
     result = []
     for j, c in enumerate(channels):
-        explained = np.sqrt(max(c.rms_before**2 - c.rms_refit**2, 0.0))
-        named = torque.problem.prior is not None and torque.levels[-1][j] < c.rms_before
-        if j + 1 in regression.undecided or named or explained <= CLEAR * left_open[j]:
+        explained = max(c.rms_before**2 - c.rms_refit**2, 0.0)
+        taken = float(torque.levels[0][j] ** 2 - torque.levels[-1][j] ** 2)
+        named = torque.problem.prior is not None and 2.0 * taken > explained
+        if j + 1 in regression.undecided or named or np.sqrt(explained) <= CLEAR * left_open[j]:
             continue
         result.append(RefitExplains(
             j + 1, c.channel, c.rms_before, c.rms_refit,

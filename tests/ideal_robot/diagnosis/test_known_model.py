@@ -96,6 +96,21 @@ def test_a_spring_that_refitting_swallows_is_said_with_the_parameters_that_moved
     assert "Nothing is missing" not in summary(swallowed)
 
 
+@pytest.mark.parametrize("ripple", [0.0, 0.2])
+def test_a_colder_arm_is_said_with_its_friction_whatever_little_effect_is_found_beside(ripple, tmp_path):
+    one = arm(tmp_path)
+    model = identify([with_spring(1.0, 0.0, 1)], one).model
+    warm = with_spring(1.0, 0.0, 2)
+    q, tau = warm.joints("q"), warm.joints("tau")
+    qd = np.gradient(q, warm.t, axis=0)
+    cold = tau + 0.6 * np.tanh(qd / 2e-3) + 0.6 * qd + ripple * np.sin(40.0 * q)
+    found = diagnose(Recording.from_arrays(warm.t, q=q, tau=cold), one, model=model)
+    (said,) = found.refitted
+    assert said.rms_refit < 0.3 * said.rms_before
+    assert said.moved
+    assert len(found.effects) <= (ripple > 0.0)
+
+
 @pytest.mark.parametrize("engine", [pytest.param("mujoco", marks=pytest.mark.slow), "integrator"])
 def test_a_healthy_recording_against_the_model_of_another_one_in_strangers_physics(engine, tmp_path):
     four = an_arm(seed=5, n=4)
