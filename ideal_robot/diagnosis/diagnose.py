@@ -188,7 +188,7 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
     if model is not None:
         model.require_arm(robot)
     # Torques made of currents without known gains are in amperes: then joints must not share inertias.
-    amperes = not recording.has("tau") and bool(np.all(robot.drive_gain == 1.0)) and robot.n > 1
+    amperes = not recording.has("tau") and not robot.knows_drive_gains and robot.n > 1
     recording, validate, warnings = _usable(recording, validate, robot)
     known = [finding for one in (recording, validate) if one is not None for finding in channel_findings(one)]
     warnings += [finding.warning for finding in known]

@@ -41,7 +41,8 @@ class ClampedSignals:
         source: where the recording came from.
         t: time on the controller's clock ``(N,)`` [s].
         q_m: motor angles ``(N, n)`` [rad].
-        tau: motor torques from current and data-sheet gain, [J] (9), ``(N, n)`` [N m]; None if not recorded.
+        tau: motor torques from current and data-sheet gain, [J] (9), ``(N, n)`` [N m], as recorded where no gain is
+            known; in A where neither is; None if not recorded.
         wrench: F_e of the arm on the environment, tool frame ``(N, 6)`` [N, N m]; components that were not
             measured are zero ([J] 4.2); NaN rows where the sensor was silent; None if not recorded.
         measured: which components were measured.
@@ -72,7 +73,7 @@ def clamped_signals(recording: Recording, robot: Robot) -> ClampedSignals:
     t = recording.t
     q_raw = recording.joints("q")
     tau_raw = None
-    if recording.has("current"):
+    if recording.has("current") and (robot.knows_drive_gains or not recording.has("tau")):
         tau_raw = recording.joints("current") * robot.drive_gain
     elif recording.has("tau"):
         tau_raw = recording.joints("tau")

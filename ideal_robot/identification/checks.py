@@ -14,7 +14,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.identification.weighted_least_squares import Solution
 from ideal_robot.model.model import Model
 from ideal_robot.robots import SHIPPED
-from ideal_robot.robots.robot import Robot
+from ideal_robot.robots.robot import UNKNOWN_DRIVE_GAIN, Robot
 from ideal_robot.signals.error_budget import at_sampling_instants
 from ideal_robot.signals.plausible import plausible, require_joint_units, require_metres
 from ideal_robot.signals.recording import Recording
@@ -116,11 +116,7 @@ def _with_torque(recording: Recording, robot: Robot) -> tuple[Recording, list[st
                          "[A] are needed", file=recording.source, field=missing)
     tau = recording.joints("current") * robot.drive_gain
     columns = {**recording.columns, **{f"tau_{i + 1}": np.ascontiguousarray(tau[:, i]) for i in range(recording.n)}}
-    warnings = []
-    if np.all(robot.drive_gain == 1.0):
-        warnings.append("unknown-drive-gain: no drive gains are known (--robot); torques are in amperes and so are all "
-                        "parameters")
-    return replace(recording, columns=columns), warnings
+    return replace(recording, columns=columns), [UNKNOWN_DRIVE_GAIN] * (not robot.knows_drive_gains)
 
 
 def _some(names: Sequence[str]) -> str:

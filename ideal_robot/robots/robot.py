@@ -34,6 +34,9 @@ def prismatic_joints(model: pin.Model) -> NDArray[np.bool_]:
 
 TOOL_TIP = "ideal_robot_tool_tip"
 """Name of the frame at the end of a tool that a scene puts on."""
+UNKNOWN_DRIVE_GAIN = ("unknown-drive-gain: no drive gains are known (--robot); torques are in amperes and so are all "
+                      "parameters")
+"""Warning of whoever makes torques of the currents of such an arm."""
 
 
 def _frozen(values: Any) -> Array:
@@ -93,6 +96,11 @@ class Robot(Summarised):
     def prismatic(self) -> NDArray[np.bool_]:
         """Which joints slide along their axis instead of turning about it ``(n,)``."""
         return prismatic_joints(self.pinocchio)
+
+    @property
+    def knows_drive_gains(self) -> bool:
+        """Whether currents become torques; else they stay amperes."""
+        return bool(np.any(self.drive_gain != 1.0))
 
     @property
     def urdf_hash(self) -> str:

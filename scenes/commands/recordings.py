@@ -230,18 +230,24 @@ def _show_diagnosed(found: Diagnosis) -> None:
         typer.echo(f"not used: {unused(found)}")
 
 
-def stiffness(
+@dataclass(kw_only=True)
+class StiffnessOptions:
+    """Options of ``stiffness``."""
+
     recordings: Annotated[list[Path], typer.Argument(help="Recordings with the flange clamped, or with payloads "
-                                                          "hung on it (Parquet or CSV).")],
-    robot: RobotName,
-    method: Annotated[str, typer.Option(help="motor (currents), wrench (force sensor) or both.")] = "both",
+                                                          "hung on it (Parquet or CSV).")]
+    robot: RobotName
+    method: Annotated[str, typer.Option(help="motor (currents), wrench (force sensor) or both.")] = "both"
     clamp: Annotated[bool | None, typer.Option("--clamp/--no-clamp", help="Estimate the give of clamp and links beside "
-                                               "the gears; default: where the recordings allow it.")] = None,
+                                               "the gears; default: where the recordings allow it.")] = None
+    drive_data: DriveData = None
     drive_gain_tolerance: Annotated[float, typer.Option(help="Relative standard deviation of the data sheet's drive "
-                                                             "gains.", min=0.0)] = 0.03,
-    json: JsonResults = None,
-    out: ReportFolder = Path("out/stiffness"),
-) -> None:
+                                                             "gains.", min=0.0)] = 0.03
+    json: JsonResults = None
+    out: ReportFolder = Path("out/stiffness")
+
+
+def stiffness(options: StiffnessOptions) -> None:
     """Joint stiffness of an arm whose flange is clamped to the environment, after Jubien, Abba and Gautier (2014).
 
     Example: `ideal-robot run clamped_kr500_1` and then
@@ -254,15 +260,16 @@ def stiffness(
     from scenes.clamped import stiffness_page
     from scenes.outputs import check_outputs
 
-    check_outputs({"--out": out}, json=json)
+    check_outputs({"--out": options.out}, json=options.json)
     with progress_bar("stiffness") as progress:
-        arm = Robot.load(robot)
-        loaded = [Recording.read(path) for path in recordings]
+        arm = Robot.load(options.robot, options.drive_data)
+        loaded = [Recording.read(path) for path in options.recordings]
         progress(0.1, "synchronising and fitting")
-        analysis = analyse_stiffness(loaded, arm, method, clamp=clamp, drive_gain=drive_gain_tolerance)
+        analysis = analyse_stiffness(loaded, arm, options.method, clamp=options.clamp,
+                                     drive_gain=options.drive_gain_tolerance)
         progress(0.7, "drawing")
-        page = out / "report.html"
-        with whole_files(page, json) as (page_file, json_file):
+        page = options.out / "report.html"
+        with whole_files(page, options.json) as (page_file, json_file):
             stiffness_page(analysis, title=f"Joint stiffness of {arm.name}").write(page_file)
             write_signed(json_file, analysis.to_dict())
     show_table("stiffness", ["joint", "method", "k [N m/rad]", "offset [N m]", "%σ", "‖Wχ−Y‖/‖Y‖ [%]"],

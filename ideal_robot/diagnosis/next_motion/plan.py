@@ -155,7 +155,7 @@ def plan_diagnosis(recording: Recording, robot: Robot, questions: Open, *, model
         model.require_arm(robot)
     options = options or Options()
     (recording,), _ = checked([recording], robot)
-    amperes = not recording.has("tau") and bool(np.all(robot.drive_gain == 1.0)) and robot.n > 1
+    amperes = not recording.has("tau") and not robot.knows_drive_gains and robot.n > 1
     case = Case(recording, robot, model, None, options, silent,
                 shared=model is not None or not amperes, only=None)
     progress(0.02, "the recording")

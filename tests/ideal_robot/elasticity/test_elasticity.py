@@ -10,9 +10,10 @@ import pytest
 from ideal_robot.elasticity.clamped_signals import clamped_signals, lowpass, synchronise
 from ideal_robot.elasticity.observer import ArmObserver, GearDeflection
 from ideal_robot.elasticity.stiffness import least_squares
+from ideal_robot.elasticity.stiffness_analysis import analyse_stiffness
 from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
-from ideal_robot.robots.robot import Robot
+from ideal_robot.robots.robot import UNKNOWN_DRIVE_GAIN, Robot
 from ideal_robot.signals.recording import Recording
 from scenes.models import shipped_model
 from sim.arm.arm import SimulatedArm
@@ -56,6 +57,23 @@ def test_what_cannot_be_used_is_said() -> None:
         clamped_signals(Recording.from_arrays(t[few], q=q[few], tau=q[few]), robot)
     with pytest.raises(InputError, match="at least 5 s"):
         clamped_signals(Recording.from_arrays(t[:0], q=q[:0], tau=q[:0]), robot)
+
+
+def test_without_drive_gains_recorded_torques_count_and_amperes_are_said() -> None:
+    arm = Robot.load("kr6")
+    unknown = replace(arm, drive_gain=np.ones(6))
+    t, rng = np.arange(0.0, 60.0, 0.012), np.random.default_rng(0)
+    k = np.array([3e5, 3.5e5, 2e5, 3e4, 3e4, 1.3e4])
+    tau = np.repeat(rng.uniform(-1, 1, (30, 6)), 167, axis=0)[: len(t)] * 1e-3 * k
+    held = {"q": arm.home + tau / k + 1e-6 * rng.standard_normal(tau.shape), "current": tau / arm.drive_gain}
+    currents, both = Recording.from_arrays(t, **held), Recording.from_arrays(t, **held, tau=tau)
+    for robot, recording in ((arm, currents), (unknown, both)):
+        analysis = analyse_stiffness(recording, robot)
+        np.testing.assert_allclose([one.stiffness for one in analysis.joints], k, rtol=1e-3)
+        assert analysis.warnings == ()
+    analysis = analyse_stiffness(currents, unknown)
+    np.testing.assert_allclose([one.stiffness for one in analysis.joints], k / arm.drive_gain, rtol=1e-3)
+    assert analysis.warnings == (UNKNOWN_DRIVE_GAIN,)
 
 
 # Least squares with spreads.

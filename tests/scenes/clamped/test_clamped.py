@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from ideal_robot.elasticity.configurations import ClampLimits, choose_configurations
 from ideal_robot.elasticity.stiffness import condition_number
@@ -16,6 +18,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes import load_scene
 from scenes.clamped import configurations, record, run
+from scenes.cli import app
 from scenes.report.page import write_json
 from sim.contact.clamp import ClampedArm
 from sim.contact.clamp_world import ClampWorld
@@ -97,6 +100,18 @@ def test_run_writes_what_the_command_reads(tmp_path: Path) -> None:
         assert mine.stiffness == pytest.approx(theirs["stiffness"], rel=1e-9)
         assert set(theirs) >= {"joint", "stiffness", "offset", "std_percent", "relative_error_percent", "method"}
     assert (tmp_path / "report.html").stat().st_size > 20_000
+    # Drive data have their option, here such that know no gains.
+    drive = robot.urdf.with_suffix(".toml").read_text()
+    (tmp_path / "drive.toml").write_text(re.sub("(?m)^(torque_constant|gear_ratio).*$", "", drive))
+    asked = ["stiffness", content["recording"], "--robot", content["urdf"], "--json", str(tmp_path / "again.json"),
+             "--drive-data", str(tmp_path / "drive.toml"), "--out", str(tmp_path / "again")]
+    done = CliRunner().invoke(app, asked)
+    assert done.exit_code == 0, done.output
+    found = json.loads((tmp_path / "again.json").read_text())
+    amperes = next(one for one in found["joints"] if one["method"] == "motor")["stiffness"]
+    assert amperes * robot.drive_gain[0] == pytest.approx(again.by("motor")[1].stiffness, rel=1e-9)
+    for said in (done.output, str(found["warnings"]), (tmp_path / "again" / "report.html").read_text()):
+        assert "unknown-drive-gain" in said
 
 
 @pytest.mark.parametrize(("key", "value"), [
