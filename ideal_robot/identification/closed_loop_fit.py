@@ -27,6 +27,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.preprocess import gap_free
 from ideal_robot.signals.recording import Recording
 
 _ORDER = 2
@@ -63,16 +64,17 @@ def fit_controller(recording: Recording, robot: Robot) -> ControllerFit:
     Raises:
         InputError: a column is missing, the sampling is too slow, or a joint does not move.
     """
-    q_c, q, tau = recording.joints("q_c"), recording.joints("q"), recording.joints("tau")
     cycle = float(np.median(np.diff(recording.t)))
     if cycle > 2.5 * robot.t_position:
         raise InputError(f"the closed loop needs samples every {1e3 * robot.t_position:g} ms", file=recording.source,
                          field="t", value=cycle)
     for i in range(recording.n):
-        if np.ptp(q[:, i]) < 0.02:
+        if np.ptp(recording.columns[f"q_{i + 1}"]) < 0.02:
             raise InputError("the joint hardly moves", file=recording.source, field=f"q_{i + 1}")
-    fits = [[_fit_joint(_JointCascade(*columns, cycle, robot.t_velocity, averaged))
-             for columns in zip(q_c.T, q.T, tau.T, strict=True)] for averaged in (False, True)]
+    parts = gap_free(recording, ("q_c", "q", "tau"), 2 * _EDGE + 2)
+    fits = [[_fit_joint([_JointCascade(part.columns[f"q_c_{i}"], part.columns[f"q_{i}"], part.columns[f"tau_{i}"],
+                                       float(np.median(np.diff(part.t))), robot.t_velocity, averaged)
+                         for part in parts]) for i in range(1, recording.n + 1)] for averaged in (False, True)]
     # How a drive logs is the same for all of its joints.
     fits.sort(key=lambda joints: sum(error**2 for _, error in joints))
     values, error = (np.array(part) for part in zip(*fits[0], strict=True))
@@ -84,12 +86,11 @@ def fit_controller(recording: Recording, robot: Robot) -> ControllerFit:
 
 
 class _JointCascade:
-    """The cascade of one joint: its torque as a linear form of products of gains, for any two time constants.
+    """The cascade of one joint over a stretch without a gap: its torque as a linear form of products of gains.
 
     Attributes:
         q_c, q: commands and motor angles at the recording's cycle ``(N,)`` [rad].
         tau: the torque below ``_CUTOFF`` about its mean, without the ends ``(M,)`` [N m].
-        scale: standard deviation of that torque [N m].
         angle: motor angles every ``t_velocity`` [rad].
         cycle, t_velocity: cycles of the recording and of the velocity loop [s].
         every: steps of the velocity loop in a cycle of the recording.
@@ -110,8 +111,6 @@ class _JointCascade:
         self.angle = CubicSpline(np.arange(len(q)) * cycle, q)(fine)
         self.tau = self._smoothed(tau)
         self.tau = self.tau - self.tau.mean()
-        self.scale = float(np.std(self.tau))
-        self._times, self._columns = np.full(2, np.nan), np.empty((0, 6))
 
     def _smoothed(self, x: Array) -> Array:
         return np.asarray(filtfilt(*self._low_pass, x, axis=0)[_EDGE:-_EDGE])
@@ -130,6 +129,21 @@ class _JointCascade:
             return self._smoothed(np.concatenate([acting[:1], logged]))
         return self._smoothed(acting[:: self.every])
 
+
+class _Stretches:
+    """All stretches of one joint together; the integrator's state at the start of each is a constant of its own.
+
+    Attributes:
+        tau: torques of the stretches one after the other ``(M,)`` [N m].
+        scale: their standard deviation [N m].
+    """
+
+    def __init__(self, parts: Sequence[_JointCascade]) -> None:
+        self._parts = parts
+        self.tau = np.concatenate([part.tau for part in parts])
+        self.scale = float(np.std(self.tau))
+        self._times, self._columns = np.full(2, np.nan), np.empty((0, 6))
+
     def fitted(self, lags: Array) -> tuple[Array, Array]:
         """Best ``k_p k_v, k_p k_ff, k_p`` ``(3,)``, and the torque about its mean that they leave ``(M,)`` [N m].
 
@@ -137,8 +151,9 @@ class _JointCascade:
             lags: time constants of command and velocity [s], and the integrator's k_i / k_p [1/s] ``(3,)``.
         """
         if not np.array_equal(lags[:2], self._times):
-            H = self.columns(lags[:2])
-            self._times, self._columns = lags[:2].copy(), H - H.mean(axis=0)
+            H = [part.columns(lags[:2]) for part in self._parts]
+            self._times = lags[:2].copy()
+            self._columns = np.concatenate([part - part.mean(axis=0) for part in H])
         A = self._columns[:, :3] + abs(lags[2]) * self._columns[:, 3:]
         unit = np.linalg.norm(A, axis=0)
         # A loop feeds back what it is to take away: no gain is negative.
@@ -146,13 +161,14 @@ class _JointCascade:
         return products, self.tau - A @ products
 
 
-def _fit_joint(joint: _JointCascade) -> tuple[Array, float]:
+def _fit_joint(parts: Sequence[_JointCascade]) -> tuple[Array, float]:
     """Gains ``k_v, k_ff, k_p, k_i`` and time constants of one joint ``(6,)``, and the relative error [%].
 
     A lag of half a millisecond adds up to hundreds of newton metres in the integrator: lags and integrator must be
     about right together before a search can succeed.
     """
-    unit = np.array([joint.cycle, joint.t_velocity, 1.0 / _INTEGRAL])
+    joint = _Stretches(parts)
+    unit = np.array([parts[0].cycle, parts[0].t_velocity, 1.0 / _INTEGRAL])
 
     def left(lags: Array) -> Array:
         return joint.fitted(lags * unit)[1] / joint.scale
@@ -218,7 +234,7 @@ def identify_linear_loop(recordings: Sequence[Recording], t_cycle: float) -> Lin
     Raises:
         InputError: missing commands, unsuitable sampling, too short, a joint that does not move.
     """
-    data = [_sampled(r, t_cycle) for r in recordings]
+    data = [part for r in recordings for part in _sampled(r, t_cycle)]
     n = recordings[0].n
     g, std, error, degree = np.zeros((_LAGS + 1, n)), np.zeros((_LAGS + 1, n)), np.empty(n), []
     for j in range(n):
@@ -234,9 +250,9 @@ def identify_linear_loop(recordings: Sequence[Recording], t_cycle: float) -> Lin
     return LinearLoopFit(LinearLoop(g, t_cycle), tuple(degree), std, error)
 
 
-def commanded(recording: Recording) -> Array:
-    """Commands ``(N, n)`` [rad]; the desired positions where there are none."""
-    return recording.joints("q_c" if recording.has("q_c") else "q_d")
+def commanded(recording: Recording) -> str:
+    """Name of the commands' columns without the joint: that of the desired positions where there are none."""
+    return "q_c" if recording.has("q_c") else "q_d"
 
 
 def in_cycle(recording: Recording, t_cycle: float) -> tuple[float, int]:
@@ -249,18 +265,19 @@ def in_cycle(recording: Recording, t_cycle: float) -> tuple[float, int]:
     return step, every
 
 
-def _sampled(recording: Recording, t_cycle: float) -> tuple[Array, Array]:
+def _sampled(recording: Recording, t_cycle: float) -> list[tuple[Array, Array]]:
+    """Commands and positions ``(N, n)`` of each stretch without a gap, both about where the recording starts."""
     _, every = in_cycle(recording, t_cycle)
-    return commanded(recording)[::every], recording.joints("q")[::every]
+    name = commanded(recording)
+    start = recording.joints(name, slice(1)), recording.joints("q", slice(1))
+    return [(part.joints(name)[::every] - start[0], part.joints("q")[::every] - start[1])
+            for part in gap_free(recording, (name, "q"), _LAGS * every + 1)]
 
 
 def _rows(series: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Delayed commands ``(N, _LAGS + 1)`` and positions, both about where each recording starts."""
-    X, y = [], []
-    for q_d, q in series:
-        X.append(np.stack([q_d[_LAGS - lag: len(q_d) - lag] for lag in range(_LAGS + 1)], axis=1) - q_d[0])
-        y.append(q[_LAGS:] - q[0])
-    return np.concatenate(X), np.concatenate(y)
+    """Delayed commands ``(N, _LAGS + 1)`` and positions ``(N,)``."""
+    X = [np.stack([q_d[_LAGS - lag: len(q_d) - lag] for lag in range(_LAGS + 1)], axis=1) for q_d, _ in series]
+    return np.concatenate(X), np.concatenate([q[_LAGS:] for _, q in series])
 
 
 def _noise(X: Array, y: Array) -> float:

@@ -19,6 +19,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.identification.closed_loop_fit import commanded, in_cycle
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.results import Summarised, listed
+from ideal_robot.signals.preprocess import gap_free
 from ideal_robot.signals.recording import Recording
 
 _K_I_RANGE = (1e-4, 2.0)
@@ -33,9 +34,9 @@ class ControllerIdentification(Summarised):
         model: the controllers, with standard deviations.
         error_percent: ``100 ‖τ - τ̂‖ / ‖τ - mean‖`` of the simulated controller per joint ``(n,)``.
         k_i_direct: integral gain of the one-step estimate ``(n,)``, for the comparison only.
-        t: sampling instants of the first recording ``(N,)`` [s].
-        measured, simulated, drifting: measured torque of the first recording, the simulation with the model's k_I,
-            and that with ``k_i_direct`` ``(N, n)`` [N m].
+        t: sampling instants of the first recording's longest stretch without a gap ``(N,)`` [s].
+        measured, simulated, drifting: measured torque then, the simulation with the model's k_I, and that with
+            ``k_i_direct`` ``(N, n)`` [N m].
     """
 
     model: ControllerModel
@@ -72,9 +73,11 @@ def identify_controller(recordings: Sequence[Recording], t_cycle: float,
         if max(np.ptp(recording.joints("q")[:, j]) for recording in recordings) < 1e-2:
             raise InputError("the joint hardly moves; its controller cannot be identified", file=recordings[0].source,
                              field=f"q_{j + 1}")
-    delay = _command_delay(recordings, t_cycle)
-    series = [part for recording in recordings for part in _series(recording, t_cycle, delay)]
-    pd_series = [part for recording in without_integrator for part in _series(recording, t_cycle, delay)]
+    stretches = _stretches(recordings, t_cycle)
+    delay = _command_delay(stretches, t_cycle)
+    series = [part for stretch in stretches for part in _series(stretch, t_cycle, delay)]
+    pd_series = [part for stretch in _stretches(without_integrator, t_cycle)
+                 for part in _series(stretch, t_cycle, delay)]
     gains, std, k_i, k_i_std = np.empty((4, n)), np.empty((4, n)), np.empty(n), np.empty(n)
     error = np.empty(n)
     for j in range(n):
@@ -90,19 +93,20 @@ def identify_controller(recordings: Sequence[Recording], t_cycle: float,
     spread = {name: std[i].tolist() for i, name in enumerate(("k_p", "k_d", "k_1", "k_2"))}
     model = ControllerModel(t_cycle, k_p=gains[0], k_d=gains[1], k_1=gains[2], k_2=gains[3], k_i=k_i,
                             filter_time=np.zeros(n), delay=delay, std={**spread, "k_i": k_i_std.tolist()})
-    first = series[0]
-    direct, drifting = _direct(recordings[0], t_cycle, gains)
-    count = min(len(first.t), len(drifting))
-    return ControllerIdentification(model, error, direct, first.t[:count], first.tau[:count],
-                                    _simulated(first, gains, k_i)[:count], drifting[:count])
+    longest = max(_stretches(recordings[:1], t_cycle), key=lambda stretch: len(stretch[0].t))
+    shown = _series(longest, t_cycle, delay)[0]
+    direct, drifting = _direct(longest, t_cycle, gains)
+    count = min(len(shown.t), len(drifting))
+    return ControllerIdentification(model, error, direct, shown.t[:count], shown.tau[:count],
+                                    _simulated(shown, gains, k_i)[:count], drifting[:count])
 
 
-def _command_delay(recordings: Sequence[Recording], t_cycle: float) -> float:
+def _command_delay(stretches: Sequence[tuple[Recording, bool]], t_cycle: float) -> float:
     """The delay of the command with which the simulated controllers come closest to the torque [s]."""
     def cost(delay: float) -> float:
-        series = [_series(recording, t_cycle, delay, offsets=False)[0] for recording in recordings]
+        series = [_series(stretch, t_cycle, delay, offsets=False)[0] for stretch in stretches]
         total = 0.0
-        for j in range(recordings[0].n):
+        for j in range(stretches[0][0].n):
             joint = _Joint(series, j)
             total += min(_simulation(joint, k, None).error_percent ** 2 for k in np.geomspace(0.02, 0.8, 8))
         return total
@@ -122,7 +126,7 @@ def _simulated(series: _Series, gains: Array, k_i: Array) -> Array:
 
 @dataclass(frozen=True)
 class _Series:
-    """Signals of one recording as means over the cycles.
+    """Signals of one recording, or of a stretch of it without a gap, as means over the cycles.
 
     Attributes:
         t: times ``(N,)`` [s].
@@ -137,21 +141,24 @@ class _Series:
     tau: Array
 
 
-def _series(recording: Recording, t_cycle: float, delay: float, offsets: bool = True) -> list[_Series]:
+def _series(stretch: tuple[Recording, bool], t_cycle: float, delay: float, offsets: bool = True) -> list[_Series]:
     """Means over cycles of ``t_cycle``; one series for each offset of the faster samples.
 
     Inputs change within a cycle. Averaged over it, the difference quotient of (16) *is* the derivative, and torque and
     columns belong to the same instant; sampled, they would lie half a cycle apart.
 
     Args:
-        recording: with commands, positions and torques.
+        stretch: commands, positions and torques without a gap; and whether the arm rested before. Where it moved, the
+            delayed command of the first cycle is not known, and that cycle is left out.
         t_cycle: length of a cycle [s].
         delay: by which the controller sees the command later than it was logged [s]: that of its low-pass.
         offsets: whether to use all samples; only the first series otherwise.
     """
-    command, t, q, tau = commanded(recording), recording.t, recording.joints("q"), recording.joints("tau")
+    recording, first = stretch
     step, every = in_cycle(recording, t_cycle)
-    q_d = interpolated(t - delay, t, command)
+    begin = slice(0 if first else every, None)
+    t, q, tau = recording.t[begin], recording.joints("q", begin), recording.joints("tau", begin)
+    q_d = interpolated(t - delay, recording.t, recording.joints(commanded(recording)))
     e, qd = q_d - q, np.gradient(q, step, axis=0)
 
     def mean(x: Array) -> Array:
@@ -167,6 +174,12 @@ def _series(recording: Recording, t_cycle: float, delay: float, offsets: bool = 
     torque = mean(tau)
     return [_Series(t[every:][i::every], columns[i::every], integrals[i::every], torque[i::every])
             for i in range(every if offsets else 1)]
+
+
+def _stretches(recordings: Sequence[Recording], t_cycle: float) -> list[tuple[Recording, bool]]:
+    """Stretches without a gap, of three cycles at least, and whether a recording begins with it, at rest."""
+    return [(part, part.t[0] < recording.t[0] + t_cycle) for recording in recordings
+            for part in gap_free(recording, (commanded(recording), "q", "tau"), 3 * in_cycle(recording, t_cycle)[1])]
 
 
 class _Joint:
@@ -229,15 +242,16 @@ def _pd_gains(joint: _Joint) -> tuple[Array, Array]:
     return fit.gains, fit.std
 
 
-def _direct(recording: Recording, t_cycle: float, gains: Array) -> tuple[Array, Array]:
+def _direct(stretch: tuple[Recording, bool], t_cycle: float, gains: Array) -> tuple[Array, Array]:
     """k_I by least squares from one step of (17) to the next, and the torque it leads to: what [G] warns of.
 
     Signals are sampled once a cycle and differentiated backwards, as the interpolation cycle sees them:
     ``τ(k) - τ(k-1) - u(k) + u(k-1) = k_I u(k)``. Returns ``k_I (n,)`` and the torque ``(N, n)`` at the cycles' ends.
     """
+    recording, first = stretch
     _, every = in_cycle(recording, t_cycle)
-    q_d, q, tau = (rows[every::every] for rows in
-                   (commanded(recording), recording.joints("q"), recording.joints("tau")))
+    rows = slice(every if first else 2 * every, None, every)
+    q_d, q, tau = (recording.joints(name, rows) for name in (commanded(recording), "q", "tau"))
 
     def rate(x: Array) -> Array:
         return np.concatenate([np.zeros_like(x[:1]), np.diff(x, axis=0)]) / t_cycle

@@ -8,9 +8,10 @@ the model does not claim to explain. Both cut-offs are chosen from the data unle
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import scipy
@@ -205,6 +206,39 @@ def preprocess(recording: Recording, *, cutoff: float | None = None,
         InputError: too few samples, or a cut-off the sampling rate does not allow.
     """
     return evenly_sampled(recording).filtered(cutoff, cutoff_decimation)
+
+
+def gap_free(recording: Recording, prefixes: Sequence[str], fewest: int) -> list[Recording]:
+    """The stretches between a recording's gaps, each at even instants; the recording itself where it is even already.
+
+    A gap is what is a hole to ``uniform_time``; fewer lost rows are filled in from those around them.
+
+    Args:
+        recording: with ``t`` and ``q_i``, time increasing.
+        prefixes: the quantities of the joints that are needed.
+        fewest: samples without which a stretch is of no use, at least two.
+
+    Raises:
+        InputError: a column is missing, or no stretch has so many samples.
+    """
+    recording = on_its_clock(recording)
+    t, steps = recording.t, np.diff(recording.t)
+    # Lost rows do not lengthen the cycle.
+    cycle = float(np.mean(steps[steps < 1.5 * np.median(steps)])) if len(steps) else 1.0
+    found = []
+    for begin, end in pairwise([0, *(np.flatnonzero(steps > _GAP * cycle) + 1), len(t)]):
+        here = t[begin:end]
+        grid = np.linspace(here[0], here[-1], round((here[-1] - here[0]) / cycle) + 1)
+        if len(grid) < fewest:
+            continue
+        if len(grid) == len(t) and np.allclose(t, grid, atol=1e-3 * cycle, rtol=0.0):
+            return [recording]
+        found.append(Recording.from_arrays(grid, meta=recording.meta, source=recording.source, **{
+            prefix: resampled(here, recording.joints(prefix, slice(begin, end)), grid, smooth=prefix != "tau")
+            for prefix in prefixes}))
+    if not found:
+        raise InputError(f"too short: {fewest} samples without a gap are needed", file=recording.source, field="t")
+    return found
 
 
 def uniform_time(recording: Recording) -> tuple[Array, np.ndarray]:

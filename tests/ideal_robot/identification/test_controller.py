@@ -177,3 +177,27 @@ def test_the_published_gains_of_a_measured_cascade_without_integrator_are_found(
     assert k_v == pytest.approx(160.18, rel=0.02)
     assert k_p == pytest.approx(243.45 * 35.15, rel=0.02)
     assert k_i < 0.01 * k_p * k_v
+
+
+def without(recording: Recording, rows: slice | np.ndarray) -> Recording:
+    return Recording({name: np.delete(values, rows) for name, values in recording.columns.items()}, recording.meta)
+
+
+@pytest.mark.parametrize("lost", [2001, slice(1500, 2700), np.arange(40, 4500, 97)])
+def test_lost_rows_and_pauses_leave_the_closed_loop_what_it_is(lost: int | slice | np.ndarray) -> None:
+    """Counted by rows, all that follows a lost one belongs to other instants: gains changed by a third and more."""
+    whole = recorded(1)
+    cut = without(whole, lost)
+    expected, found = (np.array(cascade_gains(fit_controller(one, ROBOT).controller))[:, 0] for one in (whole, cut))
+    np.testing.assert_allclose(found, expected, rtol=0.05)
+    expected, found = (identify_controller([one], T).model.k_p for one in (whole, cut))
+    np.testing.assert_allclose(found, expected, rtol=0.1)
+    expected, found = (identify_linear_loop([one], T).loop.predict(whole.joints("q_c")[::6]) for one in (whole, cut))
+    np.testing.assert_allclose(found, expected, atol=2e-4)
+
+
+def test_of_stretches_that_are_too_short_nothing_is_told() -> None:
+    torn = without(recorded(1, 3.0), np.arange(1500) % 100 < 20)
+    for identify in (lambda: identify_linear_loop([torn], T), lambda: fit_controller(torn, ROBOT)):
+        with pytest.raises(InputError, match="without a gap"):
+            identify()
