@@ -199,8 +199,8 @@ def _elastic(model: Model, rotor_inertia: Array) -> Array:
     """Stiffness ``(n,)`` [N m/rad]; ``inf`` where none is known or the gear cannot be told from a rigid one."""
     if model.stiffness is None:
         return np.full(model.n, np.inf)
-    rigid = model.stiffness > (2 * np.pi * _FASTEST) ** 2 * rotor_inertia
-    return np.where(rigid, np.inf, model.stiffness)
+    # An unknown one (NaN) is not below the limit either.
+    return np.where(model.stiffness <= (2 * np.pi * _FASTEST) ** 2 * rotor_inertia, model.stiffness, np.inf)
 
 
 def cascade_gains(controller: ControllerModel) -> tuple[Array, Array, Array, Array]:

@@ -53,7 +53,8 @@ class Model(Summarised):
             inertias, offsets.
         noise_std: standard deviation of the residual on the estimation data ``(n,)`` [N m].
         controller: the joint controllers, or None.
-        stiffness, damping: of the joints ``(n,)`` [N m/rad, N m s/rad], or None.
+        stiffness, damping: of the joints ``(n,)`` [N m/rad, N m s/rad], or None; a rigid gear has ``inf``, one that
+            nobody knows NaN.
         effects: what diagnosis added, with the evidence for each.
         provenance: recordings (source, hash), method, cut-offs, errors, warnings, version.
     """
@@ -262,7 +263,7 @@ class Model(Summarised):
                              value=self.robot_name)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, as in the model file; non-finite numbers become None."""
+        """Plain values, as in the model file; non-finite numbers become None, an infinite stiffness ``"inf"``."""
         values: dict[str, Any] = plain({
             "schema": SCHEMA,
             "robot": {"name": self.robot_name, "urdf_hash": self.urdf_hash, "joints": self.n, "urdf": self.urdf},
@@ -280,7 +281,7 @@ class Model(Summarised):
             "consistent": self.consistent,
             "noise_std": self.noise_std,
             "controller": None if self.controller is None else self.controller.to_dict(),
-            "stiffness": self.stiffness,
+            "stiffness": None if self.stiffness is None else ["inf" if np.isinf(k) else k for k in self.stiffness],
             "damping": self.damping,
             "effects": [effect.to_dict() for effect in self.effects],
             "provenance": self.provenance,
@@ -338,5 +339,5 @@ class Model(Summarised):
         return write_text(path, urdf_with_inertials(self.urdf, self.kinematics, self.consistent[: 10 * self.n]))
 
 
-def _optional(values: list[float] | None) -> Array | None:
+def _optional(values: list[float | str | None] | None) -> Array | None:
     return None if values is None else np.array([np.nan if v is None else v for v in values], dtype=float)

@@ -156,3 +156,12 @@ def test_precorrection_says_how_far_its_error_reaches() -> None:
     none = {name: 6 * [0.0] for name in given.spread}
     exact = precorrect(t, q_d, dataclasses.replace(MODEL, controller=dataclasses.replace(given, spread=none)), ROBOT)
     np.testing.assert_allclose(exact.reach, np.tile(exact.expected_rms[0], (DRAWS, 1)), rtol=1e-6)
+
+
+def test_a_rigid_gear_is_rigid_and_an_unknown_one_unknown_after_a_round_trip(tmp_path: Path) -> None:
+    robot, model = Robot.load("kr6"), Model.load(SHIPPED)
+    k = np.array([np.inf, 3.5e5, np.nan, 3e4, 3e4, 1.3e4])
+    again = Model.load(dataclasses.replace(model, stiffness=k).save(tmp_path / "model.json"))
+    np.testing.assert_array_equal(again.stiffness, k)
+    # A gear that nobody knows counts as rigid.
+    np.testing.assert_array_equal(np.isinf(loop_model(again, robot).stiffness[:4]), [True, False, True, False])
