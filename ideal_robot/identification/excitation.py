@@ -53,10 +53,11 @@ class Workspace:
         column = 0.0 if robot.prismatic[0] else small * cls.r_min
         return cls(min(small * cls.z_min, highest - 0.5 * abs(highest)), column, small * cls.z_free)
 
-    def on_the_way(self, robot: Robot) -> Shapes | None:
-        """What a drive from home must not touch; None where home itself touches something and nobody named a cell.
+    def on_the_way(self, robot: Robot) -> Workspace:
+        """What a drive from home must keep off: wider where home lies outside, with the shapes in ``cell``.
 
-        The base plane of an arm that hangs or stands high is no floor.
+        None of these where home itself touches something and nobody named a cell: the base plane of an arm that hangs
+        or stands high is no floor.
 
         Raises:
             InputError: the arm stands in the cell that was named.
@@ -66,7 +67,7 @@ class Workspace:
         if touch is not None and self.cell is not None:
             raise InputError(f"the motion begins at the home posture, and there {touch}; give another [joints] home",
                              field="home", value=[round(float(angle), 3) for angle in robot.home])
-        return shapes if touch is None else None
+        return replace(self.widened(robot, robot.home[None]), cell=shapes if touch is None else None)
 
     def widened(self, robot: Robot, q: Array) -> Workspace:
         """The workspace, wider where the arm has been already: what was recorded touched nothing.

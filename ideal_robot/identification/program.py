@@ -16,11 +16,12 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics import BaseParameters, base_parameters, full_regressor
 from ideal_robot.errors import InputError
 from ideal_robot.identification.excitation import Workspace, approach, clear_of_obstacles
-from ideal_robot.robots.collisions import Shapes
 from ideal_robot.robots.robot import Robot
 
 FRICTION_SPEEDS = (0.01, 0.02, 0.04, 0.08, 0.15, 0.3, 0.5)
 """Speeds of the friction moves, as shares of each axis's limit."""
+_ON_A_WAY = 48
+"""Postures that are looked at on the way from one operating point to the next: a centimetre or two apart."""
 
 
 @dataclass(frozen=True)
@@ -123,6 +124,36 @@ def finite_limits(robot: Robot) -> tuple[Array, Array]:
     return (np.where(np.isfinite(robot.v_max), robot.v_max, 1.0), np.where(np.isfinite(robot.a_max), robot.a_max, 5.0))
 
 
+def require_within_limits(robot: Robot, q_c: Array, workspace: Workspace) -> None:
+    """Refuses commands that leave a limit of the arm or the workspace.
+
+    Args:
+        robot: the arm.
+        q_c: commands every interpolation cycle ``(N, n)`` [rad].
+        workspace: where tool and links may go.
+
+    Raises:
+        InputError: names the limit and the joint.
+    """
+    speed = np.diff(q_c, axis=0) / robot.t_ipo
+    acceleration = np.diff(speed, axis=0) / robot.t_ipo
+    over = 1.0 + 1e-6
+    slack = 1e-6 * np.maximum(np.abs(robot.q_max - robot.q_min), 1e-3)
+    for what, wrong in (("position", np.any((q_c < robot.q_min - slack) | (q_c > robot.q_max + slack), axis=0)),
+                        ("speed", np.any(np.abs(speed) > over * robot.v_max, axis=0)),
+                        ("acceleration", np.any(np.abs(acceleration) > over * robot.a_max, axis=0))):
+        if np.any(wrong):
+            raise InputError(f"the planned motion leaves the {what} limit of joint {int(np.argmax(wrong)) + 1}; "
+                             "nothing is written", field="motion")
+    cell = workspace.on_the_way(robot).cell
+    if cell is not None and (touch := cell.first_touch(q_c)) is not None:
+        raise InputError(f"on the way {touch}, {touch.row * robot.t_ipo:.1f} s from its begin; try another --seed, or "
+                         "begin from another posture ([joints] home)", field="motion")
+    if not clear_of_obstacles(robot, q_c, workspace).all():
+        raise InputError("on its way between two postures the planned motion comes too near to floor or base column; "
+                         "try another --seed, or a lower --z-min", field="motion")
+
+
 def plan_two_step(robot: Robot, rng: np.random.Generator, *, points: int = 10, candidates: int = 400,
                   workspace: Workspace | None = None) -> Program:
     """Chooses operating points and writes the moves.
@@ -146,24 +177,31 @@ def plan_two_step(robot: Robot, rng: np.random.Generator, *, points: int = 10, c
     amplitude = np.minimum(0.12, 0.08 * (robot.q_max - robot.q_min))
     workspace = workspace or Workspace.of(robot)
     postures = _postures(robot, rng, candidates, amplitude, workspace)
-    chosen = _telling(robot, postures, points, workspace.on_the_way(robot))
+    room = workspace.on_the_way(robot)
+    chosen = _telling(robot, postures, points, room, amplitude)
+    first = postures[chosen[0]]
+    speeds = np.array(FRICTION_SPEEDS)[:, None] * v_max
+    # Long enough for half a second at constant speed, as far as the posture allows.
+    reach = np.minimum(0.25 * speeds + 0.5 * speeds**2 / (0.5 * a_max), 4.0 * amplitude)
+    reach = np.maximum(reach, np.minimum(0.02, np.minimum(first - robot.q_min, robot.q_max - first)))
+    reach = np.minimum(reach, _farthest(robot, first, reach.max(axis=0), room))
     moves = []
     for k in range(len(chosen)):
         for i in range(n):
-            reach, v, a = float(amplitude[i]), float(v_max[i]), float(a_max[i])
-            moves.append(Move(k, i + 1, "gravity", reach, 0.06 * v, 0.3 * a, 1))
-            moves.append(Move(k, i + 1, "inertia", reach, 0.5 * v, 0.5 * a, 3))
+            way, v, a = float(amplitude[i]), float(v_max[i]), float(a_max[i])
+            moves.append(Move(k, i + 1, "gravity", way, 0.06 * v, 0.3 * a, 1))
+            moves.append(Move(k, i + 1, "inertia", way, 0.5 * v, 0.5 * a, 3))
     for i in range(n):
-        for share in FRICTION_SPEEDS:
-            v = share * v_max[i]
-            # Long enough for half a second at constant speed, as far as the posture allows.
-            reach = min(0.25 * v + 0.5 * v**2 / (0.5 * a_max[i]), 4.0 * float(amplitude[i]))
-            moves.append(Move(0, i + 1, "friction", float(max(reach, 0.02)), float(v), float(0.5 * a_max[i]), 1))
+        moves += [Move(0, i + 1, "friction", float(way), float(v), float(0.5 * a_max[i]), 1)
+                  for way, v in zip(reach[:, i], speeds[:, i], strict=True)]
     return Program(postures[chosen], tuple(moves))
 
 
-def _telling(robot: Robot, postures: Array, count: int, shapes: Shapes | None) -> list[int]:
-    """Which of postures ``(m, n)`` determine the base parameters best, each in reach of the one before."""
+def _telling(robot: Robot, postures: Array, count: int, room: Workspace, amplitude: Array) -> list[int]:
+    """Which of postures ``(m, n)`` determine the base parameters best, each in reach of the one before.
+
+    Each axis can go by its amplitude ``(n,)`` both ways from there.
+    """
     base = base_parameters(robot.pinocchio)
     rows = observation_rows(robot, base, postures)
     size = np.linalg.norm(rows.reshape(-1, rows.shape[2]), axis=0)
@@ -176,15 +214,34 @@ def _telling(robot: Robot, postures: Array, count: int, shapes: Shapes | None) -
         gains = np.linalg.slogdet(information + told[left])[1]
         here = postures[chosen[-1]] if chosen else robot.home
         best = next((left[k] for k in np.argsort(gains, kind="stable")[::-1]
-                     if shapes is None or shapes.touch_between(here, postures[left[k]]) is None), None)
+                     if _reached(robot, here, postures[left[k]], amplitude, room)), None)
         if best is None:
             break
         chosen.append(best)
         information += told[best]
     if len(chosen) < 2:
-        raise InputError("no way between operating points keeps off the arm itself and what stands in the cell; give "
-                         "another [joints] home to begin from", field="workspace")
+        raise InputError("no way between operating points keeps off the arm itself, floor and column, and what stands "
+                         "in the cell; give another [joints] home to begin from", field="workspace")
     return chosen
+
+
+def _reached(robot: Robot, here: Array, there: Array, amplitude: Array, room: Workspace) -> bool:
+    """Whether the straight way of the joints to a posture ``(n,)`` [rad], and the moves about it, stay in the room."""
+    way = here + np.linspace(0.0, 1.0, _ON_A_WAY)[:, None] * (there - here)
+    return (bool(clear_of_obstacles(robot, np.vstack([way, _turns(there, amplitude)]), room).all())
+            and (room.cell is None or room.cell.touch_between(here, there) is None))
+
+
+def _farthest(robot: Robot, centre: Array, wanted: Array, room: Workspace) -> Array:
+    """How far each axis can go both ways from a posture: all that is wanted ``(n,)`` [rad], a half or a quarter."""
+    half, whole = (clear_of_obstacles(robot, _turns(centre, share * wanted), room).reshape(2, -1).all(axis=0)
+                  for share in (0.5, 1.0))
+    return np.where(whole, wanted, np.where(half, 0.5 * wanted, 0.25 * wanted))
+
+
+def _turns(centre: Array, moved: Array) -> Array:
+    """Where each axis turns back ``(2 n, n)`` that moves so far ``(n,)`` [rad] both ways from a posture."""
+    return np.vstack([centre + np.diag(moved), centre - np.diag(moved)])
 
 
 def observation_rows(robot: Robot, base: BaseParameters, q: Array) -> Array:

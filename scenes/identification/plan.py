@@ -14,7 +14,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.identification.excitation import FourierMotion, Workspace, approach, design_excitation
-from ideal_robot.identification.program import Program, finite_limits, plan_two_step
+from ideal_robot.identification.program import Program, finite_limits, plan_two_step, require_within_limits
 from ideal_robot.results import Summarised
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
@@ -88,19 +88,17 @@ def plan(robot: Robot, method: str, *, seed: int = 1, period: float = 20.0, poin
     if method not in ("joint", "two-step"):
         raise InputError("expected joint or two-step", field="method", value=method)
     rng, workspace = np.random.default_rng(seed), workspace or Workspace.of(robot)
-    shapes = workspace.on_the_way(robot)
+    room = workspace.on_the_way(robot)
     failure: InputError | None = None
     # Where joints turn far most random motions hit the floor, and the way to one may lead through what stands there.
     for _ in range(_TRIES):
         try:
             found = _one(robot, method, rng, period, points, workspace)
+            require_within_limits(robot, found.commands, room)
         except InputError as error:
             failure = error
-            continue
-        if shapes is None or (touch := shapes.first_touch(found.commands)) is None:
+        else:
             return found
-        failure = InputError(f"on the way {touch}, {touch.row * robot.t_ipo:.1f} s from its begin; try "
-                             "another --seed, or another [joints] home to begin from", field="motion")
     assert failure is not None
     raise failure
 
@@ -128,22 +126,24 @@ def fourier_commands(robot: Robot, motion: FourierMotion, start: Array, t_ipo: f
     first = motion.at(np.zeros(1))[0][0]
     hold = np.repeat(first[None], round(0.3 / t_ipo), axis=0)
     return np.concatenate([approach(start, first, t_ipo, v_max, a_max), hold, q, hold,
-                           slow_reversals(q[-1], t_ipo, v_max)])
+                           slow_reversals(q[-1], robot, t_ipo)])
 
 
-def slow_reversals(q0: Array, t_ipo: float, v_max: Array) -> Array:
+def slow_reversals(q0: Array, robot: Robot, t_ipo: float) -> Array:
     """Eight seconds of all joints about ``q0`` at up to eight per cent of their speed: what paths of tools look like.
 
     Args:
         q0: joint angles at both ends ``(n,)`` [rad].
+        robot: the arm; a joint that has not the room for it moves less.
         t_ipo: cycle of the commands [s].
-        v_max: largest joint velocities ``(n,)`` [rad/s].
     """
     duration = 8.0
     t = np.arange(1, round(duration / t_ipo) + 1) * t_ipo
     w = 2.0 * np.pi / duration * np.array([2.0, 3.0, 5.0, 7.0, 4.0, 6.0])[np.arange(len(q0)) % 6]
     envelope = np.sin(np.pi * t / duration)[:, None] ** 2
-    return np.asarray(q0 + envelope * (0.08 * v_max / w) * np.sin(np.outer(t, w)))
+    swing = envelope * (0.08 * finite_limits(robot)[0] / w) * np.sin(np.outer(t, w))
+    room = np.maximum(np.minimum(robot.q_max - q0, q0 - robot.q_min), 1e-9)
+    return np.asarray(q0 + swing / np.maximum(np.abs(swing).max(axis=0) / room, 1.0))
 
 
 def play_plan(planned: Plan, robot: Robot, seed: int, progress: Callable[[float], None] = lambda share: None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -11,7 +12,7 @@ import pinocchio as pin
 import pytest
 
 from ideal_robot.errors import InputError
-from ideal_robot.identification.excitation import Workspace
+from ideal_robot.identification.excitation import Workspace, clear_of_obstacles
 from ideal_robot.robots.collisions import Obstacle, Shapes
 from ideal_robot.robots.robot import Robot, spread_postures
 from planning.path.kinematics import InverseKinematics
@@ -33,6 +34,7 @@ from sim.arm.generic import FOLLOWED, MARGIN, STEP, fastest, generic_world, grow
 from sim.arm.world import World
 from studies.report import scene_of
 from tests.arms import GRIPPER, urdf, written
+from tests.sources import ROOT
 
 
 def scene_for(path: Path) -> LineScene:
@@ -241,6 +243,26 @@ def test_identification_motions_keep_off_the_cell_also_on_the_way_to_them(method
     assert shapes.first_touch(free.commands) is not None
     kept = plan(robot, method, seed=1, workspace=replace(Workspace.of(robot), cell=shapes))
     assert shapes.first_touch(kept.commands) is None
+
+
+@pytest.mark.parametrize(("name", "seed"), [("kr6", 8), ("examples/bare_arm.urdf", 2)])
+def test_moves_of_a_single_axis_and_the_ways_between_them_stay_in_the_workspace(name: str, seed: int) -> None:
+    robot = Robot.load(name if name == "kr6" else ROOT / name)
+    commands = plan(robot, "two-step", seed=seed).commands
+    assert clear_of_obstacles(robot, commands, Workspace.of(robot)).all()
+
+
+@pytest.mark.parametrize(("method", "seed"), [("joint", 2), ("joint", 15), ("two-step", 5)])
+def test_an_axis_of_five_centimetres_is_not_moved_beyond_its_ends(method: str, seed: int, tmp_path: Path) -> None:
+    axis = (ROOT / "examples" / "own_robot.urdf").read_text(encoding="utf-8")
+    axis = axis.replace('type="revolute"', 'type="prismatic"').replace("0 0 1", "1 0 0")
+    short = re.sub(r'lower="[^"]*" upper="[^"]*"', 'lower="0" upper="0.05"', axis)
+    (tmp_path / "axis.urdf").write_text(short, encoding="utf-8")
+    robot = Robot.load(tmp_path / "axis.urdf")
+    commands = plan(robot, method, seed=seed, points=3).commands
+    # The steps of the last bit of a number are no motion.
+    assert commands.min() >= -1e-12
+    assert commands.max() <= 0.05 + 1e-12
 
 
 def test_an_arm_that_stands_in_a_box_is_told_so_before_a_motion_is_looked_for() -> None:

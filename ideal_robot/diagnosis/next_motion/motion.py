@@ -16,7 +16,7 @@ from ideal_robot.diagnosis.channels.motor_torque import in_position_band, torque
 from ideal_robot.diagnosis.channels.regression import CUTOFF, MEMORY, Regression
 from ideal_robot.effects import MOTOR_TORQUE, Domain
 from ideal_robot.errors import IdealRobotError, InputError
-from ideal_robot.identification.excitation import FourierMotion, MotionSpace, Workspace, approach, clear_of_obstacles
+from ideal_robot.identification.excitation import FourierMotion, MotionSpace, Workspace, approach
 from ideal_robot.identification.program import finite_limits
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.simulation import simulate
@@ -188,36 +188,6 @@ class MotionSearch:
         step = self.rng.normal(scale=0.3, size=coefficients.shape) * np.abs(coefficients).max(axis=(0, 1))
         motion = self.spaces[part.kind].scaled(coefficients + step, self.rng, part.motion.centre)
         return None if motion is None else Part(part.kind, motion)
-
-
-def require_within_limits(robot: Robot, q_c: Array, workspace: Workspace) -> None:
-    """Refuses commands that leave a limit of the arm or the workspace.
-
-    Args:
-        robot: the arm.
-        q_c: commands every interpolation cycle ``(N, n)`` [rad].
-        workspace: where tool and links may go.
-
-    Raises:
-        InputError: names the limit and the joint.
-    """
-    speed = np.diff(q_c, axis=0) / robot.t_ipo
-    acceleration = np.diff(speed, axis=0) / robot.t_ipo
-    over = 1.0 + 1e-6
-    slack = 1e-6 * np.maximum(np.abs(robot.q_max - robot.q_min), 1e-3)
-    for what, wrong in (("position", np.any((q_c < robot.q_min - slack) | (q_c > robot.q_max + slack), axis=0)),
-                        ("speed", np.any(np.abs(speed) > over * robot.v_max, axis=0)),
-                        ("acceleration", np.any(np.abs(acceleration) > over * robot.a_max, axis=0))):
-        if np.any(wrong):
-            raise InputError(f"the planned motion leaves the {what} limit of joint {int(np.argmax(wrong)) + 1}; "
-                             "nothing is written", field="motion")
-    cell = workspace.on_the_way(robot)
-    if cell is not None and (touch := cell.first_touch(q_c[::8])) is not None:
-        raise InputError(f"on its way between two postures of the planned motion {touch}; try another --seed",
-                         field="motion")
-    if not clear_of_obstacles(robot, q_c[::8], workspace).all():
-        raise InputError("on its way between two postures the planned motion comes too near to floor or base column; "
-                         "try another --seed, or a lower --z-min", field="motion")
 
 
 @dataclass(frozen=True)

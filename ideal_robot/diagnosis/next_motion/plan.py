@@ -15,7 +15,7 @@ from ideal_robot.diagnosis import stages
 from ideal_robot.diagnosis.case import Case, Findings
 from ideal_robot.diagnosis.channels.arm import position_regressions
 from ideal_robot.diagnosis.channels.motor_torque import in_position_band
-from ideal_robot.diagnosis.next_motion.motion import Foresight, MotionSearch, Part, played, require_within_limits
+from ideal_robot.diagnosis.next_motion.motion import Foresight, MotionSearch, Part, played
 from ideal_robot.diagnosis.next_motion.questions import Causes, Open, undecided_joints
 from ideal_robot.diagnosis.next_motion.separation import (
     Pair,
@@ -32,6 +32,7 @@ from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, Domain, library
 from ideal_robot.errors import InputError
 from ideal_robot.identification.checks import checked
 from ideal_robot.identification.excitation import Workspace
+from ideal_robot.identification.program import require_within_limits
 from ideal_robot.model.model import Model
 from ideal_robot.progress import Progress, silent
 from ideal_robot.results import Summarised, plain

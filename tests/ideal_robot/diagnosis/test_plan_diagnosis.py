@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from ideal_robot.diagnosis import Open, diagnose, plan_diagnosis, read_questions
-from ideal_robot.diagnosis.next_motion.motion import require_within_limits
 from ideal_robot.diagnosis.next_motion.plan import planned_pair
 from ideal_robot.diagnosis.next_motion.questions import Named
 from ideal_robot.diagnosis.next_motion.separation import Cause, Pair, Separation, products_of, separation_of
@@ -18,6 +17,7 @@ from ideal_robot.effects import Effect
 from ideal_robot.effects.registry import find
 from ideal_robot.errors import InputError
 from ideal_robot.identification.excitation import Workspace
+from ideal_robot.identification.program import require_within_limits
 from ideal_robot.robots.collisions import Shapes
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
