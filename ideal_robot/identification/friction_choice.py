@@ -263,7 +263,9 @@ class FrictionChoice:
 
 
 def _leaders(options: Sequence[Candidate], scores: dict[str, float]) -> list[Candidate]:
-    """The options within two per cent of the best held-out error."""
+    """The options within two per cent of the best held-out error; all of them where none has braked."""
+    if not scores:
+        return list(options)
     best = min(scores.values())
     near = {label for label, score in scores.items() if score < 1.02 * best}
     return [o for o in options if o.make([1.0] * len(o.bounds)).label in near] or [options[0]]

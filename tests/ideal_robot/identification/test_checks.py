@@ -183,6 +183,15 @@ def test_friction_never_drives() -> None:
     assert any(text.startswith("friction-at-bound") and held[0].name in text for text in result.warnings)
 
 
+@pytest.mark.parametrize("law", ["arctan", "stribeck", "bell_stribeck"])
+def test_a_single_law_that_nowhere_brakes_ends_in_a_model(law: str) -> None:
+    rng = np.random.default_rng(6)
+    none = [ViscousCoulomb(np.zeros((2, 1))) for _ in range(6)]
+    model = identify([record(truth(none), rng)], robot(), friction=law).model
+    slow = np.full((1, 6), 0.1)
+    assert np.all(np.abs(model.friction.torque(slow)) < 0.01 * robot().tau_max)
+
+
 def test_the_wrong_sign_is_said_only_where_it_is_wrong() -> None:
     rng, what = np.random.default_rng(7), truth()
     good = record(what, rng)
