@@ -237,6 +237,11 @@ def identify_linear_loop(recordings: Sequence[Recording], t_cycle: float) -> Lin
     data = [part for r in recordings for part in _sampled(r, t_cycle)]
     n = recordings[0].n
     g, std, error, degree = np.zeros((_LAGS + 1, n)), np.zeros((_LAGS + 1, n)), np.empty(n), []
+    # A series that is shorter than the response has no row of it.
+    data = [part for part in data if len(part[0]) > _LAGS]
+    if not data:
+        raise InputError(f"the recording is too short: the closed loop needs more than {_LAGS} cycles of "
+                         f"{1e3 * t_cycle:g} ms", file=recordings[0].source, field="t")
     for j in range(n):
         X, y = _rows([(q_d[:, j], q[:, j]) for q_d, q in data])
         if len(y) < 3 * _LAGS or np.std(y) < 1e-4:

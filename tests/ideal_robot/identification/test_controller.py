@@ -92,6 +92,15 @@ def test_impulse_response_and_relative_degree(degree: int) -> None:
     np.testing.assert_allclose(predicted[30:], recording.joints("q")[30:], atol=2e-4)
 
 
+def test_recordings_shorter_than_the_response_tell_nothing_of_it() -> None:
+    recording, _ = response(1, np.random.default_rng(1))
+    short = Recording({name: values[:20] for name, values in recording.columns.items()})
+    np.testing.assert_array_equal(identify_linear_loop([short, recording], T).loop.g,
+                                  identify_linear_loop([recording], T).loop.g)
+    with pytest.raises(InputError, match="too short"):
+        identify_linear_loop([short], T)
+
+
 # The cascade found from commands, motor angles and torques of a simulated arm.
 
 ROBOT = Robot.load("kr15")
