@@ -130,12 +130,14 @@ class _Series:
 
     Attributes:
         t: times ``(N,)`` [s].
+        offsets: how many series of the same recording there are.
         columns: of (16) ``(N, n, 4)``.
         integrals: of the columns over the time in cycles ``(N, n, 4)``.
         tau: torque ``(N, n)`` [N m].
     """
 
     t: Array
+    offsets: int
     columns: Array
     integrals: Array
     tau: Array
@@ -172,8 +174,9 @@ def _series(stretch: tuple[Recording, bool], t_cycle: float, delay: float, offse
     area = np.concatenate([np.zeros_like(e[:1]), np.cumsum(0.5 * (e[1:] + e[:-1]), axis=0)]) * step
     integrals = np.stack([mean(area), mean(e), mean(q), mean(qd)], axis=2) / t_cycle
     torque = mean(tau)
-    return [_Series(t[every:][i::every], columns[i::every], integrals[i::every], torque[i::every])
-            for i in range(every if offsets else 1)]
+    count = every if offsets else 1
+    return [_Series(t[every:][i::every], count, columns[i::every], integrals[i::every], torque[i::every])
+            for i in range(count)]
 
 
 def _stretches(recordings: Sequence[Recording], t_cycle: float) -> list[tuple[Recording, bool]]:
@@ -197,8 +200,7 @@ class _Joint:
                    for parts in (self.columns, self.integrals, self.tau))
         self.products = C.T @ C, C.T @ S + S.T @ C, S.T @ S, C.T @ y, S.T @ y, float(y @ y)
         # Neighbouring samples of the offset series tell the same; there is as much news as one of them has samples.
-        self.repeats = max(1, round(sum(len(t) for t in self.tau) / max(len(t) for t in self.tau)))
-        self.count = len(y)
+        self.news = sum(len(part.t) / part.offsets for part in series)
 
 
 @dataclass(frozen=True)
@@ -217,7 +219,7 @@ def _simulation(joint: _Joint, k_i: float, fixed: Array | None) -> _Fit:
     inverse = np.linalg.inv(G / np.outer(scale, scale)) / np.outer(scale, scale)
     gains = inverse @ r if fixed is None else fixed
     cost = max(float(yy - 2.0 * gains @ r + gains @ G @ gains), 0.0)
-    std = np.sqrt(np.maximum(np.diag(inverse), 0.0) * cost / joint.count * joint.repeats)
+    std = np.sqrt(np.maximum(np.diag(inverse), 0.0) * cost / joint.news)
     return _Fit(gains, std, 100.0 * float(np.sqrt(cost / yy)), cost)
 
 
@@ -233,7 +235,7 @@ def _integral_gain(joint: _Joint, fixed: Array | None) -> tuple[float, float]:
     h = 0.05 * k
     up, down = (_simulation(joint, k + s * h, fixed).cost for s in (1.0, -1.0))
     curvature = max((up - 2.0 * found.fun + down) / h**2, 1e-300)
-    return k, float(np.sqrt(2.0 * found.fun / joint.count * joint.repeats / curvature))
+    return k, float(np.sqrt(2.0 * found.fun / joint.news / curvature))
 
 
 def _pd_gains(joint: _Joint) -> tuple[Array, Array]:

@@ -62,6 +62,13 @@ def test_one_step_estimate_drifts_more_than_the_simulated_one() -> None:
     assert np.linalg.norm(found.drifting - found.measured) > error
 
 
+def test_four_recordings_tell_the_gains_twice_as_well() -> None:
+    recording = closed_loop(True, np.random.default_rng(4))
+    one, four = (identify_controller([recording] * count, T).model.std for count in (1, 4))
+    for name, std in one.items():
+        assert four[name][0] == pytest.approx(0.5 * std[0], rel=0.02)
+
+
 def test_commands_are_needed() -> None:
     recording = closed_loop(True, np.random.default_rng(0))
     bare = Recording({k: v for k, v in recording.columns.items() if k != "q_c_1"})
