@@ -31,7 +31,7 @@ class ControllerIdentification(Summarised):
     """Result of ``identify_controller``.
 
     Attributes:
-        model: the controllers, with standard deviations.
+        model: the controllers, with standard deviations that hold for its delay of the command.
         error_percent: ``100 ‖τ - τ̂‖ / ‖τ - mean‖`` of the simulated controller per joint ``(n,)``.
         k_i_direct: integral gain of the one-step estimate ``(n,)``, for the comparison only.
         t: sampling instants of the first recording's longest stretch without a gap ``(N,)`` [s].
@@ -89,7 +89,7 @@ def identify_controller(recordings: Sequence[Recording], t_cycle: float,
         fit = _simulation(joint, k_i[j], fixed)
         gains[:, j], error[j] = fit.gains, fit.error_percent
         if fixed is None:
-            std[:, j] = fit.std
+            std[:, j] = np.hypot(fit.std, _slope(joint, k_i[j]) * k_i_std[j])
     spread = {name: std[i].tolist() for i, name in enumerate(("k_p", "k_d", "k_1", "k_2"))}
     model = ControllerModel(t_cycle, k_p=gains[0], k_d=gains[1], k_1=gains[2], k_2=gains[3], k_i=k_i,
                             filter_time=np.zeros(n), delay=delay, std={**spread, "k_i": k_i_std.tolist()})
@@ -236,6 +236,12 @@ def _integral_gain(joint: _Joint, fixed: Array | None) -> tuple[float, float]:
     up, down = (_simulation(joint, k + s * h, fixed).cost for s in (1.0, -1.0))
     curvature = max((up - 2.0 * found.fun + down) / h**2, 1e-300)
     return k, float(np.sqrt(2.0 * found.fun / joint.news / curvature))
+
+
+def _slope(joint: _Joint, k_i: float) -> Array:
+    """How the gains ``(4,)`` follow k_I: one that is a little wrong makes them wrong by more than the noise does."""
+    h = 0.02 * k_i
+    return np.asarray((_simulation(joint, k_i + h, None).gains - _simulation(joint, k_i - h, None).gains) / (2.0 * h))
 
 
 def _pd_gains(joint: _Joint) -> tuple[Array, Array]:

@@ -62,6 +62,17 @@ def test_one_step_estimate_drifts_more_than_the_simulated_one() -> None:
     assert np.linalg.norm(found.drifting - found.measured) > error
 
 
+def test_gains_scatter_as_far_as_their_standard_deviations_say() -> None:
+    """k_p and k_I come from the same data and fall and rise together."""
+    found = [identify_controller([closed_loop(True, np.random.default_rng(seed), noise=5.0)], T).model
+             for seed in range(8)]
+    for name in ("k_p", "k_i"):
+        scatter = np.std([getattr(model, name)[0] for model in found], ddof=1)
+        said = np.mean([model.std[name][0] for model in found])
+        # The scatter of eight is itself uncertain by a quarter.
+        assert 0.5 < said / scatter < 2.0
+
+
 def test_four_recordings_tell_the_gains_twice_as_well() -> None:
     recording = closed_loop(True, np.random.default_rng(4))
     one, four = (identify_controller([recording] * count, T).model.std for count in (1, 4))
