@@ -18,7 +18,7 @@ from scenes.line.compare import LineComparison
 from scenes.line.result import LineResult
 from scenes.online.line_log import FieldShown
 from scenes.report.page import COLUMNS, Report, world_rows
-from scenes.report.replay import Replay, sensed_force, sensed_line, shown_motion
+from scenes.report.replay import Replay, arm_angles, sensed_force, sensed_line, shown_motion
 from scenes.result import step
 from scenes.scene_files.scene import box_edges
 from sensing.camera.line_polynomial import Polyline
@@ -61,7 +61,7 @@ def with_ghost(replay: Replay, other: Recording) -> Replay:
         other: recording of another run of the same scene; it stands still where it has ended already.
     """
     rows = slice(None, None, step(len(other.t)))
-    q = other.joints("qa", rows)
+    q = arm_angles(other, rows)
     return replace(replay, ghost=interpolated(replay.t, other.t[rows], q))
 
 

@@ -245,10 +245,15 @@ ENDING = ".replay.npz"
 _ARRAYS = ("t", "q", "tool", "wanted", "error", "surface", "ghost", "force")
 
 
+def arm_angles(recording: Recording, rows: Any = slice(None)) -> Array:
+    """Arm angles ``(N, n)`` [rad] of some rows; the motors' where no tracker measured the arm's."""
+    return recording.joints("qa" if recording.has("qa") else "q", rows)
+
+
 def shown_motion(robot: Robot, recording: Recording) -> tuple[slice, Array, Array, Array]:
     """Rows of a recording that are shown; times ``(N,)`` [s], arm angles ``(N, n)`` [rad] and tool ``(N, 3)`` [m]."""
     rows = slice(None, None, step(len(recording.t)))
-    q = recording.joints("qa", rows)
+    q = arm_angles(recording, rows)
     return rows, recording.t[rows], q, robot.tool_places(q)
 
 
@@ -331,7 +336,7 @@ def sensed_line(arm: Robot, recording: Recording) -> Array:
     rows = np.flatnonzero(np.logical_and.reduce([np.isfinite(column) for column in columns]))
     rows = rows[:: step(len(rows))]
     points = np.column_stack([column[rows] for column in columns])
-    q = recording.joints("qa" if recording.has("qa") else "q", rows)
+    q = arm_angles(recording, rows)
     let_go(*columns)
     pose = arm.fk()
     return np.array([pose(q_k).act(point) for q_k, point in zip(q, points, strict=True)]).reshape(-1, 3)
@@ -350,7 +355,7 @@ def sensed_force(arm: Robot, recording: Recording, rows: Any = slice(None)) -> A
     if not all(name in recording.columns for name in ("fx", "fy", "fz")):
         return None
     felt = np.column_stack([recording.columns[name][rows] for name in ("fx", "fy", "fz")])
-    q = recording.joints("qa" if recording.has("qa") else "q", rows)
+    q = arm_angles(recording, rows)
     tool = recording.meta.get("tool", {})
     tool = tool if isinstance(tool, dict) else {}
     bias = np.asarray(tool.get("bias", np.zeros(6)), dtype=float)[:3]

@@ -18,6 +18,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.report.replay import (
     Replay,
+    arm_angles,
     error_colours,
     link_poses,
     polygons,
@@ -223,7 +224,7 @@ def replay_of_columns(arm: Robot, recording: Recording) -> Replay:
         InputError: positions are missing everywhere.
     """
     rows = np.unique(np.linspace(0, len(recording.t) - 1, MOST).astype(int))
-    q = recording.joints("qa" if recording.has("qa") else "q", rows)
+    q = arm_angles(recording, rows)
     # A gap in the positions is no posture that can be drawn.
     measured = np.isfinite(q).all(axis=1)
     rows, q = rows[measured], q[measured]

@@ -30,7 +30,7 @@ from scenes.diagnosis.page import _amount, diagnosis_page, summary
 from scenes.path.page import path_replay, run_page
 from scenes.play import run_scene
 from scenes.report.page import UNITS, Report, world_rows
-from scenes.report.replay import FRAMES, Replay, link_poses, polygons, sensed_force, sensed_line
+from scenes.report.replay import FRAMES, Replay, link_poses, polygons, sensed_force, sensed_line, shown_motion
 from scenes.report.video import frames, write_video
 from scenes.result import MOST, extremes, step
 from scenes.scene_file import load_scene
@@ -347,6 +347,14 @@ def test_recordings_without_sensors_have_neither() -> None:
     plain = Recording.from_arrays(np.arange(50) * 0.01, meta={}, q=_replay(50).q)
     assert sensed_force(ROBOT, plain) is None
     assert len(sensed_line(ROBOT, plain)) == 0
+
+
+def test_without_a_tracker_the_motors_angles_are_shown() -> None:
+    q = _replay(50).q
+    motors = Recording.from_arrays(np.arange(50) * 0.01, meta={}, q=q)
+    np.testing.assert_array_equal(shown_motion(ROBOT, motors)[2], q)
+    both = Recording.from_arrays(np.arange(50) * 0.01, meta={}, q=q, qa=q + 1e-3)
+    np.testing.assert_array_equal(shown_motion(ROBOT, both)[2], q + 1e-3)
 
 
 # Films of a run.
