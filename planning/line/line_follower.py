@@ -25,8 +25,8 @@ KNOCK = 0.01
 """How far a camera may be turned when somebody knocks it, standard deviation [rad]."""
 BEND = 0.4
 """Distance over which a surface's bend becomes another [m]."""
-SPREAD, EVENLY = 0.1, np.linspace(0.0, 1.0, 5)
-"""Length of line over which a field's five points are spread [m], and how; ink missing over a third leaves three."""
+SPREAD = 0.1
+"""Length of line over which a field's points are spread [m]; ink missing over a third of it leaves three of five."""
 ALONG = 0.03
 """How much earlier than its reference the line may end [m]: drawn elsewhere along the path, and seen point by point."""
 SILENCE = 0.25
@@ -47,6 +47,7 @@ class FollowerSettings:
             the line shows ([L] 4.2), and the tool follows; with a height of 0 the surface is taken as known.
         shape, length: how far the line's shape leaves the reference's [m], standard deviation, and over which distance
             that becomes another [m].
+        points: line points looked for in each field.
         view: nearest and farthest distance ahead of the TCP at which the camera shows the line well [m].
         latency: usual age of a field when it arrives; decides where in ``view`` to look [s].
         max_gap: distance that may be travelled without seeing the line, whatever the map says [m].
@@ -68,6 +69,7 @@ class FollowerSettings:
     bow: float = 0.0003
     shape: float = SHAPES[0][0]
     length: float = SHAPES[0][1]
+    points: int = 5
     view: tuple[float, float] = (0.02, 0.17)
     latency: float = 0.04
     max_gap: float = 0.15
@@ -80,7 +82,7 @@ class FollowerSettings:
     def __post_init__(self) -> None:
         if self.measurement not in MEASUREMENTS:
             raise InputError(f"expected one of {', '.join(MEASUREMENTS)}", field="measurement", value=self.measurement)
-        for key in ("max_gap", "unsure", "max_search", "shape", "length"):
+        for key in ("points", "max_gap", "unsure", "max_search", "shape", "length"):
             if not getattr(self, key) > 0:
                 raise InputError("expected a positive number", field=key, value=getattr(self, key))
         for key in ("noise", "common", "yaw", "stamp", "height", "tilt", "bow", "latency"):
@@ -181,7 +183,7 @@ class LineFollower:
         near, far = self.settings.view
         passed = speed * (self.settings.latency + 2 * self._T)
         first = min(max(near, passed), max(near, far - SPREAD))
-        return first + (min(far, first + SPREAD) - first) * EVENLY
+        return first + (min(far, first + SPREAD) - first) * np.linspace(0.0, 1.0, self.settings.points)
 
     def update(self, line: SeenLine, pose: pin.SE3 | None = None) -> Fused | None:
         """Fuses one field, whenever it arrives.

@@ -106,7 +106,7 @@ def line_follower(scene: LineScene, robot: Robot, points: Array, camera: CameraM
             settings=FollowerSettings(measurement=scene.measurement, height=height, tilt=tilt, view=view_of(camera),
                                       max_gap=scene.max_gap, max_search=scene.max_gap + 0.05, latency=latency,
                                       shape=shape[0], length=shape[1], line_span=span_of(scene, reference),
-                                      eye=tuple(camera.T_tool_camera.translation),
+                                      eye=tuple(camera.T_tool_camera.translation), points=scene.points,
                                       stamp=FollowerSettings.stamp if scene.stamp_estimate else 0.0))
     except OutOfReachError as error:
         raise InputError(f"the line is out of reach: {error}; {where_it_fits(scene)}", field="surface.origin",

@@ -182,6 +182,11 @@ def test_bad_scenes_are_refused_before_anything_moves(changes: dict, says: str) 
     assert "\n" not in str(caught.value)
 
 
+def test_as_many_points_are_looked_for_as_the_scene_says() -> None:
+    for count in (3, 25):
+        assert len(set_up(short(points=count)).known.follower.predict(0.5).s) == count
+
+
 def test_unknown_method() -> None:
     with pytest.raises(InputError, match="expected one of none, direct_feedback"):
         run(short(), method="magic")
