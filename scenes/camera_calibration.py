@@ -84,9 +84,10 @@ def calibrate_by_moving(known: Known | ForceKnown, arm: SimulatedArm, camera: Re
         moved.append(arm.cycle(q_c))
         view.history.add((k + 1) * T, moved[-1].q - sag[k])
         for t, prediction in zip(taken, predictions, strict=True):
+            middle = max(t - ahead, 0.0)
             late.append((camera.windows(
                 t, lambda at: arm.tcp_at(max(at - ahead, 0.0)), search_windows(believed, prediction, detection),
-                shadow_of(shape, arm, t - ahead), arm.q_at(t - ahead) if camera.shows_arm else None), prediction))
+                shadow_of(shape, arm, middle), arm.q_at(middle) if camera.shows_arm else None), prediction))
         # The pose of a time stamp is known once the controller has told of it.
         while late and late[0][0].t_stamp - ahead < k * T:
             fields += 1

@@ -129,7 +129,7 @@ class LineOnSurface:
 
     def _measurement(self, t: float, points_tcp: Array, sigma: Array) -> Measurement:
         follower, settings = self.follower, self.settings
-        pose = follower.history.pose(t)
+        pose = follower.history.row_pose(t)
         eye = pose.act(self._camera.translation)
         axis = self._camera.rotation[:, 2]
         beside = points_tcp - self._camera.translation

@@ -91,10 +91,7 @@ class PoseHistory:
         return asked
 
     def row_pose(self, t: float) -> pin.SE3:
-        """``pose`` for a row of a picture whose middle row was exposed at a time that ``pose`` knows.
-
-        The first picture's rows may have begun before the first sample: the arm rested then.
-        """
+        """``pose`` for a picture or its row; the first may be stamped before the first sample, when the arm rested."""
         return self.pose(max(t, self._t[0]) if self._t and t > self._t[0] - _ROWS else t)
 
     def velocity(self, t: float) -> tuple[Array, Array]:

@@ -315,7 +315,7 @@ class CalibrationView:
 
     def predicted(self, t: float) -> PredictedLine:
         """The line around the middle of the view at ``t`` [s], as the fields so far have shown it."""
-        line = line_ahead(self.reference, self._map, self._at(self.history.pose(t)) + SPREAD)
+        line = line_ahead(self.reference, self._map, self._at(self.history.row_pose(t)) + SPREAD)
         return line.seen_by(self.believed, t, self.history.row_pose)
 
     def _at(self, pose: pin.SE3) -> float:
@@ -333,7 +333,7 @@ class CalibrationView:
         found = self.detector.detect(shown, self.believed, prediction, self.detection)
         if not found.seen:
             return
-        t, pose = shown.t_stamp - ahead, self.history.pose(shown.t_stamp - ahead)
+        t, pose = shown.t_stamp - ahead, self.history.row_pose(shown.t_stamp - ahead)
         points = found.points_tcp[found.used] @ pose.rotation.T + pose.translation
         s, deviation, _ = self.reference.project(points, self._at(pose))
         self._map.update(Measurement(t, s, deviation, np.diag(found.sigma[found.used] ** 2) + BY_HAND**2))

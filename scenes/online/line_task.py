@@ -142,7 +142,7 @@ class LineTask:
         """Line points of a field and what follows from them for the path."""
         follower = self.follower
         arrived = replace(arrived, t_stamp=arrived.t_stamp + self._known.late_by(arrived.t_stamp))
-        pose = follower.history.pose(arrived.t_stamp)
+        pose = follower.history.row_pose(arrived.t_stamp)
         ahead = follower.predict(arrived.t_stamp).seen_by(self.cell.camera, arrived.t_stamp, follower.history.row_pose)
         seen = self.cell.detector.detect(arrived, self.cell.camera, ahead, self.cell.detection)
         seen = replace(seen, points_tcp=self._known.points(seen.points_tcp, self.cell.camera.axis_on_surface))
@@ -198,7 +198,7 @@ class LineTask:
     def _picture(self, seen: LineField, raw: Field) -> FieldShown:
         """The points found in a field and the polynomial through them ([L] 5); the whole image is drawn later."""
         follower, reference = self.follower, self.cell.reference
-        pose = follower.history.pose(seen.t)
+        pose = follower.history.row_pose(seen.t)
         points = seen.points_tcp[seen.used] @ pose.rotation.T + pose.translation
         s, deviation, _ = reference.project(points, float(follower.profile.s(seen.t - START)) + 0.06)
         polynomial = fit_of_lowest_order(s, deviation, seen.sigma[seen.used])

@@ -12,6 +12,7 @@ import pinocchio as pin
 import pydantic
 
 from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
 from scenes.scene_files.scene import Table
 from scenes.scene_files.shape import STEP, Shape
 from sensing.camera.camera_model import CalibrationError, CameraModel, default_mount
@@ -223,10 +224,11 @@ class CameraTable(Table):
     """Of the file that the camera sends; 0 for pictures that are not compressed."""
     latency: float = pydantic.Field(default=0.04, ge=0, le=2)
     jitter: float = pydantic.Field(default=0.001, ge=0, le=0.5)
-    stamp_offset: float = pydantic.Field(default=0.0, ge=-1, le=1)
-    stamp_drift: float = pydantic.Field(default=0.0, ge=-0.05, le=0.05)
+    stamp_offset: float = pydantic.Field(default=0.0, ge=-0.03, le=0.03)
+    """By how much the time stamps are late [s]; where a tool is in time that lies further ahead, nobody knows."""
+    stamp_drift: float = pydantic.Field(default=0.0, ge=-0.01, le=0.01)
     """By how much the clock of the time stamps runs fast [s/s]; needs calibration.by_moving = false."""
-    stamp_noise: float = pydantic.Field(default=0.00005, ge=0, le=0.1)
+    stamp_noise: float = pydantic.Field(default=0.00005, ge=0, le=0.002)
     loss: float = pydantic.Field(default=0.0, ge=0, lt=1)
     doubled: float = pydantic.Field(default=0.0, ge=0, lt=1)
     """Probability that a field arrives twice."""
@@ -261,6 +263,17 @@ class Calibration(Table):
     """What the camera's data sheet says of camera.rolling_ms; the truth if not given."""
     by_moving: bool = True
     """Whether the camera is calibrated by moving it over a piece of the line before the run ([L] 4.4)."""
+
+
+def check_clock(camera: CameraTable, calibration: Calibration) -> None:
+    """Refuses a clock that drifts where the camera is calibrated by moving.
+
+    Raises:
+        InputError: it does.
+    """
+    if camera.stamp_drift != 0.0 and calibration.by_moving:
+        raise InputError("a clock that drifts is followed only with calibration.by_moving = false",
+                         field="camera.stamp_drift", value=camera.stamp_drift)
 
 
 def believed_camera(table: CameraTable, told: Calibration | None = None) -> CameraModel:

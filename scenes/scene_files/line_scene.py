@@ -8,7 +8,16 @@ import pydantic
 
 from ideal_robot.robots.robot import Robot
 from scenes.arms import arm_of
-from scenes.scene_files.drawn_line import Calibration, CameraTable, Displacement, Feature, Line, Reference, Surface
+from scenes.scene_files.drawn_line import (
+    Calibration,
+    CameraTable,
+    Displacement,
+    Feature,
+    Line,
+    Reference,
+    Surface,
+    check_clock,
+)
 from scenes.scene_files.scene import ARM, Box, Scene, Table
 
 
@@ -101,3 +110,8 @@ class LineScene(Scene):
     """Whether the follower estimates on the way by how much the camera's time stamps are wrong."""
     max_gap: float = pydantic.Field(default=0.15, gt=0, le=5)
     """Distance that may be travelled without a seen line before it is lost, unless the map still knows it [m]."""
+
+    @pydantic.model_validator(mode="after")
+    def _plays(self) -> LineScene:
+        check_clock(self.camera, self.calibration)
+        return self

@@ -15,7 +15,7 @@ import pydantic
 
 from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import checked
-from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.errors import IdealRobotError, InputError, found_in
 from ideal_robot.robots.collisions import Obstacle
 
 # Where a scene plays: in a ``workshop`` with all that a real cell has against one, or on the kind ``bench``.
@@ -239,7 +239,8 @@ def validated(model: type[M], values: dict[str, Any], path: Path) -> M:
     """
     checked(values, path)
     try:
-        return model(**values)
+        with found_in(path):
+            return model(**values)
     except pydantic.ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])

@@ -170,6 +170,7 @@ def test_a_line_never_seen_ends_the_run(tmp_path: Path) -> None:
         ({"surface": {"origin": (0.98, -4e11, 0.3)}}, "within 100 m"),
         ({"speed": 6.0}, "speed"),
         ({"camera": {"latency": -0.01}}, "greater than or equal to 0"),
+        ({"camera": {"stamp_offset": 0.05}}, "less than or equal to 0.03"),
         ({"line": {"svg": "M 0 0 C", "points": None}}, "broken SVG path"),
         ({"world": {"stifness": 1.0}}, "unknown key"),
         ({"robot": "kr7"}, "shipped"),
@@ -276,6 +277,13 @@ def test_width_and_polarity_are_found_not_given(width: float, gray: int, backgro
     assert result.control_error.mean < 2e-4
 
 
+def test_a_camera_whose_stamps_are_early_shows_the_line() -> None:
+    result = play(short(camera={"stamp_offset": -0.03}, stamp_estimate=False), "ideal")
+    assert not result.failure
+    # The line is believed where the tool looked a field's error of time earlier.
+    assert result.control_error.mean < 0.03 * result.scene.speed
+
+
 def test_windows_are_asked_for_at_the_camera_s_own_time() -> None:
     scene = short(camera={"stamp_offset": 0.03})
     asked: list[float] = []
@@ -323,6 +331,17 @@ def test_pictures_tell_a_copy_of_the_reference_where_they_show_all_of_it(
         reference={"shape": {"points": np.column_stack([x, y]).tolist()}})
     with prepared(scene) as seen:
         assert seen.shape == told
+
+
+@pytest.mark.parametrize("camera", [{"rate": 500}, {"stamp_offset": -0.03}])
+def test_a_camera_is_calibrated_whose_first_picture_is_stamped_before_the_arm_moves(camera: dict[str, float]) -> None:
+    with prepared(load_scene("line").changed(camera=camera)) as seen:
+        assert seen.hand_eye is not None
+
+
+def test_a_clock_that_drifts_is_refused_where_the_camera_is_calibrated_by_moving() -> None:
+    with pytest.raises(InputError, match=r"line\.toml: camera\.stamp_drift: .*by_moving = false \(got 0\.003\)"):
+        load_scene("line").changed(camera={"stamp_drift": 0.003})
 
 
 def test_a_line_that_is_not_there_is_no_calibration() -> None:
