@@ -79,8 +79,8 @@ class Known:
 
     @property
     def n_d(self) -> int:
-        """Desired positions over the horizon, one a cycle."""
-        return round(HORIZON / self.robot.t_ipo)
+        """Desired positions over the horizon, one a cycle; three at least: fewer tell no acceleration, nor a stop."""
+        return max(round(HORIZON / self.robot.t_ipo), 3)
 
     def follower(self, elasticity: float,
                  fusion: Callable[[Errors], FilterBank] | None = None) -> SurfaceFollower:

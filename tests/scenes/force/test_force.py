@@ -195,6 +195,13 @@ def test_emergency_stops_on_the_path_within_limits(changes: dict[str, object], r
     assert result.history["normal"][-1] == 0.0
 
 
+def test_a_controller_of_slow_cycles_is_stopped_on_the_path_too() -> None:
+    """Braking takes two more planned positions than the current one."""
+    result = play(load_scene("force_wave").changed(world={"t_ipo": 0.1}, emergency={"force": 15.0}), "ideal")
+    assert result.failure is not None
+    assert "above the limit 15.0 N" in result.failure
+
+
 def test_lost_line_stops_the_glue() -> None:
     result = play(load_scene("glue").changed(trouble={"loss": (1.0, 9.0)}), "ideal")
     assert result.failure is not None
