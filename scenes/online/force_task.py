@@ -65,7 +65,7 @@ class GlueCamera:
     Args:
         cell: what is known of the scene.
         follower: whose map the fields go into.
-        rng: draws what garbage shows, where the scene has such trouble.
+        rng: of the pictures; from it comes what garbage shows, where the scene has such trouble.
 
     Attributes:
         detect: finds the line's points in a field, in the tool frame.
@@ -73,7 +73,8 @@ class GlueCamera:
 
     def __init__(self, cell: Known, follower: SurfaceFollower, rng: np.random.Generator) -> None:
         scene: ForceScene = cell.scene
-        self._rng, self.follower, self._trouble = rng, follower, scene.trouble
+        # A stream of its own: garbage leaves the noise of the pictures as it is.
+        self._rng, self.follower, self._trouble = rng.spawn(1)[0], follower, scene.trouble
         self.camera, self.detection = cell.camera, cell.detection
         reference = cell.reference
         span = (scene.reference.run_up, reference.length - scene.reference.run_out)

@@ -19,6 +19,8 @@ from scenes.force.cell import glue_line, set_up
 from scenes.force.kind import run
 from scenes.force.page import forces_figure
 from scenes.force.play import ForceResult, camera_shown, friction_shown, play
+from scenes.online.force_task import GlueCamera
+from sensing.camera.line_detection import LineField
 from sim.arm.drive import steady_friction
 from sim.arm.specimen import draw_specimen
 from studies.force import StabilityRun, bounds, curve
@@ -200,6 +202,15 @@ def test_a_controller_of_slow_cycles_is_stopped_on_the_path_too() -> None:
     result = play(load_scene("force_wave").changed(world={"t_ipo": 0.1}, emergency={"force": 15.0}), "ideal")
     assert result.failure is not None
     assert "above the limit 15.0 N" in result.failure
+
+
+def test_garbage_leaves_the_noise_of_the_pictures_as_it_is() -> None:
+    known, pictures = set_up(load_scene("glue")).known, np.random.default_rng(1)
+    camera = GlueCamera(known, known.follower(4e3), pictures)
+    points = np.zeros((5, 3))
+    seen = LineField(0.0, points, points[:, :2], *np.zeros((3, 5)), np.ones(5, dtype=bool), True, "")
+    assert np.ptp(camera._garbage(seen).points_tcp[:, 1]) > 0.0
+    np.testing.assert_array_equal(pictures.standard_normal(9), np.random.default_rng(1).standard_normal(9))
 
 
 def test_lost_line_stops_the_glue() -> None:
