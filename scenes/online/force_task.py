@@ -226,6 +226,9 @@ class ForceTask:
     def calibrated(self, tool: ToolLoad, elasticity: ContactElasticity) -> None:
         """Takes what a calibration has found meanwhile.
 
+        The model's ``ForceErrors`` are not added: turning the tool shows the sensor's bias as it is, and pressing all
+        that gives under the force. They would count twice.
+
         Args:
             tool: bias and weight.
             elasticity: of tip and surface.
