@@ -68,7 +68,9 @@ def overshoot_gain(scene: LineScene, *, progress: Progress = silent) -> tuple[fl
         for i, k_p in enumerate(K_P):
             result = play(step, DIRECT, gains=(k_p, 0.0), shared=shared)
             lateral = result.control_error_from_start.lateral
-            found.append((k_p, float(max(0.0, -np.min(lateral * np.sign(lateral[0]))) / abs(lateral[0]))))
+            # Of a line that the camera never shows nothing is followed: no gain is small enough.
+            beyond = max(0.0, -np.min(lateral / lateral[0])) if len(lateral) else np.inf
+            found.append((k_p, float(beyond)))
             progress((i + 1) / len(K_P), "searching the gain at which direct feedback overshoots")
             if found[-1][1] > 4 * OVERSHOOT:
                 break
@@ -244,7 +246,7 @@ def fastest(scene: LineScene, tolerance: float, *, method: Any = None, shared: P
         speed = min(wanted, STEP * max(kept), 0.5 * (max(kept) + ceiling) if np.isfinite(ceiling) else np.inf)
         speed = max(speed, max(kept))
     chosen = max(v for v, e in trials if e <= tolerance)
-    others = [one for one in trials if one[0] != chosen] or trials
+    others = [one for one in trials if one[0] != chosen and np.isfinite(one[1])] or trials
     a, b = _law(others)
     return Fastest(chosen, tolerance, a + b * chosen**2, tuple(trials))
 

@@ -200,7 +200,7 @@ def comparison_page(comparison: LineComparison) -> Report:
     report.table(columns, rows, "Distance of the true TCP from the line; path errors against the desired path [mm].")
     report.figure(_along_all(comparison), "Distance from the line along the line, one curve a method. The lower "
                   "picture leaves out those that need another scale.")
-    if comparison.gains is not None:
+    if comparison.gains is not None and any(np.isfinite(trial.error) for trial in comparison.tried):
         report.heading("Direct sensor feedback: how much gain?")
         report.text(
             f"x_c(k) = x_c(k-1) + K_p Δs(k) + K_d (Δs(k) - Δs(k-1)), [L] (1). A sideways step of 10 mm overshoots by "

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from planning.line.deviation_model import COPIED, SHAPES
 from scenes import load_scene
 from scenes.camera_calibration import calibrate_by_moving
 from scenes.commands.common import length
+from scenes.line import compare
 from scenes.line.cell import Cell, Prepared, prepared, set_up
 from scenes.line.compare import _law, _reaching, fastest
 from scenes.line.kind import run
@@ -218,6 +220,25 @@ def test_the_speed_found_keeps_the_tolerance() -> None:
     assert result.control_error.p95 <= 8e-5
     assert dict(found.trials)[found.speed] <= 8e-5
     assert 0.0 < found.predicted < 2e-4
+
+
+def test_a_speed_is_found_where_every_faster_trial_ended_early(monkeypatch: pytest.MonkeyPatch) -> None:
+    def played(scene: LineScene, *_: Any, **__: Any) -> SimpleNamespace:
+        ended = None if scene.speed == compare.FIRST else "line lost"
+        return SimpleNamespace(failure=ended, control_error=SimpleNamespace(p95=1e-4))
+
+    monkeypatch.setattr(compare, "play", played)
+    monkeypatch.setattr(compare, "_possible", lambda _, speed: speed)
+    found = fastest(load_scene("line"), 2e-4, shared=SimpleNamespace())  # type: ignore[arg-type]
+    assert (found.speed, found.predicted) == (compare.FIRST, 1e-4)
+    assert len(found.trials) > 1
+
+
+def test_of_a_line_that_is_never_seen_no_gain_is_small_enough() -> None:
+    """Nothing of it is followed: a comparison goes on, and says what each method ended with."""
+    gain, tried = compare.overshoot_gain(short(line={"gray": 195, "background": 200}))
+    assert gain == 0.0
+    assert [overshoot for _, overshoot in tried] == [np.inf]
 
 
 def test_lengths_have_units() -> None:
