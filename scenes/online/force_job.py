@@ -341,18 +341,18 @@ class ForceJob:
                              "once with --no-check")
 
     def columns(self, t: Array) -> dict[str, Array]:
-        """See ``Job``: the wrench as sensed and the felt normal force."""
+        """See ``Job``: the wrench as sensed and the felt normal force; NaN before the first and behind the last."""
         columns: dict[str, Array] = {}
         if self.log.samples:
             felt = np.array(self.log.samples)
             order = np.argsort(felt[:, 0])
-            columns["f_normal"] = np.interp(t, felt[order, 0], felt[order, 1])
+            columns["f_normal"] = np.interp(t, felt[order, 0], felt[order, 1], left=np.nan, right=np.nan)
         if self._force is not None and self._force.samples:
             sensed = np.array(self._force.samples)
             times, sensed = sensed[:, 0], sensed[:, 1:]
             order = np.argsort(times)
             for i, name in enumerate(("fx", "fy", "fz", "mx", "my", "mz")):
-                columns[name] = np.interp(t, times[order], sensed[order, i])
+                columns[name] = np.interp(t, times[order], sensed[order, i], left=np.nan, right=np.nan)
         return columns
 
     def planned(self) -> Array:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from ideal_robot.arrays import GRAVITY, Array, G
+from ideal_robot.arrays import GRAVITY, Array, G, interpolated
 from ideal_robot.diagnosis.channels.arm import frames_along, tool_motion
 from ideal_robot.diagnosis.channels.regression import (
     BAND,
@@ -43,6 +43,7 @@ class Wrench:
         rotation: of the sensor in the base frame ``(N, 3, 3)``.
         pull: gravity in the sensor frame ``(N, 3)`` [m/s²].
         push: minus the sensor's acceleration in its own frame ``(N, 3)`` [m/s²].
+        there: samples at which it is measured ``(N,)``, away from gaps.
         free: samples without contact ``(N,)``.
         load: bias and mass ``(3 + 1,)`` as they follow from the free samples.
         limit: what force a sample without contact has beside them at most [N].
@@ -52,6 +53,7 @@ class Wrench:
     rotation: Array
     pull: Array
     push: Array
+    there: np.ndarray
     free: np.ndarray
     load: Array
     limit: float
@@ -75,10 +77,15 @@ def wrench_of(recording: Recording, robot: Robot, torque: Regression) -> Wrench 
     if names not in (["fx", "fy", "fz"], ["fx", "fy", "fz", "mx", "my", "mz"]):
         return None
     measured = np.column_stack([recording.columns[name] for name in names])
-    if not np.all(np.isfinite(measured)):
+    filtered, there = torque.filtered, np.all(np.isfinite(measured), axis=1)
+    if not there.any():
         return None
-    filtered = torque.filtered
-    values = resampled(recording.t, measured, filtered.t)
+    # Held within gaps, near which nothing is used.
+    values = resampled(recording.t, interpolated(recording.t, recording.t[there], measured[there]), filtered.t)
+    there = interpolated(filtered.t, recording.t, there[:, None])[:, 0] == 1.0
+    there = ndimage.binary_erosion(there, iterations=_memory(filtered.dt), border_value=1)
+    if not there.any():
+        return None
     rotation, place, _ = tool_motion(robot, filtered.q, filtered.qd)
     pull = np.einsum("kij,i->kj", rotation, GRAVITY)
     acceleration = np.gradient(np.gradient(place, filtered.dt, axis=0), filtered.dt, axis=0)
@@ -88,7 +95,14 @@ def wrench_of(recording: Recording, robot: Robot, torque: Regression) -> Wrench 
         mass, com = float(known["mass"]), np.asarray(known["com"], dtype=float)
         weight = np.column_stack([mass * pull, np.cross(mass * com, pull)])
         values = values - (np.asarray(known["bias"], dtype=float) + weight)[:, : len(names)]
-    return Wrench(values, rotation, pull, push, *_untouched(values[:, :3], pull, push, filtered.dt, bool(known)))
+    free = np.zeros(len(values), dtype=bool)
+    free[there], load, limit = _untouched(values[there, :3], pull[there], push[there], filtered.dt, bool(known))
+    return Wrench(values, rotation, pull, push, there, free, load, limit)
+
+
+def _memory(dt: float) -> int:
+    """Samples that the filters remember at a step of ``dt`` [s]."""
+    return max(5, round(MEMORY / CUTOFF / dt))
 
 
 def _untouched(force: Array, pull: Array, push: Array, dt: float, calibrated: bool) -> tuple[np.ndarray, Array, float]:
@@ -116,7 +130,7 @@ def _untouched(force: Array, pull: Array, push: Array, dt: float, calibrated: bo
     if np.percentile(np.linalg.norm(smooth - rows @ everything, axis=1), 99.0) < limit:
         return np.ones(len(force), dtype=bool), everything[:4], limit
     # A stretch is without contact as a whole, or not: one that the filters remember.
-    chunk = max(5, round(MEMORY / CUTOFF / dt))
+    chunk = _memory(dt)
     free = np.zeros(len(force), dtype=bool)
     free[: 2 * chunk] = True
     gram, right = sums(slice(0, 2 * chunk))
@@ -209,7 +223,7 @@ def contact_regression(recording: Recording, robot: Robot, wrench: Wrench, torqu
     contact = wrench.values[:, :3] - wrench.load[:3] - wrench.load[3] * wrench.pull
     force = np.einsum("kij,kj->ki", wrench.rotation, contact)
     least = CLEAR * wrench.limit
-    strong = ~wrench.free & (np.linalg.norm(force, axis=1) > least)
+    strong = wrench.there & ~wrench.free & (np.linalg.norm(force, axis=1) > least)
     filtered = rows_of(torque, strong)
     if int(filtered.keep.sum()) < FEWEST:
         return None

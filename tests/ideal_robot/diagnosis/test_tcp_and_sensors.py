@@ -129,6 +129,21 @@ def test_force_effects_have_their_size(seed, name, tmp_path):
         assert abs(value - true) < 3.0 * std
 
 
+def test_a_sensor_that_is_read_from_somewhere_on_is_judged_by_what_it_measured(tmp_path):
+    """On devices the arm comes to its start without it."""
+    drawn = draw_force_trial(3, "inside")
+    columns = dict(drawn.recording.columns)
+    later = np.arange(len(columns["t"])) > 0.3 * len(columns["t"])
+    columns |= {name: np.where(later, columns[name], np.nan) for name in ("fx", "fy", "fz", "mx", "my", "mz")
+                if name in columns}
+    found = diagnose(dataclasses.replace(drawn.recording, columns=columns), written(drawn.urdf, tmp_path / "arm.urdf"),
+                     only=(("force_bias", 0), ("force_compliance", 0)))
+    assert [e.fitted.name for e in found.effects] == ["force_bias"]
+    effect = found.effects[0].fitted
+    for value, std, true in zip(effect.coefficients, effect.std, drawn.size, strict=False):
+        assert abs(value - true) < 3.0 * std
+
+
 @pytest.mark.parametrize("seed", [4, pytest.param(5, marks=pytest.mark.slow)])
 def test_a_good_force_sensor_is_left_alone(seed, tmp_path):
     found, _ = trial(seed, "none", tmp_path)

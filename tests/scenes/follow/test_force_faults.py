@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 
 from planning.force.contact import most_force
+from scenes.online.devices import Devices
+from scenes.online.run import _job, load_cell
 from scenes.scene_file import load_scene
 from tests.scenes.follow.on_bench import FAULTS, STAGES, Bench, followed
 
@@ -102,3 +107,14 @@ def test_what_differs_from_the_last_calibration_is_said_with_its_size(before: di
     assert run.job.figures()["tool_mass_kg"] == before["tool_mass_kg"]
     if "elasticity_N_m" not in before:
         assert run.force == 0.0
+
+
+def test_no_wrench_is_recorded_of_times_at_which_none_was_measured() -> None:
+    """Of a way to the start the first value of the run, all along, says that the sensor was biased there."""
+    job: Any = _job(load_cell("force_wave"), Devices("rsi:"), None, None)
+    for t in (2.0, 1.0):
+        job.log.samples.append((t, 10.0 * t, 0.0, 1.0))
+    job._force = SimpleNamespace(samples=[(t, *(t * np.arange(6.0))) for t in (1.0, 2.0)])
+    found = job.columns(np.array([-3.0, 0.9, 1.0, 1.5, 2.0, 2.1]))
+    np.testing.assert_array_equal(found["f_normal"], [np.nan, np.nan, 10.0, 15.0, 20.0, np.nan])
+    np.testing.assert_array_equal(found["mz"], [np.nan, np.nan, 5.0, 7.5, 10.0, np.nan])
