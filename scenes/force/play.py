@@ -6,6 +6,7 @@ Its result holds forces, what was felt of the surface, the recording and the tim
 from __future__ import annotations
 
 import time
+from contextlib import closing, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -218,7 +219,8 @@ def pressed(cell: Cell, task: ForceTask, method: str, progress: Progress = silen
     """
     scene = cell.known.scene
     glue = GlueWorld(cell) if scene.task == "glue" else None
-    with SimulatedArm(cell.known.robot, cell.world, cell.noise, task.q_start) as arm:
+    with (nullcontext() if glue is None else closing(glue),
+          SimulatedArm(cell.known.robot, cell.world, cell.noise, task.q_start) as arm):
         contact = TipContact(arm, cell.surface, true_tip(scene.tip))
         sensor = CarriedForceSensor(cell.sensor, arm, contact)
         camera = None if glue is None else CarriedCamera(glue.rendered, arm, Knock.of(scene.camera))
@@ -230,10 +232,7 @@ def pressed(cell: Cell, task: ForceTask, method: str, progress: Progress = silen
                     CycleSettings(BRAKING, REST * arm.t_ipo, duration + LONGEST, duration + 2.0, method), progress)
         wall = time.perf_counter() - started
         task.log.wrenches = sensor.samples
-        result = _result(cell, method, task, glue, arm, contact, wall)
-    if glue is not None:
-        glue.close()
-    return result
+        return _result(cell, method, task, glue, arm, contact, wall)
 
 
 def calibrated(scene: ForceScene) -> tuple[ToolLoad, ContactElasticity]:

@@ -259,10 +259,9 @@ class LiveForce:
         return ", ".join(said) or "nothing came"
 
     def close(self) -> None:
-        """Ends the thread and gives the sensor back."""
+        """Ends the thread; the sensor is given back by whoever opened it."""
         self._closed = True
         self._thread.join(1.0)
-        self.source.close()
 
     def _read(self) -> None:
         while not self._closed:

@@ -165,6 +165,7 @@ def _opened(scene: Scene, job: Job, devices: Devices, folder: Path, method: str,
         source = None
         if "force" in job.needs() and devices.force is not None:
             source = open_force(devices.force, devices.force_delay)
+            stack.callback(source.close)
         journal = Journal(folder, job.robot, {"scene": scene.name, "method": method, "model": scene.model})
         stack.callback(journal.close)
         progress(0.0, "waiting for the arm")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -155,12 +156,14 @@ class GenICamCamera:
         self._acquirer, self._library = acquirer, library
         self.clock, self.stamps = ClockRelation(least_delay), "camera"
         self._number = 0
-        acquirer.start()
-        first = self._fetched(5.0)
-        if first is None:
-            self.close()
-            raise InputError("the camera is there but sends no picture; is it triggered?", field="camera")
-        self.height, self.width = first[1].shape
+        with ExitStack() as given_back:
+            given_back.callback(self.close)
+            acquirer.start()
+            first = self._fetched(5.0)
+            if first is None:
+                raise InputError("the camera is there but sends no picture; is it triggered?", field="camera")
+            self.height, self.width = first[1].shape
+            given_back.pop_all()
 
     @classmethod
     def open(cls, producer: Path, serial: str | None = None, least_delay: float = 0.0) -> GenICamCamera:

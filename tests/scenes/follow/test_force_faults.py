@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,9 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ideal_robot.rsi.message import RsiError
 from planning.force.contact import most_force
+from scenes.online import run as live
 from scenes.online.devices import Devices
-from scenes.online.run import _job, load_cell
 from scenes.scene_file import load_scene
 from tests.scenes.follow.on_bench import FAULTS, STAGES, Bench, followed
 
@@ -111,10 +114,27 @@ def test_what_differs_from_the_last_calibration_is_said_with_its_size(before: di
 
 def test_no_wrench_is_recorded_of_times_at_which_none_was_measured() -> None:
     """Of a way to the start the first value of the run, all along, says that the sensor was biased there."""
-    job: Any = _job(load_cell("force_wave"), Devices("rsi:"), None, None)
+    job: Any = live._job(live.load_cell("force_wave"), Devices("rsi:"), None, None)
     for t in (2.0, 1.0):
         job.log.samples.append((t, 10.0 * t, 0.0, 1.0))
     job._force = SimpleNamespace(samples=[(t, *(t * np.arange(6.0))) for t in (1.0, 2.0)])
     found = job.columns(np.array([-3.0, 0.9, 1.0, 1.5, 2.0, 2.1]))
     np.testing.assert_array_equal(found["f_normal"], [np.nan, np.nan, 10.0, 15.0, 20.0, np.nan])
     np.testing.assert_array_equal(found["mz"], [np.nan, np.nan, 5.0, 7.5, 10.0, np.nan])
+
+
+def test_a_sensor_is_given_back_where_no_arm_comes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    closed = list[bool]()
+
+    @contextmanager
+    def no_arm(*_: object) -> Iterator[None]:
+        raise RsiError("no packet from the controller within 60 s")
+        yield
+
+    monkeypatch.setattr(live, "open_force", lambda *_: SimpleNamespace(close=lambda: closed.append(True)))
+    monkeypatch.setattr(live, "opened_arm", no_arm)
+    scene, devices = live.load_cell("force_wave"), Devices("rsi://127.0.0.1:1", force="netft://127.0.0.1")
+    with (pytest.raises(RsiError, match="no packet"),
+          live._opened(scene, live._job(scene, devices, None, None), devices, tmp_path, "ideal", lambda *_: None)):
+        pass
+    assert closed == [True]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.signals.recording import Recording
 from scenes import load_scene
+from scenes.force import play as playing
 from scenes.force.cell import glue_line, set_up
 from scenes.force.kind import run
 from scenes.force.page import forces_figure
@@ -273,3 +275,18 @@ def test_each_method_has_a_panel_with_its_error_on_one_scale() -> None:
     assert titles == ["direct_feedback: 4.24 N RMS", "ideal: 0.71 N RMS", "adapted: 0.71 N RMS"]
     assert len({axis.get_ylim() for axis in figure.axes}) == 1
     assert figure.axes[0].get_ylim()[1] < 30.0
+
+
+def test_what_draws_pictures_is_given_back_where_a_play_ends_in_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    closed = list[bool]()
+
+    def no_arm(*_: object) -> None:
+        raise InputError("no such arm")
+
+    monkeypatch.setattr(playing, "GlueWorld", lambda _: SimpleNamespace(close=lambda: closed.append(True)))
+    monkeypatch.setattr(playing, "SimulatedArm", no_arm)
+    cell: Any = SimpleNamespace(known=SimpleNamespace(scene=load_scene("glue"), robot=None), world=None, noise=None)
+    task: Any = SimpleNamespace(q_start=None)
+    with pytest.raises(InputError, match="no such arm"):
+        playing.pressed(cell, task, "ideal")
+    assert closed == [True]

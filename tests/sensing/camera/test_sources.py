@@ -130,8 +130,12 @@ def test_genicam_by_the_interface_of_harvesters(data_format: str, scale: int) ->
 
 
 def test_genicam_formats_that_are_not_gray_are_refused_with_what_to_set() -> None:
+    acquirer = Acquirer("BayerRG8", 1)
     with pytest.raises(InputError, match="Mono8"):
-        GenICamCamera(Acquirer("BayerRG8", 1))
+        GenICamCamera(acquirer)
+    # Another program, or the next start, can open it.
+    assert not acquirer.running
+    assert acquirer.destroyed
 
 
 def field(k: int, stamp: float, width: int = 64) -> bytes:
