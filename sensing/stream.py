@@ -248,7 +248,8 @@ def host_and_port(rest: str, field: str, port: int | None = None) -> tuple[str, 
     host, colon, number = place.rpartition(":")
     if not colon and port is not None:
         host, number = place, str(port)
-    if not rest.startswith("//") or not host or not number.isdigit() or not 0 < int(number) < 65536:
+    usable = number.isascii() and number.isdigit() and 0 < int(number[:6]) < 65536
+    if not rest.startswith("//") or not host or not usable:
         raise InputError("expected an address such as stream://192.168.1.30:50000", field=field, value=rest[:80])
     return host.strip("[]"), int(number)
 

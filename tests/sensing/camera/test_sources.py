@@ -61,7 +61,8 @@ def test_a_driver_without_stamps_is_said_to_have_none(film: Path, monkeypatch: p
 
 
 @pytest.mark.parametrize("address", ["usb:left", "file:nowhere.mp4", "ftp://there", "rtsp", "stream://127.0.0.1",
-                                     "stream://127.0.0.1:99999", "genicam:none.cti"])
+                                     "stream://127.0.0.1:99999", "stream://a:²", f"stream://a:{'1' * 5000}",
+                                     "genicam:none.cti"])
 def test_an_address_that_cannot_be_is_refused(address: str) -> None:
     with pytest.raises(InputError):
         open_camera(address)
