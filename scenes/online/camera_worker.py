@@ -97,10 +97,11 @@ class _Worker:
                 if frame is not None:
                     self._frames.append(frame)
                     self._send("header", Header(frame.number, source.clock.host(frame.stamp), frame.arrived))
-        except IdealRobotError as error:
-            self._send("ended", str(error))
-        except OSError:
-            return
+        except Exception as error:  # whatever a camera's library raises: who leads the arm has to know
+            # Who leads it may be gone.
+            with suppress(OSError):
+                self._send("ended", str(error) if isinstance(error, IdealRobotError) else
+                           f"the camera cannot be read: {type(error).__name__}: {error}")
 
     def answer(self, kind: str, content: Any) -> None:
         """Does what the arm's side asks for."""
@@ -113,7 +114,8 @@ class _Worker:
                 self._send("calibrated", error)
         else:
             number, t, prediction, detection = content
-            frame = next((one for one in self._frames if one.number == number), None)
+            # A copy is taken at once; between two steps of a loop another picture may come.
+            frame = next((one for one in list(self._frames) if one.number == number), None)
             nothing = np.empty(0)
             empty = LineField(t, np.empty((0, 3)), np.empty((0, 2)), nothing, nothing, nothing,
                               np.empty(0, dtype=bool), False, "the picture was gone")

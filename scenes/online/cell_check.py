@@ -123,11 +123,11 @@ def _seen(look: Look, arm: LiveArm, camera: LiveCamera, view: CalibrationView, w
     for cycle in range(len(way) + round(PATIENCE / arm.t_ipo)):
         if cycle >= len(way) and len(beside) >= FEWEST:
             break
-        k = min(cycle, len(way) - 1)
-        q_c = way[k]
+        q_c = way[min(cycle, len(way) - 1)]
         arm.check(arm.t)
         arm.q_d = q_c
-        view.history.add(arm.t + arm.t_ipo, arm.cycle(q_c).q - sag[k])
+        # In the last row the deflection is not known; the arm rests before it.
+        view.history.add(arm.t + arm.t_ipo, arm.cycle(q_c).q - sag[min(cycle, len(way) - 2)])
         for field in camera.arrived(arm.t):
             found = view.detector.detect(field, look.camera, view.predicted(field.t_stamp), view.detection)
             if field.t_stamp < rests or not found.seen:
