@@ -78,8 +78,7 @@ def calibrate_by_moving(known: Known | ForceKnown, arm: SimulatedArm, camera: Re
     late, due, fields, moved = list[tuple[Field, PredictedLine]](), 0, 0, [] if moved is None else moved
     for k, q_c in enumerate(commands):
         exposures = camera.due(k * T + ahead, (k + 1) * T + ahead)
-        taken = [t for i, t in enumerate(exposures, due) if i % SPARING == 0]
-        due += len(exposures)
+        taken, due = [t for i, t in enumerate(exposures, due) if i % SPARING == 0], due + len(exposures)
         predictions = [view.predicted(camera.stamp(t) - ahead) for t in taken]
         moved.append(arm.cycle(q_c))
         view.history.add((k + 1) * T, moved[-1].q - sag[k])
