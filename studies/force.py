@@ -318,7 +318,7 @@ def _drawn(curves: dict[tuple[str, bool], list[StabilityRun]]) -> Figure:
         axis.minorticks_off()
         axis.set(xlabel=f"assumed / true {quantity}", ylabel=UNITS[quantity])
         axis.grid(alpha=0.3)
-        axis.legend()
+    figure.legend(*axis.get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return figure
 
 
