@@ -26,7 +26,7 @@ from ideal_robot.elasticity.stiffness import (
 from ideal_robot.errors import InputError
 from ideal_robot.results import Summarised, plain, with_intervals
 from ideal_robot.robots.robot import UNKNOWN_DRIVE_GAIN, Robot
-from ideal_robot.signals.plausible import plausible
+from ideal_robot.signals.plausible import plausible, require_joint_units
 from ideal_robot.signals.recording import Recording, recordings_of
 
 if TYPE_CHECKING:
@@ -195,9 +195,15 @@ def analyse_stiffness(recordings: Recording | Sequence[Recording], robot: Robot,
     if method not in (*CLAMPED_METHODS, "both"):
         raise InputError("expected motor, wrench or both", field="method", value=method)
     recordings = recordings_of(recordings, "recordings")
+    for recording in recordings:
+        if recording.n != robot.n:
+            raise InputError(f"recording has {recording.n} joints, the robot {robot.n}", file=recording.source,
+                             field="q_i")
     hung = [one for one in recordings if "payload" in one.columns]
-    pushed, warnings = _plausible([one for one in recordings if "payload" not in one.columns], robot)
+    pushed, warnings = _plausible([one for one in recordings if "payload" not in one.columns])
     signals = tuple(clamped_signals(one, robot) for one in pushed)
+    for recording in (*pushed, *hung):
+        require_joint_units(recording.joints("q"), robot, file=recording.source)
     wanted = [one for one in CLAMPED_METHODS if method in (one, "both")]
     if method == "both":
         # Both where both are recorded: a robot without a force sensor still gets its stiffnesses.
@@ -222,12 +228,10 @@ def analyse_stiffness(recordings: Recording | Sequence[Recording], robot: Robot,
                              (*warnings, *_warnings(signals, robot, joints)))
 
 
-def _plausible(recordings: Sequence[Recording], robot: Robot) -> tuple[list[Recording], list[str]]:
+def _plausible(recordings: Sequence[Recording]) -> tuple[list[Recording], list[str]]:
     """The clamped recordings without samples that cannot be, and warnings."""
     usable, warnings = [], []
     for one in recordings:
-        if one.n != robot.n:
-            raise InputError(f"recording has {one.n} joints, the robot {robot.n}", file=one.source, field="q_i")
         joints = range(1, one.n + 1)
         driven = [f"{key}_{i}" for key in ("current", "tau") for i in joints if one.has(key)]
         one, found = plausible(one, [f"q_{i}" for i in joints], driven)
@@ -245,6 +249,13 @@ def _warnings(signals: Sequence[ClampedSignals], robot: Robot, joints: Sequence[
                          "wrench are unreliable there, clamp in another configuration")
         if 0 < len(one.measured) < 6:
             found.append(f"{one.source}: only {', '.join(one.measured)} measured, the rest counts as zero")
+    motor, wrench = ({one.joint: one for one in joints if one.method == method} for method in CLAMPED_METHODS)
+    for joint in sorted(set(motor) & set(wrench)):
+        own, other = motor[joint], wrench[joint]
+        if max(own.interval[0], other.interval[0]) > min(own.interval[1], other.interval[1]):
+            found.append(f"methods-disagree: joint {joint}: {own.stiffness:.3g} N m/rad by motor, "
+                         f"{other.stiffness:.3g} by wrench, and the 95 % intervals do not meet; check the units of "
+                         "currents or torques [A, N m] and of the wrench [N, N m], and the drive gains")
     missing = sorted(set(range(1, robot.n + 1)) - {one.joint for one in joints})
     if missing:
         found.append(f"not loaded, so not identified: joint {', '.join(map(str, missing))}")

@@ -57,7 +57,7 @@ def require_joint_units(q: Array, robot: Robot, *, file: str | None = None, colu
     Raises:
         InputError: a joint leaves its limits.
     """
-    largest = np.max(np.abs(q), axis=0)
+    largest = np.max(np.abs(q), axis=0, initial=0.0)
     span = np.maximum(np.abs(robot.q_min), np.abs(robot.q_max))
     beyond = largest / np.where(np.isfinite(span) & (span > 0), span, np.inf)
     turning = ~robot.prismatic

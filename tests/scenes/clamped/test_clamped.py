@@ -114,6 +114,21 @@ def test_run_writes_what_the_command_reads(tmp_path: Path) -> None:
         assert "unknown-drive-gain" in said
 
 
+def test_other_units_are_refused_or_said(kr500: Robot) -> None:
+    """Degrees leave the joint limits; forces in kN make a thousandth of the currents' stiffness."""
+    scene = load_scene("clamped_kr500_1")
+    rng = np.random.default_rng(scene.seed)
+    (recording, *_), _ = record(scene, kr500, ClampWorld.from_table(kr500, {}), configurations(scene, kr500, rng), rng)
+    columns = recording.columns
+    assert not any("methods-disagree" in text for text in analyse_stiffness(recording, kr500).warnings)
+    kilonewtons = analyse_stiffness(Recording({**columns, "fz": 1e-3 * columns["fz"]}), kr500)
+    assert [text for text in kilonewtons.warnings if text.startswith("methods-disagree: joint 1: ")]
+    degrees = {name: np.degrees(columns[name]) for name in columns if name.startswith("q_")}
+    for payload in ({}, {"payload": np.zeros(len(recording.t))}):
+        with pytest.raises(InputError, match=r"q_1: .* degrees"):
+            analyse_stiffness(Recording({**columns, **degrees, **payload}), kr500)
+
+
 @pytest.mark.parametrize(("key", "value"), [
     ("stiffness", False), ("stiffness", -1), ("stiffness", [1e6, 1e6]), ("stiffness", 1e-320), ("stiffness", "soft"),
     ("presliding", 0.0), ("presliding", [1e-5, 1e-5]), ("friction", []), ("current_noise", {"a": 1}), ("gaps", 1),
