@@ -50,8 +50,8 @@ def path_at_cycles(t: Array, q_d: Array, robot: Robot, *, rest: float, file: str
         column: what its positions are called there.
 
     Raises:
-        InputError: shapes that do not fit, too few samples, times that do not rise, values that are not finite, other
-            units than seconds, radians and metres.
+        InputError: shapes that do not fit, too few samples, times that do not rise, a gap, values that are not finite,
+            other units than seconds, radians and metres, samples that no smooth path within the limits joins.
     """
     t, q_d = np.asarray(t, dtype=float), np.asarray(q_d, dtype=float)
     if not 0.0 <= rest <= 60.0:
@@ -67,18 +67,35 @@ def path_at_cycles(t: Array, q_d: Array, robot: Robot, *, rest: float, file: str
     for i, values in enumerate(q_d.T):
         if not np.isfinite(values).all():
             raise InputError("holds values that are not finite", file=file, field=f"{column}_{i + 1}")
-    checked_time(t, file or "path")
+    if checked_time(t, file or "path"):
+        k = int(np.argmax(np.diff(t)))
+        raise InputError(f"the path has a gap of {t[k + 1] - t[k]:.4g} s after t = {t[k]:.6g} s, and nothing tells its "
+                         "way there; give samples in between, or correct the pieces one by one", file=file, field="t",
+                         value=float(t[k + 1]))
     require_joint_units(q_d, robot, file=file, column=column)
     # The last cycle is the one in which the path's end is reached, wherever in it that lies.
     grid = np.minimum(np.arange(t[0], t[-1] + robot.t_ipo - 1e-9, robot.t_ipo), t[-1])
     if len(grid) == len(t) and np.allclose(grid, t, atol=1e-6):
         samples = q_d
     else:
-        # Other sampling than the cycle: a spline through the samples, straight on from the last one.
-        samples = np.asarray(make_interp_spline(t, q_d, k=min(5, len(t) - 1))(grid))
+        samples = _between(t, q_d, grid, robot, file)
     first, last = round(rest / robot.t_ipo), round(REST_AFTER / robot.t_ipo)
     whole = held(samples, before=first, after=last)
     return np.asarray(robot.t_ipo * np.arange(float(len(whole)))), whole
+
+
+def _between(t: Array, q_d: Array, grid: Array, robot: Robot, file: str | None) -> Array:
+    """A spline through samples ``(N, n)`` of other times ``(N,)`` than the cycles, at the cycles ``(M, n)``."""
+    samples = np.asarray(make_interp_spline(t, q_d, k=min(5, len(t) - 1))(grid))
+    beyond = [np.any((q < robot.q_min) | (q > robot.q_max), axis=1) for q in (samples, q_d)]
+    if beyond[0].any() and not beyond[1].any():
+        steps = np.diff(t)
+        k = int(np.argmin(steps))
+        raise InputError(f"the samples are within the joint limits, a smooth path through them is not at t = "
+                         f"{grid[np.argmax(beyond[0])]:.6g} s; of their times {t[k]:.9g} s and {t[k + 1]:.9g} s are "
+                         f"{steps[k]:.4g} s apart, usually it is {np.median(steps):.4g} s: check these two, or give "
+                         "more samples", file=file, field="t", value=float(t[k + 1]))
+    return samples
 
 
 @dataclass(frozen=True, repr=False)

@@ -290,6 +290,19 @@ def test_samples_half_a_millisecond_off_the_cycles_are_brought_to_them() -> None
     np.testing.assert_array_equal(path_at_cycles(even, truth(even), ROBOT, rest=0.0)[1][:200], truth(even))
 
 
+def test_between_samples_no_way_is_invented() -> None:
+    """Across a gap nobody knows it, and between two times that nearly meet it would leave every limit."""
+    t = 0.02 * np.arange(300.0)
+    q = ROBOT.home + 0.3 * np.sin(t)[:, None]
+    with pytest.raises(InputError, match=r"gap of 2\.02 s after t = 1\.98 s.*give samples in between"):
+        path_at_cycles(np.delete(t, slice(100, 200)), np.delete(q, slice(100, 200), axis=0), ROBOT, rest=0.0)
+    near = t.copy()
+    near[100] = near[99] + 1e-5
+    with pytest.raises(InputError, match=r"within the joint limits.* 1\.98 s and 1\.98001 s are 1e-05 s apart.*0\.02 s"):
+        path_at_cycles(near, q, ROBOT, rest=0.0)
+    path_at_cycles(t, q, ROBOT, rest=0.0)
+
+
 def test_a_spread_of_controllers_gives_a_range_joint_by_joint() -> None:
     controller = MODEL.controller
     assert controller is not None
