@@ -111,6 +111,7 @@ class PrecorrectedPath(Summarised):
         expected: error the identified loop still makes with the commands, and without ``(N, n)`` each [rad].
         reach: root mean square of the first of them with each of ``DRAWS`` controllers of the model's spread
             ``(DRAWS, n)`` [rad]; None where the model's controller was identified.
+        warnings: what was not checked.
     """
 
     recording: Recording = field(repr=False)
@@ -121,6 +122,7 @@ class PrecorrectedPath(Summarised):
     q_c: Array = field(repr=False)
     expected: tuple[Array, Array] = field(repr=False)
     reach: Array | None = field(repr=False, default=None)
+    warnings: tuple[str, ...] = ()
 
     @property
     def expected_rms(self) -> tuple[Array, Array]:
@@ -158,7 +160,8 @@ class PrecorrectedPath(Summarised):
             "largest_correction_mrad": 1e3 * np.max(np.abs(self.q_c - self.q_d), axis=0),
             "expected_rms_error_mrad": {"corrected": after, "uncorrected": before, **(
                 {} if self.reach is None else {"corrected_from": 1e3 * self.reach.min(axis=0),
-                                               "corrected_to": 1e3 * self.reach.max(axis=0)})}})
+                                               "corrected_to": 1e3 * self.reach.max(axis=0)})},
+            "warnings": self.warnings})
         return values
 
 
@@ -200,7 +203,20 @@ def precorrect(t: Array, q_d: Array, model: Model, robot: Robot, method: str = "
     wanted = CorrectedArm(robot, model.effects).from_rest(path, robot.t_ipo)
     errors = [np.asarray(wanted - simulate(loop, commands).q_a[:-1]) for commands in (q_c, path)]
     return PrecorrectedPath(recording, method, robot.name, times, path, q_c, (errors[0], errors[1]),
-                            _reach(model, robot, delay, q_c, wanted))
+                            _reach(model, robot, delay, q_c, wanted), _not_checked(robot))
+
+
+def _not_checked(robot: Robot) -> tuple[str, ...]:
+    """A warning for each quantity that has no limit in some joints, and where it is given."""
+    file = robot.urdf.with_suffix(".toml").name
+    found = []
+    for quantity, limit, place in (
+            ("speed", robot.v_max, f"velocity of the joints' <limit> in {robot.urdf.name}"),
+            ("acceleration", robot.a_max, f"a_max [rad/s², m/s²] of [joints] in {file}, beside the URDF")):
+        if (unknown := np.flatnonzero(~np.isfinite(limit)) + 1).size:
+            found.append(f"unknown-limit: the {quantity} of joint {', '.join(map(str, unknown))} was not checked, its "
+                         f"limit is not known; give {place}")
+    return tuple(found)
 
 
 def _reach(model: Model, robot: Robot, delay: int, q_c: Array, wanted: Array) -> Array | None:

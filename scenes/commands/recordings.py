@@ -314,6 +314,7 @@ def precorrect(options: PrecorrectOptions) -> None:
     Example, after that of `identify`:
     `ideal-robot precorrect out/plan/commands.csv --model model.json -o corrected.csv`
     """
+    from ideal_robot.errors import InputError
     from ideal_robot.model.model import Model
     from ideal_robot.whole_file import whole_files
     from scenes.outputs import check_outputs
@@ -321,6 +322,9 @@ def precorrect(options: PrecorrectOptions) -> None:
 
     folder = options.out or Path("out") / "precorrect"
     check_outputs({"--out": folder}, output=options.output, json=options.json)
+    if options.output.resolve() == options.path.resolve():
+        raise InputError("is the path that is to be corrected; give another file", field="--output",
+                         value=str(options.output))
     with progress_bar("precorrect") as progress:
         progress(0.1, "")
         result = precorrected_path(options.path, options.model, robot=options.robot, method=options.method,
@@ -342,6 +346,8 @@ def precorrect(options: PrecorrectOptions) -> None:
         typer.echo(f"warning: within the spread of the controller the corrected path may miss by more than the path "
                    f"itself does in joint {', '.join(map(str, beyond))}; a recording with commands (q_c_i) tells the "
                    "controller", err=True)
+    for warning in result.warnings:
+        typer.echo(f"warning: {warning}", err=True)
     typer.echo(f"corrected path: {options.output}")
     typer.echo(f"report: {report}")
 

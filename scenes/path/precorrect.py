@@ -101,8 +101,11 @@ def columns_of(recording: Recording, arm: Robot, path: Path) -> tuple[Array, Arr
                 raise InputError(f"the path has more joints than {arm.name} ({arm.n})", file=path,
                                  field=f"{prefix}_{arm.n + 1}")
             return recording.t, np.column_stack([recording.columns[name] for name in names]), prefix
-    raise InputError(f"columns q_d_1 to q_d_{arm.n} (or q_1 to q_{arm.n}, or q_c_1 to q_c_{arm.n}) are needed",
-                     file=path, field="q_d_1")
+    wanted = [f"{prefix}_{i + 1}" for prefix in ("q_d", "q", "q_c") for i in range(arm.n)]
+    begun = next((name.rpartition("_")[0] for name in wanted if name in recording.columns), "q_d")
+    missing = next(f"{begun}_{i + 1}" for i in range(arm.n) if f"{begun}_{i + 1}" not in recording.columns)
+    raise InputError(f"column is missing; q_d_1 to q_d_{arm.n} (or q_1 to q_{arm.n}, or q_c_1 to q_c_{arm.n}) are "
+                     "needed", file=path, field=missing)
 
 
 def played(result: PrecorrectedPath, arm: Robot, seed: int, *, delay: bool = False) -> tuple[Array, Array]:

@@ -114,6 +114,14 @@ def test_the_help_lists_the_methods_of_the_registry(program, verb: str) -> None:
     assert completed(verb, "id") == ["ideal"]
 
 
+def test_a_corrected_path_does_not_take_the_place_of_the_path(program, tmp_path: Path) -> None:
+    (tmp_path / "p.csv").write_text("t,q_d_1\n0,0\n")
+    done = program("precorrect", "p.csv", "--model", "m.json", "-o", str(tmp_path / "p.csv"))
+    assert done.code == 2
+    assert "--output: is the path that is to be corrected" in done.err
+    assert (tmp_path / "p.csv").read_text() == "t,q_d_1\n0,0\n"
+
+
 TOO_LONG, NO_NUMBER = "no file can have so long a name", "no finite number"
 
 

@@ -15,10 +15,12 @@ from ideal_robot.arrays import interpolated
 from ideal_robot.elasticity.stiffness_analysis import analyse_stiffness
 from ideal_robot.errors import InputError, LimitError
 from ideal_robot.execution.command_governor import check_limits
+from ideal_robot.execution.precorrect import precorrect
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal, FrictionAdaptation
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.method import Setting
+from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes import load_scene
@@ -301,6 +303,10 @@ def test_paths_outside_the_limits_are_refused_with_joint_and_time(tmp_path):
 def test_bad_input_names_file_and_field(tmp_path):
     with pytest.raises(InputError, match="q_d_1 to q_d_6"):
         precorrected_path(write(tmp_path, motion()[:, :3]), MODEL)
+    path = write(tmp_path, motion(), prefix="q_c")
+    pd.read_csv(path).drop(columns="q_c_3").to_csv(path, index=False)
+    with pytest.raises(InputError, match=r"q_c_3: column is missing"):
+        precorrected_path(path, MODEL)
     broken = motion().copy()
     broken[10, 2] = np.nan
     with pytest.raises(InputError, match="not finite"):
@@ -319,6 +325,16 @@ def test_a_planned_motion_is_a_path_too(tmp_path):
     result = precorrected_path(write(tmp_path, q, prefix="q_c"), MODEL)
     rest = round(0.6 / T)
     np.testing.assert_allclose(result.q_d[rest : rest + len(q)], q, atol=1e-9)
+
+
+def test_limits_that_nobody_knows_are_said_not_to_be_checked():
+    q, model = motion(lead=2), Model.load(MODEL)
+    assert precorrect(T * np.arange(len(q)), q, model, ROBOT).warnings == ()
+    a_max = ROBOT.a_max.copy()
+    a_max[1:3] = np.inf
+    (warning,) = precorrect(T * np.arange(len(q)), q, model, replace(ROBOT, a_max=a_max)).to_dict()["warnings"]
+    assert "acceleration of joint 2, 3 was not checked" in warning
+    assert "a_max" in warning
 
 
 def test_played_on_the_simulated_arm_the_corrected_path_is_the_better_one(tmp_path):
