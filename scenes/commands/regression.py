@@ -54,7 +54,6 @@ def check(options: CheckOptions) -> None:
     from scenes.regression.suite import Suite
     from scenes.report.page import write_json
     from scenes.scene_files.scene import Scene
-    from scenes.sweep import sweep
 
     asked = Suite(options.suite)
     place = options.baseline or asked.baseline
@@ -66,8 +65,8 @@ def check(options: CheckOptions) -> None:
         check_arms(earlier, {job.scene.robot for job in work if isinstance(job.scene, Scene)})
     file = None if options.runs is None else RunSet(options.runs, resume=options.resume)
     with progress_bar(f"{len(work)} runs") as progress:
-        answers = sweep(work, processes=options.processes, dask=options.dask, file=file, limit=options.time_limit,
-                        done=lambda count: progress(count / len(work), f"{count} of {len(work)}"))
+        answers = asked.play(processes=options.processes, dask=options.dask, file=file, limit=options.time_limit,
+                             done=lambda count: progress(count / len(work), f"{count} of {len(work)}"))
     results = Results.of(answers, str(options.suite))
     found = _compared(results, earlier, asked, anyway=options.update_baseline)
     _report(found, folder)

@@ -105,6 +105,8 @@ class Comparison(Summarised):
         found = {row.verdict for row in self.rows}
         if WORSE in found or self.not_played or not self.bounds_kept:
             return WORSE
+        if any(row.verdict == NOT_COMPARABLE and not row.figure for row in self.rows):
+            return NOT_COMPARABLE
         if BETTER in found:
             return BETTER
         return SAME if SAME in found or (self.before is None and self.bounds) else NOT_COMPARABLE
@@ -151,7 +153,7 @@ def compared(before: Results, after: Results, *, figures: Sequence[str] = MAIN, 
     Args:
         before: earlier results.
         after: new ones.
-        figures: names of what is compared; those that neither has are passed over.
+        figures: names of what is compared; those that not both have are passed over.
         rules: what counts as a change.
         title: of the comparison.
 
@@ -162,7 +164,8 @@ def compared(before: Results, after: Results, *, figures: Sequence[str] = MAIN, 
     rows: list[Row] = []
     names = [name for name in figures if f"{name} before" in pairs]
     for label, group in pairs.groupby("label", sort=False):
-        rows += _of_case(str(label), group, names)
+        rows += _of_case(str(label), group, names) or [
+            Row(str(label), "", why=f"has none of the figures compared: {', '.join(figures)}; name one that it has")]
     whole = [row for name in names if (row := over_all(SUITE, [one for one in rows if one.figure == name]))]
     return Comparison(title or f"{before.source} → {after.source}", before, after,
                       tuple(judged([*whole, *rows], rules or Rules())), pairs=pairs)

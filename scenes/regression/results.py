@@ -27,6 +27,8 @@ NOT_RESULTS = (*TIMES, *PLACES, "times", "files", "schema", "program")
 CASE = ("scene", "robot", "individual", "world", "speed_m_s", "method")
 """What runs of one case have in common; its runs differ in their seeds."""
 HASHES = ("task_hash", "world_hash", "model_hash")
+NOT_FIGURES = frozenset({*CASE, *HASHES, "seed", "failure", "not_played"})
+"""Columns of a table of runs that say what was played, or why not."""
 MAIN = tuple(name for name in FIGURES if name != "speed_m_s")
 """Figures that are compared where nobody names others: those that a sweep shows; of all of them less is better."""
 UNITS = {"mm": {"um": 1e-3, "µm": 1e-3, "mm": 1.0, "m": 1e3}, "N": {"mN": 1e-3, "N": 1.0, "kN": 1e3},
@@ -67,8 +69,8 @@ class Results:
     @property
     def figures(self) -> list[str]:
         """Names of all figures that are numbers."""
-        known = {*CASE, *HASHES, "seed", "failure", "not_played"}
-        return [name for name in self.runs.columns if name not in known and self.runs[name].dtype.kind in "fi"]
+        return [name for name in self.runs.columns
+                if name not in NOT_FIGURES and self.runs[name].dtype.kind in "fi"]
 
     def mean(self, figure: str) -> float:
         """Mean of a figure over the runs, in the unit of its name.

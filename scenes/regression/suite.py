@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,10 @@ from ideal_robot.results import flat
 from scenes.kind import kind_of
 from scenes.methods import method_of
 from scenes.regression.paired import Rules
-from scenes.regression.results import MAIN, UNITS, unit_of
+from scenes.regression.results import MAIN, NOT_FIGURES, UNITS, Results, table, unit_of
 from scenes.scene_file import load_scene
 from scenes.scene_files.scene import Scene, Table, chosen, validated
-from scenes.sweep import MOST, Job, jobs
+from scenes.sweep import MOST, Job, Kept, jobs, sweep
 
 _RANGE = re.compile(r"\s*(\d{1,9})\s*-\s*(\d{1,9})\s*")
 
@@ -59,8 +60,8 @@ class SuiteFile(Table):
     baseline: str | None = None
     """File of the baseline, as seen from the suite's folder; ``NAME.baseline.json`` where the check is begun if not
     given."""
-    figures: tuple[str, ...] = MAIN
-    """What is compared; less is better."""
+    figures: tuple[str, ...] = pydantic.Field(default=MAIN, min_length=1)
+    """What is compared; less is better. Each is a figure of one of the scenes at least."""
     false_alarms: float = pydantic.Field(default=0.01, gt=0.0, lt=0.5)
     """Chance that an unchanged program is called worse or better, over all figures and cases together."""
     relevant: float = pydantic.Field(default=0.01, ge=0.0, lt=1.0)
@@ -86,11 +87,15 @@ class Suite:
         self.rules = Rules(self.file.false_alarms, self.file.relevant)
         self.work: list[tuple[Job, dict[str, float]]] = []
         """Jobs, and the bounds that hold for the mean of each one's case [the figures' units]."""
+        self._asked: list[tuple[str, str, set[str]]] = []
+        self._figures: dict[str, set[str]] = {}
         known: dict[tuple[Any, ...], Job] = {}
         for number, case in enumerate(self.file.case):
             loaded = [_scene(name, path, f"case.{number}.scenes") for name in case.scenes]
             bounds = {figure: _bound(figure, value, path, f"case.{number}.bounds")
                       for figure, value in flat(case.bounds).items()}
+            for figure in bounds:
+                self._ask(f"case.{number}.bounds", figure, loaded)
             for job in jobs(loaded, case.methods, case.speeds, case.seeds, case.arms, case.world):
                 assert isinstance(job.scene, Scene)
                 _check_options(job.scene, job, path, number)
@@ -100,6 +105,74 @@ class Suite:
                                      file=path, field=f"case.{number}")
                 known[key] = job
                 self.work.append((job, bounds))
+        for figure in self.file.figures if "figures" in self.file.model_fields_set else ():
+            self._ask("figures", figure, [job.scene for job, _ in self.work if isinstance(job.scene, Scene)])
+
+    def _ask(self, field: str, figure: str, scenes: Sequence[Scene]) -> None:
+        if figure in NOT_FIGURES:
+            raise InputError(f"says what is played and is no figure; give figures such as {', '.join(MAIN)}",
+                             file=self.path, field=field, value=figure)
+        self._asked.append((field, figure, {scene.name for scene in scenes}))
+
+    def play(self, file: Kept | None = None, **how: Any) -> list[dict[str, Any]]:
+        """Plays all runs, one of each scene first; answers in the order of ``work``.
+
+        Args:
+            file: where answers are kept.
+            how: as ``scenes.sweep.sweep`` takes it.
+
+        Raises:
+            InputError: as ``sweep`` does, and as ``check_figures`` does once the scenes in question have been played.
+        """
+        work = [job for job, _ in self.work]
+        first = {_name(job): i for i, job in reversed(list(enumerate(work)))}
+        order = sorted(range(len(work)), key=lambda i: first[_name(work[i])] != i)
+        answers = sweep([work[i] for i in order], file=_Looked(self.check_figures, file), **how)
+        for answer in answers:  # those that were kept already, too
+            self.check_figures(answer)
+        return [answer for _, answer in sorted(zip(order, answers, strict=True), key=lambda one: one[0])]
+
+    def check_figures(self, answer: dict[str, Any]) -> None:
+        """Makes sure that figures which are compared or bounded are among those that their scenes have.
+
+        Args:
+            answer: of a run. What a scene has is known from its first run without a failure.
+
+        Raises:
+            InputError: none of the scenes that a figure is asked of has it.
+        """
+        if answer["failure"] is not None or answer["scene"] in self._figures:
+            return
+        self._figures[answer["scene"]] = set(Results(table([answer])).figures)
+        for field, figure, scenes in self._asked:
+            if scenes <= self._figures.keys():
+                known = sorted(set().union(*(self._figures[scene] for scene in scenes)))
+                if figure not in known:
+                    raise InputError(f"no run of {', '.join(sorted(scenes))} has this figure; "
+                                     f"{did_you_mean(figure, known)}there are {', '.join(known)}", file=self.path,
+                                     field=field, value=figure)
+
+
+class _Looked:
+    """Has each answer looked at as it comes, once it is kept."""
+
+    def __init__(self, look: Callable[[dict[str, Any]], None], file: Kept | None) -> None:
+        self._look, self._file = look, file
+        self.answers: dict[Hashable, dict[str, Any]] = {} if file is None else file.answers
+
+    def add(self, job: dict[str, Any], answer: dict[str, Any]) -> None:
+        if self._file is not None:
+            self._file.add(job, answer)
+        self._look(answer)
+
+    def close(self) -> None:
+        if self._file is not None:
+            self._file.close()
+
+
+def _name(job: Job) -> str:
+    assert isinstance(job.scene, Scene)
+    return job.scene.name
 
 
 def _scene(name: str, suite: Path, field: str) -> Scene:

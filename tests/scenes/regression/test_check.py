@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
@@ -17,9 +14,8 @@ import pytest
 from ideal_robot.errors import InputError
 from scenes.regression.comparison import SUITE, bounds_of, compared
 from scenes.regression.paired import BETTER, NOT_COMPARABLE, SAME, WORSE, Rules, judged, paired, seeds_needed
-from scenes.regression.results import Results, read_results
+from scenes.regression.results import Results, RunSet, read_results
 from tests.scenes.test_command_line import SHORT as UNCALIBRATED
-from tests.test_wheel import installed
 
 SHORT = UNCALIBRATED.replace("by_moving = false", "by_moving = false\nroll_deg = 0.01\npitch_deg = 0.02\n"
                              "yaw_deg = 0.02\nheight_mm = 0.2\nlateral_mm = 0.02\nfocal_percent = 0.1\n"
@@ -322,78 +318,37 @@ def test_as_many_seeds_as_are_asked_for_find_the_difference() -> None:
     assert seeds_needed(1e-5, 0.01) is None
 
 
-# The pytest plugin in a folder of a user's: from the checkout in a second, from the wheel and with xdist.
+# Figures and bounds that would switch the check off.
 
-__all__ = ["installed"]
+def test_a_figure_that_no_scene_has_is_refused_after_the_first_run(program: Any, suite: Path, tmp_path: Path,
+                                                                  monkeypatch: pytest.MonkeyPatch) -> None:
+    played: list[Any] = []
 
-TESTS = """
-import pytest
+    def work_off(tasks: list[Any], *_: Any) -> Any:
+        for i, task in enumerate(tasks):
+            played.append(task)
+            yield i, run_of(scene=task.scene.name, seed=task.seed)
 
-@pytest.mark.ideal_scene("short.toml", world="bench")
-@pytest.mark.parametrize("speed", [0.5, 0.7])
-def test_follows(path_error, baseline, speed):
-    runs = path_error(seeds=[1, 2, 3])
-    assert runs.mean("control_error_mm.mean") < 20.0
-    baseline(runs)
-
-@pytest.mark.ideal_scene("strait")
-def test_no_such_scene(path_error):
-    path_error()
-
-def test_no_marker(path_error):
-    path_error()
-"""
-
-
-def run_tests(folder: Path, path: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", "pytest", "-q", *words], cwd=folder, capture_output=True, text=True,
-                          check=False, env={**os.environ, "PYTHONPATH": str(path), "PYTEST_ADDOPTS": ""})
+    monkeypatch.setattr("scenes.sweep.work_off", work_off)
+    whole = SUITE_FILE.replace("LIMIT", "0.3 mm")
+    for wrong, field in ((whole.replace("[[case]]", 'figures = ["control_error_mm.maen"]\n[[case]]'), "figures"),
+                         (whole.replace("mm.mean", "mm.maen"), "case.0.bounds")):
+        suite.write_text(wrong)
+        played.clear()
+        done = program("check", "suite.toml", "--update-baseline", "--runs", f"runs_{field}")
+        assert done.code == 2
+        assert f"suite.toml: {field}: no run of short has this figure; did you mean 'control_error_mm.mean'?" \
+            in done.lines[-1]
+        assert len(played) == len(RunSet(tmp_path / f"runs_{field}", resume=True).answers) == 1
+    assert not (tmp_path / "suite.baseline.json").exists()
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """A user's tests and their scene."""
-    (tmp_path / "short.toml").write_text(SHORT)
-    (tmp_path / "test_own.py").write_text(TESTS)
-    return tmp_path
-
-
-def misses_its_baseline(said: str) -> None:
-    """What is missing is said, with the remedy."""
-    assert "--update-path-errors writes it" in said, said
-    assert "did you mean 'straight'?" in said
-    assert "say which scene is played" in said
-    assert "2 failed, 2 errors" in said
-
-
-def test_in_a_users_folder(folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.chdir(folder)
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.setitem(sys.modules, "test_own", None)  # whatever stands there is taken away afterwards
-    monkeypatch.delitem(sys.modules, "test_own")
-    pytest.main(["-q", "-p", "scenes.pytest_plugin", "-p", "no:xdist"])
-    misses_its_baseline(capfd.readouterr().out)
-    # Three seeds; both tests share them, whose scene is the same.
-    assert len(list((folder / ".pytest_cache" / "d" / "ideal_robot").glob("*.json"))) == 3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("words", [(), ("-n", "2")], ids=["alone", "xdist"])
-def test_from_the_wheel(installed: Path, folder: Path, words: tuple[str, ...]) -> None:
-    """Baseline, the same from the cache, and worse against a baseline that was better."""
-    misses_its_baseline(run_tests(folder, installed, *words).stdout)
-    run_tests(folder, installed, "--update-path-errors", *words)
-    kept = sorted((folder / "baselines").iterdir())
-    assert len(kept) == 2
-    same = run_tests(folder, installed, *words)
-    assert "2 passed, 2 errors" in same.stdout, same.stdout
-    for file in kept:
-        told = json.loads(file.read_text())
-        # By as much for each seed: three seeds tell no change that scatters with them.
-        by = 0.2 * min(run["control_error_mm.mean"] for run in told["runs"])
-        for run in told["runs"]:
-            run["control_error_mm.mean"] -= by
-        file.write_text(json.dumps(told))
-    worse = run_tests(folder, installed, *words)
-    assert "Path error: worse" in worse.stdout
-    assert "2 failed, 2 errors" in worse.stdout
+def test_a_case_without_any_compared_figure_is_named() -> None:
+    other = runs(0, scene="other", speed_m_s=None, force_error_N={"rms": 1.0}).runs.head(3)
+    without = other.drop(columns=[name for name in other if name.startswith("control_error_mm")])
+    both = Results(pd.concat([runs(0).runs, without], ignore_index=True))
+    found = compared(both, both, figures=["control_error_mm.mean"])
+    assert found.verdict == NOT_COMPARABLE
+    (row,) = (row for row in found.rows if row.verdict != SAME)
+    assert row.case.startswith("other")
+    assert "none of the figures compared" in row.why
