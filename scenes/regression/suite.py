@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
@@ -20,6 +21,7 @@ from scenes.scene_file import load_scene
 from scenes.scene_files.scene import Scene, Table, chosen, validated
 from scenes.sweep import MOST, Job, Kept, jobs, sweep
 
+_LIMIT = re.compile(r"\s*((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([A-Za-zµ]+)\s*")
 _RANGE = re.compile(r"\s*(\d{1,9})\s*-\s*(\d{1,9})\s*")
 
 
@@ -199,14 +201,14 @@ def _check_options(scene: Scene, job: Job, suite: Path, number: int) -> None:
 def _bound(figure: str, value: Any, suite: Path, field: str) -> float:
     unit = unit_of(figure)
     if unit is None:
-        if isinstance(value, int | float):
+        if isinstance(value, int | float) and not isinstance(value, bool):
             return float(value)
         known = did_you_mean(figure, MAIN)
         raise InputError(f"{figure} has no unit: expected a number, or a figure such as control_error_mm.p95; {known}",
                          file=suite, field=field, value=value)
     allowed = UNITS[unit]
-    parts = re.fullmatch(r"\s*([0-9.]+(?:[eE][+-]?\d+)?)\s*([A-Za-zµ]+)\s*", value) if isinstance(value, str) else None
-    if parts is None or parts[2] not in allowed:
+    parts = _LIMIT.fullmatch(value) if isinstance(value, str) else None
+    if parts is None or parts[2] not in allowed or not float(parts[1]) * allowed[parts[2]] < math.inf:
         raise InputError(f"{figure} is bounded in {', '.join(allowed)}: write for instance \"0.3 {unit}\"", file=suite,
                          field=field, value=value)
     return float(parts[1]) * allowed[parts[2]]

@@ -120,6 +120,10 @@ def test_results_of_a_sweep_are_compared_with_those_of_a_check(program: Any, sui
 @pytest.mark.parametrize(("change", "says"), [
     (("short.toml\"", "strait\""), ("suite.toml: case.0.scenes", "did you mean 'straight'?")),
     (("LIMIT", "0.3 N"), ("case.0.bounds", "control_error_mm.mean is bounded in um, µm, mm, m", "'0.3 N'")),
+    *((("LIMIT", limit), ("suite.toml: case.0.bounds: ", "\"0.3 mm\"", limit))
+      for limit in ("1.2.3 mm", ". mm", "1e999 mm", "1e306 m", "mm", "-1 mm")),
+    *((("LIMIT\"", f"0.3 mm\", \"{name}\" = {value}"), ("suite.toml: case.0.bounds: ", name))
+      for name, value in (("robot", 1), ("seed", 5), ("fields.used", "true"))),
     (("LIMIT\"", "0.3 mm\", \"control_err_mm\" = 3"), ("case.0.bounds", "control_err_mm")),
     (("1-3", "3-1"), ("suite.toml: case.0.seeds", "range such as")),
     (("world", "wolrd"), ("suite.toml: case.0.wolrd", "unknown key")),
