@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +20,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
 from ideal_robot.registry import imported
 from ideal_robot.results import Summarised
+from ideal_robot.robots import SHIPPED as SHIPPED_ARMS
 from ideal_robot.robots.robot import Robot
 from scenes.arms import arm_of, model_at, shipped_model
 from scenes.outputs import check_outputs
@@ -167,14 +168,33 @@ def identity(scene: Scene) -> dict[str, str | None]:
         scene: as it is played, its options applied.
 
     Returns:
-        ``task_hash``: what is asked of the arm, whichever the seed, method and model; ``world_hash``: the simulated
-        arm; ``model_hash``: the model file, None where there is none.
+        ``task_hash``: what is asked of the arm, whichever the seed, method and model, with the content of the files
+        that the scene names; ``world_hash``: the simulated arm; ``model_hash``: the model file, None where there is
+        none.
     """
     asked = scene.model_dump(mode="json", exclude=_WORDS | _HOW, exclude_defaults=True)
+    named = {text: place.read_bytes() for text in _texts(asked)
+             if os.path.isfile(place := (scene.folder or Path.cwd()) / text) and os.access(place, os.R_OK)}
+    if named:
+        asked["files"] = {text: hashlib.sha256(content).hexdigest() for text, content in named.items()}
     world = World.from_table(scene.robot, scene.arm_world, scene.source)
+    simulated: Any = world.table()
+    if scene.robot not in SHIPPED_ARMS:
+        arm = arm_of(scene.robot)
+        simulated = [simulated, arm.urdf_hash, arm.data]
     if scene.model == OWN:
         model: str | None = cache_name(arm_of(scene.robot), world)
     else:
         path = shipped_model(scene.robot) if scene.model == SHIPPED else Path(scene.model)
         model = hashlib.sha256(path.read_bytes()).hexdigest()[:16] if path.is_file() else None
-    return {"task_hash": digest_of(asked), "world_hash": digest_of(world.table()), "model_hash": model}
+    return {"task_hash": digest_of(asked), "world_hash": digest_of(simulated), "model_hash": model}
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """Every text of a scene's values that may name a file: one with an ending."""
+    if isinstance(value, str):
+        if Path(value).suffix:
+            yield value
+    elif isinstance(value, dict | list):
+        for part in value.values() if isinstance(value, dict) else value:
+            yield from _texts(part)

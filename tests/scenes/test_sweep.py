@@ -19,9 +19,12 @@ import pandas as pd
 import pytest
 
 from ideal_robot.errors import InputError
+from ideal_robot.robots.robot import Robot
 from scenes import workers
 from scenes.commands.common import numbers, whole_numbers
 from scenes.regression.results import RunSet, read_results
+from scenes.scene_file import load_scene
+from scenes.scene_files.scene import Scene
 from scenes.sweep import Job, SweepFile, jobs, play, sweep
 from scenes.workers import LostError, work_off
 from tests.sources import ROOT
@@ -128,6 +131,34 @@ def test_an_ended_sweep_goes_on_where_it_was(tmp_path: Path) -> None:
     assert played == [4]
     assert rows == [answer(job) for job in WORK]
     assert len([json.loads(line) for line in path.read_text().splitlines()]) == 4
+
+
+def test_a_run_is_played_again_where_a_file_that_its_scene_names_is_another_one(tmp_path: Path) -> None:
+    kr6 = Robot.load("kr6").urdf
+    drawn, arm = tmp_path / "wave.svg", tmp_path / "arm.urdf"
+    drawn.write_text("M 0 0 L 300 0")
+    arm.write_text(kr6.read_text())
+    (tmp_path / "arm.toml").write_text(kr6.with_suffix(".toml").read_text())
+    scene = load_scene("line").beside(tmp_path)
+    line = scene.line.model_dump() | {"formula": None, "length": None, "points": None, "svg": "wave.svg"}
+    work = jobs([scene.changed(line=line, robot=robot) for robot in ("kr6", str(arm))])
+    played: list[int] = []
+
+    def swept() -> int:
+        played.clear()
+        sweep(work, function=_scene_answer, file=SweepFile(tmp_path / "runs.jsonl", resume=True), done=played.append)
+        return len(played)
+
+    assert (swept(), swept()) == (2, 0)
+    arm.write_text(kr6.read_text() + "\n")
+    assert swept() == 1
+    drawn.write_text("M 0 0 L 300 10")
+    assert swept() == 2
+
+
+def _scene_answer(job: Job) -> dict[str, Any]:
+    assert isinstance(job.scene, Scene)
+    return {**answer(job), "scene": job.scene.name}
 
 
 def test_a_file_that_is_none_of_a_sweep_is_refused(tmp_path: Path) -> None:
