@@ -118,7 +118,7 @@ def baseline(request: pytest.FixtureRequest) -> Callable[[Results], None]:
             found = compared(read_results(place), results, title=request.node.nodeid)
         except InputError as error:
             pytest.fail(f"{error}; pytest --update-path-errors accepts these results", pytrace=False)
-        if found.verdict in ("worse", "not comparable"):
+        if found.verdict not in ("better", "same"):
             pytest.fail(markdown(found), pytrace=False)
 
     return compare

@@ -40,8 +40,8 @@ def check(options: CheckOptions) -> None:
     """Plays a suite and says whether it is better, the same or worse than its baseline, and within its bounds.
 
     Runs are paired by seed. The folder holds a page, Markdown for a pull request, JUnit XML, JSON, JSON Lines and
-    Parquet; times stand apart in times.json. Exit code 1 where anything is worse, a bound is missed or a run was lost;
-    with --update-baseline what is worse than before is taken as it is.
+    Parquet; times stand apart in times.json. Exit code 1 where anything is worse, a bound is missed, a run was lost or
+    all runs of a case failed; with --update-baseline what is worse than before is taken as it is.
 
     Example, with a checkout: `ideal-robot check examples/nightly.toml --update-baseline`
 
@@ -75,7 +75,8 @@ def check(options: CheckOptions) -> None:
         typer.echo(f"baseline: {results.write(place)}")
     elif earlier is None:
         typer.echo(f"no baseline at {place}; --update-baseline makes it", err=bool(found.not_played))
-    if found.not_played or not found.bounds_kept or (found.verdict == "worse" and not options.update_baseline):
+    if (found.not_played or not found.bounds_kept or found.verdict == "failed"
+            or (found.verdict == "worse" and not options.update_baseline)):
         raise typer.Exit(1)
 
 
@@ -121,7 +122,7 @@ def compare_results(
 ) -> None:
     """Compares two results pair by pair: difference, standard error, p and verdict of each figure, with the picture.
 
-    Exit code 1 where anything is worse.
+    Exit code 1 where anything is worse, or all runs of a case failed.
 
     Example: `ideal-robot run edge --json main.json`, with the other version `ideal-robot run edge --json branch.json`,
     and then `ideal-robot compare-results main.json branch.json`
@@ -141,7 +142,7 @@ def compare_results(
                              value=name)
     found = compared(*results, figures=names or MAIN)
     _report(found, out)
-    if found.verdict == "worse":
+    if found.verdict in ("worse", "failed"):
         raise typer.Exit(1)
 
 
@@ -149,7 +150,7 @@ def _report(found: Comparison, folder: Path) -> None:
     from scenes.commands.common import show_table
     from scenes.regression.formats import bounds_table, write_comparison
 
-    if found.before is not None:
+    if found.before is not None or found.rows:
         show_table("what changed, or all cases together", *found.table())
     if found.bounds:
         show_table("bounds", *bounds_table(found))

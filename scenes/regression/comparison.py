@@ -13,6 +13,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.results import Summarised
 from scenes.regression.paired import (
     BETTER,
+    FAILED,
     NOT_COMPARABLE,
     SAME,
     WORSE,
@@ -41,7 +42,7 @@ class Bound:
     Attributes:
         case, figure: of what.
         limit, mean, deviation: bound, mean and standard deviation over the seeds, in the figure's unit.
-        seeds: runs that gave a number; failed: runs that gave none.
+        seeds: runs that gave a number; failed: runs that gave none; why: of the first of these.
         flaky: chance that as many other seeds give the other answer; needed: seeds that tell it with certainty.
     """
 
@@ -54,6 +55,7 @@ class Bound:
     failed: int
     flaky: float
     needed: int | None
+    why: str = ""
 
     @property
     def kept(self) -> bool:
@@ -64,7 +66,7 @@ class Bound:
     def remark(self) -> str:
         """What is to be said of it besides whether it is kept."""
         if self.failed:
-            return f"{self.failed} of {self.seeds + self.failed} runs gave no figure"
+            return f"{self.failed} of {self.seeds + self.failed} runs gave no figure: {self.why}"
         if self.seeds == 1:
             return "one seed does not tell how it scatters; give it three or more"
         if self.flaky > _CERTAIN:
@@ -103,6 +105,8 @@ class Comparison(Summarised):
     def verdict(self) -> str:
         """Of the suite: the worst that any figure, bound or run says."""
         found = {row.verdict for row in self.rows}
+        if FAILED in found:
+            return FAILED
         if WORSE in found or self.not_played or not self.bounds_kept:
             return WORSE
         if any(row.verdict == NOT_COMPARABLE and not row.figure for row in self.rows):
@@ -119,7 +123,7 @@ class Comparison(Summarised):
     @property
     def headline(self) -> str:
         """The verdict in words; what was looked at where there was no baseline."""
-        if self.before is not None or self.not_played:
+        if self.before is not None or self.not_played or self.verdict == FAILED:
             return self.verdict
         if not self.bounds:
             return "first results, nothing to compare with"
@@ -164,15 +168,14 @@ def compared(before: Results, after: Results, *, figures: Sequence[str] = MAIN, 
     rows: list[Row] = []
     names = [name for name in figures if f"{name} before" in pairs]
     for label, group in pairs.groupby("label", sort=False):
-        rows += _of_case(str(label), group, names) or [
-            Row(str(label), "", why=f"has none of the figures compared: {', '.join(figures)}; name one that it has")]
+        rows += _of_case(str(label), group, names, figures)
     whole = [row for name in names if (row := over_all(SUITE, [one for one in rows if one.figure == name]))]
     return Comparison(title or f"{before.source} → {after.source}", before, after,
                       tuple(judged([*whole, *rows], rules or Rules())), pairs=pairs)
 
 
-def _of_case(label: str, group: pd.DataFrame, names: Sequence[str]) -> list[Row]:
-    """Rows of one case: its figures, and a row of runs that fail on one side alone."""
+def _of_case(label: str, group: pd.DataFrame, names: Sequence[str], figures: Sequence[str]) -> list[Row]:
+    """Rows of one case: its figures, those of ``names`` that it has of all ``figures``, and of runs that failed."""
     sides = set(group["_merge"])
     if sides != {"both"} and "both" not in sides:
         side = "the new results" if sides == {"left_only"} else "the earlier ones"
@@ -182,19 +185,36 @@ def _of_case(label: str, group: pd.DataFrame, names: Sequence[str]) -> list[Row]
         old, new = both[f"{name} before"], both[f"{name} after"]
         if ((old != new) & old.notna() & new.notna()).any():
             return [Row(label, "", why=f"its {what} has changed; make a new baseline (--update-baseline)")]
+    ran = both[both["failure before"].isna() & both["failure after"].isna()]
     rows = []
-    failed = [both[f"failure {side}"].notna() for side in ("before", "after")]
-    if bool((failed[0] != failed[1]).any()):
-        counts = [int(one.sum()) for one in failed]
-        newly = bool((failed[1] & ~failed[0]).any())
-        rows.append(Row(label, FAILURES, len(both), counts[0], counts[1], counts[1] - counts[0],
-                        verdict=WORSE if newly else BETTER, why=str(both["failure after"][failed[1]].iloc[0])
-                        if newly else ""))
     for name in names:
-        values = both.loc[~(failed[0] | failed[1]), [f"{name} before", f"{name} after"]].astype(float).dropna()
+        values = ran[[f"{name} before", f"{name} after"]].astype(float).dropna()
         if len(values):
             rows.append(paired(label, name, *values.to_numpy().T))
-    return rows
+    if len(ran) and not rows:
+        rows.append(Row(label, "", why=f"has none of the figures compared: {', '.join(figures)}; name one that it has"))
+    return [*_failures(label, both["failure after"], both["failure before"]), *rows]
+
+
+def _failures(label: str, after: pd.Series, before: pd.Series | None = None) -> list[Row]:
+    """A row of the runs of a case that failed; none where none did.
+
+    Args:
+        label: of the case.
+        after: reason of each run, missing where it succeeded.
+        before: of the same runs of the baseline; None where there is no baseline.
+    """
+    new = after.notna()
+    old = new if before is None else before.notna()
+    if not (new | old).any():
+        return []
+    verdict = (FAILED if new.all() else WORSE if (new & ~old).any() else BETTER if (old & ~new).any()
+               else NOT_COMPARABLE)
+    reasons = after[new & ~old if verdict == WORSE else new]
+    # Without a difference, or nothing to compare with, there is nothing to judge.
+    difference = float(new.sum() - old.sum()) or np.nan
+    return [Row(label, FAILURES, len(new), np.nan if before is None else float(old.sum()), float(new.sum()), difference,
+                verdict=verdict, why="" if verdict == BETTER else str(reasons.iloc[0]))]
 
 
 def check_arms(before: Results, robots: set[str]) -> None:
@@ -264,8 +284,7 @@ def bounds_of(results: Results, asked: Sequence[dict[str, float]]) -> tuple[Boun
     Raises:
         InputError: a figure that no run of the case has.
     """
-    frame = results.runs.assign(label=[_label({str(key): _word(value) for key, value in row.items()})
-                                       for row in results.runs[list(CASE)].to_dict("records")])
+    frame = _labelled(results)
     found = []
     for label, group in frame.groupby("label", sort=False):
         # Other cases of this label, with other seeds, may ask for something else.
@@ -277,11 +296,18 @@ def bounds_of(results: Results, asked: Sequence[dict[str, float]]) -> tuple[Boun
                 raise InputError(f"no run has this figure; there are {', '.join(known)}", field="bounds", value=figure)
             ended = runs.loc[runs["failure"].isna()]
             values = ended[figure].astype(float).dropna().to_numpy() if figure in ended else np.empty(0)
-            found.append(_bound(str(label), figure, limit, values, len(runs) - len(values)))
+            reasons = [*runs["failure"].dropna(), "the scene has no such figure"]
+            found.append(_bound(str(label), figure, limit, values, len(runs) - len(values), reasons[0]))
     return tuple(found)
 
 
-def _bound(case: str, figure: str, limit: float, values: np.ndarray, failed: int) -> Bound:
+def _labelled(results: Results) -> pd.DataFrame:
+    """The runs, each with the ``label`` of its case."""
+    return results.runs.assign(label=[_label({str(key): _word(value) for key, value in row.items()})
+                                      for row in results.runs[list(CASE)].to_dict("records")])
+
+
+def _bound(case: str, figure: str, limit: float, values: np.ndarray, failed: int, why: str) -> Bound:
     n = len(values)
     mean = float(np.mean(values)) if n else np.nan
     deviation = float(np.std(values, ddof=1)) if n > 1 else np.nan
@@ -291,7 +317,7 @@ def _bound(case: str, figure: str, limit: float, values: np.ndarray, failed: int
         # Two means of n seeds each: the one that was seen, and another one.
         flaky = float(stats.t.sf(effect / np.sqrt(2.0 / n), n - 1))
         needed = seeds_needed(effect, _CERTAIN)
-    return Bound(case, figure, limit, mean, deviation, n, failed, flaky, needed)
+    return Bound(case, figure, limit, mean, deviation, n, failed, flaky, needed, why if failed else "")
 
 
 def comparison_of(after: Results, before: Results | None, bounds: tuple[Bound, ...], **rules: Any) -> Comparison:
@@ -308,6 +334,8 @@ def comparison_of(after: Results, before: Results | None, bounds: tuple[Bound, .
     """
     lost = int(after.runs["not_played"].notna().sum()) if "not_played" in after.runs else 0
     if before is None:
-        return Comparison(rules.get("title", ""), None, after, (), bounds, None, lost)
+        rows = [row for label, group in _labelled(after).groupby("label", sort=False)
+                for row in _failures(str(label), group["failure"])]
+        return Comparison(rules.get("title", ""), None, after, tuple(rows), bounds, None, lost)
     found = compared(before, after, **rules)
     return Comparison(found.title, before, after, found.rows, bounds, found.pairs, lost)

@@ -13,8 +13,8 @@ from scipy import stats
 from ideal_robot.results import plain
 from ideal_robot.whole_file import whole_file, write_text
 from scenes.outputs import whole_folder
-from scenes.regression.comparison import Comparison
-from scenes.regression.paired import NOT_COMPARABLE, SAME, WORSE, Row
+from scenes.regression.comparison import FAILURES, Comparison
+from scenes.regression.paired import FAILED, NOT_COMPARABLE, SAME, WORSE, Row
 from scenes.regression.results import unit_of
 from scenes.report.page import Report, write_json
 
@@ -87,7 +87,7 @@ def _escaped(text: str) -> str:
 
 
 def junit(comparison: Comparison) -> str:
-    """JUnit XML: a suite a case, a test a figure or bound; worse and missed fail, what has no pair is skipped."""
+    """JUnit XML: a suite a case, a test a figure or bound; worse, missed, failed is a failure, no pair skipped."""
     cases: dict[str, list[tuple[str, str, str]]] = {}
     for row in comparison.rows:
         cases.setdefault(row.case, []).append((row.figure or "comparison", row.verdict, sentence(row)))
@@ -98,13 +98,14 @@ def junit(comparison: Comparison) -> str:
         cases["runs"] = [("not played", WORSE, f"{comparison.not_played} runs were lost")]
     root = ET.Element("testsuites", name="ideal-robot check")
     for case, tests in cases.items():
-        failures, skipped = (str(sum(verdict == what for _, verdict, _ in tests)) for what in (WORSE, NOT_COMPARABLE))
+        failures, skipped = (str(sum(verdict in what for _, verdict, _ in tests))
+                             for what in ((WORSE, FAILED), (NOT_COMPARABLE,)))
         suite = ET.SubElement(root, "testsuite", name=_one_line(case), tests=str(len(tests)), errors="0",
                               failures=failures, skipped=skipped)
         for name, verdict, text in tests:
             test = ET.SubElement(suite, "testcase", classname=_one_line(case), name=_one_line(name))
-            if verdict in (WORSE, NOT_COMPARABLE):
-                ET.SubElement(test, "failure" if verdict == WORSE else "skipped", message=_one_line(text))
+            if verdict in (WORSE, FAILED, NOT_COMPARABLE):
+                ET.SubElement(test, "skipped" if verdict == NOT_COMPARABLE else "failure", message=_one_line(text))
     ET.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
@@ -116,6 +117,8 @@ def _one_line(text: str) -> str:
 
 def sentence(row: Row) -> str:
     """A row in words."""
+    if row.figure == FAILURES:
+        return f"{row.after:g} of {row.pairs} runs failed: {row.why}"
     if row.verdict == NOT_COMPARABLE or not np.isfinite(row.p):
         return row.why or row.verdict
     unit = unit_of(row.figure) or ""

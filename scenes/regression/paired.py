@@ -14,7 +14,7 @@ from scipy import stats
 
 from ideal_robot.arrays import Array
 
-BETTER, SAME, WORSE, NOT_COMPARABLE = "better", "same", "worse", "not comparable"
+BETTER, SAME, WORSE, NOT_COMPARABLE, FAILED = "better", "same", "worse", "not comparable", "failed"
 POWER = 0.9
 """Chance with which a difference is to be found where it is said which one would be."""
 MOST_SEEDS = 100_000
@@ -45,7 +45,7 @@ class Row:
         difference, error: mean difference and its standard error; of the suite relative to ``before``.
         p: chance of a difference as large from an unchanged program; corrected: after Holm's correction.
         finds: smallest difference that so many pairs find with the chance ``POWER``.
-        verdict: better, same, worse or not comparable; why: of the last, with the remedy.
+        verdict: better, same, worse, not comparable, or failed where no run of the case succeeded; why: its reason.
     """
 
     case: str
@@ -107,7 +107,7 @@ def over_all(name: str, rows: list[Row]) -> Row | None:
 
 
 def judged(rows: list[Row], rules: Rules) -> list[Row]:
-    """The rows with their corrected p and verdicts; one that has a verdict keeps it."""
+    """The rows with their corrected p and verdicts; one that has a verdict, or no difference, is kept as it is."""
     tested = [i for i, row in enumerate(rows) if np.isfinite(row.p)]
     order = sorted(tested, key=lambda i: rows[i].p)
     corrected, largest = dict.fromkeys(range(len(rows)), np.nan), 0.0
@@ -119,7 +119,7 @@ def judged(rows: list[Row], rules: Rules) -> list[Row]:
 
 
 def _judged(row: Row, corrected: float, level: float, rules: Rules) -> Row:
-    if not row.pairs or row.verdict != NOT_COMPARABLE:
+    if not np.isfinite(row.difference) or row.verdict != NOT_COMPARABLE:
         return row
     moved = abs(row.difference) > rules.relevant * abs(row.before)
     finds = np.nan

@@ -13,7 +13,7 @@ import pytest
 
 from ideal_robot.errors import InputError
 from scenes.regression.comparison import SUITE, bounds_of, compared
-from scenes.regression.paired import BETTER, NOT_COMPARABLE, SAME, WORSE, Rules, judged, paired, seeds_needed
+from scenes.regression.paired import BETTER, FAILED, NOT_COMPARABLE, SAME, WORSE, Rules, judged, paired, seeds_needed
 from scenes.regression.results import Results, RunSet, read_results
 from tests.scenes.test_command_line import SHORT as UNCALIBRATED
 
@@ -356,3 +356,33 @@ def test_a_case_without_any_compared_figure_is_named() -> None:
     (row,) = (row for row in found.rows if row.verdict != SAME)
     assert row.case.startswith("other")
     assert "none of the figures compared" in row.why
+
+
+def test_a_suite_whose_runs_all_fail_fails_and_says_why(program: Any, suite: Path, tmp_path: Path,
+                                                       monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("scenes.sweep.work_off", lambda tasks, *_: enumerate(
+        {**run_of(seed=task.seed, failure="line lost"), "control_error_mm": {}} for task in tasks))
+    suite.write_text(SUITE_FILE.partition("bounds")[0])
+    for words in (["--update-baseline"], []):
+        done = program("check", "suite.toml", *words)
+        assert done.code == 1
+        assert "verdict: failed" in done.out
+        assert "line lost" in done.out
+        folder = tmp_path / "out" / "check_suite"
+        (failure,) = ET.parse(folder / "junit.xml").getroot().findall(".//failure")
+        assert failure.get("message") == "3 of 3 runs failed: line lost"
+        assert all("line lost" in (folder / name).read_text() for name in ("report.html", "comparison.md"))
+    suite.write_text(SUITE_FILE.replace("LIMIT", "0.3 mm"))
+    assert program("check", "suite.toml").code == 1
+    assert "3 of 3 runs gave no figure: line lost" in (tmp_path / "out/check_suite/comparison.md").read_text()
+
+
+def test_runs_that_fail_as_before_are_told_and_the_others_decide() -> None:
+    results = runs(0)
+    results.runs.loc[3, "failure"] = "line lost"
+    found = compared(results, results)
+    assert found.verdict == SAME
+    (row,) = (row for row in found.rows if row.verdict != SAME)
+    assert (row.verdict, row.before, row.after, row.why) == (NOT_COMPARABLE, 1, 1, "line lost")
+    results.runs.loc[results.runs["scene"] == "corner", "failure"] = "line lost"
+    assert compared(results, results).verdict == compared(runs(0), results).verdict == FAILED
