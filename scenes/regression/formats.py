@@ -13,7 +13,7 @@ from scipy import stats
 from ideal_robot.results import plain
 from ideal_robot.whole_file import whole_file, write_text
 from scenes.outputs import whole_folder
-from scenes.regression.comparison import FAILURES, Comparison
+from scenes.regression.comparison import FAILURES, SUITE, Comparison
 from scenes.regression.paired import FAILED, NOT_COMPARABLE, SAME, WORSE, Row
 from scenes.regression.results import unit_of
 from scenes.report.page import Report, write_json
@@ -121,8 +121,9 @@ def sentence(row: Row) -> str:
         return f"{row.after:g} of {row.pairs} runs failed: {row.why}"
     if row.verdict == NOT_COMPARABLE or not np.isfinite(row.p):
         return row.why or row.verdict
-    unit = unit_of(row.figure) or ""
-    return (f"{row.before:.4g} → {row.after:.4g} {unit}, difference {row.difference:+.3g} ± {row.error:.2g}, "
+    # Of all cases together it is the share of what was before.
+    unit = "" if row.case == SUITE else f" {unit_of(row.figure) or ''}".rstrip()
+    return (f"{row.before:.4g} → {row.after:.4g}{unit}, difference {row.difference:+.3g} ± {row.error:.2g}, "
             f"p {row.corrected:.2g}, {row.pairs} pairs")
 
 
