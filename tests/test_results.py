@@ -32,10 +32,15 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes import compare_scene, load_scene, run_scene, shipped_model
 from scenes.line.compare import Fastest
+from scenes.regression.comparison import SUITE, compared
+from scenes.regression.formats import sentence
+from scenes.regression.paired import BETTER, NOT_COMPARABLE, SAME, WORSE
+from scenes.regression.results import Results
 from scenes.result import ShownRun, ShownTable
 from scenes.scene_file import library
 from scenes.scene_file import load_scene as load_scene_round_trips
 from tests.arms import ROBOT, T, motion
+from tests.scenes.regression.test_check import run_of, runs
 from tests.sources import ROOT
 
 TABLE = ir.Robot.load(ROOT / "examples" / "own_robot.urdf")
@@ -236,3 +241,33 @@ def test_a_scene_comes_back_from_its_values(path: Path) -> None:
     scene = load_scene_round_trips(path)
     assert type(scene)(**json.loads(scene.model_dump_json())) == scene.beside(None)
     assert scene.changed(seed=scene.seed) == scene
+
+
+# Results beside earlier ones.
+
+
+def test_a_ratio_has_no_unit() -> None:
+    rows = {row.case: sentence(row) for row in compared(runs(0), runs(1), figures=["control_error_mm.mean"]).rows}
+    assert " mm, difference" in rows.pop("corner, 0.4 m/s, ideal, bench")
+    assert "1 → " in rows[SUITE]
+    assert "mm" not in rows[SUITE]
+
+
+def test_seeds_that_do_not_enter_are_one_run_without_a_chance() -> None:
+    def of(factor: float, seeds: int = 4) -> Results:
+        return Results.of([run_of(seed=seed, fields={"used": 7}, control_error_mm={"mean": 0.1 * factor})
+                           for seed in range(seeds)])
+
+    for factor, verdict in ((1.0, SAME), (1.005, SAME), (1.5, WORSE), (0.5, BETTER)):
+        found = compared(of(1.0), of(factor))
+        (row,) = found.rows
+        assert (found.verdict, row.verdict, row.pairs) == (verdict, verdict, 1)
+        assert np.isnan(row.p)
+        assert np.isnan(row.corrected)
+        assert "the seed does not enter" in row.why
+        assert row.why in sentence(row)
+        assert any(row.why in str(cell) for line in found.table()[1] for cell in line)
+    # One figure alone, such as a count, may be the same by chance; and a single seed tells nothing.
+    counts = compared(runs(0, fields={"used": 7}), runs(1, fields={"used": 8}), figures=["fields.used"])
+    assert not any("does not enter" in row.why for row in counts.rows)
+    assert compared(of(1.0, 1), of(1.5, 1)).verdict == NOT_COMPARABLE

@@ -20,6 +20,7 @@ from scenes.regression.paired import (
     Row,
     Rules,
     judged,
+    one_run,
     over_all,
     paired,
     seeds_needed,
@@ -143,8 +144,9 @@ class Comparison(Summarised):
                 "figures": [row.json() for row in self.rows], "bounds": [bound.json() for bound in self.bounds]}
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
-        """Column titles and rows of what changed; where nothing did, of the suite."""
-        shown = [row for row in self.rows if row.verdict != SAME] or [row for row in self.rows if row.case == SUITE]
+        """Column titles and rows of what changed or has a remark; where nothing did, of the suite."""
+        shown = ([row for row in self.rows if row.verdict != SAME or row.why]
+                 or [row for row in self.rows if row.case == SUITE])
         return (["case", "figure", "pairs", "before", "after", "difference", "standard error", "p", "verdict"],
                 [[row.case, row.figure, row.pairs, row.before, row.after, row.difference, row.error, row.corrected,
                   f"{row.verdict}: {row.why}" if row.why else row.verdict] for row in shown])
@@ -167,15 +169,20 @@ def compared(before: Results, after: Results, *, figures: Sequence[str] = MAIN, 
     pairs = _pairs(before, after)
     rows: list[Row] = []
     names = [name for name in figures if f"{name} before" in pairs]
+    numbers = {*before.figures} & {*after.figures}
     for label, group in pairs.groupby("label", sort=False):
-        rows += _of_case(str(label), group, names, figures)
+        rows += _of_case(str(label), group, names, figures, numbers)
     whole = [row for name in names if (row := over_all(SUITE, [one for one in rows if one.figure == name]))]
     return Comparison(title or f"{before.source} → {after.source}", before, after,
                       tuple(judged([*whole, *rows], rules or Rules())), pairs=pairs)
 
 
-def _of_case(label: str, group: pd.DataFrame, names: Sequence[str], figures: Sequence[str]) -> list[Row]:
-    """Rows of one case: its figures, those of ``names`` that it has of all ``figures``, and of runs that failed."""
+def _of_case(label: str, group: pd.DataFrame, names: Sequence[str], figures: Sequence[str],
+             numbers: set[str]) -> list[Row]:
+    """Rows of one case: runs that failed, and those of ``names`` that it has, of the ``figures`` that are asked for.
+
+    ``numbers`` are all figures that both sides have; where none differs between seeds, the runs are one.
+    """
     sides = set(group["_merge"])
     if sides != {"both"} and "both" not in sides:
         side = "the new results" if sides == {"left_only"} else "the earlier ones"
@@ -186,11 +193,14 @@ def _of_case(label: str, group: pd.DataFrame, names: Sequence[str], figures: Seq
         if ((old != new) & old.notna() & new.notna()).any():
             return [Row(label, "", why=f"its {what} has changed; make a new baseline (--update-baseline)")]
     ran = both[both["failure before"].isna() & both["failure after"].isna()]
+    alike = len(ran) > 1 and bool((ran[[name for name in ran if str(name).rpartition(" ")[0] in numbers]]
+                                   .nunique(dropna=False) == 1).all())
     rows = []
     for name in names:
         values = ran[[f"{name} before", f"{name} after"]].astype(float).dropna()
         if len(values):
-            rows.append(paired(label, name, *values.to_numpy().T))
+            rows.append(one_run(label, name, len(values), *values.to_numpy()[0]) if alike
+                        else paired(label, name, *values.to_numpy().T))
     if len(ran) and not rows:
         rows.append(Row(label, "", why=f"has none of the figures compared: {', '.join(figures)}; name one that it has"))
     return [*_failures(label, both["failure after"], both["failure before"]), *rows]

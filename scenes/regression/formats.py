@@ -119,12 +119,13 @@ def sentence(row: Row) -> str:
     """A row in words."""
     if row.figure == FAILURES:
         return f"{row.after:g} of {row.pairs} runs failed: {row.why}"
-    if row.verdict == NOT_COMPARABLE or not np.isfinite(row.p):
+    if row.verdict == NOT_COMPARABLE or not np.isfinite(row.error):
         return row.why or row.verdict
     # Of all cases together it is the share of what was before.
     unit = "" if row.case == SUITE else f" {unit_of(row.figure) or ''}".rstrip()
+    sure = f"p {row.corrected:.2g}, {row.pairs} pairs" if np.isfinite(row.p) else row.why
     return (f"{row.before:.4g} → {row.after:.4g}{unit}, difference {row.difference:+.3g} ± {row.error:.2g}, "
-            f"p {row.corrected:.2g}, {row.pairs} pairs")
+            f"{sure}")
 
 
 def page(comparison: Comparison) -> Report:

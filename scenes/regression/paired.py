@@ -81,6 +81,20 @@ def paired(case: str, figure: str, before: Array, after: Array) -> Row:
     return Row(case, figure, n, float(np.mean(before)), float(np.mean(after)), mean, error, _p(mean, error, n - 1))
 
 
+def one_run(case: str, figure: str, seeds: int, before: float, after: float) -> Row:
+    """The difference of one figure where every seed gives the same run: one pair, without scatter and without chance.
+
+    Args:
+        case: what was played.
+        figure: its name.
+        seeds: that were played.
+        before: value of each of them, in the figure's unit.
+        after: value of each of them, in the figure's unit.
+    """
+    return Row(case, figure, 1, before, after, after - before, 0.0,
+               why=f"the seed does not enter: the runs of {seeds} seeds are one and the same")
+
+
 def _p(mean: float, error: float, dof: float) -> float:
     if not np.isfinite(error):
         return np.nan
@@ -127,10 +141,11 @@ def _judged(row: Row, corrected: float, level: float, rules: Rules) -> Row:
         finds = float(stats.t.ppf(1.0 - level / 2.0, row.pairs - 1) + stats.t.ppf(POWER, row.pairs - 1)) * row.error
     if not moved:
         return replace(row, corrected=corrected, finds=finds, verdict=SAME)
-    if row.pairs < 2:
+    if row.pairs < 2 and row.error != 0.0:
         return replace(row, verdict=NOT_COMPARABLE, why="one pair has no standard error; give it three seeds or more")
     sign = WORSE if row.difference > 0.0 else BETTER
-    return replace(row, corrected=corrected, finds=finds, verdict=sign if corrected < rules.false_alarms else SAME)
+    return replace(row, corrected=corrected, finds=finds,
+                   verdict=sign if row.pairs < 2 or corrected < rules.false_alarms else SAME)
 
 
 def seeds_needed(effect: float, chance: float) -> int | None:

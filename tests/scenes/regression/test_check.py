@@ -13,7 +13,6 @@ import pytest
 
 from ideal_robot.errors import InputError
 from scenes.regression.comparison import SUITE, bounds_of, compared
-from scenes.regression.formats import sentence
 from scenes.regression.paired import BETTER, FAILED, NOT_COMPARABLE, SAME, WORSE, Rules, judged, paired, seeds_needed
 from scenes.regression.results import Results, RunSet, read_results
 from tests.scenes.test_command_line import SHORT as UNCALIBRATED
@@ -387,10 +386,3 @@ def test_runs_that_fail_as_before_are_told_and_the_others_decide() -> None:
     assert (row.verdict, row.before, row.after, row.why) == (NOT_COMPARABLE, 1, 1, "line lost")
     results.runs.loc[results.runs["scene"] == "corner", "failure"] = "line lost"
     assert compared(results, results).verdict == compared(runs(0), results).verdict == FAILED
-
-
-def test_a_ratio_has_no_unit() -> None:
-    rows = {row.case: sentence(row) for row in compared(runs(0), runs(1), figures=["control_error_mm.mean"]).rows}
-    assert " mm, difference" in rows.pop("corner, 0.4 m/s, ideal, bench")
-    assert "1 → " in rows[SUITE]
-    assert "mm" not in rows[SUITE]
