@@ -16,25 +16,37 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots import SHIPPED
 from ideal_robot.robots.robot import UNKNOWN_DRIVE_GAIN, Robot
 from ideal_robot.signals.error_budget import at_sampling_instants
-from ideal_robot.signals.plausible import plausible, require_joint_units, require_metres
+from ideal_robot.signals.plausible import only_numbers, plausible, require_joint_units, require_metres
 from ideal_robot.signals.recording import Recording
 
 _MINIMUM_DURATION = 1.0
 STILL = 1e-3
 """A joint whose position stays within this does not move [rad or m]."""
+_NEARLY_ALL = (0.01, 0.99)
+"""Quantiles between which practically all samples lie; spikes lie beyond."""
 _NAMED = 8
 """Parameters that a warning names; a line on the screen holds no more."""
 
 
-def checked(recordings: Sequence[Recording], robot: Robot) -> tuple[list[Recording], list[str]]:
+def checked(recordings: Sequence[Recording], robot: Robot, *, commands: bool = False
+            ) -> tuple[list[Recording], list[str]]:
     """Recordings ready for identification, with ``tau_i``, and named warnings.
 
+    Args:
+        recordings: as they were read.
+        robot: joints, limits, drive gains.
+        commands: whether the commands ``q_c_i``, where there are any, are used too.
+
     Raises:
-        InputError: columns missing, other joint count, time that does not increase, too short, no torque, degrees.
+        InputError: columns missing, other joint count, time that does not increase, too short, no torque, degrees,
+            commands that the joints do not follow.
     """
     result, warnings = [], []
     for recording in recordings:
         recording, found = _checked(recording, robot)
+        if commands:
+            recording, more = _with_commands(recording, robot)
+            found += more
         result.append(recording)
         warnings += [f"{text} [{recording.source}]" for text in found]
     return result, warnings
@@ -65,7 +77,7 @@ def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
     # Units first, of practically all samples: degrees would look like jumps, and a jump like degrees.
     q = recording.joints("q")
     if np.isfinite(q).all(axis=1).any():
-        require_joint_units(np.nanquantile(q, [0.01, 0.99], axis=0), robot, file=source)
+        require_joint_units(np.nanquantile(q, _NEARLY_ALL, axis=0), robot, file=source)
     names = range(1, n + 1)
     recording, text = plausible(recording, [f"q_{i}" for i in names], [f"tau_{i}" for i in names], robot.tau_max)
     warnings += text
@@ -93,6 +105,29 @@ def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
     if spread > 0.0:
         warnings.append(f"irregular-sampling: samples were taken {1e3 * spread:.2g} ms (standard deviation) off their "
                         "stamps, as the positions of all joints say alike; the instants are taken from these")
+    return recording, warnings
+
+
+def _with_commands(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
+    """The recording without the samples whose commands are no numbers, and what is wrong with the commands.
+
+    Raises:
+        InputError: degrees, or commands that are farther from their joint's motion than standing still is.
+    """
+    names = [f"q_c_{i + 1}" for i in range(robot.n)]
+    missing = [name for name in names if name not in recording.columns]
+    if len(missing) == robot.n:
+        return recording, []
+    if missing:
+        return recording, [f"no-controller: {missing[0]} is missing; {names[0]} to {names[-1]} are needed"]
+    recording, warnings = only_numbers(recording, names)
+    q_c, q = recording.joints("q_c"), recording.joints("q")
+    require_joint_units(np.quantile(q_c, _NEARLY_ALL, axis=0), robot, file=recording.source, column="q_c")
+    left, motion = np.std(q_c - q, axis=0), np.std(q, axis=0)
+    for j in np.flatnonzero((left > motion) & (np.ptp(q, axis=0) > STILL) & (np.ptp(q_c, axis=0) > STILL)):
+        raise InputError(f"the joint does not follow this command: they differ by {left[j]:.3g} (standard deviation), "
+                         f"q_{j + 1} moves by {motion[j]:.3g}; is it another joint's, or in another unit?",
+                         file=recording.source, field=names[j])
     return recording, warnings
 
 

@@ -36,6 +36,8 @@ _CUTOFF = 12.0
 """Torque and angles are compared below this frequency [Hz]: above, the encoder's increments make the velocity."""
 _INTEGRAL = 0.05
 """Usual integral time of a velocity loop [s]; the search begins with none and from an eighth to 16 times as quick."""
+_ERRORLESS = 1e-6
+"""No loop follows a motion this closely [rad, m]: such a command is a copy of the measured position."""
 _EDGE = 50
 """Samples at either end that the filter spoils."""
 
@@ -71,6 +73,8 @@ def fit_controller(recording: Recording, robot: Robot) -> ControllerFit:
     for i in range(recording.n):
         if np.ptp(recording.columns[f"q_{i + 1}"]) < 0.02:
             raise InputError("the joint hardly moves", file=recording.source, field=f"q_{i + 1}")
+    require_loop([recording])
+    require_changes([recording.joints("tau")], "tau", recording.source)
     parts = gap_free(recording, ("q_c", "q", "tau"), 2 * _EDGE + 2)
     fits = [[_fit_joint([_JointCascade(part.columns[f"q_c_{i}"], part.columns[f"q_{i}"], part.columns[f"tau_{i}"],
                                        float(np.median(np.diff(part.t))), robot.t_velocity, averaged)
@@ -234,6 +238,7 @@ def identify_linear_loop(recordings: Sequence[Recording], t_cycle: float) -> Lin
     Raises:
         InputError: missing commands, unsuitable sampling, too short, a joint that does not move.
     """
+    require_loop(recordings)
     data = [part for r in recordings for part in _sampled(r, t_cycle)]
     n = recordings[0].n
     g, std, error, degree = np.zeros((_LAGS + 1, n)), np.zeros((_LAGS + 1, n)), np.empty(n), []
@@ -258,6 +263,35 @@ def identify_linear_loop(recordings: Sequence[Recording], t_cycle: float) -> Lin
 def commanded(recording: Recording) -> str:
     """Name of the commands' columns without the joint: that of the desired positions where there are none."""
     return "q_c" if recording.has("q_c") else "q_d"
+
+
+def require_loop(recordings: Sequence[Recording]) -> None:
+    """Refuses recordings with commands that say nothing of a joint's loop.
+
+    Args:
+        recordings: with ``q_i`` and ``q_c_i`` (or ``q_d_i``).
+
+    Raises:
+        InputError: a command is missing, never changes in any recording, or is the measured position.
+    """
+    pairs = [(r.joints(commanded(r)), r.joints("q")) for r in recordings]
+    require_changes([q_c for q_c, _ in pairs], commanded(recordings[0]), recordings[0].source)
+    for j in np.flatnonzero(np.max([np.ptp(q_c - q, axis=0) for q_c, q in pairs], axis=0) < _ERRORLESS):
+        raise InputError(f"is q_{j + 1} itself; log what is commanded, not what is measured",
+                         file=recordings[0].source, field=f"{commanded(recordings[0])}_{j + 1}")
+
+
+def require_changes(values: Sequence[Array], name: str, source: str) -> None:
+    """Raises InputError for a joint whose column never changes.
+
+    Args:
+        values: of each recording ``(N, n)``.
+        name: of the columns without the joint.
+        source: where they come from.
+    """
+    for j in np.flatnonzero(np.all([np.ptp(rows, axis=0) == 0.0 for rows in values], axis=0)):
+        raise InputError("never changes, which says nothing of the joint's controller", file=source,
+                         field=f"{name}_{j + 1}")
 
 
 def in_cycle(recording: Recording, t_cycle: float) -> tuple[float, int]:

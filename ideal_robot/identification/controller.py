@@ -16,7 +16,7 @@ from scipy import optimize
 
 from ideal_robot.arrays import Array, interpolated
 from ideal_robot.errors import InputError
-from ideal_robot.identification.closed_loop_fit import commanded, in_cycle
+from ideal_robot.identification.closed_loop_fit import commanded, in_cycle, require_changes, require_loop
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.results import Summarised, listed
 from ideal_robot.signals.preprocess import gap_free
@@ -64,7 +64,8 @@ def identify_controller(recordings: Sequence[Recording], t_cycle: float,
             k_D, k_1 and k_2 then come from these alone, as in [G]; otherwise they come along with k_I.
 
     Raises:
-        InputError: no command columns, a sampling time that does not divide the cycle, a joint that does not move.
+        InputError: no command columns, a sampling time that does not divide the cycle, a joint that does not move, a
+            command or a torque that tells nothing.
     """
     if not recordings:
         raise InputError("no recording given", field="recordings")
@@ -73,6 +74,9 @@ def identify_controller(recordings: Sequence[Recording], t_cycle: float,
         if max(np.ptp(recording.joints("q")[:, j]) for recording in recordings) < 1e-2:
             raise InputError("the joint hardly moves; its controller cannot be identified", file=recordings[0].source,
                              field=f"q_{j + 1}")
+    for those in filter(None, (recordings, without_integrator)):
+        require_loop(those)
+        require_changes([recording.joints("tau") for recording in those], "tau", those[0].source)
     stretches = _stretches(recordings, t_cycle)
     delay = _command_delay(stretches, t_cycle)
     series = [part for stretch in stretches for part in _series(stretch, t_cycle, delay)]

@@ -118,7 +118,7 @@ def identify(recordings: Sequence[Recording], robot: Robot, *, validation: Seque
     """
     if not recordings:
         raise InputError("no recording given", field="recordings")
-    usable, warnings = checked(recordings, robot)
+    usable, warnings = checked(recordings, robot, commands=True)
     require_motion(usable)
     unseen, more = checked(validation, robot) if validation else ([], [])
     warnings += [f"{text} (validation)" for text in more]

@@ -193,7 +193,7 @@ def identify_two_step(recordings: Sequence[Recording], robot: Robot, *, validati
     Raises:
         InputError: recordings that cannot be used, or in which no joint moves alone at constant velocity.
     """
-    usable, warnings = checked(recordings, robot)
+    usable, warnings = checked(recordings, robot, commands=True)
     unseen, more = checked(validation, robot) if validation else ([], [])
     signals = [preprocess(r, cutoff=_CUTOFF) for r in usable]
     base = base_parameters(robot.pinocchio)

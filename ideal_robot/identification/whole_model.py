@@ -22,6 +22,7 @@ from ideal_robot.identification.two_step import TwoStep, identify_two_step
 from ideal_robot.identification.verdict import JointVerdict, joint_verdicts
 from ideal_robot.model.cascade import given_controller
 from ideal_robot.model.model import Model
+from ideal_robot.model.model_file import require_controller
 from ideal_robot.model.parametrisation import joined
 from ideal_robot.progress import Progress, Steps, silent
 from ideal_robot.results import Summarised, listed, over_time, plain
@@ -294,13 +295,16 @@ def _with_controller(recordings: Sequence[Recording], without_integrator: Sequen
         return None, model
     try:
         found = identify_controller(recordings, robot.t_ipo, without_integrator)
+        require_controller(found.model, robot.n, recordings[0].source)
     except InputError as error:
         warnings.append(f"no-controller: {error}")
         return None, model
     controller = found.model
     if cascade:
         try:
-            controller = fit_controller(recordings[0], robot).controller
+            cascades = fit_controller(recordings[0], robot).controller
+            require_controller(cascades, robot.n, recordings[0].source)
+            controller = cascades
         except InputError as error:
             warnings.append(f"controller-at-interpolation-cycle: the model has the controller at {1e3 * robot.t_ipo:g} "
                             f"ms only; {error}")

@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
-from ideal_robot.bounded_values import read_json
+from ideal_robot.bounded_values import MAX_NUMBER, read_json
 from ideal_robot.dynamics import BaseParameters, with_link_parameters
 from ideal_robot.effects import SENSOR
 from ideal_robot.errors import InputError
@@ -144,7 +144,7 @@ def require_consistent(model: Any, file: Path | str | None = None) -> None:
     if model.damping is not None and np.any(model.damping < 0):
         raise InputError("expected numbers that are not negative", file=file, field="damping")
     if model.controller is not None:
-        _controller(model.controller, n, file)
+        require_controller(model.controller, n, file)
     _effects(model, n, file)
 
 
@@ -198,12 +198,25 @@ def _covariance(covariance: np.ndarray, file: Path | str | None) -> None:
         raise InputError("expected a symmetric matrix without negative eigenvalues", file=file, field="covariance")
 
 
-def _controller(controller: ControllerModel, n: int, file: Path | str | None) -> None:
+def require_controller(controller: ControllerModel, n: int, file: Path | str | None = None) -> None:
+    """Refuses numbers that no model file may have for a controller.
+
+    Args:
+        controller: of the joints.
+        n: how many there are.
+        file: where it comes from.
+
+    Raises:
+        InputError: names the key, what was expected and what was found.
+    """
     for key in ("k_p", "k_d", "k_1", "k_2", "k_i", "filter_time"):
         array = getattr(controller, key)
         if not isinstance(array, np.ndarray):
             raise InputError(f"expected {n} numbers", file=file, field=f"controller.{key}")
         _array(array, (n,), f"controller.{key}", file, finite=True)
+        if np.any(np.abs(array) > MAX_NUMBER):
+            raise InputError(f"expected numbers up to {MAX_NUMBER:g}", file=file, field=f"controller.{key}",
+                             value=float(np.max(np.abs(array))))
     if np.any(controller.filter_time < 0) or np.any(controller.filter_time > _SLOWEST_FILTER):
         raise InputError(f"expected times of 0 to {_SLOWEST_FILTER} s", file=file, field="controller.filter_time",
                          value=controller.filter_time.tolist())

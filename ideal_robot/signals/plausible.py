@@ -130,7 +130,7 @@ def plausible(recording: Recording, positions: Sequence[str], torques: Sequence[
         InputError: time runs backwards or jumps, a position jumps and stays, more than ``MOST_LEFT_OUT`` is bad, a
             column of values far beyond what any arm has.
     """
-    recording, warnings = _numbers(recording, ["t", *positions, *torques])
+    recording, warnings = only_numbers(recording, ["t", *positions, *torques])
     warnings += checked_time(recording.t, recording.source)
     bad = np.zeros(len(recording.t), dtype=bool)
     found: dict[str, NDArray[np.bool_]] = {}
@@ -192,7 +192,16 @@ def checked_time(t: Array, source: str) -> list[str]:
     return []
 
 
-def _numbers(recording: Recording, needed: Sequence[str]) -> tuple[Recording, list[str]]:
+def only_numbers(recording: Recording, needed: Sequence[str]) -> tuple[Recording, list[str]]:
+    """The recording without samples that are no numbers in one of the columns, and a warning that names them.
+
+    Args:
+        recording: to be checked.
+        needed: names of the columns.
+
+    Raises:
+        InputError: more than ``MOST_LEFT_OUT`` is none.
+    """
     bad = np.zeros(len(recording.t), dtype=bool)
     worst = ""
     for name in needed:

@@ -229,3 +229,31 @@ def test_a_recording_of_three_seconds_ends_in_a_model() -> None:
     model = identify([short], robot()).model
     assert np.all(np.isfinite(model.covariance))
     assert np.all(model.friction.torque(np.full((1, 6), 0.5)) > 0.0)
+
+
+def commands(recording: Recording) -> dict[str, np.ndarray]:
+    """Commands that lead a motion by 20 ms."""
+    return {f"q_c_{i + 1}": np.interp(recording.t + 0.02, recording.t, recording.columns[f"q_{i + 1}"])
+            for i in range(6)}
+
+
+def test_commands_are_checked_where_they_are_used(good: Recording) -> None:
+    whole = changed(good, **commands(good))
+    assert checked([whole], robot(), commands=True) == ([whole], [])
+    holed = np.array(whole.columns["q_c_2"])
+    holed[100:110] = np.nan
+    (used,), (warning,) = checked([changed(whole, q_c_2=holed)], robot(), commands=True)
+    assert len(used.t) == len(whole.t) - 10
+    assert "10 samples with NaN (first in q_c_2)" in warning
+    _, (warning,) = checked([changed(whole, q_c_4=None)], robot(), commands=True)
+    assert warning.startswith("no-controller: q_c_4 is missing")
+
+
+def test_commands_in_degrees_or_of_another_joint_are_refused(good: Recording) -> None:
+    led = commands(good)
+    degrees = {name: np.degrees(values) for name, values in led.items()}
+    with pytest.raises(InputError, match=r"q_c_\d: .*degrees"):
+        checked([changed(good, **degrees)], robot(), commands=True)
+    with pytest.raises(InputError, match="q_c_2: the joint does not follow this command"):
+        checked([changed(good, **{**led, "q_c_2": led["q_c_3"], "q_c_3": led["q_c_2"]})], robot(), commands=True)
+    assert checked([changed(good, **degrees)], robot())[1] == []

@@ -228,3 +228,22 @@ def test_of_stretches_that_are_too_short_nothing_is_told() -> None:
     for identify in (lambda: identify_linear_loop([torn], T), lambda: fit_controller(torn, ROBOT)):
         with pytest.raises(InputError, match="without a gap"):
             identify()
+
+
+@pytest.mark.parametrize(("column", "says"), [("q_c_1", "q_c_1: never changes"), ("tau_1", "tau_1: never changes")])
+def test_what_never_changes_tells_no_controller(column: str, says: str) -> None:
+    recording = closed_loop(True, np.random.default_rng(0))
+    dead = Recording({**recording.columns, column: np.full(len(recording.t), 5.0)})
+    for identify in (lambda: identify_controller([dead], T), lambda: fit_controller(dead, ROBOT)):
+        with pytest.raises(InputError, match=says):
+            identify()
+
+
+def test_a_measured_position_is_no_command() -> None:
+    """Whatever the torque, a controller without an error to act on needs a gain without bound."""
+    recording = closed_loop(True, np.random.default_rng(0))
+    copied = Recording({**recording.columns, "q_c_1": np.round(recording.columns["q_1"], 7)})
+    for identify in (lambda: identify_controller([copied], T), lambda: fit_controller(copied, ROBOT),
+                     lambda: identify_linear_loop([copied], T)):
+        with pytest.raises(InputError, match="q_c_1: is q_1 itself"):
+            identify()
