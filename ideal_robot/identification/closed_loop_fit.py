@@ -76,6 +76,9 @@ def fit_controller(recording: Recording, robot: Robot) -> ControllerFit:
     require_loop([recording])
     require_changes([recording.joints("tau")], "tau", recording.source)
     parts = gap_free(recording, ("q_c", "q", "tau"), 2 * _EDGE + 2)
+    if not parts:
+        raise InputError(f"too short: {2 * _EDGE + 2} samples without a gap are needed", file=recording.source,
+                         field="t")
     fits = [[_fit_joint([_JointCascade(part.columns[f"q_c_{i}"], part.columns[f"q_{i}"], part.columns[f"tau_{i}"],
                                        float(np.median(np.diff(part.t))), robot.t_velocity, averaged)
                          for part in parts]) for i in range(1, recording.n + 1)] for averaged in (False, True)]
@@ -242,11 +245,9 @@ def identify_linear_loop(recordings: Sequence[Recording], t_cycle: float) -> Lin
     data = [part for r in recordings for part in _sampled(r, t_cycle)]
     n = recordings[0].n
     g, std, error, degree = np.zeros((_LAGS + 1, n)), np.zeros((_LAGS + 1, n)), np.empty(n), []
-    # A series that is shorter than the response has no row of it.
-    data = [part for part in data if len(part[0]) > _LAGS]
     if not data:
         raise InputError(f"the recording is too short: the closed loop needs more than {_LAGS} cycles of "
-                         f"{1e3 * t_cycle:g} ms", file=recordings[0].source, field="t")
+                         f"{1e3 * t_cycle:g} ms without a gap", file=recordings[0].source, field="t")
     for j in range(n):
         X, y = _rows([(q_d[:, j], q[:, j]) for q_d, q in data])
         if len(y) < 3 * _LAGS or np.std(y) < 1e-4:
@@ -305,7 +306,10 @@ def in_cycle(recording: Recording, t_cycle: float) -> tuple[float, int]:
 
 
 def _sampled(recording: Recording, t_cycle: float) -> list[tuple[Array, Array]]:
-    """Commands and positions ``(N, n)`` of each stretch without a gap, both about where the recording starts."""
+    """Commands and positions ``(N, n)`` of each stretch without a gap, both about where the recording starts.
+
+    A stretch that is shorter than the response has no row of it and is left out.
+    """
     _, every = in_cycle(recording, t_cycle)
     name = commanded(recording)
     start = recording.joints(name, slice(1)), recording.joints("q", slice(1))

@@ -67,20 +67,16 @@ def identify_controller(recordings: Sequence[Recording], t_cycle: float,
         InputError: no command columns, a sampling time that does not divide the cycle, a joint that does not move, a
             command or a torque that tells nothing.
     """
-    if not recordings:
-        raise InputError("no recording given", field="recordings")
+    _require_signals(recordings, without_integrator)
     n = recordings[0].n
-    for j in range(n):
-        if max(np.ptp(recording.joints("q")[:, j]) for recording in recordings) < 1e-2:
-            raise InputError("the joint hardly moves; its controller cannot be identified", file=recordings[0].source,
-                             field=f"q_{j + 1}")
-    for those in filter(None, (recordings, without_integrator)):
-        require_loop(those)
-        require_changes([recording.joints("tau") for recording in those], "tau", those[0].source)
-    stretches = _stretches(recordings, t_cycle)
+    each = [found for recording in recordings if (found := _stretches(recording, t_cycle))]
+    if not each:
+        raise InputError(f"too short: three cycles of {1e3 * t_cycle:g} ms without a gap are needed",
+                         file=recordings[0].source, field="t")
+    stretches = [stretch for found in each for stretch in found]
     delay = _command_delay(stretches, t_cycle)
     series = [part for stretch in stretches for part in _series(stretch, t_cycle, delay)]
-    pd_series = [part for stretch in _stretches(without_integrator, t_cycle)
+    pd_series = [part for recording in without_integrator for stretch in _stretches(recording, t_cycle)
                  for part in _series(stretch, t_cycle, delay)]
     gains, std, k_i, k_i_std = np.empty((4, n)), np.empty((4, n)), np.empty(n), np.empty(n)
     error = np.empty(n)
@@ -97,12 +93,24 @@ def identify_controller(recordings: Sequence[Recording], t_cycle: float,
     spread = {name: std[i].tolist() for i, name in enumerate(("k_p", "k_d", "k_1", "k_2"))}
     model = ControllerModel(t_cycle, k_p=gains[0], k_d=gains[1], k_1=gains[2], k_2=gains[3], k_i=k_i,
                             filter_time=np.zeros(n), delay=delay, std={**spread, "k_i": k_i_std.tolist()})
-    longest = max(_stretches(recordings[:1], t_cycle), key=lambda stretch: len(stretch[0].t))
+    longest = max(each[0], key=lambda stretch: len(stretch[0].t))
     shown = _series(longest, t_cycle, delay)[0]
     direct, drifting = _direct(longest, t_cycle, gains)
     count = min(len(shown.t), len(drifting))
     return ControllerIdentification(model, error, direct, shown.t[:count], shown.tau[:count],
                                     _simulated(shown, gains, k_i)[:count], drifting[:count])
+
+
+def _require_signals(recordings: Sequence[Recording], without_integrator: Sequence[Recording]) -> None:
+    if not recordings:
+        raise InputError("no recording given", field="recordings")
+    for j in range(recordings[0].n):
+        if max(np.ptp(recording.joints("q")[:, j]) for recording in recordings) < 1e-2:
+            raise InputError("the joint hardly moves; its controller cannot be identified", file=recordings[0].source,
+                             field=f"q_{j + 1}")
+    for those in filter(None, (recordings, without_integrator)):
+        require_loop(those)
+        require_changes([recording.joints("tau") for recording in those], "tau", those[0].source)
 
 
 def _command_delay(stretches: Sequence[tuple[Recording, bool]], t_cycle: float) -> float:
@@ -183,9 +191,9 @@ def _series(stretch: tuple[Recording, bool], t_cycle: float, delay: float, offse
             for i in range(count)]
 
 
-def _stretches(recordings: Sequence[Recording], t_cycle: float) -> list[tuple[Recording, bool]]:
-    """Stretches without a gap, of three cycles at least, and whether a recording begins with it, at rest."""
-    return [(part, part.t[0] < recording.t[0] + t_cycle) for recording in recordings
+def _stretches(recording: Recording, t_cycle: float) -> list[tuple[Recording, bool]]:
+    """Stretches without a gap, of three cycles at least, and whether the recording begins with it, at rest."""
+    return [(part, part.t[0] < recording.t[0] + t_cycle)
             for part in gap_free(recording, (commanded(recording), "q", "tau"), 3 * in_cycle(recording, t_cycle)[1])]
 
 
