@@ -172,13 +172,13 @@ def _where(e: FoundEffect) -> str:
 
 
 def _named(effects: list[FoundEffect]) -> list[str]:
-    """Each effect once, with all the joints it is in."""
-    joints: dict[str, list[int]] = {}
+    """Each effect once, with all the joints it is in, whatever channels show it there."""
+    joints: dict[str, set[int]] = {}
     words: dict[str, str] = {}
     for e in effects:
         name = e.fitted.name.replace("_", " ")
         if e.fitted.joint:
-            joints.setdefault(name, []).append(e.fitted.joint)
+            joints.setdefault(name, set()).add(e.fitted.joint)
             found = sorted(joints[name])
             words[name] = f"{name} in joint{'s' if len(found) > 1 else ''} {_listed(list(map(str, found)))}"
         else:

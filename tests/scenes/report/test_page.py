@@ -178,6 +178,12 @@ def test_effects_stand_in_the_order_in_which_they_were_taken() -> None:
     assert in_order([first, third, second]) == [first, second, third]
 
 
+def test_an_effect_that_two_channels_show_is_missing_once() -> None:
+    one = found(2.0, 0.9)
+    text = summary(diagnosis(one, found(0.9, 0.2)))
+    assert text.count(f" {one.fitted.joint}") == 1
+
+
 @pytest.mark.parametrize("worse", [found(0.5, 0.6), found(0.5, 0.4, transfers=False)])
 def test_an_effect_whose_error_rose_is_not_called_missing(worse: FoundEffect) -> None:
     text = summary(diagnosis(worse))
