@@ -6,8 +6,17 @@ from typing import Any, ClassVar, Literal
 
 import pydantic
 
+from ideal_robot.errors import InputError
 from planning.force.contact import StopLimits
-from scenes.scene_files.drawn_line import Calibration, CameraTable, Displacement, Line, Reference, Surface
+from scenes.scene_files.drawn_line import (
+    Calibration,
+    CameraTable,
+    Displacement,
+    Line,
+    Reference,
+    Surface,
+    check_clock,
+)
 from scenes.scene_files.scene import ARM, Box, Scene, Span, Table
 
 
@@ -55,6 +64,13 @@ class SensorTable(Table):
     lie: Span = ()
     """From and to [s]: it tells nonsense."""
 
+    @pydantic.field_validator("noise")
+    @classmethod
+    def _are_deviations(cls, noise: tuple[float, float]) -> tuple[float, float]:
+        if min(noise) < 0.0:
+            raise ValueError("expected standard deviations [N, N m], zero or positive")
+        return noise
+
 
 class Assumed(Table):
     """What the planning side believes, as a ratio to what calibration found; 1 is right."""
@@ -89,12 +105,19 @@ class CameraTrouble(Table):
     """How far beside the line that is."""
 
 
+_SEEN: dict[str, tuple[str, ...]] = {"displacement": (), "camera": (), "calibration": (), "trouble": (),
+                                     "assumed": ("distance_ratio", "distance_estimated")}
+"""Tables that count only where a camera looks for a line, and which of their keys if not all."""
+
+
 class ForceScene(Scene):
     """An arm presses its tip on a surface and moves along it."""
 
     workshop: ClassVar[dict[str, dict[str, Any]]] = {"world": ARM}
     kind: Literal["force"]
     task: Literal["surface", "contour", "glue"] = "surface"
+    """Only ``glue`` looks for a drawn line: displacement, camera, calibration, trouble and assumed.distance_* count for
+    it alone."""
     speed: float = pydantic.Field(default=0.2, gt=0, le=2)
     method: str = "adapted"
     force: float = pydantic.Field(default=20.0, gt=0)
@@ -115,3 +138,18 @@ class ForceScene(Scene):
     camera: CameraTable = CameraTable()
     calibration: Calibration = Calibration()
     trouble: CameraTrouble = CameraTrouble()
+
+    @pydantic.model_validator(mode="after")
+    def _counts(self) -> ForceScene:
+        """Refuses what the task does not look at."""
+        if self.task == "glue":
+            check_clock(self.camera, self.calibration)
+            return self
+        for table, keys in _SEEN.items():
+            given, usual = getattr(self, table), type(self).model_fields[table].default
+            # A table that is begun fills itself up; what the file has is named first.
+            for key in sorted(keys or type(usual).model_fields, key=lambda key: key not in given.model_fields_set):
+                if getattr(given, key) != getattr(usual, key):
+                    raise InputError(f'counts only with task = "glue"; leave it out with "{self.task}"',
+                                     field=f"{table}.{key}", value=getattr(given, key))
+        return self

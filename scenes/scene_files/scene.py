@@ -71,8 +71,8 @@ class Table(pydantic.BaseModel):
 
 
 def _from_to(times: tuple[float, ...]) -> tuple[float, ...]:
-    if times and (len(times) != 2 or times[0] > times[1]):
-        raise ValueError("expected two times [s], from and to, or none")
+    if times and (len(times) != 2 or not 0.0 <= times[0] <= times[1]):
+        raise ValueError("expected two times from 0 on [s], from and to, or none")
     return times
 
 
@@ -248,6 +248,9 @@ def validated(model: type[M], values: dict[str, Any], path: Path) -> M:
             allowed = ", ".join(_keys_at(model, first["loc"][:-1]))
             raise InputError(f"unknown key; allowed here are {allowed}", file=path, field=key) from error
         shown = first.get("input")
+        if first["type"] == "tuple_type" and isinstance(shown, dict):
+            raise InputError(f"expected a list of tables: write [[{key}]] in place of [{key}]", file=path,
+                             field=key) from error
         raise InputError(first["msg"], file=path, field=key,
                          value=shown if isinstance(shown, (str, int, float)) else None) from error
 

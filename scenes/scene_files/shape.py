@@ -279,6 +279,9 @@ class Shape(pydantic.BaseModel):
             raise ValueError(f"expected exactly one of formula, points and svg, got {', '.join(given) or 'none'}")
         if self.formula is not None and self.length is None:
             raise ValueError("a formula needs length [m], the range of x")
+        for key, of in (("length", "formula"), ("corner_radius", "points"), ("svg_length", "svg")):
+            if getattr(self, key) and of != given[0]:
+                raise ValueError(f"{key} belongs to {of}, not to {given[0]}; leave it out")
         return self
 
     def curve(self, folder: Path | None = None) -> Array:

@@ -32,6 +32,8 @@ _SIGNED = {"body", "start_temperature", "ambient_temperature", "reference_temper
 _CYCLES = {"t_ipo", "t_position", "t_velocity", "log_cycle"}
 _LONGEST = 1.0
 """Longest cycle [s]."""
+_COLDEST = -273.15
+"""Absolute zero [°C]."""
 _FRACTION = {"inertia_tolerance": 0.9, "drive_gain_error": 0.9, "friction_asymmetry": 0.9}  # 1 less that stays positive
 
 
@@ -75,6 +77,8 @@ def checked_value(name: str, kind: str, value: Any) -> Any:
         raise InputError("must not be negative", field=field, value=array.tolist())
     if name in _FRACTION and (np.abs(array) > _FRACTION[name]).any():
         raise InputError(f"is a fraction, at most {_FRACTION[name]}", field=field, value=array.tolist())
+    if name.endswith("_temperature") and (array < _COLDEST).any():
+        raise InputError(f"expected degrees Celsius, {_COLDEST} or more", field=field, value=array.tolist())
     if name in _CYCLES and (array > _LONGEST).any():
         raise InputError(f"must be at most {_LONGEST:g} s", field=field, value=array.tolist())
     if array.ndim == 0 and name != "payload_com":

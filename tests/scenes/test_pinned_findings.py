@@ -10,6 +10,7 @@ import os
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -148,10 +149,38 @@ def test_a_rate_of_as_good_as_nothing_is_refused(scene: str, table: str) -> None
 
 @pytest.mark.parametrize(("table", "key"), [("sensor", "lie"), ("trouble", "loss"), ("trouble", "garbage")])
 def test_a_time_without_an_end_is_no_span(table: str, key: str) -> None:
-    for times in ([1.0], [2.0, 1.0], [0.0, 1.0, 2.0]):
+    for times in ([1.0], [2.0, 1.0], [0.0, 1.0, 2.0], [-5.0, -1.0]):
         with pytest.raises(InputError, match="from and to") as refused:
             load_scene("glue").changed(**{table: {key: times}})
         assert refused.value.field == f"{table}.{key}"
+
+
+@pytest.mark.parametrize(("table", "key", "value"), [
+    ("displacement", "height_mm", 5.0), ("camera", "rate", 25.0), ("calibration", "by_moving", False),
+    ("trouble", "loss", [1.0, 2.0]), ("assumed", "distance_ratio", 1.2)])
+def test_what_only_a_camera_shows_counts_only_where_one_looks(table: str, key: str, value: object) -> None:
+    changes: dict[str, Any] = {table: {key: value}}
+    load_scene("glue").changed(**changes)
+    for blind in ("force_wave", "contour"):
+        with pytest.raises(InputError, match="leave it out") as refused:
+            load_scene(blind).changed(**changes)
+        assert refused.value.field == f"{table}.{key}"
+
+
+@pytest.mark.parametrize(("changes", "field"), [
+    ({"sensor": {"noise": [-0.3, 0.02]}}, "sensor.noise"), ({"box": {"middle": [0, 0, 0], "size": [1, 1, 1]}}, "box"),
+    ({"line": {"svg_length": 0.5}}, "line"), ({"line": {"corner_radius": 0.01}}, "line")])
+def test_what_cannot_be_or_has_no_effect_is_refused(changes: dict[str, Any], field: str) -> None:
+    with pytest.raises(InputError, match=r"standard deviations|\[\[box\]\]|leave it out") as refused:
+        load_scene("force_wave").changed(**changes)
+    assert refused.value.field == field
+
+
+@pytest.mark.parametrize("key", ["ambient_temperature", "start_temperature"])
+def test_nothing_is_colder_than_absolute_zero(key: str) -> None:
+    World.from_table("kr6", {key: -273.0})
+    with pytest.raises(InputError, match=f"world.{key}: expected degrees Celsius"):
+        World.from_table("kr6", {key: -500.0})
 
 
 def test_gears_that_one_clamped_recording_loads_are_not_judged() -> None:

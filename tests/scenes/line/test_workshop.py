@@ -220,7 +220,7 @@ def test_a_grain_is_of_its_size_and_repeats_with_the_seed() -> None:
 
 def test_a_run_is_bit_identical_for_the_same_scene_seed_and_individual() -> None:
     """Arm, camera, light and wear draw from nothing else; another arm of the type is another run."""
-    scene = load_scene("line").changed(line={"formula": None, "points": [(0.4, 0.0), (0.7, 0.0)]},
+    scene = load_scene("line").changed(line={"formula": None, "length": None, "points": [(0.4, 0.0), (0.7, 0.0)]},
                                        calibration=CALIBRATED)
     first, again, other = (run(scene.changed(world={"individual": individual})) for individual in (2, 2, 3))
     for signal in ("q_c", "q", "tau"):
