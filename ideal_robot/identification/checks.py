@@ -133,15 +133,40 @@ def _with_commands(recording: Recording, robot: Robot) -> tuple[Recording, list[
 
 def _in_robot_order(recording: Recording, robot: Robot) -> Recording:
     """Columns renumbered where the recording names its joints (bags do, often in alphabetical order)."""
-    names, wanted = recording.meta.get("joints"), list(robot.pinocchio.names)[1:]
-    if not isinstance(names, list) or names == wanted or sorted(map(str, names)) != sorted(wanted):
+    told, wanted = recording.meta.get("joints"), list(robot.pinocchio.names)[1:]
+    if not isinstance(told, list) or told == wanted:
         return recording
+    names = [str(name) for name in told]
+    # Names that are numbers and nothing else count from the base.
+    for given, own in ((names, wanted), (_bare(names), _bare(wanted)),
+                       (_bare(names), [str(i + 1) for i in range(robot.n)])):
+        if sorted(given) == sorted(own):
+            order = [given.index(name) for name in own]
+            break
+    else:
+        raise InputError(f"the recording is of the joints {', '.join(names)}; those of {robot.name} are "
+                         f"{', '.join(wanted)}; give the URDF of the recorded arm, or one with its names",
+                         file=recording.source, field="joints")
     columns = dict(recording.columns)
     for prefix in {name.rsplit("_", 1)[0] for name in columns if name.endswith("_1")}:
         if recording.has(prefix):
-            for i, name in enumerate(wanted):
-                columns[f"{prefix}_{i + 1}"] = recording.columns[f"{prefix}_{names.index(name) + 1}"]
+            for i, j in enumerate(order):
+                columns[f"{prefix}_{i + 1}"] = recording.columns[f"{prefix}_{j + 1}"]
     return replace(recording, columns=columns, meta={**recording.meta, "joints": wanted})
+
+
+def _bare(names: list[str]) -> list[str]:
+    """The names without what all of them begin and end with, as an arm's name and "joint"."""
+    short = [name[_shared(names):] for name in names]
+    ending = _shared([name[::-1] for name in short])
+    return [name[: len(name) - ending] for name in short]
+
+
+def _shared(names: list[str]) -> int:
+    """How many characters all names begin with alike."""
+    # What the first and the last one in their order share, those between share as well.
+    first, last = min(names), max(names)
+    return next((i for i, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), min(len(first), len(last)))
 
 
 def _with_torque(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:

@@ -106,6 +106,20 @@ def test_joints_named_by_a_bag_are_put_in_the_robots_order(good: Recording) -> N
     np.testing.assert_array_equal(usable[0].joints("q"), good.joints("q"))
 
 
+def test_joint_names_tell_which_joint_it_is_or_are_refused(good: Recording) -> None:
+    """Of other names than the robot's, what all of them share counts for nothing; taken by number they mixed joints."""
+    names = list(robot().pinocchio.names)[1:]
+    order = [3, 1, 0, 5, 4, 2]
+    columns = {"t": good.t, **{f"{p}_{i + 1}": good.columns[f"{p}_{j + 1}"] for p in ("q", "tau")
+                               for i, j in enumerate(order)}}
+    for called in ([f"left_{name}_joint" for name in names], [f"axis {i + 1}" for i in range(6)]):
+        usable, _ = checked([Recording(columns, {"joints": [called[j] for j in order]})], robot())
+        np.testing.assert_array_equal(usable[0].joints("q"), good.joints("q"))
+    others = ["pan", "lift", "elbow", "roll", "pitch", "yaw"]
+    with pytest.raises(InputError, match=f"joints: .*{', '.join(others)}.*{', '.join(names)}.*give the URDF"):
+        checked([Recording(columns, {"joints": others})], robot())
+
+
 def test_an_arm_at_rest_tells_nothing(good: Recording) -> None:
     still = changed(good, **{f"q_{i}": 1e-6 * good.columns[f"q_{i}"] for i in range(1, good.n + 1)})
     with pytest.raises(InputError, match="no joint moves"):
