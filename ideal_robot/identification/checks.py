@@ -52,6 +52,15 @@ def checked(recordings: Sequence[Recording], robot: Robot, *, commands: bool = F
     return result, warnings
 
 
+def require_distinct(recordings: Sequence[Recording]) -> None:
+    """Raises InputError where two recordings are the same one: it would count twice, or judge what it has found."""
+    known: dict[str, Recording] = {}
+    for one in recordings:
+        if (other := known.setdefault(one.hash, one)) is not one:
+            raise InputError(f"holds the same samples as {other.source}; give each recording once, and another one to "
+                             "validate with", file=one.source, field="recording")
+
+
 def require_motion(recordings: Sequence[Recording]) -> None:
     """Raises InputError where no joint moves in any of the recordings."""
     if recordings and all((np.ptp(one.joints("q"), axis=0) < STILL).all() for one in recordings):

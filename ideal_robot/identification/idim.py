@@ -16,7 +16,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics import BaseParameters, base_parameters, full_regressor
 from ideal_robot.dynamics.base_parameters import Consistency
 from ideal_robot.errors import InputError
-from ideal_robot.identification.checks import checked, excitation_warnings, require_motion
+from ideal_robot.identification.checks import checked, excitation_warnings, require_distinct, require_motion
 from ideal_robot.identification.joint_fit import JointFit, JointProblem
 from ideal_robot.identification.weighted_least_squares import Solution, prior_of
 from ideal_robot.model.model import Model
@@ -118,6 +118,7 @@ def identify(recordings: Sequence[Recording], robot: Robot, *, validation: Seque
     """
     if not recordings:
         raise InputError("no recording given", field="recordings")
+    require_distinct([*recordings, *validation])
     usable, warnings = checked(recordings, robot, commands=True)
     require_motion(usable)
     unseen, more = checked(validation, robot) if validation else ([], [])

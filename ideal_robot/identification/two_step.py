@@ -18,7 +18,7 @@ from ideal_robot.dynamics import BaseParameters, base_parameters, full_regressor
 from ideal_robot.dynamics.base_parameters import consistent_parameters, parameter_scales
 from ideal_robot.errors import InputError
 from ideal_robot.friction import FrictionModel, PerJointFriction, law_of
-from ideal_robot.identification.checks import checked, excitation_warnings
+from ideal_robot.identification.checks import checked, excitation_warnings, require_distinct
 from ideal_robot.identification.friction_runs import FrictionFit, choose_law, fit_law
 from ideal_robot.identification.idim import Identification, with_errors
 from ideal_robot.identification.weighted_least_squares import Solution
@@ -193,6 +193,7 @@ def identify_two_step(recordings: Sequence[Recording], robot: Robot, *, validati
     Raises:
         InputError: recordings that cannot be used, or in which no joint moves alone at constant velocity.
     """
+    require_distinct([*recordings, *validation])
     usable, warnings = checked(recordings, robot, commands=True)
     unseen, more = checked(validation, robot) if validation else ([], [])
     signals = [preprocess(r, cutoff=_CUTOFF) for r in usable]
@@ -204,8 +205,7 @@ def identify_two_step(recordings: Sequence[Recording], robot: Robot, *, validati
                          "plan-identification", file=usable[0].source, field="q_i")
     prior = _prior(base, nominal, robot)
     p_g = _weighted(gravity, base.of(nominal), prior)[0]
-    inertia = [m for s in signals for m in inertia_measurements(s, robot, base, p_g)]
-    measurements = [*gravity, *inertia]
+    measurements = [*gravity, *(m for s in signals for m in inertia_measurements(s, robot, base, p_g))]
     values, covariance, residual, unexcited = _weighted(measurements, base.of(nominal), prior)
     points = tuple(_friction_points(signals, robot, base, values, j) for j in range(robot.n))
     fits = tuple(choose_law(*p) if friction == "auto" else fit_law(law_of(friction), *p) for p in points)

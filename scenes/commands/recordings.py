@@ -171,6 +171,7 @@ def diagnose(options: DiagnoseOptions) -> None:
     `ideal-robot diagnose out/plan/recording.parquet --robot kr6 --model model.json --json diagnosis.json`
     """
     from ideal_robot.diagnosis import diagnose
+    from ideal_robot.identification.checks import require_distinct
     from ideal_robot.model.model import Model
     from ideal_robot.progress import Steps
     from ideal_robot.robots.robot import Robot
@@ -183,11 +184,12 @@ def diagnose(options: DiagnoseOptions) -> None:
     with progress_bar("diagnose") as progress:
         steps = Steps(progress, SHARES_OF_DIAGNOSIS)
         arm = Robot.load(options.robot, options.drive_data)
-        found = diagnose(Recording.read(options.recording), arm,
-                         model=None if options.model is None else Model.load(options.model),
-                         validate=None if options.validate is None else Recording.read(options.validate),
-                         cutoff=options.cutoff, progress=steps.begin("reading"),
-                         explain=options.explain)
+        recording = Recording.read(options.recording)
+        validate = None if options.validate is None else Recording.read(options.validate)
+        require_distinct([recording] if validate is None else [recording, validate])
+        model = None if options.model is None else Model.load(options.model)
+        found = diagnose(recording, arm, model=model, validate=validate, cutoff=options.cutoff,
+                         progress=steps.begin("reading"), explain=options.explain)
         steps.begin("drawing")
         page = options.out / "report.html"
         better = None if found.model is None else options.model_out

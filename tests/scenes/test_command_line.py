@@ -122,6 +122,14 @@ def test_a_corrected_path_does_not_take_the_place_of_the_path(program, tmp_path:
     assert (tmp_path / "p.csv").read_text() == "t,q_d_1\n0,0\n"
 
 
+def test_no_recording_validates_what_was_found_in_it(program, tmp_path: Path) -> None:
+    for name in ("a.csv", "b.csv"):
+        (tmp_path / name).write_text("t,q_1,tau_1\n0,0,1\n")
+    done = program("diagnose", "a.csv", "--robot", "kr6", "--validate", "b.csv")
+    assert done.code == 2
+    assert "b.csv: recording: holds the same samples as a.csv" in done.err
+
+
 TOO_LONG, NO_NUMBER = "no file can have so long a name", "no finite number"
 
 

@@ -120,6 +120,14 @@ def test_joint_names_tell_which_joint_it_is_or_are_refused(good: Recording) -> N
         checked([Recording(columns, {"joints": others})], robot())
 
 
+def test_the_same_recording_is_no_second_one(good: Recording) -> None:
+    """Whatever its file is called: it has no part in what judges it, and counts once."""
+    again = replace(good, source="copy.csv")
+    for recordings, validation in (([good, again], []), ([good], [again])):
+        with pytest.raises(InputError, match=r"copy\.csv: .*same samples as"):
+            identify(recordings, robot(), validation=validation)
+
+
 def test_an_arm_at_rest_tells_nothing(good: Recording) -> None:
     still = changed(good, **{f"q_{i}": 1e-6 * good.columns[f"q_{i}"] for i in range(1, good.n + 1)})
     with pytest.raises(InputError, match="no joint moves"):

@@ -160,8 +160,10 @@ def test_commands_from_plan_to_model(tmp_path: Path) -> None:
     planned = json.loads((tmp_path / "plan.json").read_text())
     assert planned["method"] == "joint"
     assert planned["condition_number"] > 1
+    whole = Recording.read(plan / "recording.parquet")
+    part = Recording({name: values[500:] for name, values in whole.columns.items()}, whole.meta)
     answer = run(cli.app, ["identify", str(plan / "recording.parquet"), "--urdf", "kr6", "--validate",
-                           str(plan / "recording.parquet"), "--friction", "viscous_coulomb", "--json",
+                           str(part.write(plan / "part.parquet")), "--friction", "viscous_coulomb", "--json",
                            str(tmp_path / "model_figures.json"), "--out", str(tmp_path / "report"), "--export-urdf",
                            str(tmp_path / "kr6.urdf")])
     assert answer.exit_code == 0, answer.output
