@@ -360,6 +360,7 @@ def test_a_case_without_any_compared_figure_is_named() -> None:
 
 def test_a_suite_whose_runs_all_fail_fails_and_says_why(program: Any, suite: Path, tmp_path: Path,
                                                        monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setattr("scenes.sweep.work_off", lambda tasks, *_: enumerate(
         {**run_of(seed=task.seed, failure="line lost"), "control_error_mm": {}} for task in tasks))
     suite.write_text(SUITE_FILE.partition("bounds")[0])
