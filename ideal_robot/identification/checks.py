@@ -68,16 +68,24 @@ def require_motion(recordings: Sequence[Recording]) -> None:
                          "plan-identification", file=recordings[0].source, field="q_i")
 
 
+def _require_all_joints(recording: Recording, robot: Robot) -> None:
+    """Raises InputError where a joint of the robot has no position, or the recording has more joints."""
+    count, n, source = recording.n, robot.n, recording.source
+    later = any(f"q_{j}" in recording.columns for j in (0, *range(count + 2, n + 1)))
+    if count == 0 or (count < n and later):
+        raise InputError(f"column is missing; q_1 to q_{n} of the robot {robot.name} are needed", file=source,
+                         field=f"q_{count + 1}")
+    if count != n:
+        raise InputError(f"the recording has {count} joints (q_1 to q_{count}), the robot {robot.name} has {n}",
+                         file=source, field="q_i")
+
+
 def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
     source, n, warnings = recording.source, robot.n, []
-    if recording.n == 0:
-        raise InputError("column is missing; positions q_1 to q_n are needed", file=source, field="q_1")
-    if recording.n != n:
-        raise InputError(f"the recording has {recording.n} joints (q_1 to q_{recording.n}), the robot {robot.name} "
-                         f"has {n}", file=source, field="q_i")
+    _require_all_joints(recording, robot)
     said = recording.meta.get("robot")
     if said in SHIPPED and robot.name in SHIPPED and said != robot.name:
-        raise InputError(f"the recording is of {said}, not of {robot.name}; give --urdf {said}", file=source,
+        raise InputError(f"the recording is of {said}, not of {robot.name}; give --robot {said}", file=source,
                          field="robot", value=said)
     recording = _in_robot_order(recording, robot)
     if not recording.has("tau"):

@@ -48,7 +48,7 @@ def read_table(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
         InputError: not readable, larger than the bounds, a column twice or not of numbers, metadata that is no table.
     """
     try:
-        return _csv(path) if path.suffix == ".csv" else _parquet(path)
+        return _csv(path) if path.suffix.lower() == ".csv" else _parquet(path)
     except InputError:
         raise
     except Exception as error:  # pandas and Arrow raise many kinds for a damaged file

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -47,7 +48,7 @@ def test_columns_that_are_missing_or_zero(columns: dict[str, float | None], says
 def test_a_recording_of_another_shipped_arm(good: Recording) -> None:
     """A path of the KR 15 read with the KR 6's URDF gave kinematic errors of 46 mm instead of a word."""
     named = Recording(dict(good.columns), {"robot": "kr15"}, "path.parquet")
-    with pytest.raises(InputError, match=r"of kr15, not of kr6; give --urdf kr15"):
+    with pytest.raises(InputError, match=r"of kr15, not of kr6; give --robot kr15"):
         checked([named], Robot.load("kr6"))
 
 
@@ -118,6 +119,13 @@ def test_joint_names_tell_which_joint_it_is_or_are_refused(good: Recording) -> N
     others = ["pan", "lift", "elbow", "roll", "pitch", "yaw"]
     with pytest.raises(InputError, match=f"joints: .*{', '.join(others)}.*{', '.join(names)}.*give the URDF"):
         checked([Recording(columns, {"joints": others})], robot())
+
+
+@pytest.mark.parametrize(("names", "missing"), [((1, 2, 4, 5, 6), "q_3"), (range(6), "q_6")])
+def test_the_column_that_is_missing_is_named(good: Recording, names: Sequence[int], missing: str) -> None:
+    columns = {f"q_{name}": good.columns["q_1"] for name in names}
+    with pytest.raises(InputError, match=f"{missing}: column is missing"):
+        checked([Recording({"t": good.t, **columns})], robot())
 
 
 def test_the_same_recording_is_no_second_one(good: Recording) -> None:

@@ -123,6 +123,12 @@ def test_columns_are_the_same_wherever_they_are(length: int) -> None:
         found.columns["q_1"][0] = 1.0
 
 
+def test_an_ending_in_capitals_is_the_same_one(recording: Recording, tmp_path: Path) -> None:
+    small = recording.write(tmp_path / "r.csv")
+    again = Recording.read(small.rename(tmp_path / "R.CSV"))
+    np.testing.assert_allclose(again.joints("q"), recording.joints("q"), atol=1e-8)
+
+
 @pytest.mark.parametrize("ending", [".parquet", ".csv"])
 def test_long_recordings_are_written_in_pieces(tmp_path: Path, ending: str) -> None:
     found, _ = stored_recording(2 * WRITTEN_ROWS + 10)
