@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Self, TypeVar, get_args, get_origin
 
 import numpy as np
 import pinocchio as pin
@@ -65,9 +65,40 @@ OWN = "own"
 
 
 class Table(pydantic.BaseModel):
-    """A table of a scene file: no unknown keys, no changes."""
+    """A table of a scene file: no unknown keys, no changes, numbers and truth values as TOML has them."""
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    @pydantic.field_validator("*", mode="before")
+    @classmethod
+    def _as_it_is_written(cls, value: Any, info: pydantic.ValidationInfo) -> Any:
+        """Refuses ``true`` and ``"5"`` for a number, ``"no"`` for a truth value: pydantic would make one of them."""
+        leaves = set(_leaves(cls.model_fields[str(info.field_name)].annotation))
+        if leaves <= {int, float, type(None)} and any(isinstance(one, bool | str) for one in _values(value)):
+            raise ValueError("expected a number, without quotes")
+        if leaves == {bool} and not isinstance(value, bool | np.bool_):
+            raise ValueError("expected true or false, without quotes")
+        return value
+
+
+def _leaves(annotation: Any) -> Iterator[Any]:
+    """Types that an annotation is made of, without tuples, unions and what is asked besides."""
+    if get_origin(annotation) is Annotated:
+        yield from _leaves(get_args(annotation)[0])
+    elif get_args(annotation):
+        for one in get_args(annotation):
+            yield from _leaves(one)
+    elif annotation is not ...:
+        yield annotation
+
+
+def _values(value: Any) -> Iterator[Any]:
+    """Values of nested lists."""
+    if isinstance(value, list | tuple):
+        for one in value:
+            yield from _values(one)
+    else:
+        yield value
 
 
 def _from_to(times: tuple[float, ...]) -> tuple[float, ...]:
@@ -91,10 +122,8 @@ class Box(Table):
     """Direction of its x axis from the base's."""
 
 
-class Scene(pydantic.BaseModel):
+class Scene(Table):
     """What every kind of scene has; the kinds add their own keys."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     name: str
     kind: str
