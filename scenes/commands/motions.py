@@ -171,10 +171,16 @@ def _questions(result: Path | None, taken: Recording, arm: Robot, known: Model |
     """What a diagnosis left open: as its file says, or of one that is made now, in half of the time."""
     from ideal_robot.bounded_values import read_json
     from ideal_robot.diagnosis import diagnose, open_questions, read_questions
+    from ideal_robot.errors import InputError
     from scenes.result import part_of
 
     if result is not None:
-        return read_questions(read_json(result, "a diagnosis"), arm.n, result)
+        found = read_json(result, "a diagnosis")
+        asked = read_questions(found, arm.n, result)
+        if found.get("recording_hash", taken.hash) != taken.hash:
+            raise InputError("is of another recording; give the one that was diagnosed, or no --result", file=result,
+                             field="recording_hash", value=found["recording_hash"])
+        return asked
     return open_questions(diagnose(taken, arm, model=known, progress=part_of(progress, 0.0, 0.5)))
 
 

@@ -195,7 +195,7 @@ def diagnose(options: DiagnoseOptions) -> None:
         better = None if found.model is None else options.model_out
         with whole_files(page, options.json, better) as (page_file, json_file, model_file):
             diagnosis_page(found, f"Diagnosis of {options.recording.name}").write(page_file)
-            write_signed(json_file, found.to_dict())
+            write_signed(json_file, {"recording_hash": recording.hash, **found.to_dict()})
             if model_file is not None and found.model is not None:
                 found.model.save(model_file)
     _show_diagnosed(found)

@@ -191,7 +191,8 @@ def test_motion_is_written_and_read(files):
 
 
 @pytest.mark.parametrize(("change", "field"), [
-    ({"effects": [{"effect": "gremlin", "joint": 1}]}, "effects.0.effect"), ({"verdict": "none"}, "effects")])
+    ({"effects": [{"effect": "gremlin", "joint": 1}]}, "effects.0.effect"), ({"verdict": "none"}, "effects"),
+    ({**OPEN, "recording_hash": "of another one"}, "recording_hash")])
 def test_wrong_result_leaves_nothing(files, change, field):
     (files / "open.json").write_text(json.dumps(change), encoding="utf-8")
     answer = CliRunner().invoke(cli.app, arguments(files, "--result", str(files / "open.json"), "--out",
