@@ -59,9 +59,10 @@ def whole(folder: Path, least: int) -> Recording:
     ("line", lambda t: t["control_error_mm"]["mean"], 3.0), ("force_wave", lambda t: t["force_N"]["rms_error"], 3.0),
     ("contour", lambda t: t["force_N"]["rms_error"], 3.0), ("glue", lambda t: t["control_error_mm"]["mean"], 0.5)])
 def test_the_job_is_done_over_wires(scene: str, figure: Callable[[dict], float], most: float, tmp_path: Path) -> None:
-    """The camera of ``line`` is taken as mounted by hand, with its errors of millimetres."""
+    """The camera of ``line`` is as mounted by hand, with its errors of millimetres; that of ``glue`` calibrated."""
+    options = ("--calibration", str(tmp_path / "camera.json")) if scene == "glue" else ()
     with served(scene, tmp_path) as cell:
-        code, said = finished(cell.follow(scene), 300.0)
+        code, said = finished(cell.follow(scene, *options), 300.0)
         assert code == 0, said
         assert figure(cell.truth(1)) < most
         resting_within_limits(cell, 1)
