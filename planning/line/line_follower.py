@@ -127,7 +127,7 @@ class LineFollower:
         self.settings = settings = settings or FollowerSettings()
         self.t_start = t_start
         self.history = PoseHistory(robot)
-        self._T = robot.t_ipo
+        self._T, self._evenly = robot.t_ipo, np.linspace(0.0, 1.0, settings.points)
         # A little more than the horizon and what the smoothing looks ahead behind it.
         ahead = max(0.3, planned_cycles(n_d, self._T) * self._T * profile.top_speed + 0.05)
         self._eye = None if settings.eye is None else np.array(settings.eye)
@@ -183,7 +183,7 @@ class LineFollower:
         near, far = self.settings.view
         passed = speed * (self.settings.latency + 2 * self._T)
         first = min(max(near, passed), max(near, far - SPREAD))
-        return first + (min(far, first + SPREAD) - first) * np.linspace(0.0, 1.0, self.settings.points)
+        return first + (min(far, first + SPREAD) - first) * self._evenly
 
     def update(self, line: SeenLine, pose: pin.SE3 | None = None) -> Fused | None:
         """Fuses one field, whenever it arrives.

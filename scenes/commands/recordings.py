@@ -186,7 +186,8 @@ def diagnose(options: DiagnoseOptions) -> None:
         arm = Robot.load(options.robot, options.drive_data)
         recording = Recording.read(options.recording)
         validate = None if options.validate is None else Recording.read(options.validate)
-        require_distinct([recording] if validate is None else [recording, validate])
+        if validate is not None:
+            require_distinct([recording, validate])
         model = None if options.model is None else Model.load(options.model)
         found = diagnose(recording, arm, model=model, validate=validate, cutoff=options.cutoff,
                          progress=steps.begin("reading"), explain=options.explain)

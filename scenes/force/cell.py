@@ -97,9 +97,9 @@ def set_up(scene: ForceScene, seen: tuple[HandEye, DetectionSettings] | None = N
     world = World.from_table(scene.robot, scene.arm_world, scene.source)
     robot = world.with_cycles(arm_of(scene.robot))
     place, noise, sensor_noise, camera_noise, calibration, _ = _streams(scene)
-    camera, detection = believed_camera(scene.camera, scene.calibration), scene.line.detection
-    if seen is not None:
-        camera, detection = seen[0].camera, seen[1]
+    camera, detection = (
+        (believed_camera(scene.camera, scene.calibration), scene.line.detection) if seen is None
+        else (seen[0].camera, seen[1]))
     where = geometry(scene, place)
     reference, profile = force_reference(scene, robot, where.reference)
     known = Known(scene=scene, robot=robot, delay=int(world.correction_delay), model=model_for(scene, robot),

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self, TypeVar, get_args, get_origin
 
@@ -73,7 +74,8 @@ class Table(pydantic.BaseModel):
     @classmethod
     def _as_it_is_written(cls, value: Any, info: pydantic.ValidationInfo) -> Any:
         """Refuses ``true`` and ``"5"`` for a number, ``"no"`` for a truth value: pydantic would make one of them."""
-        leaves = set(_leaves(cls.model_fields[str(info.field_name)].annotation))
+        annotation: Any = cls.model_fields[str(info.field_name)].annotation
+        leaves = _leaves(annotation)
         if leaves <= {int, float, type(None)} and any(isinstance(one, bool | str) for one in _values(value)):
             raise ValueError("expected a number, without quotes")
         if leaves == {bool} and not isinstance(value, bool | np.bool_):
@@ -81,15 +83,13 @@ class Table(pydantic.BaseModel):
         return value
 
 
-def _leaves(annotation: Any) -> Iterator[Any]:
+@cache
+def _leaves(annotation: Any) -> frozenset[Any]:
     """Types that an annotation is made of, without tuples, unions and what is asked besides."""
-    if get_origin(annotation) is Annotated:
-        yield from _leaves(get_args(annotation)[0])
-    elif get_args(annotation):
-        for one in get_args(annotation):
-            yield from _leaves(one)
-    elif annotation is not ...:
-        yield annotation
+    parts = get_args(annotation)[:1] if get_origin(annotation) is Annotated else get_args(annotation)
+    if parts:
+        return frozenset().union(*map(_leaves, parts))
+    return frozenset() if annotation is ... else frozenset([annotation])
 
 
 def _values(value: Any) -> Iterator[Any]:
