@@ -48,6 +48,9 @@ def drawn_line(scene: LineScene, where: Geometry, rng: np.random.Generator) -> D
         scene: its tables ``line``, ``feature`` and ``wear``.
         where: the line's place.
         rng: draws the wear.
+
+    Raises:
+        InputError: a feature that lies beyond the line.
     """
     look, wear = scene.line, scene.wear
     s = arc_lengths(where.drawn)
@@ -56,12 +59,17 @@ def drawn_line(scene: LineScene, where: Geometry, rng: np.random.Generator) -> D
     grays = look.gray + 0.01 * wear.fade_percent * pale * (look.background - look.gray)
     worn = wear.width_percent > 0 or wear.fade_percent > 0
     return DrawnLine(where.drawn, where.plane, width=1e-3 * look.width_mm, gray=look.gray, background=look.background,
-                     edge=1e-3 * look.edge_mm, features=(*_features(scene), *_worn(wear, float(s[-1]), rng)),
+                     edge=1e-3 * look.edge_mm,
+                     features=(*_features(scene, float(s[-1])), *_worn(wear, float(s[-1]), rng)),
                      widths=widths if worn else None, grays=grays if worn else None,
                      grain=None if wear.grain == "none" else wear.grain, grain_seed=scene.seed)
 
 
-def _features(scene: LineScene) -> tuple[DrawnFeature, ...]:
+def _features(scene: LineScene, length: float) -> tuple[DrawnFeature, ...]:
+    for i, f in enumerate(scene.feature):
+        if f.at_mm > 1e3 * length:
+            raise InputError(f"lies beyond the line; expected 0 to its length, {1e3 * length:.0f} mm",
+                             file=scene.source, field=f"feature.{i}.at_mm", value=f.at_mm)
     return tuple(
         DrawnFeature(kind=f.kind, at=1e-3 * f.at_mm, length=1e-3 * f.length_mm, offset=1e-3 * f.offset_mm,
                      angle=float(np.radians(f.angle_deg)), width=1e-3 * f.width_mm, gray=f.gray)

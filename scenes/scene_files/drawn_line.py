@@ -64,6 +64,7 @@ class Feature(Table):
 
     kind: Literal["gap", "crossing", "parallel", "scratch", "glare", "shade"]
     at_mm: float = pydantic.Field(ge=0)
+    """Along the drawn line, up to its length."""
     length_mm: float = pydantic.Field(default=30.0, gt=0)
     offset_mm: float = 0.0
     angle_deg: float = 90.0

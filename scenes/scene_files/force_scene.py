@@ -121,7 +121,7 @@ class ForceScene(Scene):
     speed: float = pydantic.Field(default=0.2, gt=0, le=2)
     method: str = "adapted"
     force: float = pydantic.Field(default=20.0, gt=0)
-    """Wanted normal force [N]."""
+    """Wanted normal force [N], below ``emergency.force``."""
     surface: UnknownSurface
     box: tuple[Box, ...] = ()
     """Boxes in the cell, each a table ``[[box]]``."""
@@ -138,6 +138,13 @@ class ForceScene(Scene):
     camera: CameraTable = CameraTable()
     calibration: Calibration = Calibration()
     trouble: CameraTrouble = CameraTrouble()
+
+    @pydantic.model_validator(mode="after")
+    def _below_the_stop(self) -> ForceScene:
+        if not self.force < self.emergency.force:
+            raise InputError(f"expected less than emergency.force = {self.emergency.force:g} N, where the arm stops; "
+                             "lower it, or raise emergency.force", field="force", value=self.force)
+        return self
 
     @pydantic.model_validator(mode="after")
     def _counts(self) -> ForceScene:

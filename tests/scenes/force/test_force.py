@@ -177,7 +177,7 @@ def test_glue_survives_a_bad_camera(trouble: dict[str, object]) -> None:
 
 
 @pytest.mark.parametrize(("changes", "reason"), [
-    ({"emergency": {"force": 12.0}}, "above the limit 12.0 N"),
+    ({"emergency": {"force": 21.0}}, "above the limit 21.0 N"),
     ({"surface": {"offset_mm": -70.0}}, "no contact within 50 mm"),
 ])
 def test_emergency_stops_on_the_path_within_limits(changes: dict[str, object], reason: str, tmp_path: Path) -> None:
@@ -199,11 +199,16 @@ def test_emergency_stops_on_the_path_within_limits(changes: dict[str, object], r
     assert result.history["normal"][-1] == 0.0
 
 
+def test_a_force_at_which_the_arm_would_stop_is_refused() -> None:
+    with pytest.raises(InputError, match=r"force: expected less than emergency.force = 80 N.*got 80"):
+        load_scene("force_wave").changed(force=80.0)
+
+
 def test_a_controller_of_slow_cycles_is_stopped_on_the_path_too() -> None:
     """Braking takes two more planned positions than the current one."""
-    result = play(load_scene("force_wave").changed(world={"t_ipo": 0.1}, emergency={"force": 15.0}), "ideal")
+    result = play(load_scene("force_wave").changed(world={"t_ipo": 0.1}, emergency={"force": 21.0}), "ideal")
     assert result.failure is not None
-    assert "above the limit 15.0 N" in result.failure
+    assert "above the limit 21.0 N" in result.failure
 
 
 def test_garbage_leaves_the_noise_of_the_pictures_as_it_is() -> None:

@@ -180,6 +180,8 @@ def test_a_line_never_seen_ends_the_run(tmp_path: Path) -> None:
         ({"world": {"stifness": 1.0}}, "unknown key"),
         ({"robot": "kr7"}, "shipped"),
         ({"model": "nowhere.json"}, "no such model file"),
+        ({"feature": [{"kind": "gap", "at_mm": 450}]},
+         "feature.0.at_mm: lies beyond the line.*0 to .* 400 mm .got 450"),
     ],
 )
 def test_bad_scenes_are_refused_before_anything_moves(changes: dict, says: str) -> None:
