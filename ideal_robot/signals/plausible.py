@@ -18,6 +18,8 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 
+_NAMED = 8
+"""Columns that a warning names; a line on the screen holds no more."""
 _SLOWEST = 0.5
 """Samples further apart than this are of no use for an arm, so they are not in seconds [s]."""
 _FARTHEST = 30.0
@@ -131,7 +133,7 @@ def plausible(recording: Recording, positions: Sequence[str], torques: Sequence[
             column of values far beyond what any arm has.
     """
     recording, warnings = only_numbers(recording, ["t", *positions, *torques])
-    warnings += checked_time(recording.t, recording.source)
+    warnings += text_columns(recording) + checked_time(recording.t, recording.source)
     bad = np.zeros(len(recording.t), dtype=bool)
     found: dict[str, NDArray[np.bool_]] = {}
     for name in positions:
@@ -190,6 +192,13 @@ def checked_time(t: Array, source: str) -> list[str]:
         return [f"pause: {np.count_nonzero(steps > max(_NAMED_PAUSE, 5.0 * float(np.median(steps))))} pauses, the "
                 f"longest of {steps[k]:.4g} s after t = {t[k]:.6g} s; nothing near them is used"]
     return []
+
+
+def text_columns(recording: Recording) -> list[str]:
+    """A warning that names the columns of text that the recording's file holds besides."""
+    names = [str(name) for name in recording.meta.get("left_out", ())]
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return [f"text-column: {', '.join(names[:_NAMED])}{more} not of numbers, left out"] if names else []
 
 
 def only_numbers(recording: Recording, needed: Sequence[str]) -> tuple[Recording, list[str]]:

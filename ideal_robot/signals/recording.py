@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 OF_JOINTS = ("q_c", "q_d", "q", "qa", "tau", "current", "temp")
 """Quantities that every joint has."""
+_OF_THE_ARM = frozenset(("t", "x", "y", "z", "qx", "qy", "qz", "qw", "fx", "fy", "fz", "mx", "my", "mz", "cam_t"))
+_OF_THE_LINE = ("line_x", "line_y", "line_z")
 WRITTEN = (".parquet", ".csv")
 """Endings of files that recordings are written to."""
 WRITTEN_ROWS = 65536
@@ -41,8 +43,8 @@ class Recording(Summarised):
             ``q_i`` motor angle on the joint side, ``qa_i`` arm angle [rad, or m for prismatic joints]; ``tau_i`` motor
             torque on the joint side [N m] or ``current_i`` [A]; ``x y z qx qy qz qw`` measured TCP [m];
             ``fx fy fz mx my mz`` wrench in the sensor frame [N, N m]; ``temp_i`` gear temperature [°C].
-            Other columns are kept as they are.
-        meta: robot, cycle time, units, source and what else the file carried.
+            Other columns are kept as they are; those of text are left out.
+        meta: robot, cycle time, units, source and what else the file carried; ``left_out``: names of columns of text.
         source: the file it was read from, or a word for where it was made.
     """
 
@@ -186,20 +188,19 @@ class Recording(Summarised):
             source: a word for where it was made.
 
         Raises:
-            InputError: no DataFrame, no column ``t``, or a column that is not numeric.
+            InputError: no DataFrame, no column ``t``, or one of the columns above that is not numeric.
         """
         import pandas as pd
 
         if not isinstance(frame, pd.DataFrame):
             raise InputError("expected a pandas DataFrame", field="frame", value=type(frame).__name__)
-        columns = {}
+        columns, words = {}, []
         for name in frame.columns:
             try:
                 columns[str(name)] = np.array(frame[name], dtype=float)
-            except (TypeError, ValueError) as error:
-                raise InputError("column is not numeric" + ("; seconds are expected" if name == "t" else ""),
-                                 file=source, field=str(name)) from error
-        return cls(columns, meta or {}, source)
+            except (TypeError, ValueError):
+                words.append(str(name))
+        return cls(columns, _without_words(meta or {}, words, source), source)
 
     def write(self, path: str | Path) -> Path:
         """Writes Parquet (with the metadata) or CSV, by the ending. Nothing is left half-written.
@@ -240,7 +241,7 @@ class Recording(Summarised):
         """Reads Parquet, CSV, or joint states from a ROS 2 bag or MCAP file.
 
         Raises:
-            InputError: no such file, not readable, or a column that is not numeric.
+            InputError: no such file, not readable, or a column of docs/files.md that is not numeric.
         """
         path = Path(path)
         try:
@@ -252,8 +253,27 @@ class Recording(Summarised):
         if path.is_dir() or path.suffix in SUFFIXES:
             columns, meta = read_joint_states(path)
             return cls(columns, meta, str(path))
-        columns, meta = read_table(path)
-        return cls(columns, meta, str(path))
+        columns, meta, words = read_table(path)
+        return cls(columns, _without_words(meta, words, str(path)), str(path))
+
+
+def is_known_column(name: str) -> bool:
+    """Whether the meaning of a column is known: it stands in docs/files.md, or is the derivative of one that does."""
+    kind, _, tail = name.rpartition("_")
+    return name in _OF_THE_ARM or (tail.isdigit() and kind in (*OF_JOINTS, "qd", "qdd", *_OF_THE_LINE))
+
+
+def _without_words(meta: dict[str, Any], words: Sequence[str], source: str) -> dict[str, Any]:
+    """Metadata that name the columns of text, which no recording holds.
+
+    Raises:
+        InputError: one of them should hold numbers.
+    """
+    for name in filter(is_known_column, words):
+        raise InputError("column is not numeric" + ("; seconds are expected" if name == "t" else ""), file=source,
+                         field=name)
+    told = {key: value for key, value in meta.items() if key != "left_out"}
+    return {**told, "left_out": list(words)} if words else told
 
 
 def _column(values: Array) -> Any:

@@ -36,8 +36,10 @@ _UNPACKED = 8
 """Bytes of a value in memory."""
 
 
-def read_table(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
-    """Columns ``(N,)`` by name, and the metadata, of a Parquet file, or of a CSV file by its ending.
+def read_table(path: Path) -> tuple[dict[str, Array], dict[str, Any], list[str]]:
+    """Columns ``(N,)`` by name, the metadata, and the names of columns that are not of numbers, which are left out.
+
+    Of a Parquet file, or of a CSV file by its ending.
 
     Of large tables the columns lie in a file without a name, read-only, and are filled piece by piece.
 
@@ -45,7 +47,7 @@ def read_table(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
         path: of a plain file.
 
     Raises:
-        InputError: not readable, larger than the bounds, a column twice or not of numbers, metadata that is no table.
+        InputError: not readable, larger than the bounds, a column twice, metadata that is no table.
     """
     try:
         return _csv(path) if path.suffix.lower() == ".csv" else _parquet(path)
@@ -57,27 +59,32 @@ def read_table(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
                          "bag or MCAP", file=path) from error
 
 
-def _parquet(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
-    import pyarrow as pa
+def _parquet(path: Path) -> tuple[dict[str, Array], dict[str, Any], list[str]]:
     import pyarrow.parquet as pq
 
     with pq.ParquetFile(path) as file:
         schema, rows = file.schema_arrow, file.metadata.num_rows
         _check_names(schema.names, path)
-        for field in schema:
-            kind = field.type.value_type if pa.types.is_dictionary(field.type) else field.type
-            if not any(of(kind) for of in (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean,
-                                           pa.types.is_decimal, pa.types.is_null)):
-                raise InputError("column is not numeric", file=path, field=_shown(field.name))
+        names = [field.name for field in schema if _numeric(field.type)]
         TABLE_VALUES.check(rows * len(schema.names), path, "cut it into pieces")
         check_unfolding(TABLE_UNFOLDING, rows * len(schema.names) * _UNPACKED, path.stat().st_size, path)
         raw = (schema.metadata or {}).get(b"ideal_robot")
-        pieces = file.iter_batches(_rows_of_a_piece(len(schema.names)))
-        columns = _filled((piece.to_pandas() for piece in pieces), schema.names, rows, path)
-    return columns, {} if raw is None else _metadata(raw, path)
+        pieces = file.iter_batches(_rows_of_a_piece(len(schema.names)), columns=names)
+        columns, words = _filled((piece.to_pandas(ignore_metadata=True) for piece in pieces), names, rows)
+    words += [name for name in schema.names if name not in names]
+    return columns, {} if raw is None else _metadata(raw, path), words
 
 
-def _csv(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
+def _numeric(type_: Any) -> bool:
+    """Whether an Arrow type is one of numbers; text is not even unpacked."""
+    import pyarrow as pa
+
+    kind = type_.value_type if pa.types.is_dictionary(type_) else type_
+    return any(of(kind) for of in (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean,
+                                   pa.types.is_decimal, pa.types.is_null))
+
+
+def _csv(path: Path) -> tuple[dict[str, Array], dict[str, Any], list[str]]:
     import pandas as pd
 
     rows = _lines(path)
@@ -91,43 +98,47 @@ def _csv(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
         warnings.simplefilter("error", pd.errors.ParserWarning)
         with pd.read_csv(path.absolute(), index_col=False, low_memory=False,
                          chunksize=_rows_of_a_piece(len(names))) as pieces:
-            return _filled(pieces, None, rows, path), {}
+            columns, words = _filled(pieces, None, rows)
+    return columns, {}, words
 
 
 def _rows_of_a_piece(columns: int) -> int:
     return max(1, PIECE // max(columns, 1))
 
 
-def _filled(frames: Iterable[pd.DataFrame], names: list[str] | None, most: int, path: Path) -> dict[str, Array]:
-    """Columns of tables one below the other.
+def _filled(frames: Iterable[pd.DataFrame], names: list[str] | None, most: int) -> tuple[dict[str, Array], list[str]]:
+    """Columns of tables one below the other, and the names of those that are not of numbers.
 
     Args:
         frames: the tables.
         names: of the columns; those of the first table if None.
         most: rows together at most.
-        path: for messages.
     """
     store: ColumnStore | None = None
-    count = 0
+    count, words = 0, dict[str, None]()
     for frame in frames:
         names = names or [str(name) for name in frame.columns]
         store = store or ColumnStore(names, most, in_memory=most * len(names) <= AT_ONCE)
-        for name in frame.columns:
-            store.fill(str(name), count, _numbers(frame, name, path))
+        for name in names:
+            numbers = _numbers(frame[name])
+            if numbers is None:
+                words[name] = None
+            else:
+                store.fill(name, count, numbers)
         count += len(frame)
         store.release()
     if store is None:
-        return {name: np.empty(0) for name in names or ()}
-    return {name: values[:count] for name, values in store.finished().items()}
+        return {name: np.empty(0) for name in names or ()}, []
+    return {name: values[:count] for name, values in store.finished().items() if name not in words}, list(words)
 
 
-def _numbers(frame: pd.DataFrame, name: Any, path: Path) -> Array:
-    if frame[name].dtype.kind not in "fiubO":
-        raise InputError("column is not numeric", file=path, field=_shown(name))
+def _numbers(column: pd.Series) -> Array | None:
+    if column.dtype.kind not in "fiubO":
+        return None
     try:
-        return np.array(frame[name], dtype=float)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError("column is not numeric", file=path, field=_shown(name)) from error
+        return np.array(column, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        return None
 
 
 def _lines(path: Path) -> int:

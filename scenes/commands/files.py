@@ -132,6 +132,7 @@ def export(
     Example, after that of `run`: `ideal-robot export out/line/recording.parquet --mcap line.mcap`
     """
     from ideal_robot.signals.export import write_mcap, write_rerun, write_rosbag2
+    from ideal_robot.signals.plausible import text_columns
     from ideal_robot.signals.recording import Recording
     from scenes.outputs import check_outputs
 
@@ -150,6 +151,8 @@ def export(
                          value=str(rosbag2))
     check_outputs({"--rosbag2": rosbag2}, mcap=mcap, rerun=rerun, csv=csv, parquet=parquet)
     loaded = Recording.read(recording)
+    for text in text_columns(loaded):
+        typer.echo(f"warning: {text}", err=True)
     with progress_bar("export") as progress:
         for i, (option, (path, writer)) in enumerate(wanted.items()):
             progress(i / len(wanted), option[2:])

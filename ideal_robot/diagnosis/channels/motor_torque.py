@@ -36,7 +36,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.channels import clipped
 from ideal_robot.signals.cutoff import thinned
 from ideal_robot.signals.preprocess import FilteredSignals, preprocess
-from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.recording import Recording, is_known_column
 
 ROWS = 150_000
 """Rows of the regression (samples × joints) that are looked at, at most; longer recordings are decimated further."""
@@ -68,7 +68,7 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     q, qd, qdd = filtered.q, filtered.qd, filtered.qdd
     t = filtered.t - filtered.t[0]
     noise_velocity = small_velocity(recording, filtered)
-    extra = {name: values for name, values in filtered.columns.items() if not _is_known_column(name)}
+    extra = {name: values for name, values in filtered.columns.items() if not is_known_column(name)}
 
     def body_on(link: int) -> Array:
         # A copy: a part of the whole regressor would keep all of it.
@@ -258,11 +258,3 @@ def _own_copies(W: Array) -> Array:
         block[:, j] = W[:, j][:, kept]
         blocks.append(block)
     return np.concatenate(blocks, axis=2)
-
-
-def _is_known_column(name: str) -> bool:
-    """Whether a column is one whose meaning is known and that causes nothing by itself."""
-    kind, _, tail = name.rpartition("_")
-    known = {"q", "qd", "qdd", "tau", "current", "temp", "q_c", "q_d", "qa", "line_x", "line_y", "line_z"}
-    return (tail.isdigit() and kind in known) or name in {"x", "y", "z", "qx", "qy", "qz", "qw", "fx", "fy", "fz", "mx",
-                                                          "my", "mz", "cam_t"}

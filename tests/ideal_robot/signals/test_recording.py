@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from rosbags.highlevel import AnyReader
@@ -16,6 +17,7 @@ from ideal_robot.row_log import KEPT, ColumnStore, in_file
 from ideal_robot.signals import sampling as module
 from ideal_robot.signals import table_file
 from ideal_robot.signals.export import write_mcap, write_rosbag2
+from ideal_robot.signals.plausible import text_columns
 from ideal_robot.signals.preprocess import uniform_time
 from ideal_robot.signals.recording import WRITTEN_ROWS, Recording
 from ideal_robot.signals.sampling import shortened, stretches
@@ -90,6 +92,24 @@ def test_errors_name_file_and_field(recording: Recording, tmp_path: Path) -> Non
         Recording.read(tmp_path / "empty")
     with pytest.raises(InputError, match="tau_3"):
         Recording({k: v for k, v in recording.columns.items() if k != "tau_3"}).joints("tau")
+
+
+@pytest.mark.parametrize("ending", [".parquet", ".csv"])
+def test_a_comment_beside_the_signals_is_left_out_and_told(recording: Recording, tmp_path: Path,
+                                                           monkeypatch: pytest.MonkeyPatch, ending: str) -> None:
+    monkeypatch.setattr(table_file, "PIECE", 500)
+    frame = pd.DataFrame(recording.columns).assign(program=["1"] * 150 + ["approach"] * 50)
+    place = tmp_path / f"r{ending}"
+    if ending == ".csv":
+        frame.to_csv(place, index=False)
+    else:
+        frame.set_index("t").to_parquet(place)
+    for found in (Recording.read(place), Recording.from_frame(frame)):
+        assert found.columns.keys() == recording.columns.keys()
+        np.testing.assert_allclose(found.joints("tau"), recording.joints("tau"), rtol=1e-12)
+        assert text_columns(found) == ["text-column: program not of numbers, left out"]
+    # The file that is written of it holds none, and its reader is told none.
+    assert not text_columns(Recording.read(found.write(tmp_path / "again.parquet")))
 
 
 def test_true_and_false_are_no_torque() -> None:
