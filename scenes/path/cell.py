@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, interpolated
 from ideal_robot.execution.play import play as play_path
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.built_in import HORIZON
@@ -89,7 +89,8 @@ def play(robot: Robot, world: World, path: JointPath, feedforward: Feedforward, 
         recording = arm.recording(external=True)
         tcp, of_motors = (np.array([arm.tcp_of(q).translation for q in history[name]]) for name in ("q_a", "q_m"))
     every = round(world.t_ipo / (history["t"][1] - history["t"][0]))
-    wanted = np.repeat(q_d, every, axis=0)[: len(recording.t)]
+    # Between the cycles the path goes on: the desired position of a cycle is a wrong one for the rows after it.
+    wanted = interpolated(recording.t, path.t, q_d)
     columns = {**recording.columns, **{f"q_d_{i + 1}": wanted[:, i].copy() for i in range(robot.n)}}
     wanted_t, wanted_x = path.t[path.counts], path.x_d[path.counts]
     return Play(
