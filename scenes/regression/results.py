@@ -37,13 +37,13 @@ UNITS = {"mm": {"um": 1e-3, "µm": 1e-3, "mm": 1.0, "m": 1e3}, "N": {"mN": 1e-3,
 
 
 def unit_of(figure: str) -> str | None:
-    """Unit of a figure, which stands in its name; None where there is none.
+    """Unit of a figure, the last that stands in its name; None where there is none.
 
-    >>> unit_of("control_error_mm.mean"), unit_of("contact_lost_s"), unit_of("fields.used")
-    ('mm', 's', None)
+    >>> unit_of("control_error_mm.mean"), unit_of("path_error_mm.delay_ms"), unit_of("fields.used")
+    ('mm', 'ms', None)
     """
-    found = re.search(r"_(mm|N|ms|s)$", figure.partition(".")[0])
-    return found[1] if found else None
+    units = re.findall(r"_(mm|N|ms|s)(?=\.|$)", figure)
+    return units[-1] if units else None
 
 
 @dataclass(frozen=True)

@@ -201,11 +201,10 @@ def _check_options(scene: Scene, job: Job, suite: Path, number: int) -> None:
 def _bound(figure: str, value: Any, suite: Path, field: str) -> float:
     unit = unit_of(figure)
     if unit is None:
-        if isinstance(value, int | float) and not isinstance(value, bool):
+        if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
             return float(value)
-        known = did_you_mean(figure, MAIN)
-        raise InputError(f"{figure} has no unit: expected a number, or a figure such as control_error_mm.p95; {known}",
-                         file=suite, field=field, value=value)
+        raise InputError(f"{figure} has no unit; {did_you_mean(figure, MAIN)}expected a number, or a figure such as "
+                         "control_error_mm.p95", file=suite, field=field, value=value)
     allowed = UNITS[unit]
     parts = _LIMIT.fullmatch(value) if isinstance(value, str) else None
     if parts is None or parts[2] not in allowed or not float(parts[1]) * allowed[parts[2]] < math.inf:

@@ -120,11 +120,15 @@ def test_results_of_a_sweep_are_compared_with_those_of_a_check(program: Any, sui
 @pytest.mark.parametrize(("change", "says"), [
     (("short.toml\"", "strait\""), ("suite.toml: case.0.scenes", "did you mean 'straight'?")),
     (("LIMIT", "0.3 N"), ("case.0.bounds", "control_error_mm.mean is bounded in um, µm, mm, m", "'0.3 N'")),
+    (("mm.mean\" = \"LIMIT", "mm.mean\" = \"0.3 mm\", \"path_error_mm.delay_ms\" = \"1 mm"),
+     ("case.0.bounds", "path_error_mm.delay_ms is bounded in us, ms, s", "'1 mm'")),
     *((("LIMIT", limit), ("suite.toml: case.0.bounds: ", "\"0.3 mm\"", limit))
       for limit in ("1.2.3 mm", ". mm", "1e999 mm", "1e306 m", "mm", "-1 mm")),
     *((("LIMIT\"", f"0.3 mm\", \"{name}\" = {value}"), ("suite.toml: case.0.bounds: ", name))
-      for name, value in (("robot", 1), ("seed", 5), ("fields.used", "true"))),
+      for name, value in (("robot", 1), ("seed", 5), ("fields.used", "true"),
+                          ("fields.used", "inf"))),
     (("LIMIT\"", "0.3 mm\", \"control_err_mm\" = 3"), ("case.0.bounds", "control_err_mm")),
+    (("LIMIT\"", "0.3 mm\", \"fields.used\" = \"70\""), ("such as control_error_mm.p95 (got '70')",)),
     (("1-3", "3-1"), ("suite.toml: case.0.seeds", "range such as")),
     (("world", "wolrd"), ("suite.toml: case.0.wolrd", "unknown key")),
     (("world = \"bench\"", "world = \"mars\""), ("suite.toml: case.0.world", "workshop or bench")),
