@@ -201,7 +201,7 @@ def _check_options(scene: Scene, job: Job, suite: Path, number: int) -> None:
 def _bound(figure: str, value: Any, suite: Path, field: str) -> float:
     unit = unit_of(figure)
     if unit is None:
-        if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+        if isinstance(value, int | float) and not isinstance(value, bool):
             return float(value)
         raise InputError(f"{figure} has no unit; {did_you_mean(figure, MAIN)}expected a number, or a figure such as "
                          "control_error_mm.p95", file=suite, field=field, value=value)
