@@ -66,7 +66,10 @@ def serial_arm(text: str, file: str | Path | None = None, tool: str | None = Non
         return SerialArm(text, None, ())
     end = tool if tool in joints else tree.end(file)
     chain = tree.path(end)
-    while chain and tool not in joints and not drives(chain[-1]):
+    # A last joint that another one beside it follows closes a gripper, whatever it is called.
+    followed = {mimic.get("joint") for joint in joints.values() if (mimic := joint.find("mimic")) is not None}
+    while chain and tool not in joints and (not drives(chain[-1]) or (
+            chain[-1].get("name") in followed and any(map(drives, chain[:-1])))):
         chain.pop()
     at = _tool_link(tree, [_child(joint) for joint in chain]) if tool not in joints else tool
     changed = _held(joints, {id(joint) for joint in chain}) + _limited(chain)

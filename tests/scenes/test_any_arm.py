@@ -245,6 +245,13 @@ def test_identification_motions_keep_off_the_cell_also_on_the_way_to_them(method
     assert shapes.first_touch(kept.commands) is None
 
 
+def test_a_joint_that_a_finger_follows_closes_a_gripper_whatever_it_is_called(tmp_path: Path) -> None:
+    named = GRIPPER.replace("left_finger", "drive").replace("right_finger", "driven")
+    robot = Robot.load(written(tmp_path, urdf(6, beyond=named)))
+    assert (robot.n, robot.tool_frame) == (6, "tool0")
+    assert sum("is held" in text for text in robot.assumed) == 2
+
+
 @pytest.mark.parametrize(("name", "seed"), [("kr6", 8), ("examples/bare_arm.urdf", 2)])
 def test_moves_of_a_single_axis_and_the_ways_between_them_stay_in_the_workspace(name: str, seed: int) -> None:
     robot = Robot.load(name if name == "kr6" else ROOT / name)
