@@ -111,14 +111,20 @@ def summary(diagnosis: Diagnosis) -> str:
         words = _listed(doubtful)
         text += (f" {words[:1].upper()}{words[1:]} was fitted too, but the error on data that had no part in finding "
                  "it does not fall: that it is missing is not claimed.")
-    falls = [(c.channel, c.rms_before, c.rms_after, c.unit) for c in diagnosis.channels
-             if c.rms_after < 0.98 * c.rms_before]
-    if falls and diagnosis.verdict in ("effects", "unknown"):
-        name, before, after, unit = max(falls, key=lambda f: f[1] / max(f[2], 1e-300))
-        scale, unit = _MILLI.get(unit, (1.0, unit))
-        text += (f" On data that had no part in finding it the error of {name} falls from {scale * before:.3g} to "
-                 f"{scale * after:.3g} {unit}.")
+    errors = _errors(diagnosis)
+    if errors and diagnosis.verdict in ("effects", "unknown"):
+        text += f" On data that had no part in finding it the error of {_listed(errors)}."
     return f"{text} {above}" if above else text
+
+
+def _errors(diagnosis: Diagnosis) -> list[str]:
+    """Error before and after of each channel in which something was found; of those where it falls if it has none."""
+    found = {e.fitted.channel for e in (*diagnosis.effects, *diagnosis.unknown) if _lowers(e)}
+    # What is found in the whole arm has the name that all its channels begin with.
+    own = [c for c in diagnosis.channels if {c.channel, c.channel.rpartition("_")[0]} & found]
+    told = own or [c for c in diagnosis.channels if c.rms_after < 0.98 * c.rms_before]
+    return [f"{c.channel} goes from {before:.3g} to {after:.3g} {unit}"
+            for c in told for before, after, unit in [_told(c.unit, c.rms_before, c.rms_after)]]
 
 
 def _above_noise(diagnosis: Diagnosis) -> str:

@@ -184,6 +184,12 @@ def test_an_effect_that_two_channels_show_is_missing_once() -> None:
     assert text.count(f" {one.fitted.joint}") == 1
 
 
+def test_the_error_that_is_told_is_that_of_the_channel_with_the_effect() -> None:
+    whole = diagnosis(found(2.0, 0.2))
+    channels = dataclasses.replace(whole.channels[0], channel="tau_2", rms_after=0.01), *whole.channels
+    assert "error of tau_1 goes from 2 to 0.2 N m." in summary(dataclasses.replace(whole, channels=channels))
+
+
 @pytest.mark.parametrize("worse", [found(0.5, 0.6), found(0.5, 0.4, transfers=False)])
 def test_an_effect_whose_error_rose_is_not_called_missing(worse: FoundEffect) -> None:
     text = summary(diagnosis(worse))
