@@ -31,7 +31,7 @@ class ControllerIdentification(Summarised):
     """Result of ``identify_controller``.
 
     Attributes:
-        model: the controllers, with standard deviations that hold for its delay of the command.
+        model: the controllers.
         error_percent: ``100 ‖τ - τ̂‖ / ‖τ - mean‖`` of the simulated controller per joint ``(n,)``.
         k_i_direct: integral gain of the one-step estimate ``(n,)``, for the comparison only.
         t: sampling instants of the first recording's longest stretch without a gap ``(N,)`` [s].
@@ -74,31 +74,55 @@ def identify_controller(recordings: Sequence[Recording], t_cycle: float,
         raise InputError(f"too short: three cycles of {1e3 * t_cycle:g} ms without a gap are needed",
                          file=recordings[0].source, field="t")
     stretches = [stretch for found in each for stretch in found]
-    delay = _command_delay(stretches, t_cycle)
-    series = [part for stretch in stretches for part in _series(stretch, t_cycle, delay)]
-    pd_series = [part for recording in without_integrator for stretch in _stretches(recording, t_cycle)
-                 for part in _series(stretch, t_cycle, delay)]
-    gains, std, k_i, k_i_std = np.empty((4, n)), np.empty((4, n)), np.empty(n), np.empty(n)
-    error = np.empty(n)
-    for j in range(n):
-        joint = _Joint(series, j)
-        fixed = None
-        if pd_series:
-            fixed, std[:, j] = _pd_gains(_Joint(pd_series, j))
-        k_i[j], k_i_std[j] = _integral_gain(joint, fixed)
-        fit = _simulation(joint, k_i[j], fixed)
-        gains[:, j], error[j] = fit.gains, fit.error_percent
-        if fixed is None:
-            std[:, j] = np.hypot(fit.std, _slope(joint, k_i[j]) * k_i_std[j])
-    spread = {name: std[i].tolist() for i, name in enumerate(("k_p", "k_d", "k_1", "k_2"))}
+    pd_stretches = [stretch for recording in without_integrator for stretch in _stretches(recording, t_cycle)]
+    delay, delay_std = _command_delay(stretches, t_cycle)
+    best, less, more = (_gains(stretches, pd_stretches, t_cycle, d)
+                        for d in (delay, delay - delay_std, delay + delay_std))
+    gains, k_i = best.gains[:4], best.gains[4]
+    # Gains follow the delay, which is found from the same noise.
+    std = np.hypot(best.std, 0.5 * (more.gains - less.gains))
+    spread = {name: std[i].tolist() for i, name in enumerate(("k_p", "k_d", "k_1", "k_2", "k_i"))}
     model = ControllerModel(t_cycle, k_p=gains[0], k_d=gains[1], k_1=gains[2], k_2=gains[3], k_i=k_i,
-                            filter_time=np.zeros(n), delay=delay, std={**spread, "k_i": k_i_std.tolist()})
+                            filter_time=np.zeros(n), delay=delay, std=spread)
     longest = max(each[0], key=lambda stretch: len(stretch[0].t))
     shown = _series(longest, t_cycle, delay)[0]
     direct, drifting = _direct(longest, t_cycle, gains)
     count = min(len(shown.t), len(drifting))
-    return ControllerIdentification(model, error, direct, shown.t[:count], shown.tau[:count],
+    return ControllerIdentification(model, best.error_percent, direct, shown.t[:count], shown.tau[:count],
                                     _simulated(shown, gains, k_i)[:count], drifting[:count])
+
+
+@dataclass(frozen=True)
+class _Gains:
+    """Gains of all joints at a delay of the command: k_p, k_d, k_1, k_2, k_i and their standard deviations ``(5, n)``.
+
+    Attributes:
+        gains, std: as above, the deviations for this delay.
+        error_percent: of the simulated torque ``(n,)``.
+    """
+
+    gains: Array
+    std: Array
+    error_percent: Array
+
+
+def _gains(stretches: Sequence[tuple[Recording, bool]], without_integrator: Sequence[tuple[Recording, bool]],
+           t_cycle: float, delay: float) -> _Gains:
+    series, pd_series = ([part for stretch in some for part in _series(stretch, t_cycle, delay)]
+                         for some in (stretches, without_integrator))
+    n = stretches[0][0].n
+    gains, std, error = np.empty((5, n)), np.empty((5, n)), np.empty(n)
+    for j in range(n):
+        joint = _Joint(series, j)
+        fixed = None
+        if pd_series:
+            fixed, std[:4, j] = _pd_gains(_Joint(pd_series, j))
+        gains[4, j], std[4, j] = _integral_gain(joint, fixed)
+        fit = _simulation(joint, gains[4, j], fixed)
+        gains[:4, j], error[j] = fit.gains, fit.error_percent
+        if fixed is None:
+            std[:4, j] = np.hypot(fit.std, _slope(joint, gains[4, j]) * std[4, j])
+    return _Gains(gains, std, error)
 
 
 def _require_signals(recordings: Sequence[Recording], without_integrator: Sequence[Recording]) -> None:
@@ -113,21 +137,29 @@ def _require_signals(recordings: Sequence[Recording], without_integrator: Sequen
         require_changes([recording.joints("tau") for recording in those], "tau", those[0].source)
 
 
-def _command_delay(stretches: Sequence[tuple[Recording, bool]], t_cycle: float) -> float:
-    """The delay of the command with which the simulated controllers come closest to the torque [s]."""
-    def cost(delay: float) -> float:
+def _command_delay(stretches: Sequence[tuple[Recording, bool]], t_cycle: float) -> tuple[float, float]:
+    """The delay of the command with which the simulated controllers come closest to the torque, and its σ [s]."""
+    def squares(delay: float) -> tuple[Array, Array]:
+        """Squared errors over the torque's squares, and over how many samples that tell news ``(n,)`` each."""
         series = [_series(stretch, t_cycle, delay, offsets=False)[0] for stretch in stretches]
-        total = 0.0
-        for j in range(stretches[0][0].n):
-            joint = _Joint(series, j)
-            total += min(_simulation(joint, k, None).error_percent ** 2 for k in np.geomspace(0.02, 0.8, 8))
-        return total
+        joints = [_Joint(series, j) for j in range(stretches[0][0].n)]
+        left = np.array([min(_simulation(joint, k, None).error_percent ** 2 for k in np.geomspace(0.02, 0.8, 8))
+                         for joint in joints])
+        return left, np.array([joint.news for joint in joints])
+
+    def cost(delay: float) -> float:
+        return float(np.sum(squares(delay)[0]))
 
     grid = np.linspace(0.0, 0.75 * t_cycle, 7)
     i = int(np.argmin([cost(d) for d in grid]))
     found = optimize.minimize_scalar(cost, bounds=(grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]),
                                      method="bounded", options={"xatol": 0.01 * t_cycle})
-    return float(found.x)
+    delay, h = float(found.x), 0.1 * t_cycle
+    (left, news), (more, _), (less, _) = (squares(d) for d in (delay, delay + h, delay - h))
+    curvature = np.maximum((more - 2.0 * left + less) / h**2, 0.0)
+    # The slope of a sum of squares has the variance 2 σ² times its curvature.
+    spread = np.sqrt(np.sum(2.0 * left / news * curvature)) / max(float(np.sum(curvature)), 1e-300)
+    return delay, min(float(spread), t_cycle)
 
 
 def _simulated(series: _Series, gains: Array, k_i: Array) -> Array:

@@ -63,10 +63,10 @@ def test_one_step_estimate_drifts_more_than_the_simulated_one() -> None:
 
 
 def test_gains_scatter_as_far_as_their_standard_deviations_say() -> None:
-    """k_p and k_I come from the same data and fall and rise together."""
+    """k_p and k_I come from the same data and fall and rise together; k_1 follows the delay of the command."""
     found = [identify_controller([closed_loop(True, np.random.default_rng(seed), noise=5.0)], T).model
              for seed in range(8)]
-    for name in ("k_p", "k_i"):
+    for name in ("k_p", "k_d", "k_1", "k_2", "k_i"):
         scatter = np.std([getattr(model, name)[0] for model in found], ddof=1)
         said = np.mean([model.std[name][0] for model in found])
         # The scatter of eight is itself uncertain by a quarter.
