@@ -77,6 +77,11 @@ def listed(values: Array, unit: str = "") -> str:
     return ", ".join(f"{value:.3g}" for value in values) + (f" {unit}" if unit else "")
 
 
+def one_unit(units: Sequence[str]) -> str:
+    """The units of all joints in a word, where one stands for all: "mrad", or "mrad or mm" of an arm of both kinds."""
+    return " or ".join(dict.fromkeys(units))
+
+
 def shown_cell(cell: Any) -> str:
     """A cell of a table: numbers with four significant digits, nothing for None."""
     return f"{cell:.4g}" if isinstance(cell, float) else "" if cell is None else str(cell)

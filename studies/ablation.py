@@ -249,8 +249,8 @@ def said(case: Case, found: Findings) -> SimpleNamespace:
     """What is named after a search about a prepared regression; what is left above the noise is not looked at."""
     for stage in _STAGES:
         found = stage(case, found)
-    said = [SimpleNamespace(fitted=fitted_effect(c, domain.final, k)) for domain in found.domains
-            for k, c in enumerate(domain.choices)]
+    said = [SimpleNamespace(fitted=fitted_effect(c, domain.final, k, domain.reported.prismatic))
+            for domain in found.domains for k, c in enumerate(domain.choices)]
     named, unknown = ([one for one in said if one.fitted.effect.learned is learned] for learned in (False, True))
     return SimpleNamespace(verdict="unknown" if unknown else "effects" if named else "none", effects=named,
                            unknown=unknown)

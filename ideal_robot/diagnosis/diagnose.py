@@ -65,7 +65,8 @@ def _beside_known(found: Findings) -> tuple[tuple[FittedEffect, ...], ...]:
     if not found.beside_known:
         return ()
     problem = found.problem.with_prior(prior_precision(found.start, found.problem)).held().on_all_blocks()
-    return tuple(fitted_effects(some, problem.fit(some, uncertainty=True)) for some in found.beside_known)
+    prismatic = problem.regression.prismatic
+    return tuple(fitted_effects(some, problem.fit(some, uncertainty=True), prismatic) for some in found.beside_known)
 
 
 def undecided(case: Case, found: Findings) -> Diagnosis:

@@ -11,14 +11,13 @@ from dataclasses import dataclass
 import clarabel
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import kept_words
 from ideal_robot.dynamics.regressor import LINK_PARAMETERS, LINK_UNITS, regressor
 from ideal_robot.errors import IdealRobotError
-from ideal_robot.robots.robot import prismatic_joints
+from ideal_robot.robots.robot import joint_units
 
 _PREFERENCE = ("Ixy", "Ixz", "Iyz", "Izz", "Ixx", "Iyy", "mx", "my", "mz", "m")
 """Which of several dependent link parameters stays in the base: what is usually named in print comes first."""
@@ -141,8 +140,7 @@ def base_parameters(model: pin.Model) -> BaseParameters:
     qd, qdd = rng.normal(size=(count, n)), rng.normal(size=(count, n))
     W = full_regressor(model, q, qd, qdd).reshape(count * n, 12 * n)
     names, units = full_names(n)
-    prismatic = prismatic_joints(model)
-    units = tuple(_prismatic_unit(prismatic, name, unit) for name, unit in zip(names, units, strict=True))
+    units = (*units[: 10 * n], *joint_units("kg m²", model), *joint_units("N m", model))
 
     order = _order(n)
     size = np.linalg.norm(W, axis=0)
@@ -191,11 +189,6 @@ def _order(n: int) -> list[int]:
     """Column order for the QR: offsets and rotor inertias of their own joints last but offsets, links base to tip."""
     links = [10 * i + LINK_PARAMETERS.index(key) for key in _PREFERENCE for i in range(n)]
     return [*range(11 * n, 12 * n), *links, *range(10 * n, 11 * n)]
-
-
-def _prismatic_unit(prismatic: NDArray[np.bool_], name: str, unit: str) -> str:
-    symbol, joint = name.rsplit("_", 1)
-    return {"Ia": "kg", "offset": "N"}.get(symbol, unit) if prismatic[int(joint) - 1] else unit
 
 
 # Inertias that real bodies can have, closest to identified base parameters.

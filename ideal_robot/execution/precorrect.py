@@ -20,7 +20,7 @@ from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.cascade import Cascade
 from ideal_robot.model.model import Model
-from ideal_robot.results import Summarised, listed, over_time, plain
+from ideal_robot.results import Summarised, listed, one_unit, over_time, plain
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.plausible import checked_time, require_joint_units
 from ideal_robot.signals.recording import Recording, expect
@@ -112,6 +112,7 @@ class PrecorrectedPath(Summarised):
         reach: root mean square of the first of them with each of ``DRAWS`` controllers of the model's spread
             ``(DRAWS, n)`` [rad]; None where the model's controller was identified.
         warnings: what was not checked.
+        units: of a thousandth of each joint's position, mrad or mm ``(n,)``.
     """
 
     recording: Recording = field(repr=False)
@@ -123,6 +124,7 @@ class PrecorrectedPath(Summarised):
     expected: tuple[Array, Array] = field(repr=False)
     reach: Array | None = field(repr=False, default=None)
     warnings: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
 
     @property
     def expected_rms(self) -> tuple[Array, Array]:
@@ -139,21 +141,22 @@ class PrecorrectedPath(Summarised):
     def summary(self) -> list[tuple[str, str]]:
         """What was corrected, and the error that the model expects to be left."""
         after, before = (1e3 * rms for rms in self.expected_rms)
+        unit = one_unit(self.units)
         rows = [("path", f"{self.robot_name!r}, {self.method}: {len(self.t)} cycles, {self.t[-1] - self.t[0]:.4g} s"),
-                ("expected rms error", listed(after, "mrad or mm")), ("uncorrected", listed(before, "mrad or mm"))]
+                ("expected rms error", listed(after, unit)), ("uncorrected", listed(before, unit))]
         if self.reach is not None:
-            rows.insert(2, ("by the controller's spread up to", listed(1e3 * self.reach.max(axis=0), "mrad or mm")))
+            rows.insert(2, ("by the controller's spread up to", listed(1e3 * self.reach.max(axis=0), unit)))
         return rows
 
     def plot(self) -> Figure:
         """Expected error of each joint, corrected and uncorrected."""
         after, before = (1e3 * error for error in self.expected)
-        return over_time(self.t, [(f"joint {j + 1} [mrad or mm]", [("uncorrected", before[:, j]),
-                                                                   ("corrected", after[:, j])])
-                                  for j in range(self.q_d.shape[1])], f"expected error, {self.method}")
+        return over_time(self.t, [(f"joint {j + 1} [{unit}]", [("uncorrected", before[:, j]),
+                                                           ("corrected", after[:, j])])
+                                  for j, unit in enumerate(self.units)], f"expected error, {self.method}")
 
     def to_dict(self) -> dict[str, Any]:
-        """Key figures as plain values."""
+        """Key figures as plain values; what is called mrad is mm of joints that slide."""
         after, before = (1e3 * rms for rms in self.expected_rms)
         values: dict[str, Any] = plain({
             "method": self.method, "robot": self.robot_name, "cycles": len(self.t), "duration_s": float(self.t[-1]),
@@ -196,14 +199,15 @@ def precorrect(t: Array, q_d: Array, model: Model, robot: Robot, method: str = "
     start = feedforward("ideal", model, robot, delay=delay).along(path) if method == "model_learned" else None
     q_c = feedforward(method, model, robot, delay=delay, q_d=path, q_c=start).along(path)
     check_limits(q_c, robot, robot.t_ipo)
+    unit = one_unit(robot.units("rad"))
     recording = Recording.from_arrays(
         times, meta={"robot": robot.name, "cycle_time": robot.t_ipo, "method": method, "source": "precorrect",
-                     "units": {"t": "s", "q_c": "rad", "q_d": "rad"}}, q_c=q_c, q_d=path)
+                     "units": {"t": "s", "q_c": unit, "q_d": unit}}, q_c=q_c, q_d=path)
     # Of an arm whose geometry is not the drawn one, other joint angles bring the tool where the path wants it.
     wanted = CorrectedArm(robot, model.effects).from_rest(path, robot.t_ipo)
     errors = [np.asarray(wanted - simulate(loop, commands).q_a[:-1]) for commands in (q_c, path)]
     return PrecorrectedPath(recording, method, robot.name, times, path, q_c, (errors[0], errors[1]),
-                            _reach(model, robot, delay, q_c, wanted), _not_checked(robot))
+                            _reach(model, robot, delay, q_c, wanted), _not_checked(robot), robot.units("mrad"))
 
 
 def _not_checked(robot: Robot) -> tuple[str, ...]:

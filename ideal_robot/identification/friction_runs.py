@@ -289,7 +289,7 @@ def fit_ripple(recordings: Sequence[Recording], model: Model, robot: Robot) -> t
         if robot.gear_ratio[i] <= 1.0:
             continue
         for order in _ORDERS:
-            effect = _ripples(parts, i, order, float(robot.gear_ratio[i]))
+            effect = _ripples(parts, i, order, float(robot.gear_ratio[i]), robot.units("N m")[i])
             if effect is not None:
                 found.append(effect)
     return tuple(found)
@@ -306,7 +306,8 @@ def _residual(recording: Recording, model: Model) -> tuple[Array, Array, Array]:
     return q[inner], qd[inner], left[inner]
 
 
-def _ripples(parts: Sequence[tuple[Array, Array, Array]], i: int, order: int, ratio: float) -> FittedEffect | None:
+def _ripples(parts: Sequence[tuple[Array, Array, Array]], i: int, order: int, ratio: float, unit: str
+             ) -> FittedEffect | None:
     k = order * ratio
     rows, values = [], []
     for q, qd, left in parts:
@@ -331,6 +332,6 @@ def _ripples(parts: Sequence[tuple[Array, Array, Array]], i: int, order: int, ra
     return FittedEffect(
         "torque_ripple", i + 1, f"tau_{i + 1}", (float(x[0]), float(x[1])), (float(std[0]), float(std[1])), (k,),
         theta_std=(0.0,),
-        parameters=(EffectParameter("amplitude", size, sigma, "N m"),
+        parameters=(EffectParameter("amplitude", size, sigma, unit),
                     EffectParameter("order", float(order), 0.0, "1 / motor turn")),
         evidence={"standard_deviations": size / sigma, "how": "regression on slow motion"})

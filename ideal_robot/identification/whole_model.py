@@ -85,9 +85,10 @@ class IdentificationResult(Summarised):
     def plot(self) -> Figure:
         """Torque of the first recording, measured and as the model predicts it, joint by joint."""
         first = self.result.estimation[0]
-        return over_time(first.t, [(f"tau_{j + 1} [N m or N]", [("measured", first.measured[:, j]),
-                                                                ("model", first.tau[:, j])])
-                                   for j in range(self.model.n)], f"identified model of {self.model.robot_name}")
+        return over_time(first.t, [(f"tau_{j + 1} [{unit}]", [("measured", first.measured[:, j]),
+                                                              ("model", first.tau[:, j])])
+                                   for j, unit in enumerate(self.model.units("N m"))],
+                         f"identified model of {self.model.robot_name}")
 
     def to_dict(self) -> dict[str, Any]:
         """The figures as plain values."""

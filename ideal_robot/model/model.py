@@ -27,7 +27,7 @@ from ideal_robot.friction import PerJointFriction
 from ideal_robot.model.model_file import SCHEMA, read_values, require_consistent, urdf_with_inertials, write_values
 from ideal_robot.model.parametrisation import ControllerModel, Parameter, Prediction, described, sensitivity
 from ideal_robot.results import Summarised, plain
-from ideal_robot.robots.robot import Robot
+from ideal_robot.robots.robot import Robot, joint_units
 from ideal_robot.robots.urdf import model_of
 from ideal_robot.signals.preprocess import FilteredSignals, evenly_sampled
 from ideal_robot.signals.recording import Recording
@@ -94,6 +94,10 @@ class Model(Summarised):
     def n(self) -> int:
         """Number of joints."""
         return self.friction.n
+
+    def units(self, unit: str) -> tuple[str, ...]:
+        """A unit of each joint, e.g. "N m": as it is where it turns, "N" where it slides ``(n,)``."""
+        return joint_units(unit, self.kinematics)
 
     @property
     def rotor_inertia(self) -> Array:

@@ -18,7 +18,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics.base_parameters import BaseParameters, full_regressor
 from ideal_robot.friction import FrictionModel, PerJointFriction
 from ideal_robot.results import Summarised, listed
-from ideal_robot.robots.robot import prismatic_joints
+from ideal_robot.robots.robot import joint_units
 
 
 @dataclass(frozen=True)
@@ -70,11 +70,11 @@ def described(base: BaseParameters, base_values: Array, friction: PerJointFricti
         model: kinematics.
     """
     rows: list[tuple[str, int, str, str]] = list(zip(base.names, base.joints, base.units, base.words(), strict=True))
-    prismatic = prismatic_joints(model)
+    units = {symbol: joint_units(unit, model) for symbol, unit in (("F", "N m"), ("v", "rad/s"), ("x", "rad"))}
     for names_of in (lambda law: law.names, lambda law: law.names_of_shape):
         for j, law in enumerate(friction.laws):
-            units = {"F": "N", "v": "m/s", "x": "m"} if prismatic[j] else {"F": "N m", "v": "rad/s", "x": "rad"}
-            rows += [(f"{name}_{j + 1}", j + 1, unit.format(**units), f"friction, {law.label}")
+            own = {symbol: unit[j] for symbol, unit in units.items()}
+            rows += [(f"{name}_{j + 1}", j + 1, unit.format(**own), f"friction, {law.label}")
                      for name, unit in names_of(law)]
     values = parameter_vector(base_values, friction)
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))

@@ -32,6 +32,18 @@ def prismatic_joints(model: pin.Model) -> NDArray[np.bool_]:
     return np.array([joint.shortname().startswith("JointModelP") for joint in list(model.joints)[1:]], dtype=bool)
 
 
+def joint_units(unit: str, model: pin.Model) -> tuple[str, ...]:
+    """A unit of each joint, given for those that turn: "mm" for "mrad", "N" for "N m" where one slides ``(n,)``."""
+    return tuple(sliding_unit(unit) if slides else unit for slides in prismatic_joints(model))
+
+
+def sliding_unit(unit: str) -> str:
+    """What is to a joint that slides as ``unit`` is to one that turns."""
+    for turning, along in (("(N m)", "N"), ("N m", "N"), ("kg m²", "kg"), ("rad", "m")):
+        unit = unit.replace(turning, along)
+    return unit
+
+
 TOOL_TIP = "ideal_robot_tool_tip"
 """Name of the frame at the end of a tool that a scene puts on."""
 UNKNOWN_DRIVE_GAIN = ("unknown-drive-gain: no drive gains are known (--robot); torques are in amperes and so are all "
@@ -96,6 +108,10 @@ class Robot(Summarised):
     def prismatic(self) -> NDArray[np.bool_]:
         """Which joints slide along their axis instead of turning about it ``(n,)``."""
         return prismatic_joints(self.pinocchio)
+
+    def units(self, unit: str) -> tuple[str, ...]:
+        """A unit of each joint, e.g. "mrad": as it is where it turns, "mm" where it slides ``(n,)``."""
+        return joint_units(unit, self.pinocchio)
 
     @property
     def knows_drive_gains(self) -> bool:

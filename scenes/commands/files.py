@@ -320,7 +320,7 @@ def twin(
     from ideal_robot.signals.recording import Recording
     from ideal_robot.whole_file import whole_files
     from scenes.arms import arm_of
-    from scenes.identification.twin_play import COLUMNS, make_twin, twin_text
+    from scenes.identification.twin_play import make_twin, twin_text
     from scenes.outputs import check_outputs
     from scenes.scene_files.scene import NAME
 
@@ -339,7 +339,7 @@ def twin(
             if scene_file is not None:
                 scene_file.write_text(twin_text(found.twin, robot, output.stem), encoding="utf-8")
             write_signed(json_file, {**found.to_dict(), "output": output})
-    show_table("the twin along the recorded motion", COLUMNS, found.rows())
+    show_table("the twin along the recorded motion", found.columns, found.rows())
     for line in (*(f"told: {one}" for one in found.twin.seen), *(f"assumed: {one}" for one in found.twin.assumed)):
         typer.echo(line)
     typer.echo(f"twin: {output}")

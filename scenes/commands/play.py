@@ -304,6 +304,7 @@ def prepare(
     Example: `ideal-robot prepare line --individual 3`
     """
     from ideal_robot.model.model import Model
+    from ideal_robot.results import one_unit
     from scenes.arms import arm_of
     from scenes.models import prepared_model
     from scenes.outputs import check_outputs
@@ -323,5 +324,5 @@ def prepare(
     show_table("", ["figure", "value"], [
         ["arm", f"{loaded.robot}, individual {world.individual}"],
         ["identified", "now" if prepared.fresh else "before"],
-        ["torque left, N m", ", ".join(f"{one:.3g}" for one in model.noise_std)]])
+        ["torque left, " + one_unit(model.units("N m")), ", ".join(f"{one:.3g}" for one in model.noise_std)]])
     typer.echo(f"model: {path}")

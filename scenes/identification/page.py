@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from ideal_robot.identification.two_step import TwoStep
 from ideal_robot.identification.whole_model import IdentificationResult, friction_points
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import Prediction, joined
+from ideal_robot.results import one_unit
 from ideal_robot.signals.channels import segments
 from ideal_robot.signals.preprocess import preprocess
 from scenes.report.page import Report
@@ -39,10 +41,10 @@ def identification_page(analysis: IdentificationResult) -> Report:
     shown = [("unseen", *pair) for pair in zip(analysis.validation, result.validation, strict=True)]
     shown += [("estimation", *pair) for pair in zip(analysis.estimation, result.estimation, strict=True)]
     for role, recording, prediction in shown[:4]:
-        page.figure(torque_figure(prediction), f"{Path(recording.source).name} ({role}): measured and predicted torque "
-                    "with two standard deviations of the prediction (cut off at reversals, where the angle over which "
-                    "friction turns decides), and the residual on the same scale. Above each panel: "
-                    "std(residual) / std(torque).")
+        page.figure(torque_figure(prediction, model.units("N m")),
+                    f"{Path(recording.source).name} ({role}): measured and predicted torque with two standard "
+                    "deviations of the prediction (cut off at reversals, where the angle over which friction turns "
+                    "decides), and the residual on the same scale. Above each panel: std(residual) / std(torque).")
     page.heading("Friction")
     page.figure(friction_figure(analysis), "Friction over speed. Gray points: what is left of the measured torque "
                 "when everything else is subtracted (estimation data). Line: the law at constant speed without load. "
@@ -58,7 +60,7 @@ def identification_page(analysis: IdentificationResult) -> Report:
     _parameters(page, model)
     _consistency(page, analysis)
     if analysis.controller is not None:
-        _controller(page, analysis.controller)
+        _controller(page, analysis.controller, model)
     if analysis.linear_loop is not None:
         _linear_loop(page, analysis.linear_loop)
     page.heading("Data and filters")
@@ -120,8 +122,10 @@ def _warm_up(page: Report, analysis: IdentificationResult) -> None:
     rows = [[j + 1, 100.0 * w.surplus, 100.0 * w.surplus_std, w.reference, w.rms_constant, w.rms]
             for j, w in enumerate(analysis.warm_up) if w is not None]
     if rows:
-        page.table(["joint", "more friction 10 K colder [%]", "σ [%]", "law holds at [°C]", "residual, constant [N m]",
-                    "residual, by temperature [N m]"], rows, "Friction and gear temperature (cube root law scaled).")
+        unit = one_unit(analysis.model.units("N m"))
+        page.table(["joint", "more friction 10 K colder [%]", "σ [%]", "law holds at [°C]",
+                    f"residual, constant [{unit}]", f"residual, by temperature [{unit}]"], rows,
+                   "Friction and gear temperature (cube root law scaled).")
 
 
 def _measurements(page: Report, two_step: TwoStep, model: Model) -> None:
@@ -129,7 +133,8 @@ def _measurements(page: Report, two_step: TwoStep, model: Model) -> None:
     rows = [[m.joint + 1, m.quantity, m.value, m.std, float(m.row @ model.base_values),
              ", ".join(f"{a:.0f}" for a in np.degrees(m.q))] for m in two_step.measurements]
     page.table(["joint", "quantity", "measured", "σ", "model", "posture [deg]"], rows,
-               f"Step 1: gravitational torques [N m] and moments of inertia [kg m²], measured one axis at a time in "
+               f"Step 1: gravitational torques [{one_unit(model.units('N m'))}] and moments of inertia "
+               f"[{one_unit(model.units('kg m²'))}], measured one axis at a time in "
                f"{two_step.duration:.0f} s of motion; step 2 is the model through them.")
 
 
@@ -172,20 +177,23 @@ def _consistency(page: Report, analysis: IdentificationResult) -> None:
                "Full parameters, about the joint frames; smallest eigenvalue of each pseudo-inertia matrix.")
 
 
-def _controller(page: Report, found: ControllerIdentification) -> None:
+def _controller(page: Report, found: ControllerIdentification, arm: Model) -> None:
     page.heading("Joint controllers")
     model = found.model
+    stiffness, damping, inertia = (one_unit(arm.units(unit)) for unit in ("N m/rad", "N m s/rad", "N m s²/rad"))
     rows = [[j + 1, model.k_p[j], model.k_d[j], model.k_1[j], model.k_2[j], model.k_i[j], found.k_i_direct[j],
              found.error_percent[j]] for j in range(len(model.k_p))]
-    page.table(["joint", "k_P [N m/rad]", "k_D [N m s/rad]", "k_1 [N m s/rad]", "k_2 [N m s²/rad]", "k_I", "k_I direct",
-                "error [%]"], rows, f"[G] (16), (17) at {1e3 * model.t_cycle:g} ms; the command takes effect "
+    page.table(["joint", f"k_P [{stiffness}]", f"k_D [{damping}]", f"k_1 [{damping}]", f"k_2 [{inertia}]", "k_I",
+                "k_I direct", "error [%]"], rows,
+               f"[G] (16), (17) at {1e3 * model.t_cycle:g} ms; the command takes effect "
                f"{1e3 * model.delay:.3g} ms after it is logged.")
-    page.figure(drift_figure(found), "Why k_I is found by simulation ([G] Fig. 17): a value that is best from one step "
-                "to the next lets errors add up; deviation of the simulated from the measured torque.")
+    page.figure(drift_figure(found, one_unit(arm.units("N m"))), "Why k_I is found by simulation ([G] Fig. 17): a "
+                "value that is best from one step to the next lets errors add up; deviation of the simulated from "
+                "the measured torque.")
 
 
-def torque_figure(prediction: Prediction) -> Figure:
-    """Measured and predicted torque and the residual of each joint over time."""
+def torque_figure(prediction: Prediction, units: Sequence[str]) -> Figure:
+    """Measured and predicted torque [``units``] and the residual of each joint over time."""
     n = prediction.tau.shape[1]
     figure = Figure(figsize=(11, 1.9 * n + 0.6), layout="constrained")
     axes = figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0]
@@ -195,7 +203,7 @@ def torque_figure(prediction: Prediction) -> Figure:
         axis.plot(prediction.t, prediction.measured[:, j], color=MEASURED, linewidth=1.3, label="measured")
         axis.plot(prediction.t, tau, color=PREDICTED, linewidth=0.9, label="predicted")
         axis.plot(prediction.t, prediction.measured[:, j] - tau, color=RESIDUAL, linewidth=0.7, label="residual")
-        axis.set_ylabel(f"τ_{j + 1} [N m]")
+        axis.set_ylabel(f"τ_{j + 1} [{units[j]}]")
         axis.grid(alpha=0.25)
         axis.margins(x=0)
         # At a reversal the linearised uncertainty of the presliding angle is many times the friction itself.
@@ -234,8 +242,8 @@ def friction_figure(analysis: IdentificationResult) -> Figure:
         axis.grid(alpha=0.25)
         low, high = np.percentile(torque, [0.5, 99.5])
         axis.set_ylim(low - 0.2 * (high - low), high + 0.2 * (high - low))
-    figure.supxlabel("speed [rad/s or m/s]", fontsize=9)
-    figure.supylabel("torque [N m or N]", fontsize=9)
+    figure.supxlabel(f"speed [{one_unit(model.units('rad/s'))}]", fontsize=9)
+    figure.supylabel(f"torque [{one_unit(model.units('N m'))}]", fontsize=9)
     return figure
 
 
@@ -248,12 +256,13 @@ def friction_spread(analysis: IdentificationResult) -> tuple[list[str], list[lis
         curve = law.torque(points.speed[:, j, None])[:, 0]
         about, left = (float(np.std(points.torque[:, j] - of)) for of in (curve, points.modelled[:, j]))
         rows.append([j + 1, law.label, about, float(np.std(points.modelled[:, j] - curve)), left])
-    return ["joint", "law", "points about the line [N m or N]", "of that by load and reversals [N m or N]",
-            "left [N m or N]"], rows
+    unit = one_unit(model.units("N m"))
+    return ["joint", "law", f"points about the line [{unit}]", f"of that by load and reversals [{unit}]",
+            f"left [{unit}]"], rows
 
 
-def drift_figure(found: ControllerIdentification) -> Figure:
-    """Deviation of the simulated controller torque with the optimised and with the directly estimated k_I."""
+def drift_figure(found: ControllerIdentification, unit: str) -> Figure:
+    """Deviation of the simulated controller torque [``unit``] with the optimised and the directly estimated k_I."""
     figure, axes = _panels(found.measured.shape[1], 2.6, sharex=True)
     for j, axis in enumerate(axes):
         # Every sample of every joint: only axes and letters are drawn as vectors.
@@ -265,5 +274,5 @@ def drift_figure(found: ControllerIdentification) -> Figure:
         axis.grid(alpha=0.25)
     axes[0].legend(fontsize=8, frameon=False)
     figure.supxlabel("t [s]", fontsize=9)
-    figure.supylabel("simulated - measured [N m]", fontsize=9)
+    figure.supylabel(f"simulated - measured [{unit}]", fontsize=9)
     return figure

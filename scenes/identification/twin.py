@@ -26,6 +26,7 @@ from ideal_robot.identification.whole_model import IdentificationResult, identif
 from ideal_robot.model.arm_with_effects import changes_of
 from ideal_robot.model.cascade import SPREAD, Cascade
 from ideal_robot.model.model import Model
+from ideal_robot.results import one_unit
 from ideal_robot.robots.robot import Robot, spread_postures
 from ideal_robot.signals.preprocess import preprocess
 from ideal_robot.signals.recording import Recording
@@ -99,7 +100,8 @@ def twin_of(analysis: IdentificationResult, robot: Robot, name: str) -> Twin:
     ripples = fit_ripple(recordings, model, robot)
     bands, noise = residual_octaves(model.with_effects(ripples), recordings)
     table["current_noise"] = noise / motor_torque_limit(robot)
-    seen.append(f"noise of the torque: {_listed(noise)} N m")
+    unit = one_unit(robot.units("N m"))
+    seen.append(f"noise of the torque: {_listed(noise)} {unit}")
     table |= _encoder(model, robot, seen)
     table |= _ripple(ripples, robot)
     table |= _geometry(recordings, robot, (seen, assumed))
@@ -113,9 +115,9 @@ def twin_of(analysis: IdentificationResult, robot: Robot, name: str) -> Twin:
     own = _left_of(without, robot, name, recordings[0], len(bands))
     table["residual"] = np.sqrt(np.maximum(bands**2 - own**2, 0.0))
     seen.append("residual: "
-                f"{_listed(np.sqrt(np.sum(np.square(bands), axis=0)))} N m with its spectrum, of which "
-                f"{_listed(np.sqrt(np.sum(np.square(table['residual']), axis=0)))} N m are not what the identified law "
-                "leaves of the twin's own friction")
+                f"{_listed(np.sqrt(np.sum(np.square(bands), axis=0)))} {unit} with its spectrum, of which "
+                f"{_listed(np.sqrt(np.sum(np.square(table['residual']), axis=0)))} {unit} are not what the identified "
+                "law leaves of the twin's own friction")
     return Twin({key: _plain(value) for key, value in table.items()}, tuple(seen), tuple(assumed))
 
 

@@ -13,7 +13,7 @@ from scipy.signal import welch
 from ideal_robot.arrays import Array, interpolated
 from ideal_robot.identification.whole_model import IdentificationResult, identify_model
 from ideal_robot.model.parametrisation import joined
-from ideal_robot.results import Summarised, listed, plain
+from ideal_robot.results import Summarised, listed, one_unit, plain
 from ideal_robot.robots.size import FEWEST
 from ideal_robot.signals.recording import Recording
 from scenes.arms import arm_of
@@ -52,6 +52,11 @@ class TwinResult(Summarised):
         return [("torque, twin over measured", listed(self.rms[1] / self.rms[0])),
                 ("spectrum off by", listed(100.0 * self.spectrum, "%")),
                 ("seen", "; ".join(self.twin.seen)), ("assumed", "; ".join(self.twin.assumed) or "nothing")]
+
+    @property
+    def columns(self) -> list[str]:
+        """Titles of ``rows``."""
+        return [title.replace("N m", one_unit(self.analysis.model.units("N m"))) for title in COLUMNS]
 
     def rows(self) -> list[list[Any]]:
         """A row a joint: torques, their ratio, spectrum, and what identification leaves of both."""

@@ -14,6 +14,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.execution.precorrect import PrecorrectedPath, path_at_cycles, precorrect
 from ideal_robot.model.cascade import given_controller
 from ideal_robot.model.model import Model
+from ideal_robot.results import one_unit
 from ideal_robot.robots import SHIPPED
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
@@ -141,13 +142,14 @@ def table(result: PrecorrectedPath, measured: tuple[Array, Array] | None = None)
     """
     largest = np.max(np.abs(result.q_c - result.q_d), axis=0)
     after, before = result.expected_rms
-    columns = ["joint", "largest correction mrad", "expected error before mrad", "after mrad"]
+    unit = one_unit(result.units)
+    columns = ["joint", f"largest correction {unit}", f"expected error before {unit}", f"after {unit}"]
     values = [largest, before, after]
     if result.reach is not None:
-        columns += ["by the controller's spread from", "to mrad"]
+        columns += ["by the controller's spread from", f"to {unit}"]
         values += [result.reach.min(axis=0), result.reach.max(axis=0)]
     if measured is not None:
-        columns += ["played: error before mrad", "after mrad"]
+        columns += [f"played: error before {unit}", f"after {unit}"]
         values += [np.sqrt(np.mean(error**2, axis=0)) for error in measured[::-1]]
     return columns, [[i + 1, *(1e3 * float(value[i]) for value in values)] for i in range(result.q_d.shape[1])]
 
@@ -161,17 +163,18 @@ def write_page(result: PrecorrectedPath, path: Path, measured: tuple[Array, Arra
         measured: errors with the corrected path and without, where it was played ``(N, n)`` each [rad].
     """
     after, before = (1e3 * float(np.max(rms)) for rms in result.expected_rms)
+    unit = one_unit(result.units)
     report = Report(f"Corrected path for {result.robot_name}",
-                    f"Expected from the identified model: {after:.3f} mrad root mean square "
-                    f"on the worst joint with the corrected path, {before:.2f} mrad without."
+                    f"Expected from the identified model: {after:.3f} {unit} root mean square "
+                    f"on the worst joint with the corrected path, {before:.2f} {unit} without."
                     + ("" if result.reach is None else " The controller was not identified: within its spread the "
-                       f"corrected path leaves up to {1e3 * float(result.reach.max()):.2f} mrad."))
+                       f"corrected path leaves up to {1e3 * float(result.reach.max()):.2f} {unit}."))
     report.table(*table(result, measured))
     figure = Figure(figsize=(9.0, 4.0))
     axes = figure.add_subplot()
     for i in range(result.q_d.shape[1]):
         axes.plot(result.t, 1e3 * (result.q_c[:, i] - result.q_d[:, i]), lw=1, label=f"joint {i + 1}")
-    axes.set(xlabel="time [s]", ylabel="correction [mrad]")
+    axes.set(xlabel="time [s]", ylabel=f"correction [{unit}]")
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(fontsize=8, frameon=False, ncols=3)
     report.figure(figure, "Command minus desired position.")

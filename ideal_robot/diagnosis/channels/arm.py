@@ -39,9 +39,8 @@ def arm_angle_regression(recording: Recording, robot: Robot, torque: Regression,
     y = torque.filtered.decimate(np.where(there, bend, 0.0))
     W = np.tile(np.eye(n), (len(y), 1, 1))
     names = tuple(f"qa_{j + 1}" for j in range(n))
-    units = tuple("m" if unit == "N" else "rad" for unit in torque.units)
     without = {j + 1: "has no angle measured on the arm's side" for j in range(n) if not there[j]}
-    return dataclasses.replace(torque, channels=names, units=units, y=y, measured=y - y.mean(axis=0),
+    return dataclasses.replace(torque, channels=names, units=robot.units("rad"), y=y, measured=y - y.mean(axis=0),
                                W=W, use=np.tile(there, (len(y), 1)), noise_floor=noise_floor(y),
                                undecided={**torque.undecided, **without}, domain=ARM_POSITION,
                                absent=frozenset(int(j) for j in np.flatnonzero(~there)))

@@ -87,9 +87,8 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     use, undecided = _counting_rows(recording, filtered, noise_velocity, robot)
     measured = filtered.decimate(filtered.tau)
     noise, prismatic = noise_floor(recorded.tau, 1.0 / recorded.factor), tuple(map(bool, robot.prismatic))
-    units = tuple("N" if slides else "N m" for slides in prismatic)
-    made = Regression(filtered.t_decimated - filtered.t[0], tuple(f"tau_{j + 1}" for j in range(n)), units,
-                      measured, measured, W, use, signals, filtered, undecided, noise, prismatic)
+    made = Regression(filtered.t_decimated - filtered.t[0], tuple(f"tau_{j + 1}" for j in range(n)),
+                      robot.units("N m"), measured, measured, W, use, signals, filtered, undecided, noise, prismatic)
     made = with_reversal_width(made, model, noise_velocity if reversal_width is None else reversal_width)
     return made if shared else replace(made, W=_own_copies(made.W))
 

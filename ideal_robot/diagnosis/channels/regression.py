@@ -162,8 +162,7 @@ def moving_samples(t: Array, q: Array, qd: Array, v_small: Array, rest: float,
         turns = int(np.sum(np.diff(np.sign(qd[moving[:, j], j])) != 0))
         noise_travel = 20.0 * v_small[j] * dt
         if seconds < 2.0 or travel < max(noise_travel, 0.004 if robot.prismatic[j] else 0.02):
-            unit = "m" if robot.prismatic[j] else "rad"
-            undecided[j + 1] = (f"moves only {seconds:.1f} s over {travel:.2g} {unit}; "
+            undecided[j + 1] = (f"moves only {seconds:.1f} s over {travel:.2g} {robot.units('rad')[j]}; "
                                 "at least 2 s and 0.02 rad (4 mm) are needed")
         elif turns < 2:
             undecided[j + 1] = f"reverses {turns} times; at least two reversals tell friction from gravity and offset"

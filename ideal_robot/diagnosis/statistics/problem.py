@@ -21,9 +21,11 @@ from ideal_robot.diagnosis.channels.regression import FEWEST, Regression
 from ideal_robot.diagnosis.statistics.least_squares import ROUNDING, Fit, HeldOutTest, weights_of_channels
 from ideal_robot.dynamics.base_parameters import consistent_parameters
 from ideal_robot.effects import Effect, FittedEffect
+from ideal_robot.effects.kinematics import GeometryChange
 from ideal_robot.friction import PerJointFriction
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import friction_places, parameter_vector
+from ideal_robot.robots.robot import sliding_unit
 from ideal_robot.signals.preprocess import decimated_columns
 
 
@@ -96,7 +98,7 @@ class Estimate:
                 for c, own in zip(effects, self.coefficients, strict=True)]
 
 
-def fitted_effect(candidate: Candidate, found: Estimate, k: int, *, sliding: bool = False,
+def fitted_effect(candidate: Candidate, found: Estimate, k: int, prismatic: Sequence[bool], *,
                   evidence: Mapping[str, Any] | None = None) -> FittedEffect:
     """An effect with its numbers, ready for a model file.
 
@@ -104,23 +106,31 @@ def fitted_effect(candidate: Candidate, found: Estimate, k: int, *, sliding: boo
         candidate: effect, joint and theta.
         found: the joint fit, with uncertainty.
         k: its place among the effects of that fit.
-        sliding: whether its joint slides, so that its parameters are in metres and newtons.
+        prismatic: which joints slide, so that parameters of theirs are in metres and newtons ``(n,)``.
         evidence: for ``FittedEffect``.
     """
     effect, theta = candidate.effect, tuple(float(v) for v in candidate.theta)
     theta_std = tuple(float(v) for v in found.theta_std[k])
     parameters = effect.parameters(found.coefficients[k], found.std[k], theta, theta_std)
-    if sliding:
-        parameters = [replace(p, unit=p.unit.replace("N m", "N").replace("kg m²", "kg").replace("rad", "m"))
-                      for p in parameters]
+    # Geometry and curves are in units of their own, all else in those of its joint.
+    own = candidate.joint > 0 and not (isinstance(effect, GeometryChange) or effect.learned)
+    if own and prismatic[candidate.joint - 1]:
+        parameters = [replace(p, unit=sliding_unit(p.unit)) for p in parameters]
     return FittedEffect(effect.name, candidate.joint, effect.channel(candidate.joint),
                         tuple(float(v) for v in found.coefficients[k]), tuple(float(v) for v in found.std[k]), theta,
                         theta_std, effect.to_data(), tuple(parameters), evidence or {})
 
 
-def fitted_effects(candidates: Sequence[Candidate], found: Estimate) -> tuple[FittedEffect, ...]:
-    """All effects of a fit, in their order, with their numbers."""
-    return tuple(fitted_effect(candidate, found, k) for k, candidate in enumerate(candidates))
+def fitted_effects(candidates: Sequence[Candidate], found: Estimate, prismatic: Sequence[bool]
+                   ) -> tuple[FittedEffect, ...]:
+    """All effects of a fit, in their order, with their numbers.
+
+    Args:
+        candidates: effects, joints and theta.
+        found: the joint fit.
+        prismatic: which joints slide ``(n,)``.
+    """
+    return tuple(fitted_effect(candidate, found, k, prismatic) for k, candidate in enumerate(candidates))
 
 
 def with_parameters(model: Model, change: Array, covariance: Array | None = None) -> Model:

@@ -19,7 +19,6 @@ from ideal_robot.diagnosis.validation.transfer import deciding
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION, EffectParameter, FittedEffect, Signals, library
 from ideal_robot.effects.base import REACH
 from ideal_robot.effects.fitted import Unknown
-from ideal_robot.effects.kinematics import GeometryChange
 
 
 def discriminating_motion(name: str, rivals: tuple[str, ...]) -> str:
@@ -230,7 +229,8 @@ class DomainDiagnosis:
             why = ("it has a sign or a size that physics does not allow" if not allowed
                    else "it is how friction goes through standstill, at the end of what was searched" if near
                    else "it is not distinguished from none")
-            said = ", ".join(p.text for p in fitted_effect(candidate, widened, k).parameters)
+            numbers = fitted_effect(candidate, widened, k, self.reported.prismatic).parameters
+            said = ", ".join(p.text for p in numbers)
             return k, self._not_added(k, f"in the fit of everything together {why} ({said})")
         return None
 
@@ -341,10 +341,7 @@ class DomainDiagnosis:
         evidence = {"p_value": choice.p_value, "rms_before": before, "rms_after": after,
                     "indistinguishable_from": list(rivals), "transfers": transfers, "recording": self.source,
                     "share": choice.share, "share_asked": choice.asked}
-        # Geometry and curves are in units of their own, all else in those of its joint.
-        own = choice.joint > 0 and not (isinstance(effect, GeometryChange) or effect.learned)
-        sliding = own and self.reported.prismatic[choice.joint - 1]
-        fitted = fitted_effect(choice, self._widened, k, sliding=sliding, evidence=evidence)
+        fitted = fitted_effect(choice, self._widened, k, self.reported.prismatic, evidence=evidence)
         fitted = with_limits(fitted, choice, self.problem.regression.signals)
         names = tuple(effect.signals_of(choice.joint)) if isinstance(effect, Unknown) else ()
         return FoundEffect(fitted, before, after, choice.p_value, rivals, discriminating_motion(effect.name, rivals),

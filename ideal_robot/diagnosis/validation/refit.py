@@ -260,7 +260,8 @@ def named_sensor_effects(recording: Recording, robot: Robot, model: Model,
         if made is not None:
             candidates = [Candidate(effect, 0) for name in names for effect in _named(name, SENSOR)
                           if effect.usable(made.signals, 0)]
-            result += fitted_effects(candidates, Problem.of(made, False).fit(candidates, uncertainty=True))
+            found = Problem.of(made, False).fit(candidates, uncertainty=True)
+            result += fitted_effects(candidates, found, made.prismatic)
     return tuple(result)
 
 
@@ -284,7 +285,7 @@ def _together(problem: Problem, wanted: Sequence[tuple[Sequence[Effect], int]]) 
             raise InputError("the effect has nothing to start from in this recording", field="effect",
                              value=kinds[0].name)
         chosen.append(best[1])
-    return fitted_effects(chosen, problem.fit(chosen, uncertainty=True))
+    return fitted_effects(chosen, problem.fit(chosen, uncertainty=True), regression.prismatic)
 
 
 def _starts(problem: Problem, effect: Effect, joint: int, beside: Sequence[Candidate]) -> Sequence[tuple[float, ...]]:

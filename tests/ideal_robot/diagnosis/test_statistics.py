@@ -13,7 +13,7 @@ from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.search.choice import likelier
 from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms
 from ideal_robot.diagnosis.statistics.least_squares import LEFT_OUT, Fit, HeldOutTest
-from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
+from ideal_robot.diagnosis.statistics.problem import Candidate, Problem, fitted_effects
 from ideal_robot.effects import library
 from ideal_robot.effects.registry import find
 from ideal_robot.model.model import Model
@@ -245,6 +245,12 @@ def test_the_lower_half_of_the_band_gives_the_same_numbers_where_nothing_else_is
     assert np.std(slow.products.y.values) < np.std(problem.products.y.values)
     size = slow.fit([ripple()]).coefficients[0]
     assert size == pytest.approx([0.4, 0.0], abs=0.05)
+
+
+def test_parameters_of_a_joint_that_slides_are_in_its_units(problem):
+    found = problem.fit([ripple()], uncertainty=True)
+    turning, sliding = (fitted_effects([ripple()], found, [slides])[0].parameters[0] for slides in (False, True))
+    assert (turning.unit, sliding.unit) == ("N m", "N")
 
 
 def test_held_parameters_leave_their_changes_to_effects(problem):

@@ -26,6 +26,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes import cli
 from scenes.identification.own_model import identified_model
+from scenes.identification.page import identification_page
 from scenes.identification.plan import fourier_commands
 from scenes.identification.twin import Twin, behind_gears, played_again
 from scenes.identification.twin_play import TwinResult, make_twin, twin_text
@@ -240,6 +241,13 @@ def test_a_twin_plays_the_recorded_torque(made: TwinResult) -> None:
     np.testing.assert_allclose(made.rms[1], made.rms[0], rtol=0.05)
     assert np.all(made.spectrum < 0.1)
     np.testing.assert_allclose(made.left[1], made.left[0], rtol=0.3)
+
+
+def test_of_an_axis_that_slides_forces_are_in_newtons(made: TwinResult, tmp_path: Path) -> None:
+    page = identification_page(made.analysis).write(tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "k_P [N/m]" in page
+    assert "[N m" not in page
+    assert made.columns[1] == "torque measured [N]"
 
 
 def test_what_the_recording_tells_comes_back(made: TwinResult) -> None:

@@ -338,7 +338,9 @@ def test_a_planned_motion_is_a_path_too(tmp_path):
 
 def test_limits_that_nobody_knows_are_said_not_to_be_checked():
     q, model = motion(lead=2), Model.load(MODEL)
-    assert precorrect(T * np.arange(len(q)), q, model, ROBOT).warnings == ()
+    result = precorrect(T * np.arange(len(q)), q, model, ROBOT)
+    assert (result.warnings, result.units) == ((), ("mrad",) * 6)
+    assert table(replace(result, units=("mm",) * 6))[0][1] == "largest correction mm"
     a_max = ROBOT.a_max.copy()
     a_max[1:3] = np.inf
     (warning,) = precorrect(T * np.arange(len(q)), q, model, replace(ROBOT, a_max=a_max)).to_dict()["warnings"]
