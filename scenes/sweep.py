@@ -187,9 +187,12 @@ def play(job: Job) -> dict[str, Any]:
     try:
         scene = chosen(_scene(job.scene), speed=job.speed, seed=job.seed, individual=job.individual,
                        world=job.world)
-        answer |= {"scene": scene.name, "speed_m_s": getattr(scene, "speed", None), "seed": scene.seed}
-        result = kind_of(scene).run(scene, method=job.method, out=None, progress=silent)
-        return {**answer, **result.json(), **identity(scene), "failure": result.failure}
+        kind, method = kind_of(scene), job.method or getattr(scene, "method", None)
+        # Said before it is played, so that a run which fails is known as the one that did not.
+        answer |= {**scene.played(), "speed_m_s": getattr(scene, "speed", None), **identity(scene),
+                   "method": method and method_of(method, kind.methods()).key}
+        result = kind.run(scene, method=job.method, out=None, progress=silent)
+        return {**answer, **result.json(), "failure": result.failure}
     except IdealRobotError as error:
         return {**answer, "failure": str(error)}
     except MemoryError:

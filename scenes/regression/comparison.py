@@ -186,12 +186,14 @@ def _of_case(label: str, group: pd.DataFrame, names: Sequence[str], figures: Seq
     sides = set(group["_merge"])
     if sides != {"both"} and "both" not in sides:
         side = "the new results" if sides == {"left_only"} else "the earlier ones"
-        return [Row(label, "", why=f"{side} have no such run; --update-baseline takes the cases of today")]
+        return [Row(label, "", why=f"{side} have no such run; --update-baseline takes the cases of today"),
+                *_failures(label, group.loc[group["_merge"] == "right_only", "failure after"])]
     both = group[group["_merge"] == "both"]
     for name, what in (("task_hash", "scene"), ("world_hash", "simulated world")):
         old, new = both[f"{name} before"], both[f"{name} after"]
         if ((old != new) & old.notna() & new.notna()).any():
-            return [Row(label, "", why=f"its {what} has changed; make a new baseline (--update-baseline)")]
+            return [Row(label, "", why=f"its {what} has changed; make a new baseline (--update-baseline)"),
+                    *_failures(label, both["failure after"])]
     ran = both[both["failure before"].isna() & both["failure after"].isna()]
     alike = len(ran) > 1 and bool((ran[[name for name in ran if str(name).rpartition(" ")[0] in numbers]]
                                    .nunique(dropna=False) == 1).all())

@@ -22,7 +22,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from scenes import workers
 from scenes.commands.common import numbers, whole_numbers
-from scenes.regression.results import RunSet, read_results
+from scenes.regression.results import CASE, RunSet, read_results
 from scenes.scene_file import load_scene
 from scenes.scene_files.scene import Scene
 from scenes.sweep import Job, SweepFile, jobs, play, sweep
@@ -106,6 +106,10 @@ def test_a_scene_that_cannot_be_played_is_a_row_with_its_reason() -> None:
     row = play(Job("line", None, 50.0, None))
     assert row["scene"] == "line"
     assert "speed" in row["failure"]
+    row = play(Job("iso9283_3", None, 5.0, None))
+    # Without its method and world it is no case of the baseline, and a broken program passes its check.
+    assert [row[name] for name in CASE] == ["iso9283_3", "kr15", 1, "bench", 5.0, "ideal"]
+    assert "too short for this speed" in row["failure"]
     row = play(Job("line", "magic", None, None))
     assert "method" in row["failure"]
 

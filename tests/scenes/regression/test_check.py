@@ -381,6 +381,14 @@ def test_a_suite_whose_runs_all_fail_fails_and_says_why(program: Any, suite: Pat
     assert "3 of 3 runs gave no figure: line lost" in (tmp_path / "out/check_suite/comparison.md").read_text()
 
 
+@pytest.mark.parametrize("change", [{"speed_m_s": 0.5}, {"task_hash": "another"}])
+def test_a_case_that_cannot_be_compared_fails_where_none_of_its_runs_succeeds(change: dict[str, Any]) -> None:
+    before, after = (Results.of([run_of(scene="other"), run_of(**{"task_hash": "one", **more})], "runs")
+                     for more in ({}, {**change, "failure": "line lost"}))
+    assert compared(before, after).verdict == FAILED
+    assert compared(after, before).verdict == NOT_COMPARABLE
+
+
 def test_runs_that_fail_as_before_are_told_and_the_others_decide() -> None:
     results = runs(0)
     results.runs.loc[3, "failure"] = "line lost"
