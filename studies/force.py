@@ -119,7 +119,7 @@ def forecast_gains(speed: float = 0.2, stiffness: float = 20.0, hertz: str = "2,
     for length in LENGTHS:
         gains = []
         for f in numbers(hertz, "--hertz"):
-            kalman, forecast = DeviationFilter(SmoothSurface(length), confirm=0), np.zeros(len(times))
+            kalman, forecast = DeviationFilter(SmoothSurface(length)), np.zeros(len(times))
             for k, t in enumerate(times):
                 z, s = 0.1 * noise * np.sin(2 * np.pi * f * t), np.array([speed * t])
                 kalman.update(Measurement(t, s, np.array([z]), np.array([[noise**2]]), np.array([[0.0, 1.0]]), "force",

@@ -46,7 +46,7 @@ Errors = tuple[float, float, float]
 
 def surface_filter(errors: Errors) -> FilterBank:
     """Of a surface of which nothing is known but that it is smooth."""
-    return FilterBank([DeviationFilter(model, biases={"force": errors}, confirm=0) for model in surfaces()])
+    return FilterBank([DeviationFilter(model, biases={"force": errors}) for model in surfaces()])
 
 
 class SurfaceFollower:

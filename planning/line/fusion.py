@@ -105,14 +105,15 @@ class DeviationFilter:
         biases: for each sensor the standard deviations of its errors :math:`\beta`.
         gate: bound for single values, in standard deviations.
         significance: probability with which a good measurement is left out.
-        confirm: measurements until a rival hypothesis takes over; 0 for never.
+        confirm: measurements until a rival hypothesis takes over; 0 for never. Models that drift have none: of two
+            sensors along one surface the one that agrees with itself would always outvote the other.
         moved: for each sensor that may be knocked, the standard deviations of its errors after that.
     """
 
     def __init__(self, model: DeviationModel, *, biases: Mapping[str, tuple[float, ...]] | None = None,
                  gate: float = 4.0, significance: float = 1e-4, confirm: int = 10,
                  moved: Mapping[str, tuple[float, ...]] | None = None) -> None:
-        self.model, self._gate, self._confirm = model, gate, confirm
+        self.model, self._gate, self._confirm = model, gate, 0 if model.drifts else confirm
         self._bias_at: dict[str, slice] = {}
         size, variances = model.size, []
         for sensor, sigmas in (biases or {}).items():

@@ -39,8 +39,6 @@ from sensing.force.sensors import ForceSensor, WrenchSample
 
 KNOWN = 1e-6
 """Standard deviation of a relative error that is not estimated."""
-CONFIRM = 0
-"""No rival hypotheses: with two sensors one that agrees would always outvote the other."""
 
 
 def glue_fusion(cell: Known) -> Callable[[Errors], FilterBank]:
@@ -54,7 +52,7 @@ def glue_fusion(cell: Known) -> Callable[[Errors], FilterBank]:
 
     def made(errors: Errors) -> FilterBank:
         biases = {"camera": camera, "force": errors}
-        return FilterBank([DeviationFilter(model, biases=biases, confirm=CONFIRM) for model in surfaces(across)])
+        return FilterBank([DeviationFilter(model, biases=biases) for model in surfaces(across)])
 
     return made
 

@@ -222,6 +222,15 @@ def test_map_that_was_wrong_is_replaced_when_the_sensor_insists() -> None:
     assert fusion.deviation(np.array([0.2]))[0][0, 0] == pytest.approx(0.006, abs=1e-4)
 
 
+def test_a_surface_under_the_tool_has_no_rival() -> None:
+    """A rival neither goes along with the tool nor back to a late measurement."""
+    fusion, up = DeviationFilter(SmoothSurface(0.065), confirm=3), np.array([[0.0, 1.0]])
+    got = [fusion.update(points(0.02 * k, np.full(1, 0.002 * k), np.full(1, 0.0 if k < 20 else 0.05), direction=up,
+                                at=0.002 * k)) for k in range(40)]
+    assert not any(one.dof for one in got[20:])
+    assert "map replaced" not in {one.reason for one in got}
+
+
 @settings(max_examples=30, deadline=None)
 @given(st.floats(0.2, np.pi - 0.2), st.floats(-np.pi, np.pi))
 def test_two_sensors_need_not_be_orthogonal(between: float, first: float) -> None:
