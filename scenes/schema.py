@@ -228,8 +228,9 @@ def _allowed(field: Any) -> str:
 def _plain_type(text: str) -> str:
     text = re.sub(r"typing\.|<class '|'>|scenes\.[\w.]+\.", "", text)
     text = re.sub(r"Literal\[(.*?)\]", lambda found: " or ".join(found[1].split(", ")), text)
-    words = {"float": "number", "int": "whole number", "str": "text", "bool": "true or false", "None": "nothing",
-             "PerJoint": "number or one per joint", "dict[text, Any]": "table", "pathlib.Path": "path"}
+    words = {"Annotated[float, Gt(gt=0)]": "positive number", "float": "number", "int": "whole number", "str": "text",
+             "bool": "true or false", "None": "nothing", "PerJoint": "number or one per joint",
+             "dict[text, Any]": "table", "pathlib.Path": "path"}
     for word, plain in words.items():
         text = re.sub(rf"\b{re.escape(word)}(?!\w)", plain, text)
     return re.sub(r"tuple\[(.*?)\]", lambda found: f"list ({found[1]})", text).replace(" | ", " or ")
