@@ -124,7 +124,6 @@ class Effect(ABC):
         name: of the cause, key in files and tables; the same cause may have a class for each place where it shows.
         domain: where it acts: one of ``MOTOR_TORQUE``, ``ARM_POSITION``, ``TCP_POSITION``, ``SENSOR``.
         prefix: first part of the name of the channel it is reported in; that of the domain if empty.
-        in_several: whether the class is of channels of several prefixes, and an object of one of them.
         theta_names, theta_units: nonlinear parameters.
         coefficient_names, coefficient_units: linear coefficients, one per column of ``columns``.
         absorbed_by_base: whether an ordinary identified model already has a parameter of the same form, so that the
@@ -147,7 +146,6 @@ class Effect(ABC):
     name: ClassVar[str]
     domain: Domain = MOTOR_TORQUE
     prefix: str = ""
-    in_several: ClassVar[bool] = False
     theta_names: ClassVar[tuple[str, ...]] = ()
     theta_units: ClassVar[tuple[str, ...]] = ()
     coefficient_names: ClassVar[tuple[str, ...]] = ("gain",)
@@ -165,9 +163,9 @@ class Effect(ABC):
 
     @classmethod
     def seen_in(cls, prefix: str) -> Self:
-        """The effect as it shows in the channels of a prefix."""
+        """The effect as it shows in the channels of a prefix, where a class is of several."""
         effect = cls()
-        if cls.in_several:
+        if effect.channel_prefix != prefix:
             effect.prefix, effect.domain = prefix, domain_of(prefix.partition("_")[0])
         return effect
 

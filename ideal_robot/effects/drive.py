@@ -297,7 +297,7 @@ class LateMeasurement(DeadTime):
     The channels of all arm angles alike are ``qa_all``.
     """
 
-    domain, in_several = ARM_POSITION, True
+    domain = ARM_POSITION
     longest = 0.1
 
     def joints(self, signals: Signals) -> Iterator[int]:

@@ -40,7 +40,6 @@ class GearEffect(Effect):
     on ``q_a``: ``delta tau = tau_rigid(q - bend, …) - tau_rigid(q, …)`` on all joints, to first order in the bend.
     """
 
-    in_several = True
     slow: ClassVar[float] = 2.5
     """The position filter lets pass all of the band that is looked at; the load counts up to two thirds of that."""
 

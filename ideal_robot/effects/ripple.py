@@ -123,7 +123,7 @@ class TransmissionError(TorqueRipple):
     """``q_a - q = a cos(k q) + b sin(k q)``: as ``torque_ripple``, of the position instead of the torque."""
 
     name = "transmission_error"
-    domain, in_several = ARM_POSITION, True
+    domain = ARM_POSITION
     coefficient_units = ("rad", "rad")
     # Fewer are how bodies bend a gear over the range.
     least_periods = _FEW
