@@ -16,7 +16,14 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots import SHIPPED
 from ideal_robot.robots.robot import UNKNOWN_DRIVE_GAIN, Robot
 from ideal_robot.signals.error_budget import at_sampling_instants
-from ideal_robot.signals.plausible import only_numbers, plausible, require_joint_units, require_metres
+from ideal_robot.signals.plausible import (
+    MOST_LEFT_OUT,
+    only_numbers,
+    plausible,
+    require_joint_units,
+    require_metres,
+    without_spikes,
+)
 from ideal_robot.signals.recording import Recording
 
 _MINIMUM_DURATION = 1.0
@@ -126,7 +133,9 @@ def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
 
 
 def _with_commands(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
-    """The recording without the samples whose commands are no numbers, and what is wrong with the commands.
+    """The recording without the samples whose commands are no numbers or spikes, and what is wrong with the commands.
+
+    A model has the controllers of all joints or of none: commands that one joint lacks are left out.
 
     Raises:
         InputError: degrees, or commands that are farther from their joint's motion than standing still is.
@@ -135,11 +144,19 @@ def _with_commands(recording: Recording, robot: Robot) -> tuple[Recording, list[
     missing = [name for name in names if name not in recording.columns]
     if len(missing) == robot.n:
         return recording, []
-    if missing:
-        return recording, [f"no-controller: {missing[0]} is missing; {names[0]} to {names[-1]} are needed"]
+    gone = {name: float(np.mean(~np.isfinite(recording.columns[name]))) for name in names if name not in missing}
+    empty = [f"{name} has no number in {100 * share:.0f} % of the samples" for name, share in gone.items()
+             if share > MOST_LEFT_OUT]
+    if missing or empty:
+        why = "; ".join([f"{name} is missing" for name in missing] + empty)
+        others = {name: values for name, values in recording.columns.items() if name not in names}
+        return replace(recording, columns=others), [f"no-controller: {why}; {names[0]} to {names[-1]} are needed"]
     recording, warnings = only_numbers(recording, names)
-    q_c, q = recording.joints("q_c"), recording.joints("q")
+    q_c = recording.joints("q_c")
     require_joint_units(np.quantile(q_c, _NEARLY_ALL, axis=0), robot, file=recording.source, column="q_c")
+    recording, spikes = without_spikes(recording, names)
+    warnings += spikes
+    q_c, q = recording.joints("q_c"), recording.joints("q")
     left, motion = np.std(q_c - q, axis=0), np.std(q, axis=0)
     for j in np.flatnonzero((left > motion) & (np.ptp(q, axis=0) > STILL) & (np.ptp(q_c, axis=0) > STILL)):
         raise InputError(f"the joint does not follow this command: they differ by {left[j]:.3g} (standard deviation), "

@@ -13,6 +13,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.friction import CubeRoot
+from ideal_robot.identification.checks import checked
 from ideal_robot.identification.closed_loop_fit import LinearLoopFit, fit_controller, identify_linear_loop
 from ideal_robot.identification.controller import ControllerIdentification, identify_controller
 from ideal_robot.identification.friction_choice import WarmUp, fit_warm_up
@@ -168,6 +169,7 @@ def identify_model(recordings: Recording | Sequence[Recording], robot: Robot, *,
         recordings_of(given, name) for given, name in ((recordings, "recordings"), (validation, "validation"),
                                                        (without_integrator, "without_integrator")))
     (recordings, shortened), (validation, _) = stretches(recordings), stretches(validation)
+    pd_only, of_pd = checked(without_integrator, robot, commands=True)
     steps = Steps(progress, SHARES_WITH_CASCADE if cascade else SHARES)
     steps.begin("friction and rigid body")
     two_step = None
@@ -176,16 +178,15 @@ def identify_model(recordings: Recording | Sequence[Recording], robot: Robot, *,
                           cutoff_decimation=cutoff_decimation)
     else:
         result, two_step = identify_two_step(recordings, robot, validation=validation, friction=friction)
-    warnings = [*shortened, *result.warnings]
+    warnings = [*shortened, *result.warnings, *of_pd]
     steps.begin("controller")
     commanded = [r for r in result.recordings if r.has("q_c")]
-    controller, model = _with_controller(commanded, without_integrator, robot, result.model, warnings, cascade)
+    controller, model = _with_controller(commanded, pd_only, robot, result.model, warnings, cascade)
     loop = _linear_loop(commanded, robot, warnings)
     missing = _missing_of_the_loop(controller, loop, commanded, robot)
-    model, unknown = _with_stiffness(model, [r for r in result.recordings if r.has("qa")])
-    missing += unknown
+    model, more = _with_stiffness(model, [r for r in result.recordings if r.has("qa")])
     return IdentificationResult(model, result, controller, two_step, result.recordings, result.unseen, tuple(warnings),
-                                tuple(missing), loop, _warm_up(model, result), joint_verdicts(model, result, robot))
+                                (*missing, *more), loop, _warm_up(model, result), joint_verdicts(model, result, robot))
 
 
 def with_given_controller(analysis: IdentificationResult, wanted: str | Path, robot: Robot) -> IdentificationResult:

@@ -134,21 +134,8 @@ def plausible(recording: Recording, positions: Sequence[str], torques: Sequence[
     """
     recording, warnings = only_numbers(recording, ["t", *positions, *torques])
     warnings += text_columns(recording) + checked_time(recording.t, recording.source)
-    bad = np.zeros(len(recording.t), dtype=bool)
-    found: dict[str, NDArray[np.bool_]] = {}
-    for name in positions:
-        found[name] = _position_spikes(recording.columns[name], recording.t)
-    for name in torques:
-        found[name] = _torque_spikes(recording.columns[name])
-    for name, here in found.items():
-        if here.any():
-            first = int(np.argmax(here))
-            warnings.append(f"spike: {np.count_nonzero(here)} samples of {name} that cannot be are left out (first at "
-                            f"t = {recording.t[first]:.6g} s: {recording.columns[name][first]:.4g})")
-            bad |= here
-    if bad.any():
-        worst = max(found, key=lambda name: np.count_nonzero(found[name]))
-        recording = _without(recording, bad, worst, "are spikes")
+    recording, spikes = without_spikes(recording, positions, torques)
+    warnings += spikes
     for name in positions:
         _refuse_jump(recording, name)
     recording, stuck = _moving_channels(recording, positions, torques)
@@ -164,6 +151,33 @@ def plausible(recording: Recording, positions: Sequence[str], torques: Sequence[
             raise InputError(f"a tenth of the values is beyond {usual:.3g}, and the drive gives {most:.3g} N m; check "
                              "the column's unit and the drive gain", file=recording.source, field=name,
                              value=f"{usual:.3g}")
+    return recording, warnings
+
+
+def without_spikes(recording: Recording, positions: Sequence[str], torques: Sequence[str] = ()
+                   ) -> tuple[Recording, list[str]]:
+    """The recording without samples that lie far from those before and behind them, and a warning for each column.
+
+    Args:
+        recording: with numbers in all of these columns.
+        positions: columns of joint positions or commands ``(N,)`` [rad, m].
+        torques: columns of torques, currents or forces ``(N,)``.
+
+    Raises:
+        InputError: more than ``MOST_LEFT_OUT`` is bad.
+    """
+    found = {name: _position_spikes(recording.columns[name], recording.t) for name in positions}
+    found |= {name: _torque_spikes(recording.columns[name]) for name in torques}
+    warnings, bad = [], np.zeros(len(recording.t), dtype=bool)
+    for name, here in found.items():
+        if here.any():
+            first = int(np.argmax(here))
+            warnings.append(f"spike: {np.count_nonzero(here)} samples of {name} that cannot be are left out (first at "
+                            f"t = {recording.t[first]:.6g} s: {recording.columns[name][first]:.4g})")
+            bad |= here
+    if bad.any():
+        worst = max(found, key=lambda name: np.count_nonzero(found[name]))
+        recording = _without(recording, bad, worst, "are spikes")
     return recording, warnings
 
 

@@ -13,6 +13,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.friction import ViscousCoulomb
 from ideal_robot.identification.checks import checked, require_motion
 from ideal_robot.identification.idim import identify
+from ideal_robot.identification.whole_model import identify_model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import lowpass, preprocess
 from ideal_robot.signals.recording import Recording
@@ -277,6 +278,15 @@ def test_commands_are_checked_where_they_are_used(good: Recording) -> None:
     assert "10 samples with NaN (first in q_c_2)" in warning
     _, (warning,) = checked([changed(whole, q_c_4=None)], robot(), commands=True)
     assert warning.startswith("no-controller: q_c_4 is missing")
+    torn = np.array(whole.columns["q_c_2"])
+    torn[100] += 3.0
+    (used,), (warning,) = checked([changed(whole, q_c_2=torn)], robot(), commands=True)
+    np.testing.assert_array_equal(used.t, np.delete(whole.t, 100))
+    assert warning.startswith("spike: 1 samples of q_c_2")
+    torn[1000:] = np.nan
+    (used,), (warning,) = checked([changed(whole, q_c_2=torn)], robot(), commands=True)
+    assert warning.startswith("no-controller: q_c_2 has no number in")
+    assert used.joints("tau").shape == whole.joints("tau").shape
 
 
 def test_commands_in_degrees_or_of_another_joint_are_refused(good: Recording) -> None:
@@ -287,3 +297,6 @@ def test_commands_in_degrees_or_of_another_joint_are_refused(good: Recording) ->
     with pytest.raises(InputError, match="q_c_2: the joint does not follow this command"):
         checked([changed(good, **{**led, "q_c_2": led["q_c_3"], "q_c_3": led["q_c_2"]})], robot(), commands=True)
     assert checked([changed(good, **degrees)], robot())[1] == []
+    of_pd = changed(good, **led, **{f"q_{i + 1}": np.degrees(good.columns[f"q_{i + 1}"]) for i in range(6)})
+    with pytest.raises(InputError, match="degrees"):
+        identify_model(good, robot(), without_integrator=of_pd)
