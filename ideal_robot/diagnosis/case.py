@@ -45,7 +45,7 @@ class Case:
     @property
     def stiffness(self) -> Array | None:
         """Of the gears as far as the given model knows it ``(n,)`` [N m/rad]."""
-        return None if self.given is None else self.given.stiffness
+        return None if self.given is None else self.given.known_stiffness
 
     def torque_regression(self, recording: Recording, model: Model, *, cutoff: float | None = None,
                           reversal_width: Array | None = None) -> Regression:
@@ -61,6 +61,17 @@ class Case:
                                  shared=self.shared, reversal_width=reversal_width, payload=self.given is not None)
         made = without_dead_channels(made, self.dead)
         return made if self.shared else in_own_units(made)
+
+
+def joints_share(recording: Recording, robot: Robot, model: Model | None) -> bool:
+    """Whether joints share inertias: not where torques are made of currents without known gains, and so in amperes.
+
+    Args:
+        recording: as it was read; checks add the torques.
+        robot: the arm.
+        model: that was given, in the recording's units, or None.
+    """
+    return model is not None or recording.has("tau") or robot.knows_drive_gains or robot.n == 1
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.diagnosis import stages
-from ideal_robot.diagnosis.case import Case, Findings, unlike
+from ideal_robot.diagnosis.case import Case, Findings, joints_share, unlike
 from ideal_robot.diagnosis.channels.regression import rms, unused_columns
 from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.diagnosis.search.forward_selection import Only
@@ -188,13 +188,12 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
     steps.begin(_READING)
     if model is not None:
         model.require_arm(robot)
-    # Torques made of currents without known gains are in amperes: then joints must not share inertias.
-    amperes = not recording.has("tau") and not robot.knows_drive_gains and robot.n > 1
+    shared = joints_share(recording, robot, model)
     recording, validate, warnings = _usable(recording, validate, robot)
     known = [finding for one in (recording, validate) if one is not None for finding in channel_findings(one)]
     warnings += [finding.warning for finding in known]
     case = Case(recording, robot, model, validate, options or Options(), progress,
-                shared=model is not None or not amperes, only=only, dead=tuple(dead_joints(tuple(known))),
+                shared=shared, only=only, dead=tuple(dead_joints(tuple(known))),
                 cutoff=cutoff, explain=explain)
     case, found = _prepared(case, warnings)
     if len(found.problem.regression.undecided) == robot.n:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis import stages
-from ideal_robot.diagnosis.case import Case, Findings
+from ideal_robot.diagnosis.case import Case, Findings, joints_share
 from ideal_robot.diagnosis.channels.arm import position_regressions
 from ideal_robot.diagnosis.channels.motor_torque import in_position_band
 from ideal_robot.diagnosis.next_motion.motion import Foresight, MotionSearch, Part, played
@@ -155,10 +155,9 @@ def plan_diagnosis(recording: Recording, robot: Robot, questions: Open, *, model
     if model is not None:
         model.require_arm(robot)
     options = options or Options()
+    shared = joints_share(recording, robot, model)
     (recording,), _ = checked([recording], robot)
-    amperes = not recording.has("tau") and not robot.knows_drive_gains and robot.n > 1
-    case = Case(recording, robot, model, None, options, silent,
-                shared=model is not None or not amperes, only=None)
+    case = Case(recording, robot, model, None, options, silent, shared=shared, only=None)
     progress(0.02, "the recording")
     found = stages.prepared(case, ())
     if len(found.problem.regression.undecided) < robot.n:

@@ -154,6 +154,18 @@ def test_undecided_joint_is_made_to_move():
     assert {pair.rival for pair in plan.pairs} == {""}
 
 
+def test_currents_without_known_gains_are_planned_for_in_their_own_units(planned):
+    """Each joint has a gain of its own, so they share no inertia; what told torques apart tells currents apart."""
+    first, plain, *_ = planned
+    columns = {f"current_{name[4:]}" if name.startswith("tau_") else name:
+               values / 20.0 ** int(name[4:]) if name.startswith("tau_") else values
+               for name, values in first.columns.items()}
+    unknown = dataclasses.replace(plain, drive_gain=np.ones(plain.n))
+    plan = plan_diagnosis(Recording(columns), unknown, asked(*TRUTH, RIVAL), workspace=ANYWHERE)
+    (told,) = plan.pairs
+    assert told.told_apart
+
+
 def test_nothing_open_needs_no_motion(planned):
     first, _, robot, _ = planned
     plan = plan_diagnosis(first, robot, Open((Named("degressive", 2, "tau"),)))
