@@ -143,10 +143,10 @@ def _dry(model: Model) -> Array:
 
 def _behind_gears(s: FilteredSignals, model: Model, friction: Array) -> tuple[Array, Array, Array]:
     """Position, velocity and acceleration of the arm, each ``(N, n)``, behind its gears as in ``smoothed_window``."""
-    if model.stiffness is None:
+    if model.known_stiffness is None:
         return s.q, s.qd, s.qdd
     transmitted = lowpass(s.tau, s.dt, s.cutoff) - model.rotor_inertia * s.qdd - model.offset - friction
-    q = s.q - transmitted / model.stiffness
+    q = s.q - transmitted / model.known_stiffness
     qd = np.gradient(q, s.dt, axis=0)
     return q, qd, np.gradient(qd, s.dt, axis=0)
 

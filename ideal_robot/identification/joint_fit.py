@@ -282,7 +282,8 @@ def stiffness_from_arm(recordings: Sequence[Recording], model: Model) -> tuple[A
         model: identified rigid body.
 
     Returns:
-        ``k (n,)`` [N m/rad] and ``d (n,)`` [N m s/rad], both at least zero.
+        ``k (n,)`` [N m/rad] and ``d (n,)`` [N m s/rad], both at least zero. A gear that does not give way with its
+        load is rigid: ``inf`` and 0; of one that carries no load nothing is known: NaN.
 
     Raises:
         InputError: no arm angles in a recording.
@@ -302,13 +303,14 @@ def stiffness_from_arm(recordings: Sequence[Recording], model: Model) -> tuple[A
         twists.append(s.decimate(twist))
         rates.append(s.decimate(np.gradient(twist, s.dt, axis=0)))
         loads.append(s.decimate(load))
-    k, d = np.empty(model.n), np.empty(model.n)
+    k, d = np.full((2, model.n), np.nan)
     for j in range(model.n):
         x = np.concatenate([v[:, j] - v[:, j].mean() for v in twists])
         v = np.concatenate([v[:, j] - v[:, j].mean() for v in rates])
         y = np.concatenate([v[:, j] - v[:, j].mean() for v in loads])
         # The noise is in the angles, not in the load: regress the twist on the load, and invert.
-        compliance = float(y @ x / (y @ y))
-        k[j] = 1.0 / max(compliance, 1e-12)
-        d[j] = max(0.0, float((y - k[j] * x) @ v / (v @ v)))
+        gives, carries = float(y @ x), float(y @ y)
+        if carries > 0.0:
+            k[j] = carries / gives if gives > 0.0 else np.inf
+            d[j] = max(0.0, float((y - k[j] * x) @ v / (v @ v))) if gives > 0.0 else 0.0
     return k, d

@@ -108,6 +108,11 @@ class Model(Summarised):
         return self.consistent[10 * self.n : 11 * self.n]
 
     @property
+    def known_stiffness(self) -> Array | None:
+        """``stiffness`` with rigid gears where nobody knows it ``(n,)`` [N m/rad], or None."""
+        return None if self.stiffness is None else np.where(np.isnan(self.stiffness), np.inf, self.stiffness)
+
+    @property
     def offset(self) -> Array:
         """Constant torque offsets ``(n,)`` [N m]."""
         return self._exact[11 * self.n :]

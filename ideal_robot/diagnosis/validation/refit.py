@@ -226,7 +226,7 @@ def with_named_effects(recording: Recording, robot: Robot, model: Model,
     """
     (recording,), _ = checked([recording], robot)
     torque = torque_regression(recording, robot, model, payload=True)
-    made = {one.domain: one for one in (*position_regressions(recording, robot, torque, model.stiffness), torque)}
+    made = {one.domain: one for one in (*position_regressions(recording, robot, torque, model.known_stiffness), torque)}
     wanted: dict[Domain, list[tuple[list[Effect], int]]] = {}
     for name, joint in effects:
         place = next((domain for domain in made if _named(name, domain)), None)
@@ -254,9 +254,10 @@ def named_sensor_effects(recording: Recording, robot: Robot, model: Model,
     """
     (recording,), _ = checked([recording], robot)
     torque = in_position_band(torque_regression(recording, robot, model), recording)
-    line = line_regression(recording, robot, torque, model.stiffness)
+    line = line_regression(recording, robot, torque, model.known_stiffness)
     result: list[FittedEffect] = []
-    for made in (line, *(one for one, _ in force_regressions(recording, None, robot, torque, None, model.stiffness))):
+    force = force_regressions(recording, None, robot, torque, None, model.known_stiffness)
+    for made in (line, *(one for one, _ in force)):
         if made is not None:
             candidates = [Candidate(effect, 0) for name in names for effect in _named(name, SENSOR)
                           if effect.usable(made.signals, 0)]

@@ -214,6 +214,10 @@ def test_links_of_a_soft_arm_move_behind_its_gears(model: Model) -> None:
         tau = arm.inverse_dynamics(q, v, a, t=t) - arm.rigid_body(q, v, a) + arm.rigid_body(arm_side, qd, qdd)
         return Recording.from_arrays(t, q=q, tau=tau)
 
+    rigid, unknown = (replace(soft, stiffness=np.where(np.arange(6) == 5, value, soft.stiffness))
+                      for value in (np.inf, np.nan))
+    one, other = (arm_of_its_type(recorded_behind_gears(rigid), model, ROBOT) for model in (rigid, unknown))
+    np.testing.assert_array_equal(one.base_values, other.base_values)
     very = arm_of_its_type(recorded_behind_gears(soft), soft, ROBOT)
     assert very.effects is soft.effects
     assert np.all(bodies_apart(very, soft) < 0.5 * left_open(soft))

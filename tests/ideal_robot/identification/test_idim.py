@@ -223,6 +223,17 @@ def test_the_true_stiffness_comes_back(step: float) -> None:
     assert np.all(d >= 0)
 
 
+def test_a_gear_that_does_not_give_way_is_rigid_and_one_without_load_is_not_known() -> None:
+    model = replace(Model.nominal(robot()), provenance={"filters": {"cutoff": 6.0}})
+    t = np.arange(0.0, 12.0, 0.002)
+    qa = motion().at(t)[0]
+    qa[:, 0] = qa[0, 0]
+    still = Recording.from_arrays(t, meta={}, q=qa - 1e-9 * model.rigid_body(qa, 0.0 * qa, 0.0 * qa), qa=qa,
+                                  tau=np.zeros_like(qa))
+    k, d = stiffness_from_arm([still], model)
+    assert np.isinf(k[1])
+    assert d[1] == 0.0
+
 # Verdicts on identified joints: usable, weak with the motion that would tell, unusable.
 
 def verdicts(recording: Recording, *unseen: Recording) -> tuple[JointVerdict, ...]:
