@@ -25,7 +25,7 @@ from ideal_robot.elasticity.stiffness import (
 )
 from ideal_robot.errors import InputError
 from ideal_robot.results import Summarised, plain, with_intervals
-from ideal_robot.robots.robot import UNKNOWN_DRIVE_GAIN, Robot
+from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.plausible import plausible, require_joint_units
 from ideal_robot.signals.recording import Recording, recordings_of
 
@@ -212,7 +212,7 @@ def analyse_stiffness(recordings: Recording | Sequence[Recording], robot: Robot,
     if clamp is None:
         clamp = robot.n == 6 and len(signals) > 1 and all(len(signal.measured) == 6 for signal in signals)
     if "motor" in wanted and not robot.knows_drive_gains and not all(one.has("tau") for one in pushed):
-        warnings.append(UNKNOWN_DRIVE_GAIN)
+        warnings.append(robot.unknown_drive_gain)
     joints: list[JointStiffness] = []
     if signals and not wanted:
         raise InputError("the recordings share no method: some lack currents, others the wrench", field="recordings")

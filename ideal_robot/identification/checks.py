@@ -14,7 +14,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.identification.weighted_least_squares import Solution
 from ideal_robot.model.model import Model
 from ideal_robot.robots import SHIPPED
-from ideal_robot.robots.robot import UNKNOWN_DRIVE_GAIN, Robot
+from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.error_budget import at_sampling_instants
 from ideal_robot.signals.plausible import (
     MOST_LEFT_OUT,
@@ -210,7 +210,7 @@ def _with_torque(recording: Recording, robot: Robot) -> tuple[Recording, list[st
                          "[A] are needed", file=recording.source, field=missing)
     tau = recording.joints("current") * robot.drive_gain
     columns = {**recording.columns, **{f"tau_{i + 1}": np.ascontiguousarray(tau[:, i]) for i in range(recording.n)}}
-    return replace(recording, columns=columns), [UNKNOWN_DRIVE_GAIN] * (not robot.knows_drive_gains)
+    return replace(recording, columns=columns), list(filter(None, [robot.unknown_drive_gain]))
 
 
 def _some(names: Sequence[str]) -> str:

@@ -46,15 +46,17 @@ def sliding_unit(unit: str) -> str:
 
 TOOL_TIP = "ideal_robot_tool_tip"
 """Name of the frame at the end of a tool that a scene puts on."""
-UNKNOWN_DRIVE_GAIN = ("unknown-drive-gain: no drive gains are known (--robot); torques are in amperes and so are all "
-                      "parameters")
-"""Warning of whoever makes torques of the currents of such an arm."""
 
 
 def _frozen(values: Any) -> Array:
     array = np.array(values, dtype=float)
     array.setflags(write=False)
     return array
+
+
+def _drive_gain(torque_constant: Array, gear_ratio: Array) -> Array:
+    """Joint-side torque per ampere ``(n,)`` [N m/A]; a torque constant of one stands for none that is known."""
+    return _frozen(np.where(torque_constant == 1.0, 1.0, torque_constant * gear_ratio))
 
 
 @dataclass(frozen=True, repr=False)
@@ -115,8 +117,19 @@ class Robot(Summarised):
 
     @property
     def knows_drive_gains(self) -> bool:
-        """Whether currents become torques; else they stay amperes."""
-        return bool(np.any(self.drive_gain != 1.0))
+        """Whether currents become torques in all joints; else some stay amperes."""
+        return not self.unknown_drive_gain
+
+    @property
+    def unknown_drive_gain(self) -> str:
+        """Warning of whoever makes torques of the arm's currents; empty where all drive gains are known."""
+        unknown = np.flatnonzero(self.drive_gain == 1.0) + 1
+        if not unknown.size:
+            return ""
+        joints = "no drive gains are" if unknown.size == self.n else (
+            f"the drive gain of joint {', '.join(map(str, unknown))} is not")
+        return (f"unknown-drive-gain: {joints} known (torque_constant of the robot's TOML, --robot); torques are in "
+                "amperes there and so are all parameters")
 
     @property
     def urdf_hash(self) -> str:
@@ -178,7 +191,7 @@ class Robot(Summarised):
             gear_ratio=gear_ratio,
             # The file gives rotor inertia and torque constant on the motor side, as data sheets do.
             rotor_inertia=_frozen(per_joint("rotor_inertia") * gear_ratio**2),
-            drive_gain=_frozen(per_joint("torque_constant") * gear_ratio),
+            drive_gain=_drive_gain(per_joint("torque_constant"), gear_ratio),
             tau_max=_frozen(np.where(model.effortLimit > 0, model.effortLimit, np.inf)),
             **{key: float(getattr(drive.controller, key)) for key in ("t_ipo", "t_position", "t_velocity")},
             home=home,

@@ -13,7 +13,7 @@ from ideal_robot.elasticity.stiffness import least_squares
 from ideal_robot.elasticity.stiffness_analysis import analyse_stiffness
 from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
-from ideal_robot.robots.robot import UNKNOWN_DRIVE_GAIN, Robot
+from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.models import shipped_model
 from sim.arm.arm import SimulatedArm
@@ -73,7 +73,7 @@ def test_without_drive_gains_recorded_torques_count_and_amperes_are_said() -> No
         assert analysis.warnings == ()
     analysis = analyse_stiffness(currents, unknown)
     np.testing.assert_allclose([one.stiffness for one in analysis.joints], k / arm.drive_gain, rtol=1e-3)
-    assert analysis.warnings == (UNKNOWN_DRIVE_GAIN,)
+    assert analysis.warnings == (unknown.unknown_drive_gain,)
 
 
 # Least squares with spreads.

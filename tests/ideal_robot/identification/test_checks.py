@@ -96,7 +96,10 @@ def test_current_becomes_torque(good: Recording) -> None:
     np.testing.assert_allclose(usable[0].joints("tau"), good.joints("tau"))
     assert warnings == []
     _, warnings = checked([Recording(columns)], replace(arm, drive_gain=np.ones(6)))
-    assert warnings[0].startswith("unknown-drive-gain")
+    assert warnings[0].startswith("unknown-drive-gain: no drive gains are known")
+    some = replace(arm, drive_gain=np.where(np.arange(6) == 2, 1.0, arm.drive_gain))
+    _, warnings = checked([Recording(columns)], some)
+    assert warnings[0].startswith("unknown-drive-gain: the drive gain of joint 3 is not known")
 
 
 def test_joints_named_by_a_bag_are_put_in_the_robots_order(good: Recording) -> None:

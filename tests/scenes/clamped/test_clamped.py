@@ -102,7 +102,7 @@ def test_run_writes_what_the_command_reads(tmp_path: Path) -> None:
     assert (tmp_path / "report.html").stat().st_size > 20_000
     # Drive data have their option, here such that know no gains.
     drive = robot.urdf.with_suffix(".toml").read_text()
-    (tmp_path / "drive.toml").write_text(re.sub("(?m)^(torque_constant|gear_ratio).*$", "", drive))
+    (tmp_path / "drive.toml").write_text(re.sub("(?m)^torque_constant.*$", "", drive))
     asked = ["stiffness", content["recording"], "--robot", content["urdf"], "--json", str(tmp_path / "again.json"),
              "--drive-data", str(tmp_path / "drive.toml"), "--out", str(tmp_path / "again")]
     done = CliRunner().invoke(app, asked)
