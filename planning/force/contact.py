@@ -38,6 +38,9 @@ ASKED, ASKING = 10.0, 0.5
 """Frequency [Hz] and amplitude [N] by which a sensor is asked on the way whether it lives: faster than the surface
 comes and slower than the arm follows; 50 samples with a noise of 0.3 N, those of 0.2 s, tell it within 0.07 N."""
 
+TOGETHER = 0.06
+"""Way along the path within which samples lie that arrive together and are fused as one [m]."""
+
 LEAP = 0.4
 """Share of the wanted force by which a force may change from one reading to the next. What is less, the half of it
 beyond what is wanted still holds."""

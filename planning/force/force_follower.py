@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
-from planning.force.contact import ASKED, FORCE_ERRORS, SLOPE, ContactSettings, Phase
+from planning.force.contact import ASKED, FORCE_ERRORS, SLOPE, TOGETHER, ContactSettings, Phase
 from planning.force.contour import SPARE, SlidingPlan
 from planning.force.surface_forecast import surfaces
 from planning.line.filter_bank import FilterBank
@@ -148,7 +148,7 @@ class SurfaceFollower:
         poses = [self.history.pose(max(float(at), self.history.first)) for at in t]
         points = np.array([pose.translation for pose in poses])
         forces = np.array([pose.rotation @ f for pose, f in zip(poses, contact, strict=True)])
-        s, lateral, height = self.reference.project(points, self.s_at(float(t[-1])), span=0.06)
+        s, lateral, height = self.reference.project(points, self.s_at(float(t[-1])), span=TOGETHER)
         # Before the travel all is felt at one place. How the tip gives way there while the force rises is no slope.
         s = np.where(t < self._t_travel, 0.0, s)
         frames = self.reference.frames(s)

@@ -97,7 +97,9 @@ class LineOnSurface:
         first = min(max(near, passed), max(near, far - 0.06))
         s = s_now + np.linspace(first, min(far, first + 0.1), 5)
         step, m = 1e-3, len(s)
-        d, variance = follower.fusion.deviation(np.concatenate([s, s - step, s + step]))
+        # Of what the tool has passed the map knows nothing: in a field that is so late it is as where the tool is.
+        places = np.maximum(np.concatenate([s, s - step, s + step]), follower.fusion.s)
+        d, variance = follower.fusion.deviation(places)
         slope = (d[2 * m :] - d[m : 2 * m]) / (2 * step)
         frames = follower.reference.frames(s)
         height = d[:m, 1] + self._sunk

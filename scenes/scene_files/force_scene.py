@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal
 import pydantic
 
 from ideal_robot.errors import InputError
-from planning.force.contact import StopLimits
+from planning.force.contact import TOGETHER, StopLimits
 from scenes.scene_files.drawn_line import (
     Calibration,
     CameraTable,
@@ -55,6 +55,8 @@ class SensorTable(Table):
     rate: float = pydantic.Field(default=250.0, ge=0.1, le=10_000)
     latency: float = pydantic.Field(default=0.02, ge=0, le=1)
     jitter: float = pydantic.Field(default=0.0005, ge=0, le=0.5)
+    """Standard deviation of the latency [s]. What arrives together is fused as one: six of it on the path, at the
+    scene's speed, are 60 mm at most."""
     noise: tuple[float, float] = (0.3, 0.02)
     bias: tuple[float, float] = (3.0, 0.1)
     mass: float = pydantic.Field(default=0.8, ge=0, le=20)
@@ -144,6 +146,16 @@ class ForceScene(Scene):
         if not self.force < self.emergency.force:
             raise InputError(f"expected less than emergency.force = {self.emergency.force:g} N, where the arm stops; "
                              "lower it, or raise emergency.force", field="force", value=self.force)
+        return self
+
+    @pydantic.model_validator(mode="after")
+    def _arrive_together(self) -> ForceScene:
+        """Refuses samples that overtake each other by more than what a measurement may stretch over."""
+        most = TOGETHER / (6.0 * self.speed)
+        if self.sensor.jitter > most:
+            raise InputError(f"expected at most {most:.2g} s at {self.speed:g} m/s: samples that arrive together must "
+                             f"lie within {1e3 * TOGETHER:g} mm of the path; lower it, or the speed",
+                             field="sensor.jitter", value=self.sensor.jitter)
         return self
 
     @pydantic.model_validator(mode="after")

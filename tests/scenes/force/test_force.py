@@ -15,6 +15,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.signals.recording import Recording
+from planning.line.deviation_model import Stand
 from scenes import load_scene
 from scenes.force import play as playing
 from scenes.force.cell import glue_line, set_up
@@ -204,11 +205,28 @@ def test_a_force_at_which_the_arm_would_stop_is_refused() -> None:
         load_scene("force_wave").changed(force=80.0)
 
 
+def test_samples_that_overtake_each_other_too_far_to_be_fused_as_one_are_refused() -> None:
+    scene = load_scene("force_wave")
+    with pytest.raises(InputError, match=r"sensor.jitter: expected at most 0.05 s at 0.2 m/s"):
+        scene.changed(sensor={"jitter": 0.06})
+    assert scene.changed(sensor={"jitter": 0.06}, speed=0.1)
+
+
 def test_a_controller_of_slow_cycles_is_stopped_on_the_path_too() -> None:
     """Braking takes two more planned positions than the current one."""
     result = play(load_scene("force_wave").changed(world={"t_ipo": 0.1}, emergency={"force": 21.0}), "ideal")
     assert result.failure is not None
     assert "above the limit 21.0 N" in result.failure
+
+
+def test_a_field_that_comes_when_its_places_are_passed_is_looked_for_where_the_tool_is() -> None:
+    """The map told heights of 10⁸ m there, and the prediction in the picture was a division by zero."""
+    known = set_up(load_scene("glue")).known
+    follower = known.follower(elasticity=1e4)
+    for member in follower.fusion.members:
+        member._stand, member._track.kf.x[:] = Stand(member.model.begin, 0.3), 1e-3
+    ahead = GlueCamera(known, follower, np.random.default_rng(1)).sight.predict(0.0)
+    assert np.all(np.abs(ahead.points) < 2.0)
 
 
 def test_garbage_leaves_the_noise_of_the_pictures_as_it_is() -> None:
