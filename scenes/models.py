@@ -173,6 +173,9 @@ def identity(scene: Scene) -> dict[str, str | None]:
         none.
     """
     asked = scene.model_dump(mode="json", exclude=_WORDS | _HOW, exclude_defaults=True)
+    if "robot" in asked:
+        # Not where its file lies, as seen from where the program was begun.
+        asked["robot"] = Path(scene.robot).name
     named = {text: place.read_bytes() for text in _texts(asked)
              if os.path.isfile(place := (scene.folder or Path.cwd()) / text) and os.access(place, os.R_OK)}
     if named:

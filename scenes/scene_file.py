@@ -32,12 +32,12 @@ def load_scene(name_or_path: str | Path) -> Scene:
     path, values = scene_values(name_or_path)
     # What plays a scene is large, and not loaded before there is one.
     from scenes.kind import KINDS
-    from scenes.scene_files.scene import scene_of
+    from scenes.scene_files.scene import scene_in_file
 
     kind = values.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         raise InputError(f"expected one of {', '.join(KINDS.names())}", file=path, field="kind", value=kind)
-    return scene_of(KINDS.get(kind).scene, values, path).beside(path.absolute().parent)
+    return scene_in_file(KINDS.get(kind).scene, values, path)
 
 
 def scene_values(name_or_path: str | Path) -> tuple[Path, dict[str, Any]]:

@@ -337,7 +337,7 @@ def twin(
         found = make_twin(loaded, robot, analysis=analysis, seed=1 if seed is None else seed, progress=progress)
         with whole_files(output, json) as (scene_file, json_file):
             if scene_file is not None:
-                scene_file.write_text(twin_text(found.twin, robot, output.stem), encoding="utf-8")
+                scene_file.write_text(twin_text(found.twin, robot, output), encoding="utf-8")
             write_signed(json_file, {**found.to_dict(), "output": output})
     show_table("the twin along the recorded motion", found.columns, found.rows())
     for line in (*(f"told: {one}" for one in found.twin.seen), *(f"assumed: {one}" for one in found.twin.assumed)):

@@ -147,22 +147,20 @@ def calibrate_elasticity(cell: Cell, tool: ToolLoad) -> ContactElasticity:
 
 
 @lru_cache(maxsize=64)
-def calibrations(key: str) -> tuple[ToolLoad, ContactElasticity]:
-    """Both calibrations of a scene, once for all methods; ``key`` is the scene as JSON."""
-    scene = ForceScene.model_validate_json(key)
+def calibrations(scene: ForceScene) -> tuple[ToolLoad, ContactElasticity]:
+    """Both calibrations of a scene, once for all methods."""
     cell = set_up(scene)
     tool = calibrate_tool(cell)
     return tool, calibrate_elasticity(cell, tool)
 
 
 @lru_cache(maxsize=64)
-def friction_above(key: str) -> FrictionAtWork | None:
-    """Friction on a dry run above the path, once for all methods; ``key`` is the scene as JSON.
+def friction_above(scene: ForceScene) -> FrictionAtWork | None:
+    """Friction on a dry run above the path, once for all methods.
 
     None where the path is not known beforehand or cannot be reached above the surface, and where a camera looks at a
     line as well: there the dry run made the force no better.
     """
-    scene = ForceScene.model_validate_json(key)
     if scene.task != "surface":
         return None
     cell = set_up(scene)
@@ -178,8 +176,8 @@ def friction_above(key: str) -> FrictionAtWork | None:
 
 
 @lru_cache(maxsize=64)
-def seen_by_moving(key: str) -> tuple[HandEye, DetectionSettings] | None:
-    """Camera and looks of the line as moving over it shows them, once for all methods; ``key`` is the scene as JSON.
+def seen_by_moving(scene: ForceScene) -> tuple[HandEye, DetectionSettings] | None:
+    """Camera and looks of the line as moving over it shows them, once for all methods.
 
     None where there is no camera, or it is believed as mounted.
 
@@ -187,7 +185,6 @@ def seen_by_moving(key: str) -> tuple[HandEye, DetectionSettings] | None:
         SceneError: the arm reaches too few of the poses, or too few of them show the line.
         SensingError: no picture shows it.
     """
-    scene = ForceScene.model_validate_json(key)
     if scene.task != "glue" or not scene.calibration.by_moving:
         return None
     cell = set_up(scene)

@@ -237,17 +237,17 @@ def pressed(cell: Cell, task: ForceTask, method: str, progress: Progress = silen
 
 def calibrated(scene: ForceScene) -> tuple[ToolLoad, ContactElasticity]:
     """Tool and contact as calibration by moving finds them in this scene."""
-    return calibrations(_before(scene).model_dump_json())
+    return calibrations(_before(scene))
 
 
 def camera_shown(scene: ForceScene) -> tuple[HandEye, DetectionSettings] | None:
     """Camera and looks of the line as moving over it shows them; None where nothing is looked at."""
-    return seen_by_moving(_before(scene).model_dump_json())
+    return seen_by_moving(_before(scene))
 
 
 def friction_shown(scene: ForceScene) -> FrictionAtWork | None:
     """Friction as a dry run above the path shows it; None where there is none."""
-    return friction_above(_before(scene).model_dump_json())
+    return friction_above(_before(scene))
 
 
 def _before(scene: ForceScene) -> ForceScene:

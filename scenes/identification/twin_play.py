@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -14,6 +15,7 @@ from ideal_robot.arrays import Array, interpolated
 from ideal_robot.identification.whole_model import IdentificationResult, identify_model
 from ideal_robot.model.parametrisation import joined
 from ideal_robot.results import Summarised, listed, one_unit, plain
+from ideal_robot.robots import SHIPPED
 from ideal_robot.robots.size import FEWEST
 from ideal_robot.signals.recording import Recording
 from scenes.arms import arm_of
@@ -127,31 +129,33 @@ def compared(measured: Recording, own: Recording) -> tuple[Array, Array]:
     return rms, np.sum(np.abs(second - first) * first, axis=0) / np.sum(first**2, axis=0)
 
 
-def twin_text(twin: Twin, robot_name: str, name: str) -> str:
+def twin_text(twin: Twin, robot_name: str, file: Path) -> str:
     """The file of a twin: a scene in which its arm follows a line, with its world; of fewer joints the world alone.
 
     Args:
         twin: its world.
         robot_name: shipped robot or URDF.
-        name: of the scene.
+        file: of the scene, from whose folder the URDF is seen.
     """
     robot = arm_of(robot_name)
+    named = robot_name if robot_name in SHIPPED or os.path.isabs(robot_name) else \
+        os.path.relpath(robot_name, file.parent)
     head = [f"# A twin of {robot.name}, made of recordings. Told by them:", *(f"#   {one}" for one in twin.seen),
             "# Not told, and taken instead:", *(f"#   {one}" for one in twin.assumed or ("nothing",))]
     table = {key: value for key, value in twin.table.items() if key != "spread"}
     world = ["[world]", *(f"{key} = {_toml(value)}" for key, value in table.items()), "", "[world.spread]",
              *(f"{key} = {_toml(value)}" for key, value in twin.table["spread"].items())]
     if robot.n < FEWEST:
-        return "\n".join([*head, f"robot = {_toml(robot_name)}", "", *world]) + "\n"
+        return "\n".join([*head, f"robot = {_toml(named)}", "", *world]) + "\n"
     example = (library() / "line.toml").read_text(encoding="utf-8")
     example = example[example.index("kind ="):]
     if Path(robot_name).suffix == ".urdf":
         scene = load_scene("line").changed(robot=robot_name, model="own")
         assert isinstance(scene, LineScene)
-        example = scene_text(example, robot_name, place_line(scene))
+        example = scene_text(example, named, place_line(scene))
     else:
-        example = example.replace('robot = "kr6"', f'robot = {_toml(robot_name)}\nmodel = "own"')
-    return "\n".join([*head, f'name = "{name}"', example, *world]) + "\n"
+        example = example.replace('robot = "kr6"', f'robot = {_toml(named)}\nmodel = "own"')
+    return "\n".join([*head, f'name = "{file.stem}"', example, *world]) + "\n"
 
 
 def _toml(value: Any) -> str:

@@ -46,7 +46,7 @@ from scenes.scene_file import scene_values
 from scenes.scene_files.drawn_line import believed_camera
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
-from scenes.scene_files.scene import OWN, Scene, scene_of
+from scenes.scene_files.scene import OWN, Scene, scene_in_file
 from sensing.force.sensors import open_force
 
 REST = 0.3
@@ -292,7 +292,7 @@ def load_cell(name_or_path: str | Path) -> Scene:
     if not isinstance(kind, str) or kind not in FOLLOWED:
         raise InputError(f"only scenes of kind {', '.join(FOLLOWED)} are followed on devices", file=path, field="kind",
                          value=kind)
-    scene = scene_of(FOLLOWED[kind], values, path).beside(path.absolute().parent)
+    scene = scene_in_file(FOLLOWED[kind], values, path)
     if scene.model == OWN:
         raise InputError("the model of a simulated arm; identify the real one and give the path of its model",
                          file=path, field="model", value=OWN)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -230,12 +231,12 @@ def _failures(label: str, after: pd.Series, before: pd.Series | None = None) -> 
 
 
 def check_arms(before: Results, robots: set[str]) -> None:
-    """Makes sure that earlier results are of an arm among these.
+    """Makes sure that earlier results are of an arm among these, wherever its file lies.
 
     Raises:
         InputError: they are of other arms alone.
     """
-    of = set(before.runs["robot"].dropna())
+    of, robots = ({Path(one).name for one in every} for every in (before.runs["robot"].dropna(), robots))
     if of and robots and not of & robots:
         raise InputError(f"is of another arm ({', '.join(sorted(of))}); these runs are of {', '.join(sorted(robots))}: "
                          "give the baseline of that arm, or make one (--update-baseline)", file=before.source)

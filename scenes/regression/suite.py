@@ -178,9 +178,8 @@ def _name(job: Job) -> str:
 
 
 def _scene(name: str, suite: Path, field: str) -> Scene:
-    beside = suite.parent / name
     try:
-        return load_scene(beside if name.endswith(".toml") and beside.is_file() else name)
+        return load_scene(suite.parent / name if name.endswith(".toml") or "/" in name else name)
     except InputError as error:
         if error.field != "scene":
             raise

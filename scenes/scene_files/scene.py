@@ -17,6 +17,7 @@ import pydantic
 from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import checked
 from ideal_robot.errors import IdealRobotError, InputError, found_in
+from ideal_robot.robots import SHIPPED as SHIPPED_ARMS
 from ideal_robot.robots.collisions import Obstacle
 
 # Where a scene plays: in a ``workshop`` with all that a real cell has against one, or on the kind ``bench``.
@@ -130,11 +131,12 @@ class Scene(Table):
     title: str
     description: str = ""
     robot: str = "kr6"
+    """A shipped robot, or the path of a URDF as seen from the scene file's folder."""
     seed: int = pydantic.Field(default=1, ge=0)
     model: str = SHIPPED
     """Where the ideal robot's model comes from: ``shipped`` (identified beforehand on recordings of the robot's
     default world, ``make models``), ``own`` (identified on recordings of the very arm of the scene, ``ideal-robot
-    prepare``) or the path of a model file."""
+    prepare``) or the path of a model file as seen from the scene file's folder."""
     max_duration: float = pydantic.Field(default=120.0, gt=0.0, le=7200.0)
     """Longest motion along the path [s]; a scene that asks for more, by too low a speed for instance, is refused before
     anything moves."""
@@ -162,6 +164,9 @@ class Scene(Table):
         """The same kind of scene with the same values, whichever of them were given."""
         return type(other) is type(self) and isinstance(other, Scene) and self.folder == other.folder \
             and self.model_dump() == other.model_dump()
+
+    def __hash__(self) -> int:
+        return hash((type(self), self.folder, self.model_dump_json()))
 
     @property
     def arm_world(self) -> dict[str, Any]:
@@ -233,6 +238,23 @@ class Scene(Table):
             both = isinstance(value, dict) and isinstance(values.get(key), dict)
             values[key] = {**values[key], **value} if both else value
         return scene_of(type(self), values, Path(self.source)).beside(self.folder)
+
+
+def scene_in_file(model: type[S], values: dict[str, Any], path: Path) -> S:
+    """The scene of a file, in which paths are as seen from the file's folder.
+
+    Args:
+        model: the kind's scene.
+        values: keys as they stand in the file.
+        path: of the file.
+
+    Raises:
+        InputError: as ``scene_of``.
+    """
+    names = {"robot": SHIPPED_ARMS, "model": (SHIPPED, OWN)}
+    places = {key: str(path.parent / values[key]) for key, known in names.items()
+              if isinstance(values.get(key), str) and values[key] not in known}
+    return scene_of(model, {**values, **places}, path).beside(path.absolute().parent)
 
 
 def scene_of(model: type[S], values: dict[str, Any], path: Path) -> S:

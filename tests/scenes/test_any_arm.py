@@ -18,13 +18,15 @@ from ideal_robot.robots.robot import Robot, spread_postures
 from planning.path.kinematics import InverseKinematics
 from scenes.arms import arm_of
 from scenes.force.cell import set_up as set_up_force
+from scenes.force.play import friction_shown
 from scenes.identification.plan import plan
 from scenes.line.cell import set_up
 from scenes.line.result import far_from_line, little_gained
-from scenes.models import cache_name, model_for
+from scenes.models import cache_name, identity, model_for
 from scenes.online.force_calibration import LEAST, TURNS, postures_to_weigh
 from scenes.online.line_known import calibration_postures
 from scenes.placing import check_way, fits, place_line, resized, scene_text, shapes_about, shapes_in
+from scenes.regression.suite import Suite
 from scenes.scene_file import library, load_scene
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
@@ -54,6 +56,32 @@ def test_a_line_is_placed_where_a_bare_arm_reaches_it(joints: int, beyond: str, 
     assert (scene.surface.origin, scene.speed, scene.model) == (place.origin, place.speed, "own")
     assert scene.speed >= 0.1
     assert fits(scene, scene.arm) == pytest.approx(place.speed)
+
+
+def test_paths_in_a_file_are_as_seen_from_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "cell").mkdir()
+    path, file = written(tmp_path / "cell", urdf(6)), tmp_path / "cell/weld.toml"
+    text = (library() / "line.toml").read_text(encoding="utf-8")
+    file.write_text(text.replace('robot = "kr6"', f'robot = "{path.name}"\nmodel = "own.json"'))
+    monkeypatch.chdir(tmp_path)
+    scenes = [load_scene("cell/weld.toml"), load_scene(file)]
+    assert [Path(one.robot).resolve() for one in scenes] == [path, path]
+    assert [Path(one.model).resolve() for one in scenes] == [tmp_path / "cell/own.json"] * 2
+    assert identity(scenes[0]) == identity(scenes[1])
+    suite = tmp_path / "cell/suite.toml"
+    suite.write_text('title = "of the cell"\n[[case]]\nscenes = ["weld.toml"]\n')
+    (tmp_path / "weld.toml").write_text(text)
+    assert [one.scene.folder for one, _ in Suite(suite).work] == [scenes[0].folder]  # type: ignore[union-attr]
+    file.unlink()
+    with pytest.raises(InputError, match=r"case.0.scenes: no such scene file \(got 'weld.toml'"):
+        Suite(suite)
+
+
+def test_what_is_calibrated_once_for_all_methods_is_of_the_scene_in_its_folder(tmp_path: Path) -> None:
+    """The SVG file of a force scene was looked for in the working folder."""
+    (tmp_path / "drawn.svg").write_text('<svg xmlns="http://www.w3.org/2000/svg"><path d="M 0 0 L 300 0"/></svg>')
+    scene = load_scene("force_wave").changed(line={"formula": None, "length": None, "svg": "drawn.svg"})
+    assert friction_shown(scene.beside(tmp_path)) is not None  # type: ignore[arg-type]
 
 
 def test_a_ready_posture_is_inside_the_limits_and_touches_nothing(tmp_path: Path) -> None:

@@ -272,16 +272,19 @@ def test_without_commands_the_controller_is_of_a_class_and_each_individual_draws
     np.testing.assert_allclose(found.rms[1], found.rms[0], rtol=0.2)
 
 
-def test_a_file_of_one_axis_holds_its_world_and_says_what_was_assumed(made: TwinResult, axis: Path) -> None:
-    text = twin_text(made.twin, str(axis), "axis")
+def test_a_file_of_one_axis_holds_its_world_and_says_what_was_assumed(made: TwinResult, axis: Path,
+                                                                      monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(axis.parent)
+    text = twin_text(made.twin, axis.name, Path("twins/axis.toml"))
     assert "gear: rigid" in text
     values = tomllib.loads(text)
-    assert World.from_table(values["robot"], values["world"]).table() == made.twin.world(str(axis)).table()
+    assert values["robot"] == f"../{axis.name}"
+    assert World.from_table(axis.name, values["world"]).table() == made.twin.world(str(axis)).table()
 
 
 def test_the_twin_of_a_shipped_arm_is_a_scene_whose_model_is_its_own(made: TwinResult, tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
-    file.write_text(twin_text(made.twin, "kr6", "mine"), encoding="utf-8")
+    file.write_text(twin_text(made.twin, "kr6", file), encoding="utf-8")
     scene = scene_of(LineScene, str(file))
     assert (scene.robot, scene.model) == ("kr6", "own")
     assert scene.arm_world["residual"] == made.twin.table["residual"]
@@ -392,6 +395,6 @@ def test_the_twin_of_an_arm_with_torque_sensors_behind_its_gears_follows_a_line(
     found = make_twin([Recording.read(DATA / "panda/panda_a.parquet")], robot)
     assert any(text.startswith("rotors: those of a class") for text in found.twin.assumed)
     file = tmp_path / "mine.toml"
-    file.write_text(twin_text(found.twin, robot, "mine"), encoding="utf-8")
+    file.write_text(twin_text(found.twin, robot, file), encoding="utf-8")
     scene = scene_of(LineScene, str(file))
     assert play(scene, "adapted").control_error.mean < 0.2e-3
