@@ -302,7 +302,7 @@ class LateMeasurement(DeadTime):
 
     def joints(self, signals: Signals) -> Iterator[int]:
         """Each joint by itself, or the whole arm; of one joint alone both are the same."""
-        if self.prefix == ARM_POSITION.prefix:
+        if self.channel_prefix == ARM_POSITION.prefix:
             yield from super().joints(signals)
         elif signals.n > 1 or self.domain == TCP_POSITION:
             yield 0
