@@ -17,12 +17,13 @@ from ideal_robot.feedforward.corrected_arm import CorrectedArm
 from ideal_robot.feedforward.method import Needs
 from ideal_robot.feedforward.registry import feedforward, methods
 from ideal_robot.loop.from_model import loop_model
+from ideal_robot.loop.loop_model import largest_speeds
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.cascade import Cascade
 from ideal_robot.model.model import Model
 from ideal_robot.results import Summarised, listed, one_unit, over_time, plain
 from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.plausible import checked_time, require_joint_units
+from ideal_robot.signals.plausible import MOST_LEFT_OUT, checked_time, require_joint_units
 from ideal_robot.signals.recording import Recording, expect
 
 if TYPE_CHECKING:
@@ -35,6 +36,12 @@ DRAWS = 10
 
 REST_AFTER = 0.3
 """Rest added behind the path [s]."""
+
+UNSURE = 1e-3
+"""Uncertainty of a path where samples are missing, at most [rad, m]: 1 mm a metre away, of the size of the bends that
+correction takes away, so that to correct what is guessed worse would be of no use."""
+_MISSING = 1.5
+"""A step longer than so many usual ones lacks samples."""
 
 
 def path_at_cycles(t: Array, q_d: Array, robot: Robot, *, rest: float, file: str | None = None, column: str = "q_d"
@@ -67,7 +74,7 @@ def path_at_cycles(t: Array, q_d: Array, robot: Robot, *, rest: float, file: str
     for i, values in enumerate(q_d.T):
         if not np.isfinite(values).all():
             raise InputError("holds values that are not finite", file=file, field=f"{column}_{i + 1}")
-    if checked_time(t, file or "path"):
+    if checked_time(t, file or "path", _quickest(t, q_d, robot)):
         k = int(np.argmax(np.diff(t)))
         raise InputError(f"the path has a gap of {t[k + 1] - t[k]:.4g} s after t = {t[k]:.6g} s, and nothing tells its "
                          "way there; give samples in between, or correct the pieces one by one", file=file, field="t",
@@ -79,9 +86,51 @@ def path_at_cycles(t: Array, q_d: Array, robot: Robot, *, rest: float, file: str
         samples = q_d
     else:
         samples = _between(t, q_d, grid, robot, file)
+    bridged(t, q_d, robot, file)
     first, last = round(rest / robot.t_ipo), round(REST_AFTER / robot.t_ipo)
     whole = held(samples, before=first, after=last)
     return np.asarray(robot.t_ipo * np.arange(float(len(whole)))), whole
+
+
+def _quickest(t: Array, q_d: Array, robot: Robot) -> float:
+    """How many times as fast the path may be for no joint to be faster than it can."""
+    speed = np.max(np.abs(np.diff(q_d, axis=0)) / np.diff(t)[:, None], axis=0)
+    return float(np.min(largest_speeds(robot.v_max) / np.maximum(speed, 1e-300)))
+
+
+def bridged(t: Array, q_d: Array, robot: Robot, file: str | None) -> tuple[str, ...]:
+    """A warning where samples of a path are missing, and how well the others tell the way between.
+
+    Two smooth ways through the other samples, splines of third and of fifth order, differ there by more than the finer
+    one is off.
+
+    Args:
+        t: times of the path ``(N,)`` [s].
+        q_d: joint positions ``(N, n)`` [rad, or m where a joint slides].
+        robot: whose joints these are.
+        file: where the path comes from, for messages.
+
+    Raises:
+        InputError: they differ by more than ``UNSURE``.
+    """
+    steps = np.diff(t)
+    usual = float(np.median(steps))
+    # More of them are the path's own times.
+    if not 0.0 < np.mean(steps > _MISSING * usual) <= MOST_LEFT_OUT:
+        return ()
+    gaps = np.flatnonzero(steps > _MISSING * usual)
+    between = np.concatenate([np.linspace(t[k], t[k + 1], 11) for k in gaps])
+    fine, coarse = (np.asarray(make_interp_spline(t, q_d, k=k)(between)) for k in (5, 3))
+    off = np.abs(fine - coarse).max(axis=1).reshape(len(gaps), -1).max(axis=1)
+    longest, worst = gaps[np.argmax(steps[gaps])], gaps[np.argmax(off)]
+    unit = one_unit(robot.units("mrad"))
+    if off.max() > UNSURE:
+        raise InputError(f"samples are missing for {steps[worst]:.4g} s after t = {t[worst]:.6g} s, and the others "
+                         f"tell the way there to {1e3 * off.max():.2g} {unit} only, {1e3 * UNSURE:g} are asked for; "
+                         "give samples in between, or correct the pieces one by one", file=file, field="t",
+                         value=float(t[worst + 1]))
+    return (f"bridged: {len(gaps)} times samples of the path are missing, for {steps[longest]:.4g} s at most after t = "
+            f"{t[longest]:.6g} s; the others tell the way there to {1e3 * off.max():.2g} {unit}",)
 
 
 def _between(t: Array, q_d: Array, grid: Array, robot: Robot, file: str | None) -> Array:
@@ -111,7 +160,7 @@ class PrecorrectedPath(Summarised):
         expected: error the identified loop still makes with the commands, and without ``(N, n)`` each [rad].
         reach: root mean square of the first of them with each of ``DRAWS`` controllers of the model's spread
             ``(DRAWS, n)`` [rad]; None where the model's controller was identified.
-        warnings: what was not checked.
+        warnings: what was not checked, and where samples of the path are missing.
         units: of a thousandth of each joint's position, mrad or mm ``(n,)``.
     """
 
@@ -207,7 +256,9 @@ def precorrect(t: Array, q_d: Array, model: Model, robot: Robot, method: str = "
     wanted = CorrectedArm(robot, model.effects).from_rest(path, robot.t_ipo)
     errors = [np.asarray(wanted - simulate(loop, commands).q_a[:-1]) for commands in (q_c, path)]
     return PrecorrectedPath(recording, method, robot.name, times, path, q_c, (errors[0], errors[1]),
-                            _reach(model, robot, delay, q_c, wanted), _not_checked(robot), robot.units("mrad"))
+                            _reach(model, robot, delay, q_c, wanted),
+                            (*bridged(np.asarray(t), np.asarray(q_d), robot, source), *_not_checked(robot)),
+                            robot.units("mrad"))
 
 
 def _not_checked(robot: Robot) -> tuple[str, ...]:

@@ -28,21 +28,23 @@ _LEAVING = 1.05
 """Share of a joint limit beyond which a position cannot be one."""
 
 
-def require_seconds(t: Array, *, file: str | None = None) -> None:
+def require_seconds(t: Array, quickest: float = np.inf, *, file: str | None = None) -> None:
     """Refuses times that rise too fast to be seconds.
 
     Args:
         t: times ``(N,)`` [s].
+        quickest: how many times as fast the motion may be for the arm to be able to make it: where less than a thousand
+            times, the times are no milliseconds.
         file: where they come from.
 
     Raises:
         InputError: they look like milliseconds, microseconds or nanoseconds.
     """
     step = float(np.median(np.abs(np.diff(t)))) if len(t) > 1 else 0.0
-    if not step > _SLOWEST:
+    if not step > _SLOWEST or quickest < 1e3:
         return
     factor, unit = next((pair for pair in ((1e3, "milliseconds"), (1e6, "microseconds"))
-                         if step / pair[0] <= _SLOWEST), (1e9, "nanoseconds"))
+                         if step / pair[0] <= _SLOWEST or quickest < 1e3 * pair[0]), (1e9, "nanoseconds"))
     raise InputError(f"samples are {step:.4g} s apart; that looks like {unit}, seconds are expected: divide t by "
                      f"{factor:.0e}", file=file, field="t", value=step)
 
@@ -181,15 +183,20 @@ def without_spikes(recording: Recording, positions: Sequence[str], torques: Sequ
     return recording, warnings
 
 
-def checked_time(t: Array, source: str) -> list[str]:
+def checked_time(t: Array, source: str, quickest: float = np.inf) -> list[str]:
     """Warnings about times ``(N,)`` [s].
+
+    Args:
+        t: the times.
+        source: where they come from.
+        quickest: see ``require_seconds``.
 
     Raises:
         InputError: not finite, not increasing, or a pause of more than ``LONGEST_PAUSE``.
     """
     if not np.all(np.isfinite(t)):
         raise InputError("times are not numbers", file=source, field="t")
-    require_seconds(t, file=source)
+    require_seconds(t, quickest, file=source)
     steps = np.diff(t)
     backwards = np.flatnonzero(steps <= 0)
     if len(backwards):

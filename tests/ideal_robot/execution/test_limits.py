@@ -303,6 +303,27 @@ def test_between_samples_no_way_is_invented() -> None:
     path_at_cycles(t, q, ROBOT, rest=0.0)
 
 
+def test_missing_samples_are_told_where_the_others_tell_the_way_and_refused_where_they_do_not() -> None:
+    t = 0.02 * np.arange(400.0)
+    q = ROBOT.home + 0.02 * np.sin(4.0 * t)[:, None]
+    left = np.delete(np.arange(400), slice(100, 104))
+    assert precorrect(t, q, MODEL, ROBOT).warnings == ()
+    (told,) = precorrect(t[left], q[left], MODEL, ROBOT).warnings
+    assert told.startswith("bridged: 1 times samples of the path are missing, for 0.1 s at most after t = 1.98 s")
+    corner = ROBOT.home + 0.1 * np.abs(np.sin(2.0 * t))[:, None]
+    left = np.delete(np.arange(400), slice(70, 90))
+    with pytest.raises(InputError, match=r"missing for 0\.42 s after t = 1\.38 s.* mrad only"):
+        path_at_cycles(t[left], corner[left], ROBOT, rest=0.0)
+
+
+def test_waypoints_further_apart_than_half_a_second_are_seconds_where_the_arm_could_not_be_quicker() -> None:
+    t = 0.6 * np.arange(20.0)
+    q = ROBOT.home + 0.1 * np.sin(t)[:, None]
+    path_at_cycles(t, q, ROBOT, rest=0.0)
+    with pytest.raises(InputError, match="milliseconds"):
+        path_at_cycles(1e3 * t, q, ROBOT, rest=0.0)
+
+
 def test_a_spread_of_controllers_gives_a_range_joint_by_joint() -> None:
     controller = MODEL.controller
     assert controller is not None
