@@ -105,6 +105,14 @@ def test_two_degrees_of_freedom_are_enough_to_learn_from():
     assert errors[1] < 0.5 * errors[0]
 
 
+@pytest.mark.parametrize("name", ["iso9283_1", "iso9283_2", "iso9283_3", "vertical_circle", "edge"])
+def test_what_the_paper_reaches_stands_beside_the_method_as_printed(name):
+    """It stood beside our extensions, of which the paper has no figure."""
+    paper = load_scene(name).paper
+    beside = {*paper.E_car_reduction_percent, *paper.E_max_reduction_percent}
+    assert {key.removesuffix("_delay") for key in beside} <= {"precorrected_1", "trained_1", "learned_4"}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["iso9283_1", "vertical_circle", "edge"])
 def test_whole_comparisons(name, tmp_path):
