@@ -309,8 +309,9 @@ def stiffness_from_arm(recordings: Sequence[Recording], model: Model) -> tuple[A
         v = np.concatenate([v[:, j] - v[:, j].mean() for v in rates])
         y = np.concatenate([v[:, j] - v[:, j].mean() for v in loads])
         # The noise is in the angles, not in the load: regress the twist on the load, and invert.
-        gives, carries = float(y @ x), float(y @ y)
-        if carries > 0.0:
-            k[j] = carries / gives if gives > 0.0 else np.inf
-            d[j] = max(0.0, float((y - k[j] * x) @ v / (v @ v))) if gives > 0.0 else 0.0
+        if np.allclose(y, 0.0):
+            continue
+        compliance = float(y @ x / (y @ y))
+        k[j] = 1.0 / compliance if compliance > 0.0 else np.inf
+        d[j] = max(0.0, float((y - k[j] * x) @ v / (v @ v))) if compliance > 0.0 else 0.0
     return k, d

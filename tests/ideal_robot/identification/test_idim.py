@@ -223,7 +223,7 @@ def test_the_true_stiffness_comes_back(step: float) -> None:
     assert np.all(d >= 0)
 
 
-def test_a_gear_that_does_not_give_way_is_rigid_and_one_without_load_is_not_known() -> None:
+def test_a_gear_that_does_not_give_way_is_rigid_and_without_load_none_is_known() -> None:
     model = replace(Model.nominal(robot()), provenance={"filters": {"cutoff": 6.0}})
     t = np.arange(0.0, 12.0, 0.002)
     qa = motion().at(t)[0]
@@ -233,6 +233,8 @@ def test_a_gear_that_does_not_give_way_is_rigid_and_one_without_load_is_not_know
     k, d = stiffness_from_arm([still], model)
     assert np.isinf(k[1])
     assert d[1] == 0.0
+    unloaded = replace(model, consistent=np.zeros_like(model.consistent), base_values=np.zeros_like(model.base_values))
+    assert np.isnan(stiffness_from_arm([still], unloaded)).all()
 
 # Verdicts on identified joints: usable, weak with the motion that would tell, unusable.
 
