@@ -11,6 +11,7 @@ import math
 import os
 import signal
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, fields
@@ -214,6 +215,7 @@ def main() -> None:
     atexit.register(gc.freeze)
     # As after Ctrl-C, partial files and worker processes are cleared away on the way out.
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
+    sys.unraisablehook = _raised_again
     try:
         app()
     except KeyboardInterrupt:
@@ -221,6 +223,20 @@ def main() -> None:
         sys.exit(130)
     except Exception as error:
         sys.exit(ended_by(error))
+
+
+def _raised_again(lost: Any) -> None:
+    """Sends a signal once more that came where Python cannot raise, as while numba compiles: it was said and ignored.
+
+    Args:
+        lost: what could not be raised.
+    """
+    sent = {SystemExit: signal.SIGTERM, KeyboardInterrupt: signal.SIGINT}.get(lost.exc_type)
+    if sent is None:
+        sys.__unraisablehook__(lost)
+    else:
+        # From elsewhere and a little later: here it would be lost again.
+        threading.Timer(0.05, os.kill, (os.getpid(), sent)).start()
 
 
 def ended_by(error: BaseException) -> int:

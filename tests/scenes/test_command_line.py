@@ -177,6 +177,19 @@ def test_many_columns_become_blocks_of_lines(monkeypatch: pytest.MonkeyPatch, ca
     assert lines[-1].strip() == "column11: name11"
 
 
+@pytest.mark.parametrize(("name", "code"), [("SIGTERM", 143), ("SIGINT", 130)])
+def test_a_signal_that_comes_within_a_callback_ends_the_program(name: str, code: int) -> None:
+    """While numba compiled, it was shown as a traceback, and the program went on."""
+    text = ("import ctypes, os, signal, time; from scenes import cli\n"
+            "signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background of a shell\n"
+            "def app():\n"
+            f"    ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), signal.{name}))()\n"
+            "    time.sleep(60.0)\n"
+            "cli.app = app; cli.main()")
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (code, "")
+
+
 def test_version_is_the_packages() -> None:
     done = CliRunner().invoke(app, ["--version"])
     assert done.exit_code == 0
