@@ -16,7 +16,7 @@ from planning.line.fusion import DeviationFilter
 from planning.line.measurement import Fused, LineAhead, Measurement, SeenLine, polynomial_measurement
 from planning.path.desired_path import DesiredPath, planned_cycles
 from planning.path.path_kernels import displaced_frames, sensor_errors
-from planning.path.pose_history import PoseHistory
+from planning.path.pose_history import PoseHistory, check_cycle
 from planning.path.reference import ReferencePath
 from planning.path.speed_profile import SpeedProfile
 
@@ -118,6 +118,9 @@ class LineFollower:
         settings: assumed sensor errors and limits.
         fusion: the filter; by default a map of the path with the camera's errors as ``settings`` say.
         t_start: controller time at which the travel begins [s].
+
+    Raises:
+        InputError: a cycle too long for a camera.
     """
 
     def __init__(self, robot: Robot, reference: ReferencePath, profile: SpeedProfile, n_d: int = 25, *,
@@ -126,6 +129,7 @@ class LineFollower:
         self.robot, self.reference, self.profile, self.n_d = robot, reference, profile, n_d
         self.settings = settings = settings or FollowerSettings()
         self.t_start = t_start
+        check_cycle(robot)
         self.history = PoseHistory(robot)
         self._T, self._evenly = robot.t_ipo, np.linspace(0.0, 1.0, settings.points)
         # A little more than the horizon and what the smoothing looks ahead behind it.

@@ -8,11 +8,26 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from planning import PlanningError
 
+AHEAD = 0.05
+"""How far ahead of the last sample one can ask [s]."""
 _ROWS = 0.05
 """How far from a picture's middle row another row's exposure may be at most [s]."""
+
+
+def check_cycle(robot: Robot) -> None:
+    """Makes sure that the arm's place is known wherever a camera looks in the coming cycle.
+
+    Raises:
+        InputError: a longer cycle.
+    """
+    if robot.t_ipo > AHEAD:
+        raise InputError(f"a camera is told where to look before the cycle of its field, and the arm is forecast by "
+                         f"{AHEAD:g} s: expected a cycle of at most that (world.t_ipo, or t_ipo in the arm's TOML)",
+                         field="t_ipo", value=robot.t_ipo)
 
 
 class PoseHistory:
@@ -27,7 +42,7 @@ class PoseHistory:
         ahead: how far ahead of the last sample one can ask [s].
     """
 
-    def __init__(self, robot: Robot, length: float = 2.5, ahead: float = 0.05) -> None:
+    def __init__(self, robot: Robot, length: float = 2.5, ahead: float = AHEAD) -> None:
         self._robot, self._data, self._tool = robot, robot.pinocchio.createData(), robot.tool_id
         self._length, self._ahead = length, ahead
         self._t: deque[float] = deque()

@@ -11,6 +11,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.elasticity.observer import GearDeflection
+from ideal_robot.errors import found_in
 from ideal_robot.feedforward.friction_at_work import FrictionAtWork, friction_at_work
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.row_log import let_go, new_array
@@ -101,7 +102,8 @@ def set_up(scene: ForceScene, seen: tuple[HandEye, DetectionSettings] | None = N
         (believed_camera(scene.camera, scene.calibration), scene.line.detection) if seen is None
         else (seen[0].camera, seen[1]))
     where = geometry(scene, place)
-    reference, profile = force_reference(scene, robot, where.reference)
+    with found_in(scene.source):
+        reference, profile = force_reference(scene, robot, where.reference)
     known = Known(scene=scene, robot=robot, delay=int(world.correction_delay), model=model_for(scene, robot),
                   reference=reference, profile=profile, camera=camera, detection=detection)
     return Cell(known=known, world=world, surface=true_surface(scene.surface), geometry=where,

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array, arc_lengths
 from ideal_robot.elasticity.observer import GearDeflection
-from ideal_robot.errors import InputError
+from ideal_robot.errors import InputError, found_in
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.signals.recording import Recording
 from planning.line.deviation_sensor import DeviationSensor
@@ -176,8 +176,9 @@ def set_up(scene: LineScene, hand_eye: HandEye | None = None, camera: CameraMode
         believed = camera
     elif hand_eye is not None:
         believed = hand_eye.camera
-    reference, follower = line_follower(scene, robot, where.reference, believed,
-                                        None if hand_eye is None else hand_eye.surface, shape=shape)
+    with found_in(scene.source):
+        reference, follower = line_follower(scene, robot, where.reference, believed,
+                                            None if hand_eye is None else hand_eye.surface, shape=shape)
     known = Known(scene=scene, robot=robot, delay=int(world.correction_delay), camera=believed, reference=reference,
                   follower=follower, detector=detector)
     return Cell(known=known, world=world, geometry=where, line=line, true_camera=true, noise=noise,

@@ -20,6 +20,7 @@ from planning.force.contour import ContourFollower, ContourSettings
 from planning.force.force_follower import Errors, SurfaceFollower, surface_filter
 from planning.line.filter_bank import FilterBank
 from planning.path.kinematics import InverseKinematics
+from planning.path.pose_history import check_cycle
 from planning.path.reference import ReferencePath
 from planning.path.speed_profile import Limits, SpeedProfile
 from scenes.placing import check_clear, shapes_about
@@ -125,8 +126,11 @@ def force_reference(scene: ForceScene, robot: Robot, points: Array) -> tuple[Ref
         points: of the reference ``(N, 3)`` [m].
 
     Raises:
-        InputError: path out of reach, unreachable speed, a motion longer than the scene allows.
+        InputError: path out of reach, unreachable speed, a motion longer than the scene allows, a cycle too long for
+            a camera.
     """
+    if scene.task == "glue":
+        check_cycle(robot)
     out = scene.surface.pose().rotation[:, 2]
     if scene.task == "contour":
         # Pressed sideways, the tool keeps its orientation: straight down.

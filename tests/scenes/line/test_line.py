@@ -180,6 +180,7 @@ def test_a_line_never_seen_ends_the_run(tmp_path: Path) -> None:
         ({"world": {"stifness": 1.0}}, "unknown key"),
         ({"robot": "kr7"}, "shipped"),
         ({"model": "nowhere.json"}, "no such model file"),
+        ({"world": {"t_ipo": 0.2}}, "straight.*: t_ipo: .*a cycle of at most that .world.t_ipo.*got 0.2"),
         ({"feature": [{"kind": "gap", "at_mm": 450}]},
          "feature.0.at_mm: lies beyond the line.*0 to .* 400 mm .got 450"),
     ],
