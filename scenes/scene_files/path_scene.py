@@ -15,17 +15,15 @@ from ideal_robot.robots.collisions import Shapes
 from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
 from planning.path.kinematics import InverseKinematics
-from scenes.scene_files.scene import Box, Scene, obstacles
+from scenes.scene_files.scene import Box, Scene, Table, obstacles
 from scenes.scene_files.tool_path import ToolPath, lasting, shape_of, tool_path
 
 REST_BEFORE, REST_AFTER = 0.9, 0.6
 """How long the arm rests at the start and at the end of the path [s]; it does not count for the errors."""
 
 
-class Figure(pydantic.BaseModel):
+class Figure(Table):
     """The figure and where it lies."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     shape: Literal["iso9283", "triangle", "circle", "edge"]
     size_mm: float = pydantic.Field(gt=1.0, le=3000.0)
@@ -44,10 +42,8 @@ class Figure(pydantic.BaseModel):
     """Largest along the path [m/s²]; assumed, the papers give none."""
 
 
-class Paper(pydantic.BaseModel):
+class Paper(Table):
     """What the paper reports for this path, for the table."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     E_car_reduction_percent: dict[str, float] = pydantic.Field(default_factory=dict)
     E_max_reduction_percent: dict[str, float] = pydantic.Field(default_factory=dict)

@@ -19,6 +19,7 @@ from scipy.interpolate import CubicSpline
 from ideal_robot.arrays import Array, arc_lengths, interpolated
 from ideal_robot.bounded_values import SVG_BYTES, SVG_DEPTH, SVG_ELEMENTS, read_text
 from ideal_robot.errors import InputError
+from scenes.scene_files.scene import Table
 
 # A curve's height as a formula of ``x``, read by a small grammar of its own: nothing of it is ever run as a program.
 #
@@ -256,10 +257,8 @@ LONGEST = 100.0
 """Longest curve [m]: no arm follows more, and a slip of units must not fill the memory."""
 
 
-class Shape(pydantic.BaseModel):
+class Shape(Table):
     """One of ``formula`` (y [m] as a function of x [m], with ``length``), ``points`` or ``svg``."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     formula: str | None = None
     """y [m] of x [m], e.g. ``0.04*sin(2*pi*x/0.8)``, for x from 0 to ``length``."""

@@ -174,6 +174,7 @@ def test_a_line_never_seen_ends_the_run(tmp_path: Path) -> None:
         ({"camera": {"latency": -0.01}}, "greater than or equal to 0"),
         ({"n_d": True}, "n_d: .*expected a number"),
         ({"camera": {"rate": "50"}}, "camera.rate: .*expected a number"),
+        ({"line": {"corner_radius": "0.1"}}, "line.corner_radius: .*expected a number"),
         ({"tracker": "no"}, "tracker: .*expected true or false"),
         ({"camera": {"stamp_offset": 0.05}}, "less than or equal to 0.03"),
         ({"line": {"svg": "M 0 0 C", "points": None}}, "broken SVG path"),
