@@ -16,6 +16,7 @@ from ideal_robot.elasticity.stiffness import condition_number, flange_jacobian
 from ideal_robot.elasticity.stiffness_analysis import compliance_shapes
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
+from ideal_robot.robots.size import reach_at_home
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class ClampLimits:
     @classmethod
     def of(cls, robot: Robot) -> ClampLimits:
         """Limits in proportion to the arm's reach and strength."""
-        reach = float(np.linalg.norm(robot.fk()(robot.home).translation))
+        reach = reach_at_home(robot)
         strength = float(np.max(robot.tau_max)) / reach
         return cls(force=0.8 * strength, moment=0.4 * strength, radius=(0.4 * reach, 1.2 * reach),
                    height=(0.1 * reach, 1.0 * reach), noise=(1e-3 * strength, 4e-4 * strength))

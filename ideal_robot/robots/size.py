@@ -78,6 +78,11 @@ def reach(robot: Robot) -> float:
     return found
 
 
+def reach_at_home(robot: Robot) -> float:
+    """Distance of the tool from the base where the arm rests [m], that of the smallest arms at least."""
+    return max(float(np.linalg.norm(robot.fk()(robot.home).translation)), REACH[0])
+
+
 def class_of(values: tuple[float, ...], size: float) -> float:
     """A row of the table at a reach [m], interpolated between logarithms; at its ends held.
 

@@ -269,7 +269,10 @@ class World:
 
     @classmethod
     def ideal(cls, robot_name: str) -> World:
-        """The same arm with every effect off: motors are rigidly the links, and the data sheet is the truth."""
+        """The same arm with every effect off: motors are rigidly the links, and the data sheet is the truth.
+
+        Rotors that no data sheet tells stay: on the links alone many a loop is not stable.
+        """
         return cls.default(robot_name).replace(
             elasticity=False, backlash=0.0, friction=False, thermal=False, quantisation=False, current_noise=0.0,
             torque_limits=False, torque_ripple=0.0, low_pass=0.0, correction_delay=False, current_lag=0.0,

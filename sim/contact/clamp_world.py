@@ -10,6 +10,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError, found_in
 from ideal_robot.robots.robot import Robot
+from ideal_robot.robots.size import reach_at_home
 from sim.arm.world import World
 
 KR500_STIFFNESS = (6.93e6, 7.81e6, 6.2e6, 1.35e6, 1.15e6, 0.62e6)
@@ -78,8 +79,7 @@ class ClampWorld:
         # Assumed: links bend little, the long ones of joints 2 and 3 and the slim one of joint 4 most.
         links = 40 * np.max(stiffness) * np.resize([1.5, 0.6, 1.0, 0.7, 1.5, 2.5], robot.n)
         # A bench that belongs to the arm: about 0.2 % of what the whole arm gives.
-        reach = float(np.linalg.norm(robot.fk()(robot.home).translation))
-        hard = 500 * float(np.max(stiffness)) / reach**2
+        hard = 500 * float(np.max(stiffness)) / reach_at_home(robot)**2
         return cls(stiffness, links, (hard, 0.4 * hard))
 
     @classmethod

@@ -172,6 +172,17 @@ def gears_alone(robot: Robot) -> ClampWorld:
                    wrench_noise=(0.0, 0.0), wrench_bias=(0.0, 0.0), clock_offset=0.0, clock_drift=0.0, gaps=False)
 
 
+def test_a_tool_at_the_base_has_a_bench_too() -> None:
+    """Its distance from there was what the bench's stiffness was divided by."""
+    arm, name = Robot.load("kr500"), "at_base"
+    model = arm.pinocchio.copy()
+    frame = model.frames[arm.tool_id]
+    tip = frame.placement * arm.fk()(arm.home).inverse()
+    model.addFrame(pin.Frame(name, frame.parentJoint, arm.tool_id, tip, pin.FrameType.OP_FRAME))
+    hard = ClampWorld.default(replace(arm, pinocchio=model, tool_frame=name)).environment[0]
+    assert hard < 100.0 * ClampWorld.default(arm).environment[0]
+
+
 def test_with_a_rigid_clamp_the_arm_stands() -> None:
     robot = Robot.load("kr500")
     arm = ClampedArm(robot, gears_alone(robot), Q)
