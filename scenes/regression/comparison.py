@@ -200,8 +200,12 @@ def _of_case(label: str, group: pd.DataFrame, names: Sequence[str], figures: Seq
                                    .nunique(dropna=False) == 1).all())
     rows = []
     for name in names:
-        values = ran[[f"{name} before", f"{name} after"]].astype(float).dropna()
-        if len(values):
+        had = ran[[f"{name} before", f"{name} after"]].astype(float).dropna(subset=[f"{name} before"])
+        values = had.dropna()
+        if len(values) < len(had):
+            rows.append(Row(label, name, len(had), verdict=WORSE,
+                            why=f"{len(had) - len(values)} of {len(had)} runs do not have this figure any more"))
+        elif len(values):
             rows.append(one_run(label, name, len(values), *values.to_numpy()[0]) if alike
                         else paired(label, name, *values.to_numpy().T))
     if len(ran) and not rows:
