@@ -72,15 +72,8 @@ def arguments_figure(arguments: Sequence[Argument]) -> Figure:
 
 
 def in_order(found: list[FoundEffect]) -> list[FoundEffect]:
-    """Effects in the order in which they were taken: each starts from the error that the last one left."""
-    waiting, ordered = list(found), []
-    level: dict[str, float] = {}
-    while waiting:
-        following = next((e for e in waiting if level.get(e.fitted.channel) in (None, e.rms_before)), waiting[0])
-        waiting.remove(following)
-        ordered.append(following)
-        level[following.fitted.channel] = following.rms_after
-    return ordered
+    """Effects in the order in which they were taken, which is that of what they add to their channels."""
+    return sorted(found, key=lambda e: e.taken)
 
 
 def contributions(diagnosis: Diagnosis) -> list[tuple[FoundEffect, Contribution]]:

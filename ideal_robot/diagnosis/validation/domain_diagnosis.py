@@ -345,7 +345,7 @@ class DomainDiagnosis:
         fitted = with_limits(fitted, choice, self.problem.regression.signals)
         names = tuple(effect.signals_of(choice.joint)) if isinstance(effect, Unknown) else ()
         return FoundEffect(fitted, before, after, choice.p_value, rivals, discriminating_motion(effect.name, rivals),
-                           transfers, names)
+                           transfers, names, k)
 
     def _channel(self, k: int) -> int:
         """Index of the channel in which an effect is reported: its own, else where it reduces the error most."""

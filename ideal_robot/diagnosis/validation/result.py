@@ -145,6 +145,7 @@ class FoundEffect:
         would_tell: what motion would tell them apart.
         transfers: whether it also lowers the error on the validation recording; None without one.
         depends_on: for a learned term, the signals it is a curve of.
+        taken: how many effects of its channels were taken before it, learned terms included.
     """
 
     fitted: FittedEffect
@@ -155,6 +156,7 @@ class FoundEffect:
     would_tell: str = ""
     transfers: bool | None = None
     depends_on: tuple[str, ...] = ()
+    taken: int = 0
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""

@@ -25,7 +25,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.cli import app
 from scenes.closing.result import Closing
-from scenes.diagnosis.figures import contributions, effect_figure, in_order, ladder_figure
+from scenes.diagnosis.figures import contributions, effect_figure, ladder_figure
 from scenes.diagnosis.page import _amount, diagnosis_page, summary
 from scenes.path.page import path_replay, run_page
 from scenes.play import run_scene
@@ -159,7 +159,7 @@ def test_the_effect_is_drawn_over_the_signal_it_depends_on() -> None:
 
 
 def test_the_ladder_has_a_step_an_effect_and_the_noise() -> None:
-    figure = ladder_figure(diagnosis(found(2.0, 0.9), found(0.9, 0.2)))
+    figure = ladder_figure(diagnosis(found(2.0, 0.9), dataclasses.replace(found(0.9, 0.2), taken=1)))
     (axes,) = figure.axes
     assert [round(bar.get_width(), 3) for bar in axes.patches] == [2.0, 0.9, 0.2]
     assert any(np.allclose(line.get_xdata(), 0.19) for line in axes.lines)
@@ -174,8 +174,10 @@ def test_an_effect_reported_under_another_name_is_drawn_where_it_acts() -> None:
 
 
 def test_effects_stand_in_the_order_in_which_they_were_taken() -> None:
-    first, second, third = found(2.0, 0.9), found(0.9, 0.5), found(0.5, 0.2)
-    assert in_order([first, third, second]) == [first, second, third]
+    first, second = (dataclasses.replace(found(2.0, 0.2), taken=k) for k in range(2))
+    # A learned term that was taken first: each with what it adds, and not with what another one does.
+    whole = dataclasses.replace(diagnosis(second, first), effects=(second,), unknown=(first,))
+    assert [one for one, _ in contributions(whole)] == [first, second]
 
 
 def test_an_effect_that_two_channels_show_is_missing_once() -> None:
