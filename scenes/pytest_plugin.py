@@ -60,7 +60,9 @@ def ideal_scene(request: pytest.FixtureRequest) -> Scene:
         scene = load_scene(beside if name.endswith(".toml") and beside.is_file() else name)
         return scene.changed(**marker.kwargs) if marker.kwargs else scene
     except InputError as error:
-        pytest.fail(str(error), pytrace=False)
+        said = str(error)
+    # Outside of its handling: within, pytest shows the error and what led to it beside the sentence.
+    pytest.fail(said, pytrace=False)
 
 
 @pytest.fixture
@@ -116,9 +118,10 @@ def baseline(request: pytest.FixtureRequest) -> Callable[[Results], None]:
             pytest.fail(f"no baseline at {place}; pytest --update-path-errors writes it", pytrace=False)
         try:
             found = compared(read_results(place), results, title=request.node.nodeid)
+            said = "" if found.verdict in ("better", "same") else markdown(found)
         except InputError as error:
-            pytest.fail(f"{error}; pytest --update-path-errors accepts these results", pytrace=False)
-        if found.verdict not in ("better", "same"):
-            pytest.fail(markdown(found), pytrace=False)
+            said = f"{error}; pytest --update-path-errors accepts these results"
+        if said:
+            pytest.fail(said, pytrace=False)
 
     return compare

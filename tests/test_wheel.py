@@ -246,6 +246,7 @@ def misses_its_baseline(said: str) -> None:
     """What is missing is said, with the remedy."""
     assert "--update-path-errors writes it" in said, said
     assert "did you mean 'straight'?" in said
+    assert "During handling" not in said
     assert "say which scene is played" in said
     assert "2 failed, 2 errors" in said
 
