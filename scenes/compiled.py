@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.execution.command_governor import CommandGovernor
+from ideal_robot.feedforward.base import tried
 from ideal_robot.feedforward.method import Needs
 from ideal_robot.feedforward.registry import feedforward, methods
 from ideal_robot.identification.excitation import Workspace, obstacle
@@ -40,8 +41,7 @@ def compile_all() -> float:
     robot = Robot.load("kr6")
     model = Model.load(shipped_model("kr6"))
     for key in methods(Needs.MODEL):
-        law = feedforward(key, model, robot, n_d=30)
-        law.step(law.init(robot.home), np.tile(robot.home, (law.n_d, 1)))
+        tried(feedforward(key, model, robot, n_d=30), robot.home, robot.t_ipo)
     simulate(loop_model(model, robot), np.tile(robot.home, (3, 1)))
     obstacle(robot, robot.home[None], Workspace())
     governor = CommandGovernor(robot, robot.home)

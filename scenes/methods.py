@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.errors import InputError
-from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.base import Feedforward, tried
 from ideal_robot.feedforward.method import Factory, Method, Needs, Setting
 from ideal_robot.feedforward.registry import method as registered
 from ideal_robot.feedforward.registry import methods as registered_methods
@@ -59,14 +59,16 @@ class SceneMethod:
         """Makes the feedforward.
 
         Raises:
-            InputError: something that it needs is missing.
+            InputError: something that it needs is missing, or it cannot be played on this arm.
         """
         if isinstance(self.made, Feedforward):
-            return self.made
-        if self.made is not None:
-            return self.made(setting)
-        key = NONE if self.key in (DIRECT, SENSOR_PATH) else self.key.removesuffix("_delay")
-        return registered(key).make(setting)
+            found = self.made
+        elif self.made is not None:
+            found = self.made(setting)
+        else:
+            key = NONE if self.key in (DIRECT, SENSOR_PATH) else self.key.removesuffix("_delay")
+            found = registered(key).make(setting)
+        return tried(found, setting.robot.home, setting.robot.t_ipo)
 
     def following(self, setting: Setting) -> Feedforward:
         """Makes the feedforward of a play that knows its path over a horizon only.

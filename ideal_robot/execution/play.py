@@ -13,12 +13,12 @@ import numpy as np
 from ideal_robot.arrays import Array, held
 from ideal_robot.errors import IdealRobotError, InputError, LimitError
 from ideal_robot.execution.command_governor import CommandGovernor, check_limits, stopping_rows, stops_at_once
-from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.base import Feedforward, tried
 from ideal_robot.progress import Progress, silent
 from ideal_robot.results import Summarised, listed, over_time, plain
 from ideal_robot.robots.interface import RobotInterface, RobotState
 from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.recording import Recording, expect
+from ideal_robot.signals.recording import Recording
 
 if TYPE_CHECKING:
     from ideal_robot.results import Figure
@@ -101,12 +101,10 @@ def play(driver: RobotInterface, feedforward: Feedforward, q_d: Array, *, robot:
     Raises:
         InputError: a path that cannot be played, a feedforward made for another cycle.
     """
-    expect(feedforward, Feedforward, "feedforward", "make one by ideal_robot.feedforward(key, model, robot)")
-    path = _checked(q_d, driver, feedforward, robot)
+    path = _checked(q_d, robot)
+    tried(feedforward, path[0], driver.t_ipo)
     player = _Player(driver, PathCommands(feedforward, path, robot, driver.t_ipo))
     error, failure = None, None
-    # Compiled code is loaded before the first cycle.
-    feedforward.step(feedforward.init(path[0]), held(path, after=feedforward.n_d)[: feedforward.n_d])
     try:
         player.hand_over(map(player.commands.row, range(len(path))), progress)
         player.hand_over(player.commands.to_rest(path[-1]))
@@ -232,15 +230,11 @@ class _Player:
         return PlayResult(recording, np.array(self.q_c), np.array(self.times), self.commands.state, failure, error)
 
 
-def _checked(q_d: Array, driver: RobotInterface, feedforward: Feedforward, robot: Robot | None) -> Array:
+def _checked(q_d: Array, robot: Robot | None) -> Array:
     path = np.array(q_d, dtype=float)
     if path.ndim != 2 or len(path) < 2 or (robot is not None and path.shape[1] != robot.n):
         raise InputError(f"expected desired positions (N, {'n' if robot is None else robot.n}) with N of 2 at least",
                          field="q_d", value=path.shape)
     if not np.isfinite(path).all():
         raise InputError("holds values that are not finite", field="q_d")
-    if abs(feedforward.t_ipo - driver.t_ipo) > 1e-9:
-        raise InputError(f"the feedforward is made for a cycle of {feedforward.t_ipo:g} s, the driver has "
-                         f"{driver.t_ipo:g} s; make it for a robot of that cycle (t_ipo)", field="feedforward",
-                         value=feedforward.t_ipo)
     return path

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.arrays import Array, held
+from ideal_robot.errors import InputError
 from ideal_robot.robots.interface import RobotState
+from ideal_robot.signals.recording import expect
 
 SETTLE = 0.4
 """Time over which an arm at rest takes up its gears' deflection and its own geometry at the start [s]: less than the
@@ -63,6 +65,28 @@ class Feedforward(ABC):
         for k in range(len(q_d)):
             q_c[k], state = self.step(state, ahead[k : k + self.n_d])
         return q_c
+
+
+def tried(feedforward: Feedforward, q: Array, t_ipo: float) -> Feedforward:
+    """The feedforward after one step at rest, so that its compiled code is loaded before it counts.
+
+    Args:
+        feedforward: what is to be played, perhaps of a package outside.
+        q: where the arm rests ``(n,)`` [rad].
+        t_ipo: cycle in which it is to be played [s].
+
+    Raises:
+        InputError: it is none, was made for another cycle, or does not command each joint.
+    """
+    expect(feedforward, Feedforward, "feedforward", "make one by ideal_robot.feedforward(key, model, robot)")
+    if abs(feedforward.t_ipo - t_ipo) > 1e-9:
+        raise InputError(f"the feedforward is made for a cycle of {feedforward.t_ipo:g} s, the arm has {t_ipo:g} s; "
+                         "make it for a robot of that cycle (t_ipo)", field="feedforward", value=feedforward.t_ipo)
+    match feedforward.step(feedforward.init(q), np.tile(q, (feedforward.n_d, 1))):
+        case q_c, _ if np.shape(q_c) == q.shape:
+            return feedforward
+    raise InputError(f"step has to return a command of shape {q.shape} and the next state", field="feedforward",
+                     value=type(feedforward).__name__)
 
 
 # No correction: the desired position is commanded as it is.

@@ -73,7 +73,6 @@ class LineTask:
         self._direct = DirectFeedback(follower, *gains) if method.key == DIRECT and gains else None
         self._state = self.feedforward.init(follower.q_start)
         # Once for nothing, so that compiling does not fall into the first cycles.
-        self.feedforward.step(self._state, np.tile(follower.q_start, (self.feedforward.n_d, 1)))
         follower.reference.project(follower.reference.position(np.array([0.1])), 0.1)
         for sensor in self.sensors:
             log.sensor_values[sensor.name] = log.sensor_used[sensor.name] = 0

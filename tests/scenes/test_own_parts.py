@@ -104,6 +104,28 @@ def test_what_a_method_cannot_be_is_named() -> None:
         run_scene(short(), method=Ahead(500))
 
 
+class AllRows(Ahead):
+    """Commands all rows of its horizon at once."""
+
+    def step(self, state: Any, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, Any]:
+        return q_d, state
+
+
+class Fast(Ahead):
+    """Made for a controller three times as fast."""
+
+    t_ipo = 0.004
+
+
+@pytest.mark.parametrize("name", ["straight", "force_wave", "edge"])
+def test_a_feedforward_that_cannot_be_played_is_told_from_one_that_follows_badly(name: str) -> None:
+    for wrong, says in ((AllRows(), r"step has to return a command of shape \(6,\)"),
+                        (Fast(), "made for a cycle of 0.004 s, the arm has 0.01"),
+                        (lambda setting: None, "expected a Feedforward")):
+        with pytest.raises(InputError, match=says):
+            run_scene(load_scene(name), method=wrong)
+
+
 class Profile:
     """Sees the line 30 mm ahead, 20 ms late, at an angle to the path's normal; wrong by ``error`` [m].
 
