@@ -200,7 +200,8 @@ def _of_case(label: str, group: pd.DataFrame, names: Sequence[str], figures: Seq
                                    .nunique(dropna=False) == 1).all())
     rows = []
     for name in names:
-        had = ran[[f"{name} before", f"{name} after"]].astype(float).dropna(subset=[f"{name} before"])
+        # Of a figure with a sign, a delay for instance, less in size is better.
+        had = ran[[f"{name} before", f"{name} after"]].astype(float).abs().dropna(subset=[f"{name} before"])
         values = had.dropna()
         if len(values) < len(had):
             rows.append(Row(label, name, len(had), verdict=WORSE,
@@ -312,7 +313,7 @@ def bounds_of(results: Results, asked: Sequence[dict[str, float]]) -> tuple[Boun
                 known = [name for name in results.figures if unit_of(name)]
                 raise InputError(f"no run has this figure; there are {', '.join(known)}", field="bounds", value=figure)
             ended = runs.loc[runs["failure"].isna()]
-            values = ended[figure].astype(float).dropna().to_numpy() if figure in ended else np.empty(0)
+            values = ended[figure].astype(float).abs().dropna().to_numpy() if figure in ended else np.empty(0)
             reasons = [*runs["failure"].dropna(), "the scene has no such figure"]
             found.append(_bound(str(label), figure, limit, values, len(runs) - len(values), reasons[0]))
     return tuple(found)

@@ -41,7 +41,7 @@ class Case(Table):
     world: str | None = None
     """``workshop`` or ``bench``; the scene's own if not given."""
     bounds: dict[str, Any] = pydantic.Field(default_factory=dict)
-    """Figure → largest mean over the seeds, with its unit: ``"control_error_mm.p95" = "0.3 mm"``."""
+    """Figure → largest mean of its size over the seeds, with its unit: ``"control_error_mm.p95" = "0.3 mm"``."""
 
     @pydantic.field_validator("seeds", mode="before")
     @classmethod
@@ -63,7 +63,7 @@ class SuiteFile(Table):
     """File of the baseline, as seen from the suite's folder; ``NAME.baseline.json`` where the check is begun if not
     given."""
     figures: tuple[str, ...] = pydantic.Field(default=MAIN, min_length=1)
-    """What is compared; less is better. Each is a figure of one of the scenes at least."""
+    """What is compared; less is better, in size. Each is a figure of one of the scenes at least."""
     false_alarms: float = pydantic.Field(default=0.01, gt=0.0, lt=0.5)
     """Chance that an unchanged program is called worse or better, over all figures and cases together."""
     relevant: float = pydantic.Field(default=0.01, ge=0.0, lt=1.0)

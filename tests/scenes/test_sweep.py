@@ -22,7 +22,8 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from scenes import workers
 from scenes.commands.common import numbers, whole_numbers
-from scenes.regression.results import CASE, RunSet, read_results
+from scenes.regression.comparison import bounds_of, compared
+from scenes.regression.results import CASE, Results, RunSet, read_results
 from scenes.scene_file import load_scene
 from scenes.scene_files.scene import Scene
 from scenes.sweep import Job, SweepFile, jobs, play, sweep
@@ -121,6 +122,13 @@ def test_a_method_that_none_of_the_scenes_has_is_refused_before_anything_is_play
     # What one of them has is played: the others say that they do not have it.
     rows = sweep(jobs(["line", "iso9283_1"], methods=["sensor_path"]), processes=1, function=answer)
     assert len(rows) == 2
+
+
+def test_a_delay_that_became_a_lead_is_no_progress() -> None:
+    before, after = (Results.of([{"scene": "line", "seed": seed, "path_error_mm": {"delay_ms": delay}}
+                                 for seed in range(3)]) for delay in (0.1, -40.0))
+    assert compared(before, after, figures=["path_error_mm.delay_ms"]).verdict == "worse"
+    assert not bounds_of(after, [{"path_error_mm.delay_ms": 1.0}] * 3)[0].kept
 
 
 def test_an_ended_sweep_goes_on_where_it_was(tmp_path: Path) -> None:
