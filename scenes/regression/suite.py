@@ -103,7 +103,7 @@ class Suite:
                 _check_options(job.scene, job, path, number)
                 key = (job.scene.name, *(getattr(job, name) for name in Job.__dataclass_fields__ if name != "scene"))
                 if key in known:
-                    raise InputError(f"asks for a run of {job.scene.name} that an earlier case has; ask for it once",
+                    raise InputError(f"asks for a run of {job.scene.name} twice; ask once, by names that differ",
                                      file=path, field=f"case.{number}")
                 known[key] = job
                 self.work.append((job, bounds))
