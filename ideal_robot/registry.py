@@ -10,7 +10,6 @@ Built-in implementations are given as ``"module:attribute"`` and imported when t
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterator
 from importlib import metadata
 from typing import Generic, TypeVar, cast
@@ -24,8 +23,7 @@ def imported(implementation: T | str) -> T:
     """What ``"module:attribute"`` names; anything else is the implementation itself."""
     if not isinstance(implementation, str):
         return implementation
-    module, _, attribute = implementation.partition(":")
-    return cast(T, getattr(importlib.import_module(module), attribute))
+    return cast(T, metadata.EntryPoint("", implementation, "").load())
 
 
 class Registry(Generic[T]):
@@ -67,12 +65,16 @@ class Registry(Generic[T]):
         """The implementation of that name.
 
         Raises:
-            InputError: there is none; the message lists the names there are.
+            InputError: there is none, and the message lists the names there are; or it cannot be imported.
         """
         self._read()
         if name not in self._known:
             raise InputError(f"expected one of {', '.join(self._known)}", field=self.seam, value=name)
-        found = self._known[name] = imported(self._known[name])
+        try:
+            found = self._known[name] = imported(self._known[name])
+        except (AttributeError, ImportError) as error:
+            raise InputError(f"cannot be imported ({error}); mend the entry point, or uninstall the package that has "
+                             "it", field=self.seam, value=f"{name} = {self._known[name]}") from error
         return found
 
     def __iter__(self) -> Iterator[tuple[str, T]]:
@@ -85,6 +87,9 @@ class Registry(Generic[T]):
     def _read(self) -> None:
         if self._read_entry_points:
             return
-        self._read_entry_points = True
         for point in metadata.entry_points(group=self.group):
-            self._known.setdefault(point.name, point.value)
+            if self._known.setdefault(point.name, point.value) != point.value:
+                raise InputError(f"an installed package adds a {self.seam} of a name that there is already; rename its "
+                                 "entry point, or uninstall it", field=self.group,
+                                 value=f"{point.name} = {point.value}")
+        self._read_entry_points = True

@@ -158,10 +158,51 @@ def rows() -> dict[str, str]:
     return {cells[1].strip(): cells[2] for line in table.splitlines() if (cells := line.split("|"))[2:]}
 
 
-def test_one_of_each_is_one_file_and_at_most_a_line_in_a_registry(tmp_path: Path) -> None:
-    package, info = tmp_path / "house", tmp_path / "house-1.0.dist-info"
-    package.mkdir()
+WRONG = """
+import pytest
+
+from ideal_robot.effects import library
+from ideal_robot.errors import InputError
+from ideal_robot.feedforward.registry import methods
+from ideal_robot.friction import law_of
+
+for asked, says in ((lambda: law_of("square"), "key of Drag is 'drag'"),
+                    (library, "LacksDrag is 'drag/tau'; give it the name that it is registered by"),
+                    (methods, "a method of a name that there is already.*ideal = house.law:Drag"),
+                    (methods, "a method of a name that there is already"),
+                    (lambda: law_of("none"), "cannot be imported .*no attribute 'Gone'.*none = house"),
+                    (lambda: law_of("lost"), "cannot be imported .*No module named 'house.lost'")):
+    with pytest.raises(InputError, match=says):
+        asked()
+"""
+"""What a package may have wrong in its entry points, and what is said of it."""
+
+
+def ended(folder: Path, program: str, entry_points: str) -> subprocess.CompletedProcess[str]:
+    """A program beside an installed package ``house``."""
+    info = folder / "house-1.0.dist-info"
     info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: house\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(entry_points)
+    return subprocess.run([sys.executable, "-c", program, str(folder / "house")], capture_output=True, text=True,
+                          check=False, env={**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)])})
+
+
+def test_what_is_wrong_with_an_entry_point_is_said(tmp_path: Path) -> None:
+    """A law whose file would be read as another law, and a method that is not the one that is played, among them."""
+    package = tmp_path / "house"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "law.py").write_text(LAW, encoding="utf-8")
+    done = ended(tmp_path, WRONG, "[ideal_robot.friction]\nsquare = house.law:Drag\nnone = house.law:Gone\n"
+                 "lost = house.lost:It\n[ideal_robot.effects]\nsquare/tau = house.law:LacksDrag\n"
+                 "[ideal_robot.feedforward]\nideal = house.law:Drag\n")
+    assert done.returncode == 0, done.stderr
+
+
+def test_one_of_each_is_one_file_and_at_most_a_line_in_a_registry(tmp_path: Path) -> None:
+    package = tmp_path / "house"
+    package.mkdir()
     (package / "__init__.py").write_text("")
     for what, parts in PARTS.items():
         assert what in rows()
@@ -169,11 +210,7 @@ def test_one_of_each_is_one_file_and_at_most_a_line_in_a_registry(tmp_path: Path
         assert len(parts) + registered <= 2
         for name, text in parts.items():
             (package / name).write_text(text, encoding="utf-8")
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: house\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(REGISTRY)
-    path = os.pathsep.join([str(tmp_path), str(ROOT)])
-    done = subprocess.run([sys.executable, "-c", PROGRAM, str(package)], capture_output=True, text=True, check=False,
-                          env={**os.environ, "PYTHONPATH": path})
+    done = ended(tmp_path, PROGRAM, REGISTRY)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     coefficients, lacks, named = found["a friction law"]

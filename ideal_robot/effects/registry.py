@@ -117,5 +117,9 @@ def _effect(key: str) -> Effect:
     """The one object of an effect; searches tell effects apart by it."""
     if key not in _made:
         found = EFFECTS.get(key)
-        _made[key] = found.seen_in(key.partition("/")[2]) if isinstance(found, type) else found
+        effect = found.seen_in(key.partition("/")[2]) if isinstance(found, type) else found
+        if effect.key != key:
+            raise InputError(f"{type(effect).__name__} is {effect.key!r}; give it the name that it is registered by",
+                             field="effects", value=key)
+        _made[key] = effect
     return _made[key]

@@ -278,11 +278,15 @@ def law_of(key: str) -> type[FrictionModel]:
     """The law of a key.
 
     Raises:
-        InputError: no such law.
+        InputError: no such law, or one that model files would know by another key.
     """
     if key not in LAWS:
         raise InputError(f"no such friction law; there are {', '.join(LAWS.names())}", field="friction", value=key)
-    return LAWS.get(key)
+    law = LAWS.get(key)
+    if law.key != key:
+        raise InputError(f"the key of {law.__name__} is {law.key!r}; give it the one that it is registered by",
+                         field="friction", value=key)
+    return law
 
 
 class PerJointFriction:

@@ -144,7 +144,7 @@ class JointProblem:
 
     def _laws(self, wanted: str, load: Sequence[Array], noise: Array, barred: frozenset[int],
               ) -> tuple[list[FrictionModel], list[dict[str, float]]]:
-        automatic = [law for _, law in LAWS if law.automatic]
+        automatic = [law for law in map(law_of, LAWS.names()) if law.automatic]
         options = candidates(automatic, refine=True) if wanted == "auto" else candidates([law_of(wanted)], refine=False)
         if len(options) == 1 and not options[0].bounds:
             return [options[0].make(()) for _ in range(self._robot.n)], [{} for _ in range(self._robot.n)]
