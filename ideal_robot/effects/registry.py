@@ -15,6 +15,7 @@ from __future__ import annotations
 from ideal_robot.effects.base import Effect
 from ideal_robot.errors import InputError
 from ideal_robot.registry import Registry
+from ideal_robot.signals.recording import expect
 
 _HERE = "ideal_robot.effects."
 _TABLE = {
@@ -79,8 +80,9 @@ def register(effect: Effect) -> None:
     """Adds an effect of another package.
 
     Raises:
-        InputError: there is one of that name in that channel already.
+        InputError: there is one of that name in that channel already, or it is a class and no effect.
     """
+    expect(effect, Effect, "effect", "make one of the class: register(MyEffect())")
     EFFECTS.register(effect.key, effect)
 
 

@@ -22,6 +22,7 @@ from ideal_robot.diagnosis.statistics.least_squares import ROUNDING, Fit, HeldOu
 from ideal_robot.dynamics.base_parameters import consistent_parameters
 from ideal_robot.effects import Effect, FittedEffect
 from ideal_robot.effects.kinematics import GeometryChange
+from ideal_robot.errors import InputError
 from ideal_robot.friction import PerJointFriction
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import friction_places, parameter_vector
@@ -252,8 +253,17 @@ class Problem:
         return made
 
     def _columns(self, candidate: Candidate) -> Columns:
-        columns = candidate.effect.columns(self.regression.signals, candidate.joint, candidate.theta)
-        made = replace(self.prepared(columns), alike=candidate.effect.learned)
+        signals, effect = self.regression.signals, candidate.effect
+        columns, m = effect.columns(signals, candidate.joint, candidate.theta), len(effect.coefficient_names)
+        # Of some causes a recording shows the first coefficients only; a curve has as many as it has knots.
+        if np.ndim(columns) != 3 or len(columns) != len(signals.t) or (columns.shape[2] > m and not effect.learned):
+            raise InputError(f"columns of {type(effect).__name__} have to be ({len(signals.t)}, c, {m}): samples, "
+                             "channels, coefficients; Signals.on_joint makes them", field="effects",
+                             value=np.shape(columns))
+        made = replace(self.prepared(columns), alike=effect.learned)
+        if not np.isfinite(made.values).all():
+            raise InputError(f"columns of {type(effect).__name__} hold values that are not finite, of "
+                             f"joint {candidate.joint}", field="effects", value=effect.name)
         form = self.form_of_model(candidate)
         if form is None or form.channels != made.channels:
             return made

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -23,8 +24,10 @@ from ideal_robot.effects import (
 from ideal_robot.effects.fitted import Unknown
 from ideal_robot.effects.registry import EFFECTS, find
 from ideal_robot.errors import InputError
+from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from tests.ideal_robot.diagnosis.test_diagnose import arm, strokes
+from tests.sources import ROOT
 
 
 def motion(n: int = 2, count: int = 1500) -> Signals:
@@ -190,3 +193,38 @@ def test_an_effect_that_was_taken_out_is_unknown():
     unregister(effect)
     with pytest.raises(InputError, match="known are"):
         fitted.contribution(motion())
+
+
+class Drag(Effect):
+    """Grows with the square of speed."""
+
+    name, coefficient_names, coefficient_units = "drag_of_air", ("drag",), ("N m s²/rad²",)
+    made: Callable[[np.ndarray], np.ndarray]
+
+    def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> np.ndarray:
+        return type(self).made(signals.on_joint(joint, signals.qd[:, joint - 1] * abs(signals.qd[:, joint - 1])))
+
+
+@pytest.mark.parametrize(("made", "says"), [
+    (lambda columns: columns[:, 0], r"have to be \(5000, c, 1\): samples, channels, coefficients"),
+    (lambda columns: np.repeat(columns, 2, axis=2), r"\(5000, c, 1\).*got \(5000, 1, 2\)"),
+    (lambda columns: columns[1:], r"\(5000, c, 1\).*got \(4999, 1, 1\)"),
+    (lambda columns: columns * np.nan, "hold values that are not finite, of joint 1"),
+])
+def test_columns_of_an_own_effect_that_are_none_are_said(made: Callable[[np.ndarray], np.ndarray], says: str) -> None:
+    """Not finite, the effect was never found, and another one named in its place."""
+    q = np.sin(np.outer(t := np.arange(0.0, 20.0, 0.004), [1.1, 2.3, 4.7])) @ [0.6, 0.3, 0.1]
+    qd = np.gradient(q, t)
+    recording = Recording.from_arrays(t, q=q, tau=2.2 * np.gradient(qd, t) + 5.0 * np.tanh(100.0 * qd) + qd * abs(qd))
+    own = type("Own", (Drag,), {"made": staticmethod(made)})()
+    register(own)
+    try:
+        with pytest.raises(InputError, match=says):
+            diagnose(recording, Robot.load(ROOT / "examples" / "own_robot.urdf"))
+    finally:
+        unregister(own)
+
+
+def test_the_class_of_an_effect_is_no_effect() -> None:
+    with pytest.raises(InputError, match="make one of the class"):
+        register(Drag)  # type: ignore[arg-type]
