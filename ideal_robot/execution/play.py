@@ -192,6 +192,11 @@ class _Player:
             taken = time.perf_counter() - begun
             measured = self.driver.cycle(q_c)
             begun = time.perf_counter()
+            for what, values in (("q", measured.q), ("tau", measured.tau)):
+                if np.shape(values) != np.shape(q_c):
+                    raise InputError(f"cycle of {type(self.driver).__name__} has to return a state with {what} of "
+                                     f"shape {np.shape(q_c)}, NaN where it is not measured", field="driver",
+                                     value=np.shape(values))
             self.commands.state = self.commands.feedforward.observe(self.commands.state, measured)
             self.times.append(taken + time.perf_counter() - begun)
             self.q_d.append(q_d)

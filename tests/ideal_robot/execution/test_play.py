@@ -100,6 +100,27 @@ def test_a_lost_arm_ends_the_play_and_keeps_the_recording() -> None:
     assert len(played.recording.t) == 29
 
 
+class Broken(Follower):
+    """Tells positions ``(q,)`` and torques ``(tau,)``."""
+
+    def __init__(self, q: int, tau: int) -> None:
+        super().__init__()
+        self.q, self.tau = q, tau
+
+    def cycle(self, q_c: Array) -> RobotState:
+        super().cycle(q_c)
+        return RobotState(self.t_ipo, np.zeros(self.q), np.zeros(self.tau))
+
+
+@pytest.mark.parametrize(("q", "tau", "what"), [(5, 6, "q"), (6, 7, "tau")])
+def test_a_driver_that_tells_of_other_joints_ends_the_play_in_the_first_cycle(q: int, tau: int, what: str) -> None:
+    """At the end of the path its recording could not be made any more."""
+    arm = Broken(q, tau)
+    with pytest.raises(ir.InputError, match=f"cycle of Broken has to return a state with {what} of shape"):
+        ir.play(arm, ir.feedforward("none", None, ROBOT), path(), robot=ROBOT)
+    assert len(arm.commands) == 1
+
+
 @pytest.mark.parametrize(("q_d", "field"), [(np.zeros(50), "q_d"), (np.full((50, 6), np.nan), "q_d"),
                                             (np.zeros((50, 5)), "q_d")])
 def test_paths_that_cannot_be_played_are_refused_before_anything_moves(q_d: Array, field: str) -> None:
