@@ -22,8 +22,8 @@ from ideal_robot.whole_file import write_text
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 
-_TRIES = 8
-"""How often a motion is looked for."""
+_TRIES = 40
+"""How often a motion is looked for: to an arm of five joints, one of a dozen can be driven from its home posture."""
 
 
 @dataclass(frozen=True, repr=False)

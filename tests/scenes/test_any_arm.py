@@ -344,3 +344,23 @@ def test_an_own_model_of_a_cell_with_boxes_is_another_one() -> None:
     robot, world = arm_of("kr6"), World.default("kr6")
     assert len({cache_name(robot, world, boxes_of(scene)) for scene in (load_scene("line"), line(**BESIDE))}) == 2
     assert cache_name(robot, world, boxes_of(load_scene("line"))) == cache_name(robot, world)
+
+
+FIVE = (("0 0 1", "0 0 0.3", (-3.0, 3.0), 3, 400, 20.0, 0.2), ("0 1 0", "0.1 0 0.1", (-2.0, 2.2), 3, 400, 18.0, 0.5),
+        ("0 1 0", "0 0 0.5", (-2.5, 2.5), 3, 200, 10.0, 0.2), ("0 1 0", "0 0 0.35", (-2.0, 2.0), 5, 40, 3.0, 0.1),
+        ("0 0 1", "0 0 0.08", (-6.0, 6.0), 6, 20, 1.0, 0.05))
+"""Axis, place [m], limits [rad], speed [rad/s], effort [N m], mass [kg] and length [m] of five joints."""
+
+
+def test_a_motion_is_found_for_an_arm_that_few_can_be_driven_to(tmp_path: Path) -> None:
+    """``new`` wrote a scene for it, and ``run`` ended: nine of ten motions lie behind the column or the floor."""
+    parts = ['<robot name="five"><link name="l0"/>']
+    for j, (axis, place, (low, high), speed, effort, mass, length) in enumerate(FIVE, 1):
+        about = mass * length**2 / 12 + 0.005 * mass
+        parts.append(f'<link name="l{j}"><inertial><origin xyz="0 0 {length / 2}"/><mass value="{mass}"/><inertia '
+                     f'ixx="{about}" iyy="{about}" izz="{0.005 * mass}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+                     f'<joint name="j{j}" type="revolute"><parent link="l{j - 1}"/><child link="l{j}"/><origin '
+                     f'xyz="{place}"/><axis xyz="{axis}"/><limit lower="{low}" upper="{high}" velocity="{speed}" '
+                     f'effort="{effort}"/></joint>')
+    (tmp_path / "five.urdf").write_text("".join([*parts, "</robot>"]), encoding="utf-8")
+    assert len(plan(arm_of(str(tmp_path / "five.urdf")), "joint", seed=3, period=8.0).commands) > 1000
