@@ -59,11 +59,13 @@ def fuse_reading(follower: LineFollower, reading: Reading, sensor: str) -> Fused
         sensor: its name.
 
     Raises:
-        InputError: shapes that do not fit, or values that are not finite.
+        InputError: shapes that do not fit, values that are not finite, or a variance that is none.
     """
     at = np.asarray(reading.at, dtype=float)
     if at.shape != (3,):
         raise InputError("expected a point (3,) [m] in the tool frame", field=f"{sensor}: at", value=at.shape)
+    if not reading.variance > 0:
+        raise InputError("expected a variance above zero [m²]", field=f"{sensor}: variance", value=reading.variance)
     pose = follower.history.pose(reading.t)
     place = pose.rotation @ at + pose.translation
     near = float(follower.profile.s(reading.t - follower.t_start))

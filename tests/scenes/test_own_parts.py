@@ -157,6 +157,14 @@ def test_an_own_sensor_is_fused_with_the_camera() -> None:
     assert led.control_error.mean > 2 * helped.control_error.mean
 
 
+@pytest.mark.parametrize("variance", [0.0, -1e-8])
+def test_a_reading_without_a_variance_is_refused(variance: float) -> None:
+    sensor = Profile()
+    sensor.arrived = lambda t: [Reading(t, (0.03, 0.0, 0.0), 0.0, variance)]  # type: ignore[method-assign]
+    with pytest.raises(InputError, match="profile: variance: expected a variance above zero"):
+        run_scene(short(), method="sensor_path", sensors=[sensor])
+
+
 # An arm nobody wrote a world for: it is planned for, played, served over RSI and viewed, with meshes or without.
 
 KR6 = Robot.load("kr6")
