@@ -17,7 +17,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots import SHIPPED as SHIPPED_ARMS
 from ideal_robot.robots.collisions import Shapes
 from ideal_robot.robots.robot import Robot, spread_postures
-from ideal_robot.robots.size import FEWEST, of_its_size, reach
+from ideal_robot.robots.size import FEWEST, of_its_size, reach, shoulder_height
 from planning import OutOfReachError
 from planning.path.kinematics import InverseKinematics
 from scenes.scene_files.scene import SHIPPED
@@ -28,6 +28,9 @@ BELOW = (-0.15, -0.35, 0.1)
 """… and how high, from the second joint."""
 STARTS = 24
 """Postures from which a ready one is looked for, for each place."""
+ENOUGH = 0.5
+"""Share of the most room at any height with which the first height of ``BELOW`` is taken: an arm that hangs from the
+ceiling reaches the upper ones over its head only."""
 ROOM = 0.3
 """Distance to the joint limits that is enough [rad]."""
 DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -61,30 +64,33 @@ def _loaded(place: str, name: str, changed: tuple[int, ...]) -> Robot:
 
 
 def _ready(robot: Robot) -> Array | None:
-    """The posture ``(n,)`` with the tool down over a place ahead that leaves most room to move; None without one."""
+    """The posture ``(n,)`` with the tool down over a place ahead that leaves much room to move; None without one."""
     kinematics, shapes, size = InverseKinematics(robot), Shapes(robot), reach(robot)
-    data = robot.pinocchio.createData()
-    pin.forwardKinematics(robot.pinocchio, data, robot.home)
-    shoulder = float(data.oMi[2].translation[2])
-    starts = spread_postures(robot.q_min, robot.q_max, STARTS)
-    found: list[tuple[float, Array]] = []
-    for below in BELOW:
-        for ahead in AHEAD:
-            target = pin.SE3(DOWN, np.array([ahead * size, 0.0, shoulder + below * size]))
-            for start in starts:
-                try:
-                    q = _turned_back(robot, kinematics.solve(target, start))
-                except OutOfReachError:
-                    continue
-                if shapes.first_touch(q[None]) is None:
-                    found.append((_room(robot, kinematics, q), q))
-        if found:
-            break
+    shoulder, starts = shoulder_height(robot), spread_postures(robot.q_min, robot.q_max, STARTS)
+    found = [max(postures, key=lambda one: one[0]) for postures in
+             (_over(robot, kinematics, shapes, shoulder + below * size, starts) for below in BELOW) if postures]
     if not found:
         return None
-    home = np.array(max(found, key=lambda one: one[0])[1])
+    most = max(room for room, _ in found)
+    home = np.array(next(q for room, q in found if room >= ENOUGH * most))
     home.setflags(write=False)
     return home
+
+
+def _over(robot: Robot, kinematics: InverseKinematics, shapes: Shapes, height: float, starts: Array
+          ) -> list[tuple[float, Array]]:
+    """Room and postures ``(n,)`` with the tool down at a height [m] over places ahead, found from ``starts (m, n)``."""
+    found = []
+    for ahead in AHEAD:
+        target = pin.SE3(DOWN, np.array([ahead * reach(robot), 0.0, height]))
+        for start in starts:
+            try:
+                q = _turned_back(robot, kinematics.solve(target, start))
+            except OutOfReachError:
+                continue
+            if shapes.first_touch(q[None]) is None:
+                found.append((_room(robot, kinematics, q), q))
+    return found
 
 
 def _turned_back(robot: Robot, q: Array) -> Array:

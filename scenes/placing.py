@@ -17,7 +17,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.collisions import Shapes
 from ideal_robot.robots.robot import Robot
-from ideal_robot.robots.size import reach
+from ideal_robot.robots.size import reach, shoulder_height
 from planning import OutOfReachError
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
@@ -84,6 +84,9 @@ def place_line(scene: LineScene) -> Place:
         InputError: nowhere.
     """
     robot = scene.arm
+    if shoulder_height(robot) < 0.0:
+        raise InputError(f"{robot.name} hangs below z = 0, which is the floor; let the URDF begin with a link on the "
+                         "floor and a fixed joint from there to the arm's base", file=robot.urdf, field="robot")
     best: Place | None = None
     for heading in HEADINGS:
         for candidate in (one for share in SIZES for one in _candidates(scene, robot, share, heading)):
@@ -121,9 +124,7 @@ def _candidates(scene: LineScene, robot: Robot, share: float, heading: float) ->
         share: length of the line relative to the reach.
         heading: of the surface [deg].
     """
-    size, data = reach(robot), robot.pinocchio.createData()
-    pin.forwardKinematics(robot.pinocchio, data, robot.home)
-    shoulder = float(data.oMi[min(2, robot.n)].translation[2])
+    size, shoulder = reach(robot), shoulder_height(robot)
     length = _rounded(share * size)
     turn = math.radians(heading)
     for tool, below, ahead in product(TOOLS, BELOW, AHEAD):

@@ -219,3 +219,10 @@ def _joints(which: NDArray[np.bool_]) -> str:
 
 def _listed(values: Array) -> str:
     return ", ".join(f"{value:.3g}" for value in values)
+
+
+def shoulder_height(robot: Robot) -> float:
+    """Height of the second joint above the base plane z = 0 [m]; below it where an arm hangs."""
+    data = robot.pinocchio.createData()
+    pin.forwardKinematics(robot.pinocchio, data, robot.home)
+    return float(data.oMi[min(2, robot.n)].translation[2])

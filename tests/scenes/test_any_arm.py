@@ -93,6 +93,27 @@ def test_a_ready_posture_is_inside_the_limits_and_touches_nothing(tmp_path: Path
     assert robot.fk()(robot.home).rotation[2, 2] == pytest.approx(-1.0)
 
 
+def hung(folder: Path, height: float) -> Path:
+    """The KR 6 upside down, its base that high above the floor."""
+    text = Robot.load("kr6").description
+    first = re.findall(r'<link name="([^"]+)"', text)[0]
+    mount = (f'<link name="floor"/><joint name="mount" type="fixed"><parent link="floor"/><child link="{first}"/>'
+             f'<origin xyz="0 0 {height}" rpy="{np.pi} 0 0"/></joint>')
+    return written(folder, re.sub(r"(<robot[^>]*>)", lambda tag: tag.group() + mount, text, count=1))
+
+
+def test_an_arm_that_hangs_stands_ready_below_its_shoulder_and_not_over_its_head(tmp_path: Path) -> None:
+    """The first height at which any posture was found had poor ones only, from which no motion was found."""
+    robot = arm_of(str(hung(tmp_path, 2.0)))
+    assert abs(robot.home[0]) < 0.1
+    assert len(plan(robot, "joint").commands) > 1000
+
+
+def test_an_arm_that_hangs_from_the_floor_is_told_what_its_urdf_lacks(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="hangs below z = 0, which is the floor"):
+        place_line(scene_for(hung(tmp_path, 0.0)))
+
+
 def test_a_line_out_of_reach_is_refused_with_a_place_where_one_fits(tmp_path: Path) -> None:
     from scenes.line.cell import set_up
 
