@@ -68,7 +68,7 @@ def _ready(robot: Robot) -> Array | None:
     kinematics, shapes, size = InverseKinematics(robot), Shapes(robot), reach(robot)
     shoulder, starts = shoulder_height(robot), spread_postures(robot.q_min, robot.q_max, STARTS)
     found = [max(postures, key=lambda one: one[0]) for postures in
-             (_over(robot, kinematics, shapes, shoulder + below * size, starts) for below in BELOW) if postures]
+             (_over(kinematics, shapes, size, shoulder + below * size, starts) for below in BELOW) if postures]
     if not found:
         return None
     most = max(room for room, _ in found)
@@ -77,19 +77,27 @@ def _ready(robot: Robot) -> Array | None:
     return home
 
 
-def _over(robot: Robot, kinematics: InverseKinematics, shapes: Shapes, height: float, starts: Array
+def _over(kinematics: InverseKinematics, shapes: Shapes, size: float, height: float, starts: Array
           ) -> list[tuple[float, Array]]:
-    """Room and postures ``(n,)`` with the tool down at a height [m] over places ahead, found from ``starts (m, n)``."""
+    """Room, and postures ``(n,)`` with the tool down at a height over places ahead.
+
+    Args:
+        kinematics: of the arm.
+        shapes: of the arm.
+        size: the arm's reach [m].
+        height: above the base plane [m].
+        starts: postures from which one is looked for ``(m, n)`` [rad].
+    """
     found = []
     for ahead in AHEAD:
-        target = pin.SE3(DOWN, np.array([ahead * reach(robot), 0.0, height]))
+        target = pin.SE3(DOWN, np.array([ahead * size, 0.0, height]))
         for start in starts:
             try:
-                q = _turned_back(robot, kinematics.solve(target, start))
+                q = _turned_back(kinematics.robot, kinematics.solve(target, start))
             except OutOfReachError:
                 continue
             if shapes.first_touch(q[None]) is None:
-                found.append((_room(robot, kinematics, q), q))
+                found.append((_room(kinematics, size, q), q))
     return found
 
 
@@ -99,20 +107,20 @@ def _turned_back(robot: Robot, q: Array) -> Array:
     return np.where(~robot.prismatic & (less >= robot.q_min) & (less <= robot.q_max), less, q)
 
 
-def _room(robot: Robot, kinematics: InverseKinematics, q: Array) -> float:
+def _room(kinematics: InverseKinematics, size: float, q: Array) -> float:
     """How well an arm can move from a posture: least singular value of its Jacobian, less near a limit or wound up.
 
     Args:
-        robot: the arm.
-        kinematics: its.
+        kinematics: of the arm.
+        size: the arm's reach [m].
         q: the posture ``(n,)`` [rad].
     """
-    model = robot.pinocchio
+    robot, model = kinematics.robot, kinematics.robot.pinocchio
     jacobian = pin.computeFrameJacobian(model, model.createData(), q, robot.tool_id, pin.LOCAL_WORLD_ALIGNED)
-    scaled = np.vstack([jacobian[:3] / reach(robot), jacobian[3:]])
+    scaled = np.vstack([jacobian[:3] / size, jacobian[3:]])
     smallest = np.linalg.svd(scaled, compute_uv=False)[min(robot.n, 6) - 1]
     margin = float(np.min(np.minimum(q - robot.q_min, robot.q_max - q)))
-    height = kinematics.elbow(q) / reach(robot)
+    height = kinematics.elbow(q) / size
     wound = float(np.mean(np.abs(q))) / np.pi
     return float(smallest * min(1.0, margin / ROOM) * (1.0 + max(height, 0.0)) * (1.0 - 0.3 * wound))
 
