@@ -28,8 +28,7 @@ def eased_way(start: Array, end: Array, limits: tuple[Array, Array], T: float) -
     """Positions ``(K, n)`` at the cycles of the quickest such motion of all axes together, the start left out.
 
     Args:
-        start: ``(n,)``, at rest.
-        end: ``(n,)``, at rest.
+        start, end: ``(n,)``, at rest.
         limits: of speed and acceleration ``(n,)`` each.
         T: cycle [s].
     """
@@ -49,18 +48,15 @@ def interpolated(at: NDArray[Any], t: NDArray[Any], rows: Array) -> Array:
 
     Args:
         at: where they are wanted ``(m,)``.
-        t: where rows are known, rising ``(N,)``.
-        rows: those ``(N, n)``.
+        t, rows: where rows are known, rising ``(N,)``, and those ``(N, n)``.
     """
     return np.column_stack([np.interp(at, t, column) for column in rows.T])
 
 
 def held(rows: Array, *, before: int = 0, after: int = 0) -> Array:
-    """Rows with the first one repeated ahead and the last one behind.
+    """Rows ``(N, …)``, at least one, with the first one repeated ahead and the last one behind.
 
     Args:
-        rows: ``(N, …)``, at least one.
-        before: how often the first one is repeated.
-        after: how often the last one is repeated.
+        rows, before, after: what is repeated, and how often the first and the last of it are.
     """
     return np.concatenate([np.repeat(rows[:1], before, axis=0), rows, np.repeat(rows[-1:], after, axis=0)])

@@ -14,7 +14,7 @@ import re
 import sys
 import tempfile
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, NamedTuple
@@ -23,28 +23,18 @@ from ideal_robot.errors import InputError
 
 
 class Limit(NamedTuple):
-    """A row of the table.
-
-    Attributes:
-        most: so many at most.
-        what: of what.
-        why: what it leaves room for.
-    """
+    """A row of the table: so many, ``most``, of ``what`` at most, and ``why``: what it leaves room for."""
 
     most: int
     what: str
     why: str
 
     def check(self, count: float, file: str | Path | None, remedy: str = "") -> None:
-        """Refuses more than ``most``.
+        """Refuses more than ``most``; raises InputError.
 
         Args:
             count: how many a file holds, or claims to.
-            file: for the message.
-            remedy: what helps.
-
-        Raises:
-            InputError: there are more.
+            file, remedy: for the message.
         """
         if count > self.most:
             raise InputError(f"holds {count:.0f} {self.what}; at most {self.most} are read"
@@ -79,16 +69,12 @@ _FREE = {TABLE_UNFOLDING: 160_000_000, BAG_UNFOLDING: 64_000_000}  # as their li
 
 
 def check_unfolding(limit: Limit, unpacked: float, packed: float, file: Path) -> None:
-    """Refuses a file that unfolds to far more than its size.
+    """Refuses a file that unfolds to far more than its size; raises InputError.
 
     Args:
         limit: ``TABLE_UNFOLDING`` or ``BAG_UNFOLDING``.
-        unpacked: what it unpacks to [bytes].
-        packed: its size [bytes].
+        unpacked, packed: what it unpacks to, and its size [bytes].
         file: for the message.
-
-    Raises:
-        InputError: it does.
     """
     if unpacked > _FREE[limit] + limit.most * packed:
         raise InputError(f"unfolds to more than {_FREE[limit] / 1e6:.0f} MB and {limit.most} times its size; write it "
@@ -107,15 +93,12 @@ _MANY_PARTS = re.compile(rf"(?<![\w\"'.-])(?:[\w\"'-]++\s*+\.\s*+){{{10 * JSON_D
 
 
 def read_text(path: Path, what: str, limit: Limit = JSON_BYTES) -> str:
-    """The text of a UTF-8 file.
+    """The text of a UTF-8 file; raises InputError if it is no plain file, too large, or not UTF-8.
 
     Args:
         path: the file.
         what: what it should be, for the message, e.g. ``"a model file"``.
         limit: of its size.
-
-    Raises:
-        InputError: not a plain file, larger than ``limit``, not UTF-8.
     """
     try:
         if not path.is_file():
@@ -133,22 +116,14 @@ def read_json(path: Path, what: str) -> Any:
 
 
 def parsed_json(text: str, file: str | Path | None, what: str) -> Any:
-    """The checked values of a JSON text.
+    """The checked values of a JSON text; raises InputError if it is none, or beyond the bounds, see ``checked``.
 
     Args:
         text: of any length.
-        file: where it stands, for the message.
-        what: what it should be, for the message, e.g. ``"a model file"``.
-
-    Raises:
-        InputError: not JSON, or beyond the bounds, see ``checked``.
+        file, what: where it stands, and what it should be (``"a model file"``), for the message.
     """
     _few_and_shallow(text, file, what)
-    try:
-        values = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"not a readable {what.removeprefix('a ')} ({_short(error)})", file=file) from error
-    return checked(values, file)
+    return _parsed(json.loads, text, file, what)
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
@@ -157,19 +132,22 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
     _few_and_shallow(text, path, what)
     if _MANY_PARTS.search(text):
         raise InputError(f"a key of more than {JSON_DEPTH.most} parts", file=path)
-    try:
-        values = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"not a readable {what.removeprefix('a ')} ({_short(error)})", file=path) from error
-    table: dict[str, Any] = checked(values, path)
+    table: dict[str, Any] = _parsed(tomllib.loads, text, path, what)
     return table
+
+
+def _parsed(loads: Callable[[str], Any], text: str, file: str | Path | None, what: str) -> Any:
+    try:
+        values = loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"not a readable {what.removeprefix('a ')} ({_short(error)})", file=file) from error
+    return checked(values, file)
 
 
 def checked(values: Any, file: str | Path | None = None) -> Any:
     """The same values, if they are finite numbers, texts, truth values, lists and tables within the bounds.
 
-    Raises:
-        InputError: not finite, larger than ``MAX_NUMBER``, too deep, too many; names the key where it is one value.
+    Raises InputError, which names the key where one value is not finite or larger than ``MAX_NUMBER``.
     """
     todo: list[tuple[_Path, Any, int]] = [((), values, 0)]
     count = 0

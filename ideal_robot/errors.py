@@ -73,8 +73,7 @@ class LimitError(IdealRobotError):
     Args:
         joint: joint counted from 1, or 0 where the whole arm is meant.
         quantity: what is limited, with unit, e.g. ``"velocity [rad/s]"``.
-        value: the value asked for.
-        limit: the limit it would leave.
+        value, limit: what is asked for, and the limit it would leave.
         remedy: what the user can do.
     """
 

@@ -25,11 +25,7 @@ _DIGEST = 32  # bytes of SHA-256
 
 
 def jit(**options: Any) -> Callable[[_Function], _Function]:
-    """Compiles a function at its first call with arguments of a type, and keeps the machine code.
-
-    Args:
-        options: of ``numba.njit``, e.g. ``inline="always"``.
-    """
+    """Compiles a function as ``numba.njit(**options)`` does, at its first call with such arguments; keeps the code."""
     def compiled(function: _Function) -> _Function:
         dispatcher = numba.njit(**options)(function)
         dispatcher._cache = _KeptCode(function)

@@ -40,12 +40,7 @@ class Steps:
         self._done = 0.0
 
     def begin(self, step: str, text: str = "") -> Progress:
-        """Says that a step begins, and returns its progress.
-
-        Args:
-            step: a key of ``shares``.
-            text: what is being done; the step's name if empty.
-        """
+        """Says that a step (a key of ``shares``) begins, by ``text`` or by its name; returns its progress."""
         part = self.part(step)
         part(0.0, text or step)
         return part

@@ -41,11 +41,7 @@ class Registry(Generic[T]):
         self._read_entry_points = False
 
     def register(self, name: str, implementation: T) -> None:
-        """Adds an implementation.
-
-        Raises:
-            InputError: another one has that name.
-        """
+        """Adds an implementation; raises InputError where another one has that name."""
         self._read()
         if name in self._known and self._known[name] is not implementation:
             raise InputError(f"there is a {self.seam} of that name already; choose another name", field=self.seam,
@@ -62,11 +58,7 @@ class Registry(Generic[T]):
         return tuple(self._known)
 
     def get(self, name: str) -> T:
-        """The implementation of that name.
-
-        Raises:
-            InputError: there is none, and the message lists the names there are; or it cannot be imported.
-        """
+        """The implementation of that name; raises InputError, with the names there are, or if it cannot be imported."""
         self._read()
         if name not in self._known:
             raise InputError(f"expected one of {', '.join(self._known)}", field=self.seam, value=name)

@@ -16,8 +16,6 @@ from ideal_robot.arrays import Array
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Results that say what they are: three lines at the prompt, a small table in a notebook.
-
 _WIDTH = 240
 """Characters of a line of figures; what does not fit is left out."""
 
@@ -59,12 +57,7 @@ def _cut(text: str) -> str:
 
 
 def html_table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """An HTML table for notebooks; numbers with four significant digits.
-
-    Args:
-        columns: titles.
-        rows: texts and numbers, one a column.
-    """
+    """An HTML table of titles and rows of texts and numbers for notebooks; numbers with four significant digits."""
     def line(cells: Sequence[Any], tag: str) -> str:
         return "<tr>" + "".join(f"<{tag}>{escape(shown_cell(cell))}</{tag}>" for cell in cells) + "</tr>"
 
@@ -90,11 +83,9 @@ def shown_cell(cell: Any) -> str:
 # Plain values: what JSON can hold, from whatever results are made of.
 
 def plain(value: Any, digits: int | None = None) -> Any:
-    """The value as dictionaries, lists, numbers and strings; non-finite numbers as None.
+    """The value as dictionaries, lists, numbers and strings, of dataclasses, arrays, paths and what they are nested in.
 
-    Args:
-        value: dataclasses, arrays, paths and what they are nested in.
-        digits: significant digits of numbers; all of them if None.
+    Non-finite numbers are None, others have so many significant ``digits``; all of them if None.
     """
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {entry.name: plain(getattr(value, entry.name), digits) for entry in dataclasses.fields(value)}
@@ -159,8 +150,7 @@ def with_intervals(values: Sequence[tuple[str, float, float, float]], unit: str,
 
     Args:
         values: name, estimate, lower and upper end of the interval.
-        unit: of all of them.
-        title: of the picture.
+        unit, title: of all of them, and of the picture.
     """
     from matplotlib.figure import Figure
 

@@ -29,11 +29,7 @@ def new_array(*shape: int) -> Array:
 
 
 def in_new_file(count: int) -> Array:
-    """So many zeros in a file without a name.
-
-    Raises:
-        OutputError: the folder for temporary files has no room for it.
-    """
+    """So many zeros in a file without a name; raises OutputError where the folder for temporary files has no room."""
     try:
         with tempfile.TemporaryFile() as file:
             # Room that is only promised would end the program where it is written to and not there.
@@ -266,12 +262,11 @@ class ColumnStore:
         self._columns = dict(zip(names, columns, strict=True))
 
     def fill(self, name: str, first: int, values: Array) -> None:
-        """Writes a piece of a column.
+        """Writes a piece ``values (m,)`` of a column.
 
         Args:
-            name: of the column.
-            first: row at which the piece begins.
-            values: ``(m,)``.
+            name, first: of the column, and the row at which the piece begins.
+            values: the piece.
         """
         self._columns[name][first : first + len(values)] = values
 

@@ -57,11 +57,7 @@ class OutputError(IdealRobotError):
 def whole_file(path: str | Path) -> Iterator[Path]:
     """Yields the name to write to; moved to ``path`` when the block ends without an error, else removed.
 
-    Args:
-        path: where the file goes; missing parents are made.
-
-    Raises:
-        OutputError: it cannot be written, e.g. the disk is full.
+    Missing parents are made. Raises OutputError where it cannot be written, e.g. the disk is full.
     """
     with whole_files(path) as (partial,):
         yield partial

@@ -91,8 +91,7 @@ class BaseParameters:
 
     def nearest_full(self, base: Array, start: Array) -> Array:
         """The full parameters ``(p,)`` that have exactly these base parameters and lie closest to ``start (p,)``."""
-        step = np.linalg.lstsq(self.grouping, base - self.grouping @ start, rcond=None)[0]
-        return start + step
+        return start + np.linalg.lstsq(self.grouping, base - self.grouping @ start, rcond=None)[0]
 
 
 def full_regressor(model: pin.Model, q: Array, qd: Array, qdd: Array, columns: Sequence[int] | None = None) -> Array:
@@ -100,9 +99,7 @@ def full_regressor(model: pin.Model, q: Array, qd: Array, qdd: Array, columns: S
 
     Args:
         model: kinematics; its inertias do not matter.
-        q: joint positions ``(N, n)`` [rad].
-        qd: joint velocities ``(N, n)`` [rad/s].
-        qdd: joint accelerations ``(N, n)`` [rad/s²].
+        q, qd, qdd: joint positions, velocities and accelerations ``(N, n)`` [rad, rad/s, rad/s²].
         columns: those wanted of the ``12 n``, in their order; zeros for any beyond; all if None.
 
     Raises:
@@ -127,11 +124,7 @@ def full_names(n: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def base_parameters(model: pin.Model) -> BaseParameters:
-    """Finds the base parameters of any serial arm by numerical QR.
-
-    Args:
-        model: the kinematics; fixed joints are already merged by Pinocchio.
-    """
+    """The base parameters of any serial arm, by numerical QR; Pinocchio has merged the fixed joints."""
     n = model.nv
     # Random states at which the regressor is evaluated; the result does not depend on which.
     rng = np.random.default_rng(0)
@@ -164,11 +157,9 @@ def base_parameters(model: pin.Model) -> BaseParameters:
 
 
 def _independent(W: Array, columns: Sequence[int]) -> list[int]:
-    """Those of ``columns`` that span all: of dependent ones the first, or the clearest where they hardly depend.
+    """Those of ``columns``, the names of columns ``W (N, c)`` of length one, that span all, the preferred ones first.
 
-    Args:
-        W: the columns ``(N, c)``, each of length one, in the order of preference.
-        columns: what they are called.
+    Of dependent ones the first, or the clearest where they hardly depend.
     """
     # W = Q R: a column whose diagonal element of R vanishes depends on the ones before it.
     R = linalg.qr(W, mode="economic")[1]
@@ -234,8 +225,7 @@ def consistent_parameters(base: BaseParameters, values: Array, covariance: Array
 
     Args:
         base: grouping of the parameters.
-        values: identified base parameters ``(b,)``.
-        covariance: theirs ``(b, b)``; closeness is measured in it.
+        values, covariance: identified base parameters ``(b,)``, and theirs ``(b, b)``; closeness is measured in it.
         nominal: full parameters ``(p,)``, physically possible, that what cannot be seen keeps near to.
         margin: smallest allowed eigenvalue of a pseudo-inertia, relative to that of the nominal link's mean.
 

@@ -68,12 +68,7 @@ def chain_of(model: pin.Model) -> Chain:
 
 @jit()
 def point_mass(chain: Chain, place: Array) -> Chain:
-    """The same kinematics with nothing but 1 kg at a point of the last link; torques are linear in its mass.
-
-    Args:
-        chain: kinematics and gravity.
-        place: of the mass in the last joint's frame ``(3,)`` [m].
-    """
+    """The same kinematics with nothing but 1 kg at ``place (3,)`` [m] in the last joint's frame."""
     n = len(chain.mass)
     mass, com = np.zeros(n), np.zeros((n, 3))
     mass[n - 1], com[n - 1] = 1.0, place
@@ -96,13 +91,12 @@ def _turned_back(R: Array, v: Array, out: Array) -> None:
 
 @jit()
 def joint_frames(chain: Chain, q: Array, R: Array, p: Array) -> None:
-    """Rotation and position of each joint's frame in the one before it, at ``q (n,)``; written to ``R``, ``p``.
+    """Rotation and position of each joint's frame in the one before it.
 
     Args:
         chain: the arm's rigid bodies.
         q: joint positions ``(n,)`` [rad].
-        R: rotation of each joint's frame in the one before it ``(n, 3, 3)``, written to.
-        p: position of each joint's frame in the one before it ``(n, 3)`` [m], written to.
+        R, p: the frames ``(n, 3, 3)`` and ``(n, 3)`` [m], written to.
     """
     turn = np.empty((3, 3))
     for i in range(len(q)):
@@ -235,17 +229,13 @@ def _torques_of_wrenches(chain: Chain, R: Array, p: Array, qdd: Array, wrench: t
 
 @jit()
 def torque_at(chain: Chain, R: Array, p: Array, qd: Array, qdd: Array, gravity: float, tau: Array) -> None:
-    """Joint torques at the posture whose frames are ``R``, ``p`` ([G] (5)), written to ``tau (n,)`` [N m].
-
-    ``gravity`` scales the chain's gravity: 1 for all of (5), 0 for the columns of the mass matrix.
+    """Joint torques at the posture whose frames are ``R``, ``p`` ([G] (5)), written to ``tau``.
 
     Args:
         chain: the arm's rigid bodies.
-        R: rotation of each joint's frame in the one before it ``(n, 3, 3)``.
-        p: position of each joint's frame in the one before it ``(n, 3)`` [m].
-        qd: joint velocities ``(n,)`` [rad/s].
-        qdd: joint accelerations ``(n,)`` [rad/s²].
-        gravity: factor on the chain's gravity.
+        R, p: from ``joint_frames``.
+        qd, qdd: joint velocities and accelerations ``(n,)`` [rad/s, rad/s²].
+        gravity: factor on the chain's gravity: 1 for all of (5), 0 for the columns of the mass matrix.
         tau: result ``(n,)`` [N m], written to.
     """
     wrench = np.empty((len(qd), 3)), np.empty((len(qd), 3))
@@ -255,13 +245,11 @@ def torque_at(chain: Chain, R: Array, p: Array, qd: Array, qdd: Array, gravity: 
 
 @jit()
 def inverse_dynamics(chain: Chain, q: Array, qd: Array, qdd: Array) -> Array:
-    """[G] (5): joint torques ``(N, n)`` [N m] of positions, velocities and accelerations ``(N, n)``.
+    """[G] (5): joint torques ``(N, n)`` [N m].
 
     Args:
         chain: the arm's rigid bodies.
-        q: joint positions ``(N, n)`` [rad].
-        qd: joint velocities ``(N, n)`` [rad/s].
-        qdd: joint accelerations ``(N, n)`` [rad/s²].
+        q, qd, qdd: joint positions, velocities and accelerations ``(N, n)`` [rad, rad/s, rad/s²].
     """
     N, n = q.shape
     tau = np.empty((N, n))
@@ -277,11 +265,8 @@ def inverse_dynamics_with_point(chain: Chain, place: Array, q: Array, qd: Array,
     """``inverse_dynamics``, and the torques of 1 kg at a point of the last link, each ``(N, n)``.
 
     Args:
-        chain: the arm's rigid bodies.
+        chain, q, qd, qdd: as there.
         place: of the mass in the last joint's frame ``(3,)`` [m].
-        q: joint positions ``(N, n)`` [rad].
-        qd: joint velocities ``(N, n)`` [rad/s].
-        qdd: joint accelerations ``(N, n)`` [rad/s²].
     """
     N, n = q.shape
     tau, weight, kilogram = np.empty((N, n)), np.empty((N, n)), point_mass(chain, place)
@@ -302,12 +287,11 @@ def gravity_across(chain: Chain, q: Array) -> Array:
 
 @jit()
 def mass_matrix(chain: Chain, R: Array, p: Array, M: Array) -> None:
-    """Mass matrix at the posture whose frames are ``R``, ``p``, written to ``M (n, n)`` [kg m²], column by column.
+    """Mass matrix at the posture whose frames are ``R``, ``p``, column by column.
 
     Args:
         chain: the arm's rigid bodies.
-        R: rotation of each joint's frame in the one before it ``(n, 3, 3)``.
-        p: position of each joint's frame in the one before it ``(n, 3)`` [m].
+        R, p: from ``joint_frames``.
         M: result ``(n, n)`` [kg m²], written to.
     """
     n = len(chain.mass)

@@ -69,9 +69,7 @@ def fill_columns(chain: Chain, q: Array, qd: Array, qdd: Array, place: Array, re
 
     Args:
         chain: kinematics and gravity; its inertias do not matter.
-        q: joint positions ``(N, n)`` [rad].
-        qd: joint velocities ``(N, n)`` [rad/s].
-        qdd: joint accelerations ``(N, n)`` [rad/s²].
+        q, qd, qdd: joint positions, velocities and accelerations ``(N, n)`` [rad, rad/s, rad/s²].
         place: where each of the ``10 n`` columns goes, -1 for those that are not wanted.
         result: written to; what belongs to bodies before a joint stays as it is.
     """
@@ -122,9 +120,7 @@ def regressor(model: pin.Model, q: Array, qd: Array, qdd: Array, columns: Sequen
 
     Args:
         model: the kinematics, a serial chain; its inertias do not matter.
-        q: joint positions ``(N, n)`` [rad; m for prismatic].
-        qd: joint velocities ``(N, n)`` [rad/s].
-        qdd: joint accelerations ``(N, n)`` [rad/s²].
+        q, qd, qdd: joint positions, velocities and accelerations ``(N, n)`` [rad, rad/s, rad/s²; m for prismatic].
         columns: those wanted of the ``10 n``, zeros for any beyond; all if None.
 
     Returns:
@@ -178,9 +174,7 @@ def torques(model: pin.Model, q: Array, qd: Array, qdd: Array) -> Array:
 
     Args:
         model: kinematics and inertias.
-        q: joint positions ``(N, n)`` [rad].
-        qd: joint velocities ``(N, n)`` [rad/s].
-        qdd: joint accelerations ``(N, n)`` [rad/s²].
+        q, qd, qdd: joint positions, velocities and accelerations [rad, rad/s, rad/s²].
     """
     q, qd, qdd = (np.ascontiguousarray(values, dtype=float) for values in (q, qd, qdd))
     return inverse_dynamics(chain_of(model), q, qd, qdd)

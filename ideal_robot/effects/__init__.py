@@ -17,21 +17,5 @@ from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.registry import library, names, register, unregister
 from ideal_robot.effects.signals import Frames, Signals
 
-__all__ = [
-           "ARM_POSITION",
-           "DOMAINS",
-           "MOTOR_TORQUE",
-           "SENSOR",
-           "TCP_POSITION",
-           "Domain",
-           "Effect",
-           "EffectParameter",
-           "FittedEffect",
-           "Frames",
-           "LoopChange",
-           "Signals",
-           "library",
-           "names",
-           "register",
-           "unregister",
-]
+__all__ = ["ARM_POSITION", "DOMAINS", "MOTOR_TORQUE", "SENSOR", "TCP_POSITION", "Domain", "Effect", "EffectParameter",
+           "FittedEffect", "Frames", "LoopChange", "Signals", "library", "names", "register", "unregister"]

@@ -79,13 +79,11 @@ class BacklashByMotion(GearEffect):
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
         """Small fractions of the range that was driven."""
-        span = float(np.ptp(signals.q[:, joint - 1])) + 1e-12
-        return [(span * factor,) for factor in (2e-5, 1e-4, 5e-4, 2e-3)]
+        return [(signals.span(joint) * factor,) for factor in (2e-5, 1e-4, 5e-4, 2e-3)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
         """A gap, not a range of motion."""
-        span = float(np.ptp(signals.q[:, joint - 1])) + 1e-12
-        return [(5e-6 * span, 0.01 * span)]
+        return [(5e-6 * signals.span(joint), 0.01 * signals.span(joint))]
 
     def bend(self, signals: Signals, joint: int, theta: Theta) -> Array:
         """See ``GearEffect.bend``."""
@@ -188,13 +186,12 @@ def play(q: Array, half_gap: float) -> Array:
 def crossed(acceleration: Array, dt: float, half_gap: float) -> Array:
     """Twist in a gap: at a flank while the load presses there, in free flight between, at rest where it hits the other.
 
+    Returns motor less arm angle ``(N,)`` [rad], within plus and minus half a gap.
+
     Args:
         acceleration: of the motor relative to the unloaded arm, ``tau_load/M`` ``(N,)`` [rad/s²].
         dt: between samples [s].
         half_gap: half the play [rad].
-
-    Returns:
-        Motor less arm angle ``(N,)`` [rad], within plus and minus half a gap.
     """
     twist = np.empty(len(acceleration))
     at, speed = (half_gap if acceleration[0] > 0.0 else -half_gap), 0.0

@@ -34,8 +34,7 @@ class Domain:
     """One kind of measurement with its residual.
 
     Attributes:
-        name: key.
-        prefix: first part of its channels' names: ``tau`` for ``tau_1 … tau_n``.
+        name, prefix: key, and first part of its channels' names: ``tau`` for ``tau_1 … tau_n``.
         whole: what an effect belongs to that belongs to no joint, in words.
     """
 
@@ -57,11 +56,7 @@ def channel_name(prefix: str, joint: int) -> str:
 
 
 def domain_of(prefix: str) -> Domain:
-    """The domain whose channels' names begin like that.
-
-    Raises:
-        InputError: there is none.
-    """
+    """The domain whose channels' names begin like that; raises InputError where there is none."""
     for domain in DOMAINS:
         if domain.prefix == prefix:
             return domain
@@ -137,6 +132,7 @@ class Effect(ABC):
             share is asked for in the lower half as well, where vibrations do not hide it.
         learned: whether it is a curve without a physical cause.
         within: open interval in which physics has the first coefficient.
+        changes: field of ``LoopChange`` that its coefficient is, or all of them together; empty for ``loop_change``.
         nowhere: why it does not act in the loop; empty where it does.
         discriminating_motion: for causes that are easily taken for this one, name and the motion that tells them
             apart. It is enough that one of the two says it.
@@ -157,6 +153,7 @@ class Effect(ABC):
     of_slow_motion: ClassVar[bool] = False
     learned: ClassVar[bool] = False
     within: ClassVar[tuple[float, float]] = (-np.inf, np.inf)
+    changes: ClassVar[str] = ""
     nowhere: ClassVar[str] = ""
     discriminating_motion: ClassVar[tuple[tuple[str, str], ...]] = ()
     source: ClassVar[str] = ""
@@ -216,16 +213,12 @@ class Effect(ABC):
 
     def starts_from_residual(self, signals: Signals, joint: int, residual: Array,
                              use: np.ndarray) -> tuple[list[Theta], int]:
-        """Values of theta to start from that a residual suggests, for effects that are ``scanned``.
+        """Values of theta to start from that a residual suggests, and among how many they were chosen; if ``scanned``.
 
         Args:
             signals: at the rows of the residual, of ``N`` samples.
             joint: from 1.
-            residual: of all channels of the domain ``(N, c)``, in their units.
-            use: samples that count ``(N, c)``.
-
-        Returns:
-            The values, and among how many they were chosen.
+            residual, use: of all channels of the domain ``(N, c)``, in their units, and the samples of it that count.
         """
         starts = self.starts(signals, joint)
         return starts, len(starts)
@@ -241,9 +234,7 @@ class Effect(ABC):
         not at all.
 
         Args:
-            signals: of the recording.
-            joint: from 1.
-            theta: the start, in ``theta_units``.
+            signals, joint, theta: as of ``columns``, theta being the start.
         """
         bounds = self.bounds(signals, joint)
         if len(bounds) != len(theta):
@@ -259,9 +250,7 @@ class Effect(ABC):
         """How many times an effect that is ``scanned`` repeats in the range that was driven; infinite for others.
 
         Args:
-            signals: of the recording.
-            joint: from 1.
-            theta: nonlinear parameters, in ``theta_units``.
+            signals, joint, theta: as of ``columns``.
         """
         return float("inf")
 
@@ -283,10 +272,6 @@ class Effect(ABC):
         """Columns ``(N, c, k)`` of the form of the model's own parameters, which may cancel what of it is like them.
 
         By default None: of no other effect a part is expected to be cancelled.
-
-        Args:
-            signals: of ``N`` samples.
-            joint: from 1; 0 for the whole arm.
         """
         return None
 
@@ -295,9 +280,7 @@ class Effect(ABC):
 
         Args:
             coefficients: ``(m,)``, in ``coefficient_units``.
-            theta: nonlinear parameters, in ``theta_units``.
-            signals: of the recording.
-            joint: from 1; 0 for the whole arm.
+            theta, signals, joint: as of ``columns``.
         """
         return bool(self.within[0] < coefficients[0] < self.within[1])
 
@@ -315,8 +298,7 @@ class Effect(ABC):
     def at_standstill(self, sides: Sequence[int]) -> bool:
         """Whether all of it lies near standstill, where every drive's friction goes its own way.
 
-        Args:
-            sides: for each theta -1 where it stands at the lower end of what is searched, 1 at the upper, 0 between.
+        Of each theta ``sides`` has -1 where it stands at the lower end of what is searched, 1 at the upper, 0 between.
         """
         return False
 
@@ -343,26 +325,25 @@ class Effect(ABC):
         """The physical numbers to report; by default the coefficients and theta as they are.
 
         Args:
-            coefficients: estimates ``(m,)``, in ``coefficient_units``.
-            std: their standard deviations ``(m,)``.
-            theta: the nonlinear parameters, in ``theta_units``.
-            theta_std: their standard deviations.
+            coefficients, std: estimates ``(m,)``, in ``coefficient_units``, and their standard deviations.
+            theta, theta_std: the nonlinear parameters, in ``theta_units``, and theirs.
         """
         # Of some causes a recording shows the first coefficients only.
-        linear = [EffectParameter(name, float(value), float(s), unit) for name, unit, value, s in
-                  zip(self.coefficient_names, self.coefficient_units, coefficients, std, strict=False)]
-        return linear + [EffectParameter(name, float(value), float(s), unit) for name, unit, value, s in
-                         zip(self.theta_names, self.theta_units, theta, theta_std, strict=True)]
+        linear = zip(self.coefficient_names, coefficients, std, self.coefficient_units, strict=False)
+        nonlinear = zip(self.theta_names, theta, theta_std, self.theta_units, strict=True)
+        return [EffectParameter(name, float(value), float(s), unit) for name, value, s, unit in (*linear, *nonlinear)]
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
         """What it changes in the loop: where it acts in the machine, or why it does not act.
 
-        By default a torque is asked of the motor as it stands.
+        By default what ``changes`` names; else a torque is asked of the motor as it stands.
 
         Args:
-            coefficients: ``(m,)``, in ``coefficient_units``.
-            theta: nonlinear parameters, in ``theta_units``.
+            coefficients, theta: ``(m,)``, in ``coefficient_units``, and the nonlinear parameters, in ``theta_units``.
         """
+        if self.changes:
+            amount: Any = coefficients if len(self.coefficient_names) > 1 else coefficients[0]
+            return LoopChange(**{self.changes: amount})
         if self.nowhere or self.domain != MOTOR_TORQUE:
             return LoopChange(nowhere=self.nowhere or "the effect does not say where in the machine it acts")
         return LoopChange(torque=True)

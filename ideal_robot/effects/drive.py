@@ -17,7 +17,6 @@ from ideal_robot.effects.base import (
     Theta,
     WholeArmEffect,
 )
-from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
 HOLD = 5e-4
@@ -31,15 +30,12 @@ class CurrentOffset(Effect):
     name = "current_offset"
     coefficient_names = ("offset",)
     absorbed_by_base = True
+    changes = "offset"
     source = "[J] section 3: offset of the current sensors"
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
         """See ``Effect.columns``. Shape ``(N, n, 1)``."""
         return signals.on_joint(joint, np.ones_like(signals.t))
-
-    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. A constant torque."""
-        return LoopChange(offset=coefficients[0])
 
 
 class DriveGain(Effect):
@@ -54,15 +50,12 @@ class DriveGain(Effect):
     # A gain is positive and not wrong by a factor of three.
     within = (-0.7, 2.0)
     absorbed_by_base = True
+    changes = "gain"
     source = "[J] (15): drive gains"
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
         """See ``Effect.columns``. Shape ``(N, n, 1)``."""
         return signals.on_joint(joint, signals.torque[:, joint - 1])
-
-    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. The controller asks in units of what is read."""
-        return LoopChange(gain=coefficients[0])
 
 
 class RotorInertia(Effect):
@@ -74,15 +67,12 @@ class RotorInertia(Effect):
     absorbed_by_base = True
     # Ten numbers of a body can do what one inertia does, and bend with gears and filters besides.
     sooner_than = ("link_load",)
+    changes = "rotor_inertia"
     source = "[J] (1): I_a"
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
         """See ``Effect.columns``. Shape ``(N, n, 1)``."""
         return signals.on_joint(joint, signals.qdd[:, joint - 1])
-
-    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. Inertia of the motor."""
-        return LoopChange(rotor_inertia=coefficients[0])
 
 
 class AxisCoupling(Effect):
@@ -319,11 +309,10 @@ class LateMeasurement(DeadTime):
 
 
 def delayed(values: Array, delay: float, dt: float) -> Array:
-    """A signal that is late, by cubic splines between samples; the ends are held.
+    """A signal ``(N,)`` that is late, by cubic splines between samples; the ends are held.
 
     Args:
-        values: the signal ``(N,)``, in any unit.
-        delay: by which it is late [s].
-        dt: between samples [s].
+        values: the signal, in any unit.
+        delay, dt: by which it is late, and between samples [s].
     """
     return np.asarray(ndimage.shift(values, delay / dt, order=3, mode="nearest"))

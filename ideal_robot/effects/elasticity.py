@@ -49,15 +49,10 @@ class GearEffect(Effect):
 
     @abstractmethod
     def bend(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """What a unit coefficient bends the gear by.
+        """What a unit coefficient bends the gear by ``(N,)``, in rad (m).
 
         Args:
-            signals: of ``N`` samples.
-            joint: from 1.
-            theta: nonlinear parameters, in ``theta_units``.
-
-        Returns:
-            Shape ``(N,)``, in rad (m) per unit of the coefficient.
+            signals, joint, theta: as of ``Effect.columns``.
         """
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
@@ -218,8 +213,7 @@ def turned_arm(domain: Domain, signals: Signals, joint: int, turn: Array) -> Arr
 
     Args:
         domain: of arm angles or of the TCP.
-        signals: of ``N`` samples.
-        joint: from 1.
+        signals, joint: of ``N`` samples, and from 1.
         turn: of the joint ``(N, m)`` [rad or m per unit of the coefficient].
     """
     if domain != TCP_POSITION:
@@ -234,8 +228,7 @@ def shows_gear(domain: Domain, signals: Signals, joint: int) -> bool:
 
     Args:
         domain: of arm angles or of the TCP.
-        signals: of the recording.
-        joint: from 1.
+        signals, joint: of the recording, and from 1.
     """
     if domain != TCP_POSITION:
         return True
@@ -246,16 +239,13 @@ def shows_gear(domain: Domain, signals: Signals, joint: int) -> bool:
 
 @jit()
 def swinging(acceleration: Array, inertia: Array, dt: float, stiffness: float) -> Array:
-    """Twist of a gear that bends under its arm, from rest under the first load.
+    """Twist of a gear that bends under its arm, from rest under the first load: motor less arm angle ``(N,)`` [rad].
 
     Args:
         acceleration: of the motor relative to the unloaded arm, ``tau_load/M`` ``(N,)`` [rad/s²].
         inertia: behind the gear ``(N,)`` [kg m²].
         dt: between samples [s].
         stiffness: of the gear [N m/rad].
-
-    Returns:
-        Motor less arm angle ``(N,)`` [rad].
     """
     count = max(1, int(np.ceil(dt / _STEP)))
     h = dt / count

@@ -110,15 +110,11 @@ class Unknown(Effect):
 
 
 def spline_basis(x: Array, knots: tuple[float, ...], margin: float) -> Array:
-    """Cubic B-splines, fading to zero outside of their knots.
+    """Cubic B-splines ``(N, len(knots) + 2)``, fading to zero outside of their knots.
 
     Args:
-        x: where, in the signal's unit ``(N,)``.
-        knots: ends included, in the same unit.
+        x, knots: where, in the signal's unit ``(N,)``, and the knots, ends included.
         margin: share of the knots' range over which they fade.
-
-    Returns:
-        Shape ``(N, len(knots) + 2)``.
     """
     inner = np.asarray(knots)
     full = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
@@ -129,7 +125,7 @@ def spline_basis(x: Array, knots: tuple[float, ...], margin: float) -> Array:
 
 
 def _inside(x: Array, knots: tuple[float, ...], margin: float) -> Array:
-    """One inside the knots, falling to zero over ``margin`` times their range outside, as a tricube: slowly at first.
+    """One inside the knots, falling to zero over ``margin`` times their range outside, slowly at first, as a tricube.
 
     A steep fall would be a steep change of torque just where a path that reaches further turns round.
     """
@@ -181,11 +177,7 @@ class FittedEffect:
 
     @property
     def effect(self) -> Effect:
-        """The effect of the library behind it, by name and channel.
-
-        Raises:
-            InputError: this version does not know it.
-        """
+        """The effect of the library behind it, by name and channel; InputError where this version does not know it."""
         if self.name == Unknown.name:
             return Unknown.from_data(self.data)
         return find(self.name, prefix_of(self.channel))

@@ -10,7 +10,6 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import SENSOR, Theta, WholeArmEffect
 from ideal_robot.effects.fitted import FittedEffect
-from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
 MOMENTS = "moments"
@@ -35,6 +34,7 @@ class ForceBias(WholeArmEffect):
     prefix = "force"
     coefficient_names = ("fx", "fy", "fz", "mx", "my", "mz")
     coefficient_units = ("N", "N", "N", "N m", "N m", "N m")
+    changes = "wrench"
     source = "[L] 4.4: bias and weight of the tool from several orientations"
 
     def usable(self, signals: Signals, joint: int) -> bool:
@@ -45,10 +45,6 @@ class ForceBias(WholeArmEffect):
         """See ``Effect.columns``. Shape ``(N, 6, 6)``, or ``(N, 3, 3)`` for a sensor of forces alone."""
         count = 6 if MOMENTS in signals.extra and bool(np.all(signals.extra[MOMENTS] > 0.5)) else 3
         return np.tile(np.eye(count), (len(signals.t), 1, 1))
-
-    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. The wrench that the sensor measures."""
-        return LoopChange(wrench=coefficients)
 
 
 class ForceCompliance(WholeArmEffect):
@@ -63,6 +59,7 @@ class ForceCompliance(WholeArmEffect):
     prefix = "force_contact"
     coefficient_names = ("compliance",)
     coefficient_units = ("m/N",)
+    changes = "give"
     source = "[L] (3): F_r - F = E delta x"
 
     def usable(self, signals: Signals, joint: int) -> bool:
@@ -78,10 +75,6 @@ class ForceCompliance(WholeArmEffect):
         """See ``Effect.plausible``. Large against what is assumed."""
         assumed = float(np.max(signals.extra.get(ASSUMED_GIVE, np.zeros(1))))
         return bool(abs(coefficients[0]) > _SMALLEST * assumed)
-
-    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. The elasticity that the force controller counts with."""
-        return LoopChange(give=coefficients[0])
 
 
 @dataclass(frozen=True)

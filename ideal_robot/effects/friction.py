@@ -44,8 +44,7 @@ class LawTerm(Effect):
         """The term ``(N,)`` with a unit coefficient.
 
         Args:
-            qd: velocities ``(N,)`` [rad/s].
-            direction: of sliding ``(N,)``, -1 to 1.
+            qd, direction: velocities ``(N,)`` [rad/s], and of sliding ``(N,)``, -1 to 1.
             theta: shape of the law, in ``theta_units``.
         """
         return self.law.columns(qd, direction, np.array(theta))[self.term]
@@ -195,6 +194,7 @@ class LoadDependentFriction(Effect):
     coefficient_units = ("1",)
     # More load, more friction; never as much as the load itself.
     within = (0.0, 1.0)
+    changes = "friction_per_load"
     discriminating_motion: ClassVar[tuple[tuple[str, str], ...]] = (
         ("coulomb", "the same strokes at postures of high and of low gravity load"),
     )
@@ -228,17 +228,11 @@ class LoadDependentFriction(Effect):
         """What the teeth carry ``(N,)`` [N m]: the load and what else may be weight, without the inertia before them.
 
         Args:
-            signals: of ``N`` samples.
-            joint: from 1.
-            theta: the inertia [kg m²].
+            signals, joint, theta: as of ``columns``, theta the inertia [kg m²].
         """
         # Files of earlier versions have no theta.
         before = theta[0] if theta else 0.0
         return np.asarray(signals.borne(joint) - before * signals.qdd[:, joint - 1])
-
-    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. Friction by load."""
-        return LoopChange(friction_per_load=coefficients[0])
 
 
 class LoadDirectionFriction(LoadDependentFriction):
@@ -255,6 +249,7 @@ class LoadDirectionFriction(LoadDependentFriction):
 
     name = "load_direction_friction"
     coefficient_names = ("friction per load driven",)
+    changes = "friction_per_driven_load"
     discriminating_motion = (
         ("load_dependent_friction", "strokes against and with gravity, of all joints or with masses known from before"),
         ("coulomb", "the same strokes at postures of high and of low gravity load"),
@@ -268,10 +263,6 @@ class LoadDirectionFriction(LoadDependentFriction):
         carried, direction = self.carried(signals, joint, theta), signals.sliding_direction(joint)
         both = laws.FrictionModel.by_load(carried, direction)
         return signals.on_joint(joint, 0.5 * (both + carried * np.abs(direction)))
-
-    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. Friction by load where the motor drives it."""
-        return LoopChange(friction_per_driven_load=coefficients[0])
 
 
 class PreslidingHysteresis(Effect):
@@ -296,13 +287,11 @@ class PreslidingHysteresis(Effect):
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
         """Fractions of the range that was driven."""
-        span = float(np.ptp(signals.q[:, joint - 1])) + 1e-12
-        return [(span * factor,) for factor in (0.002, 0.006, 0.02, 0.06)]
+        return [(signals.span(joint) * factor,) for factor in (0.002, 0.006, 0.02, 0.06)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
         """Short of a joint's range by far: else it is a spring."""
-        span = float(np.ptp(signals.q[:, joint - 1])) + 1e-12
-        return [(0.0005 * span, 0.15 * span)]
+        return [(0.0005 * signals.span(joint), 0.15 * signals.span(joint))]
 
     def certain(self, large: np.ndarray, coefficients: Array, otherwise: bool) -> bool:
         """See ``Effect.certain``. Samples that count hold its tail alone: size and theta do not assure each other."""
@@ -344,9 +333,7 @@ class WarmingEffect(Effect):
         """``w (N,)`` [1 or K]; none by a temperature that was not measured.
 
         Args:
-            signals: of ``N`` samples.
-            joint: from 1.
-            theta: ``T`` [s].
+            signals, joint, theta: as of ``columns``, theta being ``T`` [s].
         """
         if theta[0] > 0.0:
             return np.asarray(1.0 - np.exp(-signals.t / theta[0]))

@@ -7,7 +7,6 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import TCP_POSITION, Effect, EffectParameter, Theta
 from ideal_robot.effects.friction import WarmingEffect
-from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import LEVER, Signals
 
 
@@ -23,6 +22,7 @@ class ZeroError(Effect):
     # Degrees, not another mounting.
     within = (-0.2, 0.2)
     absorbed_by_base = True
+    changes = "zero"
     source = "derivative of [G] (5) by one angle"
 
     def usable(self, signals: Signals, joint: int) -> bool:
@@ -36,10 +36,6 @@ class ZeroError(Effect):
         if signals.derivatives is None:
             return np.zeros((len(signals.t), signals.n, 1))
         return signals.derivatives.by(joint)[0][:, :, None]
-
-    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. The rigid body is at other angles, and so is the tool."""
-        return LoopChange(zero=coefficients[0])
 
 
 class GeometryChange(Effect):
@@ -60,6 +56,7 @@ class KinematicError(GeometryChange):
     name = "kinematic_error"
     coefficient_names = ("a", "d", "alpha", "theta")
     coefficient_units = ("m", "m", "rad", "rad")
+    changes = "geometry"
     source = "J. Denavit, R. S. Hartenberg 1955; first-order kinematic calibration"
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
@@ -79,10 +76,6 @@ class KinematicError(GeometryChange):
         """See ``Effect.parameters``. Those that can be seen at all."""
         every = super().parameters(coefficients, std, theta, theta_std)
         return [parameter for parameter in every if parameter.value != 0.0]
-
-    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. The arm's geometry behind the joint."""
-        return LoopChange(geometry=(coefficients[0], coefficients[1], coefficients[2], coefficients[3]))
 
 
 class ThermalGrowth(GeometryChange, WarmingEffect):

@@ -32,6 +32,7 @@ class LinkLoad(Effect):
     coefficient_names = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
     coefficient_units = ("kg", "kg m", "kg m", "kg m", *["kg m²"] * 6)
     absorbed_by_base = True
+    changes = "body"
     source = "[G] (5)"
 
     def joints(self, signals: Signals) -> Iterator[int]:
@@ -58,10 +59,6 @@ class LinkLoad(Effect):
         Inertia without mass is no body but how gears, rotors or filters bend the inertia that a motion shows.
         """
         return bool(np.any(large[:4] if np.any(coefficients[:4]) else large))
-
-    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. A body on the link."""
-        return LoopChange(body=coefficients)
 
 
 class Payload(WholeArmEffect, LinkLoad):

@@ -34,7 +34,7 @@ class TorqueRipple(Effect):
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
         """Orders on a grid of a third of a period over the range; the residual narrows them down."""
         low, high = self.bounds(signals, joint)[0]
-        span = float(np.ptp(signals.q[:, joint - 1])) + 1e-12
+        span = signals.span(joint)
         count = int(np.clip((high - low) * span / 2.0, 2, 4000))
         return [(float(order),) for order in np.linspace(low, high, count)]
 
@@ -43,7 +43,7 @@ class TorqueRipple(Effect):
 
         What is too fast for the band in the rest of it is taken out of columns and residual alike.
         """
-        span = float(np.ptp(signals.q[:, joint - 1])) + 1e-12
+        span = signals.span(joint)
         speed = np.abs(signals.qd[:, joint - 1])
         moving = speed[speed > 0.05 * speed.max()] if speed.max() > 0 else speed
         typical = float(np.percentile(moving, 25.0)) + 1e-12 if len(moving) else 1e-12
@@ -69,7 +69,7 @@ class TorqueRipple(Effect):
         low, high = self.bounds(signals, joint)[0]
         part, counts = self.visible_part(signals, joint, residual, use)
         q = signals.q[:, joint - 1]
-        between = 2.0 * np.pi * _FEW / (float(np.ptp(q)) + 1e-12)
+        between = 2.0 * np.pi * _FEW / signals.span(joint)
         orders, tries = spectral_peaks(q, part, counts, (max(low, between), high))
         if self.least_periods < _FEW:
             slow, more = spectral_peaks(q, part, counts, (low, between), peaks=1)
@@ -78,13 +78,10 @@ class TorqueRipple(Effect):
 
     def visible_part(self, signals: Signals, joint: int, residual: Array,
                      use: np.ndarray) -> tuple[Array, np.ndarray]:
-        """What of a residual ``(N, c)`` a ripple of this joint could be ``(N,)``, and which samples count ``(N,)``.
+        """What of a residual a ripple of this joint could be ``(N,)``, and which samples count ``(N,)``.
 
         Args:
-            signals: at the rows of the residual.
-            joint: from 1.
-            residual: of all channels ``(N, c)``, in their units.
-            use: samples that count ``(N, c)``.
+            signals, joint, residual, use: as of ``Effect.starts_from_residual``.
         """
         return residual[:, joint - 1], use[:, joint - 1]
 
@@ -92,9 +89,7 @@ class TorqueRipple(Effect):
         """Cosine and sine over the joint's position ``(N, 2)``.
 
         Args:
-            signals: of ``N`` samples.
-            joint: from 1.
-            theta: the order [1/rad].
+            signals, joint, theta: as of ``columns``, theta the order [1/rad].
         """
         turns = theta[0] / (2.0 * np.pi) * signals.q[:, joint - 1]
         # Within a turn sines take half the time.
@@ -157,20 +152,16 @@ class TransmissionError(TorqueRipple):
 
 def spectral_peaks(q: Array, residual: Array, use: np.ndarray, band: tuple[float, float],
                    peaks: int = 3) -> tuple[list[float], int]:
-    """Orders at the highest peaks of a residual's spectrum over position.
+    """Orders at the highest peaks of a residual's spectrum over position, and how many periods the band has room for.
 
     The residual is summed in narrow bins of position; the Fourier transform of those sums is that of the residual at
     the (unevenly spread) positions.
 
     Args:
-        q: position ``(N,)`` [rad or m].
-        residual: ``(N,)``, in any unit.
+        q, residual: position ``(N,)`` [rad or m], and the residual there ``(N,)``, in any unit.
         use: samples that count ``(N,)``.
         band: lowest and highest order [1/rad or 1/m].
-        peaks: how many.
-
-    Returns:
-        The orders, highest peak first, and how many periods the band has room for.
+        peaks: how many, the highest first.
     """
     low, high = band
     span = float(np.ptp(q)) + 1e-12

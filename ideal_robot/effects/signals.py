@@ -65,18 +65,18 @@ class RigidDerivatives:
 
     Args:
         rigid: torque ``(N, n)`` of ``q, qd, qdd`` ``(N, n)`` each.
-        q: positions ``(N, n)`` [rad or m].
-        qd: velocities ``(N, n)`` [rad/s].
-        qdd: accelerations ``(N, n)`` [rad/s²].
+        q, qd, qdd: positions, velocities and accelerations ``(N, n)`` [rad or m; rad/s, rad/s²].
     """
 
-    def __init__(self, rigid: Callable[[Array, Array, Array], Array], q: Array, qd: Array, qdd: Array) -> None:
+    def __init__(self, rigid: RigidBody, q: Array, qd: Array, qdd: Array) -> None:
         self._rigid, self._motion = rigid, (q, qd, qdd)
         self._known: dict[int, tuple[Array, Array, Array]] = {}
 
     def by(self, joint: int) -> tuple[Array, Array, Array]:
         """``d tau/dq_j, d tau/dqd_j, d tau/dqdd_j``, each ``(N, n)``, of ``joint`` (from 1)."""
-        known = self._known.pop(joint, None) or self._computed(joint - 1)
+        j = joint - 1
+        known = self._known.pop(joint, None) or (self._difference(j, 0, _STEP), self._difference(j, 1, 1.0),
+                                                 self.mass[j])
         size = sum(one.nbytes for one in known)
         while self._known and size * (len(self._known) + 1) > _KEPT:
             del self._known[next(iter(self._known))]
@@ -88,15 +88,11 @@ class RigidDerivatives:
 
         Args:
             joint: from 1.
-            position: change ``(N,)`` [rad or m].
-            velocity: change ``(N,)`` [rad/s].
-            acceleration: change ``(N,)`` [rad/s²].
+            position, velocity, acceleration: changes ``(N,)`` [rad or m; rad/s, rad/s²].
         """
         change = (np.ascontiguousarray(one) for one in (position, velocity, acceleration))
         return np.asarray(_combined(*self.by(joint), *change))
 
-    def _computed(self, j: int) -> tuple[Array, Array, Array]:
-        return self._difference(j, 0, _STEP), self._difference(j, 1, 1.0), self.mass[j]
 
     @cached_property
     def mass(self) -> list[Array]:
@@ -195,6 +191,10 @@ class Signals:
     def slow_load(self, joint: int, cutoff: float) -> Array:
         """Load of the gear of ``joint`` (from 1) below a frequency [Hz] ``(N,)`` [N m]."""
         return self.once(("load", joint, cutoff), lambda: lowpass(self.load[:, joint - 1], self.dt, cutoff))
+
+    def span(self, joint: int) -> float:
+        """Range that ``joint`` (from 1) was driven over, above zero [rad or m]."""
+        return float(np.ptp(self.q[:, joint - 1])) + 1e-12
 
     def top_speed(self, joint: int) -> float:
         """Speed of ``joint`` (from 1) that is exceeded in a hundredth of the time [rad/s or m/s]."""
