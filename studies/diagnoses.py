@@ -28,8 +28,8 @@ from studies.sensors.force import draw_force_trial
 from studies.sensors.scene import KINDS, draw_line_trial, gantry
 from studies.sensors.tcp import draw_tcp_trial
 from studies.strangers.arm import robot_of
-from studies.strangers.score import Score, detection, leaving_out, power, reliability, report, score
-from studies.strangers.trial import Trial, draw_trial
+from studies.strangers.score import SINGLE, Score, detection, leaving_out, power, reliability, report, score
+from studies.strangers.trial import POOLS, Trial, draw_trial
 
 GAVE_UP = SimpleNamespace(verdict="failed", effects=(), unknown=())
 """What counts as the answer of a diagnosis that ends with an error."""
@@ -67,6 +67,20 @@ def certainty(seeds: str = "1600000-1600079", inside: str = "1600100-1600155", s
     scores = [*_scores(whole_numbers(seeds, "--seeds"), lines, partial(play, kind=None)),
               *_scores(whole_numbers(inside, "--inside"), lines, partial(play, kind="inside"))]
     print("\n\n".join((power(scores), detection(scores, _family), reliability(scores))))
+
+
+def each_effect(seeds: str = "1970000-1970029", sizes: str = "0.1,5", lines: Path | None = None) -> None:
+    """From which size on each effect of the motor torque and of the arm's angle is found, and what is named falsely.
+
+    Trials as in `certainty`, one of each effect from each of --seeds plus a hundred thousand times its place in the
+    list. --lines as in `strangers`.
+    """
+    least, most = numbers(sizes, "--sizes")
+    scores = []
+    for place, (kind, cause) in enumerate([(pool, name) for pool in SINGLE for name in POOLS[pool]]):
+        play = partial(_play, kind=kind, size=(least, most), length=(15.0, 25.0), cause=cause)
+        scores += _scores([seed + 100000 * place for seed in whole_numbers(seeds, "--seeds")], lines, play)
+    print(power(scores), detection(scores, lambda cause: cause), sep="\n\n")
 
 
 def by_name(scores: Sequence[Score]) -> list[Score]:
@@ -117,13 +131,13 @@ def _scores(wanted: list[int], lines: Path | None, play: Callable[[int], Score |
 
 
 def _play(seed: int, *, kind: str | None, size: tuple[float, float], length: tuple[float, float] = (20.0, 45.0),
-          scale: float = 1.0, explain: bool = False) -> Score | None:
+          scale: float = 1.0, explain: bool = False, cause: str | None = None) -> Score | None:
     """Draws, diagnoses and scores one trial; None where nothing can be drawn from its seed.
 
     A diagnosis that gives up has said nothing, and is never right.
     """
     try:
-        trial = draw_trial(seed, kind, None, size, length)
+        trial = draw_trial(seed, kind, None, size, length, cause)
     except RuntimeError as error:
         print(error, flush=True)
         return None

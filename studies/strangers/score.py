@@ -163,7 +163,7 @@ VISIBLE = 3.0
 """Size from which on the rates that were asked for hold."""
 _QUIET = 0.98
 """Share of empty recordings that are to be left alone."""
-_SINGLE = ("inside", "new", "model", "arm")
+SINGLE = ("inside", "new", "model", "arm")
 
 
 def rates(scores: Sequence[Score]) -> str:
@@ -176,7 +176,7 @@ def rates(scores: Sequence[Score]) -> str:
         lines.append(f"| {name} | " + " | ".join(value(group) for group in groups) + " |")
 
     def single(group: list[Score]) -> list[bool]:
-        return [s.right for s in group if s.kind in _SINGLE]
+        return [s.right for s in group if s.kind in SINGLE]
 
     row("recordings", lambda g: str(len(g)))
     row("empty ones left alone", lambda g: _share(s.right for s in g if s.kind == "none"))
@@ -185,7 +185,7 @@ def rates(scores: Sequence[Score]) -> str:
     row("one effect of any size, right and nothing else", lambda g: _share(single(g)))
     row(f"one effect ≥ {VISIBLE:g} × visible, right and nothing else", lambda g: _share(single(_large(g))))
     row("the same, named at its joint whatever else", lambda g: _share(
-        all(s.found) for s in _large(g) if s.kind in _SINGLE))
+        all(s.found) for s in _large(g) if s.kind in SINGLE))
     row(f"outside the library ≥ {VISIBLE:g} ×, unknown and no name", lambda g: _share(
         s.right for s in _large(g) if s.kind == "outside"))
     row(f"two effects ≥ {VISIBLE:g} ×, both and nothing else", lambda g: _share(
@@ -197,7 +197,7 @@ def rates(scores: Sequence[Score]) -> str:
 
 def power(scores: Sequence[Score]) -> str:
     """Markdown table of finding one effect of the library, right and nothing else, over its size, by engine."""
-    single = [s for s in scores if s.kind in _SINGLE]
+    single = [s for s in scores if s.kind in SINGLE]
     engines = sorted({s.engine for s in single})
     lines = [f"| size, × visible | effects | named at its joint | and nothing else | {' | '.join(engines)} |",
              "| --- | --- | --- | --- |" + " --- |" * len(engines)]
@@ -222,7 +222,7 @@ def detection(scores: Sequence[Score], family_of: Callable[[str], str]) -> str:
         scores: of trials.
         family_of: a cause by its name.
     """
-    trials = [s for s in scores if s.kind in _SINGLE]
+    trials = [s for s in scores if s.kind in SINGLE]
     size, found, false = np.array([(np.log(s.causes[0][2]), all(s.found), len(s.false))
                                    for s in trials]).reshape(-1, 3).T
     family = np.array([family_of(s.causes[0][0]) for s in trials])

@@ -77,7 +77,7 @@ def right_names(cause: str, joint: int, n: int, qa: tuple[int, ...] = ()) -> fro
 KINDS = ("none", "inside", "new", "outside", "two", "model", "arm", "known")
 """``model``: an effect against a model of the healthy arm; ``known``: nothing against such a model."""
 SHARES = (0.38, 0.20, 0.09, 0.09, 0.09, 0.10, 0.05, 0.0)
-_POOLS: dict[str, dict[str, Draw]] = {
+POOLS: dict[str, dict[str, Draw]] = {
     "inside": INSIDE, "new": NEW, "outside": OUTSIDE, "two": INSIDE, "model": AGAINST_MODEL, "arm": ARM}
 _CLOSE = 1.7
 """By what the size that came out may differ from the one drawn."""
@@ -134,8 +134,8 @@ class Trial:
     late: float = 0.0
 
 
-def draw_trial(seed: int, kind: str | None = None, engine: str | None = None,
-               size: tuple[float, float] = (0.5, 10.0), seconds: tuple[float, float] = (20.0, 45.0)) -> Trial:
+def draw_trial(seed: int, kind: str | None = None, engine: str | None = None, size: tuple[float, float] = (0.5, 10.0),
+               seconds: tuple[float, float] = (20.0, 45.0), cause: str | None = None) -> Trial:
     """Draws a trial.
 
     Args:
@@ -144,6 +144,7 @@ def draw_trial(seed: int, kind: str | None = None, engine: str | None = None,
         engine: one of ``ENGINES``; by turns with the seed if None.
         size: range of the effect's size in multiples of visible, drawn evenly in its logarithm.
         seconds: range of the recording's length [s].
+        cause: the effect, of those of a kind with one; drawn if None.
     """
     rng = np.random.default_rng([seed, 40013])
     drawn_kind = str(rng.choice(KINDS, p=SHARES))
@@ -151,7 +152,7 @@ def draw_trial(seed: int, kind: str | None = None, engine: str | None = None,
     engine = list(ENGINES)[seed % len(ENGINES)] if engine is None else engine
     for _ in range(25):
         try:
-            trial = _attempt(rng, seed, kind, engine, size, seconds)
+            trial = _attempt(rng, seed, kind, engine, size, seconds, cause)
         except (RuntimeError, IdealRobotError):
             # A plant that its controller cannot hold, or that an engine's step is too long for, is no trial.
             continue
@@ -160,8 +161,8 @@ def draw_trial(seed: int, kind: str | None = None, engine: str | None = None,
     raise RuntimeError(f"no trial of kind {kind} in {engine} from seed {seed}")
 
 
-def _attempt(rng: np.random.Generator, seed: int, kind: str, engine: str,
-             size: tuple[float, float], seconds: tuple[float, float]) -> Trial | None:
+def _attempt(rng: np.random.Generator, seed: int, kind: str, engine: str, size: tuple[float, float],
+             seconds: tuple[float, float], cause: str | None) -> Trial | None:
     arm = draw_arm(rng)
     plant = draw_plant(rng, arm)
     if engine == "pybullet":
@@ -170,7 +171,7 @@ def _attempt(rng: np.random.Generator, seed: int, kind: str, engine: str,
     motion = draw_motion(rng, arm, duration)
     qa = tuple(range(int(rng.integers(min(2, arm.n), arm.n + 1)))) if kind == "arm" else None
     healthy = Twin(Setup(plant, draw_logger(rng, arm.n, qa)), engine, motion)
-    drawn = _effects(rng, kind, engine, healthy.setup)
+    drawn = _effects(rng, kind, engine, healthy.setup, cause)
     if drawn is None:
         return None
     setup, causes, values = healthy.setup, [], {}
@@ -212,15 +213,18 @@ def _with_cascade(rng: np.random.Generator, plant: Plant) -> Plant:
             return other
 
 
-def _effects(rng: np.random.Generator, kind: str, engine: str, setup: Setup) -> list[Drawn] | None:
+def _effects(rng: np.random.Generator, kind: str, engine: str, setup: Setup,
+             cause: str | None) -> list[Drawn] | None:
     """Effects of a trial, no two of them at one joint; None where the plant cannot have the one drawn."""
     if kind in ("none", "known"):
         return []
     result: list[Drawn] = []
-    pool = {name: draw for name, draw in _POOLS[kind].items() if name not in NOT_IN.get(engine, frozenset())}
+    pool = {name: draw for name, draw in POOLS[kind].items() if name not in NOT_IN.get(engine, frozenset())}
+    if cause not in (None, *pool):
+        return None
     joints = rng.permutation(setup.plant.n)
     for j in joints[: 2 if kind == "two" else 1]:
-        effect = pool[str(rng.choice(sorted(pool)))](rng, setup, int(j))
+        effect = pool[str(rng.choice(sorted(pool))) if cause is None else cause](rng, setup, int(j))
         if effect is None:
             return None
         result.append(effect)

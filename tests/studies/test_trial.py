@@ -35,6 +35,13 @@ def test_size_that_came_out_is_near_the_one_drawn() -> None:
     assert trial.recording.n >= 2
 
 
+def test_a_cause_that_was_asked_for_is_in_the_trial_or_there_is_none() -> None:
+    trial = draw_trial(12, "inside", "integrator", seconds=(8.0, 10.0), cause="torque_ripple")
+    assert [c.name for c in trial.causes] == ["torque_ripple"]
+    with pytest.raises(RuntimeError, match="no trial of kind inside in pybullet"):
+        draw_trial(12, "inside", "pybullet", seconds=(8.0, 10.0), cause="axis_coupling")
+
+
 def test_a_third_of_the_trials_and_more_hold_nothing() -> None:
     assert SHARES[KINDS.index("none")] > 1.0 / 3.0
     assert sum(SHARES) == pytest.approx(1.0)
