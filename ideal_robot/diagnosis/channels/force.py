@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
 
 from ideal_robot.arrays import GRAVITY, Array, G, interpolated
-from ideal_robot.diagnosis.channels.arm import frames_along, tool_motion
+from ideal_robot.diagnosis.channels.arm import frames_along, measured_axes, tool_motion
 from ideal_robot.diagnosis.channels.regression import (
     BAND,
     CUTOFF,
@@ -18,6 +17,7 @@ from ideal_robot.diagnosis.channels.regression import (
     KNOTS,
     MEMORY,
     RESTING,
+    WRENCH,
     Regression,
     noise_floor,
 )
@@ -30,15 +30,39 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import FilteredSignals, lowpass, resampled
 from ideal_robot.signals.recording import Recording
 
-# The regression of a force sensor's wrench while nothing touches the tool.
-#
-# Then the wrench is bias, the tool's weight in the changing orientation, and its inertia.
+
+def force_regressions(recording: Recording, validate: Recording | None, robot: Robot, torque: Regression,
+                      validation: Regression | None,
+                      stiffness: Array | None) -> Iterator[tuple[Regression, Regression | None]]:
+    """The regressions that a recording's wrench allows, each with that of the validation recording if it has one.
+
+    Args:
+        recording: with ``fx fy fz`` and at best ``mx my mz``, else there are none.
+        validate: the other recording, or None.
+        robot: the arm.
+        torque: the regression of its torques, for signals and filters.
+        validation: that of the other recording's, or None.
+        stiffness: of the gears as far as the model knows ``(n,)`` [N m/rad], or None.
+    """
+    wrench = _wrench_of(recording, robot, torque)
+    if wrench is None:
+        return
+    other = None if validate is None or validation is None else _wrench_of(validate, robot, validation)
+    free = wrench.without_contact(wrench.turns)
+    if free is not None:
+        yield free, None if other is None else other.without_contact(wrench.turns)
+    contact = wrench.in_contact(recording, robot, stiffness)
+    # The surface of another recording is another one: its curve would say nothing here.
+    if contact is not None:
+        yield contact, None
+
 
 @dataclass(frozen=True)
-class Wrench:
-    """A sensor's wrench on the grid of the torque's regression, and what the motion says about it.
+class _Wrench:
+    """A sensor's wrench on the grid of the torques' regression, and what the motion says about it.
 
     Attributes:
+        torque: that regression.
         values: measured minus what calibration says ``(N, 3 or 6)``.
         rotation: of the sensor in the base frame ``(N, 3, 3)``.
         pull: gravity in the sensor frame ``(N, 3)`` [m/s²].
@@ -49,6 +73,7 @@ class Wrench:
         limit: what force a sample without contact has beside them at most [N].
     """
 
+    torque: Regression
     values: Array
     rotation: Array
     pull: Array
@@ -64,17 +89,85 @@ class Wrench:
         pull = self.pull[self.free] / G
         return bool(np.sum(np.var(pull, axis=0)) > Options.smallest_own) if len(pull) else False
 
+    def without_contact(self, turns: bool) -> Regression | None:
+        """The wrench while nothing touches the tool: bias, the tool's weight in the changing orientation, and inertia.
 
-def wrench_of(recording: Recording, robot: Robot, torque: Regression) -> Wrench | None:
-    """The recorded wrench, minus bias and weight in the recording's ``tool`` metadata; None without ``fx fy fz``.
+        Mass and first moments of the tool are taken for granted, inertia on its own: a sensor that leaves it out, or
+        takes it away, then does not look biased. In one orientation, where nothing ``turns``, weight is a constant like
+        the bias; what is found then is their sum.
+        """
+        count, filtered = self.values.shape[1], self._rows(self.free)
+        if filtered is None:
+            return None
+        W = np.zeros((len(self.values), count, 8 if count == 6 else 2))
+        for i, field in enumerate((self.pull, self.push)):
+            W[:, :3, i] = field
+            for axis, unit in enumerate(np.eye(3) if count == 6 else ()):
+                W[:, 3:, 2 + 3 * i + axis] = np.cross(unit, field)
+        if not turns:
+            W = W[:, :, [1, 5, 6, 7] if count == 6 else [1]]
+        extra = {MOMENTS: np.full(len(self.values), float(count == 6)),
+                 **{f"gravity_{axis}": self.pull[:, i] for i, axis in enumerate("xyz")}}
+        return self._regression(filtered, WRENCH[:count], ("N", "N", "N", "N m", "N m", "N m")[:count],
+                                filtered.decimate(self.values), filtered.decimate(W), extra)
 
-    Args:
-        recording: with ``fx fy fz`` and at best ``mx my mz``.
-        robot: the arm.
-        torque: the regression of its torques, for signals and filters.
-    """
-    names = [name for name in ("fx", "fy", "fz", "mx", "my", "mz") if name in recording.columns]
-    if names not in (["fx", "fy", "fz"], ["fx", "fy", "fz", "mx", "my", "mz"]):
+    def in_contact(self, recording: Recording, robot: Robot, stiffness: Array | None) -> Regression | None:
+        """See ``force_regressions``. The tip's place along a surface's normal, plus the give that is assumed.
+
+        The tip stands on the surface, so what its place along the normal does in proportion to the force is compliance,
+        of which ``contact_stiffness`` says what is assumed. The surface is fitted as a smooth curve along the path.
+        """
+        contact = self.values[:, :3] - self.load[:3] - self.load[3] * self.pull
+        force = np.einsum("kij,kj->ki", self.rotation, contact)
+        least, dt = CLEAR * self.limit, self.torque.filtered.dt
+        strong = self.there & ~self.free & (np.linalg.norm(force, axis=1) > least)
+        filtered = self._rows(strong)
+        if filtered is None:
+            return None
+        place = _arm_side(recording, robot, self.torque, force, stiffness)
+        normal = _normal(force, place, strong, dt)
+        pressed = force @ normal
+        if float(np.mean(pressed[strong] > least)) < 0.9 or float(np.ptp(pressed[strong])) < least:
+            return None
+        assumed = recording.meta.get("contact_stiffness")
+        y = place @ normal + (pressed / float(assumed) if assumed else 0.0)
+        y = y - y[strong].mean()
+        # Damping of the tip, and a force that is a little late against the position, follow the force's rate.
+        rate = np.gradient(pressed, dt)
+        W = np.concatenate([_surface(place, normal, strong), rate[:, None, None]], axis=2)
+        # The filter looks to both sides: out of contact stands what was last or next in contact, for which the law
+        # holds.
+        touching, = ndimage.distance_transform_edt(~strong, return_distances=False, return_indices=True)
+        # Noise of the force is in the column as well and would make it look too small: less of it in a narrow band.
+        band = min(BAND, 0.2 / dt)
+        noise = noise_floor(filtered.decimate(y[touching])[:, None], 2.0 * band * dt * filtered.factor)
+        y, W, pressed = (lowpass(values[touching], dt, band) for values in (y, W, pressed))
+        small = filtered.decimate(y)
+        extra = {CONTACT_FORCE: pressed, ASSUMED_GIVE: np.full(len(pressed), 1.0 / float(assumed) if assumed else 0.0)}
+        made = self._regression(filtered, ("contact",), ("m",), small[:, None], filtered.decimate(W), extra)
+        return replace(made, measured=(small - small.mean())[:, None], noise_floor=noise)
+
+    def _rows(self, mask: np.ndarray) -> FilteredSignals | None:
+        """The filter with rows of some samples only, None for too few; ends, where no derivatives are, count too."""
+        filtered, rows = self.torque.filtered, np.flatnonzero(self.torque.filtered.keep)
+        keep = filtered.keep.copy()
+        keep[: rows[0]], keep[rows[-1] :] = True, True
+        keep &= mask[:: filtered.factor]
+        return replace(filtered, keep=keep) if keep.sum() >= FEWEST else None
+
+    def _regression(self, filtered: FilteredSignals, channels: tuple[str, ...], units: tuple[str, ...], y: Array,
+                    W: Array, extra: dict[str, Array]) -> Regression:
+        """A regression of the sensor, with its filter's rows and undecimated signals for its effects."""
+        signals = replace(self.torque.signals, extra=extra, frames=None)
+        return replace(self.torque, t=filtered.t_decimated - filtered.t[0], channels=channels, units=units, y=y,
+                       measured=y, W=W, use=np.ones(y.shape, dtype=bool), signals=signals, filtered=filtered,
+                       noise_floor=noise_floor(y), domain=SENSOR)
+
+
+def _wrench_of(recording: Recording, robot: Robot, torque: Regression) -> _Wrench | None:
+    """The recorded wrench, minus bias and weight in the recording's ``tool`` metadata; None without ``fx fy fz``."""
+    names = tuple(name for name in WRENCH if name in recording.columns)
+    if names not in (WRENCH[:3], WRENCH):
         return None
     measured = np.column_stack([recording.columns[name] for name in names])
     filtered, there = torque.filtered, np.all(np.isfinite(measured), axis=1)
@@ -97,7 +190,7 @@ def wrench_of(recording: Recording, robot: Robot, torque: Regression) -> Wrench 
         values = values - (np.asarray(known["bias"], dtype=float) + weight)[:, : len(names)]
     free = np.zeros(len(values), dtype=bool)
     free[there], load, limit = _untouched(values[there, :3], pull[there], push[there], filtered.dt, bool(known))
-    return Wrench(values, rotation, pull, push, there, free, load, limit)
+    return _Wrench(torque, values, rotation, pull, push, there, free, load, limit)
 
 
 def _memory(dt: float) -> int:
@@ -145,112 +238,6 @@ def _untouched(force: Array, pull: Array, push: Array, dt: float, calibrated: bo
     return ndimage.binary_erosion(free, iterations=chunk // 2, border_value=1), fitted(gram, right)[:4], limit
 
 
-def wrench_regression(wrench: Wrench, torque: Regression, turns: bool) -> Regression | None:
-    """The wrench without contact; mass and first moments of the tool are taken for granted, inertia on its own.
-
-    A sensor that leaves inertia out, or takes it away, then does not look biased.
-
-    Args:
-        wrench: of the recording.
-        torque: the regression of its torques, for signals and filters.
-        turns: whether the orientation changes enough for weight and bias to be distinguished.
-    """
-    count = wrench.values.shape[1]
-    W = np.zeros((len(wrench.values), count, 8 if count == 6 else 2))
-    for i, field in enumerate((wrench.pull, wrench.push)):
-        W[:, :3, i] = field
-        if count == 6:
-            for axis, unit in enumerate(np.eye(3)):
-                W[:, 3:, 2 + 3 * i + axis] = np.cross(unit, field)
-    if not turns:
-        # In one orientation weight is a constant like the bias; what is found then is their sum.
-        W = W[:, :, [1, 5, 6, 7] if count == 6 else [1]]
-    filtered = rows_of(torque, wrench.free)
-    if int(filtered.keep.sum()) < FEWEST:
-        return None
-    y = filtered.decimate(wrench.values)
-    extra = {MOMENTS: np.full(len(wrench.values), float(count == 6)),
-             **{f"gravity_{axis}": wrench.pull[:, i] for i, axis in enumerate("xyz")}}
-    names = ("fx", "fy", "fz", "mx", "my", "mz")[:count]
-    units = ("N", "N", "N", "N m", "N m", "N m")[:count]
-    return sensor_regression(torque, filtered, names, units, y, filtered.decimate(W), extra)
-
-
-def rows_of(torque: Regression, mask: np.ndarray) -> FilteredSignals:
-    """The filter with rows of some samples only; the ends count, where the position's derivatives do not, too."""
-    filtered, rows = torque.filtered, np.flatnonzero(torque.filtered.keep)
-    keep = filtered.keep.copy()
-    keep[: rows[0]], keep[rows[-1] :] = True, True
-    return dataclasses.replace(filtered, keep=keep & mask[:: filtered.factor])
-
-
-def sensor_regression(torque: Regression, filtered: FilteredSignals, channels: tuple[str, ...],
-                      units: tuple[str, ...], y: Array, W: Array, extra: dict[str, Array]) -> Regression:
-    """A regression of the sensor.
-
-    Args:
-        torque: the regression of the torques, for the signals.
-        filtered: its filter, with the rows that count.
-        channels: names ``(c,)``.
-        units: theirs.
-        y: measured minus expected ``(N, c)``.
-        W: its derivative by what is fitted beside effects ``(N, c, p)``.
-        extra: signals for effects, undecimated.
-    """
-    signals = dataclasses.replace(torque.signals, extra=extra, frames=None)
-    return dataclasses.replace(torque, t=filtered.t_decimated - filtered.t[0], channels=channels, units=units, y=y,
-                               measured=y, W=W, use=np.ones(y.shape, dtype=bool), signals=signals,
-                               filtered=filtered, noise_floor=noise_floor(y), domain=SENSOR)
-
-
-# The regression of the tip's place while it touches a surface.
-#
-# The tip stands on the surface, so what its place along the normal does in proportion to the force is compliance.
-
-def contact_regression(recording: Recording, robot: Robot, wrench: Wrench, torque: Regression,
-                       stiffness: Array | None) -> Regression | None:
-    """Place of the tip along the surface's normal in contact, plus the give that is assumed (``contact_stiffness``).
-
-    The surface is fitted as a smooth curve along the path.
-
-    Args:
-        recording: as for ``force_regressions``.
-        robot: the arm.
-        wrench: of the recording.
-        torque: the regression of its torques, for signals and filters.
-        stiffness: of the gears as far as the model knows ``(n,)`` [N m/rad], or None.
-    """
-    contact = wrench.values[:, :3] - wrench.load[:3] - wrench.load[3] * wrench.pull
-    force = np.einsum("kij,kj->ki", wrench.rotation, contact)
-    least = CLEAR * wrench.limit
-    strong = wrench.there & ~wrench.free & (np.linalg.norm(force, axis=1) > least)
-    filtered = rows_of(torque, strong)
-    if int(filtered.keep.sum()) < FEWEST:
-        return None
-    place = _arm_side(recording, robot, torque, force, stiffness)
-    normal = _normal(force, place, strong, torque.filtered.dt)
-    pressed = force @ normal
-    if float(np.mean(pressed[strong] > least)) < 0.9 or float(np.ptp(pressed[strong])) < least:
-        return None
-    assumed = recording.meta.get("contact_stiffness")
-    y = place @ normal + (pressed / float(assumed) if assumed else 0.0)
-    y = y - y[strong].mean()
-    # Damping of the tip, and a force that is a little late against the position, follow the force's rate.
-    rate = np.gradient(pressed, torque.filtered.dt)
-    W = np.concatenate([_surface(place, normal, strong), rate[:, None, None]], axis=2)
-    # The filter looks to both sides: out of contact stands what was last or next in contact, for which the law holds.
-    touching, = ndimage.distance_transform_edt(~strong, return_distances=False, return_indices=True)
-    # Noise of the force is in the column as well and would make it look too small: less of it in a narrow band.
-    dt = torque.filtered.dt
-    band = min(BAND, 0.2 / dt)
-    noise = noise_floor(filtered.decimate(y[touching])[:, None], 2.0 * band * dt * filtered.factor)
-    y, W, pressed = (lowpass(values[touching], dt, band) for values in (y, W, pressed))
-    small = filtered.decimate(y)
-    extra = {CONTACT_FORCE: pressed, ASSUMED_GIVE: np.full(len(pressed), 1.0 / float(assumed) if assumed else 0.0)}
-    made = sensor_regression(torque, filtered, ("contact",), ("m",), small[:, None], filtered.decimate(W), extra)
-    return dataclasses.replace(made, measured=(small - small.mean())[:, None], noise_floor=noise)
-
-
 def _normal(force: Array, place: Array, strong: np.ndarray, dt: float) -> Array:
     """Normal of the surface ``(3,)``: mean direction of the contact force without what turns with the sliding."""
     width = max(1, round(0.05 / dt))
@@ -271,10 +258,8 @@ def _normal(force: Array, place: Array, strong: np.ndarray, dt: float) -> Array:
 
 def _arm_side(recording: Recording, robot: Robot, torque: Regression, force: Array, stiffness: Array | None) -> Array:
     """Tip ``(N, 3)`` where it is measured, else by kinematics, minus what the gears are known to give way."""
-    if all(axis in recording.columns for axis in "xyz"):
-        measured = np.column_stack([recording.columns[axis] for axis in "xyz"])
-        if np.all(np.isfinite(measured)):
-            return resampled(recording.t, measured, torque.filtered.t)
+    if measured_axes(recording).all():
+        return resampled(recording.t, np.column_stack([recording.columns[axis] for axis in "xyz"]), torque.filtered.t)
     q = torque.signals.q
     frames = frames_along(robot, q)
     if stiffness is None:
@@ -299,29 +284,3 @@ def _surface(place: Array, normal: Array, strong: np.ndarray) -> Array:
     else:
         columns += [np.ones(len(along)), along]
     return np.column_stack(columns)[:, None, :]
-
-
-def force_regressions(recording: Recording, validate: Recording | None, robot: Robot, torque: Regression,
-                      validation: Regression | None,
-                      stiffness: Array | None) -> Iterator[tuple[Regression, Regression | None]]:
-    """The regressions that a recording's wrench allows, each with that of the validation recording if it has one.
-
-    Args:
-        recording: with ``fx fy fz`` and at best ``mx my mz``, else there are none.
-        validate: the other recording, or None.
-        robot: the arm.
-        torque: the regression of its torques, for signals and filters.
-        validation: that of the other recording's, or None.
-        stiffness: of the gears as far as the model knows ``(n,)`` [N m/rad], or None.
-    """
-    wrench = wrench_of(recording, robot, torque)
-    if wrench is None:
-        return
-    other = None if validate is None or validation is None else wrench_of(validate, robot, validation)
-    free = wrench_regression(wrench, torque, wrench.turns)
-    if free is not None:
-        yield free, None if other is None or validation is None else wrench_regression(other, validation, wrench.turns)
-    contact = contact_regression(recording, robot, wrench, torque, stiffness)
-    # The surface of another recording is another one: its curve would say nothing here.
-    if contact is not None:
-        yield contact, None

@@ -8,7 +8,9 @@ may know all fields; were it to be foretold where hardly any other field has loo
 
 from __future__ import annotations
 
-import dataclasses
+import itertools
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -29,7 +31,7 @@ _OUTLIER = 8.0
 """Standard deviations from the smooth line beyond which a point is none of it: of Gaussian noise none is so far."""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class _SeenPoints:
     """Points of the line ``(N,)``, and what moves them across it.
 
@@ -60,8 +62,7 @@ class _SeenPoints:
     def signals(self) -> dict[str, Array]:
         """What a unit of each error of a camera does that no other line would do ``(N,)``."""
         result = {}
-        errors = [error for effect in library() if isinstance(effect, CameraEffect) for error in effect.errors]
-        for error in errors:
+        for error in (error for effect in library() if isinstance(effect, CameraEffect) for error in effect.errors):
             if isinstance(error, PointError):
                 whole = self.off(error.moved(self.out))
             elif isinstance(error, StampError):
@@ -75,25 +76,20 @@ class _SeenPoints:
 
 def line_regression(recording: Recording, robot: Robot, torque: Regression,
                     stiffness: Array | None) -> Regression | None:
-    """The regression of a line-following recording; None if there are no line points, or too few.
-
-    Args:
-        recording: with ``cam_t`` and ``line_x_i line_y_i line_z_i``.
-        robot: the arm.
-        torque: regression of its torques, for signals.
-        stiffness: of the gears as far as the model knows ``(n,)`` [N m/rad], or None.
-    """
+    """See ``position_regressions``. Of a camera's ``cam_t`` and ``line_x_i line_y_i line_z_i``; None for too few."""
     seen = _seen(recording)
     if seen is None:
         return None
     stamps, number, points = seen
-    begin = float(recording.t[0])
-    rotation, place, velocity, turning = _poses(recording, robot, torque, stiffness, stamps)
+    begin, grid = float(recording.t[0]), torque.filtered.t
+    angles = arm_angles(recording, torque, stiffness)
+    rotation, place, twist = tool_motion(robot, *_smooth(grid, angles, stamps))
     lever = np.einsum("kij,kj->ki", rotation[number], points)
     x = lever + place[number]
     up = -rotation[:, :, 2].mean(axis=0)
     up /= np.linalg.norm(up)
-    path, s_path = _tool_path(recording, robot, torque, stiffness, stamps, up)
+    moments = np.arange(stamps[0], min(stamps[-1] + 0.5, float(recording.t[-1])), 0.004)
+    path, s_path = _in_surface(tool_motion(robot, *_smooth(grid, angles, moments))[1], up)
     if s_path[-1] < 4.0 * KNOTS:
         return None
     s, d, tangent, inside = _against(path, s_path, x, place[number], up)
@@ -105,33 +101,24 @@ def line_regression(recording: Recording, robot: Robot, torque: Regression,
     t = tangent[rows]
     # A point that moves along its line comes to where the line has another deviation.
     normal = np.cross(up, t) - slope[:, None] * t
-    moved = velocity[number[rows]] + np.cross(turning[number[rows]], lever[rows])
+    moved = twist[number[rows], :3] + np.cross(twist[number[rows], 3:], lever[rows])
     times = stamps[number[rows]] - begin
     basis, sizes, _ = np.linalg.svd(W, full_matrices=False)
-    basis = basis[:, sizes > 1e-6 * sizes[0]]
     seen_points = _SeenPoints(times, from_axis(points[rows], _axis(recording, points)), rotation[number[rows]], normal,
-                              -np.sum(normal * moved, axis=1), basis)
+                              -np.sum(normal * moved, axis=1), basis[:, sizes > 1e-6 * sizes[0]])
     residual = seen_points.beside(d[rows])
-    signals = _signals_at(times, torque, begin, seen_points.signals())
+    at_points: dict[str, Any] = {name: interpolated(times, grid - begin, getattr(torque.signals, name))
+                                 for name in ("q", "qd", "qdd", "load", "torque", "friction")}
+    signals = Signals(times, **at_points, extra=seen_points.signals())
     noise_floor = np.array([_finding_noise(residual, number[rows])])
     # As little known as the line is how its surface inclines: along it points come nearer or farther than taken for.
     inclined = seen_points.beside((s[rows] - s[rows].mean()) * seen_points.off(seen_points.out))
     y, W = residual[:, None], np.column_stack([np.ones(len(residual)), inclined])[:, None, :]
     use = np.ones(y.shape, dtype=bool)
     # Rows are points in order of time, and need no filter.
-    filtered = dataclasses.replace(torque.filtered, factor=1, keep=use[:, 0])
+    filtered = replace(torque.filtered, factor=1, keep=use[:, 0])
     return Regression(times, ("line",), ("m",), y, y, W, use, signals, filtered, {}, noise_floor, torque.prismatic,
                       SENSOR)
-
-
-def _signals_at(times: Array, torque: Regression, begin: float, extra: dict[str, Array]) -> Signals:
-    """The signals of the torque regression at the points' times ``(N,)`` [s] since ``begin``, with what is seen."""
-    s = torque.signals
-    grid = torque.filtered.t - begin
-
-    q, qd, qdd, load, motor, friction = (interpolated(times, grid, values)
-                                         for values in (s.q, s.qd, s.qdd, s.load, s.torque, s.friction))
-    return Signals(times, q, qd, qdd, load, motor, friction, extra=extra)
 
 
 def _finding_noise(residual: Array, number: np.ndarray) -> float:
@@ -142,15 +129,11 @@ def _finding_noise(residual: Array, number: np.ndarray) -> float:
 
 def _seen(recording: Recording) -> tuple[Array, np.ndarray, Array] | None:
     """Time stamps of the fields ``(F,)``, and for each point its field ``(M,)`` and place in the tool ``(M, 3)``."""
-    if "cam_t" not in recording.columns or "line_x_1" not in recording.columns:
+    triples = ([f"line_{axis}_{i}" for axis in "xyz"] for i in itertools.count(1))
+    names = list(itertools.takewhile(lambda three: recording.columns.keys() >= set(three), triples))
+    if "cam_t" not in recording.columns or not names:
         return None
-    count = 1
-    while all(f"line_{axis}_{count + 1}" in recording.columns for axis in "xyz"):
-        count += 1
-    if not all(f"line_{axis}_{i + 1}" in recording.columns for axis in "xyz" for i in range(count)):
-        return None
-    points = np.stack([np.column_stack([recording.columns[f"line_{axis}_{i + 1}"] for axis in "xyz"])
-                       for i in range(count)], axis=1)
+    points = np.stack([np.column_stack([recording.columns[name] for name in three]) for three in names], axis=1)
     stamps = recording.columns["cam_t"]
     good = np.isfinite(points).all(axis=2) & np.isfinite(stamps)[:, None]
     good &= ((stamps >= recording.t[0]) & (stamps <= recording.t[-1]))[:, None]
@@ -164,30 +147,19 @@ def _seen(recording: Recording) -> tuple[Array, np.ndarray, Array] | None:
 
 def _smooth(t: Array, values: Array, at: Array) -> tuple[Array, Array]:
     """Values and rates ``(F, k)`` at some times, by a parabola through half a period of its band to each side."""
-    result, rate = np.empty((len(at), values.shape[1])), np.empty((len(at), values.shape[1]))
+    fits = np.empty((2, len(at), values.shape[1]))
     half = max(0.5 / POSITION_BAND, 2.5 * float(np.median(np.diff(t))))
     for k, moment in enumerate(at):
         a, b = np.searchsorted(t, [moment - half, moment + half])
         a = max(min(a, len(t) - 4), 0)
         b = max(b, a + 4)
-        coefficients = np.linalg.lstsq(np.vander(t[a:b] - moment, 3, increasing=True), values[a:b], rcond=None)[0]
-        result[k], rate[k] = coefficients[0], coefficients[1]
-    return result, rate
+        powers = np.vander(t[a:b] - moment, 3, increasing=True)
+        fits[:, k] = np.linalg.lstsq(powers, values[a:b], rcond=None)[0][:2]
+    return fits[0], fits[1]
 
 
-def _poses(recording: Recording, robot: Robot, torque: Regression, stiffness: Array | None,
-           stamps: Array) -> tuple[Array, Array, Array, Array]:
-    """Rotation, place, velocity and angular velocity of the tool in the base frame at the time stamps."""
-    angles = arm_angles(recording, torque, stiffness)
-    rotation, place, twist = tool_motion(robot, *_smooth(torque.filtered.t, angles, stamps))
-    return rotation, place, twist[:, :3], twist[:, 3:]
-
-
-def _tool_path(recording: Recording, robot: Robot, torque: Regression, stiffness: Array | None, stamps: Array,
-               up: Array) -> tuple[Array, Array]:
-    """The tool's path in the surface while the line is seen, at equal steps, smoothed, straight on at its end."""
-    moments = np.arange(stamps[0], min(stamps[-1] + 0.5, float(recording.t[-1])), 0.004)
-    place = _poses(recording, robot, torque, stiffness, moments)[1]
+def _in_surface(place: Array, up: Array) -> tuple[Array, Array]:
+    """A tool's path ``(N, 3)`` across ``up``, at equal steps, smoothed, straight on at its end; and its arc lengths."""
     flat = place - np.outer((place - place[0]) @ up, up)
     way = arc_lengths(flat)
     keep = np.concatenate([[True], np.diff(way) > 1e-6])

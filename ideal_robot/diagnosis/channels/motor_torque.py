@@ -12,17 +12,15 @@ from dataclasses import replace
 import numpy as np
 from scipy import interpolate, ndimage
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, interpolated
 from ideal_robot.diagnosis.channels.regression import (
     BAND,
     CUTOFF,
     MEMORY,
     POSITION_BAND,
+    RESTING,
     Regression,
-    apart_from_reversals,
-    moving_samples,
     noise_floor,
-    small_velocity,
 )
 from ideal_robot.diagnosis.statistics.least_squares import CLEAR
 from ideal_robot.dynamics import regressor
@@ -40,6 +38,9 @@ from ideal_robot.signals.recording import Recording, is_known_column
 
 ROWS = 150_000
 """Rows of the regression (samples × joints) that are looked at, at most; longer recordings are decimated further."""
+_BRISTLES = 0.003
+"""Travel since a reversal or rest that does not count [rad or m]: three times the millimetre or milliradian over which
+the bristles of a drive yield."""
 
 
 def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutoff: float | None = None,
@@ -67,7 +68,7 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     filtered = _differentiated(recorded if more else _thinned(recorded))
     q, qd, qdd = filtered.q, filtered.qd, filtered.qdd
     t = filtered.t - filtered.t[0]
-    noise_velocity = small_velocity(recording, filtered)
+    noise_velocity = _small_velocity(recording, filtered)
     extra = {name: values for name, values in filtered.columns.items() if not is_known_column(name)}
 
     def body_on(link: int) -> Array:
@@ -106,13 +107,79 @@ def _filtered(recording: Recording, cutoff: float | None) -> FilteredSignals:
 def _counting_rows(recording: Recording, filtered: FilteredSignals, noise_velocity: Array,
                    robot: Robot) -> tuple[np.ndarray, dict[int, str]]:
     """Which rows ``(M, n)`` count: away from ends, pauses, reversals and limits; and why a joint has none."""
-    q, qd = filtered.q, filtered.qd
-    moving, undecided = moving_samples(filtered.t - filtered.t[0], q, qd, noise_velocity, 1.0 / filtered.cutoff, robot)
-    apart = apart_from_reversals(q, qd, moving, MEMORY / filtered.cutoff, filtered.dt)
-    use = apart[:: filtered.factor][filtered.keep]
-    use &= ~_clipped(recording, filtered)
+    q, qd, factor = filtered.q, filtered.qd, filtered.factor
+    moving, undecided = _moving_samples(filtered.t - filtered.t[0], q, qd, noise_velocity, 1.0 / filtered.cutoff, robot)
+    use = apart_from_reversals(q, qd, moving, MEMORY / filtered.cutoff, filtered.dt)[::factor][filtered.keep]
+    for j in range(recording.n):
+        at_limit = clipped(recording.columns[f"tau_{j + 1}"])
+        if at_limit.any():
+            near = np.interp(filtered.t, recording.t, at_limit.astype(float)) > 0.0
+            use[:, j] &= ~ndimage.maximum_filter1d(near, 4 * factor + 1)[::factor][filtered.keep]
     return use, {**{int(j) + 1: "no sample is left away from ends, pauses, reversals and limits of the drive"
                     for j in np.flatnonzero(~use.any(axis=0))}, **undecided}
+
+
+def _moving_samples(t: Array, q: Array, qd: Array, v_small: Array, rest: float,
+                    robot: Robot) -> tuple[Array, dict[int, str]]:
+    """Samples at which each joint moves ``(N, n)``, and joints that move too little, with the reason.
+
+    Below velocities of ``v_small (n,)`` the direction is lost in noise; passages through low speed that are shorter
+    than ``rest`` [s] count as motion.
+    """
+    dt = float(t[1] - t[0])
+    moving = np.ones(q.shape, dtype=bool)
+    undecided: dict[int, str] = {}
+    for j in range(q.shape[1]):
+        speed = np.abs(qd[:, j])
+        slow = speed < np.maximum(2.0 * v_small[j], RESTING * np.percentile(speed, 99))
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], slow.astype(int), [0]])))
+        for start, stop in zip(edges[::2], edges[1::2], strict=True):
+            if (stop - start) * dt > rest:
+                moving[start:stop, j] = False
+        seconds = float(np.sum(moving[:, j]) * dt)
+        travel = float(np.ptp(q[:, j]))
+        turns = int(np.sum(np.diff(np.sign(qd[moving[:, j], j])) != 0))
+        noise_travel = 20.0 * v_small[j] * dt
+        if seconds < 2.0 or travel < max(noise_travel, 0.004 if robot.prismatic[j] else 0.02):
+            undecided[j + 1] = (f"moves only {seconds:.1f} s over {travel:.2g} {robot.units('rad')[j]}; "
+                                "at least 2 s and 0.02 rad (4 mm) are needed")
+        elif turns < 2:
+            undecided[j + 1] = f"reverses {turns} times; at least two reversals tell friction from gravity and offset"
+    return moving, undecided
+
+
+def apart_from_reversals(q: Array, qd: Array, moving: np.ndarray, width: float, dt: float) -> np.ndarray:
+    """Mask ``(N, n)`` of moving samples apart from each change of direction and each rest, in time and in travel.
+
+    How friction goes through zero there is another matter in every drive, and no cause may be built on it. Filters
+    remember it for a time, bristles for a travel, which slow motion is long in covering.
+
+    Args:
+        q: positions ``(N, n)`` [rad or m].
+        qd: velocities ``(N, n)`` [rad/s or m/s].
+        moving: samples at which each joint moves ``(N, n)``.
+        width: time left out to either side [s].
+        dt: between samples [s].
+    """
+    near = ~moving
+    change = np.diff(np.sign(qd), axis=0) != 0
+    near[:-1] |= change
+    near[1:] |= change
+    half = max(1, round(width / dt))
+    apart = ~ndimage.maximum_filter1d(near, 2 * half + 1, axis=0, mode="nearest")
+    last = np.maximum.accumulate(np.where(near, np.arange(len(q))[:, None], 0), axis=0)
+    travel = np.abs(q - np.take_along_axis(q, last, axis=0))
+    return np.asarray(apart & (travel > _BRISTLES))
+
+
+def _small_velocity(recording: Recording, filtered: FilteredSignals) -> Array:
+    """Velocity below which its sign is not known ``(n,)``: twice the noise that the position filter lets through."""
+    raw = interpolated(filtered.t, recording.t, recording.joints("q"))
+    noise = np.std(np.diff(raw, 3, axis=0), axis=0) / np.sqrt(20.0)
+    # White position noise through the low-pass, differentiated: integral of (2 pi f)^2 up to the cut-off.
+    share = 2.0 * np.pi * filtered.cutoff * np.sqrt(2.0 * filtered.cutoff * filtered.dt / 3.0)
+    top = np.percentile(np.abs(filtered.qd), 99, axis=0)
+    return np.maximum(np.minimum(2.0 * noise * share, 0.02 * top), 1e-4 * top + 1e-9)
 
 
 def without_dead_channels(made: Regression, dead: Sequence[int]) -> Regression:
@@ -123,18 +190,6 @@ def without_dead_channels(made: Regression, dead: Sequence[int]) -> Regression:
     use[:, list(dead)] = False
     why = {j + 1: f"has a dead torque channel, tau_{j + 1}" for j in dead}
     return replace(made, use=use, undecided={**made.undecided, **why})
-
-
-def _clipped(recording: Recording, filtered: FilteredSignals) -> np.ndarray:
-    """Rows ``(M, n)`` whose torque holds samples at a limit of the channel."""
-    grid, factor = filtered.t, filtered.factor
-    result = np.zeros((int(filtered.keep.sum()), recording.n), dtype=bool)
-    for j in range(recording.n):
-        at_limit = clipped(recording.columns[f"tau_{j + 1}"])
-        if at_limit.any():
-            near = np.interp(grid, recording.t, at_limit.astype(float)) > 0.0
-            result[:, j] = ndimage.maximum_filter1d(near, 4 * factor + 1)[::factor][filtered.keep]
-    return result
 
 
 def about_model(made: Regression, model: Model) -> Regression:
@@ -197,12 +252,7 @@ def _differentiated(filtered: FilteredSignals) -> FilteredSignals:
 
 
 def in_position_band(made: Regression, recording: Recording) -> Regression:
-    """The times and filters of a regression of torques for what is measured of positions and forces.
-
-    Args:
-        made: of the torques.
-        recording: from which it was made.
-    """
+    """The times and filters of a recording's regression of torques for what is measured of positions and forces."""
     rate = 1.0 / made.filtered.dt
     filtered = preprocess(recording, cutoff=made.filtered.cutoff, cutoff_decimation=min(POSITION_BAND, 0.5 * rate))
     if len(filtered.t) > len(made.filtered.t):
@@ -249,11 +299,6 @@ def in_own_units(made: Regression) -> Regression:
 
 
 def _own_copies(W: Array) -> Array:
-    N, c, _ = W.shape
-    blocks = []
-    for j in range(c):
-        kept = np.flatnonzero(np.any(W[:, j] != 0.0, axis=0))
-        block = np.zeros((N, c, len(kept)))
-        block[:, j] = W[:, j][:, kept]
-        blocks.append(block)
-    return np.concatenate(blocks, axis=2)
+    """Columns ``(N, c, p)`` with a copy of its own for each channel of those that act on it."""
+    return np.concatenate([np.where(np.arange(W.shape[1])[:, None] == j, W[:, :, np.any(W[:, j] != 0.0, axis=0)], 0.0)
+                           for j in range(W.shape[1])], axis=2)

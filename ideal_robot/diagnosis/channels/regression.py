@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
-from scipy import ndimage, signal
+from scipy import signal
 
-from ideal_robot.arrays import Array, interpolated
+from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.blocks import Blocks, time_blocks
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION, Domain, Effect, FittedEffect, Frames, Signals
-from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import FilteredSignals
 from ideal_robot.signals.recording import Recording
 
@@ -86,27 +85,19 @@ class Regression:
         def at(values: Array) -> Array:
             return np.asarray(values[::step][keep])
 
-        return replace(s, t=at(s.t), q=at(s.q), qd=at(s.qd), qdd=at(s.qdd), load=at(s.load), torque=at(s.torque),
-                       friction=at(s.friction), weight=None if s.weight is None else at(s.weight), payload=None,
-                       rigid=None, bodies=None, gravity_across=None,
-                       frames=None if s.frames is None else Frames(*(at(one) for one in vars(s.frames).values())),
-                       temperature=None if s.temperature is None else at(s.temperature),
-                       sliding=None if s.sliding is None else at(s.sliding),
+        given: dict[str, Any] = {
+            name: at(getattr(s, name)) for name in ("t", "q", "qd", "qdd", "load", "torque", "friction", "weight",
+                                                    "temperature", "sliding") if getattr(s, name) is not None}
+        frames = None if s.frames is None else Frames(*(at(one) for one in vars(s.frames).values()))
+        return replace(s, **given, payload=None, rigid=None, bodies=None, gravity_across=None, frames=frames,
                        extra={name: at(values) for name, values in s.extra.items()})
 
 
-Positions = TypeVar("Positions", bound=Regression)
-
-
-def without_known(made: Positions, effects: Sequence[FittedEffect]) -> Positions:
+def without_known(made: Regression, effects: Sequence[FittedEffect]) -> Regression:
     """The regression of positions with what a model's effects already say of them taken away.
 
     What is found then is a change of what is known, not the same thing once more. Readings of cameras and force sensors
     are corrected before they are recorded.
-
-    Args:
-        made: of arm angles or of the TCP.
-        effects: of the model.
     """
     known = [effect for effect in effects if effect.domain == made.domain and made.domain != SENSOR]
     if not known:
@@ -127,84 +118,14 @@ KNOTS = 0.02
 RESTING = 0.004
 """Share of its top speed below which a joint rests or touches zero. If that takes longer than a period of the position
 filter's cut-off, the filter has blurred the direction on which friction depends, and those samples do not count."""
-_BRISTLES = 0.003
-"""Travel since a reversal or rest that does not count [rad or m]: three times the millimetre or milliradian over which
-the bristles of a drive yield."""
 MEMORY = 2.4
 """Periods of the position filter's cut-off for which both filters remember an end, a rest, or a reversal, where
 friction goes through zero in a way of its own: these samples do not count."""
-
-
-def moving_samples(t: Array, q: Array, qd: Array, v_small: Array, rest: float,
-                   robot: Robot) -> tuple[Array, dict[int, str]]:
-    """Samples at which each joint moves ``(N, n)``, and joints that move too little, with the reason.
-
-    Args:
-        t: times ``(N,)`` [s], evenly spaced.
-        q: positions ``(N, n)`` [rad or m].
-        qd: velocities ``(N, n)`` [rad/s or m/s].
-        v_small: velocities below which the direction is lost in noise ``(n,)`` [rad/s].
-        rest: passages through low speed shorter than that count as motion [s].
-        robot: which joints slide.
-    """
-    dt = float(t[1] - t[0])
-    moving = np.ones(q.shape, dtype=bool)
-    undecided: dict[int, str] = {}
-    for j in range(q.shape[1]):
-        speed = np.abs(qd[:, j])
-        slow = speed < np.maximum(2.0 * v_small[j], RESTING * np.percentile(speed, 99))
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], slow.astype(int), [0]])))
-        for start, stop in zip(edges[::2], edges[1::2], strict=True):
-            if (stop - start) * dt > rest:
-                moving[start:stop, j] = False
-        seconds = float(np.sum(moving[:, j]) * dt)
-        travel = float(np.ptp(q[:, j]))
-        turns = int(np.sum(np.diff(np.sign(qd[moving[:, j], j])) != 0))
-        noise_travel = 20.0 * v_small[j] * dt
-        if seconds < 2.0 or travel < max(noise_travel, 0.004 if robot.prismatic[j] else 0.02):
-            undecided[j + 1] = (f"moves only {seconds:.1f} s over {travel:.2g} {robot.units('rad')[j]}; "
-                                "at least 2 s and 0.02 rad (4 mm) are needed")
-        elif turns < 2:
-            undecided[j + 1] = f"reverses {turns} times; at least two reversals tell friction from gravity and offset"
-    return moving, undecided
-
-
-def apart_from_reversals(q: Array, qd: Array, moving: np.ndarray, width: float, dt: float) -> np.ndarray:
-    """Mask ``(N, n)`` of moving samples apart from each change of direction and each rest, in time and in travel.
-
-    How friction goes through zero there is another matter in every drive, and no cause may be built on it. Filters
-    remember it for a time, bristles for a travel, which slow motion is long in covering.
-
-    Args:
-        q: positions ``(N, n)`` [rad or m].
-        qd: velocities ``(N, n)`` [rad/s or m/s].
-        moving: samples at which each joint moves ``(N, n)``.
-        width: time left out to either side [s].
-        dt: between samples [s].
-    """
-    near = ~moving
-    change = np.diff(np.sign(qd), axis=0) != 0
-    near[:-1] |= change
-    near[1:] |= change
-    half = max(1, round(width / dt))
-    apart = ~ndimage.maximum_filter1d(near, 2 * half + 1, axis=0, mode="nearest")
-    last = np.maximum.accumulate(np.where(near, np.arange(len(q))[:, None], 0), axis=0)
-    travel = np.abs(q - np.take_along_axis(q, last, axis=0))
-    return np.asarray(apart & (travel > _BRISTLES))
-
-
-def small_velocity(recording: Recording, filtered: FilteredSignals) -> Array:
-    """Velocity below which its sign is not known ``(n,)``: twice the noise that the position filter lets through."""
-    raw = interpolated(filtered.t, recording.t, recording.joints("q"))
-    noise = np.std(np.diff(raw, 3, axis=0), axis=0) / np.sqrt(20.0)
-    # White position noise through the low-pass, differentiated: integral of (2 pi f)^2 up to the cut-off.
-    share = 2.0 * np.pi * filtered.cutoff * np.sqrt(2.0 * filtered.cutoff * filtered.dt / 3.0)
-    top = np.percentile(np.abs(filtered.qd), 99, axis=0)
-    return np.maximum(np.minimum(2.0 * noise * share, 0.02 * top), 1e-4 * top + 1e-9)
-
-
 FEWEST = 20
 """Samples or camera fields from which a level is estimated, or a regression made, at least."""
+WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
+"""Columns of a force sensor."""
+_GAPS = "it holds gaps"
 
 
 def rms(values: Array, use: np.ndarray) -> Array:
@@ -251,16 +172,10 @@ def noise_left(residual: Array, use: np.ndarray) -> tuple[Array, Array]:
     return np.where(enough, rms(third, whole), np.inf) / np.sqrt(20.0), 1.4826 * np.array(sizes) / np.sqrt(20.0)
 
 
-_FORCE, _MOMENT = ("fx", "fy", "fz"), ("mx", "my", "mz")
-_GAPS = "it holds gaps"
-
-
 def unused_columns(recording: Recording, searched: tuple[Regression, ...]) -> dict[str, str]:
-    """Columns that measure something but took no part, with the reason.
+    """Columns of a checked recording that measure something but took no part, with the reason.
 
-    Args:
-        recording: checked, with ``tau_i``.
-        searched: the regressions of all domains that were searched, that of the motor torques first.
+    The regressions are those of all domains that were searched, that of the motor torques first.
     """
     torque, result = searched[0], {}
     for prefix in ("qa", "temp"):
@@ -270,18 +185,20 @@ def unused_columns(recording: Recording, searched: tuple[Regression, ...]) -> di
                 result[name] = _GAPS
             elif there and prefix == "qa" and j + 1 in torque.undecided:
                 result[name] = f"joint {j + 1} is left out"
-    for name in ("x", "y", "z"):
-        if name in recording.columns and not np.all(np.isfinite(recording.columns[name])):
-            result[name] = _GAPS
-    _together(recording, ("qx", "qy", "qz", "qw"), "the tool's orientation is not looked at", result)
+    result |= {name: _GAPS for name in "xyz" if not np.all(np.isfinite(recording.columns.get(name, 0.0)))}
+    together: list[tuple[tuple[str, ...], str]] = [
+        (("qx", "qy", "qz", "qw"), "the tool's orientation is not looked at")]
     if recording.has("tau") and recording.has("current") and not _made_of_current(recording):
-        _together(recording, tuple(f"current_{j + 1}" for j in range(recording.n)), "torques are there", result)
+        together.append((tuple(f"current_{j + 1}" for j in range(recording.n)), "torques are there"))
     sensors = {name for made in searched if made.domain == SENSOR for name in made.channels}
-    wrench = tuple(name for name in (*_FORCE, *_MOMENT) if name in recording.columns)
-    if wrench and wrench not in (_FORCE, (*_FORCE, *_MOMENT)):
-        _together(recording, wrench, "fx fy fz are needed, and mx my mz all or none", result)
-    elif wrench and not any(name.startswith(("f", "m", "contact")) for name in sensors):
-        _together(recording, wrench, "too little of it, free or in contact, to tell anything", result)
+    wrench = tuple(name for name in WRENCH if name in recording.columns)
+    if wrench not in ((), WRENCH[:3], WRENCH):
+        together.append((wrench, "fx fy fz are needed, and mx my mz all or none"))
+    elif not any(name.startswith(("f", "m", "contact")) for name in sensors):
+        together.append((wrench, "too little of it, free or in contact, to tell anything"))
+    for names, why in together:
+        if there := [name for name in names if name in recording.columns]:
+            result[", ".join(there)] = why
     if "cam_t" in recording.columns and not any(name.startswith("line") for name in sensors):
         result["cam_t, line_x_i, line_y_i, line_z_i"] = "too few fields in which the line was seen"
     for name, values in torque.signals.extra.items():
@@ -290,12 +207,6 @@ def unused_columns(recording: Recording, searched: tuple[Regression, ...]) -> di
         elif np.ptp(values) == 0.0:
             result[name] = "it never changes"
     return result
-
-
-def _together(recording: Recording, names: tuple[str, ...], why: str, result: dict[str, str]) -> None:
-    there = [name for name in names if name in recording.columns]
-    if there:
-        result[", ".join(there)] = why
 
 
 def _made_of_current(recording: Recording) -> bool:

@@ -12,8 +12,7 @@ from scipy import signal
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis import Diagnosis, diagnose
-from ideal_robot.diagnosis.channels.motor_torque import torque_regression, with_reversal_width
-from ideal_robot.diagnosis.channels.regression import apart_from_reversals
+from ideal_robot.diagnosis.channels.motor_torque import apart_from_reversals, torque_regression, with_reversal_width
 from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.diagnosis.search.forward_selection import Only, Search
 from ideal_robot.diagnosis.statistics.least_squares import Fit
