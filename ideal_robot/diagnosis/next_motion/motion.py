@@ -10,7 +10,7 @@ import numpy as np
 from scipy import interpolate
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.case import Case
+from ideal_robot.diagnosis.case import Case, Findings
 from ideal_robot.diagnosis.channels.arm import measured_axes, position_regressions
 from ideal_robot.diagnosis.channels.motor_torque import in_position_band, torque_regression
 from ideal_robot.diagnosis.channels.regression import CUTOFF, MEMORY, Regression
@@ -20,8 +20,7 @@ from ideal_robot.identification.excitation import FourierMotion, MotionSpace, Wo
 from ideal_robot.identification.program import finite_limits
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.simulation import simulate
-from ideal_robot.model.model import Model
-from ideal_robot.progress import Progress, silent
+from ideal_robot.progress import Progress
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 
@@ -57,58 +56,17 @@ _DRAWN = 6
 
 
 @dataclass(frozen=True)
-class Part:
-    """One Fourier motion of the plan."""
+class _Part:
+    """One Fourier motion, its commands ``(N, n)`` [rad] with the rests about it, and what these tell by themselves."""
 
     kind: Kind
     motion: FourierMotion
-
-
-@dataclass(frozen=True)
-class Parts:
-    """Parts in their order, and where the arm rests before.
-
-    Attributes:
-        robot: the arm.
-        start: posture at rest ``(n,)`` [rad].
-        parts: one after the other.
-    """
-
-    robot: Robot
-    start: Array
-    parts: tuple[Part, ...] = ()
-
-    def commands(self) -> Array:
-        """Commands ``(N, n)`` [rad] every interpolation cycle, from rest to rest."""
-        v_max, a_max = finite_limits(self.robot)
-        here, rows = self.start, [np.repeat(self.start[None], _rest(self.robot.t_ipo), axis=0)]
-        for part in self.parts:
-            q = played(part, self.robot.t_ipo)
-            rows += [approach(here, q[0], self.robot.t_ipo, v_max, a_max), q]
-            here = q[-1]
-        return np.concatenate(rows)
-
-    @property
-    def seconds(self) -> float:
-        """How long it takes [s]."""
-        return len(self.commands()) * self.robot.t_ipo
-
-
-def played(part: Part, t_ipo: float) -> Array:
-    """Commands ``(N, n)`` [rad] of one part with the rests before and after it."""
-    t = np.asarray(t_ipo * np.arange(float(round(part.kind.seconds / t_ipo) + 1)))
-    q = part.motion.at(t)[0]
-    hold = _rest(t_ipo)
-    return np.concatenate([np.repeat(q[:1], hold, axis=0), q, np.repeat(q[-1:], hold, axis=0)])
-
-
-def _rest(t_ipo: float) -> int:
-    """Cycles of rest before and after each part: as long as the filters of a diagnosis remember."""
-    return max(1, round(MEMORY / CUTOFF / t_ipo))
+    q: Array
+    tells: Any
 
 
 class MotionSearch:
-    """Chooses parts that together are worth most.
+    """Chooses Fourier motions that together are worth most.
 
     Args:
         robot: the arm, with its limits.
@@ -116,39 +74,41 @@ class MotionSearch:
         workspace: where tool and links may go.
         longest: the motion may take [s].
         rng: draws the parts.
+        told: what commands ``(N, n)`` [rad] tell by themselves.
     """
 
-    def __init__(self, robot: Robot, start: Array, workspace: Workspace, longest: float,
-                 rng: np.random.Generator) -> None:
-        self.robot, self.start, self.workspace, self.longest, self.rng = robot, start, workspace, longest, rng
+    def __init__(self, robot: Robot, start: Array, workspace: Workspace, longest: float, rng: np.random.Generator,
+                 told: Callable[[Array], Any]) -> None:
+        self.robot, self.start, self.longest, self.rng, self.told = robot, start, longest, rng, told
         self.spaces = {kind: MotionSpace(robot, kind.period, kind.harmonics, workspace, kind.speed, kind.acceleration,
                                          0.9) for kind in KINDS if kind.seconds < longest}
+        # As long as the filters of a diagnosis remember.
+        self.rest = max(1, round(MEMORY / CUTOFF / robot.t_ipo))
 
-    def best(self, told: Callable[[Part], Any], worth: Callable[[Sequence[Any]], float], enough: float,
-             progress: Progress = silent) -> Parts:
-        """The parts whose worth together is largest, no more of them than are needed.
+    def best(self, worth: Callable[[Sequence[Any]], float], enough: float, progress: Progress) -> Array:
+        """Commands ``(N, n)`` [rad] every interpolation cycle, from rest to rest: no more parts than are needed.
 
         Args:
-            told: what a part tells by itself.
-            worth: of what several tell together.
+            worth: of what several parts tell together.
             enough: worth from which on no more parts are added.
             progress: called with the share done and a word.
 
         Raises:
             InputError: nothing lies within limits and workspace.
         """
-        pool: list[tuple[Part, Any]] = []
+        def worth_of(parts: Sequence[_Part]) -> float:
+            return worth([part.tells for part in parts])
+
+        pool: list[_Part] = []
         kinds = [kind for kind in self.spaces for _ in range(_DRAWN)]
         for k, kind in enumerate(kinds):
             progress(0.6 * k / len(kinds), "motions to choose from")
             part = self._drawn(kind)
             if part is not None:
-                pool.append((part, told(part)))
-        chosen: list[tuple[Part, Any]] = []
-        value = -np.inf
+                pool.append(part)
+        chosen, value = list[_Part](), -np.inf
         while value < enough:
-            longer = [(worth([told_ for _, told_ in [*chosen, one]]), i) for i, one in enumerate(pool)
-                      if self._fits([*chosen, one])]
+            longer = [(worth_of([*chosen, part]), i) for i, part in enumerate(pool) if self._fits([*chosen, part])]
             if not longer or max(longer)[0] <= value:
                 break
             value, i = max(longer)
@@ -160,34 +120,49 @@ class MotionSearch:
         for k in range(len(kinds) if value < enough else 0):
             progress(0.6 + 0.4 * k / len(kinds), "refining")
             i = int(self.rng.integers(len(chosen)))
-            changed = self._changed(chosen[i][0])
+            changed = self._changed(chosen[i])
             if changed is None:
                 continue
-            tried = [*chosen[:i], (changed, told(changed)), *chosen[i + 1 :]]
-            reached = worth([told_ for _, told_ in tried])
+            tried = [*chosen[:i], changed, *chosen[i + 1 :]]
+            reached = worth_of(tried)
             if reached > value and self._fits(tried):
                 chosen, value = tried, reached
-        return Parts(self.robot, self.start, tuple(part for part, _ in chosen))
+        return self._commands(chosen)
 
-    def _fits(self, chosen: Sequence[tuple[Part, Any]]) -> bool:
-        return Parts(self.robot, self.start, tuple(part for part, _ in chosen)).seconds <= self.longest
+    def _commands(self, parts: Sequence[_Part]) -> Array:
+        """The parts one after the other, with the ways between them ``(N, n)`` [rad]."""
+        v_max, a_max = finite_limits(self.robot)
+        here, rows = self.start, [np.repeat(self.start[None], self.rest, axis=0)]
+        for part in parts:
+            rows += [approach(here, part.q[0], self.robot.t_ipo, v_max, a_max), part.q]
+            here = part.q[-1]
+        return np.concatenate(rows)
 
-    def _drawn(self, kind: Kind) -> Part | None:
+    def _fits(self, parts: Sequence[_Part]) -> bool:
+        return len(self._commands(parts)) * self.robot.t_ipo <= self.longest
+
+    def _drawn(self, kind: Kind) -> _Part | None:
         # Half of them near where the arm is, so that little time is lost on the way.
         centre = self.start if self.rng.random() < 0.5 else None
         for _ in range(_DRAWN):
-            coefficients = self.rng.uniform(-1, 1, (2, kind.harmonics, self.robot.n))
-            motion = self.spaces[kind].scaled(coefficients, self.rng, centre)
-            if motion is not None:
-                return Part(kind, motion)
+            made = self._made(kind, self.rng.uniform(-1, 1, (2, kind.harmonics, self.robot.n)), centre)
+            if made is not None:
+                return made
         return None
 
-    def _changed(self, part: Part) -> Part | None:
+    def _changed(self, part: _Part) -> _Part | None:
         """The part with coefficients a little different, about the same posture."""
         coefficients = np.stack([part.motion.a, part.motion.b])
         step = self.rng.normal(scale=0.3, size=coefficients.shape) * np.abs(coefficients).max(axis=(0, 1))
-        motion = self.spaces[part.kind].scaled(coefficients + step, self.rng, part.motion.centre)
-        return None if motion is None else Part(part.kind, motion)
+        return self._made(part.kind, coefficients + step, part.motion.centre)
+
+    def _made(self, kind: Kind, coefficients: Array, centre: Array | None) -> _Part | None:
+        motion = self.spaces[kind].scaled(coefficients, self.rng, centre)
+        if motion is None:
+            return None
+        q = motion.at(self.robot.t_ipo * np.arange(float(round(kind.seconds / self.robot.t_ipo) + 1)))[0]
+        q = np.pad(q, ((self.rest, self.rest), (0, 0)), mode="edge")
+        return _Part(kind, motion, q, self.told(q))
 
 
 @dataclass(frozen=True)
@@ -196,65 +171,57 @@ class Foresight:
 
     Attributes:
         case: what the diagnosis was asked: arm, known model, units.
-        start: the model that predicts.
-        own: the regression of the recording, for filters and widths.
-        reversal_width: speed over which dry friction changes sign ``(n,)`` [rad/s], or None.
+        found: what it knows before any search: the model that predicts, filters, widths.
     """
 
     case: Case
-    start: Model
-    own: Regression
-    reversal_width: Array | None
+    found: Findings
 
-    def moved(self, q_c: Array) -> Array:
-        """Where the motors go on commands ``(N, n)`` [rad]: the identified loop's answer, where there is one."""
-        if self.case.given is None or self.case.given.controller is None:
-            return q_c
-        try:
-            return np.asarray(simulate(loop_model(self.case.given, self.case.robot), q_c).q_m[: len(q_c)])
-        except IdealRobotError:
-            return q_c
+    def regression(self, q_c: Array, domain: Domain) -> Regression:
+        """Over commands every interpolation cycle ``(N, n)`` [rad], of the motor torque, an arm angle or the TCP."""
+        recording = self._recording(q_c)
+        torque = self.case.torque_regression(recording, self.found.start, reversal_width=self.found.reversal_width,
+                                             cutoff=self.found.problem.regression.filtered.cutoff)
+        if domain == MOTOR_TORQUE:
+            return torque
+        made = position_regressions(recording, self.case.robot, in_position_band(torque, recording),
+                                    self.case.stiffness)
+        return next(one for one in made if one.domain == domain)
 
-    def recording(self, q_c: Array) -> Recording:
-        """What a motion commanded every interpolation cycle ``(N, n)`` [rad] would record, without any effect."""
-        case, start = self.case, self.start
-        t = case.robot.t_ipo * np.arange(float(len(q_c)))
-        spline = interpolate.CubicSpline(t, self.moved(q_c), axis=0)
+    def _recording(self, q_c: Array) -> Recording:
+        """What a commanded motion ``(N, n)`` [rad] would record, without any effect."""
+        robot, measured = self.case.robot, self.case.recording
+        t = robot.t_ipo * np.arange(float(len(q_c)))
+        spline = interpolate.CubicSpline(t, self._moved(q_c), axis=0)
         # Five samples a period of what the position filter lets through.
-        grid = np.arange(0.0, t[-1], min(1.0 / (5.0 * CUTOFF), case.robot.t_ipo))
+        grid = np.arange(0.0, t[-1], min(1.0 / (5.0 * CUTOFF), robot.t_ipo))
         q, qd, qdd = (spline(grid, k) for k in range(3))
-        tau = start.inverse_dynamics(q, qd, qdd, t=grid) * self._units
-        pose = case.robot.fk()
+        tau = self.found.start.inverse_dynamics(q, qd, qdd, t=grid) * self._units
+        pose = robot.fk()
         tool = np.array([pose(row).translation for row in q])
-        behind, axes = case.recording.having("qa"), measured_axes(case.recording)
+        behind, axes = measured.having("qa"), measured_axes(measured)
         columns = {"t": grid, **{axis: tool[:, k].copy() for k, axis in enumerate("xyz") if axes[k]}}
-        for i in range(case.robot.n):
+        for i in range(robot.n):
             columns |= {f"q_{i + 1}": q[:, i].copy(), f"tau_{i + 1}": tau[:, i].copy()}
             if behind[i]:
                 columns[f"qa_{i + 1}"] = q[:, i].copy()
         return Recording(columns, {}, "planned motion")
+
+    def _moved(self, q_c: Array) -> Array:
+        """Where the motors go on commands ``(N, n)`` [rad]: the identified loop's answer, where there is one."""
+        given = self.case.given
+        if given is None or given.controller is None:
+            return q_c
+        try:
+            return np.asarray(simulate(loop_model(given, self.case.robot), q_c).q_m[: len(q_c)])
+        except IdealRobotError:
+            return q_c
 
     @property
     def _units(self) -> Array:
         """What a newton metre is in the recording ``(n,)``: amperes without a known gain are taken as they are."""
         if self.case.shared:
             return np.ones(self.case.robot.n)
-        plain = torque_regression(self.case.recording, self.case.robot, self.start)
+        plain = torque_regression(self.case.recording, self.case.robot, self.found.start)
         nominal = plain.filtered.decimate(plain.signals.torque)
         return np.asarray((nominal * plain.measured).sum(axis=0) / np.maximum((nominal**2).sum(axis=0), 1e-300))
-
-    def regression(self, q_c: Array, domain: Domain) -> Regression:
-        """The regression of a domain over a commanded motion.
-
-        Args:
-            q_c: commands every interpolation cycle ``(N, n)`` [rad].
-            domain: motor torque, arm angle or TCP.
-        """
-        recording = self.recording(q_c)
-        torque = self.case.torque_regression(recording, self.start, cutoff=self.own.filtered.cutoff,
-                                             reversal_width=self.reversal_width)
-        if domain == MOTOR_TORQUE:
-            return torque
-        made = position_regressions(recording, self.case.robot, in_position_band(torque, recording),
-                                    self.case.stiffness)
-        return next(one for one in made if one.domain == domain)

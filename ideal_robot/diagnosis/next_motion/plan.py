@@ -15,16 +15,9 @@ from ideal_robot.diagnosis import stages
 from ideal_robot.diagnosis.case import Case, Findings, joints_share
 from ideal_robot.diagnosis.channels.arm import position_regressions
 from ideal_robot.diagnosis.channels.motor_torque import in_position_band
-from ideal_robot.diagnosis.next_motion.motion import Foresight, MotionSearch, Part, played
+from ideal_robot.diagnosis.next_motion.motion import Foresight, MotionSearch
 from ideal_robot.diagnosis.next_motion.questions import Causes, Open, undecided_joints
-from ideal_robot.diagnosis.next_motion.separation import (
-    Pair,
-    Products,
-    Separation,
-    products_of,
-    separation_of,
-    smallest_share,
-)
+from ideal_robot.diagnosis.next_motion.separation import Pair, Products, Separation
 from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.diagnosis.statistics.least_squares import CLEAR
 from ideal_robot.diagnosis.statistics.problem import Problem, prior_precision
@@ -70,10 +63,8 @@ class PlannedPair:
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
         return {"cause": self.cause, "rival": self.rival or None, "told_apart": self.told_apart,
-                "sigma": {"before": self.before.sigma, "planned": self.planned.sigma},
-                "own_share": {"before": self.before.own_share, "planned": self.planned.own_share},
-                "seen_share": {"before": self.before.seen_share, "planned": self.planned.seen_share},
-                "only": self.only or None}
+                **{name: {"before": getattr(self.before, name), "planned": getattr(self.planned, name)}
+                   for name in ("sigma", "own_share", "seen_share")}, "only": self.only or None}
 
 
 @dataclass(frozen=True, repr=False)
@@ -167,23 +158,32 @@ def plan_diagnosis(recording: Recording, robot: Robot, questions: Open, *, model
     if not asked:
         return DiagnosisPlan((), np.zeros((0, robot.n)), robot.t_ipo, not_asked)
     room = (workspace or Workspace.of(robot)).widened(robot, recording.joints("q"))
-    foresight = Foresight(case, found.start, found.problem.regression, found.reversal_width)
+    foresight = Foresight(case, found)
     q_c = _best_motion(asked, foresight, room, longest, seed, progress)
     progress(0.95, "what it will tell")
-    planned = _told(asked, foresight, q_c)
-    own = [products_of(one, problems[one.domain].regression) for one in asked]
-    pairs_found = tuple(planned_pair(one, separation_of(one, before), separation_of(one, after), recording)
-                        for one, before, after in zip(asked, own, planned, strict=True))
+    before = [one.products(problems[one.domain].regression) for one in asked]
+    pairs = tuple(_planned_pair(one, one.separation(own), one.separation(planned), recording)
+                  for one, own, planned in zip(asked, before, _told(asked, foresight, q_c), strict=True))
     still = foresight.regression(q_c, MOTOR_TORQUE).undecided
-    return DiagnosisPlan(pairs_found, q_c, robot.t_ipo, not_asked,
+    return DiagnosisPlan(pairs, q_c, robot.t_ipo, not_asked,
                          tuple(joint for joint in questions.undecided if joint in still))
+
+
+def _problems(case: Case, found: Findings) -> Iterator[tuple[Domain, Problem]]:
+    """The domains in which a motion of the joints tells anything, as the diagnosis sees them."""
+    problem = found.problem
+    torque = in_position_band(problem.regression, case.recording)
+    if case.given is not None and np.any(found.start.covariance):
+        problem = problem.with_prior(prior_precision(found.start, problem)).held()
+    yield MOTOR_TORQUE, problem
+    for made in position_regressions(case.recording, case.robot, torque, case.stiffness):
+        yield made.domain, Problem.of(made, held_out=True)
 
 
 def _asked_of(questions: Open, problems: Mapping[Domain, Problem], robot: Robot,
               options: Options) -> tuple[list[Pair], tuple[str, ...]]:
     """Pairs and joints that a motion may tell, and what no motion of the joints can answer."""
-    asked: list[Pair] = []
-    not_asked: list[str] = []
+    asked, not_asked = list[Pair](), list[str]()
     for problem in problems.values():
         pairs, mute = Causes(problem, options).pairs(questions)
         asked += pairs
@@ -192,61 +192,38 @@ def _asked_of(questions: Open, problems: Mapping[Domain, Problem], robot: Robot,
     not_asked += [f"{one.name}: no motion of the joints by itself tells it from "
                   f"{', '.join(name for name, _ in one.rivals)}; follow a line longer, with other speeds and curvature"
                   for one in questions.found
-                  if one.rivals and not any(e.name == one.name and e.channel_prefix == one.prefix
-                                            and e.domain in problems for e in library())]
+                  if one.rivals and not any(effect.domain in problems for effect in one.effects)]
     return asked, tuple(not_asked)
 
 
 def _told(asked: Sequence[Pair], foresight: Foresight, q_c: Array) -> list[Products]:
     """What a motion ``(N, n)`` [rad] tells of each pair."""
     made = {domain: foresight.regression(q_c, domain) for domain in dict.fromkeys(one.domain for one in asked)}
-    return [products_of(one, made[one.domain]) for one in asked]
+    return [one.products(made[one.domain]) for one in asked]
 
 
 def _best_motion(asked: Sequence[Pair], foresight: Foresight, room: Workspace, longest: float,
                  seed: int, progress: Progress) -> Array:
     """The commands ``(N, n)`` [rad] that tell the pairs best, within the arm's limits and the room."""
-    case = foresight.case
-    robot = case.robot
+    case, robot = foresight.case, foresight.case.robot
     start = np.clip(case.recording.joints("q")[0], robot.q_min, robot.q_max)
-    least = [smallest_share(one, case.options) for one in asked]
-
-    def told(part: Part) -> list[Products]:
-        return _told(asked, foresight, played(part, robot.t_ipo))
+    least = [one.smallest_share(case.options) for one in asked]
 
     def worth(several: Sequence[list[Products]]) -> float:
-        margins = np.array([separation_of(one, reduce(add, own)).margin(asks)
+        margins = np.array([one.separation(reduce(add, own)).margin(asks)
                             for one, asks, own in zip(asked, least, zip(*several, strict=True), strict=True)])
         # Pairs that no motion tells must not keep the others waiting; beyond one, more is better, but not for long.
         return float(np.mean(np.minimum(margins, 1.0) + 0.1 * np.minimum(margins, CLEAR)))
 
-    search = MotionSearch(robot, start, room, longest, np.random.default_rng(seed))
-    parts = search.best(told, worth, 1.0 + 0.1 * CLEAR, lambda share, word: progress(0.05 + 0.85 * share, word))
-    q_c = parts.commands()
+    search = MotionSearch(robot, start, room, longest, np.random.default_rng(seed),
+                          lambda q_c: _told(asked, foresight, q_c))
+    q_c = search.best(worth, 1.0 + 0.1 * CLEAR, lambda share, word: progress(0.05 + 0.85 * share, word))
     require_within_limits(robot, q_c, room)
     return q_c
 
 
-def _problems(case: Case, found: Findings) -> Iterator[tuple[Domain, Problem]]:
-    """The domains in which a motion of the joints tells anything, as the diagnosis sees them."""
-    problem = found.problem
-    if case.given is not None and np.any(found.start.covariance):
-        problem = problem.with_prior(prior_precision(found.start, problem)).held()
-    yield MOTOR_TORQUE, problem
-    torque = in_position_band(found.problem.regression, case.recording)
-    for made in position_regressions(case.recording, case.robot, torque, case.stiffness):
-        yield made.domain, Problem.of(made, held_out=True)
-
-
-def planned_pair(pair: Pair, before: Separation, after: Separation, recording: Recording) -> PlannedPair:
-    """How far each motion tells a pair, and what else would where the planned one does not.
-
-    Args:
-        pair: which.
-        before: what the recording's motion tells.
-        after: what the planned motion is expected to tell.
-        recording: whose columns say what is measured.
-    """
+def _planned_pair(pair: Pair, before: Separation, after: Separation, recording: Recording) -> PlannedPair:
+    """How far recording and planned motion tell a pair, and what else would where the planned one does not."""
     only = ""
     if not after.told_apart:
         names = {c.candidate.effect.name for c in (pair.cause, pair.rival) if c is not None}

@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
 
-from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.next_motion.separation import Cause, Pair
 from ideal_robot.diagnosis.search.choice import Options, PresentModel, overlap
@@ -44,6 +44,11 @@ class Named:
     prefix: str
     rivals: tuple[tuple[str, int | None], ...] = ()
 
+    @property
+    def effects(self) -> list[Effect]:
+        """Those of the library that it may be."""
+        return [e for e in library() if e.name == self.name and e.channel_prefix == self.prefix]
+
 
 @dataclass(frozen=True)
 class Open:
@@ -66,7 +71,7 @@ class Open:
 def open_questions(diagnosis: Diagnosis) -> Open:
     """What a diagnosis found and left open."""
     found = tuple(Named(one.fitted.name, one.fitted.joint, prefix_of(one.fitted.channel),
-                        tuple(_rival(rival) for rival in one.indistinguishable_from)) for one in diagnosis.effects)
+                        tuple(map(_rival, one.indistinguishable_from))) for one in diagnosis.effects)
     return Open(found, tuple(sorted(diagnosis.undecided)))
 
 
@@ -81,39 +86,33 @@ def read_questions(values: Any, n: int, file: Any = None) -> Open:
     Raises:
         InputError: it is no such content, or of another arm or version.
     """
-    if not isinstance(values, Mapping) or not isinstance(values.get("effects"), list):
-        raise InputError("expected the JSON that ideal-robot diagnose --json wrote", file=file, field="effects")
+    def require(holds: bool, words: str, field: str, value: str | None = None) -> None:
+        if not holds:
+            raise InputError(words, file=file, field=field, value=value and value[:60])
+
+    require(isinstance(values, Mapping) and isinstance(values.get("effects"), list),
+            "expected the JSON that ideal-robot diagnose --json wrote", "effects")
     known, found = set(names()), []
     for i, entry in enumerate(values["effects"]):
         place = f"effects.{i}"
-        if not isinstance(entry, Mapping):
-            raise InputError("expected an effect with name and joint", file=file, field=place)
+        require(isinstance(entry, Mapping), "expected an effect with name and joint", place)
         name, joint, rivals = entry.get("effect"), entry.get("joint"), entry.get("indistinguishable_from", [])
-        if not isinstance(name, str) or name not in known:
-            raise InputError(f"no such effect; known are {', '.join(sorted(known))}", file=file,
-                             field=f"{place}.effect", value=str(name)[:60])
-        if not _is_joint(joint, 0, n):
-            raise InputError(f"expected a joint from 0 (the whole arm) to {n}", file=file, field=f"{place}.joint",
-                             value=str(joint)[:60])
-        if not isinstance(rivals, list) or not all(isinstance(rival, str) for rival in rivals):
-            raise InputError("expected a list of effects", file=file, field=f"{place}.indistinguishable_from")
-        named = tuple(_rival(rival) for rival in rivals)
+        require(isinstance(name, str) and name in known, f"no such effect; known are {', '.join(sorted(known))}",
+                f"{place}.effect", str(name))
+        require(_is_joint(joint, 0, n), f"expected a joint from 0 (the whole arm) to {n}", f"{place}.joint", str(joint))
+        require(isinstance(rivals, list) and all(isinstance(rival, str) for rival in rivals),
+                "expected a list of effects", f"{place}.indistinguishable_from")
+        named = tuple(map(_rival, rivals))
         for rival, other in named:
-            if rival not in known or (other is not None and not 0 <= other <= n):
-                raise InputError("no such effect at a joint of this arm", file=file,
-                                 field=f"{place}.indistinguishable_from", value=rival[:60])
-        found.append(Named(name, int(str(joint)), prefix_of(str(entry.get("channel", ""))), named))
-    return Open(tuple(found), _undecided(values.get("undecided", []), n, file))
-
-
-def _undecided(entries: Any, n: int, file: Any) -> tuple[int, ...]:
-    if not isinstance(entries, list):
-        raise InputError("expected a list of joints", file=file, field="undecided")
-    joints: list[Any] = [entry.get("joint") if isinstance(entry, Mapping) else None for entry in entries]
+            require(rival in known and (other is None or 0 <= other <= n), "no such effect at a joint of this arm",
+                    f"{place}.indistinguishable_from", rival)
+        found.append(Named(name, joint, prefix_of(str(entry.get("channel", ""))), named))
+    undecided = values.get("undecided", [])
+    require(isinstance(undecided, list), "expected a list of joints", "undecided")
+    joints: list[Any] = [entry.get("joint") if isinstance(entry, Mapping) else None for entry in undecided]
     for joint in joints:
-        if not _is_joint(joint, 1, n):
-            raise InputError(f"expected a joint from 1 to {n}", file=file, field="undecided", value=str(joint)[:60])
-    return tuple(sorted(set(joints)))
+        require(_is_joint(joint, 1, n), f"expected a joint from 1 to {n}", "undecided", str(joint))
+    return Open(tuple(found), tuple(sorted(set(joints))))
 
 
 def _is_joint(value: Any, first: int, last: int) -> bool:
@@ -135,62 +134,47 @@ class Causes:
     """
 
     def __init__(self, problem: Problem, options: Options) -> None:
-        self.problem = problem
-        self.model = PresentModel(problem)
+        self.problem, self.model = problem, PresentModel(problem)
         self.scoring = Scoring(self.model, options)
 
     def pairs(self, questions: Open) -> tuple[list[Pair], list[str]]:
         """The pairs of this domain that are open, and what could not be asked."""
-        made, silent = self.problem.regression, list[str]()
-        named = [one for one in questions.found if any(e.domain == made.domain for e in _effects(one.name, one.prefix))]
-        taken: list[tuple[Named, Candidate]] = []
-        for one in named:
-            best = self.best(self.pool(_effects(one.name, one.prefix), one.joint))
+        domain = self.problem.regression.domain
+        asked, silent, taken = list[Pair](), list[str](), list[tuple[Named, Candidate]]()
+        for one in questions.found:
+            effects = one.effects
+            if not any(effect.domain == domain for effect in effects):
+                continue
+            best = self._best(effects, one.joint)
             if best is None:
                 silent.append(f"{one.name} at joint {one.joint} does not show in this recording")
                 continue
             self.model.replace([*self.model.choices, best])
             taken.append((one, best))
-        asked: list[Pair] = []
         for one, choice in taken:
             for rival, joint in one.rivals:
-                pair = self._pair(choice, rival, joint)
-                if pair is None:
+                best = self._best([e for e in library() if e.name == rival and e.domain == domain], joint, choice)
+                if best is None:
                     silent.append(f"{rival} as a rival of {one.name} does not show in this recording")
                 else:
-                    asked.append(pair)
+                    asked.append(self._pair(choice, best))
         return asked, silent
 
-    def _pair(self, choice: Candidate, rival: str, joint: int | None) -> Pair | None:
-        """The choice and its best rival of a name, each fitted in the other's place."""
-        effects = [e for e in library() if e.name == rival and e.domain == self.problem.regression.domain]
-        self.model.add_columns(choice)
-        pool = [starts for starts in self.pool(effects, joint) if starts[0].place != choice.place]
-        best = self.best(pool, choice)
-        if best is None:
-            return None
-        fit = self.model.fit(choice)
-        others = tuple(c for c in self.model.choices if c is not choice)
-        return Pair(self._cause(choice, fit.gain(choice.key)[1]), self._cause(best, fit.gain(best.key)[1]), others,
-                    self.model.weights, self.model.fit().inflation, self.problem.prior, self.problem.regression.domain)
+    def _pair(self, choice: Candidate, rival: Candidate) -> Pair:
+        """The two, each fitted in the other's place."""
+        fit, made = self.model.fit(choice), self.problem.regression
+        cause, other = (Cause(one, fit.gain(one.key)[1], _thetas_of(one, made)) for one in (choice, rival))
+        return Pair(cause, other, tuple(c for c in self.model.choices if c is not choice), self.model.weights,
+                    self.model.fit().inflation, self.problem.prior, made.domain)
 
-    def best(self, pool: list[list[Candidate]], instead_of: Candidate | None = None) -> Candidate | None:
-        """The candidate that takes most away, refined over theta; one that shares a channel with what it replaces."""
-        fit = self.model.fit(*(() if instead_of is None else (instead_of,)))
-        scored = [s for s in self.scoring.scored(fit, pool)
-                  if instead_of is None or overlap(self.model, instead_of, s)]
-        if not scored:
-            return None
-        return self.scoring.refined(fit, max(scored, key=lambda s: s.test.total))
-
-    def pool(self, effects: Sequence[Effect], joint: int | None) -> list[list[Candidate]]:
-        """Every start of the effects, at one joint or (None) at all."""
+    def _best(self, effects: Sequence[Effect], joint: int | None, own: Candidate | None = None) -> Candidate | None:
+        """What takes most away at one joint or (None) at all, in the place of a choice if ``own``, theta refined."""
         made = self.problem.regression
-        return [starts for starts in candidates(effects, made.signals, made.undecided, True)
-                if joint is None or starts[0].joint == joint]
-
-    def _cause(self, candidate: Candidate, coefficients: Array) -> Cause:
-        return Cause(candidate, coefficients, thetas_of(candidate, self.problem.regression))
+        pool = [starts for starts in candidates(effects, made.signals, made.undecided, True)
+                if joint in (None, starts[0].joint) and (own is None or starts[0].place != own.place)]
+        fit = self.model.fit() if own is None else self.model.fit(own)
+        scored = [s for s in self.scoring.scored(fit, pool) if own is None or overlap(self.model, own, s)]
+        return self.scoring.refined(fit, max(scored, key=lambda s: s.test.total)) if scored else None
 
 
 def undecided_joints(problem: Problem, robot: Robot, joints: Sequence[int]) -> list[Pair]:
@@ -208,34 +192,24 @@ def undecided_joints(problem: Problem, robot: Robot, joints: Sequence[int]) -> l
     half = np.minimum(0.25 * (robot.q_max - robot.q_min), 1.0)
     signals = replace(made.signals, q=half * np.sin(turn), qd=0.5 * finite_limits(robot)[0] * np.cos(turn))
     asked = []
-    for joint in joints:
-        for effect in library():
-            if effect.domain != MOTOR_TORQUE or effect.absorbed_by_base or effect.scanned:
-                continue
-            if joint not in set(effect.joints(signals)):
-                continue
-            starts = effect.starts(signals, joint)
-            if not starts:
-                continue  # of a partner axis where there is no other joint
-            theta = starts[len(starts) // 2]
-            cause = Cause(Candidate(effect, joint, theta), np.ones(len(effect.coefficient_names)), (theta,))
-            asked.append(Pair(cause, None, (), 1.0 / level**2, 1.0, None))
+    effects = [e for e in library() if e.domain == MOTOR_TORQUE and not (e.absorbed_by_base or e.scanned)]
+    for joint, effect in product(joints, effects):
+        starts = effect.starts(signals, joint) if joint in effect.joints(signals) else ()
+        if not starts:
+            continue  # of a partner axis where there is no other joint
+        theta = starts[len(starts) // 2]
+        cause = Cause(Candidate(effect, joint, theta), np.ones(len(effect.coefficient_names)), (theta,))
+        asked.append(Pair(cause, None, (), 1.0 / level**2, 1.0, None))
     return asked
 
 
-def thetas_of(candidate: Candidate, made: Regression) -> tuple[tuple[float, ...], ...]:
+def _thetas_of(candidate: Candidate, made: Regression) -> tuple[tuple[float, ...], ...]:
     """Values of theta a cause may take as a rival: the fitted one, about it, and where searches start."""
     effect, theta = candidate.effect, candidate.theta
-    if not theta:
-        return ((),)
-    if effect.scanned:
+    if not theta or effect.scanned:
         return (theta,)
     bounds = effect.bounds(made.signals, candidate.joint)
     # Without bounds theta is a choice, such as that of a partner axis, and not a number.
     near = [tuple(f * v for v in theta) for f in (0.5, 0.7, 1.4, 2.0)] if len(bounds) == len(theta) else []
     inside = [one for one in near if all(low <= v <= high for v, (low, high) in zip(one, bounds, strict=True))]
     return tuple(dict.fromkeys([theta, *inside, *effect.starts(made.signals, candidate.joint)]))
-
-
-def _effects(name: str, prefix: str) -> list[Effect]:
-    return [effect for effect in library() if effect.name == name and effect.channel_prefix == prefix]

@@ -13,8 +13,8 @@ All of it follows from cross-products of columns, and those of two motions, one 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import add
 
 import numpy as np
 from scipy import linalg
@@ -49,6 +49,48 @@ class Cause:
 
 
 @dataclass(frozen=True)
+class Separation:
+    """How far a motion tells a pair apart, in the less favourable of the two cases of which is true.
+
+    Attributes:
+        sigma: expected distance of the two in standard deviations of the noise.
+        own_share: share of the cause that its rival cannot imitate; what imitates more than ``NEARLY`` stays a rival.
+        seen_share: share of the residual's squares that the cause makes up.
+    """
+
+    sigma: float
+    own_share: float
+    seen_share: float
+
+    @property
+    def told_apart(self) -> bool:
+        """Whether a recording is expected to tell them: the difference of the fits' squares scatters by ``2 sigma``."""
+        return 0.5 * self.sigma >= TOLD and self.own_share >= 1.0 - NEARLY
+
+    def margin(self, smallest: float) -> float:
+        """What a motion is chosen by: one where a diagnosis that asks for this share would just see and tell it."""
+        return min(0.5 * self.sigma / TOLD, self.own_share / (1.0 - NEARLY), self.seen_share / smallest)
+
+
+@dataclass(frozen=True)
+class Products:
+    """Cross-products of a pair's columns over a motion; they add up.
+
+    Attributes:
+        sides: for each case of which is true: ``y'y`` per channel ``(c,)``, the matrix of ``[W, others, y]``, and for
+            each theta of the rival that of ``[A, y]``.
+        samples: samples of each channel ``(c,)``.
+    """
+
+    sides: tuple[tuple[Array, ...], ...]
+    samples: Array
+
+    def __add__(self, other: Products) -> Products:
+        sides = tuple(tuple(map(add, a, b)) for a, b in zip(self.sides, other.sides, strict=True))
+        return Products(sides, self.samples + other.samples)
+
+
+@dataclass(frozen=True)
 class Pair:
     """A cause and the one it is to be told from; no rival, in a joint that is to be decided: from nothing at all.
 
@@ -69,114 +111,49 @@ class Pair:
     prior: Array | None
     domain: Domain = MOTOR_TORQUE
 
+    def products(self, made: Regression) -> Products:
+        """Cross-products over the motion of a regression, of which measured values are not looked at."""
+        scale = np.sqrt(self.weights) * made.use
 
-@dataclass(frozen=True)
-class Separation:
-    """How far a motion tells a pair apart, in the less favourable of the two cases of which is true.
+        def rows(candidate: Candidate, theta: tuple[float, ...]) -> Array:
+            return np.asarray(made.columns_of(candidate.effect, candidate.joint, theta) * scale[:, :, None])
 
-    Attributes:
-        sigma: expected distance of the two in standard deviations of the noise.
-        own_share: share of the cause that its rival cannot imitate; what imitates more than ``NEARLY`` stays a rival.
-        seen_share: share of the residual's squares that the cause makes up.
-    """
+        def gram(*columns: Array) -> Array:
+            flat = np.concatenate(columns, axis=2)
+            flat = flat.reshape(-1, flat.shape[2])
+            return np.asarray(flat.T @ flat)
 
-    sigma: float
-    own_share: float
-    seen_share: float
+        known = [made.W * scale[:, :, None], *(rows(candidate, candidate.theta) for candidate in self.others)]
+        sides = []
+        causes = [self.cause] if self.rival is None else [self.cause, self.rival]
+        for true in causes:
+            y = rows(true.candidate, true.candidate.theta) @ true.coefficients
+            beside = [gram(*known, rows(rival.candidate, theta), y[:, :, None])
+                      for rival in causes if rival is not true for theta in rival.thetas]
+            sides.append(((y**2).sum(axis=0), gram(*known, y[:, :, None]), *beside))
+        return Products(tuple(sides), made.use.sum(axis=0).astype(float))
 
-    @property
-    def told_apart(self) -> bool:
-        """Whether a recording is expected to tell them: the difference of the fits' squares scatters by ``2 sigma``."""
-        return 0.5 * self.sigma >= TOLD and self.own_share >= 1.0 - NEARLY
+    def separation(self, products: Products) -> Separation:
+        """How far the motions of the products tell the two apart."""
+        results = []
+        for energy, *matrices in products.sides:
+            rest, *beside = (max(_left(matrix, self.prior), 0.0) for matrix in matrices)
+            whole, strongest = max(float(energy.sum()), 1e-300), int(np.argmax(energy))
+            count = max(float(products.samples[strongest]), 1.0)
+            if self.rival is None:
+                # As large as the noise, whatever its unit.
+                results.append((float(np.sqrt(rest / whole * count / self.colour)), 1.0, 1.0))
+                continue
+            # The channel that shows most of it: what it adds there beside noise of one.
+            own, part = min(beside), rest * float(energy[strongest]) / whole
+            results.append((float(np.sqrt(own / self.colour)), own / max(rest, 1e-300), part / (part + count)))
+        return Separation(*map(min, zip(*results, strict=True)))
 
-    def margin(self, smallest: float) -> float:
-        """What a motion is chosen by: one where a diagnosis would just see the cause and tell it, and in proportion.
-
-        Args:
-            smallest: share of the residual's squares that it asks of a cause.
-        """
-        return min(0.5 * self.sigma / TOLD, self.own_share / (1.0 - NEARLY), self.seen_share / smallest)
-
-
-@dataclass(frozen=True)
-class Products:
-    """Cross-products of a pair's columns over a motion, for each of which is true; they add up.
-
-    Attributes:
-        sides: for each case: ``y'y`` per channel ``(c,)``, and for each theta of the rival (``None``: no rival) the
-            matrix of ``[A, y]``.
-        samples: samples of each channel ``(c,)``.
-    """
-
-    sides: tuple[tuple[Array, tuple[Array, ...]], ...]
-    samples: Array
-
-    def __add__(self, other: Products) -> Products:
-        sides = tuple((a[0] + b[0], tuple(x + y for x, y in zip(a[1], b[1], strict=True)))
-                      for a, b in zip(self.sides, other.sides, strict=True))
-        return Products(sides, self.samples + other.samples)
-
-
-def products_of(pair: Pair, made: Regression) -> Products:
-    """Cross-products of a pair over the motion of a regression.
-
-    Args:
-        pair: cause and rival.
-        made: its signals and samples that count; measured values are not looked at.
-    """
-    scale = np.sqrt(pair.weights) * made.use
-    W = made.W * scale[:, :, None]
-    free = [_rows(made, candidate, candidate.theta, scale) for candidate in pair.others]
-    sides = []
-    for true, rival in _cases(pair):
-        y = _rows(made, true.candidate, true.candidate.theta, scale) @ true.coefficients
-        known = np.concatenate([W, *free], axis=2)
-        matrices = [_gram(np.concatenate([known, _rows(made, rival.candidate, theta, scale), y[:, :, None]], axis=2))
-                    for theta in rival.thetas] if rival is not None else [_gram(np.concatenate([known, y[:, :, None]],
-                                                                                               axis=2))]
-        # Without the rival: what of the cause the parameters leave at all.
-        matrices.append(_gram(np.concatenate([known, y[:, :, None]], axis=2)))
-        sides.append(((y**2).sum(axis=0), tuple(matrices)))
-    return Products(tuple(sides), made.use.sum(axis=0).astype(float))
-
-
-def separation_of(pair: Pair, products: Products) -> Separation:
-    """How far the motions of the products tell a pair apart."""
-    results = []
-    for energy, matrices in products.sides:
-        left = [max(_left(matrix, pair.prior), 0.0) for matrix in matrices]
-        own, rest = min(left[:-1]), left[-1]
-        # The channel that shows most of it: what it adds there beside noise of one.
-        strongest = int(np.argmax(energy))
-        count = max(float(products.samples[strongest]), 1.0)
-        part = rest * float(energy[strongest]) / max(float(energy.sum()), 1e-300)
-        if pair.rival is None:
-            # As large as the noise, whatever its unit.
-            share = rest / max(float(energy.sum()), 1e-300)
-            results.append(Separation(float(np.sqrt(share * count / pair.colour)), 1.0, 1.0))
-            continue
-        results.append(Separation(float(np.sqrt(own / pair.colour)), own / max(rest, 1e-300), part / (part + count)))
-    return Separation(min(r.sigma for r in results), min(r.own_share for r in results),
-                      min(r.seen_share for r in results))
-
-
-def smallest_share(pair: Pair, options: Options) -> float:
-    """Share of the residual that a diagnosis with these thresholds asks of the pair's causes."""
-    options = options if pair.domain == MOTOR_TORQUE else options.finer()
-    return max(one.candidate.effect.caution * options.smallest for one in (pair.cause, pair.rival) if one is not None)
-
-
-def _cases(pair: Pair) -> Sequence[tuple[Cause, Cause | None]]:
-    return [(pair.cause, None)] if pair.rival is None else [(pair.cause, pair.rival), (pair.rival, pair.cause)]
-
-
-def _rows(made: Regression, candidate: Candidate, theta: tuple[float, ...], scale: Array) -> Array:
-    return np.asarray(made.columns_of(candidate.effect, candidate.joint, theta) * scale[:, :, None])
-
-
-def _gram(columns: Array) -> Array:
-    flat = columns.reshape(-1, columns.shape[2])
-    return np.asarray(flat.T @ flat)
+    def smallest_share(self, options: Options) -> float:
+        """Share of the residual that a diagnosis with these thresholds asks of the causes."""
+        options = options if self.domain == MOTOR_TORQUE else options.finer()
+        causes = [one for one in (self.cause, self.rival) if one is not None]
+        return max(one.candidate.effect.caution * options.smallest for one in causes)
 
 
 def _left(matrix: Array, prior: Array | None) -> float:

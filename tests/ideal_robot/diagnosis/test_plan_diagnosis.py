@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from ideal_robot.diagnosis import Open, diagnose, plan_diagnosis, read_questions
-from ideal_robot.diagnosis.next_motion.plan import planned_pair
+from ideal_robot.diagnosis.next_motion.plan import _planned_pair
 from ideal_robot.diagnosis.next_motion.questions import Named
-from ideal_robot.diagnosis.next_motion.separation import Cause, Pair, Separation, products_of, separation_of
+from ideal_robot.diagnosis.next_motion.separation import Cause, Pair, Separation
 from ideal_robot.diagnosis.statistics.problem import Candidate
 from ideal_robot.effects import Effect
 from ideal_robot.effects.registry import find
@@ -94,7 +94,7 @@ def test_gear_that_motors_cannot_show_is_left_to_a_device_on_the_arm_side(planne
     def said(name: str, after: Separation, recording: Recording = first) -> str:
         causes = [Cause(Candidate(find(one, "tau"), 2, ()), np.ones(1), ((),)) for one in (name, "dead_time")]
         pair = Pair(causes[0], causes[1], (), np.ones(2), 1.0, None)
-        return planned_pair(pair, hidden, after, recording).only
+        return _planned_pair(pair, hidden, after, recording).only
 
     assert "arm's side" in said("joint_elasticity", hidden)
     assert "clamped" in said("joint_elasticity", hidden)
@@ -112,8 +112,8 @@ def test_noise_hides_what_it_is_larger_than():
         causes = [Cause(Candidate(Power(power), 1), np.ones(1), ((),)) for power in (2, 3)]
         return Pair(causes[0], causes[1], (), np.array([weight]), 1.0, None)
 
-    once = separation_of(pair(1.0), products_of(pair(1.0), made))
-    noisy = separation_of(pair(0.25), products_of(pair(0.25), made))
+    once = pair(1.0).separation(pair(1.0).products(made))
+    noisy = pair(0.25).separation(pair(0.25).products(made))
     assert noisy.sigma == pytest.approx(0.5 * once.sigma, rel=1e-6)
     assert noisy.own_share == pytest.approx(once.own_share, rel=1e-6)
     # By hand: what of x² a straight line in x³ with a constant leaves.
@@ -122,8 +122,8 @@ def test_noise_hides_what_it_is_larger_than():
     x3, B = rows**3, np.column_stack([np.ones(400), rows**2])
     other = np.sqrt(np.sum((x3 - B @ np.linalg.lstsq(B, x3, rcond=None)[0]) ** 2))
     assert once.sigma == pytest.approx(min(by_hand, other), rel=1e-3)
-    twice = products_of(pair(1.0), made) + products_of(pair(1.0), made)
-    assert separation_of(pair(1.0), twice).sigma == pytest.approx(np.sqrt(2.0) * once.sigma, rel=1e-6)
+    twice = pair(1.0).products(made) + pair(1.0).products(made)
+    assert pair(1.0).separation(twice).sigma == pytest.approx(np.sqrt(2.0) * once.sigma, rel=1e-6)
 
 
 class Power(Effect):
