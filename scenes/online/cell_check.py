@@ -1,4 +1,4 @@
-"""The cell is looked at before the job: the line from two poses above the surface, and whether pictures come evenly.
+"""The camera before the job: calibrated by moving, and then whether it sees the line at one place from two poses.
 
 A camera that has been knocked, or pictures that are cut or shifted, show the same piece of the line at two places when
 it is looked at from two heights and two sides; an arm that does not follow is noticed on the way. What weighs on the
@@ -7,7 +7,8 @@ force sensor is looked at where its tool is turned (``scenes.online.force_calibr
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
@@ -15,21 +16,145 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.model.model import Model
+from ideal_robot.robots.collisions import Shapes
 from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
-from scenes.online.line_known import CalibrationView, piece_map
+from scenes.online.line_known import REST, CalibrationView, calibration_postures, piece_map
 from scenes.online.live_arm import LiveArm, moves
-from scenes.online.live_sensors import FoundBefore, LiveCamera
+from scenes.online.live_sensors import FoundBefore, ImaginedCamera, LiveCamera
 from scenes.scene_files.scene import SceneError
 from sensing.camera.camera_model import CameraModel
+from sensing.camera.hand_eye import PRIOR, HandEye
+from sensing.camera.line_search import DetectionSettings
+
+# The camera on the tool is calibrated by moving the real arm over a piece of the line ([L] 4.4).
+
+_COMPUTING = 60.0
+"""How long the computation may take; the arm is held meanwhile [s]."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """The piece of the line that is looked at.
+
+    Attributes:
+        reference: the reference path.
+        at: arc length of it around which the piece lies [m].
+        start: where the arm is, and is again afterwards ``(n,)`` [rad].
+        clear: how far the tip keeps away from the reference at least [m].
+        shapes: the arm in its cell.
+        prior: of the calibration, see ``sensing.camera.hand_eye.calibrate``.
+    """
+
+    reference: ReferencePath
+    at: float
+    start: Array
+    clear: float = 0.0
+    shapes: Shapes | None = None
+    prior: Mapping[str, float] = field(default_factory=lambda: PRIOR)
+
+
+@dataclass(frozen=True)
+class CalibrationMotion:
+    """From the start over the piece of the line and back, which is planned before the arm is connected.
+
+    Attributes:
+        piece: of the line.
+        commands: ``(N, n)`` [rad].
+        sag: how far the gears bend ``(N, n)`` [rad].
+        begin, end: when the arm is over the piece [s]. On the way there and back another piece of the line is seen, or
+            none: that fits no common curve.
+        view: of the camera as mounted by hand.
+    """
+
+    piece: Piece
+    commands: Array
+    sag: Array
+    begin: float
+    end: float
+    view: CalibrationView
+
+    @classmethod
+    def over(cls, piece: Piece, by_hand: CameraModel, model: Model, robot: Robot, detection: DetectionSettings
+             ) -> CalibrationMotion:
+        """Plans it, and loads what is compiled: nothing of either may fall into a cycle.
+
+        Args:
+            piece: of the line.
+            by_hand: the camera as mounted by hand.
+            model: of the arm, for the gears' deflection.
+            robot: the arm.
+            detection: how the line looks.
+
+        Raises:
+            SceneError: too few of the poses can be reached, or the arm would touch something.
+        """
+        reference, start, at = piece.reference, piece.start, piece.at
+        postures = calibration_postures(robot, reference, by_hand, at, piece.clear, piece.shapes)
+        for end in (postures[0], postures[-1]):
+            if piece.shapes is not None and (touch := piece.shapes.touch_between(start, end)) is not None:
+                raise SceneError(f"the camera cannot be calibrated: {touch} between the start and the calibration's "
+                                 "poses; set calibration.by_moving = false")
+        way, over, back = (moves(robot, some, REST) for some in ([start, postures[0]], postures, [postures[-1], start]))
+        commands, begin = np.concatenate([way, over, back]), robot.t_ipo * len(way)
+        imagined, view = (CalibrationView(robot, reference, by_hand, detection, FoundBefore(), start,
+                                          piece_map(reference, at)) for _ in range(2))
+        imagined.history.add(robot.t_ipo, start)
+        camera, t = ImaginedCamera(), 0.5 * robot.t_ipo
+        camera.predict = imagined.predicted
+        camera.request(t, t, lambda _: None)
+        for shown in camera.arrived(t):
+            imagined.look(shown, imagined.predicted(t), 0.0)
+        return cls(piece, commands, GearDeflection(model, robot.t_ipo).along(commands), begin,
+                   begin + robot.t_ipo * len(over), view)
+
+
+def calibrated_by_moving(motion: CalibrationMotion, arm: LiveArm, camera: LiveCamera) -> HandEye:
+    """Moves from the start over the piece of the line and back; returns the camera that explains what was seen.
+
+    Args:
+        motion: as planned.
+        arm: at the start, and again when this returns.
+        camera: on the arm.
+
+    Raises:
+        SceneError: too few of the fields show the line.
+        FollowStoppedError: the arm has to stop, or is gone.
+    """
+    piece, view = motion.piece, motion.view
+    arm.begin()
+    camera.predict = view.predicted
+    fields = 0
+    for q_c, sag in zip(motion.commands, motion.sag, strict=True):
+        arm.check(arm.t)
+        arm.q_d = q_c
+        q = arm.cycle(q_c).q
+        view.history.add(arm.t, q - sag)
+        for shown in camera.arrived(arm.t):
+            if motion.begin <= shown.t_stamp <= motion.end:
+                fields += 1
+                view.look(shown, view.predicted(shown.t_stamp), 0.0)
+    near, up = view.piece(piece.at, fields, "how it looks (line.gray, line.width_mm), and the camera")
+    arm.meanwhile(lambda: camera.calibrate(view.believed, view.observations, near, up, piece.prior))
+    for _ in range(int(_COMPUTING / arm.robot.t_ipo)):
+        if camera.hand_eye is not None:
+            break
+        arm.check(arm.t)
+        arm.cycle(piece.start)
+    if not isinstance(camera.hand_eye, HandEye):
+        raise SceneError(f"the camera could not be calibrated: {camera.hand_eye or 'it took too long'}")
+    return camera.hand_eye
+
+
+# The line is looked at from two poses.
 
 POSES = ((0.04, 0.0), (0.09, 0.35))
 """Height of the tip above the surface [m] and turn about its normal [rad], from which the line is looked at."""
 AHEAD = 0.06
 """Way behind the begin of the line to the place that is looked at [m]."""
-REST = 0.5
+STILL = 0.5
 """Rest in each pose, in which pictures count [s]."""
 FEWEST, PATIENCE = 5, 2.0
 """Pictures that have to show the line in each pose, and how long beyond the rest a slow camera is waited for [s]."""
@@ -77,7 +202,7 @@ def check_line(look: Look, arm: LiveArm, camera: LiveCamera) -> float:
     camera.predict = view.predicted
     places, last = [], look.start
     for q in postures:
-        places.append(_seen(look, arm, camera, view, moves(robot, [last, q], REST)))
+        places.append(_seen(look, arm, camera, view, moves(robot, [last, q], STILL)))
         last = q
     camera.predict = None
     arm.lead(moves(robot, [last, look.start], 2 * robot.t_ipo))
@@ -108,17 +233,9 @@ def _postures(look: Look, robot: Robot) -> list[Array]:
 
 
 def _seen(look: Look, arm: LiveArm, camera: LiveCamera, view: CalibrationView, way: Array) -> float:
-    """Leads the arm to a pose and returns how far beside the reference the line is seen from there [m].
-
-    Args:
-        look: at what.
-        arm: to be led.
-        camera: on it.
-        view: what is known of arm and line meanwhile.
-        way: commands ``(N, n)`` to the pose and at rest there [rad].
-    """
+    """Leads the arm by commands ``(N, n)`` [rad]; how far beside the reference the line is seen at their end [m]."""
     sag = arm.meanwhile(lambda: GearDeflection(look.model, arm.t_ipo).along(way))
-    rests = arm.t + arm.t_ipo * len(way) - REST + 0.1
+    rests = arm.t + arm.t_ipo * len(way) - STILL + 0.1
     beside = list[float]()
     for cycle in range(len(way) + round(PATIENCE / arm.t_ipo)):
         if cycle >= len(way) and len(beside) >= FEWEST:
@@ -128,11 +245,11 @@ def _seen(look: Look, arm: LiveArm, camera: LiveCamera, view: CalibrationView, w
         arm.q_d = q_c
         # In the last row the deflection is not known; the arm rests before it.
         view.history.add(arm.t + arm.t_ipo, arm.cycle(q_c).q - sag[min(cycle, len(way) - 2)])
-        for field in camera.arrived(arm.t):
-            found = view.detector.detect(field, look.camera, view.predicted(field.t_stamp), view.detection)
-            if field.t_stamp < rests or not found.seen:
+        for shown in camera.arrived(arm.t):
+            found = view.detector.detect(shown, look.camera, view.predicted(shown.t_stamp), view.detection)
+            if shown.t_stamp < rests or not found.seen:
                 continue
-            pose = view.history.pose(field.t_stamp)
+            pose = view.history.pose(shown.t_stamp)
             points = found.points_tcp[found.used] @ pose.rotation.T + pose.translation
             beside.append(float(np.mean(look.reference.project(points, look.begin + AHEAD)[1])))
     if len(beside) < FEWEST:

@@ -42,7 +42,6 @@ class Task(Protocol):
     @property
     def q_start(self) -> Array:
         """Joint angles at which the arm rests before the first cycle ``(n,)`` [rad]."""
-        ...
 
     def observe(self, t: float, q: Array, q_d: Array) -> None:
         """Takes the motor angles at the begin of a cycle.
@@ -52,7 +51,6 @@ class Task(Protocol):
             q: motor angles ``(n,)`` [rad].
             q_d: horizon of the last cycle ``(n_d, n)`` [rad].
         """
-        ...
 
     def plan(self, t: float, q_d: Array) -> Array:
         """The horizon ``(n_d, n)`` [rad] from ``t`` on, from what the sensors have delivered by ``t``.
@@ -60,15 +58,12 @@ class Task(Protocol):
         Raises:
             PlanningError, LimitError: the path cannot go on; the arm is then stopped on what was planned last.
         """
-        ...
 
     def command(self, t: float, q_d: Array) -> Array:
         """Commanded joint angles ``(n,)`` [rad]."""
-        ...
 
     def request(self, t0: float, t1: float) -> None:
         """Asks the sensors for what they shall measure in the cycle from ``t0`` to ``t1`` [s]."""
-        ...
 
     def collect(self, t0: float, t1: float, measured: RobotState) -> None:
         """Takes note of a cycle that is over.
@@ -78,15 +73,12 @@ class Task(Protocol):
             t1: its end [s].
             measured: what the controller reported at its end.
         """
-        ...
 
     def speed(self, t: float) -> float:
         """Path speed at ``t`` [m/s], from which the arm is braked."""
-        ...
 
     def done(self, t: float) -> bool:
         """Whether the cycle that began at ``t`` was the last one."""
-        ...
 
 
 @dataclass

@@ -3,28 +3,36 @@
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from ideal_robot.arrays import Array
 from ideal_robot.deadline import Deadline
 from ideal_robot.errors import InputError
+from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi import RsiRobot
 from ideal_robot.rsi.message import RsiFormat
 from ideal_robot.rtde import RtdeRobot
 from ideal_robot.rtde.wire import RtdeError
+from scenes.methods import SceneMethod
 from scenes.online.camera_process import CalibratedCamera
-from scenes.online.cell_check import Look
+from scenes.online.cell_check import CalibrationMotion, Look, Piece
 from scenes.online.cycle import CycleLog, Task
-from scenes.online.line_job import CalibrationMotion
+from scenes.online.force_known import Known as ForceKnown
+from scenes.online.force_task import ForceTask
+from scenes.online.line_known import Known as LineKnown
+from scenes.online.line_task import LineTask
 from scenes.online.live_arm import Link, LiveArm
 from scenes.online.live_sensors import LiveCamera, LiveForce
+from scenes.placing import shapes_about
+from scenes.scene_files.force_scene import ForceScene
+from scenes.scene_files.line_scene import LineScene
 from sensing.camera.camera_model import CameraModel
-from sensing.camera.line_search import DetectionSettings
 from sensing.stream import host_and_port
 
 RSI_PORT, RTDE_PORT = 49152, 30004  # of KUKA's example of RSI, and the one that UR's controllers listen on
@@ -116,55 +124,74 @@ def _connect(rtde: RtdeRobot, patience: float) -> None:
 
 # What following a line and following a surface have in common, for whoever runs them on devices.
 
-class Job(Protocol):
+class Job(ABC):
     """Something that is followed.
 
-    Attributes:
+    Args:
+        scene: what is followed; of its tables those of the world are not looked at.
         robot: with the controller's cycle.
+        model: of the arm.
+        method: how what is sensed becomes commands.
+        delay: cycles of the controller's own delay.
         answers_within: time in which the arm's loop answers a command [s].
+        calibration: of the camera, and whether it is to be made by moving.
+
+    Attributes:
+        needs: devices beside the arm: ``camera``, ``force``.
         braking: deceleration of a stop on the path [m/s²].
         longest: time after which a run is stuck [s].
         expected: usual length of a run [s].
+        log: what happened.
         detection: how the line looks.
-        calibration: of the camera, and whether it is to be made by moving.
     """
 
-    robot: Robot
-    answers_within: float
+    needs: tuple[str, ...]
     braking: float
     longest: float
     expected: float
-    detection: DetectionSettings
-    calibration: CalibratedCamera
+    log: CycleLog
+    _known: LineKnown | ForceKnown
+    _task: LineTask | ForceTask
 
-    @property
-    def log(self) -> CycleLog:
-        """What happened."""
-        ...
+    def __init__(self, scene: LineScene | ForceScene, robot: Robot, model: Model, method: SceneMethod, delay: int,
+                 answers_within: float, calibration: CalibratedCamera) -> None:
+        self.scene, self.robot, self.model, self.method, self.delay = scene, robot, model, method, delay
+        self.answers_within, self.calibration, self.detection = answers_within, calibration, scene.line.detection
+        self._set_up()
+
+    @abstractmethod
+    def _set_up(self) -> None:
+        """What is known, the task, and the attributes that follow from them."""
 
     @property
     def camera(self) -> CameraModel | None:
         """As it is believed to be; None where none is needed."""
-        ...
+        return self.calibration.camera if "camera" in self.needs else None
 
     @property
     def look(self) -> Look | None:
         """What is looked at before the job; None where no camera is calibrated."""
-        ...
+        if self.camera is None or not self.calibration.known:
+            return None
+        return Look(self._known.reference, self.scene.reference.run_up, self.q_start, self.camera, self.model)
 
     @property
     def q_start(self) -> Array:
         """Where the arm has to rest at first ``(n,)`` [rad]."""
-        ...
-
-    def rehearse(self) -> None:
-        """Loads what is compiled: nothing of it may fall into a cycle."""
-        ...
+        return self._task.q_start
 
     def calibration_motion(self) -> CalibrationMotion:
         """From ``q_start`` and back, for the camera to be calibrated on; raises ``SceneError`` where there is none."""
-        ...
+        known, ends = self._known, self.scene.reference
+        piece = Piece(known.reference, 0.5 * (ends.run_up + (known.reference.length - ends.run_out)), self.q_start,
+                      known.clear, shapes_about(self.scene, self.robot), known.prior)
+        return CalibrationMotion.over(piece, self.calibration.camera, self.model, self.robot, self.detection)
 
+    @abstractmethod
+    def rehearse(self) -> None:
+        """Loads what is compiled: nothing of it may fall into a cycle."""
+
+    @abstractmethod
     def ready(self, arm: LiveArm, camera: LiveCamera | None, force: LiveForce | None) -> Task:
         """Whatever has to be moved for before; the arm is at ``q_start`` and is left there.
 
@@ -173,20 +200,15 @@ class Job(Protocol):
             camera: None where none is needed.
             force: None where none is needed.
         """
-        ...
 
+    @abstractmethod
     def columns(self, t: Array) -> dict[str, Array]:
         """What the recording holds besides the arm's own, at times of the run ``t (N,)`` [s]; times in it are such."""
-        ...
 
+    @abstractmethod
     def figures(self) -> dict[str, Any]:
         """Key figures for ``--json``."""
-        ...
 
+    @abstractmethod
     def planned(self) -> Array:
         """Time [s] and planned deviation from the reference [m] of each cycle ``(N, 2)``."""
-        ...
-
-    def needs(self) -> tuple[str, ...]:
-        """Devices beside the arm: ``camera``, ``force``."""
-        ...

@@ -11,32 +11,25 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import IdealRobotError
-from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import RobotState
-from ideal_robot.robots.robot import Robot
 from planning import PlanningError
-from planning.force.contact import ASKED, ASKING, CLEAR, EmergencyStopError, Phase, most_force
+from planning.force.contact import ASKED, ASKING, EmergencyStopError, Phase, most_force
 from planning.force.contour import LATELY, ContourFollower
 from planning.force.felt_by_motors import BeyondSensor
 from planning.line.measurement import Fused, Measurement
 from scenes.methods import SceneMethod
-from scenes.online.camera_process import CalibratedCamera
-from scenes.online.cell_check import Look
 from scenes.online.cycle import Task
+from scenes.online.devices import Job
 from scenes.online.force_calibration import elasticity_by_pressing, tool_by_turning
 from scenes.online.force_known import START_HEIGHT, Known, force_reference
-from scenes.online.force_task import BRAKING, LONGEST, ForceLog, ForceTask, GlueCamera
-from scenes.online.line_job import CalibrationMotion, Piece
+from scenes.online.force_task import BRAKING, LONGEST, ForceLog, ForceTask
 from scenes.online.line_task import AT_ONCE
 from scenes.online.live_arm import LiveArm
 from scenes.online.live_sensors import FoundBefore, ImaginedCamera, ImaginedForce, LiveCamera, LiveForce, rehearse
-from scenes.placing import shapes_about
 from scenes.scene_files.drawn_line import reference_points
 from scenes.scene_files.force_scene import CameraTrouble, ForceScene
 from scenes.scene_files.scene import SceneError
 from sensing.camera.camera_device import Field
-from sensing.camera.camera_model import CameraModel
-from sensing.camera.line_search import PredictedLine
 from sensing.force.force_calibration import ContactElasticity, ToolLoad
 
 _BELOW = 1.25
@@ -78,16 +71,21 @@ class LiveForceTask(ForceTask):
     _prepared: tuple[int, Array] | None = None
     _measured: tuple[Array, Measurement | None] | None = None
     """Instants of forces ``(m,)`` [s] that are fused between the next two cycles, and what they tell."""
-    maps = True
-    """Whether what is felt goes into a map of the surface, which tells how well it fits."""
-    _swung: list[Array]
-    """What was felt of the tip's swing and not looked at, see ``SurfaceFollower.felt``."""
-    motors: BeyondSensor
-    """What they feel beyond what the sensor feels."""
-    nearest: dict[str, float]
-    """How near what was felt came to each limit, as a share of it."""
     floor, ceiling = -np.inf, np.inf
     """Heights at the start of the path below which the tip does not go, and above which it feels nothing [m]."""
+
+    def __init__(self, cell: Known, method: SceneMethod) -> None:
+        super().__init__(cell, method, None, _NO_LOAD, _GUESS, np.random.default_rng(0))
+        # What is felt goes into a map of the surface, which tells how well it fits.
+        self.maps = cell.scene.task != "contour"
+        # What was felt of the tip's swing and not looked at, see ``SurfaceFollower.felt``.
+        self._swung = list[Array]()
+        # What the motors feel beyond what the sensor feels.
+        self.motors = BeyondSensor(cell.model, cell.robot.t_ipo)
+        # How near what was felt came to each limit, as a share of it.
+        self.nearest = dict[str, float]()
+        if self.vision is not None:
+            self.vision.detect = FoundBefore.points
 
     @property
     def steps(self) -> int:
@@ -224,68 +222,38 @@ class LiveForceTask(ForceTask):
                              self.follower.speed_at(t0))
 
 
-class ForceJob:
-    """A surface, a contour, or a line on a surface; a ``scenes.online.devices.Job``.
-
-    Args:
-        scene: what is followed; of its tables those of the world are not looked at.
-        robot: with the controller's cycle.
-        model: of the arm.
-        method: how what is sensed becomes commands.
-        delay: cycles of the controller's own delay.
-        answers_within: time in which the arm's loop answers a command [s].
-        calibration: of the camera of a ``glue`` scene.
-    """
+class ForceJob(Job):
+    """A surface, a contour, or a line on a surface."""
 
     braking = BRAKING
     before: Mapping[str, Any] = MappingProxyType({})
     """Figures of the last run of this scene, with which the calibrations are compared."""
+    scene: ForceScene
+    log: ForceLog
+    _known: Known
+    _task: LiveForceTask
 
-    def __init__(self, scene: ForceScene, robot: Robot, model: Model, method: SceneMethod, delay: int,
-                 answers_within: float, calibration: CalibratedCamera) -> None:
+    def _set_up(self) -> None:
+        scene, robot = self.scene, self.robot
+        self.needs = ("force", "camera") if scene.task == "glue" else ("force",)
         # What happens to the simulated camera is the world's.
         emergency = scene.emergency.model_copy(update={"force": min(scene.emergency.force, most_force(scene.force))})
         self.scene = scene.model_copy(update={"trouble": CameraTrouble(), "emergency": emergency})
-        self.robot, self.model, self.method, self.answers_within = robot, model, method, answers_within
-        self.calibration = calibration
         reference, profile = force_reference(scene, robot, reference_points(scene))
-        self._known = Known(scene=self.scene, robot=robot, delay=delay, model=model, reference=reference,
-                            profile=profile, camera=calibration.camera, asking=ASKING, detection=scene.line.detection)
+        self._known = Known(scene=self.scene, robot=robot, delay=self.delay, model=self.model, reference=reference,
+                            profile=profile, camera=self.calibration.camera, asking=ASKING, detection=self.detection)
         self.expected = profile.duration + 4.0
         self.longest = self.expected + LONGEST
-        self._task = self._new_task()
-        self.log: ForceLog = self._task.log
-        self.detection = self._known.detection
+        self._task = LiveForceTask(self._known, self.method)
+        self.log = self._task.log
         self._force: LiveForce | None = None
-
-    @property
-    def camera(self) -> CameraModel | None:
-        """See ``Job``."""
-        return self.calibration.camera if self.scene.task == "glue" else None
-
-    @property
-    def look(self) -> Look | None:
-        """See ``Job``."""
-        known = self.scene.task == "glue" and self.calibration.known
-        return (Look(self._known.reference, self.scene.reference.run_up, self.q_start, self.calibration.camera,
-                     self.model) if known else None)
-
-    @property
-    def q_start(self) -> Array:
-        """See ``Job``."""
-        return self._task.q_start
-
-    def needs(self) -> tuple[str, ...]:
-        """See ``Job``."""
-        return ("force", "camera") if self.scene.task == "glue" else ("force",)
 
     def rehearse(self) -> None:
         """See ``Job``: the touch-down and a piece of the travel, felt at once."""
-        task, camera, force = self._new_task(), ImaginedCamera(), ImaginedForce()
+        task, camera, force = LiveForceTask(self._known, self.method), ImaginedCamera(), ImaginedForce()
         task.connect(force, camera if task.vision is not None else None)
-        vision = task.vision
-        if vision is not None:
-            camera.predict = lambda t: _predicted(vision, t)
+        if task.vision is not None:
+            camera.predict = task.vision.predicted
         T = self.robot.t_ipo
         try:
             rehearse(task, self.robot, math.ceil(0.2 / T))
@@ -294,13 +262,6 @@ class ForceJob:
         except PlanningError:
             # What is felt fits no surface: that is no matter here, the code is loaded.
             return
-
-    def calibration_motion(self) -> CalibrationMotion:
-        """See ``Job``; the tip keeps away from the surface. Where that lies the force tells later."""
-        reference = self._known.reference
-        piece = Piece(reference, 0.5 * (self.scene.reference.run_up + reference.length - self.scene.reference.run_out),
-                      self.q_start, CLEAR, shapes_about(self.scene, self.robot), bent=True)
-        return CalibrationMotion.over(piece, self.calibration.camera, self.model, self.robot, self.detection)
 
     def ready(self, arm: LiveArm, camera: LiveCamera | None, force: LiveForce | None) -> Task:
         """See ``Job.ready``: bias and weight of the tool by turning it, the elasticity by pressing."""
@@ -319,21 +280,13 @@ class ForceJob:
         task.force = self._force = force
         task.lead(arm)
         if camera is not None and task.vision is not None:
-            vision = task.vision
             camera.use(self.calibration.camera, self.calibration.time_offset)
-            camera.predict = lambda t: _predicted(vision, t)
+            camera.predict = task.vision.predicted
         force.begin()
         return task
 
     def _as_before(self, figure: str, value: float, unit: str, other: Callable[[float], bool]) -> None:
-        """Raises ``SceneError`` where a calibration differs from that of the last run.
-
-        Args:
-            figure: its key.
-            value: now.
-            unit: of both.
-            other: whether it differs from the value then.
-        """
+        """Raises ``SceneError`` where ``other`` says that a calibration differs from the figure of the last run."""
         last = self.before.get(figure)
         if isinstance(last, float) and last > 0.0 and other(last):
             raise SceneError(f"{figure} is {value:.3g} {unit} and was {last:.3g} {unit} at the last calibration; look "
@@ -381,16 +334,3 @@ class ForceJob:
         if self._force is None:
             return {key: float(self.before.get(key) or math.nan) for key in keys}
         return dict(zip(keys, (self._task.elasticity.stiffness, self._task.tool.mass), strict=True))
-
-    def _new_task(self) -> LiveForceTask:
-        task = LiveForceTask(self._known, self.method, None, _NO_LOAD, _GUESS, np.random.default_rng(0))
-        task.maps = self.scene.task != "contour"
-        task.motors, task.nearest, task._swung = BeyondSensor(self._known.model, self.robot.t_ipo), {}, []
-        if task.vision is not None:
-            task.vision.detect = FoundBefore.points
-        return task
-
-
-def _predicted(vision: GlueCamera, t: float) -> PredictedLine:
-    """Where the line should be in a picture taken at ``t`` [s], in the tool frame."""
-    return vision.sight.predict(t).seen_by(vision.camera, t, vision.follower.history.row_pose)

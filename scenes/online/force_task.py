@@ -31,7 +31,8 @@ from scenes.online.cycle import CycleLog
 from scenes.online.force_known import Known
 from scenes.scene_files.force_scene import ForceScene
 from sensing.camera.camera_device import Camera, Field, Window
-from sensing.camera.line_detection import LineField, at_middle_row, search_windows
+from sensing.camera.line_detection import LineField, at_middle_row
+from sensing.camera.line_search import PredictedLine, search_windows
 from sensing.force.force_calibration import ContactElasticity, ToolLoad
 from sensing.force.sensors import ForceSensor, WrenchSample
 
@@ -87,8 +88,11 @@ class GlueCamera:
         """The windows to read out of the field exposed at ``exposure`` [s]; None while nothing arrives."""
         if self._during(self._trouble.loss, exposure):
             return None
-        ahead = self.sight.predict(exposure).seen_by(self.camera, exposure, self.follower.history.row_pose)
-        return search_windows(self.camera, ahead, self.detection)
+        return search_windows(self.camera, self.predicted(exposure), self.detection)
+
+    def predicted(self, t: float) -> PredictedLine:
+        """Where the line should be in a picture taken at ``t`` [s], in the tool frame."""
+        return self.sight.predict(t).seen_by(self.camera, t, self.follower.history.row_pose)
 
     def sense(self, t: float, arrived: Sequence[Field]) -> None:
         """Evaluates the fields that have arrived by ``t`` [s] and fuses them."""
@@ -104,8 +108,7 @@ class GlueCamera:
 
     def _detected(self, item: Field) -> LineField:
         """Line points of a field, in the tool frame."""
-        ahead = self.sight.predict(item.t_stamp).seen_by(self.camera, item.t_stamp, self.follower.history.row_pose)
-        return self._detector.detect(item, self.camera, ahead, self.detection)
+        return self._detector.detect(item, self.camera, self.predicted(item.t_stamp), self.detection)
 
     def _during(self, span: tuple[float, ...], t: float) -> bool:
         """Whether ``t`` lies in a span that counts from the beginning of the travel."""

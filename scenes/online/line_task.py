@@ -142,7 +142,7 @@ class LineTask:
         follower = self.follower
         arrived = replace(arrived, t_stamp=arrived.t_stamp + self._known.late_by(arrived.t_stamp))
         pose = follower.history.row_pose(arrived.t_stamp)
-        ahead = follower.predict(arrived.t_stamp).seen_by(self.cell.camera, arrived.t_stamp, follower.history.row_pose)
+        ahead = self.cell.predicted(arrived.t_stamp)
         seen = self.cell.detector.detect(arrived, self.cell.camera, ahead, self.cell.detection)
         seen = replace(seen, points_tcp=self._known.points(seen.points_tcp, self.cell.camera.axis_on_surface))
         seen = at_middle_row(seen, self.cell.camera, follower.history.row_pose)
@@ -169,8 +169,7 @@ class LineTask:
         self.camera.request(t0, t1, self._windows)
 
     def _windows(self, exposure: float) -> Sequence[Window]:
-        exposure += self._known.late_by(exposure)
-        ahead = self.follower.predict(exposure).seen_by(self.cell.camera, exposure, self.follower.history.row_pose)
+        ahead = self.cell.predicted(exposure + self._known.late_by(exposure))
         return search_windows(self.cell.camera, ahead, self.cell.detection)
 
     def collect(self, t0: float, t1: float, measured: RobotState) -> None:

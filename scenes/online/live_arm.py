@@ -90,19 +90,15 @@ class Link(Protocol):
     @property
     def arrived(self) -> float:
         """When the last packet was read, by ``time.perf_counter`` [s]."""
-        ...
 
     def send(self, q_c: Array) -> None:
         """Hands over a command ``(n,)`` [rad]."""
-        ...
 
     def receive(self) -> RobotState:
         """Waits for the next packet."""
-        ...
 
     def skip(self, q_c: Array) -> None:
         """A command ``(n,)`` [rad] of a cycle in which the controller went on by itself."""
-        ...
 
 
 class LiveArm:

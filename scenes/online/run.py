@@ -24,12 +24,12 @@ from scenes.arms import arm_of, model_at
 from scenes.methods import following_methods, method_of
 from scenes.metrics import spread_ms
 from scenes.online.camera_process import CameraProcess, calibrated_camera
-from scenes.online.cell_check import check_line
+from scenes.online.cell_check import CalibrationMotion, calibrated_by_moving, check_line
 from scenes.online.cycle import CycleSettings, holding_share, play_cycles
 from scenes.online.devices import Devices, Job, opened_arm
 from scenes.online.force_job import ForceJob
 from scenes.online.journal import Journal, Later, remove, rescued, written
-from scenes.online.line_job import CalibrationMotion, LineJob, calibrated_by_moving
+from scenes.online.line_job import LineJob
 from scenes.online.live_arm import LiveArm, answers_within, at_cycle
 from scenes.online.live_sensors import LiveCamera, LiveForce
 from scenes.online.processes import (
@@ -129,12 +129,12 @@ def _job(scene: Scene, devices: Devices, method: str | None, calibration: Path |
     chosen = method_of(method or scene.method, following_methods())
     feedforward("ideal", model, robot, delay=int(devices.delay))
     camera = calibrated_camera(believed_camera(scene.camera, scene.calibration), calibration)
-    kind = LineJob if isinstance(scene, LineScene) else ForceJob
-    return kind(scene, robot, model, chosen, int(devices.delay), within, camera)  # type: ignore[arg-type]
+    kind: type[Job] = LineJob if isinstance(scene, LineScene) else ForceJob
+    return kind(scene, robot, model, chosen, int(devices.delay), within, camera)
 
 
 def _check_devices(job: Job, devices: Devices) -> None:
-    for name in job.needs():
+    for name in job.needs:
         if getattr(devices, name) is None:
             raise InputError(f"this scene needs a {'force sensor' if name == 'force' else name}: give its address",
                              field=f"--{name}")
@@ -157,13 +157,13 @@ def _opened(scene: Scene, job: Job, devices: Devices, folder: Path, method: str,
     """The devices that the job needs, and what the system granted for even timing; signals stop the arm."""
     with ExitStack() as stack:
         process = None
-        if "camera" in job.needs() and job.camera is not None and devices.camera is not None:
+        if "camera" in job.needs and job.camera is not None and devices.camera is not None:
             progress(0.0, "opening the camera")
             process = CameraProcess(devices.camera, devices.camera_delay, job.camera, scene.camera.detector,  # type: ignore[attr-defined]
                                     devices.patience)
             stack.callback(process.close)
         source = None
-        if "force" in job.needs() and devices.force is not None:
+        if "force" in job.needs and devices.force is not None:
             source = open_force(devices.force, devices.force_delay)
             stack.callback(source.close)
         journal = Journal(folder, job.robot, {"scene": scene.name, "method": method, "model": scene.model})

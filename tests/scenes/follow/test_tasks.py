@@ -19,11 +19,12 @@ from planning import PlanningError
 from planning.force.contact import Phase
 from planning.line.measurement import Fused
 from scenes.arms import shipped_model
+from scenes.online.cell_check import CalibrationMotion, Piece, calibrated_by_moving
 from scenes.online.cycle import CycleSettings, play_cycles
 from scenes.online.devices import Devices
 from scenes.online.force_job import ForceJob
 from scenes.online.journal import Journal, Later
-from scenes.online.line_job import CalibrationMotion, LineJob, Piece, calibrated_by_moving
+from scenes.online.line_job import LineJob
 from scenes.online.line_known import START, line_follower, span_of
 from scenes.online.line_log import LineLog
 from scenes.online.live_arm import LiveArm
