@@ -86,12 +86,7 @@ class Comparison:
         return self.t > 1.0
 
     def reason(self, scale: float, unit: str) -> str:
-        """Why a change with this comparison is taken back.
-
-        Args:
-            scale: of the error's unit to SI.
-            unit: its name.
-        """
+        """Why a change with this comparison is taken back; ``scale``: of the error's ``unit`` to SI."""
         size = f"{scale * self.before:.3g} to {scale * self.after:.3g} {unit}"
         if self.after >= self.before:
             return f"the measured error does not fall: {size}"

@@ -260,12 +260,7 @@ _HIDDEN = {"motor": _PLACE, "arm": _PLACE, "tcp": ()}
 
 
 def visible(recording: Recording, measured: Measured) -> Recording:
-    """The recording with what such an arm measures.
-
-    Args:
-        recording: with everything.
-        measured: what is measured.
-    """
+    """Of a recording with everything what such an arm measures."""
     kept = {name: values for name, values in recording.columns.items()
             if name not in _HIDDEN[measured] and not (measured == "motor" and name.startswith("qa_"))}
     return Recording(kept, recording.meta, recording.source)

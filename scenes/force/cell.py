@@ -209,11 +209,7 @@ def glue_line(cell: Cell) -> tuple[DrawnLine, CameraModel]:
 
 
 class GlueWorld:
-    """Renders the line on the curved surface, and measures against it.
-
-    Args:
-        cell: the scene set up.
-    """
+    """Renders the line on the curved surface of a scene, and measures against it."""
 
     def __init__(self, cell: Cell) -> None:
         self.line, true = glue_line(cell)

@@ -19,11 +19,7 @@ from scenes.scene_files.scene import box_edges
 
 
 def force_replay(result: ForceResult) -> Replay | None:
-    """The replay of a run; None where it is too short for one.
-
-    Args:
-        result: the run.
-    """
+    """The replay of a run; None where it is too short for one."""
     recording = result.recording
     if len(recording.t) < 2:
         return None

@@ -29,11 +29,7 @@ _MARGIN = 0.08
 
 
 def line_replay(result: LineResult) -> Replay | None:
-    """The replay of a run; None where the recording is too short for one.
-
-    Args:
-        result: the run.
-    """
+    """The replay of a run; None where the recording is too short for one."""
     recording = result.recording
     if len(recording.t) < 2:
         return None
@@ -54,12 +50,7 @@ def line_replay(result: LineResult) -> Replay | None:
 
 
 def with_ghost(replay: Replay, other: Recording) -> Replay:
-    """The replay with the arm of another run drawn pale.
-
-    Args:
-        replay: of a run.
-        other: recording of another run of the same scene; it stands still where it has ended already.
-    """
+    """The replay with the arm of another run of the scene drawn pale; it stands still where that has ended already."""
     rows = slice(None, None, step(len(other.t)))
     q = arm_angles(other, rows)
     return replace(replay, ghost=interpolated(replay.t, other.t[rows], q))

@@ -35,12 +35,7 @@ def far_from_line(mean: float) -> str:
 
 
 def little_gained(mean: float, none: float) -> str:
-    """What is said where the correction leaves more than half of what is there without it; empty where it leaves less.
-
-    Args:
-        mean: distance from the line on average [m].
-        none: the same without correction [m].
-    """
+    """What is said where the mean distance from the line [m] is over half of that without correction; else empty."""
     if not mean > GAIN * none:
         return ""
     return (f"the correction leaves {1e3 * mean:.2f} mm of {1e3 * none:.2f} mm that are there without it: the model "

@@ -30,12 +30,7 @@ STANDSTILL = 1e-9
 
 
 class Task(Protocol):
-    """What a play does in each cycle.
-
-    Attributes:
-        n_d: desired positions in a horizon, the current one included.
-        q_start: joint angles at which the arm rests before the first cycle ``(n,)`` [rad].
-    """
+    """What a play does in each cycle; ``n_d``: desired positions in a horizon, the current one included."""
 
     n_d: int
 
@@ -208,15 +203,9 @@ def _planned(task: Task, t: float, q_d: Array) -> Array:
 
 def _stopped(error: Exception, log: CycleLog, q_d: Array, motion: tuple[float, float], limits: Robot, T: float
              ) -> Iterator[Array]:
-    """Notes why the arm stops; the rows of the plan on which it does, and lets go of a surface where it has to.
+    """Notes why the arm stops; rows of the last plan ``q_d (n_d, n)`` [rad] on which it does, and lets go if it has to.
 
-    Args:
-        error: why.
-        log: is written to.
-        q_d: the last plan ``(n_d, n)`` [rad].
-        motion: speed on the path [m/s], and how it brakes [m/s²].
-        limits: of the arm.
-        T: cycle [s].
+    ``motion``: speed on the path [m/s], and how it brakes [m/s²].
     """
     log.failure = str(error)
     rows = stopping_rows(q_d[1:], T, *motion)
@@ -227,13 +216,9 @@ def _stopped(error: Exception, log: CycleLog, q_d: Array, motion: tuple[float, f
 # What it costs when a controller that takes absolute corrections gets none any more: it holds the last command.
 
 def holding_share(q_c: Array, robot: Robot) -> float:
-    """Acceleration of a command that stands still from one cycle to the next, where it was fastest.
+    """Acceleration of commands ``(N, n)`` [rad] that stand still from one cycle to the next, where they are fastest.
 
     As a multiple of the arm's limit, the worst joint's: all of the speed goes within one cycle.
-
-    Args:
-        q_c: commands of a run ``(N, n)`` [rad].
-        robot: cycle and limits.
     """
     if len(q_c) < 2:
         return 0.0

@@ -211,15 +211,7 @@ class Pressed:
 
 
 class _Press(Pressed):
-    """One time down and up.
-
-    Args:
-        known: what is known of the scene.
-        tool: bias and weight.
-        start: joint angles at ``START_HEIGHT`` ``(n,)`` [rad].
-        arm: connected.
-        force: what it feels.
-    """
+    """One time down and up with a connected arm."""
 
     def __init__(self, known: Known, tool: ToolLoad, start: Array, arm: LiveArm, force: LiveForce) -> None:
         super().__init__(known, tool, start)
@@ -238,12 +230,9 @@ class _Press(Pressed):
         self._go(_UP, lambda: self.height >= START_HEIGHT)
 
     def _go(self, target: float, done: Callable[[], bool], heard: bool = False) -> None:
-        """Moves along the normal with a speed [m/s] until it is done, cycle by cycle, and looks at every witness.
+        """Moves away from the surface with a speed [m/s] until it is done, and looks at every witness in each cycle.
 
-        Args:
-            target: speed away from the surface [m/s].
-            done: whether it is.
-            heard: whether the motors are, which takes long: no answer waits for it.
+        To hear the motors takes long: no answer waits for it.
         """
         arm, T = self._arm, self._known.robot.t_ipo
         told: list[tuple[Array, RobotState]] = []
@@ -271,8 +260,7 @@ class _Press(Pressed):
     def _check(self, by_motors: float) -> None:
         """Raises ``SceneError`` where the witnesses do not agree, or the surface is not where it can be.
 
-        Args:
-            by_motors: the force as they feel it [N]; NaN where they are not heard.
+        ``by_motors``: the force as they feel it [N]; NaN where they are not heard.
         """
         if (trouble := self._force.trouble(self._arm.t)) is not None:
             raise SceneError(f"pressing was stopped: {trouble}")

@@ -229,10 +229,6 @@ class ForceTask:
 
         The model's ``ForceErrors`` are not added: turning the tool shows the sensor's bias as it is, and pressing all
         that gives under the force. They would count twice.
-
-        Args:
-            tool: bias and weight.
-            elasticity: of tip and surface.
         """
         self.tool, self.elasticity = tool, elasticity
         self.assumed_stiffness = self.cell.scene.assumed.elasticity_ratio * elasticity.stiffness

@@ -197,11 +197,7 @@ def _elsewhere(work: str, *given: Any) -> Any:
 # Progress that is shown when no answer waits for it: drawing a bar takes a lock and writes to a terminal.
 
 class Later:
-    """A ``scenes.result.Progress`` that keeps the newest until ``catch_up`` shows it.
-
-    Args:
-        progress: shows it.
-    """
+    """A ``scenes.result.Progress`` that keeps the newest until ``catch_up`` shows it by another one."""
 
     def __init__(self, progress: Progress) -> None:
         self._progress = progress

@@ -270,7 +270,7 @@ def _nearest(reference: ReferencePath, point: Array) -> float:
     return float(table[np.argmin(np.sum((reference.position(table) - point) ** 2, axis=1))])
 
 
-def piece_map(reference: ReferencePath, at: float, before: SeenBefore | None = None, reach: float = REACH
+def piece_map(reference: ReferencePath, at: float, before: SeenBefore = SeenBefore(), reach: float = REACH
               ) -> DeviationFilter:
     """Map of the line's deviation from the reference around one piece of it.
 
@@ -280,7 +280,6 @@ def piece_map(reference: ReferencePath, at: float, before: SeenBefore | None = N
         before: where pictures showed the line before.
         reach: how far from there it is kept [m].
     """
-    before = before or SeenBefore()
     shape, length = before.shape or SHAPES[0]
     across = Expected(shape=shape, length=length)
     fusion = DeviationFilter(PathDeviation(reference, across=across, ahead=reach, behind=reach), confirm=0)
@@ -304,10 +303,6 @@ class CalibrationView:
         detector: what finds its points.
         q: where the arm rests at first ``(n,)`` [rad].
         fusion: the map, see ``piece_map``.
-
-    Attributes:
-        history: where the tool was.
-        observations: what was seen.
     """
 
     def __init__(self, robot: Robot, reference: ReferencePath, believed: CameraModel, detection: DetectionSettings,
@@ -382,13 +377,11 @@ def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraM
     Raises:
         SceneError: fewer than half of the poses can be reached.
     """
-    frames = reference.frames(np.array([at]))
-    kinematics = InverseKinematics(robot)
-    q = kinematics.search(reference.pose(at), robot.home)
+    frames, kinematics = reference.frames(np.array([at])), InverseKinematics(robot)
+    q, up = kinematics.search(reference.pose(at), robot.home), frames.up[0]
     place, direction = ((frames.position[0], frames.tangent[0]) if line is None
                         else (line.points[0], line.tangents[0]))
-    centre = place + clear * frames.up[0]
-    wanted = calibration_poses(centre, direction, frames.up[0], float(_middle_of_view(camera)[0]))
+    wanted = calibration_poses(place + clear * up, direction, up, float(_middle_of_view(camera)[0]))
     postures: list[Array] = []
     for pose in wanted:
         try:

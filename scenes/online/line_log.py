@@ -54,12 +54,7 @@ class LineLog(CycleLog):
     sensor_used: dict[str, int] = field(default_factory=dict)
 
     def add_field(self, seen: LineField, count: int) -> None:
-        """One camera field.
-
-        Args:
-            seen: what was seen in it.
-            count: line points to keep.
-        """
+        """What was seen in one camera field, of which ``count`` line points are kept."""
         row, some = np.full(1 + 3 * count, np.nan), min(len(seen.points_tcp), count)
         row[0], used = seen.t, seen.used[:some]
         row[1:].reshape(count, 3)[:some][used] = seen.points_tcp[:some][used]
@@ -67,11 +62,9 @@ class LineLog(CycleLog):
         self.used += int(seen.seen)
 
     def field_columns(self, t: Array, count: int) -> Iterator[tuple[str, Array]]:
-        """Columns of a recording one by one: values in the rows at the fields' time stamps, NaN elsewhere.
+        """Columns of a recording one by one: values in the rows ``t (N,)`` [s] at the fields' time stamps, else NaN.
 
-        Args:
-            t: times of the rows ``(N,)`` [s].
-            count: line points of a field.
+        ``count``: line points of a field.
         """
         kept = np.asarray(self.fields).reshape(-1, 1 + 3 * count)
         rows = np.minimum(np.searchsorted(t, kept[:, 0]), len(t) - 1)
@@ -88,12 +81,8 @@ SETTLING = 0.3
 def plan_error(log: LineLog, fusion: DeviationFilter) -> dict[str, float | None]:
     """The desired path against the line as all fields of the run show it; what a cell can say of itself [mm].
 
-    Args:
-        log: of the run.
-        fusion: after it, with its smoother.
-
-    Returns:
-        mean and largest distance from where the line was first followed on; None where nothing is kept.
+    Mean and largest distance from where the line was first followed on, by the map after the run; None where nothing is
+    kept.
     """
     s, believed, t = (np.asarray(one)[: len(log.believed)] for one in (log.s, log.believed, log.t))
     off = np.abs(believed - fusion.looked_back(s)[0][:, 0])

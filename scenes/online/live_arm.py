@@ -102,7 +102,7 @@ class Link(Protocol):
 
 
 class LiveArm:
-    """A ``RobotInterface`` to a connected arm.
+    """A ``RobotInterface`` to a connected arm, each of whose cycles is written down in a journal.
 
     Its time, which planning and sensors share, counts the cycles since ``begin``. Where a cycle was lost on the wire
     and the controller held the arm meanwhile, the path waits, and so does its time. Where the controller went on as
@@ -110,10 +110,6 @@ class LiveArm:
     led from where it has come to, which is near the path, instead of waiting beside it. Only so many cycles are made
     good in one as leave time for the answer; for the rest the path waits. ``play_time`` says which of the path's time
     belongs to a time of this computer.
-
-    Args:
-        link: the arm, connected.
-        journal: where every cycle is written down.
 
     Attributes:
         t_ipo: cycle [s].

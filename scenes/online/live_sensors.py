@@ -121,11 +121,7 @@ class LiveCamera:
         self.time_offset = time_offset
 
     def fused(self, fused: Fused | None) -> None:
-        """What became of a field: the arm is stopped where the line leaps, or does not move as the arm does.
-
-        Args:
-            fused: by the filter; None where the field showed nothing.
-        """
+        """What became of a field (None: it showed nothing); stops the arm where the line leaps or moves unlike it."""
         if fused is None or not len(fused.innovation):
             return
         self.signs.check(fused.innovation[:1], LEAP)
@@ -191,11 +187,7 @@ _WAITING = 4000  # readings: 0.6 s of the quickest box
 
 
 class LiveForce:
-    """A ``sensing.force.sensors.ForceSensor`` over a source.
-
-    Args:
-        source: the sensor.
-        arm: whose time the samples are given.
+    """A ``sensing.force.sensors.ForceSensor`` over a source; samples are given the arm's time.
 
     Attributes:
         samples: of all that were handed on the time [s] and the wrench [N, N m].

@@ -234,11 +234,7 @@ class PathCell:
         return play(self.robot, self.world, path or self.path, feedforward, rng)
 
     def feedforward(self, method: str | SceneMethod, progress: Progress = silent) -> Feedforward:
-        """The feedforward of a method.
-
-        Args:
-            method: a key with or without suffix, or a method of the user's.
-            progress: called with the fraction of the learning done.
+        """The feedforward of a method: a key with or without suffix, or one of the user's.
 
         Raises:
             InputError: no such method.

@@ -18,12 +18,7 @@ from scenes.scene_files.scene import box_edges
 
 
 def path_replay(result: PathResult, ghost: PathResult | None = None) -> Replay | None:
-    """The replay of a run; None where it is too short for one.
-
-    Args:
-        result: the run.
-        ghost: another run of the same path, drawn pale.
-    """
+    """The replay of a run, with another of the same path as a pale ghost; None where it is too short for one."""
     path, played = result.path, result.played
     if len(path.t) < 2:
         return None

@@ -134,12 +134,7 @@ def played(result: PrecorrectedPath, arm: Robot, seed: int, *, delay: bool = Fal
 
 
 def table(result: PrecorrectedPath, measured: tuple[Array, Array] | None = None) -> tuple[list[str], list[list[Any]]]:
-    """One row a joint.
-
-    Args:
-        result: the corrected path.
-        measured: errors with the corrected path and without, where it was played ``(N, n)`` each [rad].
-    """
+    """One row a joint; ``measured``: errors with the corrected path and without, ``(N, n)`` each [rad]."""
     largest = np.max(np.abs(result.q_c - result.q_d), axis=0)
     after, before = result.expected_rms
     unit = one_unit(result.units)

@@ -109,12 +109,7 @@ class Report:
         self._embed(png.getvalue(), "png", caption, wide, folded)
 
     def image(self, png: bytes, caption: str = "") -> None:
-        """A PNG image.
-
-        Args:
-            png: its bytes.
-            caption: the sentence that says what to see in it.
-        """
+        """A PNG image, with the sentence that says what to see in it."""
         self._embed(png, "png", caption)
 
     def _embed(self, data: bytes, kind: str, caption: str, wide: bool = False, folded: str = "") -> None:
@@ -122,12 +117,7 @@ class Report:
                              "caption": caption, "wide": wide, "folded": folded})
 
     def replay(self, replay: Replay, caption: str = "") -> None:
-        """A replay that moves in the page.
-
-        Args:
-            replay: what it shows.
-            caption: the sentence that says what to see in it.
-        """
+        """A replay that moves in the page, with the sentence that says what to see in it."""
         self._blocks.append({"kind": "replay", "html": replay.html(), "caption": caption})
 
     def calibration(self, camera: HandEye) -> None:
@@ -221,11 +211,7 @@ COLUMNS = ["setting", "value, per joint where there are several", "unit"]
 
 
 def world_rows(world: Mapping[str, Any]) -> list[list[Any]]:
-    """Rows of setting, value and unit.
-
-    Args:
-        world: from ``World.table()``.
-    """
+    """Rows of setting, value and unit, from ``World.table()``."""
     return [[name.replace("_", " "), _short(value), UNITS.get(name, "")] for name, value in world.items()]
 
 

@@ -35,10 +35,7 @@ SIDES = 10
 
 
 def polygons(robot: Robot) -> tuple[list[dict[str, Any]], list[int]]:
-    """The visible shapes of an arm as polygons, and the joints whose poses carry them.
-
-    Args:
-        robot: the arm; meshes are left out.
+    """The visible shapes of an arm as polygons, meshes left out, and the joints whose poses carry them.
 
     Returns:
         For each shape its link's place in the second list, colour, and faces with their corners [m]; and Pinocchio's
@@ -229,11 +226,7 @@ class Replay:
 
 
 def error_colours(error: Array) -> Array:
-    """Green for none to red for the largest error, gray where it does not count ``(N, 3)``, 0 to 255.
-
-    Args:
-        error: ``(N,)``; NaN where it does not count.
-    """
+    """Green for none to red for the largest error ``(N,)``, gray where it is NaN: ``(N, 3)``, 0 to 255."""
     counts = np.isfinite(error)
     size = np.abs(np.nan_to_num(error)) / max(float(np.max(np.abs(error[counts]), initial=0.0)), 1e-12)
     colours = np.column_stack([40 + 190 * size, 150 - 110 * size, np.full(len(error), 50.0)])
@@ -322,12 +315,7 @@ def _floats(values: Array) -> Array:
 
 
 def sensed_line(arm: Robot, recording: Recording) -> Array:
-    """The middle line point of every camera field ``(K, 3)`` [m]; none where no camera measured.
-
-    Args:
-        arm: the arm.
-        recording: with ``line_x_i line_y_i line_z_i`` in the tool frame.
-    """
+    """The middle line point ``line_x_i line_y_i line_z_i`` of every camera field ``(K, 3)`` [m]; none without any."""
     count = sum(name.startswith("line_x_") for name in recording.columns)
     if count == 0:
         return np.empty((0, 3))

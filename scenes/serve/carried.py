@@ -77,9 +77,8 @@ class Exposure:
 def draw_and_send(pipe: Connection) -> None:
     """The camera's process: listens, draws what somebody looks at, and sends it when it is due.
 
-    Args:
-        pipe: the camera comes in, then exposures, None for the end; out go the address, or why there is none, then
-            one word a picture.
+    The camera comes in, then exposures, None for the end; out go the address, or why there is none, then one word a
+    picture.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:

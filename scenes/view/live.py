@@ -29,15 +29,7 @@ _COLOUR = (0, 110, 190)  # a blue
 
 
 class LiveView:
-    """What is known of a run so far, in a viewer.
-
-    Args:
-        viewer: with the arm.
-        folder: of the run.
-
-    Attributes:
-        state: what the page says.
-    """
+    """What is known so far of the run in a folder, in a viewer with its arm; ``state`` is what the page says."""
 
     def __init__(self, viewer: Viewer, folder: Path) -> None:
         self.viewer, self._folder = viewer, folder

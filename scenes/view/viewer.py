@@ -81,12 +81,7 @@ class Viewer:
         return frames
 
     def show(self, q: Array, name: str = ARM) -> None:
-        """Shows an arm at joint positions.
-
-        Args:
-            q: ``(n,)`` [rad].
-            name: ``ARM``, or ``GHOST`` for a second, pale one.
-        """
+        """Shows an arm at joint positions ``(n,)`` [rad]: ``ARM``, or ``GHOST`` for a second, pale one."""
         if name not in self.frames:
             self.frames[name] = self._add(name, 0.25)
         poses = link_poses(self.robot, np.asarray(q, dtype=float)[None], self._links)[0]
@@ -127,12 +122,7 @@ class Viewer:
                                                               shaft_radius=0.008, head_radius=0.02, head_length=0.05)
 
     def look_at(self, place: Array, distance: float) -> None:
-        """Where a page that is opened looks.
-
-        Args:
-            place: ``(3,)`` [m].
-            distance: from it [m].
-        """
+        """A page that is opened looks at a place ``(3,)`` from a distance [m]."""
         camera = self.server.initial_camera
         # A little to the right of it: there the controls lie above the picture.
         aim = np.asarray(place) + 0.12 * distance * np.array([0.66, 0.75, 0.0])
@@ -216,10 +206,6 @@ def replay_of_columns(arm: Robot, recording: Recording) -> Replay:
     Wanted is ``q_d_i`` if there is one, else ``q_c_i``; without either there is no error. The arm is at ``qa_i`` if
     measured, else at ``q_i``. Line points that a camera measured are drawn as a curve.
 
-    Args:
-        arm: the arm.
-        recording: at least two samples.
-
     Raises:
         InputError: positions are missing everywhere.
     """
@@ -259,12 +245,7 @@ _NAMES = ("black", "blue", "violet", "green")
 
 
 class Player:
-    """Controls for a replay beside the scene; ``show(k)`` shows one sample, ``play()`` all of them again and again.
-
-    Args:
-        viewer: where it is shown.
-        replay: what is shown.
-    """
+    """Controls for a replay beside the scene; ``show(k)`` shows one sample, ``play()`` all of them again and again."""
 
     def __init__(self, viewer: Viewer, replay: Replay) -> None:
         self.viewer, self.replay = viewer, replay
