@@ -86,7 +86,8 @@ class SurfaceFollower:
         self._height = start_height
         self._contact_since: float | None = None
         self._near_since: float | None = None
-        self._t_travel = np.inf
+        self.t_travel = np.inf
+        """Instant at which the travel began; infinite before [s]."""
         self._t_lift = np.inf
         self.last_touch = -np.inf
         """Last instant at which there was contact [s]."""
@@ -102,22 +103,17 @@ class SurfaceFollower:
         """Joint angles ``(n,)`` [rad] above the start of the reference, where the arm has to rest."""
         return self._q_start.copy()
 
-    @property
-    def t_travel(self) -> float:
-        """Instant at which the travel began; infinite before [s]."""
-        return self._t_travel
-
     def observe(self, t: float, q_a: Array) -> None:
         """Takes the arm angles ``(n,)`` [rad] at ``t`` [s]; every cycle, before the samples of the cycle."""
         self.history.add(t, q_a)
 
     def speed_at(self, t: float) -> float:
         """Speed of the travel at ``t`` [m/s]."""
-        return self.profile.at(t - self._t_travel)[1] if np.isfinite(self._t_travel) else 0.0
+        return self.profile.at(t - self.t_travel)[1] if np.isfinite(self.t_travel) else 0.0
 
     def s_at(self, t: float) -> float:
         """Arc length of the travel at ``t`` [m]."""
-        return self.profile.at(t - self._t_travel)[0] if np.isfinite(self._t_travel) else 0.0
+        return self.profile.at(t - self.t_travel)[0] if np.isfinite(self.t_travel) else 0.0
 
     def press_as(self, elasticity: float) -> None:
         """Assumes this elasticity of tip and surface [N/m] from now on."""
@@ -150,7 +146,7 @@ class SurfaceFollower:
         forces = np.array([pose.rotation @ f for pose, f in zip(poses, contact, strict=True)])
         s, lateral, height = self.reference.project(points, self.s_at(float(t[-1])), span=TOGETHER)
         # Before the travel all is felt at one place. How the tip gives way there while the force rises is no slope.
-        s = np.where(t < self._t_travel, 0.0, s)
+        s = np.where(t < self.t_travel, 0.0, s)
         frames = self.reference.frames(s)
         middle = len(t) // 2
         up, across, along = frames.up[middle], frames.normal[middle], frames.tangent[middle]
@@ -191,12 +187,7 @@ class SurfaceFollower:
         return self._contact_since is not None and self.phase not in (Phase.LIFT, Phase.DONE)
 
     def _in_common(self, value: Array, sinking: float) -> Array:
-        """Covariance of what the samples of a cycle have in common ``(m, m)`` [m²].
-
-        Args:
-            value: deviations that the forces show ``(m,)`` [m].
-            sinking: velocity of the tip out of the surface [m/s].
-        """
+        """Covariance ``(m, m)`` [m²] of what a cycle's samples have in common; ``sinking``: the tip's way out [m/s]."""
         if self.phase is Phase.SETTLE:
             # At the wanted force the height is known whatever E is; on the way there E is as doubtful as at first. How
             # the tip gives way while the force rises tells little of E along the path.
@@ -267,7 +258,7 @@ class SurfaceFollower:
 
     def _rows(self, cycles: NDArray[np.int_]) -> NDArray[np.int_]:
         """Rows of the tables for absolute cycles: the first one before the travel, the last one behind it."""
-        travel = round(self._t_travel / self._T) if np.isfinite(self._t_travel) else np.iinfo(np.int64).max // 2
+        travel = round(self.t_travel / self._T) if np.isfinite(self.t_travel) else np.iinfo(np.int64).max // 2
         return np.clip(cycles - travel, 0, len(self._table) - 1).astype(int)
 
     def advance(self, t: float) -> None:
@@ -280,8 +271,8 @@ class SurfaceFollower:
             self._near_since = (self._near_since if self._near_since is not None else t) if near else None
             if self._near_since is not None and t - self._near_since >= self.settings.settle:
                 self.phase = Phase.TRAVEL
-                self._t_travel = (k + FROZEN + 1) * self._T
-        elif self.phase is Phase.TRAVEL and t > self._t_travel + self.profile.duration + self.settings.settle:
+                self.t_travel = (k + FROZEN + 1) * self._T
+        elif self.phase is Phase.TRAVEL and t > self.t_travel + self.profile.duration + self.settings.settle:
             self.phase = Phase.LIFT
             self._t_lift = t
             self._lift_from = self._plan.position[0].copy()
@@ -298,7 +289,7 @@ class SurfaceFollower:
             estimate[:, 1] = self._height - self.settings.approach * (t + ahead)
         elif self.phase is Phase.TRAVEL:
             depth = self.settings.asking / self.settings.elasticity
-            estimate[:, 1] -= depth * np.sin(2.0 * np.pi * ASKED * (t + ahead - self._t_travel))
+            estimate[:, 1] -= depth * np.sin(2.0 * np.pi * ASKED * (t + ahead - self.t_travel))
         elif self.phase in (Phase.LIFT, Phase.DONE):
             rise = np.clip((t + ahead - self._t_lift) * 0.05, 0.0, self.settings.clearance)
             estimate = self._lift_from + np.column_stack([np.zeros(len(rise)), rise])

@@ -61,7 +61,6 @@ class DeviationModel(ABC):
 
     def travel(self, s: float) -> tuple[Array, Array] | None:
         """Transition ``(F, Q)`` of the state when the arm has come to arc length ``s``; None if there is none (yet)."""
-        del s
         return None
 
     def carry(self, way: float, out: tuple[Array, Array] | None = None) -> tuple[Array, Array] | None:
@@ -71,7 +70,6 @@ class DeviationModel(ABC):
             way: [m].
             out: matrices of an earlier call that take the result; new ones if None.
         """
-        del way, out
         return None
 
     def told(self, s: Array, stand: Stand) -> bool:
@@ -79,7 +77,6 @@ class DeviationModel(ABC):
 
         A measurement there is worth as much late as in time. Where the state changes on its way that is not so.
         """
-        del s, stand
         return not self.drifts
 
     def spread(self, s: Array, stand: Stand) -> Array | None:
@@ -89,7 +86,6 @@ class DeviationModel(ABC):
             s: arc lengths [m].
             stand: of the state.
         """
-        del s, stand
         return None
 
 

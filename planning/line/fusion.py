@@ -208,8 +208,9 @@ class DeviationFilter:
         Returns:
             ``(m, directions)`` [m] and its variance ``(m, directions)`` [m²].
         """
-        H = self.model.basis(s, self._stand)
-        mean, variance = self.mean_and_variance(H.reshape(-1, self.model.size))
+        H, size, kf = self.model.basis(s, self._stand), self.model.size, self._track.kf
+        mean, variance = mean_and_variance(np.ascontiguousarray(H.reshape(-1, size)), kf.x[:size],
+                                           np.ascontiguousarray(kf.P[:size, :size]))
         ahead = self.model.spread(s, self._stand)
         return mean.reshape(H.shape[:2]), variance.reshape(H.shape[:2]) + (0.0 if ahead is None else ahead)
 
@@ -251,11 +252,6 @@ class DeviationFilter:
         """The deviation alone, ``(m, directions)`` [m]."""
         H = self.model.basis(s, self._stand)
         return np.asarray((H.reshape(-1, self.model.size) @ self.state).reshape(H.shape[:2]))
-
-    def mean_and_variance(self, H: Array) -> tuple[Array, Array]:
-        """Mean and variance ``(m,)`` of linear functions ``H (m, size)`` of the state, e.g. rows of a basis."""
-        size, kf = self.model.size, self._track.kf
-        return mean_and_variance(np.ascontiguousarray(H), kf.x[:size], np.ascontiguousarray(kf.P[:size, :size]))
 
     def covariance(self, H: Array) -> Array:
         """Covariance ``(m, m)`` of linear functions ``H (m, size)`` of the state."""

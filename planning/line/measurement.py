@@ -274,15 +274,7 @@ def extended(H: Array, z: Array, R: Array, x: Array, P: Array, origin: Array,  #
 
 @jit()
 def _compared(x: Array, P: Array, H: Array, z: Array, R: Array) -> tuple[Array, Array, float, float]:
-    """Innovation, its covariance, its normalised square, the logarithm of the covariance's determinant.
-
-    Args:
-        x: state ``(n,)``.
-        P: its covariance ``(n, n)``.
-        H: rows ``(m, n)``.
-        z: values ``(m,)``.
-        R: their covariance ``(m, m)``.
-    """
+    """Innovation, its covariance, its normalised square, the logarithm of the covariance's determinant."""
     innovation, S = z - H @ x, H @ P @ H.T + R
     nis: float = np.sum(innovation * np.linalg.solve(S, innovation))
     return innovation, S, nis, np.linalg.slogdet(S)[1]

@@ -91,12 +91,11 @@ def _laws(samples: int, T: float, cutoff: float) -> tuple[Array, ...]:
     for i in range(samples):
         power = A @ power
         free[i] = power
-    response = [B]
-    for _ in range(samples - 1):
-        response.append(A @ response[-1])
-    for i in range(samples):
-        for j in range(i + 1):
-            forced[i, :, j] = response[i - j]
+    response = B
+    for late in range(samples):
+        for j in range(samples - late):
+            forced[j + late, :, j] = response
+        response = A @ response
     G = forced[:, 0]
     laws = []
     frequency = cutoff
@@ -253,11 +252,9 @@ class DesiredPath:
             start = start.copy()
             offset = self._q[new - 1] - self.q_reference[new - 1] if new else 0.0
             start[max(new - first, 0) :] = self.q_reference[max(new, first) : end] + offset
-        self._q[first:end] = self._kinematics.refine_rows(*self._targets(first, end), start,
-                                                          wanted=self.q_reference[first:end])
+        coming = slice(first, end)
+        self._q[coming] = self._kinematics.refine_rows(
+            self._table.rotations[coming], self._table.displaced(coming, self._plan[0, coming]), start,
+            wanted=self.q_reference[coming])
         self._solved_to = end - 1
         self._ever_solved = max(self._ever_solved, end - 1)
-
-    def _targets(self, first: int, end: int) -> tuple[Array, Array]:
-        """Rotations ``(m, 3, 3)`` and positions ``(m, 3)`` [m] of the tool in the cycles ``first … end - 1``."""
-        return self._table.rotations[first:end], self._table.displaced(slice(first, end), self._plan[0, first:end])

@@ -142,7 +142,7 @@ class InverseKinematics:
             scatter = (0.5 + attempt * _golden(self.robot.n)) % 1.0
             guess = home if attempt == 0 else home + 0.5 * (lower + scatter * (upper - lower) - home)
             try:
-                found.append(self.solve(target, self._wrapped(guess)))
+                found.append(self.solve(target, np.clip(guess, self.robot.q_min, self.robot.q_max)))
             except OutOfReachError as error:
                 failures.append(error)
                 continue
@@ -224,9 +224,6 @@ class InverseKinematics:
             limit = self.robot.q_max[joint] if q[joint] > self.robot.q_max[joint] else self.robot.q_min[joint]
             raise OutOfReachError(_position(position), 0.0, joint + 1, float(q[joint]), float(limit))
         return q
-
-    def _wrapped(self, q: Array) -> Array:
-        return np.clip(q, self.robot.q_min, self.robot.q_max)
 
 
 def _golden(n: int) -> Array:

@@ -109,18 +109,12 @@ def tool_jacobian(tool: Tool, q: Array, J: Array, T_R: Array, T_p: Array) -> Non
 
 
 @jit()
-def newton_step(tool: Tool, target_R: Array, target_p: Array, q: Array, wanted: Array, J: Array, error: Array
+def _newton_step(tool: Tool, target_R: Array, target_p: Array, q: Array, wanted: Array, J: Array, error: Array
                 ) -> tuple[NDArray[np.floating[Any]], bool]:
     """Change of the joint angles ``(n,)`` towards a pose, and whether its error is less than half a turn.
 
-    Args:
-        tool: kinematics.
-        target_R: rotation wanted ``(3, 3)``.
-        target_p: place wanted ``(3,)`` [m].
-        q: joint angles ``(n,)`` [rad].
-        wanted: those that more than six joints come as near to as the pose lets them ``(n,)`` [rad].
-        J: room for the Jacobian ``(6, n)``.
-        error: pose error before the step ``(6,)`` [m, rad], written to.
+    ``J (6, n)`` and ``error (6,)`` [m, rad], before the step, are written to. More than six joints come as near to
+    ``wanted (n,)`` [rad] as the pose lets them.
     """
     T_R, T_p, away_R, away_p = np.empty((3, 3)), np.empty(3), np.empty((3, 3)), np.empty(3)
     tool_jacobian(tool, q, J, T_R, T_p)
@@ -176,7 +170,7 @@ def refined(tool: Tool, targets_R: Array, targets_p: Array, q: Array, wanted: Ar
         targets_R: rotations wanted ``(N, 3, 3)``.
         targets_p: places wanted ``(N, 3)`` [m].
         q: ``(N, n)`` [rad], changed.
-        wanted: as for ``newton_step``, of each pose ``(N, n)`` [rad].
+        wanted: what more than six joints come near to in each pose ``(N, n)`` [rad].
         tolerance: see above [m², rad²].
         most: steps of a pose at most.
 
@@ -188,7 +182,7 @@ def refined(tool: Tool, targets_R: Array, targets_p: Array, q: Array, wanted: Ar
         found = q[i].copy()
         done = False
         for _ in range(most):
-            change, near = newton_step(tool, targets_R[i], targets_p[i], found, wanted[i], J, error)
+            change, near = _newton_step(tool, targets_R[i], targets_p[i], found, wanted[i], J, error)
             if not near:
                 return i
             found += change

@@ -14,6 +14,8 @@ from planning import PlanningError
 
 AHEAD = 0.05
 """How far ahead of the last sample one can ask [s]."""
+_KEPT = 2.5
+"""How far back one can ask [s]; what sensors see may be known 2 s later."""
 _ROWS = 0.05
 """How far from a picture's middle row another row's exposure may be at most [s]."""
 
@@ -38,13 +40,10 @@ class PoseHistory:
 
     Args:
         robot: the arm.
-        length: how far back one can ask [s]; what sensors see may be known 2 s later.
-        ahead: how far ahead of the last sample one can ask [s].
     """
 
-    def __init__(self, robot: Robot, length: float = 2.5, ahead: float = AHEAD) -> None:
+    def __init__(self, robot: Robot) -> None:
         self._robot, self._data, self._tool = robot, robot.pinocchio.createData(), robot.tool_id
-        self._length, self._ahead = length, ahead
         self._t: deque[float] = deque()
         self._q: deque[Array] = deque()
         self._asked: dict[float, pin.SE3] = {}
@@ -61,7 +60,7 @@ class PoseHistory:
         self._asked.clear()
         self._t.append(t)
         self._q.append(np.array(q, dtype=float))
-        while self._t[0] < t - self._length and len(self._t) > 4:
+        while self._t[0] < t - _KEPT and len(self._t) > 4:
             self._t.popleft()
             self._q.popleft()
 
@@ -80,7 +79,7 @@ class PoseHistory:
             PlanningError: ``t`` lies before the history or too far after it.
         """
         times = self._t
-        if not times or t < times[0] - 1e-9 or t > times[-1] + self._ahead:
+        if not times or t < times[0] - 1e-9 or t > times[-1] + AHEAD:
             span = f"{times[0]:.3f} to {times[-1]:.3f} s" if times else "nothing"
             raise PlanningError(f"no pose at t = {t:.3f} s: the history holds {span}; is a time stamp wrong?")
         if len(times) < 4:

@@ -18,26 +18,17 @@ KNOT = 0.002
 """Spacing of the points [m]; between them the curvature is linear."""
 
 
-def even_steps(points: Array, chord: Array, smoothing: float) -> tuple[Array, Array]:
+def _even_steps(points: Array, chord: Array, smoothing: float) -> tuple[Array, Array]:
     """Averages the points and gives them even steps of arc length: points ``(K, 3)`` and arc lengths ``(K,)``.
 
-    Args:
-        points: of the curve ``(N, 3)`` [m].
-        chord: length along the polygon up to each point ``(N,)`` [m].
-        smoothing: the curve is averaged twice over half of this length [m].
+    The curve is averaged twice over half of ``smoothing`` [m]; ``chord (N,)`` is the length along the polygon [m].
     """
     fine = max(round(chord[-1] / 0.0005), 20)
     grid = np.linspace(0.0, chord[-1], fine + 1)
     # Sparse points are corners of a polygon, dense ones a curve.
-    dense = len(points) > 50
-    curve = (
-        CubicSpline(chord, points)(grid)
-        if dense
-        else interpolated(grid, chord, points)
-    )
-    curve = averaged(
-        averaged(curve, round(0.5 * smoothing / (grid[1] - grid[0]))), round(0.5 * smoothing / (grid[1] - grid[0]))
-    )
+    curve = CubicSpline(chord, points)(grid) if len(points) > 50 else interpolated(grid, chord, points)
+    width = round(0.5 * smoothing / (grid[1] - grid[0]))
+    curve = averaged(averaged(curve, width), width)
     for _ in range(3):
         s = arc_lengths(curve)
         spline = CubicSpline(s, curve)
@@ -125,7 +116,7 @@ class ReferencePath:
         points, chord = points[keep], np.concatenate([[0.0], np.cumsum(step[step > 1e-9])])
         if len(points) < 2 or chord[-1] < 0.01:
             raise InputError("the path is shorter than 10 mm", field="path", value=float(chord[-1]))
-        even, knots = even_steps(points, chord, smoothing)
+        even, knots = _even_steps(points, chord, smoothing)
         self.length = float(knots[-1])
         self._knot = float(knots[1] - knots[0])
         spline = CubicSpline(knots, even)

@@ -74,16 +74,11 @@ def undistort(x_d: float, y_d: float, k: Array) -> tuple[float, float]:
 
 
 @jit()
-def project_points(points: Array, K: Array, k: Array) -> Array:
-    """Pixels ``(m, 2)`` of points ``(m, 3)`` in the camera frame; NaN behind the camera.
-
-    Args:
-        points: ``(m, 3)`` [m].
-        K: camera matrix ``(3, 3)`` [px].
-        k: distortion k1, k2, p1, p2, k3 ``(5,)``.
+def _project_points(points: Array, K: Array, k: Array) -> Array:
+    """Pixels ``(m, 2)`` of points ``(m, 3)`` [m] in the camera frame; NaN behind the camera.
 
     >>> K = np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]])
-    >>> project_points(np.array([[0.0, 0.0, 0.5], [0.01, 0.0, 0.5], [0.0, 0.0, -0.5]]), K, np.zeros(5))
+    >>> _project_points(np.array([[0.0, 0.0, 0.5], [0.01, 0.0, 0.5], [0.0, 0.0, -0.5]]), K, np.zeros(5))
     array([[320., 240.],
            [330., 240.],
            [ nan,  nan]])
@@ -153,18 +148,10 @@ class CalibrationError:
 
     def signed(self, rng: np.random.Generator) -> dict[str, float]:
         """The same sizes with random signs, as arguments of ``CameraModel.perturbed``."""
-        sign = rng.choice([-1.0, 1.0], size=9)
-        return {
-            "roll": sign[0] * self.roll,
-            "pitch": sign[1] * self.pitch,
-            "yaw": sign[2] * self.yaw,
-            "height": sign[3] * self.height,
-            "lateral": sign[4] * self.lateral,
-            "focal": sign[5] * self.focal,
-            "principal_u": sign[6] * self.principal_point,
-            "principal_v": sign[7] * self.principal_point,
-            "k1": sign[8] * self.distortion,
-        }
+        names = ("roll", "pitch", "yaw", "height", "lateral", "focal", "principal_u", "principal_v", "k1")
+        sizes = np.array([self.roll, self.pitch, self.yaw, self.height, self.lateral, self.focal, self.principal_point,
+                          self.principal_point, self.distortion])
+        return dict(zip(names, rng.choice([-1.0, 1.0], size=9) * sizes, strict=True))
 
 
 @dataclass(frozen=True)
@@ -247,7 +234,7 @@ class CameraModel:
 
     def project(self, points: Array) -> Array:
         """Pixels ``(m, 2)`` of points ``(m, 3)`` [m] given in the camera frame; NaN behind the camera."""
-        return project_points(np.ascontiguousarray(points, dtype=float), self.K, self.distortion)
+        return _project_points(np.ascontiguousarray(points, dtype=float), self.K, self.distortion)
 
     def rays(self, pixels: Array) -> Array:
         """Undistorted rays ``(m, 3)`` with z = 1 in the camera frame of pixels ``(m, 2)``.

@@ -105,7 +105,7 @@ class HandEye:
 
 
 def calibration_poses(
-    centre: Array, tangent: Array, normal: Array, ahead: float, move: float = 0.04, lift: float = 0.045
+    centre: Array, tangent: Array, normal: Array, ahead: float
 ) -> list[pin.SE3]:
     """Tool poses from which one piece of the line determines all mounting parameters of the camera.
 
@@ -119,10 +119,8 @@ def calibration_poses(
         tangent: direction of the line there ``(3,)``.
         normal: of the surface there, towards the camera ``(3,)``.
         ahead: how far ahead of the TCP the camera looks [m].
-        move: size of the moves along the line and sideways [m].
-        lift: size of the moves upward [m].
     """
-    poses = []
+    poses, move, lift = [], 0.04, 0.045
     z = -np.asarray(normal, dtype=float)
     x = np.asarray(tangent, dtype=float)
     turn_0 = np.column_stack([x, np.cross(z, x), z])
@@ -184,14 +182,9 @@ def calibrate(
 
 def _shared(values: Array, covariance: Array, height: int, of_camera: float, of_surface: float
             ) -> tuple[Array, Array]:
-    """A height that was seen, shared by camera and surface; the surface's is the last of the parameters ``(k + 1,)``.
+    """A height that was seen, shared by camera and surface by the variances of both beforehand [m²].
 
-    Args:
-        values: parameters that were found ``(k,)``.
-        covariance: of them ``(k, k)``.
-        height: place of the height among them.
-        of_camera: variance of the camera's height beforehand [m²].
-        of_surface: of the surface's [m²].
+    The surface's is the last of the parameters returned ``(k + 1,)``; ``height`` is the place of the camera's.
     """
     k, share = len(values), of_surface / (of_camera + of_surface)
     parts, together = np.eye(k + 1, k), np.zeros(k + 1)
@@ -286,13 +279,9 @@ class _Problem:
         return np.asarray(origin + depth[:, None] * ray)
 
     def solve(self, values: Array, scale: Array, steps: int = 6, still: float = _STILL) -> _Fit:
-        """Gauss-Newton steps from ``values`` until they stand still.
+        """Gauss-Newton steps from ``values (k,)`` until none moves a parameter by more than ``still`` of its ``scale``.
 
-        Args:
-            values: of the parameters, to start from ``(k,)``.
-            scale: standard deviations known beforehand ``(k,)``.
-            steps: at most; with none, only the common curve is fitted and nothing is said of the covariance.
-            still: share of ``scale`` that counts as standing still.
+        With no steps only the common curve is fitted and nothing is said of the covariance.
         """
         n, moves = len(values), np.inf
         for step in range(steps + 1):

@@ -35,6 +35,8 @@ COLOR = np.array([1.0, 2.0, 2.0])
 """Weights of Lab in 8 bits: there lightness goes to 255, and in Lab itself to 100, a and b are the same in both."""
 _EDGES, _PAIRS = 28, 48
 """Edges and pairs that are kept in a column."""
+_MOST = 8
+"""Paths of either direction and scale at most."""
 _LEAST = 4.0
 """Contrast below which nothing is looked at [gray]."""
 _GAP = 4
@@ -66,13 +68,12 @@ def lab_picture(picture: NDArray[np.uint8]) -> Lab:
     return lab
 
 
-def paths(lab: Lab, *, widest: float, most: int = 8) -> list[Path]:
+def paths(lab: Lab, *, widest: float) -> list[Path]:
     """The paths that stand out most, along the picture's columns and along its rows.
 
     Args:
         lab: of ``lab_picture``.
         widest: of the lines, as a share of the picture's shorter side; 0 for single edges in the place of pairs.
-        most: how many of either direction and scale at most.
     """
     height, width = lab.shape[:2]
     edges = widest == 0.0
@@ -91,7 +92,7 @@ def paths(lab: Lab, *, widest: float, most: int = 8) -> list[Path]:
             nodes, counts = _nodes(small, edges, widest * min(height, width) / scale)
             sums, came = _linked(nodes, counts, spacing)
             taken = np.zeros(sums.shape, np.bool_)
-            for _ in range(most):
+            for _ in range(_MOST):
                 place, score = _traced(nodes, counts, sums, came, taken)
                 if len(place) < 4:
                     continue
@@ -165,17 +166,9 @@ def _nodes(columns: Floats, single: bool, widest: float) -> tuple[Floats, Intege
 
 @jit(fastmath=True)
 def _compared(total: Array, square: Array, first: float, last: float, one: Floats) -> bool:
-    """Sets the fields of the pair of edges at ``first`` and ``last``, of one edge if they are the same.
+    """Whether the edges at ``first`` and ``last`` [px], or one if they are the same, have enough contrast.
 
-    Args:
-        total: sums ``(rows + 1, 3)`` of the column.
-        square: sums of squares ``(rows + 1,)``.
-        first: place of the first edge [px].
-        last: place of the second one.
-        one: ``(fields,)``.
-
-    Returns:
-        Whether there is enough contrast.
+    ``total (rows + 1, 3)`` and ``square (rows + 1,)`` are sums of the column and its squares; ``one`` gets the fields.
     """
     rows = square.size - 1
     w, single = last - first, first == last

@@ -96,11 +96,7 @@ def fit_line_polynomial(
 @jit()
 def _fitted(s: Array, deviation: Array, variance: Array, used: NDArray[np.bool_], degree: int, outlier: float
             ) -> tuple[float, float, Array, NDArray[np.floating[Any]], Array, float, float, float]:
-    """The fit of ``fit_line_polynomial``, which clears the points that it drops in ``used``.
-
-    Returns:
-        centre, scale, coefficients, covariance, combination, residual, and both ends of the span.
-    """
+    """The fit of ``fit_line_polynomial``, and both ends of its span; clears the points that it drops in ``used``."""
     inside = s[used]
     centre, scale = 0.5 * (inside.min() + inside.max()), max(0.5 * (inside.max() - inside.min()), 1e-6)
     while True:

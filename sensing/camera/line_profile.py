@@ -69,23 +69,16 @@ def _solve(A: Array, b: Array) -> bool:
                     A[r, c] -= f * A[i, c]
                     inverse[r, c] -= f * inverse[i, c]
                 b[r] -= f * b[i]
-    for r in range(n):
-        for c in range(n):
-            A[r, c] = inverse[r, c]
+    A[:] = inverse
     return True
 
 
 @jit()
 def _normal_equations(patch: NDArray[np.uint8], scan: tuple[float, float, float, float, float],
                       box: tuple[float, float, float, float, float], A: Array, g: Array) -> tuple[float, int]:
-    """Sets ``A`` and ``g`` to those of one step; returns the sum of the squared residuals and how many pixels count.
+    """Sets ``A (5, 5)``, ``g (5,)`` for b, m, c, u_0, w; sum of the squared residuals, and how many pixels count.
 
-    Args:
-        patch: as in ``fit_section``.
-        scan: start, slant, reach, blur [px] and polarity.
-        box: u_0, w [px], c, b [gray], m [gray/px] so far.
-        A: ``(5, 5)`` for b, m, c, u_0, w.
-        g: ``(5,)``, likewise.
+    ``scan``: start, slant, reach, blur [px] and polarity; ``box``: u_0, w [px], c, b [gray], m [gray/px] so far.
     """
     start, slant, reach, blur, polarity = scan
     u0, w, c, b, m = box
@@ -161,10 +154,9 @@ def fit_section(patch: NDArray[np.uint8], start: float, slant: float, width: flo
 
 
 @jit()
-def _edges(profile: Array, threshold: float) -> tuple[Array, Array, Array, Array]:
-    """Falling and rising edges of a profile: sub-pixel positions and steepness, strongest neighbours only."""
+def _edges(profile: Array, threshold: float) -> tuple[Array, Array]:
+    """Falling and rising edges of a profile, sub-pixel, strongest neighbours only."""
     falling, rising = np.empty(MAX_EDGES), np.empty(MAX_EDGES)
-    steep_f, steep_r = np.empty(MAX_EDGES), np.empty(MAX_EDGES)
     nf = nr = 0
     n = profile.size
     slope = np.zeros(n)
@@ -178,12 +170,12 @@ def _edges(profile: Array, threshold: float) -> tuple[Array, Array, Array, Array
         if slope[j] * slope[j - 1] > 0.0 and slope[j] * slope[j + 1] > 0.0 and 2.0 * s - a - z > 0.0:
             shift = 0.5 * (z - a) / (2.0 * s - a - z)
         if slope[j] < 0.0 and nf < MAX_EDGES:
-            falling[nf], steep_f[nf] = j + shift, s
+            falling[nf] = j + shift
             nf += 1
         elif slope[j] > 0.0 and nr < MAX_EDGES:
-            rising[nr], steep_r[nr] = j + shift, s
+            rising[nr] = j + shift
             nr += 1
-    return falling[:nf], rising[:nr], steep_f[:nf], steep_r[:nr]
+    return falling[:nf], rising[:nr]
 
 
 @jit()
@@ -229,7 +221,7 @@ def find_sections(patch: NDArray[np.uint8], predicted: float, slant: float, widt
             c = min(max(j + round(slant * (r - 0.5 * (rows - 1))), 0), columns - 1)
             profile[j] += look.polarity * patch[r, c] / rows
     # A box of that depth, blurred, is at least this steep at its edges.
-    falling, rising, _, _ = _edges(profile, 0.15 * look.min_contrast)
+    falling, rising = _edges(profile, 0.15 * look.min_contrast)
     centres = _centres(falling, rising, predicted, width, look.width_tolerance)
     n = 0
     for i in range(min(centres.size, 2 * MAX_CANDIDATES)):

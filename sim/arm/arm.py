@@ -27,12 +27,8 @@ from sim.bullet import pybullet
 
 # What the simulated arm refuses: postures and gears that cannot be.
 
-def checked_posture(robot: Robot, q0: Array) -> Array:
-    """A posture to start from, as a new array ``(n,)``.
-
-    Raises:
-        InputError: wrong size, not finite, outside the joint limits.
-    """
+def _checked_posture(robot: Robot, q0: Array) -> Array:
+    """A posture to start from, as a new array ``(n,)``."""
     q = np.array(q0, dtype=float)
     if q.shape != (robot.n,) or not np.isfinite(q).all():
         raise InputError(f"expected {robot.n} finite joint angles", field="q0", value=q.tolist())
@@ -108,6 +104,7 @@ class SimulatedArm:
     Attributes:
         t_ipo: interpolation cycle [s].
         robot, world: as given.
+        q_a: true arm angles now ``(n,)`` [rad]; not to be written to.
         client, body: PyBullet's ids of the physics client and of the arm, for contact.
         tool_link: PyBullet's index of the link that carries the tool.
         tool_offset: pose of the tool frame in that link's (joint) frame.
@@ -143,7 +140,7 @@ class SimulatedArm:
 
         Temperatures start anew too. Raises ``InputError`` for a posture of wrong size or outside the limits.
         """
-        q0 = checked_posture(self.robot, q0)
+        q0 = _checked_posture(self.robot, q0)
         n = self.robot.n
         stiffness = np.where(self._elastic, self.world.per_joint("stiffness", n), np.inf)
         output = q0 + self._p[kernel.P_UNEVEN] * np.sin(self._p[kernel.P_UNEVEN_ORDER] * q0 + self._p[kernel.P_PHASE])
@@ -159,7 +156,7 @@ class SimulatedArm:
         self._pending = q0.copy()
         self._links = np.zeros((4, n))
         self._links[kernel.L_ANGLE] = q_a
-        self._q_a, self._qd_a = self._links[kernel.L_ANGLE], self._links[kernel.L_VELOCITY]
+        self.q_a, self._qd_a = self._links[kernel.L_ANGLE], self._links[kernel.L_VELOCITY]
         self._history = History(n, int(self._counts[kernel.N_LOG]) * STEP)
         for joint in self._joints:
             pybullet.resetJointState(self.body, joint, q_a[joint], 0.0, physicsClientId=self.client)
@@ -193,7 +190,7 @@ class SimulatedArm:
         """The steps of one cycle: 2000 of them make a second, so names are looked up before the loop."""
         client, body, joints = self.client, self.body, self._joints
         p, s, counts, x, links = self._p, self._shared, self._counts, self._x, self._links
-        q_a, qd_a, torque = self._q_a, self._qd_a, links[kernel.L_TORQUE]
+        q_a, qd_a, torque = self.q_a, self._qd_a, links[kernel.L_TORQUE]
         angles, speeds = memoryview(q_a), memoryview(qd_a)  # written number by number in a third of the time
         every, rotors, history = int(counts[kernel.N_LOG]), self._rotors, self._history
         extra_torque, hook = self._extra_torque, self.step_hook
@@ -224,7 +221,7 @@ class SimulatedArm:
 
     def _state(self, noise: Array) -> RobotState:
         """Encoder and current as the controller last read them, the encoder brought to the end of the cycle."""
-        q = np.where(self._elastic, self._x[kernel.X_MOTOR], self._q_a)
+        q = np.where(self._elastic, self._x[kernel.X_MOTOR], self.q_a)
         if self.world.quantisation:
             increment = self._p[kernel.C_INCREMENT]
             q = np.floor(q / increment + 0.5) * increment
@@ -242,15 +239,10 @@ class SimulatedArm:
         return self._tick * STEP
 
     @property
-    def q_a(self) -> Array:
-        """True arm angles now ``(n,)``; not to be written to."""
-        return self._q_a
-
-    @property
     def truth(self) -> TrueState:
         """The true arm now."""
-        q_m = np.where(self._elastic, self._x[kernel.X_MOTOR], self._q_a)
-        return TrueState(self.t, self._q_a.copy(), q_m, self.tcp_of(self._q_a))
+        q_m = np.where(self._elastic, self._x[kernel.X_MOTOR], self.q_a)
+        return TrueState(self.t, self.q_a.copy(), q_m, self.tcp_of(self.q_a))
 
     def tcp_of(self, q_a: Array) -> pin.SE3:
         """Pose of the tool frame at arm angles ``(n,)``."""
@@ -267,7 +259,7 @@ class SimulatedArm:
 
     def q_at(self, t: float) -> Array:
         """True arm angles ``(n,)`` [rad] at a time ``t`` [s] within the history, as ``tcp_at``."""
-        return self._history.pose(t, self.t, self._q_a, self._qd_a)
+        return self._history.pose(t, self.t, self.q_a, self._qd_a)
 
     def history(self) -> dict[str, Array]:
         """The true arm every 2 ms or finer.

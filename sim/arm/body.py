@@ -48,7 +48,7 @@ def load_links(model: pin.Model, client: int, tool: pin.SE3 | None = None, tool_
     """
     with temporary_folder() as folder:
         path = folder / "links.urdf"
-        path.write_text(links_urdf(model, tool, tool_radius), encoding="utf-8")
+        path.write_text(_links_urdf(model, tool, tool_radius), encoding="utf-8")
         body = pybullet.loadURDF(str(path), useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
                                  physicsClientId=client)
     for link in range(-1, model.nv):
@@ -59,15 +59,10 @@ def load_links(model: pin.Model, client: int, tool: pin.SE3 | None = None, tool_
     return int(body)
 
 
-def links_urdf(model: pin.Model, tool: pin.SE3 | None = None, tool_radius: float = 0.0) -> str:
-    """A URDF with the bare links of a serial Pinocchio model: one link per joint, inertias about principal axes.
+def _links_urdf(model: pin.Model, tool: pin.SE3 | None = None, tool_radius: float = 0.0) -> str:
+    """A URDF with the bare links of a serial Pinocchio model; tool ball as for ``load_links``.
 
-    Principal axes spare PyBullet its own diagonalisation, which is less exact.
-
-    Args:
-        model: Pinocchio model of ``n`` joints.
-        tool: pose of the TCP in the frame of the last joint, if a ball about it shall collide with other bodies.
-        tool_radius: its radius [m].
+    One link per joint, inertias about principal axes: PyBullet's own diagonalisation is less exact.
     """
     data = model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
@@ -273,12 +268,7 @@ def _load(robot: Robot, client: int) -> int:
 
 
 def _with_rods(text: str, radius: float) -> str:
-    """The same URDF, its links drawn as rods to the next joint if it has no shape to be seen.
-
-    Args:
-        text: of the URDF.
-        radius: of the rods [m].
-    """
+    """The same URDF, its links drawn as rods of ``radius`` [m] to the next joint if it has no shape to be seen."""
     root = ET.fromstring(text)
     if root.find("./link/visual") is not None:
         return text
@@ -321,8 +311,8 @@ def _extent(body: int, joints: int, client: int) -> tuple[Array, Array]:
     return array.min(axis=0) - 0.25, array.max(axis=0) + 0.35
 
 
-def _draw(line: Array, client: int, radius: float = 0.004) -> None:
-    """A rod along a polyline ``(N, 3)`` [m]: one mesh, since Bullet takes over a millisecond a body."""
+def _draw(line: Array, client: int) -> None:
+    """A rod of radius 4 mm along a polyline ``(N, 3)`` [m]: one mesh, since Bullet takes over a millisecond a body."""
     start, rod = line[:-1], np.diff(line, axis=0)
     length = np.linalg.norm(rod, axis=1, keepdims=True)
     start, rod, length = (rows[length[:, 0] > 1.0e-9] for rows in (start, rod, length))
@@ -335,7 +325,7 @@ def _draw(line: Array, client: int, radius: float = 0.004) -> None:
     angles = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
     normals = np.cos(angles)[:, None] * across[:, None] + np.sin(angles)[:, None] * over[:, None]
     ends = np.stack([start, start + rod], axis=1)
-    vertices = ends[:, :, None] + radius * normals[:, None]
+    vertices = ends[:, :, None] + 0.004 * normals[:, None]
     side = np.arange(_SIDES)
     after = (side + 1) % _SIDES
     faces = np.column_stack([side, after, side + _SIDES, after, after + _SIDES, side + _SIDES])
@@ -347,17 +337,17 @@ def _draw(line: Array, client: int, radius: float = 0.004) -> None:
     pybullet.createMultiBody(0.0, -1, shape, physicsClientId=client)
 
 
-def _lay(corners: Array, client: int, thickness: float = 0.01) -> None:
-    """A plate whose upper side is the parallelogram of the corners, given in order."""
+def _lay(corners: Array, client: int) -> None:
+    """A plate, 10 mm thick, whose upper side is the parallelogram of the corners, given in order."""
     along, across = corners[1] - corners[0], corners[3] - corners[0]
     length, width = float(np.linalg.norm(along)), float(np.linalg.norm(across))
     normal = np.cross(along, across)
     normal *= np.sign(normal[2]) / np.linalg.norm(normal) if normal[2] else 1.0 / np.linalg.norm(normal)
     x = along / length
     rotation = np.column_stack([x, np.cross(normal, x), normal])
-    shape = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=[0.5 * length, 0.5 * width, 0.5 * thickness],
+    shape = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=[0.5 * length, 0.5 * width, 0.005],
                                        rgbaColor=[0.97, 0.97, 0.93, 1.0], physicsClientId=client)
     # The line is drawn as a rod with its middle on the surface.
-    place = 0.25 * corners.sum(axis=0) - (0.5 * thickness + 0.002) * normal
+    place = 0.25 * corners.sum(axis=0) - 0.007 * normal
     pybullet.createMultiBody(0.0, -1, shape, place.tolist(), pin.Quaternion(rotation).coeffs().tolist(),
                              physicsClientId=client)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
 from sim.arm import kernel
-from sim.arm.kernel import C_INCREMENT, C_KFF, C_KI, C_KP, C_KV, C_LIMIT, CONTROLLER_PARAMETERS
 from sim.arm.world import STEP, World
 
 # The industrial controller of the simulated arm: the KRC1 of [G] Fig. 15.
@@ -18,24 +17,13 @@ from sim.arm.world import STEP, World
 # command every t_ipo → linear interpolation → low-pass → position loop (P, velocity feedforward) every t_position
 # → velocity loop (PI, velocity from a low-pass differentiator of the encoder) every t_velocity → current
 
-def controller_parameters(world: World, n: int, torque_limit: Array, gear_ratio: Array) -> Array:
-    """Packs the controller's numbers for the compiled step, shape ``(CONTROLLER_PARAMETERS, n)``.
-
-    Args:
-        world: the true world.
-        n: number of joints.
-        torque_limit: on the joint side ``(n,)`` [N m].
-        gear_ratio: motor turns per joint turn ``(n,)``.
-    """
-    p = np.zeros((CONTROLLER_PARAMETERS, n))
-    p[C_KV] = world.per_joint("position_gain", n)
-    p[C_KFF] = world.per_joint("velocity_feedforward", n)
-    p[C_KP] = world.per_joint("velocity_gain", n)
-    p[C_KI] = p[C_KP] * world.t_velocity / world.per_joint("integral_time", n)
-    p[C_LIMIT] = torque_limit if world.torque_limits else np.inf
-    if world.quantisation:
-        p[C_INCREMENT] = 2.0 * math.pi / (world.per_joint("encoder_increments", n) * gear_ratio)
-    return p
+PER_JOINT = {
+    kernel.C_KV: "position_gain", kernel.C_KFF: "velocity_feedforward", kernel.C_KP: "velocity_gain",
+    kernel.P_V_STRIBECK: "stribeck_velocity", kernel.P_ASYMMETRY: "friction_asymmetry",
+    kernel.P_V_DEGRESSIVE: "degressive_velocity", kernel.P_LUBRICATION: "lubrication",
+    kernel.P_UNEVEN: "transmission_error", kernel.P_UNEVEN_ORDER: "transmission_order",
+}
+"""Rows of the parameter block that a key of the world fills as it is."""
 
 
 def motor_torque_limit(robot: Robot) -> Array:
@@ -55,12 +43,17 @@ def drive_parameters(world: World, robot: Robot, rotor_inertia: Array, drive_gai
         phase: of torque ripple and transmission error ``(n,)`` [rad].
 
     Returns:
-        Parameter block ``(PARAMETERS, n)``, shared numbers ``(SHARED,)``, step counts ``(4,)``.
+        Parameter block ``(PARAMETERS, n)``, shared numbers ``(11,)``, step counts ``(4,)``.
     """
     n = robot.n
     limit = motor_torque_limit(robot)
     p = np.zeros((kernel.PARAMETERS, n))
-    p[:kernel.CONTROLLER_PARAMETERS] = controller_parameters(world, n, limit, robot.gear_ratio)
+    for row, name in PER_JOINT.items():
+        p[row] = world.per_joint(name, n)
+    p[kernel.C_KI] = p[kernel.C_KP] * world.t_velocity / world.per_joint("integral_time", n)
+    p[kernel.C_LIMIT] = limit if world.torque_limits else np.inf
+    if world.quantisation:
+        p[kernel.C_INCREMENT] = 2.0 * math.pi / (world.per_joint("encoder_increments", n) * robot.gear_ratio)
     p[kernel.P_ROTOR] = rotor_inertia
     stiffness = world.per_joint("stiffness", n)
     elastic = np.isfinite(stiffness) if world.elasticity else np.zeros(n, dtype=bool)
@@ -73,21 +66,12 @@ def drive_parameters(world: World, robot: Robot, rotor_inertia: Array, drive_gai
     p[kernel.P_RIPPLE] = world.per_joint("torque_ripple", n) * np.where(np.isfinite(robot.tau_max), limit, 0.0)
     p[kernel.P_RIPPLE_ORDER] = world.per_joint("ripple_order", n) * robot.gear_ratio
     p[kernel.P_PHASE] = phase
-    p[kernel.P_UNEVEN] = world.per_joint("transmission_error", n)
-    p[kernel.P_UNEVEN_ORDER] = world.per_joint("transmission_order", n)
     p[kernel.P_NOISE] = world.per_joint("current_noise", n) * np.where(np.isfinite(robot.tau_max), limit, 0.0)
-    shared = np.zeros(kernel.SHARED)
-    shared[kernel.S_DT] = STEP
-    shared[kernel.S_LOW_PASS] = _share(world.t_position, world.low_pass)
-    shared[kernel.S_VELOCITY_PASS] = _share(world.t_velocity, world.velocity_filter)
-    shared[kernel.S_CURRENT_PASS] = _share(STEP, world.current_lag)
-    shared[kernel.S_T_POSITION] = world.t_position
-    shared[kernel.S_T_VELOCITY] = world.t_velocity
-    shared[kernel.S_DRY_TEMPERATURE] = world.dry_temperature
-    shared[kernel.S_VISCOSITY_TEMPERATURE] = world.viscosity_temperature
-    shared[kernel.S_REFERENCE] = world.reference_temperature
-    shared[kernel.S_AMBIENT] = world.ambient_temperature
-    shared[kernel.S_LUBRICANT_RATE] = world.time_compression / world.lubrication_time
+    shared = np.array([  # in the order of the kernel's S_…
+        STEP, _share(world.t_position, world.low_pass), _share(world.t_velocity, world.velocity_filter),
+        _share(STEP, world.current_lag), world.t_position, world.t_velocity, world.dry_temperature,
+        world.viscosity_temperature, world.reference_temperature, world.ambient_temperature,
+        world.time_compression / world.lubrication_time])
     counts = np.array([round(cycle / STEP) for cycle in
                        (world.t_ipo, world.t_position, world.t_velocity, min(world.log_cycle, 0.002))], dtype=np.int64)
     return p, shared, counts
@@ -100,19 +84,15 @@ def _pack_friction(p: Array, world: World, rotor_inertia: Array, limit: Array) -
     p[kernel.P_FRICTION] = scale > 0.0
     p[kernel.P_COULOMB] = scale * world.per_joint("coulomb", n)
     p[kernel.P_SURPLUS] = scale * world.per_joint("stribeck", n)
-    p[kernel.P_V_STRIBECK] = world.per_joint("stribeck_velocity", n)
     p[kernel.P_SIGMA0] = p[kernel.P_COULOMB] / world.per_joint("presliding", n)
     # Bristles damped to a fifth of critical on the rotor: they neither ring nor dominate the torque.
     p[kernel.P_SIGMA1] = 0.4 * np.sqrt(p[kernel.P_SIGMA0] * np.maximum(rotor_inertia, 1.0e-6))
-    p[kernel.P_ASYMMETRY] = world.per_joint("friction_asymmetry", n)
     p[kernel.P_VISCOUS] = scale * world.per_joint("viscous", n)
     p[kernel.P_DEGRESSIVE] = scale * world.per_joint("degressive", n)
-    p[kernel.P_V_DEGRESSIVE] = world.per_joint("degressive_velocity", n)
     p[kernel.P_LOAD] = world.per_joint("load_friction", n) / limit
     if world.thermal:
         p[kernel.P_THERMAL_RESISTANCE] = world.per_joint("thermal_resistance", n)
         p[kernel.P_THERMAL_RATE] = world.time_compression / world.per_joint("thermal_time_constant", n)
-    p[kernel.P_LUBRICATION] = world.per_joint("lubrication", n)
 
 
 def _share(cycle: float, time_constant: float) -> float:
@@ -130,12 +110,9 @@ def drive_start(p: Array, q0: Array, holding_torque: Array, temperature: Array) 
         temperature: of the gears ``(n,)`` [°C].
     """
     x = np.zeros((kernel.STATES, p.shape[1]))
-    for row in (kernel.X_START, kernel.X_END, kernel.X_LOW1, kernel.X_LOW2, kernel.X_COMMAND, kernel.X_ENCODER,
-                kernel.X_MOTOR):
-        x[row] = q0
-    for row in (kernel.X_INTEGRAL, kernel.X_TORQUE):
-        x[row] = holding_torque / p[kernel.P_GAIN]
-    x[kernel.X_CURRENT] = holding_torque / p[kernel.P_GAIN]
+    x[[kernel.X_START, kernel.X_END, kernel.X_LOW1, kernel.X_LOW2, kernel.X_COMMAND, kernel.X_ENCODER,
+       kernel.X_MOTOR]] = q0
+    x[[kernel.X_INTEGRAL, kernel.X_TORQUE, kernel.X_CURRENT]] = holding_torque / p[kernel.P_GAIN]
     x[kernel.X_GEAR] = holding_torque
     x[kernel.X_TEMPERATURE] = temperature
     x[kernel.X_LUBRICANT] = 1.0

@@ -97,14 +97,10 @@ def _strength(robot: Robot, gravity: Array, inertia: Array) -> Array:
 
     A limit far above what gravity and 60 rad/s² ask for does not count: such a drive would stick, which no real
     one does. A wrist's drive is not weaker than ``WEAKEST`` of the strongest, however little it carries.
-
-    Args:
-        robot: whose limits count.
-        gravity: largest gravity torque ``(n,)`` [N m].
-        inertia: with the rotors ``(n,)`` [kg m²].
     """
-    needed = np.where(robot.prismatic, 0.0, 1.5 * gravity + 60.0 * inertia)
-    needed = np.where(robot.prismatic, 1.5 * gravity + 60.0 * inertia, np.maximum(needed, WEAKEST * needed.max()))
+    needed = 1.5 * gravity + 60.0 * inertia
+    weakest = WEAKEST * np.where(robot.prismatic, 0.0, needed).max()
+    needed = np.where(robot.prismatic, needed, np.maximum(needed, weakest))
     return np.where(np.isfinite(robot.tau_max), np.minimum(robot.tau_max, needed), 1.5 * gravity + 5.0 * inertia)
 
 
@@ -155,15 +151,7 @@ def too_fast(robot: Robot, stiffness: Array, rotor: Array) -> NDArray[np.bool_]:
 # Stability of a cascade on a rotor that a spring connects with its link.
 
 def _stable(gain: float, rotor: float, links: tuple[float, ...], stiffness: float, damping: float) -> float:
-    """The gain of the velocity loop, lowered until the cascade has its margin with every one of some links.
-
-    Args:
-        gain: wanted [N m s/rad].
-        rotor: [kg m²].
-        links: moments of inertia that the joint may carry [kg m²].
-        stiffness: of the gear [N m/rad].
-        damping: of the gear [N m s/rad].
-    """
+    """The gain of the velocity loop [N m s/rad], lowered until the cascade has its margin with each of ``links``."""
     while gain > 1e-3 * BANDWIDTH * rotor and max(
             growth(factor * gain, rotor, link, stiffness, damping) for link in links for factor in (1.0, MARGIN)) > 0.0:
         gain *= 0.9

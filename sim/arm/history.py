@@ -128,14 +128,7 @@ def recording_of(robot: Robot, world: World, history: History, tcp_of: Callable[
 
 
 class _ExternalDevice:
-    """A measuring device's view of the arm, piece by piece; its noise is the same however often and in what pieces.
-
-    Args:
-        world: with the device's noise.
-        tcp_of: true pose of the tool frame at arm angles ``(n,)`` [rad].
-        length: rows that will be measured.
-        n: number of joints.
-    """
+    """A measuring device's view of the arm, piece by piece; its noise is the same however often and in what pieces."""
 
     def __init__(self, world: World, tcp_of: Callable[[Array], pin.SE3], length: int, n: int) -> None:
         self._world, self._tcp_of, self._n = world, tcp_of, n

@@ -40,7 +40,6 @@ STATES = X_CURRENT + 1
 # Numbers that all joints share.
 (S_DT, S_LOW_PASS, S_VELOCITY_PASS, S_CURRENT_PASS, S_T_POSITION, S_T_VELOCITY, S_DRY_TEMPERATURE,
  S_VISCOSITY_TEMPERATURE, S_REFERENCE, S_AMBIENT, S_LUBRICANT_RATE) = range(11)
-SHARED = S_LUBRICANT_RATE + 1
 # Step counts of the cycles.
 (N_IPO, N_POSITION, N_VELOCITY, N_LOG) = range(4)
 # Rows of what is exchanged with the links.
@@ -50,16 +49,8 @@ LOGGED = ("q_c", "q", "tau", "q_m", "q_a", "qd_a", "qd_m", "tau_motor", "tau_gea
 
 
 @jit(inline="always")
-def bristle_step(z: float, v: float, g: float, sigma0: float, dt: float) -> float:
-    """Bristle deflection after ``dt`` at constant velocity: the exact solution, so stable at any step.
-
-    Args:
-        z: deflection before [rad].
-        v: sliding velocity [rad/s].
-        g: level of dry friction [N m].
-        sigma0: stiffness of the bristles [N m/rad].
-        dt: step [s].
-    """
+def _bristle_step(z: float, v: float, g: float, sigma0: float, dt: float) -> float:
+    """Bristle deflection [rad] after ``dt`` [s] at constant velocity: the exact solution, so stable at any step."""
     if v == 0.0:
         return z
     if g <= 0.0:
@@ -69,46 +60,24 @@ def bristle_step(z: float, v: float, g: float, sigma0: float, dt: float) -> floa
 
 
 @jit(inline="always")
-def dry_level(v: float, coulomb: float, surplus: float, v_stribeck: float, asymmetry: float) -> float:
-    """Level g(v) of dry friction at the reference temperature and without load [N m].
-
-    Args:
-        v: sliding velocity [rad/s].
-        coulomb: [N m].
-        surplus: at standstill [N m].
-        v_stribeck: velocity over which the surplus decays [rad/s].
-        asymmetry: relative difference between the directions, 1.
-    """
+def _dry_level(v: float, coulomb: float, surplus: float, v_stribeck: float, asymmetry: float) -> float:
+    """Level g(v) of dry friction [N m] at the reference temperature and without load."""
     side = 1.0 + asymmetry if v > 0.0 else 1.0 - asymmetry
     ratio = v / v_stribeck
     return side * (coulomb + surplus * math.exp(-ratio * ratio))
 
 
 @jit(inline="always")
-def hydrodynamic(v: float, viscous: float, degressive: float, v_degressive: float) -> float:
-    """Fluid friction at the reference temperature [N m].
-
-    Args:
-        v: sliding velocity [rad/s].
-        viscous: [N m s/rad].
-        degressive: [N m].
-        v_degressive: velocity from which it is degressive [rad/s].
-    """
+def _hydrodynamic(v: float, viscous: float, degressive: float, v_degressive: float) -> float:
+    """Fluid friction at the reference temperature [N m]."""
     return viscous * v + degressive * math.asinh(v / v_degressive)
 
 
 @jit()
-def control_step(p: Array, s: Array, x: Array, j: int, q_m: float, fraction: float, due: tuple[bool, bool]) -> None:
+def _control_step(p: Array, s: Array, x: Array, j: int, q_m: float, fraction: float, due: tuple[bool, bool]) -> None:
     """Runs the loops of joint ``j`` that are due; the torque command is left in ``x[X_TORQUE, j]``.
 
-    Args:
-        p: parameter block ``(PARAMETERS, n)``.
-        s: numbers that all joints share ``(SHARED,)``: cycles, and the shares by which filters move per cycle.
-        x: state block ``(STATES, n)``, changed.
-        j: the joint.
-        q_m: true motor angle [rad].
-        fraction: how much of the interpolation cycle has gone by, 0 … 1.
-        due: whether position loop and velocity loop run at this step.
+    ``fraction`` of the interpolation cycle has gone by; ``due``: whether position loop and velocity loop run.
     """
     position_due, velocity_due = due
     if velocity_due:
@@ -138,15 +107,8 @@ def control_step(p: Array, s: Array, x: Array, j: int, q_m: float, fraction: flo
 
 
 @jit()
-def gear_torque(p: Array, j: int, twist: float, twisting: float) -> float:
-    """Torque of an elastic gear with backlash [N m].
-
-    Args:
-        p: parameter block ``(PARAMETERS, n)``.
-        j: the joint.
-        twist: of its output beyond the link [rad].
-        twisting: its velocity [rad/s].
-    """
+def _gear_torque(p: Array, j: int, twist: float, twisting: float) -> float:
+    """Torque of an elastic gear with backlash [N m], its output ``twist`` [rad] beyond the link."""
     half, damping = 0.5 * p[P_BACKLASH, j], p[P_DAMPING, j]
     if half > 0.0:
         if abs(twist) <= half:
@@ -158,27 +120,19 @@ def gear_torque(p: Array, j: int, twist: float, twisting: float) -> float:
 
 
 @jit()
-def friction_step(p: Array, s: Array, x: Array, j: int, v_m: float) -> float:
-    """Friction torque [N m] at a motor velocity; bristles, lubricant and temperature are carried on by one step.
-
-    Args:
-        p: parameter block ``(PARAMETERS, n)``.
-        s: numbers that all joints share ``(SHARED,)``.
-        x: state block ``(STATES, n)``, changed.
-        j: the joint.
-        v_m: motor velocity [rad/s].
-    """
+def _friction_step(p: Array, s: Array, x: Array, j: int, v_m: float) -> float:
+    """Friction torque [N m] at a motor velocity [rad/s]; bristles, lubricant and temperature go on by one step."""
     dt, friction = s[S_DT], 0.0
     if p[P_FRICTION, j] > 0.0:
         above = x[X_TEMPERATURE, j] - s[S_REFERENCE]
         settled = 1.0 + p[P_LUBRICATION, j] * (1.0 - x[X_LUBRICANT, j])
         dry = math.exp(-s[S_DRY_TEMPERATURE] * above) * settled * (1.0 + p[P_LOAD, j] * abs(x[X_GEAR, j]))
-        level = dry * dry_level(v_m, p[P_COULOMB, j], p[P_SURPLUS, j], p[P_V_STRIBECK, j], p[P_ASYMMETRY, j])
+        level = dry * _dry_level(v_m, p[P_COULOMB, j], p[P_SURPLUS, j], p[P_V_STRIBECK, j], p[P_ASYMMETRY, j])
         z = x[X_BRISTLE, j]
-        z_next = bristle_step(z, v_m, level, p[P_SIGMA0, j], dt)
+        z_next = _bristle_step(z, v_m, level, p[P_SIGMA0, j], dt)
         fluid = math.exp(-s[S_VISCOSITY_TEMPERATURE] * above) * settled
         friction = (p[P_SIGMA0, j] * z_next + p[P_SIGMA1, j] * (z_next - z) / dt
-                    + fluid * hydrodynamic(v_m, p[P_VISCOUS, j], p[P_DEGRESSIVE, j], p[P_V_DEGRESSIVE, j]))
+                    + fluid * _hydrodynamic(v_m, p[P_VISCOUS, j], p[P_DEGRESSIVE, j], p[P_V_DEGRESSIVE, j]))
         x[X_BRISTLE, j] = z_next
         spread = min(1.0, abs(v_m) / (10.0 * p[P_V_STRIBECK, j]))
         x[X_LUBRICANT, j] += dt * s[S_LUBRICANT_RATE] * (spread - x[X_LUBRICANT, j])
@@ -189,17 +143,10 @@ def friction_step(p: Array, s: Array, x: Array, j: int, v_m: float) -> float:
 
 
 @jit()
-def log_joint(p: Array, x: Array, links: Array, j: int, steps: int, noise: float, row: Array) -> None:
+def _log_joint(p: Array, x: Array, links: Array, j: int, steps: int, noise: float, row: Array) -> None:
     """Writes what is known of joint ``j`` before its motor moves on into a row of the log, see ``LOGGED``.
 
-    Args:
-        p: parameter block ``(PARAMETERS, n)``.
-        x: state block ``(STATES, n)``.
-        links: as for ``drive_step``.
-        j: the joint.
-        steps: over which the row has summed the current.
-        noise: standard normal number for the measured current.
-        row: of the log, written to.
+    The row has summed the current over ``steps``; ``noise`` is a standard normal number for the measured one.
     """
     n = links.shape[1]
     row[1 + j] = x[X_COMMAND, j]
@@ -221,7 +168,7 @@ def drive_step(tick: int, p: Array, s: Array, counts: NDArray[np.int64], x: Arra
     Args:
         tick: number of the step since the start.
         p: parameter block ``(PARAMETERS, n)``, see ``drive_parameters``, with the next two.
-        s: numbers that all joints share ``(SHARED,)``.
+        s: numbers that all joints share, ``S_…``.
         counts: steps of the cycles ``(4,)``.
         x: state block, changed in place.
         links: ``(4, n)``: arm angles [rad], arm velocities [rad/s], additional torque on the motor side [N m], and, as
@@ -245,19 +192,19 @@ def drive_step(tick: int, p: Array, s: Array, counts: NDArray[np.int64], x: Arra
         if not elastic:
             x[X_MOTOR, j], x[X_MOTOR_VELOCITY, j] = q_a - uneven, qd_a / slope
         q_m, v_m = x[X_MOTOR, j], x[X_MOTOR_VELOCITY, j]
-        control_step(p, s, x, j, q_m, fraction, due)
+        _control_step(p, s, x, j, q_m, fraction, due)
         x[X_CURRENT, j] += s[S_CURRENT_PASS] * (x[X_TORQUE, j] - x[X_CURRENT, j])
         motor = x[X_CURRENT, j] * p[P_GAIN, j]
         # Drives measure the mean current since the last sample: the torque falls and jumps within each position cycle,
         # and samples at its jumps would see an inertia that is not there.
         row[1 + 2 * n + j] += x[X_CURRENT, j]
         if log_due:
-            log_joint(p, x, links, j, counts[N_LOG] if tick > 0 else 1, noise[j], row)
+            _log_joint(p, x, links, j, counts[N_LOG] if tick > 0 else 1, noise[j], row)
         if p[P_RIPPLE, j] > 0.0:
             motor += p[P_RIPPLE, j] * math.sin(p[P_RIPPLE_ORDER, j] * q_m + p[P_PHASE, j])
         motor += links[L_EXTRA, j]
-        gear = gear_torque(p, j, q_m + uneven - q_a, slope * v_m - qd_a) if elastic else motor
-        friction = friction_step(p, s, x, j, v_m)
+        gear = _gear_torque(p, j, q_m + uneven - q_a, slope * v_m - qd_a) if elastic else motor
+        friction = _friction_step(p, s, x, j, v_m)
         if elastic:
             x[X_MOTOR_VELOCITY, j] = v_m + dt * (motor - friction - slope * gear) / p[P_ROTOR, j]
             x[X_MOTOR, j] = q_m + dt * x[X_MOTOR_VELOCITY, j]

@@ -75,13 +75,10 @@ def draw_specimen(robot: Robot, world: World) -> Specimen:
 
 
 def _displace(model: pin.Model, offsets: Array, turns: Array, twists: Array) -> None:
-    """Moves joints, zeros and axes.
+    """Moves joints, zeros and axes of ``model``.
 
-    Args:
-        model: is changed.
-        offsets: of the joints in their parents' frames ``(n, 3)`` [m].
-        turns: of their zeros ``(n,)`` [rad].
-        twists: rotation vectors of their axes in their parents' frames ``(n, 3)`` [rad].
+    ``offsets (n, 3)`` [m] and rotation vectors ``twists (n, 3)`` [rad] are in the parents' frames, ``turns (n,)`` [rad]
+    about the joints.
     """
     data = model.createData()
     for joint in range(1, model.njoints):

@@ -37,17 +37,8 @@ _COLDEST = -273.15
 _FRACTION = {"inertia_tolerance": 0.9, "drive_gain_error": 0.9, "friction_asymmetry": 0.9}  # 1 less that stays positive
 
 
-def checked_value(name: str, kind: str, value: Any) -> Any:
-    """The value in its final type: ``bool``, ``int``, ``float`` or a tuple of ``float``.
-
-    Args:
-        name: the key.
-        kind: the type that its field is annotated with.
-        value: what was given.
-
-    Raises:
-        InputError: wrong type or out of range; names the key.
-    """
+def _checked_value(name: str, kind: str, value: Any) -> Any:
+    """The value of a key in the type of its field, ``kind``: ``bool``, ``int``, ``float`` or a tuple of ``float``."""
     if name in ("robot", "extra_torque"):
         return value
     field = f"world.{name}"
@@ -240,7 +231,7 @@ class World:
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
-            object.__setattr__(self, field.name, checked_value(field.name, str(field.type), getattr(self, field.name)))
+            object.__setattr__(self, field.name, _checked_value(field.name, str(field.type), getattr(self, field.name)))
         for name in ("t_ipo", "t_position", "t_velocity", "log_cycle"):
             ratio = getattr(self, name) / STEP
             if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:

@@ -29,13 +29,8 @@ CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in
 """Of a box with half sides of 1."""
 
 
-def prism(radius: float, half: float) -> tuple[list[list[float]], list[int]]:
-    """Corners [m] and triangles of a cylinder about z, with fewer of them than PyBullet's own has.
-
-    Args:
-        radius: of the cylinder [m].
-        half: of its length [m].
-    """
+def _prism(radius: float, half: float) -> tuple[list[list[float]], list[int]]:
+    """Corners [m] and triangles of a cylinder about z, with fewer of them than PyBullet's own has."""
     angle = 2.0 * np.pi * np.arange(SIDES) / SIDES
     ring = radius * np.column_stack([np.cos(angle), np.sin(angle)])
     corners = np.vstack([np.column_stack([ring, np.full(SIDES, z)]) for z in (-half, half)])
@@ -140,7 +135,7 @@ class ArmBodies:
             seen = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=x.halfSide.tolist(), rgbaColor=colour,
                                               physicsClientId=client)
         else:
-            corners, faces = prism(x.radius, x.halfLength)
+            corners, faces = _prism(x.radius, x.halfLength)
             seen = pybullet.createVisualShape(pybullet.GEOM_MESH, vertices=corners, indices=faces, rgbaColor=colour,
                                               physicsClientId=client)
         return Body(int(pybullet.createMultiBody(0.0, -1, seen, physicsClientId=client)), client, colour)

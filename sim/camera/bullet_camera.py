@@ -190,15 +190,7 @@ class BulletCamera(RenderedCamera):
         return (bodies < len(self._pieces)).astype(np.uint8)[:, :, None]
 
     def _tool_in(self, left: float, top: float, width: int, height: int, scale: float) -> bool:
-        """Whether an undistorted picture may show the tool, which moves with the camera.
-
-        Args:
-            left: its first column, from the principal point [px].
-            top: its first row [px].
-            width: its columns [px].
-            height: its rows [px].
-            scale: its focal length [px].
-        """
+        """Whether an undistorted picture may show the tool; first column and row from the principal point, all [px]."""
         u0, v0 = (left - BESIDE) / scale, (top - BESIDE) / scale
         u1, v1 = (left + width + BESIDE) / scale, (top + height + BESIDE) / scale
         least_u, least_v, most_u, most_v = self._tool_within
@@ -250,14 +242,7 @@ class BulletCamera(RenderedCamera):
 
 
 def _strips(x: Array, y: Array, z: Array, u: Array) -> list[str]:
-    """Lines of the .obj file of a relief's piece, textured.
-
-    Args:
-        x: of its corners ``(columns + 1,)`` [m].
-        y: ``(rows + 1,)`` [m].
-        z: their heights ``(rows + 1, columns + 1)`` [m].
-        u: columns of the texture, as shares of its width ``(columns + 1,)``.
-    """
+    """Lines of a relief's .obj file: heights ``z (rows + 1, columns + 1)`` [m]; ``u``: columns of the texture."""
     rows, columns = len(y) - 1, len(x) - 1
     lines = [f"v {x[i]:.9f} {y[j]:.9f} {z[j, i]:.9f}" for j in range(rows + 1) for i in range(columns + 1)]
     lines += [f"vt {along:.9f} {j / rows:.9f}" for j in range(rows + 1) for along in u]

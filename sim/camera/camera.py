@@ -215,12 +215,7 @@ class RenderedCamera:
         return picture
 
     def _stand(self, q: Array, pose: pin.SE3) -> None:
-        """Puts the arm where it stands; here it stays out of the picture.
-
-        Args:
-            q: its angles ``(n,)`` [rad].
-            pose: of the TCP.
-        """
+        """Puts the arm where it stands, at angles ``q (n,)`` [rad] with the TCP at ``pose``; here it is never seen."""
 
     def _in_time(self, windows: Sequence[Window]) -> list[tuple[Sequence[Window], float]]:
         """The windows in pieces that are exposed together, and by how much later than the field's middle [s]."""
@@ -244,14 +239,9 @@ class RenderedCamera:
 
     def _lit(self, gray: Array, bare: Array | float, windows: Sequence[Window], pose: pin.SE3, shape: Sequence[Array]
              ) -> Array:
-        """Gray values where the lamp lights each pixel's place on the surface, with the lamp's mirror image.
+        """Gray values ``(N,)`` where the lamp lights each pixel's place on the surface, with the lamp's mirror image.
 
-        Args:
-            gray: pixels of the windows ``(N,)``.
-            bare: share of each of them that is surface; neither shadow nor mirror image falls on the rest.
-            windows: they belong to.
-            pose: of the TCP.
-            shape: as for ``windows``.
+        ``bare`` is the share of each pixel that is surface; neither shadow nor mirror image falls on the rest.
         """
         lamp = self.lamp
         if lamp is None or not len(gray):
@@ -301,13 +291,7 @@ class RenderedCamera:
         return np.asarray(on_plane(x, y, T.rotation, T.translation, plane.rotation[:, 2], plane.translation))
 
     def _sampled(self, windows: Sequence[Window], poses: Sequence[pin.SE3], n: int) -> tuple[Array, Array | float]:
-        """Mean gray values of all pixels of the windows, one after the other, over the TCP poses; shares of surface.
-
-        Args:
-            windows: rectangles inside the image.
-            poses: of the TCP in the base frame.
-            n: ``n`` × ``n`` samples per pixel and pose.
-        """
+        """Mean gray values ``(N,)`` over ``n`` × ``n`` samples a pixel and TCP pose; share of each that is surface."""
         base = self.surface.plane.inverse()
         maps = np.array([texel_map(base * pose * self.model.T_tool_camera, self.texture) for pose in poses])
         table = np.array(windows, dtype=np.int64).reshape(-1, 4)

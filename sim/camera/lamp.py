@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.jit import jit
@@ -60,6 +61,13 @@ def tool_mesh(length: float = 0.0) -> list[str]:
     return vertices + normals + faces
 
 
+def triangles(mesh: Sequence[str]) -> tuple[Array, NDArray[np.int_]]:
+    """Places ``(N, 3)`` [m] and corners of the triangles ``(M, 3)`` from the lines of ``tool_mesh``."""
+    lines = [line.split() for line in mesh]
+    return (np.array([line[1:] for line in lines if line[0] == "v"], dtype=float),
+            np.array([[int(corner.split("/")[0]) - 1 for corner in line[1:]] for line in lines if line[0] == "f"]))
+
+
 def outline(mesh: Sequence[str], T_camera_tool: pin.SE3) -> Array:
     """Boxes about what a camera sees of each triangle: least x, y and largest x, y as tangents ``(4, triangles)``.
 
@@ -69,9 +77,7 @@ def outline(mesh: Sequence[str], T_camera_tool: pin.SE3) -> Array:
         mesh: lines of its .obj file, from ``tool_mesh``.
         T_camera_tool: pose of the tool frame in the camera's.
     """
-    lines = [line.split() for line in mesh]
-    places = np.array([line[1:] for line in lines if line[0] == "v"], dtype=float)
-    corners = np.array([[int(corner.split("/")[0]) - 1 for corner in line[1:]] for line in lines if line[0] == "f"])
+    places, corners = triangles(mesh)
     a = (places @ T_camera_tool.rotation.T + T_camera_tool.translation)[corners]
     b = np.roll(a, -1, axis=1)
     # What is left of a triangle before the camera has its corners on the sides, where they begin or come near enough.

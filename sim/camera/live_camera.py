@@ -18,7 +18,7 @@ from ideal_robot.arrays import Array
 from sensing.camera.camera_device import Gray, Window
 from sensing.camera.camera_model import CameraModel
 from sim.camera.image_chain import CameraSettings, ImageChain
-from sim.camera.lamp import TOOL_COLOUR, Lamp, covered, light, mirrored, tool_mesh
+from sim.camera.lamp import TOOL_COLOUR, Lamp, covered, light, mirrored, tool_mesh, triangles
 from sim.camera.surface import DrawnLine, paint
 from sim.contact.contact import HeightSurface
 
@@ -63,7 +63,7 @@ class LiveCamera:
         self._lamp, self._lit_at = lamp, surface.at(np.array([0.5 * surface.length]))[0][0]
         self._gain, self._exposed = 1.0, -np.inf
         # It moves with the camera: its picture is always the same.
-        self._tool = tool_picture(model) if tool else None
+        self._tool = _tool_picture(model) if tool else None
 
     def picture(self, poses: Sequence[pin.SE3], t: float = 0.0, shape: tuple[Array, Array] = NOTHING) -> Gray:
         """The picture ``(height, width)`` of an exposure.
@@ -135,14 +135,12 @@ class LiveCamera:
         return x, y, height
 
 
-def tool_picture(model: CameraModel) -> NDArray[np.float32]:
+def _tool_picture(model: CameraModel) -> NDArray[np.float32]:
     """Share of each pixel that the tool's tip and hose cover ``(height, width)``."""
-    lines = [line.split() for line in tool_mesh()]
-    places = np.array([line[1:] for line in lines if line[0] == "v"], dtype=float)
+    places, faces = triangles(tool_mesh())
     pixels = _FINER * (model.project_tool(places) + 0.5)
     mask = np.zeros((_FINER * model.height, _FINER * model.width), dtype=np.uint8)
-    for face in (line[1:] for line in lines if line[0] == "f"):
-        corners = pixels[[int(corner.split("/")[0]) - 1 for corner in face]]
+    for corners in pixels[faces]:
         if np.isfinite(corners).all() and np.abs(corners).max() < 1e6:
             cv2.fillConvexPoly(mask, np.rint(corners).astype(np.int32), 255)
     small = cv2.resize(mask, (model.width, model.height), interpolation=cv2.INTER_AREA)

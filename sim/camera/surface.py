@@ -172,14 +172,8 @@ GRAINS: dict[str, tuple[tuple[int, int], float]] = {
 """Texels along the plane's x and y over which the grain is the same, and its standard deviation in gray values."""
 
 
-def add_grain(gray: NDArray[np.float32], kind: str, seed: int) -> None:
-    """Adds a grain to gray values ``(rows, columns)``: noise averaged over texels along and across.
-
-    Args:
-        gray: is changed.
-        kind: one of ``GRAINS``.
-        seed: of the grain; one surface has one grain, whatever else is drawn.
-    """
+def _add_grain(gray: NDArray[np.float32], kind: str, seed: int) -> None:
+    """Adds a grain to gray values ``(rows, columns)``: noise averaged over texels along and across."""
     size, sigma = GRAINS[kind]
     noise = cv2.blur(np.random.default_rng(seed).standard_normal(gray.shape, dtype=np.float32), size)
     gray += np.float32(sigma / float(noise.std())) * noise
@@ -215,15 +209,7 @@ class Texture:
 @jit()
 def _stroke_distance(distance: NDArray[np.float32], nearest: NDArray[np.int32], xy: Array, drawn: NDArray[np.bool_],
                      reach: float) -> None:
-    """Lowers ``distance`` [texels] of every texel within ``reach`` of a segment, and notes which one is nearest.
-
-    Args:
-        distance: of each texel [texels].
-        nearest: number of the nearest segment.
-        xy: the stroke's points ``(N, 2)`` [texels].
-        drawn: which segments are there ``(N - 1,)``.
-        reach: how far the stroke reaches [texels].
-    """
+    """Lowers ``distance`` [texels] of every texel within ``reach`` of a segment, and notes which one is nearest."""
     rows, columns = distance.shape
     for i in range(xy.shape[0] - 1):
         if not drawn[i]:
@@ -256,14 +242,9 @@ class _Canvas:
 
     def stroke(self, xy: Array, width: float | Array, edge: float, gray: float | Array,
                drawn: NDArray[np.bool_] | None = None) -> None:
-        """Paints a stroke.
+        """Paints a stroke through ``xy (N, 2)`` [m]; width and gray value are one for all or one a point ``(N,)``.
 
-        Args:
-            xy: its points in the plane ``(N, 2)`` [m].
-            width: one for all, or one a point ``(N,)`` [m].
-            edge: over which its gray value changes [m].
-            gray: one for all, or one a point ``(N,)``.
-            drawn: which segments are there ``(N - 1,)``; all if None.
+        Of its segments those ``drawn (N - 1,)`` are there, all if None.
         """
         texels = self._texels(xy)
         reach = (np.max(width) + edge) / 2 / self.resolution + 1.0
@@ -336,7 +317,7 @@ def paint(line: DrawnLine, resolution: float = 0.00025, margin: float = 0.2) -> 
             else:
                 canvas.patch(centre, feature.length / 2, 0.0, gray / 100.0)
     if line.grain is not None:
-        add_grain(canvas.gray, line.grain, line.grain_seed)
+        _add_grain(canvas.gray, line.grain, line.grain_seed)
     image = np.clip(np.rint(canvas.gray, out=canvas.gray), 0, 255, out=canvas.gray).astype(np.uint8)
     return Texture(image, float(low[0]), float(high[1]), resolution)
 

@@ -157,7 +157,7 @@ class RtdeClient:
     def _asks_inputs(self, payload: bytes) -> None:
         names = _names(payload)
         types = {name: "IN_USE" if name in self._faults.in_use or self._taken(self, name)
-                 else input_type(name) or "NOT_FOUND" for name in names}
+                 else _type(name, _INPUTS, ("input",)) or "NOT_FOUND" for name in names}
         sound = set(types.values()) <= set(CODES)
         if sound:
             self._recipes.append((types, _layout(types)))
@@ -241,11 +241,6 @@ def count(kind: str) -> int:
 def output_type(name: str) -> str | None:
     """Type of a field that a controller tells; None if it has no such field. It tells its inputs, too."""
     return _type(name, _OUTPUTS, ("output", "input"))
-
-
-def input_type(name: str) -> str | None:
-    """Type of a field that a client may write; None if there is none."""
-    return _type(name, _INPUTS, ("input",))
 
 
 def _type(name: str, fields: dict[str, str], ways: tuple[str, ...]) -> str | None:

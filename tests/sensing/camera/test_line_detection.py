@@ -378,7 +378,7 @@ def test_stated_standard_deviation_is_the_true_one(noise: float) -> None:
 def test_edges_are_found_to_a_fraction_of_a_pixel(at: float, width: float, blur: float) -> None:
     x = np.arange(80.0)
     profile = 200.0 - 120.0 * (norm.cdf((x - at) / blur) - norm.cdf((x - at - width) / blur))
-    falling, rising, _, _ = _edges(profile, 3.0)
+    falling, rising = _edges(profile, 3.0)
     assert (len(falling), len(rising)) == (1, 1)
     assert abs(falling[0] - at) < 0.1
     assert abs(rising[0] - at - width) < 0.1
