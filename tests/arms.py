@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -11,9 +12,11 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import chain_of
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.loop.loop_model import LoopModel, low_pass_taps, velocity_grid
+from ideal_robot.loop.simulation import simulate
 from ideal_robot.robots.robot import Robot
 from studies.strangers import drive
 from studies.strangers.arm import Arm, Motion, arm_of, draw_motion, random_urdf
+from studies.strangers.logger import Logger, draw_logger
 from studies.strangers.plant import CONSTRAINT, Plant, draw_plant
 
 LINK = '<link name="{name}">{inertial}</link>'
@@ -95,6 +98,12 @@ def a_plant(arm: Arm, *, friction: bool = True, stiffness: float = np.inf, kind:
                                regularisation=np.full(n, kind), presliding=np.full(n, 5e-4), v_smooth=np.full(n, 2e-3))
 
 
+def a_logger(rng: np.random.Generator, n: int, qa: tuple[int, ...] = (), **wanted: Any) -> Logger:
+    """Sampled torques every 4 ms, or as wanted, without jitter, gaps, spikes, temperatures and places."""
+    return dataclasses.replace(draw_logger(rng, n, qa), **dict(every=8, torque="sampled", encoder=1e-5, jitter=0.0,
+                                                               dropped=0.0, spikes=0.0, temp=(), xy=False) | wanted)
+
+
 # A KR 15-like closed loop with round numbers, and motions for it.
 
 T = 0.012
@@ -146,3 +155,8 @@ def commands(feedforward: Feedforward, q_d: Array, n_d: int | None = None) -> Ar
 def rms(error: Array) -> float:
     """Root mean square over everything."""
     return float(np.sqrt(np.mean(error**2)))
+
+
+def off(arm: LoopModel, feedforward: Feedforward, q_d: Array, lead: int = 40) -> float:
+    """How far an arm is from where it should be, from cycle ``lead`` on, by the commands of a feedforward [rad]."""
+    return rms(simulate(arm, commands(feedforward, q_d)).q_a[lead:-1] - q_d[lead:])

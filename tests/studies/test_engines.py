@@ -8,37 +8,36 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from ideal_robot.dynamics import torques
 from studies.strangers import drive
 from studies.strangers.arm import STEP
 from studies.strangers.engines import ENGINES
 from studies.strangers.plant import BRISTLE, CONSTRAINT, DAHL, TANH, BalanceSpring, Coupling, Plant, Run
 from tests.arms import a_motion, a_plant, an_arm
 
+ARM = an_arm()
+
 
 def inverse_dynamics(plant: Plant, run: Run) -> np.ndarray:
     """Torque that a run's motion takes at the middles of its steps, and the torque that acted there ``(2, M, n)``."""
-    q = run.q
-    v = np.diff(q, axis=0) / STEP
+    v = np.diff(run.q, axis=0) / STEP
     a = np.diff(v, axis=0) / STEP
-    data = plant.model.createData()
     rows = np.arange(2000, len(a) - 5, 50)
-    taken = [pin.rnea(plant.model, data, q[k], v[k - 1], a[k - 1]) + plant.rotor * a[k - 1] for k in rows]
+    taken = torques(plant.model, run.q[rows], v[rows - 1], a[rows - 1]) + plant.rotor * a[rows - 1]
     return np.array([taken, run.tau[rows]])
 
 
 @pytest.mark.parametrize("engine", sorted(ENGINES))
 def test_bare_arm_obeys_inverse_dynamics(engine: str) -> None:
-    arm = an_arm()
-    plant = a_plant(arm, friction=False)
-    taken, acted = inverse_dynamics(plant, ENGINES[engine](plant, a_motion(arm)))
+    plant = a_plant(ARM, friction=False)
+    taken, acted = inverse_dynamics(plant, ENGINES[engine](plant, a_motion(ARM)))
     scale = np.std(acted, axis=0)
     # PyBullet's torque is the mean over its step, and its angles are one step ahead of the row's torque.
     assert np.all(np.std(taken - acted, axis=0) < (0.05 if engine == "pybullet" else 0.01) * scale)
 
 
 def test_engines_agree_with_friction_off() -> None:
-    arm = an_arm()
-    plant, motion = a_plant(arm, friction=False), a_motion(arm)
+    plant, motion = a_plant(ARM, friction=False), a_motion(ARM)
     runs = {name: play(plant, motion) for name, play in ENGINES.items()}
     scale = np.std(runs["mujoco"].q, axis=0)
     for name, run in runs.items():
@@ -51,8 +50,7 @@ def test_engines_agree_with_friction_off() -> None:
 @pytest.mark.parametrize("stiffness", [np.inf, 5e4])
 def test_mujoco_and_integrator_agree_with_friction(kind: int, stiffness: float) -> None:
     """Different ways through standstill: the torques of a whole motion still differ by little."""
-    arm = an_arm()
-    plant, motion = a_plant(arm, kind=kind, stiffness=stiffness), a_motion(arm)
+    plant, motion = a_plant(ARM, kind=kind, stiffness=stiffness), a_motion(ARM)
     one, two = (ENGINES[name](plant, motion) for name in ("mujoco", "integrator"))
     assert np.all(np.std(one.tau - two.tau, axis=0) < 0.05 * np.std(one.tau, axis=0))
     twist = np.abs(one.q - one.qa).max()
@@ -61,14 +59,13 @@ def test_mujoco_and_integrator_agree_with_friction(kind: int, stiffness: float) 
 
 def test_engines_agree_on_friction_of_the_load_that_is_driven() -> None:
     """Inertia is a load of a gear as weight is; near standstill PyBullet's extra friction has a smooth sign."""
-    arm = an_arm()
-    plant, motion = a_plant(arm, kind=BRISTLE), a_motion(arm)
+    plant, motion = a_plant(ARM, kind=BRISTLE), a_motion(ARM)
     block = plant.block.copy()
     block[drive.DRIVING] = 0.3
     driving = dataclasses.replace(plant, block=block)
     added = {name: ENGINES[name](driving, motion).tau - ENGINES[name](plant, motion).tau
              for name in ("mujoco", "pybullet", "integrator")}
-    for j in range(arm.n):
+    for j in range(ARM.n):
         fast = np.abs(motion.qd[:, j]) > 0.5 * np.abs(motion.qd[:, j]).max()
         rows = np.flatnonzero(fast[: len(added["pybullet"])])
         for name in ("pybullet", "integrator"):
@@ -79,20 +76,18 @@ def test_engines_agree_on_friction_of_the_load_that_is_driven() -> None:
 @pytest.mark.parametrize("engine", ["mujoco", "integrator"])
 def test_arm_sticks_at_rest(engine: str) -> None:
     """With dry friction above what pushes, nothing moves but by the engine's own creep, less than 5 mrad/s."""
-    arm = an_arm()
-    plant = a_plant(arm)
+    plant = a_plant(ARM)
     block = plant.block.copy()
-    block[drive.COULOMB] = 1e3 * arm.need
+    block[drive.COULOMB] = 1e3 * ARM.need
     block[[drive.C_KP, drive.C_KI]] = 0.0
-    motion = a_motion(arm, 0.5)
+    motion = a_motion(ARM, 0.5)
     run = ENGINES[engine](dataclasses.replace(plant, block=block), motion)
     assert np.abs(run.q - run.q[0]).max() < (2.5e-3 if engine == "mujoco" else 1e-9)
 
 
 @pytest.mark.parametrize("engine", sorted(ENGINES))
 def test_tilted_base_changes_torque_by_gravity_alone(engine: str) -> None:
-    arm = an_arm()
-    plant, motion = a_plant(arm, friction=False), a_motion(arm)
+    plant, motion = a_plant(ARM, friction=False), a_motion(ARM)
     model = plant.model.copy()
     model.gravity.linear = pin.exp3(np.deg2rad(3.0) * np.array([1.0, 0.0, 0.0])) @ model.gravity.linear
     tilted = dataclasses.replace(plant, model=model)
@@ -106,8 +101,7 @@ def test_tilted_base_changes_torque_by_gravity_alone(engine: str) -> None:
 @pytest.mark.parametrize("engine", ["mujoco", "integrator"])
 def test_springs_and_shafts_do_what_their_formulas_say(engine: str) -> None:
     """Springs are torques of the angle, a shaft is inertia and friction of two speeds."""
-    arm = an_arm()
-    plant, motion = a_plant(arm, friction=False), a_motion(arm)
+    plant, motion = a_plant(ARM, friction=False), a_motion(ARM)
     plain = ENGINES[engine](plant, motion)
     rows = np.arange(2000, len(plain.t), 50)
     q = plain.q
@@ -136,8 +130,7 @@ def test_springs_and_shafts_do_what_their_formulas_say(engine: str) -> None:
 @pytest.mark.parametrize("engine", ["integrator", pytest.param("mujoco", marks=pytest.mark.slow)])
 def test_two_shafts_and_two_springs_of_an_arm_are_all_there(engine: str) -> None:
     """Two effects of one recording may be of one kind: the second once took the place of the first."""
-    arm = an_arm()
-    plant, motion = a_plant(arm, friction=False), a_motion(arm, 3.0)
+    plant, motion = a_plant(ARM, friction=False), a_motion(ARM, 3.0)
 
     def torque(couplings: tuple[Coupling, ...], balancers: tuple[BalanceSpring, ...]) -> np.ndarray:
         changed = dataclasses.replace(plant, couplings=couplings, balancers=balancers)
@@ -153,11 +146,10 @@ def test_two_shafts_and_two_springs_of_an_arm_are_all_there(engine: str) -> None
 
 @pytest.mark.parametrize("engine", sorted(ENGINES))
 def test_play_lets_the_arm_fall_behind_by_half_the_gap_to_either_side(engine: str) -> None:
-    arm = an_arm()
-    gap = np.zeros(arm.n)
+    gap = np.zeros(ARM.n)
     gap[1] = 4e-3
-    plant = dataclasses.replace(a_plant(arm), gap=gap)
-    run = ENGINES[engine](plant, a_motion(arm, 4.0))
+    plant = dataclasses.replace(a_plant(ARM), gap=gap)
+    run = ENGINES[engine](plant, a_motion(ARM, 4.0))
     twist = (run.q - run.qa)[1000:, 1]
     assert np.percentile(np.abs(twist), 80) > 1.7e-3
     assert np.abs((run.q - run.qa)[:, 0]).max() == 0.0
@@ -165,9 +157,8 @@ def test_play_lets_the_arm_fall_behind_by_half_the_gap_to_either_side(engine: st
 
 def test_a_spring_is_held_before_anything_is_recorded() -> None:
     """Our arm begins with its weights held; a spring of many times that once threw it off by a radian."""
-    arm = an_arm()
-    spring = BalanceSpring(0, 2e4 * float(arm.need[0]), 0.0, 0.5, 0.2, 0.4)
-    plant, motion = dataclasses.replace(a_plant(arm, kind=BRISTLE), balancers=(spring,)), a_motion(arm)
+    spring = BalanceSpring(0, 2e4 * float(ARM.need[0]), 0.0, 0.5, 0.2, 0.4)
+    plant, motion = dataclasses.replace(a_plant(ARM, kind=BRISTLE), balancers=(spring,)), a_motion(ARM)
     run = ENGINES["pybullet"](plant, motion)
     assert run.t[0] == 0.0
     first = run.t < 0.2

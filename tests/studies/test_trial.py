@@ -18,7 +18,9 @@ from studies.strangers.logger import draw_logger, left, read, record, sizes
 from studies.strangers.other_effects import NEW
 from studies.strangers.score import Score, detection, leaving_out, power, probability, rates, reliability, score
 from studies.strangers.trial import KINDS, SHARES, Cause, Trial, draw_trial, right_names
-from tests.arms import a_motion, a_plant, an_arm
+from tests.arms import a_logger, a_motion, a_plant, an_arm
+
+ARM = an_arm()
 
 
 @pytest.mark.parametrize("engine", sorted(ENGINES))
@@ -48,19 +50,18 @@ def test_a_third_of_the_trials_and_more_hold_nothing() -> None:
 
 
 def test_size_of_an_effect_grows_with_it_and_is_zero_without() -> None:
-    arm = an_arm()
     rng = np.random.default_rng(2)
-    setup = Setup(a_plant(arm), draw_logger(rng, arm.n, ()))
-    motion = a_motion(arm, 8.0)
+    setup = Setup(a_plant(ARM), draw_logger(rng, ARM.n, ()))
+    motion = a_motion(ARM, 8.0)
     effect = INSIDE["cable_spring"](rng, setup, 1)
     assert effect is not None
 
     def seen(amount: float) -> float:
         changed = effect.apply(setup, amount)
         return float(sizes(healthy, read(record(changed.logger, changed.plant, ENGINES["integrator"](
-            changed.plant, motion)), arm.model), absorbed=True)[1])
+            changed.plant, motion)), ARM.model), absorbed=True)[1])
 
-    healthy = read(record(setup.logger, setup.plant, ENGINES["integrator"](setup.plant, motion)), arm.model)
+    healthy = read(record(setup.logger, setup.plant, ENGINES["integrator"](setup.plant, motion)), ARM.model)
     assert seen(0.0) == 0.0
     assert seen(4.0) > 1.5 * seen(2.0) > 0.0
 
@@ -69,41 +70,37 @@ def test_size_of_an_effect_grows_with_it_and_is_zero_without() -> None:
                                                    for name in ("mujoco", "pybullet"))])
 def test_nothing_but_dry_friction_keeps_a_clean_rigid_plant_out_of_the_model_class(engine: str) -> None:
     """No clock or engine leaves a trace of its own: without dry friction the model class explains the torque."""
-    arm = an_arm()
     rng = np.random.default_rng(2)
-    logger = dataclasses.replace(draw_logger(rng, arm.n, ()), every=4, torque="sampled", encoder=1e-9, jitter=0.0,
-                                 noise=np.zeros(arm.n), dropped=0.0, spikes=0.0)
-    motion = a_motion(arm, 12.0)
+    logger = a_logger(rng, ARM.n, every=4, encoder=1e-9, noise=np.zeros(ARM.n))
+    motion = a_motion(ARM, 12.0)
     shares = []
     for friction in (False, True):
-        plant = a_plant(arm, friction=friction)
-        reading = read(record(logger, plant, ENGINES[engine](plant, motion)), arm.model)
+        plant = a_plant(ARM, friction=friction)
+        reading = read(record(logger, plant, ENGINES[engine](plant, motion)), ARM.model)
         shares.append(np.std(left(reading), axis=0) / np.std(reading.tau, axis=0))
     assert np.all(shares[0] < 2e-3)
     assert np.max(shares[1]) > 10.0 * np.max(shares[0])
 
 
 def test_jitter_makes_an_effect_less_visible() -> None:
-    arm = an_arm()
     rng = np.random.default_rng(2)
-    setup = Setup(a_plant(arm), draw_logger(rng, arm.n, ()))
-    motion = a_motion(arm, 8.0)
+    setup = Setup(a_plant(ARM), draw_logger(rng, ARM.n, ()))
+    motion = a_motion(ARM, 8.0)
     changed = INSIDE["cable_spring"](rng, setup, 1).apply(setup, 4.0)
     runs = [ENGINES["integrator"](s.plant, motion) for s in (setup, changed)]
 
     def seen(jitter: float) -> float:
         logger = dataclasses.replace(setup.logger, every=16, jitter=jitter, stamps="nominal", encoder=1e-6)
-        healthy, other = (read(record(logger, setup.plant, run), arm.model) for run in runs)
+        healthy, other = (read(record(logger, setup.plant, run), ARM.model) for run in runs)
         return float(sizes(healthy, other, absorbed=True)[1])
 
     assert seen(0.15) < 0.9 * seen(0.0)
 
 
 def test_filter_of_all_torques_is_late_by_its_time_constant() -> None:
-    arm = an_arm()
     rng = np.random.default_rng(2)
-    setup = Setup(a_plant(arm), draw_logger(rng, arm.n, ()))
-    run = ENGINES["integrator"](setup.plant, a_motion(arm, 8.0))
+    setup = Setup(a_plant(ARM), draw_logger(rng, ARM.n, ()))
+    run = ENGINES["integrator"](setup.plant, a_motion(ARM, 8.0))
     effect = NEW["torque_filter"](rng, setup, 0)
     assert effect is not None
     late = effect.apply(setup, 2.0)
@@ -134,64 +131,43 @@ def said(verdict: str, *named: tuple[str, int], unknown: tuple[int, ...] = (), c
         SimpleNamespace(fitted=SimpleNamespace(name="learned", joint=j)) for j in unknown])
 
 
-def test_named_at_its_joint_and_nothing_else_is_right() -> None:
-    trial = a_trial(("stribeck", 2))
-    assert score(trial, said("effects", ("stribeck", 2))).right
-    assert not score(trial, said("effects", ("stribeck", 3))).right
-    assert not score(trial, said("none")).right
+STRIBECK = "stribeck", 2
+LATE_ENCODERS = Cause("arm_delay", 0, 4.0, right_names("arm_delay", 0, 6, (0, 1, 2)), False)
 
 
-def test_whatever_is_named_beside_it_makes_it_wrong() -> None:
-    trial = a_trial(("stribeck", 2))
-    beside = score(trial, said("effects", ("stribeck", 2), ("dead_time", 5)))
+@pytest.mark.parametrize(("trial", "right", "wrong"), [
+    pytest.param(a_trial(STRIBECK), [said("effects", STRIBECK)],
+                 [said("effects", ("stribeck", 3)), said("none"), said("effects", STRIBECK, ("dead_time", 5)),
+                  said("effects", STRIBECK, unknown=(4,))], id="named at its joint and nothing beside it"),
+    pytest.param(a_trial(), [said("none")], [said("effects", ("degressive", 1)), said("unknown", unknown=(1,)),
+                                             said("unknown")], id="an empty recording, of which nothing is named"),
+    pytest.param(a_trial(healthy=(("presliding_hysteresis", 1),)),
+                 [said("effects", ("presliding_hysteresis", 1)), said("none")],
+                 [said("effects", ("presliding_hysteresis", 2))],
+                 id="what the healthy plant has is neither asked for nor false"),
+    pytest.param(a_trial(("bump", 3), outside=True), [said("unknown", unknown=(3,))],
+                 [said("effects", ("gravity_spring", 3)), said("unknown", unknown=(2,)),
+                  said("unknown", ("cable_spring", 3), unknown=(3,))], id="unknown to the library at its joint"),
+    pytest.param(a_trial(STRIBECK, ("cable_spring", 4)), [said("effects", ("cable_spring", 4), STRIBECK)],
+                 [said("effects", STRIBECK)], id="both of two"),
+    pytest.param(a_trial(("torque_filter", 0)),
+                 [said("effects", ("dead_time", 0)), said("effects", ("common_delay", 0))],
+                 [said("effects", *(("dead_time", j) for j in range(1, 7)))],
+                 id="one filter of all torques is one cause, not six"),
+    pytest.param(dataclasses.replace(a_trial(), kind="arm", causes=(LATE_ENCODERS,)),
+                 [said("effects", ("dead_time", 2), channel="qa_2")],
+                 [said("effects", ("dead_time", 2)), said("effects", ("dead_time", 5), channel="qa_5")],
+                 id="late arm encoders in their channel"),
+])
+def test_which_answers_are_right(trial: Trial, right: list[SimpleNamespace], wrong: list[SimpleNamespace]) -> None:
+    assert all(score(trial, answer).right for answer in right)
+    assert not any(score(trial, answer).right for answer in wrong)
+
+
+def test_what_is_named_beside_the_cause_is_counted() -> None:
+    beside = score(a_trial(STRIBECK), said("effects", STRIBECK, ("dead_time", 5)))
     assert beside.found == (True,)
     assert beside.false == (("dead_time", 5),)
-    assert not beside.right
-    assert not score(trial, said("effects", ("stribeck", 2), unknown=(4,))).right
-
-
-def test_empty_recording_is_right_only_where_nothing_is_named() -> None:
-    assert score(a_trial(), said("none")).right
-    assert not score(a_trial(), said("effects", ("degressive", 1))).right
-    assert not score(a_trial(), said("unknown", unknown=(1,))).right
-    assert not score(a_trial(), said("unknown")).right
-
-
-def test_what_the_healthy_plant_has_is_neither_asked_for_nor_false() -> None:
-    trial = a_trial(healthy=(("presliding_hysteresis", 1),))
-    assert score(trial, said("effects", ("presliding_hysteresis", 1))).right
-    assert score(trial, said("none")).right
-    assert not score(trial, said("effects", ("presliding_hysteresis", 2))).right
-
-
-def test_outside_the_library_only_unknown_at_the_joint_is_right() -> None:
-    trial = a_trial(("bump", 3), outside=True)
-    assert score(trial, said("unknown", unknown=(3,))).right
-    assert not score(trial, said("effects", ("gravity_spring", 3))).right
-    assert not score(trial, said("unknown", unknown=(2,))).right
-    assert not score(trial, said("unknown", ("cable_spring", 3), unknown=(3,))).right
-
-
-def test_two_effects_are_right_only_both() -> None:
-    trial = a_trial(("stribeck", 2), ("cable_spring", 4))
-    assert not score(trial, said("effects", ("stribeck", 2))).right
-    assert score(trial, said("effects", ("cable_spring", 4), ("stribeck", 2))).right
-
-
-def test_one_filter_of_all_torques_is_one_cause_not_six() -> None:
-    trial = a_trial(("torque_filter", 0))
-    assert score(trial, said("effects", ("dead_time", 0))).right
-    assert score(trial, said("effects", ("common_delay", 0))).right
-    assert not score(trial, said("effects", *(("dead_time", j) for j in range(1, 7)))).right
-
-
-def test_late_arm_encoders_are_named_in_their_channel() -> None:
-    trial = a_trial()
-    cause = Cause("arm_delay", 0, 4.0, right_names("arm_delay", 0, 6, (0, 1, 2)), False)
-    trial = dataclasses.replace(trial, kind="arm", causes=(cause,))
-    assert score(trial, said("effects", ("dead_time", 2), channel="qa_2")).right
-    assert not score(trial, said("effects", ("dead_time", 2))).right
-    assert not score(trial, said("effects", ("dead_time", 5), channel="qa_5")).right
 
 
 def test_intervals_are_compared_with_the_truth() -> None:

@@ -7,18 +7,18 @@ cause from a ripple.
 from __future__ import annotations
 
 import dataclasses
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 from scipy import interpolate
 
 from ideal_robot.arrays import Array
+from ideal_robot.dynamics import torques
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
+from studies.strangers.arm import robot_of
 
 URDF = """<robot name="arm"><link name="l0"/>
 <link name="l1"><inertial><origin xyz="0.0278 -0.0036 0.1025"/><mass value="21.118"/>
@@ -42,10 +42,7 @@ RATE = 200.0
 @contextmanager
 def poor_arm() -> Iterator[tuple[Robot, Robot]]:
     """The robot as it is, and with the limits that its recordings stay within."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "arm.urdf"
-        path.write_text(URDF, encoding="utf-8")
-        plain = Robot.load(path)
+    with robot_of(URDF) as plain:
         yield plain, dataclasses.replace(plain, q_min=np.full(2, -1.2), q_max=np.full(2, 1.2), v_max=FAST, a_max=QUICK,
                                          tau_max=np.full(2, np.inf))
 
@@ -73,11 +70,9 @@ def recording_of(commands: Array, t_ipo: float) -> Recording:
 
 def recorded(t: Array, q: Array, rng: np.random.Generator) -> Recording:
     """Encoders and torques of a motion ``(N, 2)`` [rad]."""
-    model = pin.buildModelFromXML(URDF)
-    data = model.createData()
     qd = np.gradient(q, t, axis=0)
     qdd = np.gradient(qd, t, axis=0)
-    tau = np.array([pin.rnea(model, data, *row) for row in zip(q, qd, qdd, strict=True)])
-    tau = tau + ROTOR * qdd + VISCOUS * qd + COULOMB * np.tanh(qd / (2e-3 * FAST)) + np.array([-0.51, 0.28])
+    tau = torques(pin.buildModelFromXML(URDF), q, qd, qdd) + ROTOR * qdd + np.array([-0.51, 0.28])
+    tau += VISCOUS * qd + COULOMB * np.tanh(qd / (2e-3 * FAST))
     tau[:, 1] += SIZE * qd[:, 1] / (BEND + np.abs(qd[:, 1]))
     return Recording.from_arrays(t, q=np.round(q / 1e-6) * 1e-6, tau=tau + NOISE * rng.normal(size=q.shape))

@@ -23,10 +23,10 @@ from ideal_robot.signals.recording import Recording
 from scenes.diagnosis.page import summary, unexplained, unused
 from studies.strangers.arm import robot_of
 from studies.strangers.integrator import simulate
-from studies.strangers.logger import draw_logger, record
+from studies.strangers.logger import record
 from studies.strangers.score import score
 from studies.strangers.trial import Trial, draw_trial
-from tests.arms import a_motion, a_plant, an_arm
+from tests.arms import a_logger, a_motion, a_plant, an_arm, written
 from tests.sources import DATA
 
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="measured data (../shared/data) are not beside the checkout")
@@ -53,22 +53,31 @@ def test_recording_of_a_stranger(seed, kind):
 
 
 def arm(tmp_path: Path) -> Robot:
-    urdf = tmp_path / "one.urdf"
-    urdf.write_text('<robot name="one"><link name="a"/><link name="b"><inertial><origin xyz="0.3 0 0"/>'
-                    '<mass value="5"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>'
-                    '</inertial></link>'
-                    '<joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 1 0"/>'
-                    '<limit lower="-3" upper="3" effort="100" velocity="5"/></joint></robot>', encoding="utf-8")
-    return Robot.load(urdf)
+    return Robot.load(written(
+        tmp_path, '<robot name="one"><link name="a"/><link name="b"><inertial><origin xyz="0.3 0 0"/><mass value="5"/>'
+        '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        '<joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 1 0"/>'
+        '<limit lower="-3" upper="3" effort="100" velocity="5"/></joint></robot>'))
+
+
+def torque(t: np.ndarray, q: np.ndarray, rounded: float = 2e-3) -> np.ndarray:
+    """Torques of that arm with rotor, viscous friction, and dry friction rounded at a speed [rad/s]."""
+    qd = np.gradient(q, t, axis=0)
+    return np.asarray(0.6 * np.gradient(qd, t, axis=0) - 14.7 * np.cos(q) + 2.0 * np.tanh(qd / rounded) + 1.5 * qd)
 
 
 def strokes() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Times, positions, velocities and noisy torques of that arm with rotor, dry and viscous friction."""
-    t, rng = np.arange(0.0, 40.0, 0.004), np.random.default_rng(3)
+    """Times, positions, velocities and noisy torques of that arm."""
+    t = np.arange(0.0, 40.0, 0.004)
     q = 0.6 * np.sin(0.7 * t)[:, None] + 0.3 * np.sin(1.9 * t)[:, None]
-    qd, qdd = np.gradient(q, t, axis=0), np.gradient(np.gradient(q, t, axis=0), t, axis=0)
-    tau = 0.6 * qdd - 14.7 * np.cos(q) + 2.0 * np.tanh(qd / 2e-3) + 1.5 * qd + 0.03 * rng.normal(size=q.shape)
-    return t, q, qd, tau
+    return t, q, np.gradient(q, t, axis=0), torque(t, q) + 0.03 * np.random.default_rng(3).normal(size=q.shape)
+
+
+def meandering(rng: np.random.Generator, t: np.ndarray) -> np.ndarray:
+    """Angles ``(N,)`` over about two radians, of three harmonics of 10 s."""
+    order = np.arange(1.0, 4.0)
+    size, phase = rng.uniform(0.5, 0.9, 3) / order, rng.uniform(0.0, 6.0, 3)
+    return np.asarray(np.sin(np.outer(t, 0.2 * np.pi * order) + phase) @ size)
 
 
 def test_too_little_motion_is_said_instead_of_a_verdict(tmp_path):
@@ -110,14 +119,9 @@ def test_wrong_input_is_refused_with_the_field(spoil, tmp_path):
 
 def rippled(arm_: Robot, phase: float, seed: int) -> Recording:
     """One joint with gravity, friction, and a ripple of 0.4 N m whose phase depends on where the encoder started."""
-    t = np.arange(0.0, 30.0, 0.004)
-    w, rng = 2.0 * np.pi / 10.0, np.random.default_rng(seed)
-    a = rng.uniform(0.5, 0.9, 3) / [1.0, 2.0, 3.0]
-    b = rng.uniform(0.0, 6.0, 3)
-    q = sum(a[k] * np.sin((k + 1) * w * t + b[k]) for k in range(3))
-    qd, qdd = np.gradient(q, t), np.gradient(np.gradient(q, t), t)
-    tau = 0.6 * qdd - 5.0 * 9.81 * 0.3 * np.cos(q) + 2.0 * np.tanh(qd / 2e-3) + 1.5 * qd
-    tau = tau + 0.4 * np.cos(40.0 * q + phase) + 0.03 * rng.normal(size=len(t))
+    t, rng = np.arange(0.0, 30.0, 0.004), np.random.default_rng(seed)
+    q = meandering(rng, t)
+    tau = torque(t, q) + 0.4 * np.cos(40.0 * q + phase) + 0.03 * rng.normal(size=len(t))
     return Recording.from_arrays(t, q=q[:, None], tau=tau[:, None])
 
 
@@ -180,19 +184,14 @@ def test_ur10e_load_dependent_friction_is_found():
 
 
 def test_what_nothing_explains_is_not_called_nothing(tmp_path):
-    one, rng = arm(tmp_path), np.random.default_rng(3)
-    t = np.arange(0.0, 40.0, 0.004)
-    # Kicks that no column tells of, at random times, in random directions.
-    kicks = np.zeros(len(t))
-    for at in rng.integers(0, len(t) - 5, 150):
-        kicks[at : at + 5] += 4.0 * rng.normal()
-    q = 0.6 * np.sin(0.7 * t)[:, None] + 0.3 * np.sin(1.9 * t)[:, None]
-    qd, qdd = np.gradient(q, t, axis=0), np.gradient(np.gradient(q, t, axis=0), t, axis=0)
-    tau = 0.6 * qdd - 14.7 * np.cos(q) + 2.0 * np.tanh(qd / 2e-3) + 1.5 * qd + 0.03 * rng.normal(size=q.shape)
+    one, rng, (t, q, _, tau) = arm(tmp_path), np.random.default_rng(3), strokes()
     found = diagnose(Recording.from_arrays(t, q=q, tau=tau), one)
     assert found.verdict == "none"
     assert not found.unexplained
-    found = diagnose(Recording.from_arrays(t, q=q, tau=tau + kicks[:, None]), one)
+    # Kicks that no column tells of, at random times, in random directions.
+    for at in rng.integers(0, len(t) - 5, 150):
+        tau[at : at + 5] += 4.0 * rng.normal()
+    found = diagnose(Recording.from_arrays(t, q=q, tau=tau), one)
     assert not found.effects
     assert [c.channel for c in found.unexplained] == ["tau_1"]
     assert "Nothing is missing" not in summary(found)
@@ -201,12 +200,9 @@ def test_what_nothing_explains_is_not_called_nothing(tmp_path):
 
 @pytest.mark.parametrize("width", [0.004, 0.006])
 def test_how_sharply_friction_changes_sign_is_found_and_is_no_effect(width, tmp_path):
-    one, rng = arm(tmp_path), np.random.default_rng(5)
-    t = np.arange(0.0, 40.0, 0.004)
-    q = 0.6 * np.sin(0.7 * t)[:, None] + 0.3 * np.sin(1.9 * t)[:, None]
-    qd, qdd = np.gradient(q, t, axis=0), np.gradient(np.gradient(q, t, axis=0), t, axis=0)
+    one, (t, q, qd, _) = arm(tmp_path), strokes()
     speed = width * np.percentile(np.abs(qd), 99)
-    tau = 0.6 * qdd - 14.7 * np.cos(q) + 2.0 * np.tanh(qd / speed) + 1.5 * qd + 0.01 * rng.normal(size=q.shape)
+    tau = torque(t, q, speed) + 0.01 * np.random.default_rng(5).normal(size=q.shape)
     recording = Recording.from_arrays(t, q=q, tau=tau)
     nominal = Model.nominal(one)
     raw = torque_regression(recording, one, nominal)
@@ -253,12 +249,8 @@ def arm_and_run(tmp_path_factory):
     arm = an_arm(seed=11, n=6)
     plant = a_plant(arm)
     run = simulate(plant, a_motion(arm, seconds=24.0))
-    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
-    path.write_text(arm.urdf, encoding="utf-8")
-    logger = dataclasses.replace(
-        draw_logger(np.random.default_rng(2), 6, qa=(0, 1, 2)), every=8, torque="sampled", encoder=2e-6, jitter=0.0,
-        dropped=0.0, spikes=0.0, temp=(), xy=False, noise=0.005 * np.std(run.tau, axis=0))
-    return Robot.load(path), plant, run, logger
+    logger = a_logger(np.random.default_rng(2), 6, qa=(0, 1, 2), encoder=2e-6, noise=0.005 * np.std(run.tau, axis=0))
+    return Robot.load(written(tmp_path_factory.mktemp("arm"), arm.urdf)), plant, run, logger
 
 
 def names(found: Diagnosis) -> list[tuple[str, int, str]]:

@@ -28,11 +28,11 @@ from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 from studies.strangers.arm import STEP, arm_of, draw_motion
 from studies.strangers.engines import ENGINES
-from studies.strangers.logger import draw_logger, record
+from studies.strangers.logger import record
 from studies.strangers.plant import BRISTLE, TANH
-from tests.arms import a_plant, an_arm
+from tests.arms import a_logger, a_plant, an_arm, written
 from tests.ideal_robot.diagnosis.test_adoption import STICKS, recorded, with_coulomb
-from tests.ideal_robot.diagnosis.test_diagnose import arm
+from tests.ideal_robot.diagnosis.test_diagnose import arm, torque
 
 # What tests of causes beside a known model draw alike: a motion of all joints, and a body of no extent.
 
@@ -63,9 +63,8 @@ def with_spring(part: float, spring: float, seed: int, about: float = 0.0) -> Re
     """One joint that moves over a part of its range, with a spring about the middle of that."""
     rng, t = np.random.default_rng(seed), np.arange(0.0, 40.0, 0.004)
     x = part * (0.6 * np.sin(0.7 * t + seed) + 0.3 * np.sin(1.9 * t) + 0.2 * np.sin(3.1 * t))
-    q, qd, qdd = about + x, np.gradient(x, t), np.gradient(np.gradient(x, t), t)
-    tau = 0.6 * qdd - 14.7 * np.cos(q) + 2.0 * np.tanh(qd / 2e-3) + 1.5 * qd + spring * x
-    return Recording.from_arrays(t, q=q[:, None], tau=(tau + 0.03 * rng.normal(size=len(t)))[:, None])
+    tau = torque(t, about + x) + spring * x + 0.03 * rng.normal(size=len(t))
+    return Recording.from_arrays(t, q=(about + x)[:, None], tau=tau[:, None])
 
 
 def test_a_spring_that_refitting_swallows_is_said_with_the_parameters_that_moved(tmp_path):
@@ -116,16 +115,11 @@ def test_a_healthy_recording_against_the_model_of_another_one_in_strangers_physi
     four = an_arm(seed=5, n=4)
     plant = dataclasses.replace(a_plant(four, kind=TANH if engine == "integrator" else BRISTLE))
     rng = np.random.default_rng(8)
-    logger = dataclasses.replace(
-        draw_logger(rng, 4, ()), every=8, torque="sampled", encoder=1e-5, jitter=0.0, dropped=0.0, spikes=0.0,
-        temp=(), xy=False)
-    made = []
+    logger, made = a_logger(rng, 4), []
     for seed in range(2):
         run = ENGINES[engine](plant, draw_motion(rng, four, 30.0, "fourier"))
         made.append(record(dataclasses.replace(logger, seed=seed, noise=0.005 * np.std(run.tau, axis=0)), plant, run))
-    urdf = tmp_path / "arm.urdf"
-    urdf.write_text(four.urdf, encoding="utf-8")
-    robot = Robot.load(urdf)
+    robot = Robot.load(written(tmp_path, four.urdf))
     found = diagnose(made[1], robot, model=identify([made[0]], robot).model)
     assert [(e.fitted.name, e.fitted.joint) for e in (*found.effects, *found.unknown)] == []
     assert found.verdict == "none"
@@ -163,12 +157,8 @@ def test_where_their_delay_is_named_a_model_made_of_late_torques_is_that_of_punc
     two = an_arm(seed=5, n=4)
     plant, rng = a_plant(two, kind=TANH), np.random.default_rng(8)
     run = ENGINES["integrator"](plant, draw_motion(rng, two, 25.0, "fourier"))
-    logger = dataclasses.replace(
-        draw_logger(rng, 4, ()), every=8, torque="sampled", encoder=1e-5, jitter=0.0, dropped=0.0, spikes=0.0,
-        temp=(), xy=False, noise=0.005 * np.std(run.tau, axis=0))
-    urdf = tmp_path / "arm.urdf"
-    urdf.write_text(two.urdf, encoding="utf-8")
-    robot = Robot.load(urdf)
+    logger = a_logger(rng, 4, noise=0.005 * np.std(run.tau, axis=0))
+    robot = Robot.load(written(tmp_path, two.urdf))
 
     def viscous(lag: float) -> np.ndarray:
         model = diagnose(record(dataclasses.replace(logger, lag=lag), plant, run), robot,
@@ -260,12 +250,10 @@ def carrying(name: str, link: int, mass: float, at: np.ndarray, left: float = 0.
 def test_a_body_on_the_flange_is_a_payload_of_its_mass(name, mass):
     # On the axis of the last joint it turns like a body on the link before.
     robot = Robot.load(name)
-    flange = robot.tool_place
-    problem, robot = carrying(name, robot.n, mass, np.asarray(flange))
+    problem, _ = carrying(name, robot.n, mass, robot.tool_place)
     bodies = tuple((e.name, j) for e in library() if e.domain == MOTOR_TORQUE and e.name in ("payload", "link_load")
                    for j in e.joints(problem.regression.signals))
-    search = Search(problem, library(), Options(), absorbed=True, only=bodies)
-    choices = search.run()
+    choices = Search(problem, library(), Options(), absorbed=True, only=bodies).run()
     assert [(c.effect.name, c.joint) for c in choices] == [("payload", 0)]
     (found,) = problem.fit([choices[0]]).coefficients
     assert found[0] == pytest.approx(mass, rel=0.1)
@@ -281,8 +269,7 @@ def test_a_body_on_an_inner_link_is_a_load_of_that_link():
 def test_a_light_body_is_a_payload_by_its_weight_at_the_wrist():
     """Its mass hides in what the strong joints leave; a rotor or a filter of the wrist has no weight."""
     robot = Robot.load("kr15")
-    flange = robot.tool_place
-    problem, _ = carrying("kr15", robot.n, 0.1, flange + np.array([0.02, -0.04, 0.05]), left=0.05)
+    problem, _ = carrying("kr15", robot.n, 0.1, robot.tool_place + np.array([0.02, -0.04, 0.05]), left=0.05)
     payload = Candidate(find("payload", "tau"), 0)
     final = problem.on_all_blocks().fit([payload], uncertainty=True)
     domain = DomainDiagnosis(problem, [dataclasses.replace(payload, p_value=1e-9, asked=0.1)], final, None, True, "")

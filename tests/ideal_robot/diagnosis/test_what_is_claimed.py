@@ -24,7 +24,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.diagnosis.page import summary
-from tests.ideal_robot.diagnosis.test_diagnose import arm
+from tests.ideal_robot.diagnosis.test_diagnose import arm, torque
 from tests.sources import ROOT
 
 
@@ -33,9 +33,9 @@ def moved(seconds: float = 40.0, *, vibration: float = 0.0, stribeck: float = 0.
     """One joint with gravity and friction, and what else there is; also its true torque."""
     rng, t = np.random.default_rng(3), np.arange(0.0, seconds, 0.004)
     q = 0.6 * np.sin(0.7 * t) + 0.3 * np.sin(1.9 * t) + 0.2 * np.sin(3.1 * t)
-    qd, qdd = np.gradient(q, t), np.gradient(np.gradient(q, t), t)
-    tau = 0.6 * qdd - 14.7 * np.cos(q) + 2.0 * np.tanh(qd / rounded) + 1.5 * qd
-    tau = tau + stribeck * np.exp(-((qd / 0.3) ** 2)) * np.tanh(qd / 2e-3) + vibration * np.sin(2 * np.pi * 110.0 * t)
+    qd = np.gradient(q, t)
+    tau = torque(t, q, rounded) + vibration * np.sin(2 * np.pi * 110.0 * t)
+    tau += stribeck * np.exp(-((qd / 0.3) ** 2)) * np.tanh(qd / 2e-3)
     for at in rng.integers(0, len(t) - 5, 150):
         tau[at : at + 5] += kicks * rng.normal()
     noisy = tau + 0.03 * rng.normal(size=len(t))
@@ -50,8 +50,7 @@ def one(tmp_path: Path) -> Robot:
 def domain_of(one: Robot, recording: Recording, *candidates: Candidate) -> DomainDiagnosis:
     """A domain in which a search is said to have selected these."""
     made = torque_regression(recording, one, Model.nominal(one))
-    problem = Problem.of(made, held_out=True)
-    return with_choices(problem, *candidates)
+    return with_choices(Problem.of(made, held_out=True), *candidates)
 
 
 def with_choices(problem: Problem, *candidates: Candidate) -> DomainDiagnosis:
@@ -219,10 +218,10 @@ def test_what_is_never_still_is_nothing_that_a_cause_is_missing_for(one):
 
 
 def test_what_was_found_takes_away_half_as_much_where_nobody_looked(one):
+    domain = domain_of(one, moved(stribeck=0.1)[0], Candidate(find("stribeck", "tau"), 1, (0.3,)))
+
     def left(asked: float) -> tuple[DomainDiagnosis, tuple]:
-        domain = domain_of(one, moved(stribeck=0.1)[0], Candidate(find("stribeck", "tau"), 1, (0.3,)))
-        choice = dataclasses.replace(domain.choices[0], p_value=1e-9, asked=asked)
-        return dataclasses.replace(domain, choices=[choice]).settled()
+        return dataclasses.replace(domain, choices=[dataclasses.replace(domain.choices[0], asked=asked)]).settled()
 
     before, after = (level[0] for level in left(0.0)[0].levels)
     share = 1.0 - (after / before) ** 2

@@ -74,8 +74,7 @@ def test_either_form_is_one_name_with_its_numbers(tmp_path: Path, exponent: floa
 
 
 def test_teeth_carry_what_is_behind_the_gear():
-    _, regression = of_a_moved_arm()
-    signals, effect = regression.signals, find("load_dependent_friction", "tau")
+    signals, effect = of_a_moved_arm().signals, find("load_dependent_friction", "tau")
     column = effect.columns(signals, 2, (0.7,))[:, 1, 0]
     carried = np.abs(signals.load[:, 1] - 0.7 * signals.qdd[:, 1])
     np.testing.assert_allclose(column, carried * signals.sliding_direction(2), atol=1e-12)
@@ -120,8 +119,7 @@ def test_a_filter_of_first_order_is_a_delay_well_below_its_corner_and_weakens_ab
 
 
 def test_one_delay_is_every_joints():
-    _, regression = of_a_moved_arm()
-    signals = regression.signals
+    signals = of_a_moved_arm().signals
     column = find("common_delay", "tau").columns(signals, 0, (0.01,))[:, :, 0]
     steps = round(0.01 / signals.dt)
     late = signals.torque[100 - steps : -100 - steps] - signals.torque[100:-100]
@@ -139,10 +137,9 @@ def test_a_late_device_sees_where_the_arm_was():
                                                        ("dead_time", "q", 1.0)])
 def test_torques_that_are_held_over_a_cycle_are_not_early(name, prefix, early):
     """Half a cycle of a loop of a kilohertz is in every drive: a torque acts from its stamp on until the next."""
-    _, regression = of_a_moved_arm()
-    effect = find(name, prefix)
+    effect, signals = find(name, prefix), of_a_moved_arm().signals
     for delay, right in ((early * 2e-4, False), (early * 2e-3, True), (-early * 2e-4, True)):
-        assert effect.plausible(np.array([delay]), (), regression.signals, 1) == right
+        assert effect.plausible(np.array([delay]), (), signals, 1) == right
 
 
 # Laws that hold for every friction model.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache, partial
 
 import numpy as np
 import pinocchio as pin
@@ -13,7 +14,8 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis import diagnose
 from ideal_robot.diagnosis.channels.motor_torque import in_own_units, torque_regression
 from ideal_robot.diagnosis.channels.regression import Regression
-from ideal_robot.effects import FittedEffect, Signals, library, signals
+from ideal_robot.dynamics import torques
+from ideal_robot.effects import FittedEffect, Signals, signals
 from ideal_robot.effects.backlash import crossed
 from ideal_robot.effects.elasticity import swinging
 from ideal_robot.effects.registry import find
@@ -29,6 +31,7 @@ from studies.strangers.trial import draw_trial
 INERTIA, WEIGHT, CUTOFF = 0.12, 3.0, 20.0
 STIFFNESS, DAMPING = INERTIA * (2.0 * np.pi * 8.0) ** 2, 0.07
 CONSTANT, HALF_GAP = 0.3, 2e-3
+FLIGHT = find("backlash", "tau_flight")
 
 
 def through_gear(q: Array, dt: float, gear: Callable[[float, float], float], constant: float = 0.0) -> Array:
@@ -76,21 +79,20 @@ def test_the_torque_of_a_swinging_arm_is_that_of_an_oscillator_and_tells_its_sti
     missing = lowpass(torque[::40] - signals.load[:, 0], signals.dt, 12.5)
     away = slice(500, -500)
 
-    def left(key: str, theta: tuple[float, ...]) -> tuple[float, float]:
+    def left(prefix: str, theta: tuple[float, ...]) -> tuple[float, float]:
         """Share of the squares that the best coefficient leaves, and that coefficient."""
-        effect = next(e for e in library() if e.key == key)
-        column = lowpass(effect.columns(signals, 1, theta)[:, 0, 0], signals.dt, 12.5)[away]
+        column = lowpass(find("joint_elasticity", prefix).columns(signals, 1, theta)[:, 0, 0], signals.dt, 12.5)[away]
         size = missing[away] @ column / (column @ column)
         return float(np.sum((missing[away] - size * column) ** 2) / np.sum(missing[away] ** 2)), float(size)
 
     stiffness = STIFFNESS * np.linspace(0.6, 1.6, 41)
-    found = [left("joint_elasticity/tau_resonance", (k,)) for k in stiffness]
+    found = [left("tau_resonance", (k,)) for k in stiffness]
     best = int(np.argmin([share for share, _ in found]))
     assert stiffness[best] == pytest.approx(STIFFNESS, rel=0.1)
     assert found[best][0] < 0.05
     assert found[best][1] == pytest.approx(1.0, abs=0.25)
     # Above the resonance the arm moves against its load: what a slow gear gives has the wrong sign there.
-    assert left("joint_elasticity/tau", ())[0] > 0.5
+    assert left("tau", ())[0] > 0.5
 
 
 def test_under_a_slow_load_the_gear_bends_as_the_load_asks():
@@ -102,8 +104,8 @@ def test_under_a_slow_load_the_gear_bends_as_the_load_asks():
 
 
 def test_starts_lie_within_one_search_of_any_stiffness_in_the_band():
-    signals = signals_of(*(one[::40] if one.ndim == 1 else one for one in (swung()[0], swung()[1][::40, None])))
-    effect = next(e for e in library() if e.key == "joint_elasticity/tau_resonance")
+    t, q, _ = swung()
+    signals, effect = signals_of(t[::40], q[::40, None]), find("joint_elasticity", "tau_resonance")
     reached = [effect.bounds_near(signals, 1, theta)[0] for theta in effect.starts(signals, 1)]
     low, high = effect.bounds(signals, 1)[0]
     for stiffness in np.geomspace(1.2 * low, high, 30):
@@ -141,7 +143,7 @@ def test_torque_of_a_gap_is_that_of_free_flight_and_impact(prefix, least, most):
     t, q, torque = between_stops(HALF_GAP)
     signals = signals_of(t[::20], q[::20, None], CONSTANT)
     missing = (torque - between_stops(0.0)[2])[::20]
-    effect = next(e for e in library() if e.name == "backlash" and e.channel_prefix == prefix)
+    effect = find("backlash", prefix)
     thetas = [(HALF_GAP, 0.0)] if prefix == "tau_flight" else effect.starts(signals, 1)
     seen, away = lowpass(missing, signals.dt, 12.5), slice(500, -500)
     shares = []
@@ -156,16 +158,14 @@ def test_torque_of_a_gap_is_that_of_free_flight_and_impact(prefix, least, most):
 
 def test_a_start_lies_near_the_gap():
     t, q, _ = between_stops(HALF_GAP)
-    effect = next(e for e in library() if e.key == "backlash/tau_flight")
-    gaps = {theta[0] for theta in effect.starts(signals_of(t[::20], q[::20, None], CONSTANT), 1)}
+    gaps = {theta[0] for theta in FLIGHT.starts(signals_of(t[::20], q[::20, None], CONSTANT), 1)}
     assert min(abs(np.log(gap / HALF_GAP)) for gap in gaps) < np.log(2.0)
 
 
 def test_a_joint_at_rest_is_not_asked_but_has_starts_for_another_motion():
-    effect = next(e for e in library() if e.key == "backlash/tau_flight")
     still = signals_of(np.linspace(0.0, 1.0, 200), np.full((200, 1), 0.3), CONSTANT)
-    assert not effect.usable(still, 1)
-    assert effect.starts(still, 1)
+    assert not FLIGHT.usable(still, 1)
+    assert FLIGHT.starts(still, 1)
 
 
 def test_a_gap_takes_its_time_to_be_crossed():
@@ -187,53 +187,50 @@ def test_a_stranger_s_gap_is_found():
 
 # Causes in the whole arm's dynamics: what they add is what the changed arm does; laws of the torques' derivatives.
 
-def of_a_moved_arm() -> tuple[Robot, Regression]:
-    robot = Robot.load("kr6")
-    t = np.arange(0.0, 6.0, 0.005)
+ROBOT = Robot.load("kr6")
+
+
+@cache
+def of_a_moved_arm() -> Regression:
+    robot, t = ROBOT, np.arange(0.0, 6.0, 0.005)
     q = 0.4 * np.sin(np.outer(t, np.linspace(1.0, 2.0, robot.n)) + np.arange(robot.n))
     tau = np.zeros_like(q)
     tau[300, 2] = 1e6
-    recording = Recording.from_arrays(t, q=q, tau=tau)
-    return robot, torque_regression(recording, robot, Model.nominal(robot), payload=True)
+    return torque_regression(Recording.from_arrays(t, q=q, tau=tau), robot, Model.nominal(robot), payload=True)
 
 
-def torques(model: pin.Model, signals: Signals) -> Array:
-    data = model.createData()
-    return np.array([pin.rnea(model, data, *row) for row in zip(signals.q, signals.qd, signals.qdd, strict=True)])
+def torques_of(model: pin.Model, signals: Signals) -> Array:
+    return torques(model, signals.q, signals.qd, signals.qdd)
 
 
 def test_they_are_what_the_changed_arm_does():
-    robot, regression = of_a_moved_arm()
-    signals = regression.signals
-    before = torques(robot.pinocchio, signals)
+    signals = of_a_moved_arm().signals
+    before = torques_of(ROBOT.pinocchio, signals)
 
-    tilted = robot.pinocchio.copy()
+    tilted = ROBOT.pinocchio.copy()
     tilted.gravity.linear = tilted.gravity.linear + np.array([0.2, -0.1, 0.0])
     columns = find("base_tilt", "tau").columns(signals, 0, ())
-    np.testing.assert_allclose(columns @ [0.2, -0.1, 0.0, 0.0], torques(tilted, signals) - before, atol=1e-6)
+    np.testing.assert_allclose(columns @ [0.2, -0.1, 0.0, 0.0], torques_of(tilted, signals) - before, atol=1e-6)
 
     angle = 1e-4
-    signals_ahead = signals.q.copy()
-    signals_ahead[:, 2] += angle
+    ahead = signals.rigid(signals.q + angle * np.eye(6)[2], signals.qd, signals.qdd)
     column = find("zero_error", "tau").columns(signals, 3, ())[:, :, 0]
-    np.testing.assert_allclose(
-        angle * column, signals.rigid(signals_ahead, signals.qd, signals.qdd) - signals.load, atol=1e-4)
+    np.testing.assert_allclose(angle * column, ahead - signals.load, atol=1e-4)
 
-    loaded = robot.pinocchio.copy()
+    loaded = ROBOT.pinocchio.copy()
     # Away from the axis, so that it has an inertia about it.
     body = pin.Inertia(2.0, np.array([0.1, -0.2, 0.15]), 0.01 * np.eye(3))
     loaded.inertias[3] = loaded.inertias[3] + body
     columns = find("link_load", "tau").columns(signals, 3, ())
-    np.testing.assert_allclose(columns @ body.toDynamicParameters(), torques(loaded, signals) - before, atol=1e-6)
+    np.testing.assert_allclose(columns @ body.toDynamicParameters(), torques_of(loaded, signals) - before, atol=1e-6)
 
 
 def test_a_base_leans_where_its_z_axis_does():
-    robot, regression = of_a_moved_arm()
     base = pin.exp3(np.array([0.0, 0.05, 0.0]))
-    leaning, angle = robot.pinocchio.copy(), np.arctan2(*base[1::-1, 2])
+    leaning, angle = ROBOT.pinocchio.copy(), np.arctan2(*base[1::-1, 2])
     leaning.gravity.linear = base.T @ leaning.gravity.linear
-    tilt, signals = find("base_tilt", "tau"), regression.signals
-    shown = torques(leaning, signals) - torques(robot.pinocchio, signals)
+    tilt, signals = find("base_tilt", "tau"), of_a_moved_arm().signals
+    shown = torques_of(leaning, signals) - torques_of(ROBOT.pinocchio, signals)
     found = np.linalg.lstsq(tilt.columns(signals, 0, ())[:, :, :2].reshape(-1, 2), shown.ravel(), rcond=None)[0]
     size, direction = tilt.parameters(np.append(found, [0.0, 0.0]), np.full(4, 1e-3), (), ())
     assert size.value == pytest.approx(0.05, rel=0.02)
@@ -241,13 +238,12 @@ def test_a_base_leans_where_its_z_axis_does():
 
 
 def test_a_leaning_base_shows_moments_of_an_upright_first_axis_that_the_urdf_has_wrong():
-    robot, regression = of_a_moved_arm()
-    signals, tilt = regression.signals, find("base_tilt", "tau")
-    true = robot.pinocchio.copy()
+    signals, tilt = of_a_moved_arm().signals, find("base_tilt", "tau")
+    true = ROBOT.pinocchio.copy()
     true.inertias[1] = true.inertias[1] + pin.Inertia(6.0, np.array([0.08, -0.05, 0.0]), np.zeros((3, 3)))
-    upright = torques(true, signals)
+    upright = torques_of(true, signals)
     true.gravity.linear = true.gravity.linear + np.array([0.2, -0.1, 0.0])
-    leaning = torques(true, signals) - upright
+    leaning = torques_of(true, signals) - upright
     columns = tilt.columns(signals, 0, ())
     found = np.linalg.lstsq(columns.reshape(-1, 4), leaning.ravel(), rcond=None)[0]
     np.testing.assert_allclose(columns @ found, leaning, atol=1e-6)
@@ -263,7 +259,7 @@ def test_a_leaning_base_shows_moments_of_an_upright_first_axis_that_the_urdf_has
 
 @pytest.mark.parametrize("unit", ["N m", "A"])
 def test_a_spring_balances_gravity_where_there_is_some_in_any_unit(unit):
-    _, regression = of_a_moved_arm()
+    regression = of_a_moved_arm()
     if unit == "A":
         amperes = 0.1 * regression.filtered.decimate(regression.signals.torque)
         regression = in_own_units(replace(regression, measured=amperes))
@@ -272,18 +268,12 @@ def test_a_spring_balances_gravity_where_there_is_some_in_any_unit(unit):
 
 
 def test_a_single_sample_that_stands_out_costs_nothing():
-    _, regression = of_a_moved_arm()
-    assert np.max(np.abs(regression.measured[:, 2])) == 0.0
+    assert np.max(np.abs(of_a_moved_arm().measured[:, 2])) == 0.0
 
 
-ROBOT = Robot.load("kr6")
 RNG = np.random.default_rng(5)
 Q, QD, QDD = (RNG.uniform(-1.0, 1.0, (7, ROBOT.n)) for _ in range(3))
-
-
-def _rigid(q: Array, qd: Array, qdd: Array) -> Array:
-    data = ROBOT.pinocchio.createData()
-    return np.array([pin.rnea(ROBOT.pinocchio, data, *row) for row in zip(q, qd, qdd, strict=True)])
+_rigid = partial(torques, ROBOT.pinocchio)
 
 
 def test_they_are_those_that_pinocchio_has_in_closed_form() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -98,24 +99,17 @@ def test_every_name_of_the_list_is_there():
     assert asked <= {effect.name for effect in library()}
 
 
-def test_a_learned_term_goes_to_zero_outside_of_where_it_was_learned():
-    signals = motion(count=3)
-    term = Unknown(("q_1",), False, (tuple(np.linspace(-1.0, 1.0, 6)),))
-    inside, far = (Signals(signals.t, np.full((3, 2), x), signals.qd, signals.qdd, signals.load, signals.torque,
-                           signals.friction) for x in (0.3, 2.0))
-    np.testing.assert_allclose(term.basis(inside).sum(axis=1), 1.0, atol=1e-9)
-    np.testing.assert_array_equal(term.basis(far), 0.0)
-
-
-def test_a_learned_term_still_holds_where_a_path_reaches_a_little_further():
+def test_a_learned_term_fades_to_zero_outside_of_where_it_was_learned():
     """A fall to zero within a tenth of the range made a loop worse that turned round a fifth of the range outside."""
-    signals = motion(count=3)
     term = Unknown(("q_1",), False, (tuple(np.linspace(-1.0, 1.0, 6)),))
-    left = [term.basis(Signals(signals.t, np.full((3, 2), x), signals.qd, signals.qdd, signals.load, signals.torque,
-                               signals.friction)).sum(axis=1)[0] for x in (1.2, -1.4, 1.7)]
-    assert left[0] > 0.97
-    assert left[1] > 0.8
-    assert left[2] < 0.35
+    inside, *left, far = (term.basis(replace(motion(count=3), q=np.full((3, 2), x)))
+                          for x in (0.3, 1.2, -1.4, 1.7, 2.0))
+    np.testing.assert_allclose(inside.sum(axis=1), 1.0, atol=1e-9)
+    near, further, out = (basis.sum(axis=1)[0] for basis in left)
+    assert near > 0.97
+    assert further > 0.8
+    assert out < 0.35
+    np.testing.assert_array_equal(far, 0.0)
 
 
 @pytest.mark.parametrize("key", ["prefix", "head"])
@@ -171,23 +165,19 @@ def own_effect():
 def test_an_own_effect_is_found_by_the_diagnosis(own_effect, tmp_path):
     assert own_effect in library()
     assert "square_of_position" in names()
-    one, (t, q, _, tau) = arm(tmp_path), strokes()
-    tau = tau + 0.7 * np.sign(np.sin(7.0 * q))
-    found = diagnose(Recording.from_arrays(t, q=q, tau=tau), one)
+    t, q, _, tau = strokes()
+    found = diagnose(Recording.from_arrays(t, q=q, tau=tau + 0.7 * np.sign(np.sin(7.0 * q))), arm(tmp_path))
     assert [e.fitted.name for e in found.effects] == ["square_of_position"]
     assert found.effects[0].fitted.coefficients[0] == pytest.approx(0.7, rel=0.02)
     assert found.effects[0].fitted.channel == "tau_1"
     assert discriminating_motion("cable_spring", ("square_of_position",)) == "other strokes"
 
 
-def test_an_effect_is_registered_once(own_effect):
-    with pytest.raises(InputError, match="already"):
-        register(SquareOfPosition())
-
-
-def test_an_effect_that_was_taken_out_is_unknown():
+def test_an_effect_is_registered_once_and_unknown_after_it_was_taken_out():
     effect = SquareOfPosition()
     register(effect)
+    with pytest.raises(InputError, match="already"):
+        register(SquareOfPosition())
     fitted = FittedEffect(effect.name, 1, "tau_1", (2.0,))
     assert fitted.effect is effect
     unregister(effect)
@@ -225,6 +215,5 @@ def test_columns_of_an_own_effect_that_are_none_are_said(made: Callable[[np.ndar
         unregister(own)
 
 
-def test_the_class_of_an_effect_is_no_effect() -> None:
     with pytest.raises(InputError, match="make one of the class"):
         register(Drag)  # type: ignore[arg-type]

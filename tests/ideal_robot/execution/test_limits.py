@@ -22,7 +22,7 @@ from ideal_robot.execution.command_governor import (
     stops_at_once,
 )
 from ideal_robot.execution.precorrect import path_at_cycles, precorrect
-from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.base import PassThrough
 from tests.ideal_robot.execution.test_play import MODEL, ROBOT, Follower, path
 
 T = ROBOT.t_ipo
@@ -226,24 +226,12 @@ def test_an_arm_that_lets_go_moves_away_while_it_brakes_and_ends_at_rest_there()
 
 # What a play does at its ends.
 
-class _Plain(Feedforward):
-    """Hands over what is desired now."""
-
-    t_ipo, n_d = T, 3
-
-    def init(self, q0: Array) -> Array:
-        return q0
-
-    def step(self, state: Array, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, Array]:
-        return q_d[0], state
-
-
 def test_a_path_that_ends_in_motion_is_braked_within_the_limits_and_comes_back_to_its_end() -> None:
     speed = 0.8 * ROBOT.v_max
     k = np.arange(70.0)[:, None]
     inwards = np.sign(0.5 * (ROBOT.q_min + ROBOT.q_max) - ROBOT.home)
     q_d = ROBOT.home + 0.3 * speed * T * inwards * np.where(k < 40, k * eased(k / 40.0), k)
-    played = ir.play(Follower(), _Plain(), q_d, robot=ROBOT)
+    played = ir.play(Follower(), PassThrough(T), q_d, robot=ROBOT)
     assert played.failure is None
     check_limits(played.q_c, ROBOT, T)
     assert len(played.q_c) > len(q_d)
@@ -252,13 +240,13 @@ def test_a_path_that_ends_in_motion_is_braked_within_the_limits_and_comes_back_t
 
 
 def test_a_path_that_ends_at_rest_ends_with_its_last_row() -> None:
-    assert len(ir.play(Follower(), _Plain(), path(), robot=ROBOT).q_c) == len(path())
+    assert len(ir.play(Follower(), PassThrough(T), path(), robot=ROBOT).q_c) == len(path())
 
 
 def test_a_first_step_beyond_the_acceleration_is_not_handed_over() -> None:
     for share, fine in ((0.9, True), (1.1, False)):
         q_d = ROBOT.home + np.minimum(np.arange(40.0), 1.0)[:, None] * share * ACCELERATION * ROBOT.a_max * T**2
-        played = ir.play(Follower(), _Plain(), q_d, robot=ROBOT)
+        played = ir.play(Follower(), PassThrough(T), q_d, robot=ROBOT)
         assert (played.failure is None) == fine
         np.testing.assert_array_equal(played.q_c[0], q_d[0])
         if not fine:
@@ -268,7 +256,7 @@ def test_a_first_step_beyond_the_acceleration_is_not_handed_over() -> None:
 
 def test_computing_times_are_those_of_the_computing() -> None:
     begun = time.perf_counter()
-    played = ir.play(Follower(), _Plain(), path(), robot=ROBOT)
+    played = ir.play(Follower(), PassThrough(T), path(), robot=ROBOT)
     assert played.compute_times.min() > 0.0
     assert played.compute_times.sum() < time.perf_counter() - begun
     told = played.to_dict()["compute_time_ms"]

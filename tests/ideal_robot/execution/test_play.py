@@ -15,13 +15,12 @@ from ideal_robot.arrays import Array, eased
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.execution.command_governor import ACCELERATION, CommandGovernor
 from ideal_robot.execution.precorrect import path_at_cycles
+from ideal_robot.feedforward.base import PassThrough
 from ideal_robot.feedforward.method import Needs
 from ideal_robot.feedforward.registry import feedforward, methods
-from ideal_robot.model.model import Model
 from ideal_robot.robots import SHIPPED
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
-from scenes.models import shipped_model
 from tests.sources import MODELS
 
 ROBOT = ir.Robot.load("kr6")
@@ -65,11 +64,12 @@ def test_every_cycle_is_handed_over_and_recorded() -> None:
 
 
 def test_observe_is_told_of_every_cycle() -> None:
-    class Counting(type(ir.feedforward("none", None, ROBOT))):  # type: ignore[misc]
-        def init(self, q0: Array) -> int:
+    class Counting(PassThrough):
+        def init(self, q0: Array) -> int:  # type: ignore[override]
             return 0
 
-        def step(self, state: int, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, int]:
+        def step(self, state: int, q_d: Array, tau_ext_d: Array | None = None  # type: ignore[override]
+                 ) -> tuple[Array, int]:
             return q_d[0], state
 
         def observe(self, state: int, measured: RobotState) -> int:
@@ -121,33 +121,26 @@ def test_a_driver_that_tells_of_other_joints_ends_the_play_in_the_first_cycle(q:
     assert len(arm.commands) == 1
 
 
-@pytest.mark.parametrize(("q_d", "field"), [(np.zeros(50), "q_d"), (np.full((50, 6), np.nan), "q_d"),
-                                            (np.zeros((50, 5)), "q_d")])
-def test_paths_that_cannot_be_played_are_refused_before_anything_moves(q_d: Array, field: str) -> None:
+@pytest.mark.parametrize("q_d", [np.zeros(50), np.full((50, 6), np.nan), np.zeros((50, 5))])
+def test_paths_that_cannot_be_played_are_refused_before_anything_moves(q_d: Array) -> None:
     arm = Follower()
     with pytest.raises(InputError) as caught:
         ir.play(arm, ir.feedforward("none", None, ROBOT), q_d, robot=ROBOT)
-    assert caught.value.field == field
+    assert caught.value.field == "q_d"
     assert not arm.commands
 
 
 # A path at the cycles of a controller.
 
-KR6 = Robot.load("kr6")
-
-
 @pytest.mark.parametrize("duration", [1e-3, 0.5, 0.504, 0.5101])
 def test_the_end_of_a_path_is_reached_wherever_in_a_cycle_it_lies(duration: float) -> None:
     """A path within one cycle was left out altogether, and none of its limits were looked at."""
     t = np.linspace(0.0, duration, 200)
-    q = KR6.home + 0.05 * (t / duration)[:, None] ** 2
-    times, positions = path_at_cycles(t, q, KR6, rest=0.12)
-    np.testing.assert_allclose(np.diff(times), KR6.t_ipo)
+    q = ROBOT.home + 0.05 * (t / duration)[:, None] ** 2
+    times, positions = path_at_cycles(t, q, ROBOT, rest=0.12)
+    np.testing.assert_allclose(np.diff(times), ROBOT.t_ipo)
     np.testing.assert_allclose(positions[0], q[0])
     np.testing.assert_allclose(positions[-1], q[-1], atol=1e-12)
-
-
-GOVERNED = Robot.load("kr6")
 
 
 def _largest(robot: Robot, p: Array, jerk: Array) -> dict[str, float]:
@@ -195,8 +188,8 @@ def test_every_limit_is_kept_under_any_input(name: str, kind: str, smooth: bool)
 @settings(max_examples=60)
 @given(st.lists(st.floats(-0.6, 0.6), min_size=6, max_size=6), st.floats(0.3, 3.0))
 def test_what_keeps_the_limits_passes_bit_by_bit(amplitude: list[float], pace: float) -> None:
-    start = GOVERNED.home
-    governor = CommandGovernor(GOVERNED, start)
+    start = ROBOT.home
+    governor = CommandGovernor(ROBOT, start)
     s = np.clip(np.arange(300) / 250.0, 0.0, 1.0)
     path = start + 0.5 * np.outer(eased(s), amplitude) * min(pace, 1.0)
     for q in path:
@@ -204,27 +197,27 @@ def test_what_keeps_the_limits_passes_bit_by_bit(amplitude: list[float], pace: f
 
 
 def test_the_arm_rests_at_its_position_limit_when_driven_beyond() -> None:
-    governor = CommandGovernor(GOVERNED, GOVERNED.home)
+    governor = CommandGovernor(ROBOT, ROBOT.home)
     for _ in range(2000):
-        last = governor.allowed(2.0 * GOVERNED.q_max)
-    np.testing.assert_allclose(last, GOVERNED.q_max, atol=1e-3)
+        last = governor.allowed(2.0 * ROBOT.q_max)
+    np.testing.assert_allclose(last, ROBOT.q_max, atol=1e-3)
 
 
 def test_a_start_outside_the_limits_is_refused() -> None:
     with pytest.raises(InputError, match="within the joint limits"):
-        CommandGovernor(GOVERNED, 2.0 * GOVERNED.q_max)
+        CommandGovernor(ROBOT, 2.0 * ROBOT.q_max)
 
 
 @pytest.mark.parametrize("key", methods(Needs.MODEL))
 def test_every_feedforward_behind_it_keeps_the_limits(key: str) -> None:
     """Horizons that jump, end, and hold NaN; the feedforward may answer anything."""
-    law, rng = feedforward(key, Model.load(shipped_model("kr6")), GOVERNED, n_d=10), np.random.default_rng(3)
-    governor = CommandGovernor(GOVERNED, GOVERNED.home)
-    state, path = law.init(GOVERNED.home), [GOVERNED.home] * 3
-    horizon = np.tile(GOVERNED.home, (10, 1))
+    law, rng = feedforward(key, MODEL, ROBOT, n_d=10), np.random.default_rng(3)
+    governor = CommandGovernor(ROBOT, ROBOT.home)
+    state, path = law.init(ROBOT.home), [ROBOT.home] * 3
+    horizon = np.tile(ROBOT.home, (10, 1))
     for k in range(400):
         if k % 20 == 0:
-            horizon = np.tile(rng.uniform(GOVERNED.q_min, GOVERNED.q_max), (10, 1))
+            horizon = np.tile(rng.uniform(ROBOT.q_min, ROBOT.q_max), (10, 1))
         if k % 97 == 50:
             horizon = np.full((10, 6), np.nan)
         try:
@@ -236,16 +229,16 @@ def test_every_feedforward_behind_it_keeps_the_limits(key: str) -> None:
         if np.isfinite(q_c).all():
             state = after
         path.append(governor.allowed(q_c))
-    found = _largest(GOVERNED, np.array(path), 2.0 * ACCELERATION * GOVERNED.a_max / GOVERNED.t_ipo)
+    found = _largest(ROBOT, np.array(path), 2.0 * ACCELERATION * ROBOT.a_max / ROBOT.t_ipo)
     assert max(found.values()) <= 1.0 + 1e-6, found
 
 
 def test_no_command_is_outside_a_position_limit_by_so_much_as_rounding() -> None:
     """An arm refuses such a command and stops at once; seen where braking ends at the limit."""
-    rng, governor = np.random.default_rng(5), CommandGovernor(GOVERNED, GOVERNED.home)
-    goal = np.where(rng.random(GOVERNED.n) < 0.5, GOVERNED.q_min, GOVERNED.q_max)
+    rng, governor = np.random.default_rng(5), CommandGovernor(ROBOT, ROBOT.home)
+    goal = np.where(rng.random(ROBOT.n) < 0.5, ROBOT.q_min, ROBOT.q_max)
     for k in range(3000):
         if k % 150 == 0:
-            goal = np.where(rng.random(GOVERNED.n) < 0.5, GOVERNED.q_min - 0.1, GOVERNED.q_max + 0.1)
-        command = governor.allowed(goal + 1e-3 * rng.normal(size=GOVERNED.n))
-        assert np.all((command >= GOVERNED.q_min) & (command <= GOVERNED.q_max))
+            goal = np.where(rng.random(ROBOT.n) < 0.5, ROBOT.q_min - 0.1, ROBOT.q_max + 0.1)
+        command = governor.allowed(goal + 1e-3 * rng.normal(size=ROBOT.n))
+        assert np.all((command >= ROBOT.q_min) & (command <= ROBOT.q_max))

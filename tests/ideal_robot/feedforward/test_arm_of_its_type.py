@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -20,9 +19,9 @@ from ideal_robot.friction import PerJointFriction
 from ideal_robot.model.model import Model
 from ideal_robot.signals.recording import Recording
 from tests.arms import ROBOT, motion
+from tests.sources import MODELS
 
 DT = 0.002
-MODELS = Path(__file__).parents[3] / "scenes" / "models"
 
 
 def other_arm(model: Model) -> Model:
@@ -30,13 +29,14 @@ def other_arm(model: Model) -> Model:
     factor = np.repeat([1.05, 0.93, 1.1, 0.94, 1.08, 0.95], 10)
     full = np.array(model.consistent)
     full[: 10 * model.n] *= factor
-    turn = np.exp(2j)
-    effects = []
-    for effect in model.effects:
-        wave = turn * complex(*effect.coefficients) if effect.name == RIPPLE else None
-        effects.append(effect if wave is None else replace(effect, coefficients=(wave.real, wave.imag)))
-    return replace(model, consistent=full, base_values=model.base_values + model.base.of(full - model.consistent),
-                   effects=tuple(effects))
+    turned = [np.exp(2j) * complex(*effect.coefficients) if effect.name == RIPPLE else None for effect in model.effects]
+    effects = tuple(effect if wave is None else replace(effect, coefficients=(wave.real, wave.imag))
+                    for effect, wave in zip(model.effects, turned, strict=True))
+    return replace(with_bodies(model, full), effects=effects)
+
+
+def with_bodies(model: Model, full: Array) -> Model:
+    return replace(model, consistent=full, base_values=model.base_values + model.base.of(full - model.consistent))
 
 
 def with_tool(model: Model, mass: float) -> Model:
@@ -44,7 +44,7 @@ def with_tool(model: Model, mass: float) -> Model:
     place = ROBOT.tool_place + np.array([0.05, 0.0, 0.0])
     full, n = np.array(model.consistent), model.n
     full[10 * n - 10 : 10 * n] += pin.Inertia(mass, place, np.zeros((3, 3))).toDynamicParameters()
-    return replace(model, consistent=full, base_values=model.base_values + model.base.of(full - model.consistent))
+    return with_bodies(model, full)
 
 
 def moved(scale: float = 1.0) -> tuple[Array, Array, Array, Array]:
@@ -71,11 +71,8 @@ def model() -> Model:
 def test_masses_and_ripple_of_the_arm_that_moved_are_found(model: Model) -> None:
     true = other_arm(model)
     found = arm_of_its_type(recorded(true, friction=1.2), model, ROBOT)
-    _, q, qd, qdd = moved(scale=0.8)
-    off = [np.sqrt(np.mean((one.rigid_body(q, qd, qdd) - true.rigid_body(q, qd, qdd)) ** 2, axis=0))
-           for one in (model, found)]
-    loaded = [1, 2]
-    assert np.all(off[1][loaded] < 0.3 * off[0][loaded]), off
+    off = [bodies_apart(one, true)[1:3] for one in (model, found)]
+    assert np.all(off[1] < 0.3 * off[0]), off
     waves = [[np.array(e.coefficients) for e in one.effects if e.name == RIPPLE] for one in (true, found)]
     assert len(waves[0]) >= 5
     for wave, ours in zip(*waves, strict=True):
@@ -135,10 +132,8 @@ def test_what_identification_left_open_of_the_very_arm_is_found(model: Model, jo
 def test_another_arm_is_found_with_a_heavier_tool_too(model: Model) -> None:
     true = with_tool(other_arm(model), 8.0)
     found = arm_of_its_type(recorded(true), model, ROBOT)
-    _, q, qd, qdd = moved(scale=0.8)
-    off = [np.sqrt(np.mean((one.rigid_body(q, qd, qdd) - true.rigid_body(q, qd, qdd)) ** 2, axis=0))
-           for one in (model, found)]
-    assert np.all(off[1][1:3] < 0.3 * off[0][1:3]), off
+    off = [bodies_apart(one, true)[1:3] for one in (model, found)]
+    assert np.all(off[1] < 0.3 * off[0]), off
 
 
 def at_once(model: Model, joint: int) -> Model:
@@ -169,9 +164,7 @@ def test_what_holds_a_joint_at_rest_is_not_taken_for_weight(model: Model) -> Non
     assert 300 < at_rest.sum() < 0.3 * len(qd)
     held = Recording.from_arrays(moving.t, q=moving.joints("q"),
                                  tau=moving.joints("tau") + 0.5 * dry * at_rest[:, None])
-    _, *motion_ = moved(scale=0.8)
-    told, found = (arm_of_its_type(one, model, ROBOT).rigid_body(*motion_) for one in (moving, held))
-    off = np.sqrt(np.mean((found - told) ** 2, axis=0))
+    off = bodies_apart(*(arm_of_its_type(one, model, ROBOT) for one in (moving, held)))
     assert np.all(off < 0.01 * dry), off / dry
 
 
@@ -223,7 +216,5 @@ def test_links_of_a_soft_arm_move_behind_its_gears(model: Model) -> None:
     assert np.all(bodies_apart(very, soft) < 0.5 * left_open(soft))
     true = other_arm(soft)
     found = arm_of_its_type(recorded_behind_gears(true), soft, ROBOT)
-    _, *motion_ = moved(scale=0.8)
-    off = [np.sqrt(np.mean((one.rigid_body(*motion_) - true.rigid_body(*motion_)) ** 2, axis=0))[1:3]
-           for one in (soft, found)]
+    off = [bodies_apart(one, true)[1:3] for one in (soft, found)]
     assert np.all(off[1] < np.array([0.05, 0.4]) * off[0]), off

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from ideal_robot.feedforward.friction_estimator import FAR, OWN, SHARED, TERMS
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.robots.interface import RobotState
-from tests.arms import ROBOT, T, commands, motion, plant, rms
+from tests.arms import ROBOT, T, commands, motion, off, plant, rms
 
 
 def states(loop, q_d, repeat=3, rng=None):
@@ -23,19 +24,16 @@ def states(loop, q_d, repeat=3, rng=None):
     return [RobotState(t, q, torque) for t, q, torque in zip(done.t[1:], done.q_m[1:], tau[1:], strict=True)]
 
 
-def fed(adaptation, measured):
-    state = adaptation.init()
-    for one in measured:
-        state = adaptation.update(state, one)
-    return state
+def fed(adaptation, measured, state=None):
+    return reduce(adaptation.update, measured, state or adaptation.init())
 
 
 def sliding_ratio(loop, known, speeds=(0.3, 0.8)):
     """Adapted over identified friction at speeds ``(m, n)``: terms trade, what counts is their sum."""
-    tables = known.friction[0], loop.friction_torque
-    return np.array([[np.interp(speed, loop.friction_velocity[:, i], tables[0][0, :, i])
-                      / np.interp(speed, loop.friction_velocity[:, i], tables[1][0, :, i]) for i in range(loop.n)]
-                     for speed in speeds])
+    adapted, identified = (np.array([[np.interp(speed, v, table) for v, table in
+                                      zip(loop.friction_velocity.T, tables[0].T, strict=True)] for speed in speeds])
+                           for tables in (known.friction[0], loop.friction_torque))
+    return adapted / identified
 
 
 def loaded(loop, mass=2.0, com=(0.05, 0.0, 0.15)):
@@ -78,9 +76,7 @@ def test_two_motions_one_after_the_other_are_not_taken_for_one():
     adaptation = FrictionAdaptation(loop, tool=TOOL)
     first = states(loop, motion(), repeat=1)
     second = [RobotState(one.t + 3600.0, one.q, one.tau) for one in first[10:]]
-    apart = adaptation.begun(fed(adaptation, first))
-    for one in second:
-        apart = adaptation.update(apart, one)
+    apart = fed(adaptation, second, adaptation.begun(fed(adaptation, first)))
     together = fed(adaptation, [*first, *second])
     np.testing.assert_array_equal(together.x, apart.x)
     np.testing.assert_array_equal(together.covariance, apart.covariance)
@@ -112,11 +108,10 @@ def test_it_makes_the_path_better_when_the_tool_is_heavier():
     heavier = loaded(loop, mass=6.0)
     adaptation = FrictionAdaptation(loop, tool=TOOL)
     known = fed(adaptation, states(heavier, q_d))
-    error = {name: rms(simulate(heavier, commands(feedforward, q_d)).q_m[40:-1]
-                       - simulate(loop, commands(IdealRobot(loop), q_d)).q_m[40:-1])
-             for name, feedforward in (("fixed", IdealRobot(loop)),
-                                       ("adapted", AdaptedIdeal(IdealRobot(loop), adaptation, known)))}
-    assert error["adapted"] < 0.5 * error["fixed"]
+    wanted = simulate(loop, commands(IdealRobot(loop), q_d)).q_m[40:-1]
+    fixed, adapted = (rms(simulate(heavier, commands(feedforward, q_d)).q_m[40:-1] - wanted) for feedforward in
+                      (IdealRobot(loop), AdaptedIdeal(IdealRobot(loop), adaptation, known)))
+    assert adapted < 0.5 * fixed
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.0, 1.4])
@@ -195,9 +190,8 @@ def test_an_arm_whose_friction_falls_before_it_rises_is_where_it_should_be():
     loop, q_d = plant(), motion()
     true, adaptation = falling(loop), FrictionAdaptation(loop)
     known = fed(adaptation, [*states(true, q_d), *states(true, motion(0.05))])
-    adapted, fixed = (rms(simulate(true, commands(feedforward, q_d)).q_a[40:-1] - q_d[40:]) for feedforward in
-                      (AdaptedIdeal(IdealRobot(loop), adaptation, known), IdealRobot(loop)))
-    assert adapted < 0.25 * fixed
+    adapted = AdaptedIdeal(IdealRobot(loop), adaptation, known)
+    assert off(true, adapted, q_d) < 0.25 * off(true, IdealRobot(loop), q_d)
 
 
 def test_where_the_model_leaves_more_than_friction_little_is_learned():
@@ -225,10 +219,7 @@ def test_a_poisoned_recording_leaves_it_bounded(kind):
     loop, q_d = plant(), motion()
     adaptation = FrictionAdaptation(loop)
     rng = np.random.default_rng(9)
-    state = adaptation.init()
-    for k in range(800):
-        q, tau = poisons(kind, rng, loop.n, k)
-        state = adaptation.update(state, RobotState(k * T, q, tau))
+    state = fed(adaptation, [RobotState(k * T, *poisons(kind, rng, loop.n, k)) for k in range(800)])
     assert np.all(np.abs(state.values) <= FAR * np.concatenate([SHARED + OWN, np.ones(TERMS - 2)]))
     assert np.all(np.linalg.eigvalsh(state.covariance) > 0.0)
     assert np.isfinite(state.mass)
@@ -245,20 +236,13 @@ def test_a_poisoned_recording_leaves_it_bounded(kind):
 def test_good_measurements_after_bad_ones_count_again():
     loop = plant()
     adaptation = FrictionAdaptation(loop)
-    rng = np.random.default_rng(1)
-    state = adaptation.init()
-    for k in range(200):
-        state = adaptation.update(state, RobotState(k * T, *poisons("nan", rng, loop.n, k)))
+    nothing = np.full(loop.n, np.nan)
+    state = fed(adaptation, [RobotState(k * T, nothing, nothing) for k in range(200)])
     assert not state.values.any()
-    for one in states(plant(friction=1.3), motion()):
-        state = adaptation.update(state, one)
-    assert np.all(sliding_ratio(loop, state) > 1.2)
+    assert np.all(sliding_ratio(loop, fed(adaptation, states(plant(friction=1.3), motion()), state)) > 1.2)
 
 
 def test_it_makes_the_path_better_when_friction_has_grown():
     loop, worn, q_d = plant(), plant(friction=1.4), motion()
-    factors = fed(FrictionAdaptation(loop), states(worn, q_d))
-    follows = AdaptedIdeal(IdealRobot(loop), known=factors)
-    error = {name: rms(simulate(worn, commands(feedforward, q_d)).q_a[40:-1] - q_d[40:])
-             for name, feedforward in (("fixed", IdealRobot(loop)), ("adapted", follows))}
-    assert error["adapted"] < 0.5 * error["fixed"]
+    follows = AdaptedIdeal(IdealRobot(loop), known=fed(FrictionAdaptation(loop), states(worn, q_d)))
+    assert off(worn, follows, q_d) < 0.5 * off(worn, IdealRobot(loop), q_d)

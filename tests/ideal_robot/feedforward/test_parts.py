@@ -11,6 +11,8 @@ import pytest
 from ideal_robot.arrays import eased
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
+from ideal_robot.feedforward.base import PassThrough
+from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.learning import AXES, joint_errors, pose_errors
 from ideal_robot.feedforward.precorrection import Precorrection, at_cycle, command_inverse, spline_operators
 from ideal_robot.feedforward.smoothed_window import CYCLES, Drive, Smoothed, noted, smoothed, turned
@@ -19,7 +21,7 @@ from ideal_robot.loop.from_model import cascade_gains, loop_model
 from ideal_robot.loop.impulse_response import InformationFilter, LinearLoop
 from ideal_robot.loop.simulation import interpolated, low_passed, simulate
 from ideal_robot.model.model import Model
-from tests.arms import ROBOT, T, commands, motion, plant, rms
+from tests.arms import ROBOT, T, commands, motion, off, plant, rms
 from tests.ideal_robot.feedforward.test_laws import nominal_model
 
 
@@ -51,7 +53,7 @@ def test_command_inverse_undoes_interpolation_and_low_pass(delay):
     rate = np.diff(wanted, prepend=wanted[0]) / loop.t_position
     signal = loop.k_v[0] * wanted + loop.k_ff[0] * rate
     past = np.zeros(inverse.n_past)
-    q_c = []
+    q_c: list[float] = []
     for k in range(140):
         start = (k + delay) * loop.steps_ipo
         q_c.append(inverse.wanted[0] @ signal[start : start + inverse.wanted.shape[1]] + inverse.past[0] @ past)
@@ -103,23 +105,18 @@ def test_unknown_axes_are_refused():
 
 def test_training_carries_over_to_another_motion():
     """Trained where learning got it right, used on a motion of other size and duration, as [G] 4.2.2 wants it."""
-    from ideal_robot.feedforward.ideal import IdealRobot
-
     loop, q_d, other = plant(), motion(), motion(amplitude=-0.15, duration=1.9)
     learned = commands(IdealRobot(loop), q_d)
-    before = rms(simulate(loop, other).q_a[:-1] - other)
     for chain, factor in ((None, 0.2), (loop.chain, 0.1)):
         trained = train([(q_d, learned)], T, chain=chain)
-        assert rms(simulate(loop, commands(trained, other)).q_a[:-1] - other) < factor * before
+        assert off(loop, trained, other, 0) < factor * off(loop, PassThrough(T), other, 0)
 
 
 def test_training_wants_matching_paths():
-    with pytest.raises(InputError, match="same shape"):
-        train([(np.zeros((10, 6)), np.zeros((9, 6)))], T)
-    with pytest.raises(InputError, match="at least one pair"):
-        train([], T)
-    with pytest.raises(InputError, match="same shape"):
-        train([(np.zeros((10, 6)), np.zeros((10, 6))), (np.zeros((10, 6)), np.zeros((9, 6)))], T)
+    fits, differs = (np.zeros((10, 6)), np.zeros((10, 6))), (np.zeros((10, 6)), np.zeros((9, 6)))
+    for pairs, says in (([differs], "same shape"), ([], "at least one pair"), ([fits, differs], "same shape")):
+        with pytest.raises(InputError, match=says):
+            train(pairs, T)
 
 
 def test_precorrection_is_the_equations_of_the_paper():
@@ -174,11 +171,9 @@ def test_a_short_horizon_goes_on_straight(elastic):
 
 
 def test_models_without_controller_are_refused():
-    bare = Model.nominal(ROBOT)
-    with pytest.raises(InputError, match="no controller"):
-        Precorrection(bare, ROBOT)
-    with pytest.raises(InputError, match="no controller"):
-        loop_model(bare, ROBOT)
+    for use in (Precorrection, loop_model):
+        with pytest.raises(InputError, match="no controller"):
+            use(Model.nominal(ROBOT), ROBOT)
 
 
 def test_gains_survive_the_way_through_the_papers_form():
@@ -209,10 +204,9 @@ def test_identification_finds_a_known_response():
 
 
 def test_identification_refuses_a_joint_at_rest_and_short_motions():
-    with pytest.raises(InputError, match="hardly moves"):
-        LinearLoop.identify(np.zeros((100, 1)), np.zeros((100, 1)), T)
-    with pytest.raises(InputError, match="more than"):
-        LinearLoop.identify(np.zeros((10, 1)), np.zeros((10, 1)), T)
+    for count, says in ((100, "hardly moves"), (10, "more than")):
+        with pytest.raises(InputError, match=says):
+            LinearLoop.identify(np.zeros((count, 1)), np.zeros((count, 1)), T)
 
 
 def test_linearised_loop_predicts_the_loop_without_friction():
@@ -248,9 +242,8 @@ def test_the_inverse_is_bounded_and_right_for_any_phase(zero):
 
 def test_it_takes_the_lag_off_the_arm():
     loop, q_d = plant(), motion()
-    q_c = commands(LinearInverse(LinearLoop.of(loop, ROBOT.home)), q_d)
-    left, before = (rms(simulate(loop, commanded).q_a[:-1] - q_d) for commanded in (q_c, q_d))
-    assert left < 0.3 * before
+    inverse = LinearInverse(LinearLoop.of(loop, ROBOT.home))
+    assert off(loop, inverse, q_d, 0) < 0.3 * off(loop, PassThrough(T), q_d, 0)
 
 
 def test_information_filter_is_least_squares_and_order_does_not_matter():

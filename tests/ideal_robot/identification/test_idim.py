@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ideal_robot.arrays import Array
+from ideal_robot.dynamics import torques
 from ideal_robot.friction import Arctan, CubeRoot, ViscousCoulomb
 from ideal_robot.identification.idim import identify
 from ideal_robot.identification.joint_fit import regions_of_motion, stiffness_from_arm
@@ -37,29 +38,15 @@ def deviations(seed: int) -> tuple[np.ndarray, np.ndarray]:
     return (result.model.base_values - what.base) / std, good
 
 
-def within(seeds: range) -> tuple[float, float]:
-    """Share of runs in which all well-excited parameters are within three σ, and the rms of all deviations."""
-    runs, squares = [], []
-    for seed in seeds:
-        z, good = deviations(seed)
+@pytest.mark.parametrize(("count", "least"), [(8, 0.95 - 1 / 8), pytest.param(50, 0.95, marks=pytest.mark.slow)])
+def test_known_truth_from_wrong_start_within_its_own_deviations(count: int, least: float) -> None:
+    runs = []
+    for z, good in map(deviations, range(count)):
         assert good.sum() >= 15
-        runs.append(bool(np.all(np.abs(z[good]) < 3.0)))
-        squares.append(z[good] ** 2)
-    return float(np.mean(runs)), float(np.sqrt(np.mean(np.concatenate(squares))))
-
-
-def test_known_truth_from_wrong_start_within_its_own_deviations() -> None:
-    share, rms = within(range(8))
-    assert share >= 0.95 - 1 / 8
+        runs.append(z[good])
+    assert np.mean([np.all(np.abs(z) < 3.0) for z in runs]) >= least
     # Neither too proud nor too humble: σ that are right give 1.
-    assert 0.5 < rms < 1.3
-
-
-@pytest.mark.slow
-def test_known_truth_in_fifty_runs() -> None:
-    share, rms = within(range(50))
-    assert share >= 0.95
-    assert 0.5 < rms < 1.3
+    assert 0.5 < np.sqrt(np.mean(np.concatenate(runs) ** 2)) < 1.3
 
 
 def test_two_step_method_finds_what_single_axis_moves_show() -> None:
@@ -128,8 +115,6 @@ def test_exported_urdf_moves_like_the_consistent_model(tmp_path) -> None:  # typ
     model = identify([record(truth(), np.random.default_rng(3))], robot(), friction="viscous_coulomb").model
     exported = Robot.load(model.export_urdf(tmp_path / "arm.urdf"))
     q = np.random.default_rng(4).normal(size=(20, 6))
-    from ideal_robot.dynamics import torques
-
     plain = model.dynamics.copy()
     plain.armature = np.zeros(6)
     np.testing.assert_allclose(torques(exported.pinocchio, q, q, q), torques(plain, q, q, q), rtol=1e-6, atol=1e-6)
