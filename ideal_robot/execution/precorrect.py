@@ -45,8 +45,8 @@ _MISSING = 1.5
 
 
 def path_at_cycles(t: Array, q_d: Array, robot: Robot, *, rest: float, file: str | None = None, column: str = "q_d"
-                   ) -> tuple[Array, Array]:
-    """Times ``(M,)`` [s] and positions ``(M, n)`` [rad] at the cycles, rest included.
+                   ) -> tuple[Array, Array, tuple[str, ...]]:
+    """Times ``(M,)`` [s], positions ``(M, n)`` [rad] at the cycles, rest included; a warning of missing samples.
 
     Args:
         t: times of the path ``(N,)`` [s].
@@ -86,10 +86,10 @@ def path_at_cycles(t: Array, q_d: Array, robot: Robot, *, rest: float, file: str
         samples = q_d
     else:
         samples = _between(t, q_d, grid, robot, file)
-    bridged(t, q_d, robot, file)
+    warnings = _bridged(t, q_d, robot, file)
     first, last = round(rest / robot.t_ipo), round(REST_AFTER / robot.t_ipo)
     whole = held(samples, before=first, after=last)
-    return np.asarray(robot.t_ipo * np.arange(float(len(whole)))), whole
+    return np.asarray(robot.t_ipo * np.arange(float(len(whole)))), whole, warnings
 
 
 def _quickest(t: Array, q_d: Array, robot: Robot) -> float:
@@ -98,7 +98,7 @@ def _quickest(t: Array, q_d: Array, robot: Robot) -> float:
     return float(np.min(largest_speeds(robot.v_max) / np.maximum(speed, 1e-300)))
 
 
-def bridged(t: Array, q_d: Array, robot: Robot, file: str | None) -> tuple[str, ...]:
+def _bridged(t: Array, q_d: Array, robot: Robot, file: str | None) -> tuple[str, ...]:
     """A warning where samples of a path are missing, and how well the others tell the way between.
 
     Two smooth ways through the other samples, splines of third and of fifth order, differ there by more than the finer
@@ -241,7 +241,7 @@ def precorrect(t: Array, q_d: Array, model: Model, robot: Robot, method: str = "
     if method not in methods(Needs.PATH):
         raise InputError(f"expected one of {', '.join(methods(Needs.PATH))}", field="method", value=method)
     source = None if file is None else str(file)
-    times, path = path_at_cycles(t, q_d, robot, rest=rest, file=source, column=column)
+    times, path, warnings = path_at_cycles(t, q_d, robot, rest=rest, file=source, column=column)
     loop = loop_model(model, robot, delay=delay)
     require_within_limits(path, robot, start=-rest, file=source, column=column)
     # Learning on the model starts from the ideal robot, which leaves little to learn.
@@ -256,8 +256,7 @@ def precorrect(t: Array, q_d: Array, model: Model, robot: Robot, method: str = "
     wanted = CorrectedArm(robot, model.effects).from_rest(path, robot.t_ipo)
     errors = [np.asarray(wanted - simulate(loop, commands).q_a[:-1]) for commands in (q_c, path)]
     return PrecorrectedPath(recording, method, robot.name, times, path, q_c, (errors[0], errors[1]),
-                            _reach(model, robot, delay, q_c, wanted),
-                            (*bridged(np.asarray(t), np.asarray(q_d), robot, source), *_not_checked(robot)),
+                            _reach(model, robot, delay, q_c, wanted), (*warnings, *_not_checked(robot)),
                             robot.units("mrad"))
 
 

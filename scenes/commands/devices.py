@@ -318,6 +318,8 @@ def rsi(options: RsiOptions) -> None:
         if not server.link.axes.known:
             typer.echo("ideal-robot: the robot's data has no table [rsi]: axes are taken to count as in the URDF; "
                        "see docs/rsi.md", err=True)
+        for warning in server.warnings:
+            typer.echo(f"warning: {warning}", err=True)
         typer.echo("waiting for the controller on {}:{}".format(*server.link.address), err=True)
         with (stopping_on_signals(server.stop, lambda: server.link.counts.cycles > 0),
               progress_bar("rsi") as progress):

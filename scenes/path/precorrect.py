@@ -66,8 +66,8 @@ def robot_of(model: Model, wanted: str | None, file: Path) -> Robot:
     return Robot.load(name)
 
 
-def desired_path(recording: Recording, arm: Robot, path: Path, rest: float) -> tuple[Array, Array]:
-    """Times ``(N,)`` and path ``q_d (N, n)`` of a recording at the interpolation cycle, with rest before and behind.
+def desired_path(recording: Recording, arm: Robot, path: Path, rest: float) -> tuple[Array, Array, tuple[str, ...]]:
+    """Times ``(N,)``, path ``q_d (N, n)`` at the interpolation cycle with rest before and behind, and warnings of it.
 
     Args:
         recording: ``t`` and ``q_d_i``, ``q_i`` or ``q_c_i``.

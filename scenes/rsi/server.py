@@ -114,12 +114,13 @@ class RsiServer:
         q_d: desired positions at the interpolation cycle ``(N, n)`` [rad], rest before and behind the path included.
         rest: rows of rest before the path.
         meta: what the recording's metadata shall hold besides.
+        warnings: what its user shall know of the path before it is played.
     """
 
     def __init__(self, link: RsiRobot, feedforward: Feedforward, q_d: Array, rest: int,
-                 meta: dict[str, Any] | None = None) -> None:
+                 meta: dict[str, Any] | None = None, warnings: tuple[str, ...] = ()) -> None:
         self.link, self.feedforward, self.rest = link, feedforward, rest
-        self.q_d, self.meta = np.array(q_d, dtype=float), meta or {}
+        self.q_d, self.meta, self.warnings = np.array(q_d, dtype=float), meta or {}, warnings
         self._reason: str | None = None
 
     def stop(self, reason: str) -> None:
@@ -244,7 +245,7 @@ def rsi_server(path: Path, *, robot: str | None = None, model: Path | None = Non
     if not 0.0 <= rest <= 60.0:
         raise InputError("expected 0 to 60 seconds", field="--rest", value=rest)
     arm, law, loop, file = prepared(robot=robot, model=model, method=method, cycle=cycle, delay=delay)
-    _, q_d = desired_path(Recording.read(path), arm, path, rest)
+    _, q_d, warnings = desired_path(Recording.read(path), arm, path, rest)
     require_within_limits(q_d, arm, start=-rest, file=path)
     if loop is not None:
         link_options.setdefault("answers_within", answers_within(loop, arm))
@@ -252,7 +253,7 @@ def rsi_server(path: Path, *, robot: str | None = None, model: Path | None = Non
             _require_better(law, loop, q_d, file)
     meta = {"method": method, "model": None if loop is None else str(file), "path": str(path)}
     with RsiRobot(arm, **link_options) as link:
-        yield RsiServer(link, law, q_d, round(rest / arm.t_ipo), meta)
+        yield RsiServer(link, law, q_d, round(rest / arm.t_ipo), meta, warnings)
 
 
 def prepared(*, robot: str | None = None, model: Path | None = None, method: str = "ideal",

@@ -122,7 +122,7 @@ def _served(*_: object, **__: object) -> Any:
     counts = dict.fromkeys(("lost", "repeated", "refused", "ignored", "late"), 0)
     run = RsiRun(_recording(), None, counts, "even", {"median": 1.0, "max": 1.0}, [], 0, 3000)
     link = SimpleNamespace(axes=SimpleNamespace(known=True), address=("127.0.0.1", 1), counts=SimpleNamespace(cycles=0))
-    return nullcontext(SimpleNamespace(link=link, stop=lambda: None, play=lambda **_: run))
+    return nullcontext(SimpleNamespace(link=link, warnings=(), stop=lambda: None, play=lambda **_: run))
 
 
 @pytest.mark.parametrize("verb", ["detect", "sweep", "rsi", "precorrect"])

@@ -271,7 +271,7 @@ def test_samples_half_a_millisecond_off_the_cycles_are_brought_to_them() -> None
 
     even = T * np.arange(200.0)
     late = even + np.where(np.arange(200) % 199 == 0, 0.0, 5e-4 * np.sin(np.arange(200.0)))
-    times, q = path_at_cycles(late, truth(late), ROBOT, rest=0.0)
+    times, q, _ = path_at_cycles(late, truth(late), ROBOT, rest=0.0)
     np.testing.assert_allclose(q[:200], truth(times[:200]), atol=1e-6)
     assert np.abs(truth(late) - truth(even)).max() > 3e-4
     # At the cycles they pass as they are.

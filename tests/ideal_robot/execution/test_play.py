@@ -137,7 +137,7 @@ def test_the_end_of_a_path_is_reached_wherever_in_a_cycle_it_lies(duration: floa
     """A path within one cycle was left out altogether, and none of its limits were looked at."""
     t = np.linspace(0.0, duration, 200)
     q = ROBOT.home + 0.05 * (t / duration)[:, None] ** 2
-    times, positions = path_at_cycles(t, q, ROBOT, rest=0.12)
+    times, positions, _ = path_at_cycles(t, q, ROBOT, rest=0.12)
     np.testing.assert_allclose(np.diff(times), ROBOT.t_ipo)
     np.testing.assert_allclose(positions[0], q[0])
     np.testing.assert_allclose(positions[-1], q[-1], atol=1e-12)

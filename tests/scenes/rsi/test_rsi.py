@@ -231,6 +231,17 @@ def test_a_path_outside_the_limits_is_refused(tmp_path: Path) -> None:
         pass
 
 
+def test_missing_samples_are_told_before_the_controller_is_waited_for(tmp_path: Path) -> None:
+    path, q = tmp_path / "path.csv", motion(400)
+    pd.DataFrame({"t": T * np.arange(400.0), **{f"q_d_{i + 1}": q[:, i] for i in range(6)}}).drop(
+        index=range(100, 103)).to_csv(path, index=False)
+    done = CliRunner().invoke(_app(), ["rsi", str(path), "--robot", "kr6", "--method", "none", "--port", "0",
+                                       "--wait", "0.1", "--record", str(tmp_path / "r.csv")])
+    assert done.exit_code == 1
+    told, waiting = done.output.index("warning: bridged: 1 times"), done.output.index("waiting for the controller")
+    assert told < waiting
+
+
 @pytest.mark.parametrize("seconds", ["1e20", "nan", "-1"])
 def test_a_wait_that_never_ends_is_refused(seconds: str) -> None:
     done = CliRunner().invoke(_app(), ["rsi", "p.csv", "--robot", "kr6", "--wait", seconds])
