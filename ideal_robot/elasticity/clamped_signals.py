@@ -65,8 +65,7 @@ class ClampedSignals:
 def clamped_signals(recording: Recording, robot: Robot) -> ClampedSignals:
     """Filters, synchronises and decimates a clamped recording as [J] 4.3.
 
-    Raises:
-        InputError: other joint count than the robot, no torque and no wrench, or too short.
+    Raises InputError for another joint count than the robot's, no torque and no wrench, or too short a recording.
     """
     if recording.n != robot.n:
         raise InputError(f"recording has {recording.n} joints, the robot {robot.n}", file=recording.source, field="q_i")
@@ -146,10 +145,8 @@ def synchronise(t: Array, q_m: Array, t_sensor: Array, sensed: Array, *, largest
     that leaves the least of the wrench unexplained.
 
     Args:
-        t: controller time ``(N,)`` [s].
-        q_m: motor angles ``(N, n)``.
-        t_sensor: sensor time ``(M,)`` [s].
-        sensed: measured wrench components ``(M, c)``.
+        t, q_m: controller time ``(N,)`` [s], and motor angles ``(N, n)``.
+        t_sensor, sensed: sensor time ``(M,)`` [s], and measured wrench components ``(M, c)``.
         largest: largest offset between the clocks that is looked for [s].
     """
     thin = max(1, round(0.1 / float(np.median(np.diff(t_sensor)))))
@@ -188,8 +185,7 @@ def synchronise(t: Array, q_m: Array, t_sensor: Array, sensed: Array, *, largest
 def _load(tau: Array | None, wrench: Array | None) -> Array:
     """How hard the flange is loaded ``(N,)``, 0 … 1; NaN where the sensor was silent.
 
-    The recording begins without load: what the motors carry and the sensor shows in the first half second is gravity
-    and bias.
+    What motors carry and the sensor shows in the first half second, without load, is gravity and bias.
     """
     first = round(DECIMATE_HZ)
     if wrench is not None:

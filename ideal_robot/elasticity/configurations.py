@@ -70,16 +70,13 @@ def choose_configurations(robot: Robot, limits: ClampLimits, rng: np.random.Gene
                           target_percent: float = 0.02, candidates: int = 400) -> ChosenConfigurations:
     """Up to ``most`` configurations whose worst joint has the smallest predicted %σ.
 
+    Raises InputError where no candidate is within the limits.
+
     Args:
-        robot: geometry and limits.
-        limits: of arm, sensor and site.
-        rng: for the candidates.
+        robot, limits: geometry and limits; those of arm, sensor and site.
+        rng, candidates: for the candidates, and how many are compared.
         most: how many configurations one is ready to clamp.
         target_percent: predicted %σ of the worst joint at which no more are added.
-        candidates: number of configurations compared.
-
-    Raises:
-        InputError: no candidate is within the limits.
     """
     guess = limits.stiffness_guess * robot.tau_max
     if not np.all(np.isfinite(guess)):

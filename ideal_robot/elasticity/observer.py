@@ -73,11 +73,7 @@ class ArmObserver:
         self._gears = _Gears(np.where(self._elastic, self._k, 0.0), damping * self._elastic, self._elastic, steps)
 
     def _leave_followed(self, pull: Array) -> None:
-        """Makes gears rigid until the substep follows the others' oscillation wherever the arm stands.
-
-        Args:
-            pull: h² k + 2 h d of each gear ``(n,)`` [kg m²].
-        """
+        """Makes gears rigid until the substep follows the others' oscillation anywhere; h² k + 2 h d of each pull."""
         for q in spread_postures(self._dynamics.lowerPositionLimit, self._dynamics.upperPositionLimit):
             upper = pin.crba(self._dynamics, self._data, q)
             while len(gears := np.flatnonzero(self._elastic)):
@@ -99,11 +95,10 @@ class ArmObserver:
         return ObserverState(q_a, np.zeros(self._n), q, q, np.zeros(self._n))
 
     def step(self, state: ObserverState, q: Array, tau_ext: Array | None = None) -> ObserverState:
-        """One cycle on: motor angles ``q (n,)`` [rad] at its end, external joint torque ``(n,)`` [N m] during it.
+        """One cycle on: motor angles at its end, external joint torque during it.
 
         Args:
-            state: before the cycle.
-            q: motor angles at its end ``(n,)`` [rad].
+            state, q: before the cycle, and motor angles at its end ``(n,)`` [rad].
             tau_ext: joint torque of external forces during it ``(n,)`` [N m]; None for none.
         """
         q = np.array(q, dtype=float)

@@ -41,13 +41,11 @@ class LeastSquares:
 def least_squares(W: Array, Y: Array, *, lag: int = 0) -> LeastSquares:
     """Solves [J] (14) with (15)–(17).
 
-    Args:
-        W: observations ``(r, b)``.
-        Y: measurements ``(r,)``.
-        lag: number of neighbouring samples whose residuals may be correlated.
+    Raises InputError for fewer rows than parameters, or parameters that the data cannot tell apart.
 
-    Raises:
-        InputError: fewer rows than parameters, or parameters that the data cannot tell apart.
+    Args:
+        W, Y: observations ``(r, b)`` and measurements ``(r,)``.
+        lag: number of neighbouring samples whose residuals may be correlated.
     """
     r, b = W.shape
     if r <= b:
@@ -159,15 +157,11 @@ def condition_number(robot: Robot, q: Array) -> float:
 def joint_torque(signals: ClampedSignals, robot: Robot, method: Method) -> tuple[Array, NDArray[np.bool_]]:
     """Torques ``(N, n)`` by one of the methods and the samples ``(N,)`` that can be used.
 
-    ``motor``: τ_m = g I, [J] (9). ``wrench``: τ_l = J(q_0)ᵀ F_e, [J] (12).
+    Raises InputError where the recording lacks what the method needs.
 
     Args:
-        signals: of a clamped recording with ``N`` samples.
-        robot: the arm.
-        method: ``motor`` or ``wrench``.
-
-    Raises:
-        InputError: the recording lacks what the method needs.
+        signals, robot: of a clamped recording with ``N`` samples, and the arm.
+        method: ``motor``: τ_m = g I, [J] (9); ``wrench``: τ_l = J(q_0)ᵀ F_e, [J] (12).
     """
     if method == "motor":
         if signals.tau is None:
@@ -180,12 +174,10 @@ def joint_torque(signals: ClampedSignals, robot: Robot, method: Method) -> tuple
 
 
 def joint_loads(signals: Sequence[ClampedSignals], robot: Robot, method: Method, joint: int) -> list[JointLoad]:
-    """The recordings in which a joint (from 1) is loaded, with its torque over its motor angle.
+    """The recordings in which a joint is loaded, with its torque over its motor angle.
 
     Args:
-        signals: of the clamped recordings.
-        robot: the arm.
-        method: ``motor`` or ``wrench``.
+        signals, robot, method: of the clamped recordings, see ``joint_torque``.
         joint: from 1.
     """
     loads = []
@@ -206,18 +198,14 @@ def joint_loads(signals: Sequence[ClampedSignals], robot: Robot, method: Method,
 
 def identify_joint(loads: Sequence[JointLoad], joint: int, method: Method,
                    tolerances: Tolerances | None = None) -> JointStiffness:
-    """[J] (8) or (11) by least squares, one offset per recording.
+    """[J] (8) or (11) by least squares, one offset per recording; raises InputError where none loads the joint.
 
         τ_j = [q_mj 1] [k_j Off_j]ᵀ
 
     Args:
         loads: torque over motor angle, one for each recording.
-        joint: from 1.
-        method: ``motor`` or ``wrench``.
+        joint, method: from 1; ``motor`` or ``wrench``.
         tolerances: relative errors of what is taken as known; the defaults if None.
-
-    Raises:
-        InputError: no recording loads the joint.
     """
     if not loads:
         raise InputError(f"no recording loads joint {joint}; clamp the flange in a configuration that does",
@@ -247,16 +235,11 @@ def identify_stiffness(signals: Sequence[ClampedSignals], robot: Robot, method: 
     """All joints that the recordings load, each by [J] (8) or (11).
 
     Args:
-        signals: of the clamped recordings.
-        robot: the arm.
-        method: ``motor`` or ``wrench``.
-        tolerances: relative errors of what is taken as known; the defaults if None.
+        signals, robot, method: of the clamped recordings, see ``joint_torque``.
+        tolerances: see ``identify_joint``.
     """
-    results = []
-    for joint in range(1, robot.n + 1):
-        loads = joint_loads(signals, robot, method, joint)
-        if loads:
-            results.append(identify_joint(loads, joint, method, tolerances))
+    results = [identify_joint(loads, joint, method, tolerances) for joint in range(1, robot.n + 1)
+               if (loads := joint_loads(signals, robot, method, joint))]
     if not results:
         raise InputError("no joint is loaded in any recording", field="recordings")
     return tuple(results)
@@ -279,21 +262,11 @@ def identify_from_payloads(recordings: Sequence[Recording], robot: Robot) -> tup
     """Stiffness of the joints that the payloads load (never a vertical first one).
 
     The recordings have the columns ``q_i``, ``payload`` [kg] and the flange pose. The masses' centre in the tool frame
-    stands in the metadata (``payload_lever`` [m]); without it, it is the flange.
-
-    Args:
-        recordings: of postures with payloads.
-        robot: the arm.
-
-    Raises:
-        InputError: a column is missing, a posture has one payload only, or no joint is loaded.
+    stands in the metadata (``payload_lever`` [m]); without it, it is the flange. Raises InputError where a column is
+    missing, a posture has one payload only, or no joint is loaded.
     """
-    rows, values = [], []
-    for recording in recordings:
-        for W, Y in _postures(recording, robot):
-            rows.append(W)
-            values.append(Y)
-    W, Y = np.vstack(rows), np.concatenate(values)
+    equations = [equation for recording in recordings for equation in _postures(recording, robot)]
+    W, Y = np.vstack([rows for rows, _ in equations]), np.concatenate([values for _, values in equations])
     loaded = np.linalg.norm(W, axis=0) > 1e-6 * np.max(np.linalg.norm(W, axis=0))
     if not np.any(loaded):
         raise InputError("no joint is loaded in these postures", field="payload")

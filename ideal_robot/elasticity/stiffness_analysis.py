@@ -46,12 +46,8 @@ if TYPE_CHECKING:
 def without_clamp_give(signals: Sequence[ClampedSignals], robot: Robot) -> tuple[ClampedSignals, ...]:
     """The same recordings with the motor angles they would have, did the arm stand as [J] (3) assumes.
 
-    Args:
-        signals: two or more recordings in different configurations, all six wrench components measured.
-        robot: geometry.
-
-    Raises:
-        InputError: not six joints, a wrench component is missing, or too few samples under load.
+    They are two or more in different configurations, with all six wrench components. Raises InputError where there are
+    not six joints, a wrench component is missing, or too few samples are under load.
     """
     n = robot.n
     if n != 6:

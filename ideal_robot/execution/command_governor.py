@@ -106,12 +106,11 @@ def _governed(q: Array, last: Array, T: float, bounds: _Bounds) -> Array:
 
 
 def stops_at_once(step: Array, robot: Robot, t_ipo: float) -> bool:
-    """Whether a command that changed by ``step (n,)`` in the last cycle can be held from now on.
+    """Whether a command that changed by ``step`` in the last cycle can be held from now on.
 
     Args:
-        step: change of the command ``(n,)`` [rad].
+        step, t_ipo: change of the command ``(n,)`` [rad], and the cycle [s].
         robot: its acceleration limits.
-        t_ipo: cycle [s].
     """
     return bool(np.all(np.abs(step) <= ACCELERATION * robot.a_max * t_ipo**2))
 
@@ -152,14 +151,9 @@ class CommandGovernor:
         return command
 
     def require_room(self, q_c: Array, *, start: float = 0.0) -> None:
-        """Refuses a command that keeps the limits but leaves no room to come to rest within them.
+        """Refuses a command ``q_c (n,)`` [rad] that keeps the limits but leaves no room to come to rest within them.
 
-        Args:
-            q_c: command ``(n,)`` that is to be handed over next [rad].
-            start: its time, for the message [s].
-
-        Raises:
-            LimitError: the arm could not be braked any more.
+        Raises LimitError, whose message has the command's time ``start`` [s].
         """
         near = _governed(np.asarray(q_c, dtype=float), self._last, self._T, self._bounds)
         off = np.abs(near - q_c) > _ROUNDING * (1.0 + np.abs(q_c))
@@ -185,8 +179,7 @@ def stopping_rows(planned: Array, T: float, speed: float, deceleration: float) -
     Args:
         planned: desired joint positions of the coming cycles ``(m, n)`` [rad], first the one due now.
         T: interpolation cycle [s].
-        speed: path speed now [m/s].
-        deceleration: largest one on the path while braking [m/s²].
+        speed, deceleration: path speed now [m/s], and the largest deceleration while braking [m/s²].
     """
     m = len(planned)
     path = CubicSpline(np.arange(m), planned)
@@ -219,8 +212,7 @@ def moved_away(horizons: Iterator[Array], way: Array, a_max: Array, T: float) ->
 
     Args:
         horizons: of the coming cycles, without end [rad].
-        way: of each joint ``(n,)`` [rad].
-        a_max: what each may accelerate ``(n,)`` [rad/s²].
+        way, a_max: of each joint ``(n,)`` [rad], and what it may accelerate ``(n,)`` [rad/s²].
         T: interpolation cycle [s].
     """
     lasts = max(float(np.sqrt(np.max(_STEEPEST * np.abs(way) / (_SHARE * a_max)))), T)
@@ -232,16 +224,12 @@ def moved_away(horizons: Iterator[Array], way: Array, a_max: Array, T: float) ->
 # The limits of an arm along a path of commands: position, velocity, acceleration.
 
 def check_limits(q: Array, arm: Robot, t_ipo: float, *, start: float = 0.0) -> None:
-    """Positions, speeds and accelerations of a path against the arm's limits.
+    """Raises LimitError where positions, speeds or accelerations of a path are outside the arm's limits.
 
     Args:
-        q: joint positions at the cycles ``(N, n)`` [rad].
+        q, t_ipo: joint positions at the cycles ``(N, n)`` [rad], and the cycle [s].
         arm: the limits.
-        t_ipo: the cycle [s].
         start: time of the first row, for the message [s].
-
-    Raises:
-        LimitError: outside.
     """
     speed = np.diff(q, axis=0) / t_ipo
     # A linear interpolator's acceleration is what speed changes over a cycle; twice the limit is what a
@@ -264,17 +252,13 @@ def check_limits(q: Array, arm: Robot, t_ipo: float, *, start: float = 0.0) -> N
 
 def require_within_limits(q_d: Array, arm: Robot, *, start: float = 0.0, file: str | Path | None = None,
                           column: str = "q_d") -> None:
-    """Refuses a user's path that leaves the arm's limits.
+    """Refuses a user's path that leaves the arm's limits: raises InputError.
 
     Args:
         q_d: joint positions at the cycles ``(N, n)`` [rad].
         arm: limits and cycle.
         start: time of the first row, for the message [s].
-        file: where the path comes from.
-        column: what its positions are called there.
-
-    Raises:
-        InputError: outside.
+        file, column: where the path comes from, and what its positions are called there.
     """
     try:
         check_limits(q_d, arm, arm.t_ipo, start=start)

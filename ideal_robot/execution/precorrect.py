@@ -49,12 +49,10 @@ def path_at_cycles(t: Array, q_d: Array, robot: Robot, *, rest: float, file: str
     """Times ``(M,)`` [s], positions ``(M, n)`` [rad] at the cycles, rest included; a warning of missing samples.
 
     Args:
-        t: times of the path ``(N,)`` [s].
-        q_d: joint positions ``(N, n)`` [rad, or m where a joint slides].
+        t, q_d: times of the path ``(N,)`` [s], and joint positions ``(N, n)`` [rad, or m where a joint slides].
         robot: cycle, number of joints, limits.
         rest: added before the path [s]; ``REST_AFTER`` is added behind.
-        file: where the path comes from, for messages.
-        column: what its positions are called there.
+        file, column: where the path comes from, and what its positions are called there, for messages.
 
     Raises:
         InputError: shapes that do not fit, too few samples, times that do not rise, a gap, values that are not finite,
@@ -102,16 +100,11 @@ def _bridged(t: Array, q_d: Array, robot: Robot, file: str | None) -> tuple[str,
     """A warning where samples of a path are missing, and how well the others tell the way between.
 
     Two smooth ways through the other samples, splines of third and of fifth order, differ there by more than the finer
-    one is off.
+    one is off. Raises InputError where they differ by more than ``UNSURE``.
 
     Args:
-        t: times of the path ``(N,)`` [s].
-        q_d: joint positions ``(N, n)`` [rad, or m where a joint slides].
-        robot: whose joints these are.
-        file: where the path comes from, for messages.
-
-    Raises:
-        InputError: they differ by more than ``UNSURE``.
+        t, q_d: times of the path ``(N,)`` [s], and joint positions ``(N, n)`` [rad, or m where a joint slides].
+        robot, file: whose joints these are, and where the path comes from, for messages.
     """
     steps = np.diff(t)
     usual = float(np.median(steps))
@@ -274,15 +267,7 @@ def _not_checked(robot: Robot) -> tuple[str, ...]:
 
 
 def _reach(model: Model, robot: Robot, delay: int, q_c: Array, wanted: Array) -> Array | None:
-    """Errors of the same commands ``(DRAWS, n)`` [rad] with controllers drawn from the spread of the model's one.
-
-    Args:
-        model: its controller may have a spread.
-        robot: cycle and limits.
-        delay: cycles between hand-over of a command and the start of its interpolation.
-        q_c: the commands ``(N, n)`` [rad].
-        wanted: what the arm shall do ``(N, n)`` [rad].
-    """
+    """Errors of the commands ``q_c`` ``(DRAWS, n)`` [rad] with controllers drawn from the spread of the model's one."""
     controller = model.controller
     if controller is None or not controller.spread:
         return None

@@ -58,14 +58,12 @@ OFFSET = 0.03
 def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
     """The model of the arm that was recorded; ``model`` itself where no bodies that can be explain its torques.
 
+    Raises InputError for a recording of another number of joints, or one that is too short.
+
     Args:
         recording: a motion in free space of that arm, logged several times a cycle: ``t`` [s], ``q_i`` [rad], ``tau_i``
             [N m]. Read once a cycle, at its end, torques show less inertia than there is (``friction_adaptation``).
-        model: of an arm of the same type.
-        robot: the type.
-
-    Raises:
-        InputError: a recording of another number of joints, or too short.
+        model, robot: of an arm of the same type, and the type.
     """
     if recording.n != model.n:
         raise InputError(f"the recording has {recording.n} joints, the model has {model.n}", file=recording.source,
@@ -83,7 +81,9 @@ def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
     bend = model.rigid_body(*arm) - model.rigid_body(s.q, s.qd, s.qdd)
     left = [s.decimate(s.tau - bend - one.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0]))[slides] / std
             for one in (model, bare)]
-    n, root, own, size = model.n, _root(model, dry, robot), _own_root(model), _ripples(ripple)
+    n, root, own = model.n, _root(model, dry, robot), _own_root(model)
+    # A wave is as large as the model's, at any angle.
+    size = np.repeat([np.linalg.norm(effect.coefficients) / np.sqrt(2.0) for effect in ripple], 2)
     counts = s.decimate_motion(lambda rows: _bodies(s, model, arm, rows))[slides] / std[:, None]
     bodies = counts @ root
     friction = s.decimate(_friction(s, turned, dry, robot))[slides] / std[:, None]
@@ -95,7 +95,9 @@ def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
     try:
         if very.evidence >= other.evidence:
             return _with_bodies(model, own, very, np.array(model.consistent))
-        waving = _of_sizes(ripple, size * other.x[len(other.x) - len(size) :])
+        sizes = (size * other.x[len(other.x) - len(size) :]).reshape(-1, 2)
+        waving = tuple(replace(effect, coefficients=(float(a), float(b)), std=(), parameters=())
+                       for effect, (a, b) in zip(ripple, sizes, strict=True))
         return _with_bodies(replace(bare, effects=(*bare.effects, *waving)), model.base.grouping @ root, other,
                             _nearby(model, root @ other.x[: root.shape[1]], other.x[12 * n : 13 * n]))
     except IdealRobotError:  # no bodies that can be: torques of something else
@@ -103,17 +105,7 @@ def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
 
 
 def _with_bodies(model: Model, root: Array, found: Solved, nearby: Array) -> Model:
-    """The model with base parameters by the first of those that were found.
-
-    Args:
-        model: of the arm but for its bodies.
-        root: of the covariance of base parameters beforehand ``(b, k)``.
-        found: the solution, of which the first ``k`` count ``root``.
-        nearby: see ``_nearby``.
-
-    Raises:
-        IdealRobotError: no bodies can be so.
-    """
+    """The model with base parameters by ``found``, whose first ones count ``root``; IdealRobotError if none can be."""
     some = slice(root.shape[1])
     values = model.base_values + root @ found.x[some]
     full = consistent_parameters(model.base, values, root @ found.covariance[some, some] @ root.T, nearby).full
@@ -123,10 +115,7 @@ def _with_bodies(model: Model, root: Array, found: Solved, nearby: Array) -> Mod
 def _nearby(model: Model, found: Array, heavier: Array) -> Array:
     """Possible full parameters ``(12 n,)`` for what no motion tells, such as how a rotor and a link share an inertia.
 
-    Args:
-        model: of an arm of the type.
-        found: likely differences from it ``(12 n,)``.
-        heavier: what of them is a link's weight, over its standard deviation ``(n,)``.
+    Of likely differences ``found (12 n,)`` from the model a link's weight over its standard deviation is ``heavier``.
     """
     n, full = model.n, np.array(model.consistent)
     full[: 10 * n] *= np.repeat(np.maximum(1.0 + LINK * heavier, 0.1), 10)
@@ -162,14 +151,7 @@ def _bodies(s: FilteredSignals, model: Model, arm: tuple[Array, Array, Array], r
 
 
 def _friction(s: FilteredSignals, turned: Array, dry: Array, robot: Robot) -> Array:
-    """What friction's terms count, those that joints share and each joint's own ``(N, n, 2 + n TERMS)`` [N m].
-
-    Args:
-        s: the motion.
-        turned: how far friction has turned ``(N, n)``, -1 to 1.
-        dry: dry friction ``(n,)`` [N m].
-        robot: the type.
-    """
+    """What friction's terms count, those that joints share and each joint's own ``(N, n, 2 + n TERMS)`` [N m]."""
     n, v_max = len(dry), largest_speeds(robot.v_max)
     columns = np.zeros((len(s.qd), n, 2 + n * TERMS))
     for i in range(n):
@@ -190,17 +172,6 @@ def _waves(s: FilteredSignals, ripple: tuple[FittedEffect, ...]) -> Array:
     return columns
 
 
-def _ripples(ripple: tuple[FittedEffect, ...]) -> Array:
-    """Standard deviations of the waves ``(2 m,)`` [N m]: each is as large as the model's."""
-    return np.repeat([np.linalg.norm(effect.coefficients) / np.sqrt(2.0) for effect in ripple], 2)
-
-
-def _of_sizes(ripple: tuple[FittedEffect, ...], sizes: Array) -> tuple[FittedEffect, ...]:
-    """The model's ripple with the waves ``(2 m,)`` [N m] of the arm that was recorded."""
-    return tuple(replace(effect, coefficients=(float(a), float(b)), std=(), parameters=())
-                 for effect, (a, b) in zip(ripple, sizes.reshape(-1, 2), strict=True))
-
-
 def _own_root(model: Model) -> Array:
     """A root of the covariance of the model's own base parameters ``(b, b)``."""
     covariance = model.covariance[: model.base.count, : model.base.count]
@@ -211,15 +182,7 @@ def _own_root(model: Model) -> Array:
 
 
 def _root(model: Model, dry: Array, robot: Robot) -> Array:
-    """A root of the covariance of bodies, rotors and offsets ``(12 n, 13 n + 1)``.
-
-    The last columns are the weights of the links and the mass of the tool.
-
-    Args:
-        model: of an arm of the type.
-        dry: dry friction ``(n,)`` [N m].
-        robot: the type; where its tool is.
-    """
+    """A root of the covariance of bodies, rotors and offsets ``(12 n, 13 n + 1)``; last come weights and the tool."""
     n, full = model.n, np.array(model.consistent)
     single = np.concatenate([BODY * parameter_scales(full, n)[: 10 * n], ROTOR * full[10 * n : 11 * n], OFFSET * dry])
     weights, tool = np.zeros((12 * n, n)), np.zeros(12 * n)

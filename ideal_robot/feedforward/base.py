@@ -50,12 +50,7 @@ class Feedforward(ABC):
         """
 
     def observe(self, state: Any, measured: RobotState) -> Any:
-        """Takes what the controller reported at the end of a cycle, returns the next state; changes nothing by default.
-
-        Args:
-            state: what the last ``step`` returned.
-            measured: motor angles ``(n,)`` [rad] and motor torques ``(n,)`` [N m] at the end of the cycle.
-        """
+        """Takes what the controller reported at the end of a cycle, returns the next state; by default the same."""
         return state
 
     def along(self, q_d: Array) -> Array:
@@ -72,8 +67,7 @@ def tried(feedforward: Feedforward, q: Array, t_ipo: float) -> Feedforward:
 
     Args:
         feedforward: what is to be played, perhaps of a package outside.
-        q: where the arm rests ``(n,)`` [rad].
-        t_ipo: cycle in which it is to be played [s].
+        q, t_ipo: where the arm rests ``(n,)`` [rad], and the cycle in which it is to be played [s].
 
     Raises:
         InputError: it is none, was made for another cycle, or does not command each joint.

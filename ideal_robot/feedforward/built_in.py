@@ -42,16 +42,11 @@ def _linear_printed(setting: Setting) -> Feedforward:
     return LinearInverse(loop, setting.horizon(HORIZON), limits=(robot.q_min, robot.q_max))
 
 
-def _trained_printed(setting: Setting) -> Feedforward:
-    robot = setting.robot
-    motion, q_c = setting.plays().training(setting.path(), setting.loop(), setting.progress)
-    return train([(motion, q_c)], robot.t_ipo, limits=(robot.q_min, robot.q_max))
-
-
-def _trained(setting: Setting) -> Feedforward:
+def _trained(setting: Setting, weighs_torques: bool = True) -> Feedforward:
     robot, loop = setting.robot, setting.loop()
     motion, q_c = setting.plays().training(setting.path(), loop, setting.progress)
-    return train([(motion, q_c)], robot.t_ipo, chain=loop.chain, limits=(robot.q_min, robot.q_max))
+    return train([(motion, q_c)], robot.t_ipo, chain=loop.chain if weighs_torques else None,
+                 limits=(robot.q_min, robot.q_max))
 
 
 def _ideal(setting: Setting) -> IdealRobot:
@@ -109,7 +104,8 @@ NONE = Method(lambda setting: PassThrough(setting.robot.t_ipo), "the desired pat
 LINEAR = Method(_linear, "inverse of the linear closed loop about the path's middle ([G] (12))", Needs.PATH)
 LINEAR_1 = Method(_linear_printed, "the same of responses from measured sinusoids, as printed ([G] (7), (12))",
                   Needs.PLAYS)
-TRAINED_1 = Method(_trained_printed, "weights trained on another motion on the arm, as printed ([G] (13))", Needs.PLAYS)
+TRAINED_1 = Method(lambda setting: _trained(setting, weighs_torques=False),
+                   "weights trained on another motion on the arm, as printed ([G] (13))", Needs.PLAYS)
 TRAINED = Method(_trained, "the same, and weights of the rigid-body torques ([G] (13) and more)", Needs.PLAYS)
 PRECORRECTED_1 = Method(lambda setting: _corrected(setting, Precorrection(setting.identified(), setting.robot)),
                         "nonlinear precorrection as printed: no look ahead, no gear elasticity ([G] (16) to (20))")

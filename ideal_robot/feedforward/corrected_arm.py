@@ -92,12 +92,7 @@ class CorrectedArm:
         return np.asarray(drawn)
 
     def from_rest(self, q_d: Array, t_ipo: float) -> Array:
-        """``joints`` along a path that starts where the drawn arm rests: the correction is taken up smoothly.
-
-        Args:
-            q_d: joint angles ``(N, n)`` [rad].
-            t_ipo: cycle [s].
-        """
+        """``joints`` along a path ``(N, n)`` [rad] from the drawn arm's rest: the correction is taken up smoothly."""
         if not self.differs:
             return q_d
         return np.asarray(q_d + taken_up(t_ipo * np.arange(float(len(q_d))))[:, None] * (self.joints(q_d) - q_d))
@@ -110,14 +105,9 @@ def taken_up(t: Array) -> Array:
 
 def _displace(model: pin.Model, robot: Robot, joint: int, normal: Array,
               geometry: tuple[float, float, float, float]) -> None:
-    """Moves all that is behind a joint in the joint's own frame, which turns with it.
+    """Moves all that is behind a joint (from 1) in the joint's own frame, which turns with it; ``model`` is changed.
 
-    Args:
-        model: changed.
-        robot: tool frame and axes.
-        joint: from 1.
-        normal: common normal with the next axis in the joint's frame ``(3,)``.
-        geometry: a, d [m], alpha, theta [rad].
+    The common normal with the next axis is ``normal (3,)``, ``geometry`` is a, d [m], alpha, theta [rad].
     """
     a, d, alpha, theta = geometry
     data = robot.pinocchio.createData()
@@ -178,8 +168,7 @@ def for_arm(feedforward: Feedforward, robot: Robot, effects: tuple[FittedEffect,
     """The feedforward for the arm as effects say that it is; itself where none changes the geometry.
 
     Args:
-        feedforward: made for the drawn arm.
-        robot: the drawn arm.
+        feedforward, robot: made for the drawn arm, and that arm.
         effects: of the model.
     """
     arm = CorrectedArm(robot, effects)

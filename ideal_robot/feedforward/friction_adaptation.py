@@ -11,10 +11,10 @@ From motor angles and torques, smoothed alike (``smoothed_window``), adaptation 
 with s the speed over the largest and F_load what the load on the gear's teeth adds to friction. Friction turns round
 with the motion and is each joint's own; a weight does not, and shows in all joints as its lever has it.
 
-Commands are joined by straight lines: at the end of each cycle T the wanted speed jumps by q̈ T, and with it the torque,
-by up to k_p T q̈. A torque that is read there shows less inertia than there is; it would be taken for less friction
-at low speed and more at high. That is c, and what rotors were identified wrong by besides; nothing is commanded for it.
-What other inertias are wrong by is counted to a sample's variance.
+Commands are joined by straight lines: at the end of each cycle T the wanted speed jumps by q̈ T, and with it the
+torque, by up to k_p T q̈. A torque that is read there shows less inertia than there is; it would be taken for less
+friction at low speed and more at high. That is c, and what rotors were identified wrong by besides; nothing is
+commanded for it. What other inertias are wrong by is counted to a sample's variance.
 
 Before anything was measured all joints are thought to have changed together: an arm is cold as a whole.
 
@@ -179,8 +179,7 @@ class FrictionAdaptation:
         """Takes what the controller reported at the end of one cycle.
 
         Args:
-            state: before the cycle.
-            measured: motor angles and torques.
+            state, measured: before the cycle, and motor angles and torques.
             tau_ext: joint torque of contact that was expected ``(n,)`` [N m]; None for none.
         """
         # Copies: what the controller's driver writes to later must not change what waits here.
@@ -219,17 +218,10 @@ class FrictionAdaptation:
 @jit()
 def _told(known: _Known, drive: Drive, measured: tuple[Array, int, Array], further: Array,
           state: tuple[Array, Array, Array]) -> tuple[int, bool]:
-    """Takes measurements into the window, and counts it; the window and the state are written to.
+    """Takes measurements into the window, and counts it; measurements in it now, and whether any joint told something.
 
-    Args:
-        known: of the loop.
-        drive: of the loop.
-        measured: the window, measurements in it, those that come; see ``smoothed_window.noted``.
-        further: torque of further effects in the window's middle ``(n,)`` [N m].
-        state: ``x``, ``covariance``, ``used``; see ``FrictionFactors``.
-
-    Returns:
-        Measurements in the window now, and whether any joint told something.
+    The window in ``measured`` (as of ``smoothed_window.noted``) and ``state``, ``x``, ``covariance`` and ``used`` of
+    ``FrictionFactors``, are written to; ``further (n,)`` [N m] is the torque of further effects in the window's middle.
     """
     window, (x, covariance, used) = measured[0], state
     rows, told = noted(window, measured[1], measured[2], drive), False
@@ -262,14 +254,10 @@ def _told(known: _Known, drive: Drive, measured: tuple[Array, int, Array], furth
 
 @jit()
 def _row(known: _Known, seen: Smoothed, torques: Array, i: int, h: Array) -> tuple[float, float]:
-    """What the model leaves of a joint's torque, and its torque for acceleration [N m].
+    """What the model leaves of joint ``i``'s torque, and its torque for acceleration [N m].
 
-    Args:
-        known: of the loop.
-        seen: motion and torque in the middle of the window.
-        torques: of the rigid body, of it without acceleration, and of 1 kg at the tool ``(3, n)`` [N m].
-        i: joint, from 0.
-        h: what the parameters count ``(p,)``; the joint's are written to.
+    What the joint's parameters count is written to ``h (p,)``; ``torques (3, n)`` [N m] are of the rigid body, of it
+    without acceleration, and of 1 kg at the tool.
     """
     v, speed, z, dry = seen.motor_v[0, i], abs(seen.motor_v[0, i]), seen.z[0, i], known.dry[i]
     table, per_load, per_driven = known.friction
@@ -290,12 +278,7 @@ def _row(known: _Known, seen: Smoothed, torques: Array, i: int, h: Array) -> tup
 
 @jit()
 def _applied(known: _Known, x: Array) -> tuple[Array, float, tuple[Array, Array, Array]]:
-    """Values of friction's terms ``(n, TERMS)``, the mass [kg], and friction with them.
-
-    Args:
-        known: of the loop.
-        x: see ``FrictionFactors``.
-    """
+    """Values of friction's terms ``(n, TERMS)``, the mass [kg], and friction with them."""
     n, common = len(known.dry), x[len(x) - _COMMON :]
     values = np.empty((n, TERMS))
     for i in range(n):

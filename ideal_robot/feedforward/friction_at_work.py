@@ -65,12 +65,8 @@ class FrictionAtWork:
 def friction_at_work(recording: Recording, loop: LoopModel) -> FrictionAtWork:
     """Friction of every joint along a motion in free space that goes both ways at the speeds of the job.
 
-    Args:
-        recording: ``t`` [s], ``q_i`` [rad], ``tau_i`` [N m].
-        loop: the identified loop.
-
-    Raises:
-        InputError: another arm's recording, one without torques, or one too short.
+    The recording has ``t`` [s], ``q_i`` [rad], ``tau_i`` [N m], ``loop`` is the identified one. Raises InputError for
+    another arm's recording, one without torques, or one too short.
     """
     if recording.n != loop.n:
         raise InputError(f"the recording has {recording.n} joints, the loop has {loop.n}", file=recording.source,
@@ -92,14 +88,9 @@ def _left(loop: LoopModel, s: FilteredSignals, rigid: Array) -> Array:
 
 
 def _of_joint(loop: LoopModel, s: FilteredSignals, load: Array, left: Array, j: int) -> tuple[Array, float]:
-    """Values of friction's terms ``(TERMS,)`` and factor on the angle over which friction turns.
+    """Values of friction's terms ``(TERMS,)`` of joint ``j`` and factor on the angle over which friction turns.
 
-    Args:
-        loop: the identified loop.
-        s: the motion.
-        load: torque that the gear transmits ``(N,)`` [N m].
-        left: torque left for friction, decimated ``(M,)`` [N m].
-        j: joint, from 0.
+    The gear transmits ``load (N,)``, for friction is ``left (M,)``, decimated [N m].
     """
     q, v = s.q[:, [j]], s.qd[:, j]
     dry = dry_friction(loop)[j]

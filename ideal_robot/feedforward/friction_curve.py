@@ -196,14 +196,9 @@ def _cycle(known: _Known, v_before: Array, plan: tuple[Array, Array, Array], err
            integral: Array, together: Array) -> None:
     """Adds what one cycle says of joints that slide; ``integral`` and ``together`` are written to.
 
-    Args:
-        known: of the loop.
-        v_before: planned velocities a cycle before ``(n,)`` [rad/s].
-        plan: planned velocities, direction of sliding, what the plan knew; as in ``Planned``.
-        errors: following errors of the cycle before and of this one ``(n,)`` [rad].
-        integral: torque of the integral part ``(n,)`` [N m].
-        together: over the cycles in which a joint told something, sums of what the parameters count and of the torque,
-            and how many cycles they were ``(n, p + 2)``.
+    Of ``plan`` there are velocities, direction of sliding and what it knew, of ``errors`` those of the cycle before and
+    of this one. Over the cycles in which a joint told something ``together (n, p + 2)`` sums what the parameters count,
+    the torque, and how many they were.
     """
     v, turned, used = plan
     n, p, T = len(integral), used.shape[1], known.t_ipo
@@ -231,14 +226,10 @@ def _cycle(known: _Known, v_before: Array, plan: tuple[Array, Array, Array], err
 @jit()
 def _learned(known: _Known, v: Array, turned: Array, told: tuple[Array, Array], state: tuple[Array, Array, Array]
              ) -> None:
-    """Counts the mean of some cycles.
+    """Counts the mean of some cycles; ``state``, of ``x``, ``covariance`` and ``integral``, is written to.
 
-    Args:
-        known: of the loop.
-        v: planned velocities of the cycles, behind those of the one before ``(m + 1, n)`` [rad/s].
-        turned: direction of sliding, of the same cycles.
-        told: what the plans knew ``(m + 1, n, p)``, and following errors ``(m + 1, n)`` [rad], of the same cycles.
-        state: ``x``, ``covariance``, ``integral``, see ``CurveState``; written to.
+    The first row of velocities, directions and what is ``told``, what plans knew and following errors, is of the cycle
+    before.
     """
     (used, errors), (x, covariance, integral) = told, state
     n, p = x.shape

@@ -124,8 +124,7 @@ def noise_variance(dry: Array, spacing: float, noise_std: Array | None = None) -
     """Variance of a torque ``(n,)`` [(N m)²].
 
     Args:
-        dry: dry friction ``(n,)`` [N m].
-        spacing: time from one torque to the next [s].
+        dry, spacing: dry friction ``(n,)`` [N m], and the time from one torque to the next [s].
         noise_std: what the model left of the torques that it was identified from ``(n,)`` [N m]. A torque is at least
             as uncertain: where friction is small, it is not what torques are wrong by.
     """
@@ -134,11 +133,7 @@ def noise_variance(dry: Array, spacing: float, noise_std: Array | None = None) -
 
 
 def unknown_mass(dry: Array) -> float:
-    """How heavy a tool may be beyond the model's before anything was measured: standard deviation [kg].
-
-    Args:
-        dry: dry friction ``(n,)`` [N m].
-    """
+    """How heavy a tool may be beyond the model's: standard deviation [kg], by dry friction ``(n,)`` [N m]."""
     return float(WEIGHT * dry.max() / G)
 
 
@@ -157,11 +152,9 @@ class Solved(NamedTuple):
 
 
 def solved(columns: Array, left: Array) -> Solved:
-    """The normal equations in batch.
+    """The normal equations in batch, of columns ``(M, P)`` that parameters count and what the model ``left (M,)``.
 
-    Args:
-        columns: what parameters count, over the noise's standard deviation ``(M, P)``.
-        left: what the model left, over the same ``(M,)``.
+    Both are over the noise's standard deviation.
     """
     curvature = np.eye(columns.shape[1]) + columns.T @ columns
     covariance = np.asarray(np.linalg.inv(curvature))
@@ -177,11 +170,10 @@ def wandered(spacing: float) -> float:
 
 @jit()
 def aged(x: Array, covariance: Array, left: float) -> None:
-    """Parameters some time later; both are written to.
+    """Parameters some time later.
 
     Args:
-        x: parameters ``(p,)``.
-        covariance: of them ``(p, p)``.
+        x, covariance: parameters ``(p,)`` and ``(p, p)``, both written to.
         left: a, see ``wandered``.
     """
     for a in range(len(x)):
@@ -196,11 +188,9 @@ def counted(x: Array, covariance: Array, h: Array, left: float, variance: float)
     """Counts one measurement; False, and nothing changes, where it is too far from what the prior expects.
 
     Args:
-        x: parameters ``(p,)``, within ``FAR``; written to.
-        covariance: of them ``(p, p)``; written to.
+        x, covariance: parameters ``(p,)``, within ``FAR``, and ``(p, p)``; both are written to.
         h: what the parameters count ``(p,)``.
-        left: what the model left.
-        variance: of its noise.
+        left, variance: what the model left, and the variance of its noise.
     """
     expected, missed, spread, said = variance, left, variance, np.zeros(len(h))
     for a in range(len(h)):
@@ -225,8 +215,7 @@ def remembered(x: Array, covariance: Array, places: Array) -> tuple[Array, Array
     """What is known of some parameters alone; of the others nothing is known.
 
     Args:
-        x: parameters ``(n, p)``.
-        covariance: of them ``(n, p, p)``.
+        x, covariance: parameters ``(n, p)`` and ``(n, p, p)``.
         places: of the parameters that are kept ``(k,)``.
     """
     kept, uncertain = np.zeros_like(x), np.tile(np.eye(x.shape[1]), (len(x), 1, 1))

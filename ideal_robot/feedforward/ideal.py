@@ -121,14 +121,11 @@ class IdealRobot(Feedforward):
 
     @classmethod
     def of(cls, model: Model, robot: Robot, n_d: int = 30, *, delay: int | None = None, **options: Any) -> IdealRobot:
-        """From an identified model: see ``loop_model`` for ``delay`` and the class for the other options.
+        """From an identified model: see ``loop_model`` for ``delay`` and the class for ``n_d`` and the other options.
 
         Args:
-            model: identified.
-            robot: the arm.
-            n_d: rows of the horizons.
-            delay: cycles of the planner; see ``loop_model``.
-            options: further arguments of the class.
+            model, robot, delay: as of ``loop_model``.
+            n_d, options: as of the class.
         """
         return cls(loop_model(model, robot, delay=delay), n_d, **options)
 
@@ -157,9 +154,7 @@ class IdealRobot(Feedforward):
 
         Args:
             drives: parameters of the drives.
-            state: before the cycle.
-            q_d: horizon ``(n_d, n)`` [rad].
-            tau_ext_d: expected joint torque of contact ``(n_d, n)`` [N m].
+            state, q_d, tau_ext_d: as of ``step``.
             carried: what the motors carry beyond the model's bodies. How far it bends the gears is left out.
             inertia: what the drives feel of the joints' accelerations beyond the model's ``(n, n)`` [kg m²].
         """
@@ -217,8 +212,7 @@ class IdealRobot(Feedforward):
             q_m -= state.sag * left**3 * (10.0 - 15.0 * left + 6.0 * left**2)
             v_m += state.sag * 30.0 * left**2 * (1.0 - left) ** 2 / self.settle
 
-    def _load(self, q: Array, qd: Array, qdd: Array, carried: Carried | None
-              ) -> tuple[Array, Array | None]:
+    def _load(self, q: Array, qd: Array, qdd: Array, carried: Carried | None) -> tuple[Array, Array | None]:
         """Torques of the model's bodies and of what is carried beyond them, each ``(N, n)`` [N m]."""
         if carried is None:
             return inverse_dynamics(self.loop.chain, q, qd, qdd), None
@@ -258,16 +252,9 @@ class _Operators:
 @jit()
 def _command(wanted: Array, signal: Array, past: Array, q_c: Array, step_max: Array, q_min: Array, q_max: Array
              ) -> Array:
-    """The command ``(n,)`` [rad] that makes the position loop see its signal, within the limits.
+    """The command ``(n,)`` [rad] that makes the position loop see its signal ``(N, n)``, within the limits.
 
-    Args:
-        wanted: weights of the signal ``(n, N)``.
-        signal: that the loop must see ``(N, n)``.
-        past: weights of the commands before ``(n, n_past)``.
-        q_c: those ``(n_past, n)`` [rad].
-        step_max: largest change from the last of them ``(n,)`` [rad].
-        q_min: least joint angles ``(n,)`` [rad].
-        q_max: largest ones ``(n,)`` [rad].
+    The weights of the signal are ``wanted (n, N)``, ``past (n, n_past)`` those of the commands before, ``q_c``.
     """
     command = np.empty(len(q_min))
     for i in range(len(q_min)):
@@ -285,15 +272,7 @@ def _command(wanted: Array, signal: Array, past: Array, q_c: Array, step_max: Ar
 @jit()
 def _friction(drives: Drives, v_m: Array, load: Array, t_position: float, preslide: Array
               ) -> tuple[Array, Array, Array]:
-    """Friction torque, the bend of its bristles, and how far it has turned since the last reversal, all ``(m, n)``.
-
-    Args:
-        drives: parameters of the drives.
-        v_m: motor velocities at the position cycles ``(m, n)`` [rad/s].
-        load: torque that the gears transmit ``(m, n)`` [N m].
-        t_position: the cycle [s].
-        preslide: bend before the first of them ``(n,)``.
-    """
+    """Friction torque, the bend of its bristles, and how far it has turned since the last reversal, all ``(m, n)``."""
     torque, bent, turned, still = np.empty_like(v_m), np.empty_like(v_m), np.empty_like(v_m), 1e-3
     for i in range(v_m.shape[1]):
         z, dry = preslide[i], drives.friction_dry[i]

@@ -82,18 +82,14 @@ class Learned(Summarised):
 
 def learn(play: Callable[[Array], Array], q_c: Array, law: LearningLaw, *, iterations: int = 4,
           limits: tuple[Array, Array] | None = None, step_max: Array | None = None) -> Learned:
-    """Plays and corrects a path.
+    """Plays and corrects a path; raises InputError where path and law differ in length.
 
     Args:
         play: plays commands ``(N, n)`` and returns the errors ``q_d - q (N, n)`` [rad] at the same instants.
         q_c: commands to start from ``(N, n)`` [rad].
-        law: makes corrections out of errors.
-        iterations: number of learning steps.
+        law, iterations: makes corrections out of errors; number of learning steps.
         limits: lowest and highest command ``(n,)`` each [rad].
         step_max: largest change of a command from one cycle to the next ``(n,)`` [rad].
-
-    Raises:
-        InputError: path and law differ in length.
     """
     if len(q_c) != law.length:
         raise InputError(f"the learning law is made for {law.length} cycles", field="q_c", value=len(q_c))
@@ -198,19 +194,15 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 def joint_errors(robot: Robot, q_d: Array, error: Array, *, axes: tuple[str, ...] = AXES, prior: Array | float = 1e-3,
                  common: Array | None = None, noise: Array | float = 2e-5) -> Array:
-    """Joint errors ``(N, n)`` [rad] of TCP errors.
+    """Joint errors ``(N, n)`` [rad] of TCP errors; raises InputError for an unknown axis, or shapes that do not fit.
 
     Args:
         robot: kinematics.
         q_d: desired joint positions, about which is linearised ``(N, n)`` [rad].
-        error: desired minus measured, along ``axes`` ``(N, m)`` [m, rad].
-        axes: which degrees of freedom are measured, of ``AXES``.
+        error, axes: desired minus measured ``(N, m)`` [m, rad], along these of ``AXES``.
         prior: expected size of joint errors, for all or per sample and joint, broadcast to ``(N, n)`` [rad].
         common: errors that all joints make together, of the size that is expected ``(N, n)`` [rad]; None for none.
         noise: standard deviation of the device, for all or per axis ``(m,)`` [m, rad].
-
-    Raises:
-        InputError: unknown axis, or shapes that do not fit.
     """
     unknown = [axis for axis in axes if axis not in AXES]
     if unknown or error.shape != (len(q_d), len(axes)):

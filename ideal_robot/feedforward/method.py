@@ -68,9 +68,8 @@ class Practice:
         """Learning of a path on the arm, [G] (10), (11), from the uncorrected path.
 
         Args:
-            q_d: the path ``(N, n)`` [rad].
+            q_d, progress: the path ``(N, n)`` [rad]; called with the share done.
             loop: identified loop, whose linearisation about the middle of the path is inverted.
-            progress: called with the share done.
         """
         if self._learned is None or not np.array_equal(self._learned[0], q_d):
             self._learned = q_d, self._learn(q_d, loop, progress)
@@ -81,13 +80,9 @@ class Practice:
         return training_motion(q_d, self.robot.t_ipo)
 
     def sinusoids(self, q_d: Array) -> Array:
-        """"Simple sinusoidal joint trajectories" ([G] 3.2) about the middle of a path, from rest to rest.
+        """"Simple sinusoidal joint trajectories" ([G] 3.2) ``(M, n)`` [rad] about the middle of a path ``(N, n)``.
 
-        Args:
-            q_d: the path ``(N, n)`` [rad].
-
-        Returns:
-            the motion ``(M, n)`` [rad]: each joint with a frequency of its own, some degrees.
+        From rest to rest, each joint with a frequency of its own, by some degrees.
         """
         robot, middle = self.robot, np.median(q_d, axis=0)
         t = robot.t_ipo * np.arange(round(DURATION / robot.t_ipo))
@@ -102,9 +97,7 @@ class Practice:
         """A motion ``(M, n)`` about a path that is not the path, and the commands learned for it ``(M, n)`` [rad].
 
         Args:
-            q_d: the path ``(N, n)`` [rad].
-            loop: identified loop.
-            progress: called with the share done.
+            q_d, loop, progress: as of ``learned``.
         """
         if self._trained is None or not np.array_equal(self._trained[0], q_d):
             motion = self.motion(q_d)
@@ -169,40 +162,24 @@ class Setting:
         return round(preferred / self.robot.t_ipo) if self.n_d is None else self.n_d
 
     def identified(self) -> Model:
-        """The model.
-
-        Raises:
-            InputError: none was given.
-        """
+        """The model; raises InputError where none was given."""
         if self.model is None:
             raise InputError("this method needs an identified model; identify one, or use method none", field="model")
         return self.model
 
     def loop(self) -> LoopModel:
-        """The identified closed loop.
-
-        Raises:
-            InputError: no model, one of another arm, or one without a controller.
-        """
+        """The identified closed loop; raises InputError for no model, another arm's, or one without a controller."""
         loop = loop_model(self.identified(), self.robot, delay=self.delay)
         return loop if self.friction is None else self.friction.in_loop(loop)
 
     def path(self) -> Array:
-        """The path ``(N, n)`` [rad].
-
-        Raises:
-            InputError: it is not known beforehand.
-        """
+        """The path ``(N, n)`` [rad]; raises InputError where it is not known beforehand."""
         if self.q_d is None:
             raise InputError("this method is made for one path; give the path as q_d (N, n) [rad]", field="q_d")
         return self.q_d
 
     def plays(self) -> Practice:
-        """Plays on the arm.
-
-        Raises:
-            InputError: there is no arm to play on.
-        """
+        """Plays on the arm; raises InputError where there is no arm to play on."""
         if self.practice is None:
             raise InputError("this method learns in plays on the arm; give practice=Practice(play)", field="practice")
         return self.practice
@@ -212,11 +189,7 @@ class Factory(Protocol):
     """Makes the feedforward of a method; a subclass of ``Feedforward`` that takes a ``Setting`` is one."""
 
     def __call__(self, setting: Setting) -> Feedforward:
-        """Makes it.
-
-        Raises:
-            InputError: something it needs is not in the setting; the message says what.
-        """
+        """Makes it; raises InputError, which says what it needs and is not in the setting."""
         ...
 
 

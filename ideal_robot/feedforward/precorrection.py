@@ -44,8 +44,7 @@ def spline_operators(t_samples: Array, t_out: Array, spacing: float, cutoff: flo
     """Matrices ``(len(t_out), len(t_samples))``: from samples to value, derivative, … of the smoothed path.
 
     Args:
-        t_samples: instants of the samples, evenly spaced [s].
-        t_out: instants of the result, within the samples [s].
+        t_samples, t_out: instants of the samples, evenly spaced, and of the result, within the samples [s].
         spacing: distance of the spline's knots [s].
         cutoff: frequency at which a sinusoid is halved [Hz]; the gain is 1/(1 + (f/cutoff)^8), so a quarter of it
             passes unharmed (1e-5).
@@ -137,8 +136,7 @@ class Precorrection(Feedforward):
         """Undoes planner's delay, interpolation and low-pass by the horizon, and the elasticity of gears if known.
 
         Args:
-            model: identified.
-            robot: the arm.
+            model, robot: identified, and the arm.
             delay: of the planner [cycles].
         """
         controller = model.controller
@@ -259,8 +257,7 @@ def command_inverse(loop: LoopModel, cycles: int, smoothness: float = 0.02) -> C
     """Solves for the first of ``cycles`` commands once and for all.
 
     Args:
-        loop: the identified loop.
-        cycles: commands solved for together.
+        loop, cycles: the identified loop, and commands solved for together.
         smoothness: weight of the commands' second differences against a position error of the same size; keeps the
             inverse of the low-pass from amplifying what the interpolation cannot pass anyway.
     """
@@ -286,10 +283,8 @@ def command_inverse(loop: LoopModel, cycles: int, smoothness: float = 0.02) -> C
         signal = loop.k_v[i] * position
         signal[1:] += loop.k_ff[i] / loop.t_position * np.diff(position, axis=0)
         signal = signal[-s * cycles :] / loop.k_v[i]
-        free, forced = signal[:, :n_past], signal[:, n_past:]
-        weight = smoothness * np.sqrt(s)
-        system = np.vstack([forced, weight * second[:, 2:]])
-        first = np.linalg.pinv(system)[0]
+        free, forced, weight = signal[:, :n_past], signal[:, n_past:], smoothness * np.sqrt(s)
+        first = np.linalg.pinv(np.vstack([forced, weight * second[:, 2:]]))[0]
         wanted[i] = first[: s * cycles] / loop.k_v[i]
         past[i] = -first[: s * cycles] @ free
         past[i, -2:] -= first[s * cycles :] @ (weight * second[:, :2])

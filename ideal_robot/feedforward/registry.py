@@ -20,23 +20,10 @@ from ideal_robot.progress import Progress, silent
 from ideal_robot.registry import Registry
 from ideal_robot.robots.robot import Robot
 
-_BUILT_IN = "ideal_robot.feedforward.built_in"
-_REGISTRY: Registry[Method | Factory] = Registry("method", "ideal_robot.feedforward", {
-    "none": f"{_BUILT_IN}:NONE",
-    "linear": f"{_BUILT_IN}:LINEAR",
-    "linear_1": f"{_BUILT_IN}:LINEAR_1",
-    "trained": f"{_BUILT_IN}:TRAINED",
-    "trained_1": f"{_BUILT_IN}:TRAINED_1",
-    "precorrected_1": f"{_BUILT_IN}:PRECORRECTED_1",
-    "precorrected": f"{_BUILT_IN}:PRECORRECTED",
-    "model_learned": f"{_BUILT_IN}:MODEL_LEARNED",
-    "learned_1": f"{_BUILT_IN}:LEARNED_1",
-    "learned_2": f"{_BUILT_IN}:LEARNED_2",
-    "learned_3": f"{_BUILT_IN}:LEARNED_3",
-    "learned_4": f"{_BUILT_IN}:LEARNED_4",
-    "ideal": f"{_BUILT_IN}:IDEAL",
-    "adapted": f"{_BUILT_IN}:ADAPTED",
-})
+_KEYS = ("none", "linear", "linear_1", "trained", "trained_1", "precorrected_1", "precorrected", "model_learned",
+         "learned_1", "learned_2", "learned_3", "learned_4", "ideal", "adapted")
+_REGISTRY: Registry[Method | Factory] = Registry(
+    "method", "ideal_robot.feedforward", {key: f"ideal_robot.feedforward.built_in:{key.upper()}" for key in _KEYS})
 
 
 def methods(needs: Needs = Needs.PLAYS) -> tuple[str, ...]:
@@ -51,26 +38,19 @@ def methods(needs: Needs = Needs.PLAYS) -> tuple[str, ...]:
 
 
 def method(key: str) -> Method:
-    """What a key stands for.
-
-    Raises:
-        InputError: no such method; the message lists those there are.
-    """
+    """What a key stands for; raises InputError, which lists the methods there are, where it is none of them."""
     found = _REGISTRY.get(key)
     return found if isinstance(found, Method) else _described(found)
 
 
 def register(key: str, factory: Factory | Method, *, description: str = "", needs: Needs = Needs.MODEL) -> None:
-    """Adds a method.
+    """Adds a method; raises InputError where one of that name exists, or the name cannot be a key.
 
     Args:
         key: its name; lower case, digits and underscores.
         factory: makes the feedforward of a ``Setting``; or a whole ``Method``.
         description: one line for help texts and tables; the first line of the factory's docstring if empty.
         needs: what has to be there, which says where it applies.
-
-    Raises:
-        InputError: a method of that name exists, or the name cannot be a key.
     """
     if not key.isidentifier() or key != key.lower() or key.endswith("_delay"):
         raise InputError("expected lower case letters, digits and underscores, and no ending _delay", field="key",

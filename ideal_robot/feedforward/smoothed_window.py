@@ -79,14 +79,12 @@ class Smoothed(NamedTuple):
 def noted(window: Array, rows: int, measured: Array, drive: Drive) -> int:
     """Takes measurements into a window ``(3, CYCLES, n)``: motor angles, torque that acts, how friction has turned.
 
+    Returns measurements in it now; after one that is not finite it starts anew.
+
     Args:
-        window: written to; the newest comes last.
-        rows: measurements in it.
+        window, rows: written to, the newest comes last; measurements in it.
         measured: motor angles, motor torques that are read, joint torques of contact, oldest first ``(m, 3, n)``.
         drive: of the identified loop.
-
-    Returns:
-        Measurements in it now; after one that is not finite it starts anew.
     """
     for q, tau, tau_ext in measured:
         if not (np.isfinite(q).all() and np.isfinite(tau).all()):
@@ -106,11 +104,10 @@ def noted(window: Array, rows: int, measured: Array, drive: Drive) -> int:
 
 @jit()
 def turned(z: float, step: float, bend: float) -> float:
-    """How far friction has turned, -1 to 1, a step of the motor [rad] after it was at ``z``.
+    """How far friction has turned, -1 to 1, a step of the motor after it was at ``z``.
 
     Args:
-        z: before.
-        step: of the motor [rad].
+        z, step: before, and of the motor [rad].
         bend: angle over which friction turns [rad]; 0 where it jumps.
     """
     if step == 0.0:

@@ -129,14 +129,13 @@ def train(paths: Sequence[tuple[Array, Array]], t_ipo: float, *, chain: Chain | 
           limits: tuple[Array, Array] | None = None) -> Trained:
     """Fits the weights of [G] (12) or (13) to learned commands, by least squares in information form.
 
+    Raises InputError for no path, or commands and desired positions of different shape.
+
     Args:
         paths: pairs of desired positions and learned commands, each ``(N, n)`` [rad], all from rest.
         t_ipo: cycle [s].
         chain: rigid body whose torques are weighed too; None for [G] (12), (13) proper.
         limits: passed on to the trained feedforward.
-
-    Raises:
-        InputError: no path, or commands and desired positions of different shape.
     """
     lags = Lags.at(t_ipo)
     if not paths or any(q_d.shape != q_c.shape for q_d, q_c in paths):
@@ -202,29 +201,22 @@ REST_BEFORE, REST_AFTER = 0.9, 0.6
 
 
 def training_motion(path: Array, t_ipo: float) -> Array:
-    """Smooth joint motion ``(M, n)`` [rad] through the neighbourhood of a path, as fast as it is: what [G] trains on.
+    """Smooth joint motion ``(M, n)`` [rad] about a path ``(N, n)`` [rad], as fast as it is: what [G] trains on.
 
     Sinusoids of different frequencies and phases per joint about the path's middle, with amplitudes of the path's own
     range (at least 3°), faded in and out; rest before and behind.
-
-    Args:
-        path: joint positions at the cycles ``(N, n)`` [rad].
-        t_ipo: the cycle [s].
     """
     low, high = path.min(axis=0), path.max(axis=0)
     amplitude = np.maximum(0.5 * (high - low), np.radians(3.0))
     speed = np.maximum(np.max(np.abs(np.diff(path, axis=0)), axis=0) / t_ipo, 0.1)
-    n = path.shape[1]
     length = 8.0
     t = np.arange(0.0, length, t_ipo)
-    fade = np.clip(np.minimum(t, length - t) / 1.0, 0.0, 1.0)
-    fade = eased(fade)
+    fade = eased(np.clip(np.minimum(t, length - t) / 1.0, 0.0, 1.0))
     rate = np.clip(speed / amplitude, 1.0, 2 * np.pi * 0.8)
-    phase = 2.4 * np.arange(n)
+    phase = 2.4 * np.arange(path.shape[1])
     waves = 0.7 * np.sin(np.outer(t, rate * 0.55) + phase) + 0.45 * np.sin(np.outer(t, rate * 1.25) + 1.7 * phase)
     q = 0.5 * (low + high) + 0.8 * amplitude * fade[:, None] * waves
-    before, after = round(REST_BEFORE / t_ipo), round(REST_AFTER / t_ipo)
-    return held(q, before=before, after=after)
+    return held(q, before=round(REST_BEFORE / t_ipo), after=round(REST_AFTER / t_ipo))
 
 
 # Feedforward by the inverse of the linear closed loop: a filter over the horizon, exact for no path, close for all.

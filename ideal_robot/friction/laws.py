@@ -275,11 +275,7 @@ LAWS: Registry[type[FrictionModel]] = Registry("friction law", "ideal_robot.fric
 
 
 def law_of(key: str) -> type[FrictionModel]:
-    """The law of a key.
-
-    Raises:
-        InputError: no such law, or one that model files would know by another key.
-    """
+    """The law of a key; raises InputError for no such law, or one that model files would know by another key."""
     if key not in LAWS:
         raise InputError(f"no such friction law; there are {', '.join(LAWS.names())}", field="friction", value=key)
     law = LAWS.get(key)
@@ -327,9 +323,7 @@ class PerJointFriction:
     def sliding(self, q: Array, qd: Array) -> Array:
         """Direction of sliding ``(N, n)`` of the joints whose friction builds up over a displacement; NaN for others.
 
-        Args:
-            q: positions ``(N, n)`` [rad], consecutive in time.
-            qd: velocities ``(N, n)`` [rad/s].
+        Positions ``q`` [rad] and velocities ``qd`` [rad/s] are consecutive in time.
         """
         result = np.full(np.shape(q), np.nan)
         for j, law in enumerate(self.laws):
@@ -338,12 +332,7 @@ class PerJointFriction:
         return result
 
     def turned(self, q: Array, qd: Array) -> Array:
-        """How far friction has turned ``(N, n)``, -1 to 1: as ``sliding`` says, in other joints at once.
-
-        Args:
-            q: positions ``(N, n)`` [rad], consecutive in time.
-            qd: velocities ``(N, n)`` [rad/s].
-        """
+        """How far friction has turned ``(N, n)``, -1 to 1: as ``sliding`` says, in other joints at once."""
         sliding = self.sliding(q, qd)
         return np.where(np.isnan(sliding), np.sign(qd), sliding)
 

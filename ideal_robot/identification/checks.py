@@ -135,10 +135,8 @@ def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
 def _with_commands(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
     """The recording without the samples whose commands are no numbers or spikes, and what is wrong with the commands.
 
-    A model has the controllers of all joints or of none: commands that one joint lacks are left out.
-
-    Raises:
-        InputError: degrees, or commands that are farther from their joint's motion than standing still is.
+    A model has the controllers of all joints or of none: commands that one joint lacks are left out. Raises InputError
+    for degrees, or commands that are farther from their joint's motion than standing still is.
     """
     names = [f"q_c_{i + 1}" for i in range(robot.n)]
     missing = [name for name in names if name not in recording.columns]
@@ -223,8 +221,7 @@ def excitation_warnings(model: Model, solution: Solution, wrong_sign: Sequence[i
     """What the data do not show, from the solution's statistics.
 
     Args:
-        model: what was identified.
-        solution: and how well.
+        model, solution: what was identified, and how well.
         wrong_sign: joints, counted from 0, that behave as if their torque had the wrong sign.
     """
     warnings = []

@@ -58,13 +58,8 @@ class ControllerFit:
 def fit_controller(recording: Recording, robot: Robot) -> ControllerFit:
     """Fits the cascade of every joint to a recording in which all joints move.
 
-    Args:
-        recording: ``q_c_i`` (the command before its low-pass), ``q_i`` and ``tau_i`` at the position loop's cycle or a
-            few times slower.
-        robot: cycle times.
-
-    Raises:
-        InputError: a column is missing, the sampling is too slow, or a joint does not move.
+    It has ``q_c_i`` (the command before its low-pass), ``q_i`` and ``tau_i`` at the position loop's cycle or a few
+    times slower. Raises InputError for a missing column, too slow a sampling, or a joint that does not move.
     """
     cycle = float(np.median(np.diff(recording.t)))
     if cycle > 2.5 * robot.t_position:
@@ -154,8 +149,7 @@ class _Stretches:
     def fitted(self, lags: Array) -> tuple[Array, Array]:
         """Best ``k_p k_v, k_p k_ff, k_p`` ``(3,)``, and the torque about its mean that they leave ``(M,)`` [N m].
 
-        Args:
-            lags: time constants of command and velocity [s], and the integrator's k_i / k_p [1/s] ``(3,)``.
+        The ``lags (3,)`` are time constants of command and velocity [s], and the integrator's k_i / k_p [1/s].
         """
         if not np.array_equal(lags[:2], self._times):
             H = [part.columns(lags[:2]) for part in self._parts]
@@ -234,12 +228,8 @@ def identify_linear_loop(recordings: Sequence[Recording], t_cycle: float) -> Lin
     that no linear response explains: plain least squares fits wild coefficients to them. So the least squares are
     extended by what is known beforehand: the response is smooth, dies out and has static gain one.
 
-    Args:
-        recordings: with ``q_c_i`` (or ``q_d_i``) and ``q_i``, starting at rest.
-        t_cycle: sampling time of the model [s]: the interpolation cycle.
-
-    Raises:
-        InputError: missing commands, unsuitable sampling, too short, a joint that does not move.
+    Recordings have ``q_c_i`` (or ``q_d_i``) and ``q_i`` and start at rest; ``t_cycle`` [s] is the interpolation cycle.
+    Raises InputError for missing commands, unsuitable sampling, too short recordings, a joint that does not move.
     """
     require_loop(recordings)
     data = [part for r in recordings for part in _sampled(r, t_cycle)]
@@ -267,13 +257,9 @@ def commanded(recording: Recording) -> str:
 
 
 def require_loop(recordings: Sequence[Recording]) -> None:
-    """Refuses recordings with commands that say nothing of a joint's loop.
+    """Refuses recordings with ``q_i`` and ``q_c_i`` (or ``q_d_i``) that say nothing of a joint's loop.
 
-    Args:
-        recordings: with ``q_i`` and ``q_c_i`` (or ``q_d_i``).
-
-    Raises:
-        InputError: a command is missing, never changes in any recording, or is the measured position.
+    Raises InputError where a command is missing, never changes in any recording, or is the measured position.
     """
     pairs = [(r.joints(commanded(r)), r.joints("q")) for r in recordings]
     require_changes([q_c for q_c, _ in pairs], commanded(recordings[0]), recordings[0].source)
@@ -287,8 +273,7 @@ def require_changes(values: Sequence[Array], name: str, source: str) -> None:
 
     Args:
         values: of each recording ``(N, n)``.
-        name: of the columns without the joint.
-        source: where they come from.
+        name, source: of the columns without the joint, and where they come from.
     """
     for j in np.flatnonzero(np.all([np.ptp(rows, axis=0) == 0.0 for rows in values], axis=0)):
         raise InputError("never changes, which says nothing of the joint's controller", file=source,
@@ -342,10 +327,9 @@ def _knowledge(size: int) -> list[tuple[Array, Array, float]]:
 
 def _extended_ls(X: Array, y: Array, noise: float) -> tuple[Array, Array]:
     """One least-squares problem: the samples' rows, extended by those of the knowledge."""
-    rows = [X / noise, *[H / sigma for H, _, sigma in _knowledge(X.shape[1])]]
-    rhs = [y / noise, *[z / sigma for _, z, sigma in _knowledge(X.shape[1])]]
-    W = np.concatenate(rows)
-    g = np.linalg.lstsq(W, np.concatenate(rhs), rcond=None)[0]
+    known = _knowledge(X.shape[1])
+    W = np.concatenate([X / noise, *[H / sigma for H, _, sigma in known]])
+    g = np.linalg.lstsq(W, np.concatenate([y / noise, *[z / sigma for _, z, sigma in known]]), rcond=None)[0]
     return np.asarray(g), np.sqrt(np.diag(np.linalg.inv(W.T @ W)))
 
 

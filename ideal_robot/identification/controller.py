@@ -94,10 +94,9 @@ def identify_controller(recordings: Sequence[Recording], t_cycle: float,
 
 @dataclass(frozen=True)
 class _Gains:
-    """Gains of all joints at a delay of the command: k_p, k_d, k_1, k_2, k_i and their standard deviations ``(5, n)``.
+    """Gains of all joints at a delay of the command, k_p, k_d, k_1, k_2, k_i, and their standard deviations ``(5, n)``.
 
     Attributes:
-        gains, std: as above, the deviations for this delay.
         error_percent: of the simulated torque ``(n,)``.
     """
 
@@ -116,7 +115,9 @@ def _gains(stretches: Sequence[tuple[Recording, bool]], without_integrator: Sequ
         joint = _Joint(series, j)
         fixed = None
         if pd_series:
-            fixed, std[:4, j] = _pd_gains(_Joint(pd_series, j))
+            # By plain least squares, for there is no integrator; an offset is estimated along.
+            pd = _simulation(_Joint(pd_series, j), 0.0, None)
+            fixed, std[:4, j] = pd.gains, pd.std
         gains[4, j], std[4, j] = _integral_gain(joint, fixed)
         fit = _simulation(joint, gains[4, j], fixed)
         gains[:4, j], error[j] = fit.gains, fit.error_percent
@@ -188,17 +189,12 @@ class _Series:
 
 
 def _series(stretch: tuple[Recording, bool], t_cycle: float, delay: float, offsets: bool = True) -> list[_Series]:
-    """Means over cycles of ``t_cycle``; one series for each offset of the faster samples.
+    """Means over cycles of ``t_cycle``; one series for each offset of the faster samples, or the first of them alone.
 
     Inputs change within a cycle. Averaged over it, the difference quotient of (16) *is* the derivative, and torque and
-    columns belong to the same instant; sampled, they would lie half a cycle apart.
-
-    Args:
-        stretch: commands, positions and torques without a gap; and whether the arm rested before. Where it moved, the
-            delayed command of the first cycle is not known, and that cycle is left out.
-        t_cycle: length of a cycle [s].
-        delay: by which the controller sees the command later than it was logged [s]: that of its low-pass.
-        offsets: whether to use all samples; only the first series otherwise.
+    columns belong to the same instant; sampled, they would lie half a cycle apart. The controller sees the command
+    later by ``delay`` [s], that of its low-pass. Where a stretch does not begin at rest, the delayed command of the
+    first cycle is not known, and that cycle is left out.
     """
     recording, first = stretch
     step, every = in_cycle(recording, t_cycle)
@@ -286,12 +282,6 @@ def _slope(joint: _Joint, k_i: float) -> Array:
     """How the gains ``(4,)`` follow k_I: one that is a little wrong makes them wrong by more than the noise does."""
     h = 0.02 * k_i
     return np.asarray((_simulation(joint, k_i + h, None).gains - _simulation(joint, k_i - h, None).gains) / (2.0 * h))
-
-
-def _pd_gains(joint: _Joint) -> tuple[Array, Array]:
-    """Gains of (16) by plain least squares, for recordings without integrator; an offset is estimated along."""
-    fit = _simulation(joint, 0.0, None)
-    return fit.gains, fit.std
 
 
 def _direct(stretch: tuple[Recording, bool], t_cycle: float, gains: Array) -> tuple[Array, Array]:

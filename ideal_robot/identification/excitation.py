@@ -57,10 +57,7 @@ class Workspace:
         """What a drive from home must keep off: wider where home lies outside, with the shapes in ``cell``.
 
         None of these where home itself touches something and nobody named a cell: the base plane of an arm that hangs
-        or stands high is no floor.
-
-        Raises:
-            InputError: the arm stands in the cell that was named.
+        or stands high is no floor. Raises InputError where the arm stands in the cell that was named.
         """
         shapes = self.cell or Shapes(robot)
         touch = shapes.first_touch(robot.home[None])
@@ -70,12 +67,7 @@ class Workspace:
         return replace(self.widened(robot, robot.home[None]), cell=shapes if touch is None else None)
 
     def widened(self, robot: Robot, q: Array) -> Workspace:
-        """The workspace, wider where the arm has been already: what was recorded touched nothing.
-
-        Args:
-            robot: the arm.
-            q: recorded postures ``(N, n)`` [rad].
-        """
+        """The workspace, wider where the arm has been already ``(N, n)`` [rad]: what was recorded touched nothing."""
         span, heights = _points(robot, q[:: max(1, len(q) // 400)], self.beyond)
         beside = span[heights[:, 0] < self.z_free]
         return replace(self, z_min=float(heights.min(initial=self.z_min)), r_min=float(beside.min(initial=self.r_min)))
@@ -85,8 +77,7 @@ def clear_of_obstacles(robot: Robot, q: Array, workspace: Workspace) -> NDArray[
     """In which of postures ``(N, n)`` the arm keeps off floor and base column ``(N,)``.
 
     Args:
-        robot: the arm.
-        q: postures ``(N, n)`` [rad].
+        robot, q: the arm, and postures ``(N, n)`` [rad].
         workspace: floor and base column.
     """
     low, near = _met(robot, q, workspace)
@@ -94,13 +85,7 @@ def clear_of_obstacles(robot: Robot, q: Array, workspace: Workspace) -> NDArray[
 
 
 def obstacle(robot: Robot, q: Array, workspace: Workspace) -> str | None:
-    """What the arm meets first in postures ``(N, n)``, with the option that moves it; None for nothing.
-
-    Args:
-        robot: the arm.
-        q: postures ``(N, n)`` [rad].
-        workspace: floor and base column.
-    """
+    """See ``clear_of_obstacles``. What the arm meets first, with the option that moves it; None for nothing."""
     low, near = _met(robot, q, workspace)
     met = low | near
     if not met.any():
@@ -117,15 +102,9 @@ def _met(robot: Robot, q: Array, workspace: Workspace) -> tuple[NDArray[np.bool_
 
 
 def _points(robot: Robot, q: Array, beyond: float) -> tuple[Array, Array]:
-    """How far from the base axis the tool is, ``beyond`` its frame, and how high: it and the joints above the second.
+    """How far from the base axis the tool is ``(N,)``; how high it and the joints above the second are ``(N, n - 1)``.
 
-    Args:
-        robot: the arm.
-        q: postures ``(N, n)`` [rad].
-        beyond: the tool's frame, along its z axis [m].
-
-    Returns:
-        Distances ``(N,)`` and heights ``(N, 1 + n - 2)``, the tool's first [m].
+    The tool counts at ``beyond`` [m] its frame, along its z axis.
     """
     frame = robot.pinocchio.frames[robot.tool_id]
     point = frame.placement.act(np.array([0.0, 0.0, beyond]))
@@ -274,8 +253,7 @@ class MotionSpace:
 
         Args:
             coefficients: of sines and cosines ``(2, harmonics, n)``; their size does not matter.
-            rng: draws the posture about which it goes, where none is given.
-            centre: that posture ``(n,)`` [rad], moved into the limits.
+            rng, centre: the posture about which it goes ``(n,)`` [rad], moved into the limits; drawn where it is None.
         """
         a, b = coefficients[0].copy(), coefficients[1].copy()
         k = np.arange(1, len(a) + 1)[:, None]
@@ -331,15 +309,7 @@ class MotionSpace:
 
 
 def _condition(robot: Robot, independent: list[int], q: Array, qd: Array, qdd: Array) -> float:
-    """Condition number of the scaled observation matrix, viscous and dry friction included.
-
-    Args:
-        robot: the arm.
-        independent: which parameters are base parameters.
-        q: the motion ``(N, n)`` [rad].
-        qd: its velocity ``(N, n)`` [rad/s].
-        qdd: its acceleration ``(N, n)`` [rad/s²].
-    """
+    """Condition number of the scaled observation matrix of a motion, viscous and dry friction included."""
     n = robot.n
     W = full_regressor(robot.pinocchio, q, qd, qdd, independent)
     friction = np.zeros((len(q), n, 2 * n))
@@ -358,17 +328,14 @@ def _condition(robot: Robot, independent: list[int], q: Array, qd: Array, qdd: A
 
 
 def approach(start: Array, goal: Array, t_ipo: float, v_max: Array, a_max: Array) -> Array:
-    """Commands ``(N, n)`` from rest at ``start`` to rest at ``goal``, all joints by one quintic; ``start`` left out.
+    """Commands ``(N, n)`` from rest to rest, all joints by one quintic, the start left out.
+
+    Raises InputError where it would take longer than ``LONGEST_APPROACH``.
 
     Args:
-        start: ``(n,)`` [rad].
-        goal: ``(n,)`` [rad].
+        start, goal: ``(n,)`` [rad].
         t_ipo: interpolation cycle [s].
-        v_max: velocity limits ``(n,)`` [rad/s].
-        a_max: acceleration limits ``(n,)`` [rad/s²].
-
-    Raises:
-        InputError: it would take longer than ``LONGEST_APPROACH``.
+        v_max, a_max: limits ``(n,)`` [rad/s, rad/s²].
     """
     way = np.abs(goal - start)
     # Largest velocity and acceleration of 10 s³ - 15 s⁴ + 6 s⁵ are 1.875 and 5.77.

@@ -120,8 +120,7 @@ class FrictionChoice:
 
         Args:
             joint: from 0.
-            candidate: law with its refinements.
-            shape: its shape parameters.
+            candidate, shape: law with its refinements, and its shape parameters.
         """
         key = (joint, candidate, shape)
         if key not in self._cache:
@@ -162,11 +161,9 @@ class FrictionChoice:
         return np.column_stack(result)
 
     def choose(self, options: Sequence[Candidate]) -> tuple[list[FrictionModel], list[dict[str, float]]]:
-        """The best of the options for each joint.
+        """The best of the options for each joint, with their shape (coefficients still ones).
 
-        Returns:
-            laws with their shape (coefficients still ones), and per joint the held-out error of every option tried, as
-            standard deviation in units of the noise.
+        And per joint the held-out error of every option tried, as standard deviation in units of the noise.
         """
         n = self._y.shape[1]
         chosen = [(options[0], self._start(options[0])) for _ in range(n)]
@@ -306,14 +303,11 @@ class WarmUp:
 def fit_warm_up(law: type[FrictionModel], qd: Array, tau: Array, temperature: Array) -> WarmUp:
     """Fits a law and its change while warming up to friction torques of one joint.
 
-    Args:
-        law: a law without shape parameters, e.g. ``CubeRoot``.
-        qd: velocities ``(N,)`` [rad/s].
-        tau: friction torques ``(N,)`` [N m].
-        temperature: gear temperatures ``(N,)`` [°C].
+    Raises InputError for a law with shape parameters, or too little change to see anything.
 
-    Raises:
-        InputError: a law with shape parameters, or too little change to see anything.
+    Args:
+        law: without shape parameters, e.g. ``CubeRoot``.
+        qd, tau, temperature: velocities [rad/s], friction torques [N m], gear temperatures [°C], ``(N,)`` each.
     """
     if law.shape_names:
         raise InputError("a law without shape parameters is needed (viscous_coulomb, cube_root, asymmetric)",

@@ -45,13 +45,11 @@ class FrictionFit:
 def fit_law(law: type[FrictionModel], qd: Array, tau: Array) -> FrictionFit:
     """Fits one law: linear ones by least squares, shape parameters by bounded optimisation from several starts.
 
+    Raises InputError for fewer points than parameters.
+
     Args:
         law: one of ``ideal_robot.friction.LAWS``.
-        qd: velocities ``(N,)`` [rad/s], both signs.
-        tau: friction torques ``(N,)`` [N m].
-
-    Raises:
-        InputError: fewer points than parameters.
+        qd, tau: velocities of both signs [rad/s], and friction torques [N m], ``(N,)`` each.
     """
     qd, tau = np.asarray(qd, dtype=float), np.asarray(tau, dtype=float)
     count = len(law.coefficient_names) + len(law.shape_names)
@@ -67,13 +65,7 @@ def fit_law(law: type[FrictionModel], qd: Array, tau: Array) -> FrictionFit:
 
 
 def choose_law(qd: Array, tau: Array, laws: Sequence[type[FrictionModel]] = (CubeRoot, Arctan)) -> FrictionFit:
-    """The law with the smallest mean square error on held-back speeds; [G] chooses between (2) and (3).
-
-    Args:
-        qd: constant velocities ``(N,)`` [rad/s].
-        tau: friction torques ``(N,)`` [N m].
-        laws: to choose from.
-    """
+    """See ``fit_law``. The law of least mean square error on held-back speeds; [G] chooses between (2) and (3)."""
     return min((fit_law(law, qd, tau) for law in laws), key=lambda fit: fit.held_out_rms)
 
 
@@ -274,25 +266,17 @@ _SIGNIFICANT = 8.0
 def fit_ripple(recordings: Sequence[Recording], model: Model, robot: Robot) -> tuple[FittedEffect, ...]:
     """Ripple of every joint that shows one, strongest order first, as effects ``torque_ripple`` of the model.
 
-    Args:
-        recordings: with ``q_i`` and ``tau_i`` every few milliseconds, slow motion in them.
-        model: what the ripple is looked for behind.
-        robot: gear ratios; joints with ratio 1 (unknown) are passed over.
+    Raises InputError where the model is of another arm.
 
-    Raises:
-        InputError: the model is of another arm.
+    Args:
+        recordings, model: with ``q_i`` and ``tau_i`` every few milliseconds, slow motion in them; what it is behind.
+        robot: gear ratios; joints with ratio 1 (unknown) are passed over.
     """
     model.require_arm(robot)
     parts = [_residual(recording, model) for recording in recordings]
-    found: list[FittedEffect] = []
-    for i in range(model.n):
-        if robot.gear_ratio[i] <= 1.0:
-            continue
-        for order in _ORDERS:
-            effect = _ripples(parts, i, order, float(robot.gear_ratio[i]), robot.units("N m")[i])
-            if effect is not None:
-                found.append(effect)
-    return tuple(found)
+    found = (_ripples(parts, i, order, float(robot.gear_ratio[i]), robot.units("N m")[i])
+             for i in range(model.n) if robot.gear_ratio[i] > 1.0 for order in _ORDERS)
+    return tuple(effect for effect in found if effect is not None)
 
 
 def _residual(recording: Recording, model: Model) -> tuple[Array, Array, Array]:

@@ -32,8 +32,7 @@ def measured_geometry(recordings: Sequence[Recording], robot: Robot, usual: tupl
     joint and its tool - is shared as is usual. The device stands anywhere, so where the first joint is remains open.
 
     Args:
-        recordings: with arm angles and poses, see ``has_geometry``.
-        robot: the arm as its data sheet has it.
+        recordings, robot: with arm angles and poses, see ``has_geometry``; the arm as its data sheet has it.
         usual: standard deviations of shifts [m] and turns [rad] in arms of the class.
     """
     width = np.concatenate([np.full(6, np.inf), np.tile(np.repeat(usual, 3), robot.n)])
@@ -57,13 +56,7 @@ def _postures(recording: Recording) -> tuple[Array, Array]:
 
 
 def _equations(qa: Array, measured: Sequence[pin.SE3], robot: Robot) -> tuple[Array, Array]:
-    """What device and joints change of the poses ``(m, 6, 6 + 6 n)``, and what they are off by ``(m, 6)``.
-
-    Args:
-        qa: arm angles ``(m, n)`` [rad].
-        measured: poses.
-        robot: the drawings.
-    """
+    """What device and joints change of the poses ``(m, 6, 6 + 6 n)``, and what the drawings are off by ``(m, 6)``."""
     model, data = robot.pinocchio, robot.pinocchio.createData()
     W, y = np.zeros((len(qa), 6, 6 + 6 * robot.n)), np.zeros((len(qa), 6))
     for i, (q, pose) in enumerate(zip(qa, measured, strict=True)):

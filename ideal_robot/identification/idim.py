@@ -175,10 +175,8 @@ def with_errors(model: Model, estimation: Sequence[Prediction], held_out: Sequen
     """The model with its warnings and relative errors noted in its provenance.
 
     Args:
-        model: the identified model.
-        estimation: its predictions of the recordings it is fitted to.
-        held_out: its predictions of the recordings it has not seen.
-        warnings: named warnings, each ``name: sentence``.
+        model, warnings: the identified model, and named warnings, each ``name: sentence``.
+        estimation, held_out: its predictions of the recordings it is fitted to, and of those it has not seen.
     """
     return replace(model, provenance={**model.provenance, "warnings": warnings, "relative_error_percent": {
         "estimation": joined(estimation).relative_error_percent.tolist(),

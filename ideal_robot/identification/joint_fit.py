@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from ideal_robot.friction import LAWS, FrictionModel, PerJointFriction, law_of
 from ideal_robot.identification.friction_choice import FrictionChoice, brakes, candidates, with_coefficients
 from ideal_robot.identification.weighted_least_squares import Prior, Solution, weighted_least_squares
 from ideal_robot.model.model import Model
-from ideal_robot.model.parametrisation import shape_columns
+from ideal_robot.model.parametrisation import coefficient_columns, shape_columns
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.error_budget import ErrorBudget
 from ideal_robot.signals.preprocess import FilteredSignals, lowpass, preprocess, resampled
@@ -23,14 +23,10 @@ from ideal_robot.signals.recording import Recording
 
 
 def regions_of_motion(q: Array, qd: Array) -> list[np.ndarray]:
-    """Rows of each of eight regions, with as many samples in each.
+    """Rows of each of eight regions of a motion ``(M, n)``, with as many samples in each.
 
     Every region is halved at the median of the angle or velocity that varies most in it, over what that varies by in
     all of the motion. What a motion repeats is in one region, however often it is repeated.
-
-    Args:
-        q: angles ``(M, n)`` [rad, m].
-        qd: velocities ``(M, n)`` [rad/s, m/s].
     """
     state = np.hstack([q, qd])
     state = state / np.maximum(np.std(state, axis=0), 1e-12)
@@ -132,7 +128,7 @@ class JointProblem:
         """Fit of dry and viscous friction; of its covariance only wrong signs ask for more than that of white noise."""
         laws = [candidates([law_of("viscous_coulomb")], refine=False)[0].make(()) for _ in range(self._robot.n)]
         none = [np.zeros_like(s.q) for s in self._signals]
-        W = np.concatenate([self._W, self._columns(laws, none)], axis=2)
+        W = np.concatenate([self._W, self._columns(coefficient_columns, laws, none)], axis=2)
         return self._solved(W, None, None, correlated=correlated)
 
     def _solved(self, W: Array, nonnegative: np.ndarray | None, variance: Array | None, *,
@@ -159,7 +155,7 @@ class JointProblem:
             if law.holds_offset:
                 # An offset is the difference of the two dry frictions; the law has it, so it is no parameter itself.
                 rigid[:, :, self._base.names.index(f"offset_{j + 1}")] = 0.0
-        W = np.concatenate([rigid, self._columns(laws, load)], axis=2)
+        W = np.concatenate([rigid, self._columns(coefficient_columns, laws, load)], axis=2)
         nonnegative = np.concatenate([np.zeros(self._base.count, dtype=bool), *[law.nonnegative for law in laws]])
         solution = self._solved(W, nonnegative, variance)
         friction = with_coefficients(laws, solution.value[self._base.count :])
@@ -171,17 +167,17 @@ class JointProblem:
             return self._final([plain if j in wrong else law for j, law in enumerate(laws)], load, variance)
         return self._with_shape(solution, W, friction, load), friction
 
-    def _columns(self, laws: Sequence[FrictionModel], load: Sequence[Array]) -> Array:
-        """Decimated regressor of all joints' friction coefficients ``(M, n, Σm)``."""
-        n, total = len(laws), sum(len(law.coefficients) for law in laws)
+    def _columns(self, of_law: Callable[[FrictionModel, Array, Array, Array], Array], laws: Sequence[FrictionModel],
+                 load: Sequence[Array]) -> Array:
+        """Decimated columns of all joints' laws ``(M, n, Σm)``, each law's in the rows of its joint."""
         parts = []
         for s, load_s in zip(self._signals, load, strict=True):
-            block, at = np.zeros((int(s.keep.sum()), n, total)), 0
+            blocks = []
             for j, law in enumerate(laws):
-                span = slice(at, at + len(law.coefficients))
-                block[:, j, span] = s.decimate(law.regressor(s.qd[:, [j]], load_s[:, [j]], s.q[:, [j]])[:, 0])
-                at = span.stop
-            parts.append(block)
+                own = s.decimate(of_law(law, s.qd[:, [j]], load_s[:, [j]], s.q[:, [j]]))
+                blocks.append(np.zeros((len(own), len(laws), own.shape[1])))
+                blocks[-1][:, j] = own
+            parts.append(np.concatenate(blocks, axis=2))
         return np.concatenate(parts)
 
     def _with_shape(self, solution: Solution, W: Array, friction: PerJointFriction,
@@ -192,16 +188,8 @@ class JointProblem:
         a lag of all of them is fitted as well.
         """
         shape = np.concatenate([law.shape[:, 0] for law in friction.laws])
-        parts = []
-        for s, load_s in zip(self._signals, load, strict=True):
-            block, at = np.zeros((int(s.keep.sum()), W.shape[1], len(shape))), 0
-            for j, law in enumerate(friction.laws):
-                span = slice(at, at + len(law.shape))
-                block[:, j, span] = s.decimate(shape_columns(law, s.qd[:, [j]], load_s[:, [j]], s.q[:, [j]]))
-                at = span.stop
-            parts.append(block)
-        late = -self._rate[:, :, None]
-        joined = np.concatenate([W * ~solution.at_bound, np.concatenate(parts), late], axis=2)
+        bends, late = self._columns(shape_columns, friction.laws, load), -self._rate[:, :, None]
+        joined = np.concatenate([W * ~solution.at_bound, bends, late], axis=2)
         information = self._prior.padded(joined.shape[2])
         information[-1, -1] = 1.0 / _LAG**2
         # At the optimum the linearised problem has the residual for its measurement and none but the lag for its step.
@@ -275,18 +263,11 @@ def stiffness_from_arm(recordings: Sequence[Recording], model: Model) -> tuple[A
     """Stiffness and damping of each joint, ``k (q_m - q) + d (q̇_m - q̇) = load``, by least squares.
 
     The load is the torque of the links; the rotor's share never passes the gear. An offset between the two angles is
-    estimated along with each recording.
-
-    Args:
-        recordings: with ``q_i`` and ``qa_i``.
-        model: identified rigid body.
+    estimated along with each recording of ``q_i`` and ``qa_i``. Raises InputError where one has no arm angles.
 
     Returns:
         ``k (n,)`` [N m/rad] and ``d (n,)`` [N m s/rad], both at least zero. A gear that does not give way with its
         load is rigid: ``inf`` and 0; of one that carries no load nothing is known: NaN.
-
-    Raises:
-        InputError: no arm angles in a recording.
     """
     # Accelerations of a coarse encoder need the filter that the identification chose: noise in the load would make
     # gears look stiff. Damping shows near the gears' resonance, which must pass.

@@ -74,8 +74,7 @@ class Program:
         """Commands ``(N, n)`` [rad] every ``t_ipo``, from rest at ``start``.
 
         Args:
-            start: where the arm rests before ``(n,)`` [rad].
-            t_ipo: interpolation cycle [s].
+            start, t_ipo: where the arm rests before ``(n,)`` [rad], and the interpolation cycle [s].
             robot: whose limits count.
         """
         v_max, a_max = finite_limits(robot)
@@ -104,9 +103,7 @@ def trapezoid(way: float, velocity: float, acceleration: float, t_ipo: float) ->
     """Positions ``(N,)`` of a move from 0 to ``way`` with trapezoidal velocity, start left out.
 
     Args:
-        way: [rad].
-        velocity: largest one [rad/s].
-        acceleration: [rad/s²].
+        way, velocity, acceleration: [rad], the largest [rad/s], [rad/s²].
         t_ipo: interpolation cycle [s].
     """
     v = min(velocity, float(np.sqrt(way * acceleration)))
@@ -125,15 +122,11 @@ def finite_limits(robot: Robot) -> tuple[Array, Array]:
 
 
 def require_within_limits(robot: Robot, q_c: Array, workspace: Workspace) -> None:
-    """Refuses commands that leave a limit of the arm or the workspace.
+    """Raises InputError for commands that leave a limit of the arm, and names limit and joint, or the workspace.
 
     Args:
-        robot: the arm.
-        q_c: commands every interpolation cycle ``(N, n)`` [rad].
+        robot, q_c: the arm, and commands every interpolation cycle ``(N, n)`` [rad].
         workspace: where tool and links may go.
-
-    Raises:
-        InputError: names the limit and the joint.
     """
     speed = np.diff(q_c, axis=0) / robot.t_ipo
     acceleration = np.diff(speed, axis=0) / robot.t_ipo
@@ -248,8 +241,7 @@ def observation_rows(robot: Robot, base: BaseParameters, q: Array) -> Array:
     """Rows ``(m, 2 n, b)`` of g_i(q) and M_ii(q) as linear forms of the base parameters, [G] (6).
 
     Args:
-        robot: the arm.
-        base: base parameters of the rigid body.
+        robot, base: the arm, and base parameters of the rigid body.
         q: postures ``(m, n)`` [rad].
     """
     m, n = q.shape

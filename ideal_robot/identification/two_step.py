@@ -53,10 +53,8 @@ def constant_stretches(s: FilteredSignals, joint: int, start: int, stop: int) ->
     """Stretches within ``start … stop`` in which the joint moves at constant velocity, the ends cut off.
 
     Args:
-        s: filtered signals of a recording.
-        joint: from 0.
-        start: first sample.
-        stop: sample behind the last one.
+        s, joint: filtered signals of a recording, and from 0.
+        start, stop: first sample, and the one behind the last.
     """
     qd, qdd = s.qd[start:stop, joint], s.qdd[start:stop, joint]
     margin = int(np.ceil(0.5 / s.cutoff / s.dt))
@@ -74,10 +72,8 @@ def rows_of(s: FilteredSignals, robot: Robot, base: BaseParameters, index: np.nd
     """Regressor ``(k, n, b)`` of the base parameters at some samples, with or without the measured acceleration.
 
     Args:
-        s: filtered signals of a recording.
-        robot: the arm.
-        base: base parameters of the rigid body.
-        index: the ``k`` samples.
+        s, index: filtered signals of a recording, and the ``k`` samples.
+        robot, base: the arm, and base parameters of the rigid body.
         with_acceleration: otherwise it counts as zero.
     """
     qdd = s.qdd[index] if with_acceleration else np.zeros_like(s.qdd[index])
@@ -85,13 +81,7 @@ def rows_of(s: FilteredSignals, robot: Robot, base: BaseParameters, index: np.nd
 
 
 def gravity_measurements(s: FilteredSignals, robot: Robot, base: BaseParameters) -> list[Measurement]:
-    """Mean of the averaged torques of forward and backward motion, for each pair of stretches of the same speed.
-
-    Args:
-        s: filtered signals of a recording.
-        robot: the arm.
-        base: base parameters of the rigid body.
-    """
+    """See ``inertia_measurements``. Mean of forward and backward torques, of each two stretches of the same speed."""
     found = []
     for j in range(robot.n):
         for start, stop in alone(s, j):
@@ -134,8 +124,7 @@ def inertia_measurements(s: FilteredSignals, robot: Robot, base: BaseParameters,
 
     Args:
         s: filtered signals of a recording.
-        robot: the arm.
-        base: base parameters of the rigid body.
+        robot, base: the arm, and base parameters of the rigid body.
         p_g: values of the base parameters from the gravity measurements ``(b,)``.
     """
     found = []

@@ -53,8 +53,7 @@ class JointVerdict:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {"joint": self.joint, "verdict": self.verdict, "left_percent": self.left_percent,
-                "uncertain_percent": self.uncertain_percent, "reason": self.reason, "would_tell": self.would_tell}
+        return dict(vars(self))
 
 
 def told(parameter: Parameter) -> bool:
@@ -66,8 +65,7 @@ def joint_verdicts(model: Model, result: Identification, robot: Robot) -> tuple[
     """A verdict for each joint.
 
     Args:
-        model: as identified.
-        result: the identification behind it.
+        model, result: as identified, and the identification behind it.
         robot: the arm, with the range of its joints.
     """
     q = np.concatenate([recording.joints("q") for recording in result.recordings])
@@ -122,14 +120,10 @@ def _kind(name: str, model: Model) -> str:
 
 
 def _verdict(j: int, own: float, unseen: float, uncertain: dict[str, float], broken: str) -> JointVerdict:
-    """The verdict for joint ``j``.
+    """The verdict for joint ``j`` (from 0), of what is left [%] in recordings that were fitted, ``own``, and in others.
 
-    Args:
-        j: joint, from 0.
-        own: what is left in the recordings that were fitted [%].
-        unseen: what is left in the others [%].
-        uncertain: of the torque, by kinds of parameters [%].
-        broken: what is wrong with the joint's recording; empty where nothing is.
+    Parameters make ``uncertain`` [%] of the torque, by kind; ``broken`` is what is wrong with the recording, if
+    anything.
     """
     left, wide = max(own, unseen), uncertain["all"]
     moves = _TELLS[max(_TELLS, key=lambda kind: uncertain[kind])].format(j=j + 1)

@@ -174,11 +174,10 @@ class _Channels:
 
 
 def _solve(rows: Array, root: Array) -> tuple[Array, Array, tuple[float, float], np.ndarray]:
-    """Minimum-norm solution over scaled columns, ``(WᵀW)⁻¹`` on what is excited, condition numbers.
+    """Minimum-norm solution over scaled columns, ``(WᵀW)⁻¹`` on what is excited, condition numbers, what is unexcited.
 
-    Args:
-        rows: of W with the measurements last ``(K, P + 1)``, or what has the same R.
-        root: of what is known of the parameters beforehand ``(P, P)``.
+    The rows ``(K, P + 1)`` are those of W with the measurements last, or what has the same R; of the parameters ``root
+    (P, P)`` is known beforehand.
     """
     W, y = rows[:, :-1], rows[:, -1:]
     P = W.shape[1]
@@ -324,8 +323,7 @@ def prior_of(robot: Robot, base: BaseParameters, signals: Sequence[FilteredSigna
     often balanced, to the weight.
 
     Args:
-        robot: nominal inertias.
-        base: grouping of its parameters.
+        robot, base: nominal inertias, and grouping of its parameters.
         signals: one per recording.
         amperes: torques are currents with unknown gains: the nominal parameters are brought to their size.
     """

@@ -102,14 +102,9 @@ class IdentificationResult(Summarised):
                 {"name": p.name, "joint": p.joint, "value": p.value, "std": p.std, "std_percent": p.std_percent,
                  "unit": p.unit, "meaning": p.meaning} for p in model.parameters
             ],
-            "relative_error_percent": {
-                "estimation": joined(self.result.estimation).relative_error_percent,
-                "validation": joined(self.result.validation).relative_error_percent if self.validation else [],
-            },
-            "residual_std_percent": {
-                "estimation": joined(self.result.estimation).residual_std_percent,
-                "validation": joined(self.result.validation).residual_std_percent if self.validation else [],
-            },
+            **{name: {"estimation": getattr(joined(self.result.estimation), name),
+                      "validation": getattr(joined(self.result.validation), name) if self.validation else []}
+               for name in ("relative_error_percent", "residual_std_percent")},
             "recordings": [
                 {"source": Path(r.source).name, "role": role, "relative_error_percent": p.relative_error_percent,
                  "residual_std_percent": p.residual_std_percent}
@@ -193,12 +188,8 @@ def with_given_controller(analysis: IdentificationResult, wanted: str | Path, ro
     """The result with a controller from elsewhere, where the recordings tell none.
 
     Args:
-        analysis: what the recordings tell.
-        wanted: see ``ideal_robot.model.cascade.given_controller``.
-        robot: the arm.
-
-    Raises:
-        InputError: no such file, or wrong numbers in it.
+        analysis, robot: what the recordings tell, and the arm.
+        wanted: see ``ideal_robot.model.cascade.given_controller``, which raises InputError.
     """
     given = given_controller(wanted, analysis.model.dynamics, robot)
     if analysis.model.controller is not None:

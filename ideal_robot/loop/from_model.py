@@ -31,8 +31,7 @@ def with_rotors(chain: Chain, rotor_inertia: Array, q_min: Array, q_max: Array) 
     Args:
         chain: rigid bodies of the arm.
         rotor_inertia: as identified, reflected to the joint side ``(n,)`` [kg m², kg where a joint slides].
-        q_min: lower position limits ``(n,)`` [rad or m].
-        q_max: upper position limits ``(n,)`` [rad or m].
+        q_min, q_max: position limits ``(n,)`` [rad or m].
     """
     least = _least_inertia(chain, q_min, q_max)
     short = rotor_inertia < 0.2 * _SHARE * least
@@ -59,11 +58,8 @@ def further_torque(loop: LoopModel, t: Array, q: Array, qd: Array, qdd: Array, l
     """Sum of the torques of ``loop.terms`` along a motion of the motors ``(N, n)`` [N m].
 
     Args:
-        loop: the identified loop.
-        t: instants ``(N,)`` [s].
-        q: motor angles ``(N, n)`` [rad].
-        qd: their velocities [rad/s].
-        qdd: their accelerations [rad/s²].
+        loop, t: the identified loop, and instants ``(N,)`` [s].
+        q, qd, qdd: motor angles, velocities and accelerations ``(N, n)`` [rad, rad/s, rad/s²].
         load: torque at the gear outputs [N m].
         sliding: how far dry friction has turned since the last reversal, -1 to 1.
     """

@@ -36,9 +36,7 @@ class InformationFilter:
         """Takes ``z (r,) = H (r, size) x + noise`` with standard deviation ``sigma``.
 
         Args:
-            H: ``(r, size)``.
-            z: measurements ``(r,)``.
-            sigma: standard deviation of each of them, in the unit of ``z``.
+            H, z, sigma: as above, ``sigma`` in the unit of ``z``.
         """
         self.matrix += H.T @ H / sigma**2
         self.vector += H.T @ z / sigma**2
@@ -85,9 +83,8 @@ class LinearLoop:
         """``G (rows, columns)`` of [G] (11): answers to commands, both from cycle 0 on.
 
         Args:
-            joint: number of the joint, from 0.
-            rows: cycles of the answer.
-            columns: cycles of the command.
+            joint: from 0.
+            rows, columns: cycles of the answer and of the command.
         """
         lag = np.arange(rows)[:, None] - np.arange(columns)[None, :]
         inside = (lag >= 0) & (lag < len(self.g))
@@ -95,11 +92,10 @@ class LinearLoop:
 
     @classmethod
     def of(cls, loop: LoopModel, q: Array, length: int = 40, step: float = 2e-3) -> LinearLoop:
-        """Linearises the identified loop at ``q (n,)``: answer of the arm to a small step.
+        """Linearises the identified loop at ``q``: answer of the arm to a small step.
 
         Args:
-            loop: the identified loop.
-            q: working point [rad].
+            loop, q: the identified loop, and the working point ``(n,)`` [rad].
             length: cycles until the response counts as over.
             step: size of the step [rad].
         """

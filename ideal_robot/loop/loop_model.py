@@ -125,8 +125,7 @@ class LoopModel:
     friction_driven: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        for name, none in (("gain", 1.0), ("half_gap", 0.0), ("gap_load", 0.0),
-                           ("friction_driven", 0.0)):
+        for name, none in (("gain", 1.0), ("half_gap", 0.0), ("gap_load", 0.0), ("friction_driven", 0.0)):
             if not len(getattr(self, name)):
                 object.__setattr__(self, name, np.full(len(self.rotor_inertia), none))
         if not len(self.friction_dry):
@@ -177,12 +176,11 @@ class LoopModel:
 
 @jit()
 def ripple_torque(ripple: Array, i: int, q: float) -> float:
-    """Ripple of joint ``i`` (from 0) at motor angle ``q`` [N m].
+    """Ripple of a joint [N m].
 
     Args:
         ripple: order, cosine and sine amplitude of each component ``(m, 3, n)`` [1, N m, N m].
-        i: joint, from 0.
-        q: motor angle [rad].
+        i, q: joint, from 0, and its motor angle [rad].
     """
     torque = 0.0
     for m in range(ripple.shape[0]):
@@ -196,9 +194,7 @@ def between(x: float, xs: Array, ys: Array) -> float:
     """``np.interp`` of one number, which compiled takes several times as long.
 
     Args:
-        x: where.
-        xs: rising ``(m,)``.
-        ys: values there ``(m,)``.
+        x, xs, ys: where, and values ``(m,)`` at rising places ``(m,)``.
     """
     low, high = 0, len(xs) - 1
     if x <= xs[low]:
@@ -219,8 +215,7 @@ def friction_of_load(per_load: float, per_driven: float, load: float, sense: flo
     """What the load on a gear's teeth adds to its sliding friction [N m].
 
     Args:
-        per_load: friction per torque [-].
-        per_driven: the same on top where the motor drives the load [-].
+        per_load, per_driven: friction per torque, and the same on top where the motor drives the load [-].
         load: torque that the gear transmits [N m].
         sense: velocity, or the torque that is about to move a joint at rest; only its sign counts.
     """
@@ -235,11 +230,9 @@ def bristles(bent: float, v: float, dt: float, friction: float, dry: float, bend
 
     Args:
         bent: before.
-        v: velocity [rad/s].
-        dt: step [s].
+        v, dt: velocity [rad/s], and the step [s].
         friction: that sliding at this velocity brakes with [N m].
-        dry: friction that ``bend`` belongs to [N m].
-        bend: angle over which friction turns [rad].
+        dry, bend: friction [N m] that turns over an angle [rad].
     """
     if v == 0.0:
         return bent
@@ -249,12 +242,11 @@ def bristles(bent: float, v: float, dt: float, friction: float, dry: float, bend
 
 @jit()
 def unevenness(uneven: Array, i: int, q: float) -> tuple[float, float, float]:
-    """What joint ``i`` (from 0) turns beyond its motor at motor angle ``q``, and its two derivatives by the angle.
+    """What a joint turns beyond its motor, and its two derivatives by the motor angle.
 
     Args:
         uneven: order, cosine and sine part of each component ``(m, 3, n)`` [1/rad, rad, rad].
-        i: joint, from 0.
-        q: motor angle [rad].
+        i, q: joint, from 0, and its motor angle [rad].
     """
     value, slope, bend = 0.0, 0.0, 0.0
     for m in range(uneven.shape[0]):
@@ -272,9 +264,7 @@ def behind_uneven_gears(uneven: Array, q: Array, v: Array, a: Array) -> tuple[Ar
 
     Args:
         uneven: see ``unevenness``.
-        q: wanted outputs ``(N, n)`` [rad].
-        v: their velocities [rad/s].
-        a: their accelerations [rad/s²].
+        q, v, a: wanted outputs ``(N, n)`` [rad], their velocities and accelerations.
     """
     q_m, v_m, a_m = q.copy(), v.copy(), a.copy()
     for i in range(q.shape[1]):
@@ -293,9 +283,8 @@ def low_pass_taps(time_constant: Array | float, order: int, t_position: float, n
 
     Args:
         time_constant: of each stage, for all joints or per joint ``(n,)`` [s]; 0 for none.
-        order: number of stages.
+        order, n: number of stages and of joints.
         t_position: cycle at which the filter runs [s].
-        n: number of joints.
         dead_time: before it, spread over two taps where it is no whole number of cycles [s].
     """
     times = np.broadcast_to(np.asarray(time_constant, dtype=float), (n,))

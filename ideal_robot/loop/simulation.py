@@ -38,11 +38,10 @@ class LoopMotion:
 def interpolated(q_c: Array, q0: Array, loop: LoopModel) -> Array:
     """The command as the position loop gets it before its low-pass: delayed, linearly interpolated ``(N s, n)`` [rad].
 
-    ``q_c (N, n)`` are the commands of the cycles 0 … N-1; row ``j`` belongs to the time ``j t_position``.
+    Row ``j`` belongs to the time ``j t_position``.
 
     Args:
-        q_c: commands ``(N, n)`` [rad].
-        q0: where the arm rests before ``(n,)`` [rad].
+        q_c, q0: commands of the cycles 0 … N-1 ``(N, n)`` [rad], and where the arm rests before ``(n,)`` [rad].
         loop: the identified loop.
     """
     s, N = loop.steps_ipo, len(q_c)
@@ -52,11 +51,10 @@ def interpolated(q_c: Array, q0: Array, loop: LoopModel) -> Array:
 
 
 def low_passed(command: Array, q0: Array, taps: Array) -> Array:
-    """Convolves the interpolated command ``(M, n)`` with the low-pass ``taps (L, n)``, at rest at ``q0`` before.
+    """Convolves a command with the low-pass, at rest before.
 
     Args:
-        command: interpolated, every ``t_position`` ``(M, n)`` [rad].
-        q0: where the arm rests before ``(n,)`` [rad].
+        command, q0: interpolated, every ``t_position`` ``(M, n)`` [rad], and where the arm rests before ``(n,)`` [rad].
         taps: impulse response of the low-pass ``(L, n)``.
     """
     out = np.empty_like(command)
@@ -66,15 +64,14 @@ def low_passed(command: Array, q0: Array, taps: Array) -> Array:
 
 
 def simulate(loop: LoopModel, q_c: Array, *, tau_ext: Array | None = None) -> LoopMotion:
-    """Plays the commands ``q_c (N, n)`` [rad] on the identified loop, from rest at ``q_c[0]``.
+    """Plays commands on the identified loop, from rest at the first one.
 
     At rest at the start means: arm and motor in equilibrium with gravity, integrators carrying it, the motor where
-    ``q_c[0]`` says. ``tau_ext (N, n)`` [N m] acts on the arm during the cycles.
+    ``q_c[0]`` says.
 
     Args:
-        loop: the identified loop.
-        q_c: commands ``(N, n)`` [rad].
-        tau_ext: on the arm ``(N, n)`` [N m]; None for none.
+        loop, q_c: the identified loop, and commands ``(N, n)`` [rad].
+        tau_ext: on the arm during the cycles ``(N, n)`` [N m]; None for none.
 
     Raises:
         InputError: wrong shape or non-finite commands.

@@ -75,14 +75,7 @@ def stiffness_with(stiffness: Array, changes: Changes) -> Array:
 
 
 def _joined_bodies(mass: float, com: Array, inertia: Array, body: tuple[float, ...]) -> tuple[float, Array, Array]:
-    """Mass, centre and inertia about it of a link with a body of up to ten parameters added, about the link's origin.
-
-    Args:
-        mass: of the link [kg].
-        com: its centre ``(3,)`` [m].
-        inertia: about it ``(3, 3)`` [kg m²].
-        body: m [kg], mx my mz [kg m], Ixx Ixy Iyy Ixz Iyz Izz [kg m²].
-    """
+    """Mass, centre and inertia about it of a link with a body of up to ten parameters, [G] (5), added at its origin."""
     m, x, y, z, xx, xy, yy, xz, yz, zz = (*body, *(0.0,) * (10 - len(body)))
     about = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     moment = mass * com + np.array([x, y, z])
@@ -112,8 +105,7 @@ def side_of_gap(load: Array, qd: Array, gap_load: Array) -> Array:
     """Side of the backlash on which the motor pushes the arm ``(…, n)``, -1 … 1: by load or direction of motion.
 
     Args:
-        load: torque at the gear outputs ``(…, n)`` [N m].
-        qd: arm velocities ``(…, n)`` [rad/s].
+        load, qd: torque at the gear outputs [N m], and arm velocities [rad/s], ``(…, n)`` each.
         gap_load: load over which the backlash is crossed ``(n,)`` [N m]; 0 where the direction of motion decides.
     """
     width = np.where(np.asarray(gap_load) > 0.0, gap_load, 1.0)

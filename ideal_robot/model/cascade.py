@@ -59,9 +59,8 @@ class Cascade:
     def of_class(cls, inertia: Array, t_position: float) -> Cascade:
         """What controllers of arms usually have.
 
-        Args:
-            inertia: that each joint moves, its rotor included ``(n,)`` [kg m², or kg].
-            t_position: cycle of the position loop, over which it measures velocity and smooths commands [s].
+        Each joint moves an ``inertia (n,)`` [kg m², or kg], its rotor's included; over ``t_position`` [s], the position
+        loop's cycle, velocity is measured and commands are smoothed.
         """
         one = np.ones_like(inertia)
         bandwidth = VELOCITY_OVER_POSITION * POSITION_GAIN
@@ -77,12 +76,7 @@ class Cascade:
                        controller.k_2 / k_p, np.array(controller.filter_time))
 
     def controller(self, t_position: float, spread: dict[str, list[float]]) -> ControllerModel:
-        """The same in the form of [G] (16), (17).
-
-        Args:
-            t_position: cycle of the position loop [s].
-            spread: standard deviations of the attributes, by name.
-        """
+        """The same in the form of [G] (16), (17), at the position loop's cycle [s] and with the attributes' spread."""
         k_p, k_ff = self.velocity_gain, self.velocity_feedforward
         return ControllerModel(t_position, k_p * self.position_gain, k_p * k_ff, k_p * (k_ff - 1.0),
                                k_p * self.velocity_filter, t_position / self.integral_time, self.command_filter,
@@ -98,16 +92,13 @@ class Cascade:
 
 
 def given_controller(wanted: str | Path, dynamics: pin.Model, robot: Robot) -> ControllerModel:
-    """The controller of a file or of the class.
+    """The controller of a file or of the class; raises InputError for no such file, an unknown key, wrong numbers.
 
     Args:
         wanted: ``class``, or the path of a TOML with the keys of ``Cascade``, one number or one per joint each, and in
             ``[spread]`` their standard deviations; keys that it leaves out are the class's, with its spread.
         dynamics: of the arm with its rotors; says what inertia each joint moves.
         robot: cycle, and postures.
-
-    Raises:
-        InputError: no such file, an unknown key, wrong numbers.
     """
     table = {} if str(wanted) == CLASS else read_toml(Path(wanted), "a file of controller gains")
     spread = table.pop("spread", {})
@@ -140,16 +131,11 @@ def moved_inertia(dynamics: pin.Model, robot: Robot) -> Array:
 
 
 def per_joint(value: object, n: int, file: str | Path | None, field: str) -> Array:
-    """One number, or one per joint, as ``(n,)``.
+    """One number, or one per joint, as ``(n,)``; raises InputError for no such numbers, or one below 0.
 
     Args:
-        value: as it was read.
-        n: number of joints.
-        file: where it stands, for the message.
-        field: its key there.
-
-    Raises:
-        InputError: no such numbers, or one below 0.
+        value, n: as it was read, and the number of joints.
+        file, field: where it stands, for the message.
     """
     try:
         array = np.asarray(value, dtype=float)

@@ -153,9 +153,7 @@ class Model(Summarised):
         """Torque ``(N, n)`` [N m] of the links alone: what the gears transmit. No rotors, friction, offsets.
 
         Args:
-            q: joint positions ``(N, n)`` [rad].
-            qd: joint velocities ``(N, n)`` [rad/s].
-            qdd: joint accelerations ``(N, n)`` [rad/s²].
+            q, qd, qdd: joint positions, velocities and accelerations ``(N, n)`` [rad, rad/s, rad/s²].
         """
         return inverse_dynamics(self._exact_chain, *(np.ascontiguousarray(values, dtype=float)
                                                      for values in (q, qd, qdd)))
@@ -166,9 +164,8 @@ class Model(Summarised):
         """Motor torque ``(N, n)`` [N m] for a motion, [G] (8), with the effects that act on the torque.
 
         Args:
-            q: positions ``(N, n)`` [rad], consecutive in time: friction may have memory.
-            qd: velocities ``(N, n)`` [rad/s].
-            qdd: accelerations ``(N, n)`` [rad/s²].
+            q, qd, qdd: positions, velocities and accelerations ``(N, n)`` [rad, rad/s, rad/s²], consecutive in time:
+                friction may have memory.
             t: times ``(N,)`` [s]; only effects with memory or warm-up look at them. One interpolation cycle apart if
                 not given.
             temperature: gear temperatures ``(N, n)`` [°C], where known.
@@ -216,8 +213,7 @@ class Model(Summarised):
     def predict(self, recording: Recording) -> Prediction:
         """Torque the model expects for a recording, with its uncertainty, beside what was measured.
 
-        Raises:
-            InputError: other joint count, missing columns, too short.
+        Raises InputError for another joint count, missing columns, a recording that is too short.
         """
         if recording.n != self.n:
             raise InputError(f"the recording has {recording.n} joints, the model of {self.robot_name} has {self.n}",
@@ -248,15 +244,7 @@ class Model(Summarised):
         return dataclasses.replace(self, effects=self.effects + tuple(effects))
 
     def require_arm(self, robot: Robot, *, file: Path | str | None = None) -> None:
-        """Refuses a robot that this is no model of: other joints, or joints at other places.
-
-        Args:
-            robot: the arm the model is to be used with.
-            file: the model's file, for the message.
-
-        Raises:
-            InputError: it is another arm.
-        """
+        """Raises InputError for a robot that this is no model of: other joints, or joints at other places."""
         mine, own = self.kinematics.jointPlacements, robot.pinocchio.jointPlacements
         found = None
         if self.n != robot.n:
@@ -299,15 +287,7 @@ class Model(Summarised):
 
     @classmethod
     def from_dict(cls, values: dict[str, Any], *, file: Path | str | None = None) -> Model:
-        """Reads what ``to_dict`` wrote.
-
-        Args:
-            values: plain values.
-            file: where they come from, for the message.
-
-        Raises:
-            InputError: something is missing.
-        """
+        """Reads what ``to_dict`` wrote; raises InputError, with the ``file`` they come from, if values are missing."""
         try:
             base = values["base"]
             model = cls(
@@ -338,8 +318,7 @@ class Model(Summarised):
     def load(cls, path: str | Path) -> Model:
         """Reads a model file of this or an earlier version.
 
-        Raises:
-            InputError: no such file, not a model file, or one of a later schema.
+        Raises InputError for no such file, no model file, or one of a later schema.
         """
         return cls.from_dict(read_values(Path(path)), file=path)
 

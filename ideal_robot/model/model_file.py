@@ -37,8 +37,7 @@ def write_values(path: Path, values: dict[str, Any]) -> Path:
 def read_values(path: Path) -> dict[str, Any]:
     """The plain values of a model file of this or an earlier version.
 
-    Raises:
-        InputError: no such file, not a model file, or one of a later schema.
+    Raises InputError for no such file, no model file, or one of a later schema.
     """
     if not os.path.isfile(path):
         raise InputError("no such model file", file=path)
@@ -52,14 +51,13 @@ def read_values(path: Path) -> dict[str, Any]:
 
 
 def urdf_with_inertials(urdf: str, kinematics: pin.Model, parameters: Array) -> str:
-    """The URDF text with the links' inertials replaced by ``parameters (10 n,)``.
+    """The URDF text with the links' inertials replaced.
 
     A link that is fixed to a moving one is merged into it, so its own inertial is taken out. What does not move at all
     stays as it is.
 
     Args:
-        urdf: text of the URDF.
-        kinematics: Pinocchio model of the same URDF.
+        urdf, kinematics: text of the URDF, and its Pinocchio model.
         parameters: ``(10 n,)``, see ``LINK_PARAMETERS``.
     """
     root = ET.fromstring(urdf)
@@ -110,14 +108,9 @@ _SLOWEST_FILTER = 0.1
 
 
 def require_consistent(model: Any, file: Path | str | None = None) -> None:
-    """Refuses a model whose parts do not fit together.
+    """Refuses a ``Model`` as read (not named as its type: ``Model`` itself calls this) whose parts do not fit together.
 
-    Args:
-        model: a ``Model`` as read (not named as its type: ``Model`` itself calls this).
-        file: where it comes from, for the message.
-
-    Raises:
-        InputError: names the key, what was expected and what was found.
+    Raises InputError with the file it comes from, the key, what was expected and what was found.
     """
     _texts(model, file)
     n, b = int(model.kinematics.nv), len(model.base.independent)
@@ -199,15 +192,11 @@ def _covariance(covariance: np.ndarray, file: Path | str | None) -> None:
 
 
 def require_controller(controller: ControllerModel, n: int, file: Path | str | None = None) -> None:
-    """Refuses numbers that no model file may have for a controller.
+    """Raises InputError for numbers that no model file may have for a controller: names the key and what was expected.
 
     Args:
-        controller: of the joints.
-        n: how many there are.
+        controller, n: of the joints, and how many there are.
         file: where it comes from.
-
-    Raises:
-        InputError: names the key, what was expected and what was found.
     """
     for key in ("k_p", "k_d", "k_1", "k_2", "k_i", "filter_time"):
         array = getattr(controller, key)

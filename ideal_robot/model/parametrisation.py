@@ -63,8 +63,7 @@ def described(base: BaseParameters, base_values: Array, friction: PerJointFricti
     """Names, joints, units and standard deviations of the parameter vector.
 
     Args:
-        base: base parameters of the rigid body.
-        base_values: their values ``(b,)``.
+        base, base_values: base parameters of the rigid body, and their values ``(b,)``.
         friction: laws of all joints.
         covariance: of the parameter vector ``(P, P)``.
         model: kinematics.
@@ -90,12 +89,8 @@ def sensitivity(model: pin.Model, base: BaseParameters, friction: PerJointFricti
     samples are consecutive in time, for the laws with memory.
 
     Args:
-        model: kinematics.
-        base: base parameters of the rigid body.
-        friction: laws of all joints.
-        q: joint positions ``(N, n)`` [rad].
-        qd: joint velocities ``(N, n)`` [rad/s].
-        qdd: joint accelerations ``(N, n)`` [rad/s²].
+        model, base, friction: kinematics, base parameters of the rigid body, laws of all joints.
+        q, qd, qdd: joint positions, velocities and accelerations ``(N, n)`` [rad, rad/s, rad/s²].
         load: torque that the gears transmit ``(N, n)`` [N m].
     """
     return np.concatenate([full_regressor(model, q, qd, qdd, base.independent),
@@ -103,14 +98,7 @@ def sensitivity(model: pin.Model, base: BaseParameters, friction: PerJointFricti
 
 
 def friction_sensitivity(friction: PerJointFriction, q: Array, qd: Array, load: Array | None = None) -> Array:
-    """The part of ``sensitivity`` that belongs to friction ``(N, n, p)``.
-
-    Args:
-        friction: laws of all joints.
-        q: joint positions ``(N, n)`` [rad].
-        qd: joint velocities ``(N, n)`` [rad/s].
-        load: torque that the gears transmit ``(N, n)`` [N m].
-    """
+    """See ``sensitivity``. The part that belongs to friction ``(N, n, p)``."""
     n, blocks = q.shape[1], []
     for columns in (coefficient_columns, shape_columns):
         for j, law in enumerate(friction.laws):
@@ -122,26 +110,17 @@ def friction_sensitivity(friction: PerJointFriction, q: Array, qd: Array, load: 
 
 
 def coefficient_columns(law: FrictionModel, qd: Array, load: Array | None, q: Array | None) -> Array:
-    """Regressor ``(N, m)`` of a one-joint law at velocities ``(N, 1)``.
+    """Regressor ``(N, m)`` of a law of one joint.
 
     Args:
         law: of one joint.
-        qd: velocities ``(N, 1)`` [rad/s].
-        load: torque that the gear transmits ``(N, 1)`` [N m].
-        q: positions ``(N, 1)`` [rad].
+        qd, load, q: velocities [rad/s], torque that the gear transmits [N m], positions [rad], ``(N, 1)`` each.
     """
     return law.regressor(qd, load, q)[:, 0]
 
 
 def shape_columns(law: FrictionModel, qd: Array, load: Array | None, q: Array | None) -> Array:
-    """Derivative ``(N, s)`` of a one-joint law's torque with respect to its shape, by central differences.
-
-    Args:
-        law: of one joint.
-        qd: velocities ``(N, 1)`` [rad/s].
-        load: torque that the gear transmits ``(N, 1)`` [N m].
-        q: positions ``(N, 1)`` [rad].
-    """
+    """See ``coefficient_columns``. Derivative ``(N, s)`` of the torque by the law's shape, by central differences."""
     result = np.empty((len(qd), len(law.shape)))
     for i in range(len(law.shape)):
         step = np.zeros_like(law.shape)

@@ -49,13 +49,11 @@ class SerialArm:
 def serial_arm(text: str, file: str | Path | None = None, tool: str | None = None) -> SerialArm:
     """The chain of joints from base to tool; every other joint is held, at zero or at its nearest limit.
 
-    Args:
-        text: of the URDF.
-        file: where it comes from, for messages.
-        tool: link that the chain leads to; without a word the longest chain is taken, up to where a gripper forks.
+    Raises InputError for no URDF, or two arms of which nobody said which one.
 
-    Raises:
-        InputError: no URDF, or two arms of which nobody said which one.
+    Args:
+        text, file: of the URDF, and where it comes from, for messages.
+        tool: link that the chain leads to; without a word the longest chain is taken, up to where a gripper forks.
     """
     check_text(text, file)
     root = ET.fromstring(text)
@@ -107,11 +105,7 @@ class _Tree:
         return int(drives(self.joints[link]))
 
     def end(self, file: str | Path | None) -> str:
-        """The link at which the longest moving chain ends, before the fingers of a gripper.
-
-        Raises:
-            InputError: two arms.
-        """
+        """The link at which the longest moving chain ends, before the fingers of a gripper; InputError for two arms."""
         link = self.root
         while True:
             ways = sorted(((self._own(child) + self._depth[child], child) for child in self.children.get(link, ())),
@@ -172,14 +166,8 @@ def _facing_away(root: ET.Element, tree: _Tree, chain: list[ET.Element], link: s
                  ) -> str | None:
     """The tool link, or a frame added to it whose z axis leads away from the arm where the link's own does not.
 
-    The last joint's axis is the way that a tool points; URDFs of before the frame ``tool0`` have x along it.
-
-    Args:
-        root: of the URDF; the frame is added to it.
-        tree: of its links.
-        chain: joints from the base on.
-        link: for tools.
-        changed: what was made of the URDF, in words; the frame is added to it.
+    The last joint's axis is the way that a tool points; URDFs of before the frame ``tool0`` have x along it. A frame is
+    added to ``root``, and told in ``changed``.
     """
     moving = [joint for joint in chain if drives(joint)]
     if link is None or len(moving) < 2 or moving[-1].get("type") == "prismatic":
@@ -234,12 +222,9 @@ def _held(joints: dict[str, ET.Element], chain: set[int]) -> list[str]:
     changed = []
     for joint in joints.values():
         # What follows another joint in the middle of the arm cannot be held: ``check_joints`` refuses it.
-        if joint.get("type") == "fixed" or id(joint) in chain:
-            continue
-        if joint.get("type") not in ("revolute", "continuous", "prismatic"):
-            continue
-        changed.append(f"joint {joint.get('name')} is held: it is not one of the arm's")
-        _hold(joint)
+        if joint.get("type") in ("revolute", "continuous", "prismatic") and id(joint) not in chain:
+            changed.append(f"joint {joint.get('name')} is held: it is not one of the arm's")
+            _hold(joint)
     return changed
 
 

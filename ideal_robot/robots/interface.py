@@ -54,10 +54,8 @@ def checked_command(robot: Robot, q_c: Array, before: Array, t_ipo: float) -> Ar
     """A command that the controller accepts, as a new array ``(n,)``.
 
     Args:
-        robot: whose limits count.
-        q_c: command ``(n,)`` [rad].
-        before: command of the cycle before ``(n,)`` [rad].
-        t_ipo: interpolation cycle [s].
+        robot, t_ipo: whose limits count, and the interpolation cycle [s].
+        q_c, before: command, and that of the cycle before ``(n,)`` [rad].
 
     Raises:
         InputError: wrong size or not finite.
@@ -249,8 +247,7 @@ class CatchUp:
         """From another position and speed.
 
         Args:
-            offset: position in force minus the one wanted in the last cycle ``(n,)`` [rad].
-            drift: the same of the speeds ``(n,)`` [rad a cycle].
+            offset, drift: position and speed in force minus those wanted in the last cycle ``(n,)`` [rad, rad a cycle].
             bend: acceleration in force minus the one wanted in the coming cycle ``(n,)`` [rad a cycle²].
             wanted: speed wanted in the last cycle ``(n,)`` [rad a cycle].
         """
@@ -258,11 +255,7 @@ class CatchUp:
         self._left, self.active = 0, True
 
     def next(self, wanted: Array) -> Array:
-        """Offset of the coming command ``(n,)`` [rad].
-
-        Args:
-            wanted: speed wanted ``(n,)`` [rad a cycle].
-        """
+        """Offset of the coming command ``(n,)`` [rad], for the speed wanted ``(n,)`` [rad a cycle]."""
         if self.active:
             speed, asked = np.abs(wanted), np.abs(wanted - self._wanted)
             room = np.clip(self._most - asked, 0.25 * self._most, 0.5 * self._most)
@@ -281,8 +274,7 @@ class CatchUp:
     def _change(self, limits: Array) -> Array:
         """Change of the acceleration in the coming cycle ``(n,)`` [rad a cycle³].
 
-        Args:
-            limits: least and most change of the acceleration, acceleration, and speed ``(2, 3, n)``.
+        Limits are least and most change of the acceleration, acceleration, and speed ``(2, 3, n)``.
         """
         low, high = limits[:, :, None] * (1.0 + 1e-9)
         count = self._left or 3

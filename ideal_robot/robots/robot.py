@@ -322,8 +322,7 @@ def spread_postures(q_min: Array, q_max: Array, count: int = 128) -> Array:
     """Halton points ``(count, n)`` between the limits; of joints that turn further, half a turn to either side.
 
     Args:
-        q_min: lower position limits ``(n,)`` [rad or m].
-        q_max: upper position limits ``(n,)`` [rad or m].
+        q_min, q_max: position limits ``(n,)`` [rad or m].
         count: how many.
     """
     low, high = np.clip(q_min, -np.pi, np.pi), np.clip(q_max, -np.pi, np.pi)

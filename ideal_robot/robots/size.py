@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.robots import SHIPPED
-from ideal_robot.robots.robot import Robot, spread_postures
+from ideal_robot.robots.robot import Robot, _frozen, spread_postures
 from ideal_robot.robots.urdf import FEWEST, model_of
 
 REACH = (0.30, 0.50, 0.90, 1.30, 1.80, 2.60, 3.30)
@@ -54,8 +54,7 @@ HOLDS = 1.1
 def of_its_size(robot: Robot) -> Robot:
     """The arm with masses, efforts and speeds of its class where its URDF gives none, or such that cannot be.
 
-    Args:
-        robot: as its URDF describes it; a shipped one is returned as it is, and one of so few joints that it is no arm.
+    A shipped one is returned as it is, and one of so few joints that it is no arm.
     """
     if robot.name in SHIPPED or robot.n < FEWEST:
         return robot
@@ -84,19 +83,8 @@ def reach_at_home(robot: Robot) -> float:
 
 
 def class_of(values: tuple[float, ...], size: float) -> float:
-    """A row of the table at a reach [m], interpolated between logarithms; at its ends held.
-
-    Args:
-        values: of the row.
-        size: the reach [m].
-    """
+    """A row of the table at a reach [m], interpolated between logarithms; at its ends held."""
     return float(np.exp(np.interp(math.log(max(size, 1e-6)), np.log(REACH), np.log(values))))
-
-
-def _frozen(values: Array) -> Array:
-    values = np.array(values)
-    values.setflags(write=False)
-    return values
 
 
 def _ways(robot: Robot) -> Array:
@@ -139,14 +127,7 @@ def _possible(body: pin.Inertia, size: float, usual: float) -> bool:
 
 
 def _rewritten(robot: Robot, faulty: NDArray[np.bool_], masses: Array, radius: float) -> str:
-    """The URDF with cylinders in the place of faulty links; what is fixed to such a link weighs nothing of its own.
-
-    Args:
-        robot: the arm.
-        faulty: which links ``(n,)``.
-        masses: of the cylinders ``(n,)`` [kg].
-        radius: theirs [m].
-    """
+    """The URDF with cylinders in the place of faulty links; what is fixed to such a link weighs nothing of its own."""
     root = ET.fromstring(robot.description)
     model = robot.pinocchio
     of_frame = {frame.name: frame.parentJoint for frame in model.frames if frame.type == pin.FrameType.BODY}

@@ -28,9 +28,7 @@ _LARGEST = 1e9
 def model_of(text: str, file: str | Path | None = None) -> pin.Model:
     """The kinematics and nominal inertias of a URDF, as ``ideal_robot.robots.chain.serial_arm`` leaves it.
 
-    Args:
-        text: of the URDF. Nothing it names (meshes, entities) is opened.
-        file: where it comes from, for the message.
+    Nothing that the text names (meshes, entities) is opened.
 
     Raises:
         InputError: broken XML, entities, numbers that are none, loops, no or too many moving joints, joints of other
@@ -79,10 +77,9 @@ def without_meshes(text: str) -> str:
 
 
 def check_text(text: str, file: str | Path | None) -> None:
-    """Refuses what is no URDF's text, or larger than one.
+    """Raises InputError for what is no URDF's text, or a larger one.
 
-    Raises:
-        InputError: broken XML, entities, numbers that are none, xacro commands.
+    That is broken XML, entities, numbers that are none, xacro commands.
     """
     URDF_BYTES.check(len(text), file, "is this a URDF?")
     if "<!ENTITY" in text or "\0" in text:
@@ -120,11 +117,7 @@ def _check_element(element: ET.Element, file: str | Path | None) -> None:
 
 
 def check_joints(root: ET.Element, file: str | Path | None) -> None:
-    """Refuses joints of the arm that follow others, and axes without a direction of joints that move.
-
-    Raises:
-        InputError: names the joint.
-    """
+    """Raises InputError for joints of the arm that follow others, and axes without a direction of joints that move."""
     for joint in root.findall("joint"):
         name, axis = str(joint.get("name"))[:40], joint.find("axis")
         # A joint that was fixed by hand follows no other one, though it may still say so.
@@ -222,15 +215,10 @@ class DriveData(_Table):
     controller: Controller = Controller()
 
     def per_joint(self, key: str, n: int, file: Path | None) -> Array:
-        """The value of a key of ``[joints]`` for every joint ``(n,)``.
+        """The value of a key of ``[joints]`` for every joint ``(n,)``; raises InputError for a list of another length.
 
         Args:
-            key: of the table.
-            n: number of joints.
-            file: for the message.
-
-        Raises:
-            InputError: a list of another length.
+            key, n, file: of the table, the number of joints, and for the message.
         """
         given = getattr(self.joints, key)
         array = np.full(n, float(given)) if isinstance(given, (int, float)) else np.array(given, dtype=float)
@@ -243,8 +231,7 @@ class DriveData(_Table):
 def read_drive_data(path: Path | None) -> tuple[DriveData, dict[str, Any]]:
     """The checked data of a file and all that stands in it; neutral values without a file.
 
-    Raises:
-        InputError: not readable, a value of another type or out of range.
+    Raises InputError for a file that is not readable, or a value of another type or out of range.
     """
     if path is None:
         return DriveData(), {}

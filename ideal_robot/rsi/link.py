@@ -34,9 +34,7 @@ def stamp_arrivals(link: socket.socket) -> None:
 def received(link: socket.socket, size: int = 4096) -> tuple[bytes, Any, float]:
     """A packet, its sender, and when it came, by ``time.perf_counter`` [s]; raises as ``recvfrom`` does.
 
-    Args:
-        link: after ``stamp_arrivals``; otherwise what counts is when the packet is read.
-        size: largest packet [bytes].
+    Without ``stamp_arrivals`` what counts is when the packet, of at most ``size`` bytes, is read.
     """
     if not _STAMPED:
         return *link.recvfrom(size), time.perf_counter()
@@ -80,8 +78,7 @@ class Stamps:
     def cycles(self, before: int, after: int) -> int:
         """Cycles from one stamp to another: 0 for the same packet again, negative for an older one.
 
-        Raises:
-            RsiError: the stamp rises neither by the cycle nor by one.
+        Raises RsiError where the stamp rises neither by the cycle nor by one.
         """
         since = (after - before + _RANGE // 2) % _RANGE - _RANGE // 2
         if self.rise == 0:
@@ -232,11 +229,7 @@ class PacketLink:
         return "" if self._peer is None else "{}:{}".format(*self._peer)
 
     def next(self, deadline: Deadline) -> RobMessage:
-        """The next message before the deadline.
-
-        Raises:
-            RsiError: none came, or the system closed the port.
-        """
+        """The next message before the deadline; raises RsiError where none came, or the system closed the port."""
         while (left := deadline.left) > 0.0:
             self._socket.settimeout(left)
             try:
@@ -252,15 +245,11 @@ class PacketLink:
     def newest(self, message: RobMessage, stamps: Stamps, most: int = _QUEUE) -> tuple[RobMessage, int]:
         """The newest of ``message`` and those that wait, and how many were passed over for it.
 
-        Whoever answers the oldest of a queue is late for ever.
+        Whoever answers the oldest of a queue is late for ever. Raises RsiError where the system closed the port.
 
         Args:
-            message: a message that came before them.
-            stamps: which of two is newer.
+            message, stamps: a message that came before them, and which of two is newer.
             most: packets that are looked through at most.
-
-        Raises:
-            RsiError: the system closed the port.
         """
         self._socket.settimeout(0.0)
         passed_over = 0
@@ -306,9 +295,8 @@ class PacketLink:
     def _read(self) -> RobMessage | None:
         """The next packet, None where it counts for nothing.
 
-        Raises:
-            TimeoutError, BlockingIOError: no packet, as the socket's timeout has it.
-            RsiError: the system closed the port.
+        Raises TimeoutError or BlockingIOError where there is none, as the socket's timeout has it, RsiError where the
+        system closed the port.
         """
         try:
             packet, sender, arrived = (self._waiting.popleft() if self._waiting

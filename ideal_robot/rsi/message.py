@@ -71,8 +71,7 @@ class RsiFormat:
         """From the controller's RSI ethernet XML (``CONFIG``, ``SEND``, ``RECEIVE``).
 
         Args:
-            file: the file as it lies on the controller.
-            n: number of axes.
+            file, n: the file as it lies on the controller, and the number of axes.
             correction: element to be used where several hold axis corrections; None if there is only one.
 
         Raises:
@@ -172,9 +171,8 @@ class RobMessage:
 def parse_rob(packet: bytes, n: int) -> RobMessage:
     """Reads ``<Rob Type="KUKA">…</Rob>`` of an arm with ``n`` axes; elements that are not needed are passed over.
 
-    Raises:
-        PacketError: too large, not such a message, IPOC or AIPos missing, another number of axes, a number that is
-            none or not finite.
+    Raises PacketError if too large, not such a message, IPOC or AIPos missing, another number of axes, a number that is
+    none or not finite.
     """
     if len(packet) > MAX_PACKET:
         raise PacketError(f"packet has more than {MAX_PACKET} bytes")
@@ -212,11 +210,10 @@ def parse_rob(packet: bytes, n: int) -> RobMessage:
 
 
 def format_sen(correction: Array, ipoc: int, form: RsiFormat) -> bytes:
-    """The answer with axis corrections ``(n,)`` [deg] to the cycle ``ipoc``.
+    """The answer with axis corrections.
 
     Args:
-        correction: of the axes ``(n,)`` [°].
-        ipoc: number of the cycle that is answered.
+        correction, ipoc: of the axes ``(n,)`` [°], and the number of the cycle that is answered.
         form: tags and format that the controller expects.
     """
     axes = " ".join(f'A{i + 1}="{value:.{form.decimals}f}"' for i, value in enumerate(correction.tolist()))
@@ -225,11 +222,7 @@ def format_sen(correction: Array, ipoc: int, form: RsiFormat) -> bytes:
 
 
 def _elements(text: str) -> dict[str, list[_Element]]:
-    """The elements directly below ``<Rob>`` by name.
-
-    Raises:
-        PacketError: not well-formed, nested too deeply, another root.
-    """
+    """The elements directly below ``<Rob>`` by name; PacketError if not well-formed, too deep, of another root."""
     found: dict[str, list[_Element]] = {}
     open_tags: list[str] = []
     at, attributes, inside, closed = 0, "", 0, False
@@ -310,8 +303,7 @@ class Axes:
     def of(cls, robot: Robot) -> Axes:
         """From the table ``[rsi]`` of the robot's data: ``axis_sign`` and ``axis_zero`` [deg].
 
-        Raises:
-            InputError: a sliding joint, wrong length or values.
+        Raises InputError for a sliding joint, wrong length or values.
         """
         if robot.prismatic.any():
             raise InputError("sliding joints cannot be corrected in degrees; RSI needs an arm with turning joints",

@@ -188,8 +188,7 @@ class RsiRobot(LinkedRobot):
     def send(self, q_c: Array) -> None:
         """The first half of ``cycle``: answers and returns, which leaves the cycle's time for computing.
 
-        Raises:
-            RsiError: before ``connect``.
+        Raises RsiError before ``connect``.
         """
         if self._first is None:
             raise RsiError("connect to the controller before a command is handed over")
@@ -213,8 +212,7 @@ class RsiRobot(LinkedRobot):
     def receive(self) -> RobotState:
         """The second half of ``cycle``: waits for the next packet.
 
-        Raises:
-            RsiError: silence, packets lost for longer than can be bridged, another cycle time than the robot's.
+        Raises RsiError for silence, packets lost for longer than can be bridged, another cycle time than the robot's.
         """
         if self._first is None:
             raise RsiError("connect to the controller first")

@@ -122,8 +122,7 @@ class RtdeRobot(LinkedRobot):
     def send(self, q_c: Array) -> None:
         """The first half of ``cycle``: commands and returns, which leaves the cycle's time for computing.
 
-        Raises:
-            RtdeError: before ``connect``, or the connection is broken.
+        Raises RtdeError before ``connect``, or where the connection is broken.
         """
         if self._connection is None:
             raise RtdeError("connect to the controller before a command is handed over")
@@ -137,9 +136,8 @@ class RtdeRobot(LinkedRobot):
     def receive(self) -> RobotState:
         """The second half of ``cycle``: waits for the next data package.
 
-        Raises:
-            RtdeError: silence, a broken connection, an arm stopped by its safety system, a program that ended, more
-                missed than can be bridged.
+        Raises RtdeError for silence, a broken connection, an arm stopped by its safety system, a program that ended,
+        more missed than can be bridged.
         """
         deadline = Deadline.within(self._timeout)
         while (since := self._since(data := self._next(deadline))) <= 0:

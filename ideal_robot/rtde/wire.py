@@ -62,8 +62,7 @@ class Reader:
     def next(self) -> tuple[int, bytes] | None:
         """Kind and payload of the next package; None while it is not whole.
 
-        Raises:
-            RtdeError: a size that cannot be: this is no RTDE, or its beginning was lost.
+        Raises RtdeError for a size that cannot be: this is no RTDE, or its beginning was lost.
         """
         if len(self._bytes) < _HEADER.size:
             return None
@@ -95,14 +94,9 @@ class Recipe:
 
     @classmethod
     def agreed(cls, fields: Mapping[str, str], answer: bytes) -> Recipe:
-        """From the controller's answer to a setup: number of the recipe, and the types of the fields.
+        """From the controller's answer to a setup with names and types: number of the recipe, types of the fields.
 
-        Args:
-            fields: names and types of what was asked for.
-            answer: payload of the answer.
-
-        Raises:
-            RtdeError: a field that is not known or not free, another type or number of fields.
+        Raises RtdeError for a field that is not known or not free, another type or number of fields.
         """
         types = answer[1:].decode("ascii", "replace").split(",")
         refused = [f"{name}: {_REFUSALS.get(told, f'{fields[name]} is expected, the controller says {told[:20]!a}')}"
@@ -117,11 +111,7 @@ class Recipe:
         return cls(answer[0], tuple(fields), struct.Struct(">" + "".join(formats)), counts)
 
     def unpacked(self, payload: bytes) -> Values:
-        """Numbers of a data package by name of the field.
-
-        Raises:
-            RtdeError: another recipe, or another length.
-        """
+        """Numbers of a data package by name of the field; raises RtdeError for another recipe, or another length."""
         if len(payload) != 1 + self.layout.size or payload[0] != self.number:
             raise RtdeError(f"a data package of {len(payload)} bytes does not fit recipe {self.number}")
         values = iter(self.layout.unpack_from(payload, 1))
@@ -171,8 +161,7 @@ class RtdeConnection:
     def agree(self) -> tuple[int, int, int, int]:
         """Agrees on the protocol; returns the controller's version: major, minor, bug fix, build.
 
-        Raises:
-            RtdeError: the controller does not know this version of the protocol.
+        Raises RtdeError where the controller does not know this version of the protocol.
         """
         if self._asked(Kind.VERSION, struct.pack(">H", _VERSION)) != b"\1":
             raise RtdeError(f"the controller does not know version {_VERSION} of RTDE; it needs PolyScope 3.4 or newer")
@@ -184,28 +173,16 @@ class RtdeConnection:
         return major, minor, fix, build
 
     def outputs(self, fields: Mapping[str, str], frequency: float) -> Recipe:
-        """What the controller is to send, names and types, so often a second.
-
-        Raises:
-            RtdeError: see ``Recipe.agreed``.
-        """
+        """What the controller is to send, names and types, so often a second; raises as ``Recipe.agreed``."""
         asked = struct.pack(">d", frequency) + ",".join(fields).encode()
         return Recipe.agreed(fields, self._asked(Kind.OUTPUTS, asked))
 
     def inputs(self, fields: Mapping[str, str]) -> Recipe:
-        """What we are to send, names and types.
-
-        Raises:
-            RtdeError: see ``Recipe.agreed``.
-        """
+        """What we are to send, names and types; raises as ``Recipe.agreed``."""
         return Recipe.agreed(fields, self._asked(Kind.INPUTS, ",".join(fields).encode()))
 
     def start(self) -> None:
-        """Data packages from now on.
-
-        Raises:
-            RtdeError: the controller does not start.
-        """
+        """Data packages from now on; raises RtdeError where the controller does not start."""
         if self._asked(Kind.START) != b"\1":
             raise RtdeError("the controller does not start to send" + self._last_text())
 
@@ -217,11 +194,7 @@ class RtdeConnection:
             return
 
     def send(self, data: bytes) -> None:
-        """A data package.
-
-        Raises:
-            RtdeError: the connection is broken.
-        """
+        """A data package; raises RtdeError where the connection is broken."""
         try:
             self._socket.sendall(data)
         except OSError as error:
@@ -230,8 +203,7 @@ class RtdeConnection:
     def newest(self, recipe: Recipe, deadline: Deadline) -> tuple[Values, float]:
         """The newest data package that is there, waited for if there is none, and when it was read.
 
-        Raises:
-            RtdeError: silence, a broken connection, a package that does not fit.
+        Raises RtdeError for silence, a broken connection, a package that does not fit.
         """
         kind, payload = 0, b""
         while kind != Kind.DATA:
@@ -257,11 +229,7 @@ class RtdeConnection:
                 return payload
 
     def _package(self, deadline: Deadline) -> tuple[int, bytes]:
-        """Kind and payload of the next package.
-
-        Raises:
-            RtdeError: none before the deadline, or a broken connection.
-        """
+        """Kind and payload of the next package; RtdeError: none before the deadline, or a broken connection."""
         while not deadline.passed:
             if (found := self._next(deadline.left)) is not None:
                 return found

@@ -42,16 +42,13 @@ _IN_CHUNK = {_SCHEMA: 14, _CHANNEL: 16, _MESSAGE: 22}
 def read_joint_states(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
     """Columns ``t``, ``q_i`` and, where given, ``qd_i`` and ``tau_i`` (effort) of the ``JointState`` messages in a bag.
 
-    Time is that of the messages' headers, of the log where these are empty, and starts at zero. Joints are numbered in
-    the order of the first message; their names stand in the metadata under ``joints``. The topic is ``/joint_states``,
-    or the only one of its type.
+    It is the folder of a ROS 2 bag, or a single ``.mcap``, ``.db3`` or ROS 1 ``.bag`` file. Time is that of the
+    messages' headers, of the log where these are empty, and starts at zero. Joints are numbered in the order of the
+    first message; their names stand in the metadata under ``joints``. The topic is ``/joint_states``, or the only one
+    of its type.
 
-    Args:
-        path: folder of a ROS 2 bag, or a single ``.mcap``, ``.db3`` or ROS 1 ``.bag`` file.
-
-    Raises:
-        InputError: not a bag, one that unfolds to far more than its size, no joint states in it, or messages that name
-            other joints.
+    Raises InputError for no bag, one that unfolds to far more than its size, no joint states in it, or messages that
+    name other joints.
     """
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
@@ -121,13 +118,8 @@ def _columns(messages: Iterator[tuple[int, Any]], path: Path, topic: str) -> tup
 def _check_unfolding(file: Path, folded: int = 0) -> None:
     """Refuses a file that unfolds to far more than its size, or to records that cannot be; one of no bag passes.
 
-    Args:
-        file: of a bag; what it is is told by its first bytes, not by its name.
-        folded: size that counts [bytes]; its own if 0.
-
-    Raises:
-        InputError: it unfolds to more than allowed.
-        ValueError, struct.error, EOFError …: it is damaged.
+    What it is is told by its first bytes, not by its name. The size that counts is ``folded`` [bytes], its own if 0. A
+    damaged one raises ValueError, struct.error, EOFError …
     """
     with file.open("rb") as stream:
         begin = stream.read(16)

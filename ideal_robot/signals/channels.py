@@ -109,9 +109,7 @@ def lattice(values: Array) -> float:
 def at_limits(values: Array, step: float) -> float:
     """Share of samples in runs of three or more at the largest or the smallest value ``(N,)``.
 
-    Args:
-        values: of the channel.
-        step: between its levels; an extreme level that is not fuller than the one before it is no limit.
+    Of levels ``step`` apart an extreme one that is not fuller than the one before it is no limit.
     """
     return float(sum(np.mean(top[:-2] & top[1:-1] & top[2:]) for top in _limits(values, step)))
 
@@ -136,13 +134,10 @@ def _limits(values: Array, step: float) -> Iterator[np.ndarray]:
 
 
 def filtered_above(values: Array, rate: float) -> list[float | None]:
-    """The frequency above which each channel holds nothing, not even noise [Hz]; None if it holds something.
+    """The frequency above which each channel ``(N, n)``, sampled at ``rate`` [Hz], holds nothing, not even noise [Hz].
 
-    None as well where nothing can be said: a channel of zeros alone, or of numbers whose squares overflow.
-
-    Args:
-        values: uniformly sampled ``(N, n)``.
-        rate: sampling rate [Hz].
+    None if it holds something, or where nothing can be said: a channel of zeros alone, or of numbers whose squares
+    overflow.
     """
     f, spectra = signal.welch(np.ascontiguousarray(values.T), fs=rate, window="blackmanharris",
                               nperseg=min(len(values), 1024))

@@ -98,8 +98,7 @@ def choose_cutoff(recordings: Sequence[Recording], columns: Columns, *, start: A
     Args:
         recordings: with ``q_i`` and ``tau_i``; a channel whose torque is NaN throughout does not count.
         columns: the model's observation matrix.
-        start: parameters before any data ``(P,)``.
-        information: what is known of them, as an inverse covariance ``(P, P)``.
+        start, information: parameters ``(P,)`` before any data, and what is known of them, an inverse covariance.
     """
     # Of many recordings as many, evenly spread, as leave each its seconds.
     some = np.linspace(0, len(recordings) - 1, min(len(recordings), int(_LONGEST / _SHORTEST))).astype(int)

@@ -103,11 +103,8 @@ _ROUNDS = 3
 def sampling_instants(t: Array, q: Array) -> tuple[Array, float]:
     """Instants at which samples were taken ``(N,)`` [s], and their standard deviation about the stamps [s].
 
-    The stamps themselves and zero, unless the positions of all joints say the same of a clock that scatters.
-
-    Args:
-        t: stamps ``(N,)`` [s], increasing.
-        q: positions ``(N, n)``.
+    The increasing stamps themselves and zero, unless the positions ``(N, n)`` of all joints say the same of a clock
+    that scatters.
     """
     if len(t) < _FEWEST or q.shape[1] < 2 or not np.all(np.isfinite(q)):
         return t, 0.0
@@ -168,11 +165,9 @@ class _Products:
 
 
 def _common(of: _Products, without: int | None = None) -> Array:
-    """By how much each sample is late ``(N,)`` [s], most likely; little is said where no joint moves.
+    """By how much each sample is late ``(N,)`` [s], most likely, by all joints or ``without`` one of them.
 
-    Args:
-        of: fast part and speed.
-        without: a joint that is not looked at.
+    Little is said where no joint moves.
     """
     weights = of.precision()
     for _ in range(2):

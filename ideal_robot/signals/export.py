@@ -29,14 +29,10 @@ _ANGLES = {"/joint_commands": "q_c", "/joint_desired": "q_d", "/arm_states": "qa
 
 
 def write_mcap(recording: Recording, path: str | Path) -> Path:
-    """Writes one MCAP file; what was there before stays until the new one is whole.
-
-    Args:
-        recording: what is written; times start at its own.
-        path: ending in ``.mcap``.
+    """Writes one MCAP file, times from the recording's own; what was there before stays until the new one is whole.
 
     Raises:
-        InputError: another ending, or a recording without joints.
+        InputError: an ending that is not ``.mcap``, or a recording without joints.
         OutputError: it cannot be written, e.g. the disk is full.
     """
     path = Path(path)
@@ -49,11 +45,7 @@ def write_mcap(recording: Recording, path: str | Path) -> Path:
 
 
 def write_rosbag2(recording: Recording, path: str | Path) -> Path:
-    """Writes the folder of a ROS 2 bag (SQLite).
-
-    Args:
-        recording: what is written; times start at its own.
-        path: the folder; it must not exist.
+    """Writes the folder of a ROS 2 bag (SQLite), which must not exist, times from the recording's own.
 
     Raises:
         InputError: something of that name exists, or a recording without joints.
@@ -140,12 +132,8 @@ def _topics(recording: Recording, store: Any) -> Iterator[tuple[str, str, Callab
 def write_rerun(recording: Recording, path: Path) -> Path:
     """Writes a ``.rrd`` file; what was there before stays until the new one is whole.
 
-    Args:
-        recording: what is written; each column becomes the entity ``prefix/joint`` or its own name.
-        path: ending in ``.rrd``.
-
-    Raises:
-        InputError: another ending, or Rerun is not installed.
+    Each column becomes the entity ``prefix/joint`` or its own name. Raises InputError for another ending, or where
+    Rerun is not installed.
     """
     if path.suffix != ".rrd":
         raise InputError("expected a name ending in .rrd", field="--rerun", value=str(path))

@@ -14,11 +14,10 @@ from ideal_robot.jit import jit
 # that do not wait for each other.
 
 def forwards_and_backwards(sections: Array, values: Array, pad: int) -> Array:
-    """Values filtered without phase, along the first axis.
+    """Values ``(N, m)`` filtered without phase, along the first axis.
 
     Args:
-        sections: of second order ``(S, 6)``.
-        values: ``(N, m)``.
+        sections, values: of second order ``(S, 6)``; what is filtered.
         pad: samples by which the values are continued, turned about their first and last.
     """
     x = np.concatenate([2.0 * values[0] - values[pad:0:-1], values, 2.0 * values[-1] - values[-2 : -pad - 2 : -1]])
@@ -128,10 +127,7 @@ def not_zero(rows: Array) -> np.ndarray:
 
 
 def _folded(weight: Array, first: int, count: int) -> Array:
-    """Weights ``(T, B)`` of the samples from ``first`` on as weights of those there are.
-
-    Beyond the ends are ``2 x_0 - x_{-k}`` and the like.
-    """
+    """Weights ``(T, B)`` of the samples from ``first`` on as weights of those there are; beyond: ``2 x_0 - x_{-k}``."""
     before, after = max(0, -first), max(0, first + len(weight) - count)
     inner = weight[before: len(weight) - after].copy()
     if before:

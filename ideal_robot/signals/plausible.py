@@ -29,16 +29,12 @@ _LEAVING = 1.05
 
 
 def require_seconds(t: Array, quickest: float = np.inf, *, file: str | None = None) -> None:
-    """Refuses times that rise too fast to be seconds.
+    """Refuses times that rise too fast to be seconds: raises InputError.
 
     Args:
-        t: times ``(N,)`` [s].
+        t, file: times ``(N,)`` [s], and where they come from.
         quickest: how many times as fast the motion may be for the arm to be able to make it: where less than a thousand
             times, the times are no milliseconds.
-        file: where they come from.
-
-    Raises:
-        InputError: they look like milliseconds, microseconds or nanoseconds.
     """
     step = float(np.median(np.abs(np.diff(t)))) if len(t) > 1 else 0.0
     if not step > _SLOWEST or quickest < 1e3:
@@ -50,16 +46,11 @@ def require_seconds(t: Array, quickest: float = np.inf, *, file: str | None = No
 
 
 def require_joint_units(q: Array, robot: Robot, *, file: str | None = None, column: str = "q") -> None:
-    """Refuses positions that leave the joint limits by far: degrees for radians, millimetres for metres.
+    """Refuses positions that leave the joint limits by far, degrees or millimetres: raises InputError.
 
     Args:
-        q: joint positions ``(N, n)`` [rad, or m where a joint slides].
-        robot: limits.
-        file: where they come from.
-        column: their name without the joint.
-
-    Raises:
-        InputError: a joint leaves its limits.
+        q, robot: joint positions ``(N, n)`` [rad, or m where a joint slides], and their limits.
+        file, column: where they come from, and their name without the joint.
     """
     largest = np.max(np.abs(q), axis=0, initial=0.0)
     span = np.maximum(np.abs(robot.q_min), np.abs(robot.q_max))
@@ -78,15 +69,11 @@ def require_joint_units(q: Array, robot: Robot, *, file: str | None = None, colu
 
 
 def require_metres(position: Array, *, file: str | None = None, column: str = "x") -> None:
-    """Refuses a TCP position that is too far away to be in metres.
+    """Refuses a TCP position that is too far away to be in metres: raises InputError.
 
     Args:
         position: one coordinate ``(N,)`` [m]; NaN where it was not measured.
-        file: where it comes from.
-        column: its name.
-
-    Raises:
-        InputError: it looks like millimetres.
+        file, column: where it comes from, and its name.
     """
     farthest = float(np.max(np.abs(position), initial=0.0, where=np.isfinite(position)))
     if farthest > _FARTHEST:
@@ -126,8 +113,7 @@ def plausible(recording: Recording, positions: Sequence[str], torques: Sequence[
 
     Args:
         recording: to be checked.
-        positions: columns of joint positions ``(N,)`` [rad, m].
-        torques: columns of torques, currents or forces ``(N,)``.
+        positions, torques: columns of joint positions [rad, m], and of torques, currents or forces.
         tau_max: largest torque of each joint's drive ``(n,)`` [N m], where ``torques`` are torques; inf where unknown.
 
     Raises:
@@ -160,13 +146,11 @@ def without_spikes(recording: Recording, positions: Sequence[str], torques: Sequ
                    ) -> tuple[Recording, list[str]]:
     """The recording without samples that lie far from those before and behind them, and a warning for each column.
 
+    Raises InputError where more than ``MOST_LEFT_OUT`` is bad.
+
     Args:
         recording: with numbers in all of these columns.
-        positions: columns of joint positions or commands ``(N,)`` [rad, m].
-        torques: columns of torques, currents or forces ``(N,)``.
-
-    Raises:
-        InputError: more than ``MOST_LEFT_OUT`` is bad.
+        positions, torques: columns of joint positions or commands [rad, m], and of torques, currents or forces.
     """
     found = {name: _position_spikes(recording.columns[name], recording.t) for name in positions}
     found |= {name: _torque_spikes(recording.columns[name]) for name in torques}
@@ -184,15 +168,11 @@ def without_spikes(recording: Recording, positions: Sequence[str], torques: Sequ
 
 
 def checked_time(t: Array, source: str, quickest: float = np.inf) -> list[str]:
-    """Warnings about times ``(N,)`` [s].
+    """Warnings about times; raises InputError if not finite, not increasing, or with a pause beyond ``LONGEST_PAUSE``.
 
     Args:
-        t: the times.
-        source: where they come from.
+        t, source: the times ``(N,)`` [s], and where they come from.
         quickest: see ``require_seconds``.
-
-    Raises:
-        InputError: not finite, not increasing, or a pause of more than ``LONGEST_PAUSE``.
     """
     if not np.all(np.isfinite(t)):
         raise InputError("times are not numbers", file=source, field="t")
@@ -223,14 +203,9 @@ def text_columns(recording: Recording) -> list[str]:
 
 
 def only_numbers(recording: Recording, needed: Sequence[str]) -> tuple[Recording, list[str]]:
-    """The recording without samples that are no numbers in one of the columns, and a warning that names them.
+    """The recording without samples that are no numbers in one of the columns ``needed``, and a warning of them.
 
-    Args:
-        recording: to be checked.
-        needed: names of the columns.
-
-    Raises:
-        InputError: more than ``MOST_LEFT_OUT`` is none.
+    Raises InputError where more than ``MOST_LEFT_OUT`` is none.
     """
     bad = np.zeros(len(recording.t), dtype=bool)
     worst = ""
@@ -299,13 +274,7 @@ def _moving_channels(recording: Recording, positions: Sequence[str], torques: Se
 
 
 def _standing(tau: Array, q: Array, t: Array) -> NDArray[np.bool_]:
-    """Samples ``(N,)`` of runs in which a torque does not change at all while its joint moves.
-
-    Args:
-        tau: torque ``(N,)``.
-        q: position of its joint ``(N,)`` [rad, m].
-        t: times ``(N,)`` [s].
-    """
+    """Samples ``(N,)`` of runs in which a torque does not change at all while its joint moves."""
     ends = np.flatnonzero(np.append(np.diff(tau) != 0.0, True)) if len(tau) else np.empty(0, dtype=int)
     begins = np.concatenate([[0], ends[:-1] + 1]).astype(int) if len(ends) else ends
     lasts = t[ends] - t[begins]

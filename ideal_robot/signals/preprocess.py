@@ -80,11 +80,8 @@ class FilteredSignals:
     def decimate_motion(self, columns: Callable[[slice], Array], block: int = 20_000) -> Array:
         """As ``decimate``, of smooth functions of the motion made piece by piece at every ``stride``-th sample alone.
 
-        Long recordings need little more memory than short ones.
-
-        Args:
-            columns: makes the rows of a slice of samples ``(k, …)``.
-            block: samples a piece.
+        Long recordings need little more memory than short ones: ``columns`` makes the rows ``(k, …)`` of a slice of
+        samples, ``block`` of them at a time.
         """
         if self.factor == 1:
             return columns(slice(None))[self.keep]
@@ -170,14 +167,9 @@ class EvenSignals:
 
 
 def evenly_sampled(recording: Recording, *, columns: bool = True) -> EvenSignals:
-    """A recording at evenly spaced instants.
+    """A recording at evenly spaced instants, with its other columns or without; raises InputError for too few samples.
 
-    Args:
-        recording: needs ``t`` and ``q_i``; ``tau_i`` may be missing.
-        columns: whether to take its other columns along.
-
-    Raises:
-        InputError: too few samples.
+    It needs ``t`` and ``q_i``; ``tau_i`` may be missing.
     """
     if len(recording.t) > 1 and np.all(np.diff(recording.t) > 0):
         recording = on_its_clock(recording)
@@ -197,13 +189,12 @@ def preprocess(recording: Recording, *, cutoff: float | None = None,
                cutoff_decimation: float | None = None) -> FilteredSignals:
     """Filters and differentiates a recording.
 
+    Raises InputError for too few samples, or a cut-off the sampling rate does not allow.
+
     Args:
         recording: needs ``t`` and ``q_i``; ``tau_i`` may be missing (then ``tau`` is NaN).
         cutoff: of the position filter [Hz]; chosen from the data if None.
         cutoff_decimation: half-power frequency of the decimation filter [Hz]; half of ``cutoff`` if None.
-
-    Raises:
-        InputError: too few samples, or a cut-off the sampling rate does not allow.
     """
     return evenly_sampled(recording).filtered(cutoff, cutoff_decimation)
 
@@ -211,15 +202,12 @@ def preprocess(recording: Recording, *, cutoff: float | None = None,
 def gap_free(recording: Recording, prefixes: Sequence[str], fewest: int) -> list[Recording]:
     """The stretches between a recording's gaps, each at even instants; the recording itself where it is even already.
 
-    A gap is what is a hole to ``uniform_time``; fewer lost rows are filled in from those around them.
+    A gap is what is a hole to ``uniform_time``; fewer lost rows are filled in from those around them. Raises InputError
+    where a column is missing.
 
     Args:
-        recording: with ``t`` and ``q_i``, time increasing.
-        prefixes: the quantities of the joints that are needed.
+        recording, prefixes: with ``t`` and ``q_i``, time increasing; the quantities of the joints that are needed.
         fewest: samples without which a stretch is of no use and left out, at least two.
-
-    Raises:
-        InputError: a column is missing.
     """
     recording = on_its_clock(recording)
     t, steps = recording.t, np.diff(recording.t)
@@ -256,13 +244,11 @@ def uniform_time(recording: Recording) -> tuple[Array, np.ndarray]:
 
 
 def resampled(t: Array, values: Array, grid: Array, smooth: bool = False) -> Array:
-    """Values ``(N, m)`` at the grid's times ``(M, m)``; smooth ones by cubic splines, noisy ones linearly.
+    """Values at the grid's times ``(M, m)``; smooth ones by cubic splines, noisy ones linearly.
 
     Args:
-        t: times of the values ``(N,)`` [s].
-        values: ``(N, m)``.
-        grid: times asked for ``(M,)`` [s].
-        smooth: whether the values are free of noise.
+        t, values: times ``(N,)`` [s] and values ``(N, m)``.
+        grid, smooth: times asked for ``(M,)`` [s], and whether the values are free of noise.
     """
     if len(t) == len(grid) and np.allclose(t, grid, atol=1e-3 * (grid[1] - grid[0]), rtol=0.0):
         return np.array(values, dtype=float)
@@ -275,8 +261,7 @@ def lowpass(values: Array, dt: float, cutoff: float) -> Array:
     """Zero-phase Butterworth low-pass along the first axis.
 
     Args:
-        values: ``(N, …)``, evenly spaced in time.
-        dt: time step [s].
+        values, dt: ``(N, …)``, evenly spaced in time, and the time step [s].
         cutoff: [Hz].
     """
     sos = _sections(2.0 * cutoff * dt)

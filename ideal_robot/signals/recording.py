@@ -119,14 +119,9 @@ class Recording(Summarised):
                         dtype=bool)
 
     def joints(self, prefix: str, rows: Any = slice(None)) -> Array:
-        """Columns ``prefix_1 … prefix_n`` side by side, shape ``(N, n)``.
+        """Columns ``prefix_1 … prefix_n`` side by side ``(N, n)``, of all rows or those that NumPy takes by ``rows``.
 
-        Args:
-            prefix: the quantity.
-            rows: which rows, as NumPy takes them; all by default.
-
-        Raises:
-            InputError: one of them is missing.
+        Raises InputError where one of them is missing.
         """
         for i in range(self.n):
             if f"{prefix}_{i + 1}" not in self.columns:
@@ -205,8 +200,7 @@ class Recording(Summarised):
     def write(self, path: str | Path) -> Path:
         """Writes Parquet (with the metadata) or CSV, by the ending. Nothing is left half-written.
 
-        Raises:
-            InputError: another ending.
+        Raises InputError for another ending.
         """
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -240,8 +234,7 @@ class Recording(Summarised):
     def read(cls, path: str | Path) -> Recording:
         """Reads Parquet, CSV, or joint states from a ROS 2 bag or MCAP file.
 
-        Raises:
-            InputError: no such file, not readable, or a column of docs/files.md that is not numeric.
+        Raises InputError for no such file, one that is not readable, or a column of docs/files.md that is not numeric.
         """
         path = Path(path)
         try:
@@ -264,11 +257,7 @@ def is_known_column(name: str) -> bool:
 
 
 def _without_words(meta: dict[str, Any], words: Sequence[str], source: str) -> dict[str, Any]:
-    """Metadata that name the columns of text, which no recording holds.
-
-    Raises:
-        InputError: one of them should hold numbers.
-    """
+    """Metadata that name the columns of text, which no recording holds; InputError where one should hold numbers."""
     for name in filter(is_known_column, words):
         raise InputError("column is not numeric" + ("; seconds are expected" if name == "t" else ""), file=source,
                          field=name)
@@ -312,15 +301,7 @@ def _own(values: Any, source: str, name: str) -> Array:
 
 
 def recordings_of(given: Recording | Sequence[Recording], field: str) -> tuple[Recording, ...]:
-    """One recording or several, as a tuple.
-
-    Args:
-        given: what was handed over.
-        field: the argument's name, for the message.
-
-    Raises:
-        InputError: it is something else.
-    """
+    """One recording or several, as a tuple; raises InputError, which names ``field``, for anything else."""
     if isinstance(given, Recording):
         return (given,)
     if not isinstance(given, (list, tuple)):
@@ -333,16 +314,11 @@ def recordings_of(given: Recording | Sequence[Recording], field: str) -> tuple[R
 
 
 def expect(given: Any, kind: type, field: str, remedy: str) -> None:
-    """Refuses what is of another kind.
+    """Raises InputError for what is of another kind.
 
     Args:
-        given: what was handed over.
-        kind: what was expected.
-        field: the argument's name.
-        remedy: what to do instead.
-
-    Raises:
-        InputError: it is of another kind.
+        given, kind: what was handed over, and what was expected.
+        field, remedy: the argument's name, and what to do instead.
     """
     if not isinstance(given, kind):
         raise InputError(f"expected a {kind.__name__}; {remedy}", field=field, value=type(given).__name__)

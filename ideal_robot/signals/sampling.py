@@ -30,11 +30,7 @@ _CLEARLY = 0.85
 def regular_stamps(t: Array, q: Array) -> tuple[Array, float]:
     """Times of sampling ``(N,)`` [s] and the standard deviation of the stamps about them [s].
 
-    The stamps themselves and zero, unless the positions say that sampling was regular.
-
-    Args:
-        t: stamps ``(N,)`` [s], increasing.
-        q: positions ``(N, n)``.
+    The increasing stamps themselves and zero, unless the positions ``(N, n)`` say that sampling was regular.
     """
     steps = np.diff(t)
     usual = float(np.median(steps))
@@ -63,12 +59,7 @@ def _behind(t: Array, step: float) -> Array:
 
 
 def roughness(t: Array, q: Array) -> float:
-    """How far every second sample is from a smooth curve through the others, fastest joints first.
-
-    Args:
-        t: times of the samples ``(N,)`` [s], increasing.
-        q: positions ``(N, n)``.
-    """
+    """How far every second sample ``(N, n)`` is from a smooth curve through the others, fastest joints first."""
     moved = np.median(np.abs(interpolate.CubicSpline(t[::2], q[::2], axis=0)(t[1::2]) - q[1::2])[2:-2], axis=0)
     return float(np.sqrt(np.mean(moved**2)))
 
@@ -92,11 +83,7 @@ FEWEST = 5_000
 
 
 def stretches(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], list[str]]:
-    """The recordings, or of more than ``MOST`` samples stretches of each, and a warning that says so.
-
-    Args:
-        recordings: of any length; their columns may lie in files.
-    """
+    """The recordings, or of more than ``MOST`` samples stretches of each, and a warning that says so."""
     total = sum(len(one.t) for one in recordings)
     if total <= MOST:
         return tuple(recordings), []
@@ -115,9 +102,6 @@ def shortened(recording: Recording) -> tuple[Recording, list[str]]:
     """The recording, or of more than ``MOST`` samples its stretches as one recording, and a warning that says so.
 
     The time between stretches is taken out: they follow each other after a pause, near which nothing is used.
-
-    Args:
-        recording: of any length; its columns may lie in files.
     """
     parts, warnings = stretches([recording])
     if not warnings:

@@ -39,15 +39,9 @@ _UNPACKED = 8
 def read_table(path: Path) -> tuple[dict[str, Array], dict[str, Any], list[str]]:
     """Columns ``(N,)`` by name, the metadata, and the names of columns that are not of numbers, which are left out.
 
-    Of a Parquet file, or of a CSV file by its ending.
-
-    Of large tables the columns lie in a file without a name, read-only, and are filled piece by piece.
-
-    Args:
-        path: of a plain file.
-
-    Raises:
-        InputError: not readable, larger than the bounds, a column twice, metadata that is no table.
+    Of a Parquet file, or of a CSV file by its ending. Of large tables the columns lie in a file without a name,
+    read-only, and are filled piece by piece. Raises InputError for a file that is not readable or larger than the
+    bounds, a column twice, metadata that is no table.
     """
     try:
         return _csv(path) if path.suffix.lower() == ".csv" else _parquet(path)
@@ -107,13 +101,7 @@ def _rows_of_a_piece(columns: int) -> int:
 
 
 def _filled(frames: Iterable[pd.DataFrame], names: list[str] | None, most: int) -> tuple[dict[str, Array], list[str]]:
-    """Columns of tables one below the other, and the names of those that are not of numbers.
-
-    Args:
-        frames: the tables.
-        names: of the columns; those of the first table if None.
-        most: rows together at most.
-    """
+    """Columns of tables one below the other, at most so many rows together, and the names of those not of numbers."""
     store: ColumnStore | None = None
     count, words = 0, dict[str, None]()
     for frame in frames:
@@ -144,8 +132,7 @@ def _numbers(column: pd.Series) -> Array | None:
 def _lines(path: Path) -> int:
     """Lines of a CSV file, the last one included; none is long, and no quote goes on in the next one.
 
-    Raises:
-        InputError: a line that a table cannot have; a parser would make a row of millions of values of it.
+    Raises InputError for a line that a table cannot have; a parser would make a row of millions of values of it.
     """
     count, length, quotes = 1, 0, 0
     with path.open("rb") as file:
