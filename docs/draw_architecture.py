@@ -180,12 +180,7 @@ class Panel:
         return 12 if "@" in name else BOX[0]
 
     def draw(self, x0: float, y0: float) -> list[str]:
-        """SVG elements with the panel's upper left corner at a place.
-
-        Args:
-            x0: to the right [px].
-            y0: downwards [px].
-        """
+        """SVG elements with the panel's upper left corner at a place [px]."""
         parts = [f'<rect x="{x0:.0f}" y="{y0:.0f}" width="{self.width:.0f}" height="{self.height:.0f}" rx="10" '
                  f'fill="{FILLS[self.folder]}" stroke="#888"/>',
                  f'<text x="{x0 + PAD:.0f}" y="{y0 + 21:.0f}" class="folder">{self.folder}/</text>']

@@ -43,13 +43,7 @@ def draw_fields() -> None:
 
 
 def along(tool_mm: float, first: float, last: float) -> NDArray[np.uint8]:
-    """Three pictures beside each other.
-
-    Args:
-        tool_mm: length of the tool [mm].
-        first: arc length of the first one [m].
-        last: that of the last one [m].
-    """
+    """Three pictures beside each other, the first and the last at these arc lengths [m], with a tool [mm]."""
     cell = set_up(load_scene("line").changed(tool_mm=tool_mm))
     shape, kinematics = ArmShape(cell.known.robot), InverseKinematics(cell.known.robot)
     frames, q, noise = [], cell.known.robot.home, np.random.default_rng(0)
@@ -63,13 +57,7 @@ def along(tool_mm: float, first: float, last: float) -> NDArray[np.uint8]:
 
 
 def draw_viewer(recording: Path, at: float, picture: Path) -> None:
-    """Draws one instant of a recorded run in a headless Chromium, as a browser shows it.
-
-    Args:
-        recording: what the run wrote.
-        at: time in it [s].
-        picture: PNG to write.
-    """
+    """Draws one instant [s] of a recorded run in a headless Chromium, as a browser shows it."""
     robot, read = open_recording(recording, None)
     with socket.socket() as link:
         link.bind(("127.0.0.1", 0))

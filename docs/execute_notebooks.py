@@ -26,14 +26,9 @@ LONGEST_CELL = 900
 
 
 def played(path: Path, added: str = "", longest: float = LONGEST_CELL) -> nbformat.NotebookNode:
-    """A notebook with its outputs, from the first cell to the last.
+    """A notebook with its outputs, from the first cell to a last one of ``added`` code, ``longest`` [s] for each.
 
     Now and then a kernel loses a request and waits for it, as its client waits for the answer: it is begun once more.
-
-    Args:
-        path: of the notebook.
-        added: code of one more cell at its end.
-        longest: time after which a cell counts as hanging [s].
     """
     try:
         return _played(path, added, longest)

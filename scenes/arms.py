@@ -40,9 +40,6 @@ DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 def arm_of(name_or_urdf: str) -> Robot:
     """The arm that a scene names, such that it can be played whatever its URDF leaves open.
 
-    Args:
-        name_or_urdf: as for ``Robot.load``.
-
     Raises:
         InputError: as ``Robot.load``.
     """
@@ -79,15 +76,7 @@ def _ready(robot: Robot) -> Array | None:
 
 def _over(kinematics: InverseKinematics, shapes: Shapes, size: float, height: float, starts: Array
           ) -> list[tuple[float, Array]]:
-    """Room, and postures ``(n,)`` with the tool down at a height over places ahead.
-
-    Args:
-        kinematics: of the arm.
-        shapes: of the arm.
-        size: the arm's reach [m].
-        height: above the base plane [m].
-        starts: postures from which one is looked for ``(m, n)`` [rad].
-    """
+    """Room, and postures ``(n,)`` with the tool down at a height over places ahead, looked for from each start."""
     found = []
     for ahead in AHEAD:
         target = pin.SE3(DOWN, np.array([ahead * size, 0.0, height]))
@@ -108,13 +97,7 @@ def _turned_back(robot: Robot, q: Array) -> Array:
 
 
 def _room(kinematics: InverseKinematics, size: float, q: Array) -> float:
-    """How well an arm can move from a posture: least singular value of its Jacobian, less near a limit or wound up.
-
-    Args:
-        kinematics: of the arm.
-        size: the arm's reach [m].
-        q: the posture ``(n,)`` [rad].
-    """
+    """How well an arm can move from a posture: least singular value of its Jacobian, less near a limit or wound up."""
     robot, model = kinematics.robot, kinematics.robot.pinocchio
     jacobian = pin.computeFrameJacobian(model, model.createData(), q, robot.tool_id, pin.LOCAL_WORLD_ALIGNED)
     scaled = np.vstack([jacobian[:3] / size, jacobian[3:]])

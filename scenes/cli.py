@@ -183,9 +183,7 @@ def function_of(verb: str) -> Callable[..., None]:
 def one_by_one(verb: Callable[..., None], options: type[Any]) -> Callable[..., None]:
     """A verb with a parameter for each option, as typer reads it, of one that takes them as one object.
 
-    Args:
-        verb: function of ``options`` alone.
-        options: dataclass whose fields are declared as typer's parameters are.
+    The fields of the class ``options`` are declared as typer's parameters are.
     """
     hints = get_type_hints(options, include_extras=True)
 
@@ -226,11 +224,7 @@ def main() -> None:
 
 
 def _raised_again(lost: Any) -> None:
-    """Sends a signal once more that came where Python cannot raise, as while numba compiles: it was said and ignored.
-
-    Args:
-        lost: what could not be raised.
-    """
+    """Sends a signal once more that came where Python cannot raise, as while numba compiles: it is said and ignored."""
     sent = {SystemExit: signal.SIGTERM, KeyboardInterrupt: signal.SIGINT}.get(lost.exc_type)
     if sent is None:
         sys.__unraisablehook__(lost)
@@ -240,13 +234,9 @@ def _raised_again(lost: Any) -> None:
 
 
 def ended_by(error: BaseException) -> int:
-    """Says in one line why a verb ended early; with ``IDEAL_ROBOT_DEBUG`` an unexpected error is raised again.
+    """Says in one line why a verb ended early, and returns the exit code: 2 for bad input, else 1.
 
-    Args:
-        error: what a verb raised.
-
-    Returns:
-        The exit code: 2 for bad input, else 1.
+    With ``IDEAL_ROBOT_DEBUG`` an unexpected error is raised again.
     """
     if isinstance(error, IdealRobotError):
         text = str(error)

@@ -143,10 +143,6 @@ class _Clamp(Subject[Play]):
 def stiffness_of(analysis: StiffnessAnalysis, n: int) -> Array:
     """The best known stiffness of each joint ``(n,)`` [N m/rad]: of the methods that say one, the surest.
 
-    Args:
-        analysis: of clamped recordings.
-        n: joints of the arm.
-
     Raises:
         InputError: a joint that no recording loaded.
     """

@@ -73,11 +73,7 @@ class DataSet:
 
 
 def data_sets(registry: Path | None = None) -> dict[str, DataSet]:
-    """All data sets by name.
-
-    Args:
-        registry: a TOML of the form of ``scenes/data_sets.toml``, which is taken if None.
-    """
+    """All data sets by name, of a TOML of the form of ``scenes/data_sets.toml``, which is taken if None."""
     text = (resources.files("scenes").joinpath("data_sets.toml") if registry is None else registry).read_text("utf-8")
     found = {}
     for name, table in tomllib.loads(text).items():

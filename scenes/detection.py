@@ -60,11 +60,6 @@ def pictures(source: str, *, every: int = 1, most: int = 100) -> Iterator[tuple[
         yield from _frames(source, every, most)
 
 
-def is_film(source: str) -> bool:
-    """Whether a source's pictures follow each other: those of a video, a camera or a stream."""
-    return not os.path.isdir(source) and Path(source).suffix.lower() not in PICTURES
-
-
 def detected(source: str, *, every: int, most: int, kind: str | None, near: tuple[float, float] | None,
              points: int) -> Iterator[Detected]:
     """What is found in each picture of a source; in a film the line is followed from picture to picture.
@@ -80,7 +75,9 @@ def detected(source: str, *, every: int, most: int, kind: str | None, near: tupl
     Raises:
         InputError: as ``pictures`` and ``detect_in_picture``.
     """
-    film, last = is_film(source), None
+    # Pictures of a video, a camera or a stream follow each other.
+    film = not os.path.isdir(source) and Path(source).suffix.lower() not in PICTURES
+    last = None
     for name, picture in pictures(source, every=every, most=most):
         if film:
             last = track(picture, last, kind=kind, near=near, points=points)
@@ -193,11 +190,7 @@ def figures(one: Detected) -> dict[str, Any]:
 
 
 def drawn(picture: Picture, found: PictureLine) -> bytes:
-    """The picture as PNG with the line's edges (orange) and points (green, red where it hardly shows).
-
-    Args:
-        picture: gray or BGR.
-        found: what the detector says of it.
+    """The picture, gray or BGR, as PNG with the line's edges (orange) and points (green, red where it hardly shows).
 
     Raises:
         IdealRobotError: the picture cannot be encoded.
@@ -244,11 +237,7 @@ def detection_page(source: str, kind: str | None, results: list[Detected]) -> Re
 
 
 def table(results: list[Detected]) -> tuple[list[str], list[list[Any]]]:
-    """One row a picture.
-
-    Args:
-        results: of each picture.
-    """
+    """Column titles, and one row a picture."""
     rows = [[name, state or found.found, found.evidence if np.isfinite(found.evidence) else None,
              *([found.width, "dark" if found.dark else "bright", found.contrast, found.sigma, found.others, None]
                if found.found else [None] * 5 + [found.reason])] for name, _, found, state in results]

@@ -41,17 +41,7 @@ class Compare(Protocol):
     """Plays a scene with several methods."""
 
     def __call__(self, scene: Any, *, methods: Any = None, out: Any = None, progress: Any = ...) -> CompareResult:
-        """Plays it with each method.
-
-        Args:
-            scene: of the kind's class.
-            methods: keys, feedforwards or factories; all that apply if None.
-            out: folder of recording and report; nothing is written if None.
-            progress: called with the share that is done, and what is being done.
-
-        Raises:
-            InputError: no such method, or a scene that cannot be played.
-        """
+        """See ``Play.__call__``; ``methods`` are several of what it takes, all that apply if None."""
         ...
 
 
@@ -59,13 +49,7 @@ class CloseLoop(Protocol):
     """Plays a scene, diagnoses what its model misses, and plays it again with what was found."""
 
     def __call__(self, scene: Any, *, measured: str = ..., out: Any = None, progress: Any = ...) -> Closing:
-        """Plays, diagnoses, extends the model and plays again.
-
-        Args:
-            scene: of the kind's class.
-            measured: what the arm measures, see ``scenes.closing.result``.
-            out: folder of recording and report; nothing is written if None.
-            progress: called with the share that is done, and what is being done.
+        """See ``Play.__call__``; ``measured`` says what the arm measures, see ``scenes.closing.result``.
 
         Raises:
             InputError: another word for what is measured, or a world that holds nothing to be found.

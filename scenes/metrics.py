@@ -186,8 +186,7 @@ class ControlError:
 
     Attributes:
         mean, p95, max: of its absolute value [m].
-        t: instants ``(N,)`` [s]; of a long run at a stride.
-        s: arc length of the drawn line at them ``(N,)`` [m].
+        t, s: instants ``(N,)`` [s], of a long run at a stride, and arc length of the drawn line at them ``(N,)`` [m].
         lateral: signed distance, positive to the left of the line ``(N,)`` [m].
     """
 

@@ -104,9 +104,8 @@ def cache_name(robot: Robot, world: World, boxes: Sequence[Box] = ()) -> str:
         world: the arm as it is.
         boxes: in its cell.
     """
-    data = [PROCEDURE, ideal_robot.__version__, robot.urdf_hash, robot.data, world.table(),
-            *(box.model_dump() for box in boxes)]
-    digest = hashlib.sha256(json.dumps(data, sort_keys=True, default=str).encode()).hexdigest()[:16]
+    digest = digest_of([PROCEDURE, ideal_robot.__version__, robot.urdf_hash, robot.data, world.table(),
+                        *(box.model_dump() for box in boxes)])
     return f"{robot.name}_{digest}"
 
 

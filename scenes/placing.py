@@ -77,8 +77,7 @@ class Place:
 def place_line(scene: LineScene) -> Place:
     """A long line across the arm that it can follow fast, ahead of it and beside nothing that it would hit.
 
-    Args:
-        scene: of whose line shape and run-up count.
+    Of the scene, shape of the line and run-up count.
 
     Raises:
         InputError: nowhere.
@@ -116,14 +115,7 @@ def where_it_fits(scene: LineScene) -> str:
 
 
 def _candidates(scene: LineScene, robot: Robot, share: float, heading: float) -> Iterator[LineScene]:
-    """The scene with a line of a share of the reach, at the places that are tried, without a tool first.
-
-    Args:
-        scene: to change.
-        robot: the arm.
-        share: length of the line relative to the reach.
-        heading: of the surface [deg].
-    """
+    """The scene with a line of a share of the reach, at the places that are tried, without a tool first."""
     size, shoulder = reach(robot), shoulder_height(robot)
     length = _rounded(share * size)
     turn = math.radians(heading)
@@ -188,12 +180,7 @@ def _rounded(value: float) -> float:
 
 
 def fits(scene: LineScene, robot: Robot) -> float | None:
-    """The speed at which the arm can follow a scene's line [m/s]; None where it cannot.
-
-    Args:
-        scene: where the line is.
-        robot: the arm.
-    """
+    """The speed at which the arm can follow a scene's line [m/s]; None where it cannot."""
     try:
         reference = ReferencePath(reference_points(scene), up=scene.surface.pose().rotation[:, 2], turning=1.0)
         kinematics = InverseKinematics(robot)
@@ -201,7 +188,7 @@ def fits(scene: LineScene, robot: Robot) -> float | None:
             # Most places are refused here already, which is quicker than along the whole path.
             kinematics.search(reference.pose(at * reference.length), robot.home, ATTEMPTS)
         path = JointPath.of(robot, reference)
-        beside = corridor(robot, reference, path)
+        beside = _corridor(robot, reference, path)
     except (InputError, OutOfReachError):
         return None
     near = np.vstack([path.q, *beside])
@@ -230,7 +217,7 @@ def check_way(scene: LineScene, robot: Robot, reference: ReferencePath, path: Jo
     sides = (1e-3 * beside.lateral_mm + half * math.sin(math.radians(beside.turn_deg)),
              1e-3 * beside.height_mm + half * math.sin(math.radians(beside.tilt_deg)))
     try:
-        corridor(robot, reference, path, sides)
+        _corridor(robot, reference, path, sides)
     except OutOfReachError as error:
         raise InputError(f"the line may lie {1e3 * sides[0]:.0f} mm beside its reference and {1e3 * sides[1]:.0f} mm "
                          f"above or below it by the table displacement, and there {error}", field="path") from error
@@ -238,10 +225,6 @@ def check_way(scene: LineScene, robot: Robot, reference: ReferencePath, path: Jo
 
 def check_clear(shapes: Shapes, path: JointPath) -> None:
     """Refuses a path on which the arm would touch something.
-
-    Args:
-        shapes: the arm in its cell.
-        path: of the joints.
 
     Raises:
         InputError: says where, and what is in the way.
@@ -253,12 +236,7 @@ def check_clear(shapes: Shapes, path: JointPath) -> None:
 
 
 def shapes_about(scene: LineScene | ForceScene, robot: Robot) -> Shapes:
-    """The arm above the surface that a scene's line is drawn on, which reaches ``BORDER`` beyond it, among its boxes.
-
-    Args:
-        scene: where the line is.
-        robot: the arm.
-    """
+    """The arm above the surface that a scene's line is drawn on, which reaches ``BORDER`` beyond it, among boxes."""
     plane = scene.surface.pose()
     drawn = (reference_points(scene) - plane.translation) @ plane.rotation
     low, high = drawn.min(axis=0) - BORDER, drawn.max(axis=0) + BORDER
@@ -290,24 +268,14 @@ def _speed(robot: Robot, reference: ReferencePath, path: JointPath, scene: LineS
     return None
 
 
-def corridor(robot: Robot, reference: ReferencePath, path: JointPath, half: tuple[float, float] = CORRIDOR
-             ) -> list[Array]:
+def _corridor(robot: Robot, reference: ReferencePath, path: JointPath, half: tuple[float, float] = CORRIDOR
+              ) -> list[Array]:
     """Joint angles along the four edges of a corridor about the reference, ``(K, n)`` each.
 
-    Args:
-        robot: the arm.
-        reference: the path.
-        path: its joint angles.
-        half: how far the corridor reaches to the sides and up and down [m].
-
-    Raises:
-        OutOfReachError: a part of it is out of reach, or beyond a joint limit.
+    Raises ``OutOfReachError`` where a part of it is out of reach, or beyond a joint limit.
     """
     kinematics, rows = InverseKinematics(robot), np.arange(0, len(path.s), 10)
     frames, rotations = reference.frames(path.s[rows]), reference.rotation(path.s[rows])
-    edges = []
-    for side in (-half[0], half[0]):
-        for up in (-half[1], half[1]):
-            places = frames.position + side * frames.normal + up * frames.up
-            edges.append(kinematics.refine_rows(rotations, places, path.q[rows], wanted=path.q[rows]))
-    return edges
+    edges = [frames.position + side * frames.normal + up * frames.up
+             for side, up in product((-half[0], half[0]), (-half[1], half[1]))]
+    return [kinematics.refine_rows(rotations, places, path.q[rows], wanted=path.q[rows]) for places in edges]

@@ -57,8 +57,7 @@ def machine() -> dict[str, str]:
 def signed(content: dict[str, Any]) -> dict[str, Any]:
     """The content of a ``--json``, with its layout and the program that computed it, results before times and places.
 
-    Args:
-        content: of one run; or of several, in a list ``runs`` or a table ``methods``.
+    It is of one run; or of several, in a list ``runs`` or a table ``methods``.
     """
     apart = told_apart(content)
     if isinstance(runs := content.get("runs"), list):

@@ -67,8 +67,7 @@ class Shown(ABC):
 
     def to_dict(self) -> dict[str, Any]:
         """The content of ``--json`` as plain values."""
-        values: dict[str, Any] = plain(self.json())
-        return values
+        return dict(plain(self.json()))
 
 
 class ShownRun(Shown, Summarised):

@@ -57,11 +57,7 @@ class Key:
 
 
 def scene_keys(kind: str) -> tuple[Key, ...]:
-    """All keys of a kind of scene, tables after the keys at the top.
-
-    Args:
-        kind: one of ``scenes.kind.KINDS``.
-    """
+    """All keys of a kind of scene, tables after the keys at the top."""
     scene = KINDS.get(kind).scene
     # What a workshop has is what holds where a file says nothing.
     usual = {(table, name): _toml(value) for table, keys in scene.workshop.items() for name, value in keys.items()}
@@ -91,11 +87,7 @@ def world_keys() -> tuple[Key, ...]:
 
 
 def json_schema(kind: str) -> dict[str, Any]:
-    """The JSON Schema of a kind of scene, with descriptions, for editors.
-
-    Args:
-        kind: one of ``scenes.kind.KINDS``.
-    """
+    """The JSON Schema of a kind of scene, with descriptions, for editors."""
     schema = KINDS.get(kind).scene.model_json_schema()
     meanings = {(key.table, key.name): key.meaning for key in scene_keys(kind)}
     schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
@@ -262,11 +254,7 @@ def _comment(key: Key) -> str:
 
 
 def catalogue(what: str, kind: str = "line") -> tuple[list[str], list[list[Any]]]:
-    """Column titles and rows of a list.
-
-    Args:
-        what: ``scenes``, ``robots``, ``methods``, ``effects``, ``detectors`` or ``keys``.
-        kind: with ``keys``, of which kind of scene.
+    """Titles and rows of the list of ``scenes``, ``robots``, ``methods``, ``effects``, ``detectors`` or ``keys``.
 
     Raises:
         InputError: no such kind.

@@ -24,8 +24,6 @@ EFFECTS_OF_KEY: dict[str, tuple[str, ...]] = {
 GEOMETRY = ("kinematic_error", "zero_error", "twist_error")
 """Keys of an arm whose geometry is not that of its drawings."""
 _OF_ALL_JOINTS = (*GEOMETRY, "drive_gain_error")
-_PARTS = ("payload_com", "payload_inertia", "ripple_order", "transmission_order")
-"""Keys that say where or how often, and nothing by themselves."""
 _SETTINGS = ("individual", "correction_delay", "quantisation", "encoder_increments", "current_noise", "log_cycle",
              "external_position_noise", "external_rotation_noise")
 """Keys that say which arm it is and how it is measured; they hold nothing that a model could lack."""
@@ -48,11 +46,7 @@ _REASONS = {
 
 
 def undeclared_effects(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
-    """Effects by which the scene's world differs from the default one, with the joints they sit in (0: all of them).
-
-    Args:
-        scene: its world is looked at.
-        n: number of joints.
+    """Effects by which the scene's world differs from the default one, with the joints they sit in (0: all ``n``).
 
     Raises:
         InputError: a world that cannot be closed, which key and why; or one that holds nothing undeclared.
@@ -66,10 +60,6 @@ def undeclared_effects(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
 
 def effects_of_world(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
     """As ``undeclared_effects``, of a world that may hold none.
-
-    Args:
-        scene: its world is looked at.
-        n: number of joints.
 
     Raises:
         InputError: a world that cannot be closed, which key and why.

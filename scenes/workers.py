@@ -43,16 +43,13 @@ class LostError(Exception):
 
 def work_off(tasks: Sequence[Any], function: Callable[[Any], Any], processes: int,
              limit: float = TIME_LIMIT) -> Iterator[tuple[int, Any]]:
-    """Yields index and result of each task as they are done.
+    """Yields index and result of each task as they are done; a ``LostError`` where the process was lost every time.
 
     Args:
         tasks: what ``function`` is called with.
         function: of a module, so that every system can hand it to a process; must not raise but for want of memory.
         processes: how many at once.
         limit: how long a task may take [s]; its process is ended then.
-
-    Returns:
-        Iterator of index and result; the result is a ``LostError`` where the process was lost every time.
     """
     left = deque(range(len(tasks)))
     attempts = [0] * len(tasks)
@@ -184,7 +181,7 @@ def batch_lasts(workers: int) -> float:
 
 def work_off_on(address: str, tasks: Sequence[Any], function: Callable[[Any], Any],
                 limit: float = TIME_LIMIT) -> Iterator[tuple[int, Any]]:
-    """Yields index and result of each task as they are done, each once.
+    """Yields index and result of each task as they are done, each once; a ``LostError`` where none could be brought.
 
     Short tasks are handed over in batches. Where a batch's worker is lost each time, its tasks are begun alone after
     all others, so that the one that ends its worker costs no other. A scheduler that has gone is waited for, and a new
@@ -195,9 +192,6 @@ def work_off_on(address: str, tasks: Sequence[Any], function: Callable[[Any], An
         tasks: what ``function`` is called with.
         function: of a module that the workers can import.
         limit: how long a task may take [s]; its worker ends then, and a nanny begins it anew.
-
-    Returns:
-        Iterator of index and result; the result is a ``LostError`` where the cluster could not bring one.
 
     Raises:
         InputError: no scheduler answers, or Dask is not installed.

@@ -32,9 +32,7 @@ def shown(text: object) -> str:
 def progress_bar(title: str, rate: float = 10.0) -> Iterator[Told]:
     """A bar on standard error while the block runs; yields the function that moves it.
 
-    Args:
-        title: before the bar.
-        rate: how often it is drawn, by a thread that takes Python's lock for it [Hz].
+    A thread draws it ``rate`` times a second, and takes Python's lock for that.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -133,12 +131,7 @@ def _show_blocks(console: Console, title: str, names: list[str], cells: list[lis
 
 
 def write_signed(path: Path | None, content: dict[str, Any]) -> None:
-    """Writes the figures as JSON with the version that made them.
-
-    Args:
-        path: file to write; None for none.
-        content: what it says.
-    """
+    """Writes the figures as JSON with the version that made them, where a file is given."""
     from scenes.program import signed
     from scenes.report.page import write_json
 
@@ -260,22 +253,14 @@ WorldName = Annotated[str | None, typer.Option(help="Where it plays instead of t
 
 
 def method_help(verb: str) -> str:
-    """The help of a verb's ``--method``, with the keys where somebody asks for help of this very verb.
-
-    Args:
-        verb: ``rsi`` or ``precorrect``.
-    """
+    """The help of a verb's ``--method``, with the keys where somebody asks for help of this very verb."""
     if verb in sys.argv and "--help" in sys.argv:
         return f"How the path is corrected: {', '.join(methods_of(verb))}."
     return "How the path is corrected."
 
 
 def methods_of(verb: str) -> tuple[str, ...]:
-    """Methods that a verb takes, those of other packages included.
-
-    Args:
-        verb: ``rsi`` (those that need no more than a model) or ``precorrect`` (that need no plays on the arm).
-    """
+    """Methods of ``rsi`` (need no more than a model) or ``precorrect`` (no plays either), other packages' included."""
     from ideal_robot.feedforward.method import Needs
     from ideal_robot.feedforward.registry import methods
 
@@ -283,10 +268,5 @@ def methods_of(verb: str) -> tuple[str, ...]:
 
 
 def completed(verb: str, incomplete: str) -> list[str]:
-    """Keys that begin with what was typed.
-
-    Args:
-        verb: as in ``methods_of``.
-        incomplete: what was typed.
-    """
+    """Methods of a verb that begin with what was typed."""
     return [key for key in methods_of(verb) if key.startswith(incomplete)]

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ideal_robot.errors import InputError
+from ideal_robot.whole_file import whole_files
 from scenes.commands.common import (
     Bridge,
     ControllerAddress,
@@ -27,6 +29,8 @@ from scenes.commands.common import (
     show_table,
     write_signed,
 )
+from scenes.outputs import check_outputs
+from scenes.scene_file import load_scene
 
 if TYPE_CHECKING:
     from ideal_robot.rsi.message import RsiFormat
@@ -90,7 +94,6 @@ def follow(options: FollowOptions) -> None:
     `ideal-robot follow line --arm rsi://127.0.0.1:49152 --camera stream://127.0.0.1:50001`
     """
     from scenes.online.run import follow, load_cell
-    from scenes.outputs import check_outputs
     from scenes.scene_files.scene import chosen
 
     loaded = chosen(load_cell(options.scene), speed=options.speed)
@@ -138,7 +141,6 @@ class SimulateOptions:
         Raises:
             InputError: an arm behind neither RSI nor RTDE.
         """
-        from ideal_robot.errors import InputError
         from scenes.serve.cell import Places
         from sensing.stream import host_and_port
 
@@ -167,9 +169,6 @@ def simulate(options: SimulateOptions) -> None:
     Example: `ideal-robot simulate line --serve` and, in another terminal,
     `ideal-robot follow line --arm rsi://127.0.0.1:49152 --camera stream://127.0.0.1:50001`
     """
-    from ideal_robot.errors import InputError
-    from scenes.outputs import check_outputs
-    from scenes.scene_file import load_scene
     from scenes.scene_files.scene import chosen
     from scenes.serve.cell import serve_scene
 
@@ -209,9 +208,7 @@ def detect(options: DetectOptions) -> None:
 
     Example, with your pictures in a folder: `ideal-robot detect pictures/ --json line.json`
     """
-    from ideal_robot.whole_file import whole_files
     from scenes.detection import Detected, detected, detection_page, figures, pixel, table
-    from scenes.outputs import check_outputs
 
     place = None if options.near is None else pixel(options.near)
     results: list[Detected] = []
@@ -294,11 +291,8 @@ def rsi(options: RsiOptions) -> None:
 
     Example, with a controller that sends: `ideal-robot rsi path.csv --robot kr6 --record moved.parquet`
     """
-    from ideal_robot.errors import InputError
     from ideal_robot.signals.recording import WRITTEN
-    from ideal_robot.whole_file import whole_files
     from scenes.online.processes import stopping_on_signals
-    from scenes.outputs import check_outputs
     from scenes.rsi.server import rsi_server
 
     check_outputs(record=options.record, json=options.json)

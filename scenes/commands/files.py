@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ideal_robot.errors import InputError
+from ideal_robot.progress import part_of
 from ideal_robot.robots import SHIPPED, urdf_of
+from ideal_robot.whole_file import whole_files, write_text
 from scenes.commands.common import (
     JsonResults,
     RobotName,
@@ -22,6 +24,8 @@ from scenes.commands.common import (
     write_signed,
 )
 from scenes.commands.recordings import Controller
+from scenes.outputs import check_outputs
+from scenes.scene_file import library, load_scene
 
 if TYPE_CHECKING:
     from ideal_robot.arrays import Array
@@ -74,9 +78,7 @@ def new(
 
     Example: `ideal-robot new my_line --robot my_arm.urdf`
     """
-    from ideal_robot.whole_file import write_text
     from scenes.kind import KINDS
-    from scenes.scene_file import library, load_scene
     from scenes.scene_files.scene import NAME
     from scenes.schema import commented_scene
 
@@ -104,7 +106,6 @@ def new(
 def _for_arm(example: str, kind: str, robot: str) -> str:
     """A shipped scene's text with the line where an arm of the user's reaches it; says what was chosen and assumed."""
     from scenes.placing import place_line, scene_text
-    from scenes.scene_file import load_scene
     from scenes.scene_files.line_scene import LineScene
 
     scene = load_scene("line").changed(robot=robot, model="own")
@@ -134,7 +135,6 @@ def export(
     from ideal_robot.signals.export import write_mcap, write_rerun, write_rosbag2
     from ideal_robot.signals.plausible import text_columns
     from ideal_robot.signals.recording import Recording
-    from scenes.outputs import check_outputs
 
     # The one that needs an extra comes first: where that is missing nothing has been written.
     writers = {"--rerun": (rerun, write_rerun), "--mcap": (mcap, write_mcap), "--rosbag2": (rosbag2, write_rosbag2),
@@ -175,7 +175,6 @@ def fetch(
     Example: `ideal-robot fetch ur10e_ptp`
     """
     from scenes.data_sets import data_sets, fetch
-    from scenes.outputs import check_outputs
     from scenes.report.page import write_json
 
     if name is None:
@@ -194,11 +193,7 @@ def fetch(
 
 
 def _there(what: str) -> str:
-    """What is to be shown as given, if there is such a recording, robot or scene.
-
-    Raises:
-        InputError: there is none.
-    """
+    """What is to be shown as given, if there is such a recording, robot or scene."""
     suffix = Path(what).suffix
     if suffix not in (".parquet", ".csv"):
         urdf_of(what) if what in SHIPPED or suffix == ".urdf" else scenes_there(what)
@@ -272,7 +267,6 @@ def _shown(what: str, robot: str | None, play: bool) -> tuple[Robot, Replay | No
     from ideal_robot.robots.robot import Robot
     from scenes.arms import arm_of
     from scenes.kind import kind_of
-    from scenes.scene_file import load_scene
     from scenes.view.viewer import open_recording, recorded_replay
 
     if Path(what).suffix in (".parquet", ".csv"):
@@ -314,14 +308,10 @@ def twin(
     Example, after that of `plan-identification`:
     `ideal-robot twin out/plan/recording.parquet --robot kr6 -o my_arm.toml`
     """
-    from ideal_robot.errors import InputError
     from ideal_robot.identification.whole_model import identify_model, with_given_controller
-    from ideal_robot.progress import part_of
     from ideal_robot.signals.recording import Recording
-    from ideal_robot.whole_file import whole_files
     from scenes.arms import arm_of
     from scenes.identification.twin_play import make_twin, twin_text
-    from scenes.outputs import check_outputs
     from scenes.scene_files.scene import NAME
 
     if output.suffix != ".toml" or not NAME.fullmatch(output.stem):

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ideal_robot.errors import InputError
+from ideal_robot.progress import part_of
+from ideal_robot.whole_file import whole_files
 from scenes.commands.common import (
     DriveData,
     JsonPlan,
@@ -17,6 +20,8 @@ from scenes.commands.common import (
     show_table,
     write_signed,
 )
+from scenes.outputs import check_outputs, folders_held, whole_folder
+from scenes.scene_file import load_scene
 
 if TYPE_CHECKING:
     from ideal_robot.diagnosis import DiagnosisPlan
@@ -64,7 +69,6 @@ def plan_identification(options: IdentificationMotion) -> None:
     """
     from ideal_robot.robots.robot import Robot
     from scenes.identification.plan import plan, play_plan
-    from scenes.outputs import check_outputs, folders_held, whole_folder
 
     check_outputs({"--out": options.out}, json=options.json)
     arm = Robot.load(options.robot, options.drive_data)
@@ -124,13 +128,9 @@ def plan_diagnosis(options: DiagnosticMotion) -> None:
     `ideal-robot plan-diagnosis out/plan/recording.parquet --robot kr6 --result diagnosis.json --out motion.csv`
     """
     from ideal_robot.diagnosis import plan_diagnosis
-    from ideal_robot.errors import InputError
     from ideal_robot.model.model import Model
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.recording import WRITTEN, Recording
-    from ideal_robot.whole_file import whole_files
-    from scenes.outputs import check_outputs
-    from scenes.result import part_of
 
     check_outputs(out=options.out, json=options.json)
     if options.out.suffix not in WRITTEN:
@@ -153,15 +153,12 @@ def plan_diagnosis(options: DiagnosticMotion) -> None:
 
 def _workspace(arm: Robot, z_min: float | None, cell: Path | None) -> Workspace:
     """Where tool and links may be: by the arm's size, but for a height given [m], and off what a scene names."""
-    from dataclasses import replace
-
     from ideal_robot.identification.excitation import Workspace
 
     found = Workspace.of(arm) if z_min is None else replace(Workspace.of(arm), z_min=z_min)
     if cell is None:
         return found
     from scenes.placing import shapes_in
-    from scenes.scene_file import load_scene
 
     return replace(found, cell=shapes_in(load_scene(cell), arm))
 
@@ -171,8 +168,6 @@ def _questions(result: Path | None, taken: Recording, arm: Robot, known: Model |
     """What a diagnosis left open: as its file says, or of one that is made now, in half of the time."""
     from ideal_robot.bounded_values import read_json
     from ideal_robot.diagnosis import diagnose, open_questions, read_questions
-    from ideal_robot.errors import InputError
-    from scenes.result import part_of
 
     if result is not None:
         found = read_json(result, "a diagnosis")

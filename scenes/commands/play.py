@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ideal_robot.deadline import TIME_LIMIT
+from ideal_robot.errors import InputError
+from ideal_robot.progress import part_of
+from ideal_robot.whole_file import inert, whole_files
 from scenes.commands.common import (
     Horizon,
     Individual,
@@ -27,6 +30,8 @@ from scenes.commands.common import (
     whole_numbers,
     write_signed,
 )
+from scenes.outputs import check_outputs, folders_held
+from scenes.scene_file import load_scene
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -47,7 +52,6 @@ class PlayedScene:
 
     def load(self) -> Scene:
         """The scene with these values."""
-        from scenes.scene_file import load_scene
         from scenes.scene_files.scene import chosen
 
         return chosen(load_scene(self.scene), speed=self.speed, seed=self.seed, individual=self.individual,
@@ -71,7 +75,6 @@ class RunOptions(PlayedScene):
         Raises:
             InputError: no length, no line, or a speed beside it.
         """
-        from ideal_robot.errors import InputError
         from scenes.scene_files.line_scene import LineScene
 
         if self.tolerance is None:
@@ -92,14 +95,10 @@ def run(options: RunOptions) -> None:
 
     Example: `ideal-robot run line --tolerance 0.2mm`
     """
-    from ideal_robot.errors import InputError
-    from ideal_robot.whole_file import whole_files
     from scenes.kind import kind_of
     from scenes.line.compare import fastest
     from scenes.line.result import LineResult
-    from scenes.outputs import check_outputs, folders_held
     from scenes.report.video import check_video, write_video
-    from scenes.result import part_of
     from scenes.scene_files.line_scene import LineScene
     from scenes.scene_files.scene import chosen
 
@@ -147,7 +146,6 @@ def compare(options: CompareOptions) -> None:
     Example: `ideal-robot compare line --speed 0.7`
     """
     from scenes.kind import kind_of
-    from scenes.outputs import check_outputs, folders_held
 
     loaded = options.load()
     folder = options.out or Path("out") / f"compare_{loaded.name}"
@@ -194,9 +192,6 @@ def sweep(options: SweepOptions) -> None:
 
     Example: `ideal-robot sweep straight --speeds 0.4,0.7 --seeds 1-2 --lines runs.jsonl --resume`
     """
-    from ideal_robot.errors import InputError
-    from ideal_robot.whole_file import inert, whole_files
-    from scenes.outputs import check_outputs
     from scenes.regression.results import RunSet
     from scenes.sweep import Kept, SweepFile, jobs, sweep
 
@@ -264,9 +259,7 @@ def close_loop(
     Example: `ideal-robot close-loop close_elastic --json circle.json`
     """
     from scenes.diagnosis.page import summary
-    from scenes.outputs import check_outputs, folders_held
     from scenes.play import close_scene
-    from scenes.scene_file import load_scene
     from scenes.scene_files.scene import chosen
 
     loaded = chosen(load_scene(scene), speed=speed, seed=seed, individual=individual)
@@ -307,8 +300,6 @@ def prepare(
     from ideal_robot.results import one_unit
     from scenes.arms import arm_of
     from scenes.models import prepared_model
-    from scenes.outputs import check_outputs
-    from scenes.scene_file import load_scene
     from scenes.scene_files.scene import boxes_of, chosen
     from sim.arm.world import World
 

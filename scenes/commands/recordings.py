@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ideal_robot.errors import InputError
+from ideal_robot.progress import Steps
+from ideal_robot.whole_file import whole_files
 from scenes.commands.common import (
     DriveData,
     JsonFigures,
@@ -23,6 +26,7 @@ from scenes.commands.common import (
     show_table,
     write_signed,
 )
+from scenes.outputs import check_outputs
 
 if TYPE_CHECKING:
     from ideal_robot.arrays import Array
@@ -83,12 +87,9 @@ def identify(options: IdentifyOptions) -> None:
     `ideal-robot identify out/plan/recording.parquet --robot kr6 --model model.json`
     """
     from ideal_robot.identification.whole_model import identify_model, with_given_controller
-    from ideal_robot.progress import Steps
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.recording import Recording
-    from ideal_robot.whole_file import whole_files
     from scenes.identification.page import identification_page
-    from scenes.outputs import check_outputs
 
     check_outputs({"--out": options.out}, json=options.json, model=options.model, export_urdf=options.export_urdf)
     with progress_bar("identify") as progress:
@@ -173,12 +174,9 @@ def diagnose(options: DiagnoseOptions) -> None:
     from ideal_robot.diagnosis import diagnose
     from ideal_robot.identification.checks import require_distinct
     from ideal_robot.model.model import Model
-    from ideal_robot.progress import Steps
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.recording import Recording
-    from ideal_robot.whole_file import whole_files
     from scenes.diagnosis.page import diagnosis_page, summary
-    from scenes.outputs import check_outputs
 
     check_outputs({"--out": options.out}, json=options.json, model_out=options.model_out)
     with progress_bar("diagnose") as progress:
@@ -259,9 +257,7 @@ def stiffness(options: StiffnessOptions) -> None:
     from ideal_robot.elasticity.stiffness_analysis import analyse_stiffness
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.recording import Recording
-    from ideal_robot.whole_file import whole_files
     from scenes.clamped import stiffness_page
-    from scenes.outputs import check_outputs
 
     check_outputs({"--out": options.out}, json=options.json)
     with progress_bar("stiffness") as progress:
@@ -317,10 +313,7 @@ def precorrect(options: PrecorrectOptions) -> None:
     Example, after that of `identify`:
     `ideal-robot precorrect out/plan/commands.csv --model model.json -o corrected.csv`
     """
-    from ideal_robot.errors import InputError
     from ideal_robot.model.model import Model
-    from ideal_robot.whole_file import whole_files
-    from scenes.outputs import check_outputs
     from scenes.path.precorrect import played, precorrected_path, robot_of, table, write_page
 
     folder = options.out or Path("out") / "precorrect"

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ideal_robot.deadline import TIME_LIMIT
-from scenes.commands.common import TimeLimit
+from ideal_robot.errors import InputError, did_you_mean
+from scenes.commands.common import TimeLimit, progress_bar, show_table
+from scenes.outputs import check_outputs
 
 if TYPE_CHECKING:
     from scenes.regression.comparison import Comparison
@@ -47,8 +49,6 @@ def check(options: CheckOptions) -> None:
 
     Example: `ideal-robot check examples/nightly.toml`
     """
-    from scenes.commands.common import progress_bar
-    from scenes.outputs import check_outputs
     from scenes.regression.comparison import check_arms
     from scenes.regression.results import Results, RunSet, times_of
     from scenes.regression.suite import Suite
@@ -81,12 +81,7 @@ def check(options: CheckOptions) -> None:
 
 
 def _baseline(options: CheckOptions, asked: Suite, place: Path) -> Results | None:
-    """The results that a suite is compared with; None where there are none, and need not be.
-
-    Raises:
-        InputError: no such file where it is needed, or nothing to resume.
-    """
-    from ideal_robot.errors import InputError
+    """The results that a suite is compared with; None where there are none, and need not be."""
     from scenes.regression.results import read_results
 
     needed = options.baseline or not any(bounds for _, bounds in asked.work)
@@ -99,7 +94,6 @@ def _baseline(options: CheckOptions, asked: Suite, place: Path) -> Results | Non
 
 def _compared(results: Results, earlier: Results | None, asked: Suite, *, anyway: bool) -> Comparison:
     """Results beside the baseline's; ``anyway`` without it where the two cannot be compared."""
-    from ideal_robot.errors import InputError
     from scenes.regression.comparison import bounds_of, comparison_of
 
     bounds = bounds_of(results, [bounds for _, bounds in asked.work])
@@ -127,8 +121,6 @@ def compare_results(
     Example: `ideal-robot run edge --json main.json`, with the other version `ideal-robot run edge --json branch.json`,
     and then `ideal-robot compare-results main.json branch.json`
     """
-    from ideal_robot.errors import InputError, did_you_mean
-    from scenes.outputs import check_outputs
     from scenes.regression.comparison import compared
     from scenes.regression.results import MAIN, read_results
 
@@ -147,7 +139,6 @@ def compare_results(
 
 
 def _report(found: Comparison, folder: Path) -> None:
-    from scenes.commands.common import show_table
     from scenes.regression.formats import bounds_table, write_comparison
 
     if found.before is not None or found.rows:

@@ -95,10 +95,9 @@ def plan(robot: Robot, method: str, *, seed: int = 1, period: float = 20.0, poin
         try:
             found = _one(robot, method, rng, period, points, workspace)
             require_within_limits(robot, found.commands, room)
+            return found
         except InputError as error:
             failure = error
-        else:
-            return found
     assert failure is not None
     raise failure
 
@@ -126,16 +125,13 @@ def fourier_commands(robot: Robot, motion: FourierMotion, start: Array, t_ipo: f
     first = motion.at(np.zeros(1))[0][0]
     hold = np.repeat(first[None], round(0.3 / t_ipo), axis=0)
     return np.concatenate([approach(start, first, t_ipo, v_max, a_max), hold, q, hold,
-                           slow_reversals(q[-1], robot, t_ipo)])
+                           _slow_reversals(q[-1], robot, t_ipo)])
 
 
-def slow_reversals(q0: Array, robot: Robot, t_ipo: float) -> Array:
+def _slow_reversals(q0: Array, robot: Robot, t_ipo: float) -> Array:
     """Eight seconds of all joints about ``q0`` at up to eight per cent of their speed: what paths of tools look like.
 
-    Args:
-        q0: joint angles at both ends ``(n,)`` [rad].
-        robot: the arm; a joint that has not the room for it moves less.
-        t_ipo: cycle of the commands [s].
+    A joint that has not the room for it moves less.
     """
     duration = 8.0
     t = np.arange(1, round(duration / t_ipo) + 1) * t_ipo

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,7 @@ from ideal_robot.identification.whole_model import IdentificationResult, identif
 from ideal_robot.model.arm_with_effects import changes_of
 from ideal_robot.model.cascade import SPREAD, Cascade
 from ideal_robot.model.model import Model
-from ideal_robot.results import one_unit
+from ideal_robot.results import listed, one_unit
 from ideal_robot.robots.robot import Robot, spread_postures
 from ideal_robot.signals.preprocess import preprocess
 from ideal_robot.signals.recording import Recording
@@ -64,12 +64,7 @@ class Twin:
     assumed: tuple[str, ...]
 
     def world(self, robot: str, individual: int = 1) -> World:
-        """One of the twin's individuals.
-
-        Args:
-            robot: as the scene names it.
-            individual: which.
-        """
+        """One of the twin's individuals, its robot as the scene names it."""
         return World.from_table(robot, {**self.table, "individual": individual})
 
 
@@ -98,10 +93,10 @@ def twin_of(analysis: IdentificationResult, robot: Robot, name: str) -> Twin:
         **_friction(model, recordings, robot)}
     spread: dict[str, float] = {}
     ripples = fit_ripple(recordings, model, robot)
-    bands, noise = residual_octaves(model.with_effects(ripples), recordings)
+    bands, noise = _residual_octaves(model.with_effects(ripples), recordings)
     table["current_noise"] = noise / motor_torque_limit(robot)
     unit = one_unit(robot.units("N m"))
-    seen.append(f"noise of the torque: {_listed(noise)} {unit}")
+    seen.append(f"noise of the torque: {listed(noise, unit)}")
     table |= _encoder(model, robot, seen)
     table |= _ripple(ripples, robot)
     table |= _geometry(recordings, robot, (seen, assumed))
@@ -115,8 +110,8 @@ def twin_of(analysis: IdentificationResult, robot: Robot, name: str) -> Twin:
     own = _left_of(without, robot, name, recordings[0], len(bands))
     table["residual"] = np.sqrt(np.maximum(bands**2 - own**2, 0.0))
     seen.append("residual: "
-                f"{_listed(np.sqrt(np.sum(np.square(bands), axis=0)))} {unit} with its spectrum, of which "
-                f"{_listed(np.sqrt(np.sum(np.square(table['residual']), axis=0)))} {unit} are not what the identified "
+                f"{listed(np.sqrt(np.sum(np.square(bands), axis=0)), unit)} with its spectrum, of which "
+                f"{listed(np.sqrt(np.sum(np.square(table['residual']), axis=0)), unit)} are not what the identified "
                 "law leaves of the twin's own friction")
     return Twin({key: _plain(value) for key, value in table.items()}, tuple(seen), tuple(assumed))
 
@@ -129,7 +124,7 @@ def _left_of(twin: Twin, robot: Robot, name: str, recording: Recording, octaves:
     own = played_again(twin.world(name), robot, recording, seed=1)
     again = identify_model(own, robot, cascade=False)
     ripples = fit_ripple(again.estimation, again.model, robot)
-    found, _ = residual_octaves(again.model.with_effects(ripples), again.estimation)
+    found, _ = _residual_octaves(again.model.with_effects(ripples), again.estimation)
     return np.concatenate([found, np.zeros((octaves, robot.n))])[:octaves]
 
 
@@ -145,8 +140,7 @@ def played_again(world: World, robot: Robot, recording: Recording, seed: int) ->
     name = next(prefix for prefix in ("q_c", "q_d", "q") if recording.has(prefix))
     q = recording.joints(name)
     cycles = np.arange(recording.t[0], recording.t[-1], world.t_ipo)
-    commands = interpolated(cycles, recording.t, q)
-    commands = np.clip(commands, robot.q_min, robot.q_max)
+    commands = np.clip(interpolated(cycles, recording.t, q), robot.q_min, robot.q_max)
     with SimulatedArm(robot, world, np.random.default_rng(seed), commands[0]) as arm:
         for q_c in commands:
             arm.cycle(q_c)
@@ -159,31 +153,22 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _listed(values: Array) -> str:
-    return ", ".join(f"{value:.3g}" for value in values)
-
-
 def _body(model: Model, robot: Robot) -> Array:
     """Possible bodies ``(12 n,)`` with the identified base parameters, near those of the data sheet or of the class."""
-    n = robot.n
-    near = np.concatenate([link_parameters(robot.pinocchio), _usual_rotors(robot), np.zeros(n)])
+    near = np.concatenate([link_parameters(robot.pinocchio), _usual_rotors(robot), np.zeros(robot.n)])
     b = model.base.count
     try:
         full = consistent_parameters(model.base, model.base_values, model.covariance[:b, :b], near).full
     except IdealRobotError:
         full = model.consistent
-    return np.asarray(np.concatenate([full[: 11 * n], model.offset]))
+    return np.asarray(np.concatenate([full[: 11 * robot.n], model.offset]))
 
 
 def _hidden_rotors(robot: Robot, rotor: Array, least: Array) -> Array:
     """Rotors ``(n,)`` [kg m²] that torques measured behind the gears do not show: those of the class; else none.
 
-    No drive is without. Behind links that are slim where two axes fall together, one would not be stable.
-
-    Args:
-        robot: the arm as its data sheet has it.
-        rotor: identified ``(n,)`` [kg m²].
-        least: moments of inertia that the links hold against each joint at least ``(n,)`` [kg m²].
+    No drive is without. Behind links that are slim where two axes fall together, one would not be stable. ``least``
+    are the moments of inertia that the links hold against each joint at least ``(n,)`` [kg m²].
     """
     if robot.n == 1 or np.all(rotor >= _LEAST_ROTOR * least):
         return np.zeros(robot.n)
@@ -206,8 +191,7 @@ def behind_gears(own: Recording, twin: Twin, filters: dict[str, Any]) -> Recordi
     if not np.any(hidden):
         return own
     s = preprocess(own, cutoff=filters["cutoff"], cutoff_decimation=filters["cutoff_decimation"])
-    qdd = interpolated(own.t, s.t, s.qdd)
-    tau = own.joints("tau") - hidden * qdd
+    tau = own.joints("tau") - hidden * interpolated(own.t, s.t, s.qdd)
     columns = {**own.columns, **{f"tau_{j + 1}": tau[:, j] for j in range(own.n)}}
     return Recording(columns, dict(own.meta), own.source)
 
@@ -224,16 +208,15 @@ def _friction(model: Model, recordings: Sequence[Recording], robot: Robot) -> di
     limit = motor_torque_limit(robot)
     for j, law in enumerate(model.friction.laws):
         best = np.inf
-        for slow in (0.01, 0.03, 0.1):
-            for degressive in (0.03, 0.1, 0.3):
-                v_s, v_e = slow * top[j], degressive * top[j]
-                basis = np.column_stack([np.ones(len(v)), np.exp(-((v[:, j] / v_s) ** 2)), v[:, j],
-                                         np.arcsinh(v[:, j] / v_e)])
-                parts, left = nnls(basis, np.maximum(0.5 * (forward[:, j] + backward[:, j]), 0.0))
-                if left < best:
-                    best = left
-                    found["coulomb"][j], found["stribeck"][j], found["viscous"][j], found["degressive"][j] = parts
-                    found["stribeck_velocity"][j], found["degressive_velocity"][j] = v_s, v_e
+        for slow, degressive in product((0.01, 0.03, 0.1), (0.03, 0.1, 0.3)):
+            v_s, v_e = slow * top[j], degressive * top[j]
+            basis = np.column_stack([np.ones(len(v)), np.exp(-((v[:, j] / v_s) ** 2)), v[:, j],
+                                     np.arcsinh(v[:, j] / v_e)])
+            parts, left = nnls(basis, np.maximum(0.5 * (forward[:, j] + backward[:, j]), 0.0))
+            if left < best:
+                best = left
+                found["coulomb"][j], found["stribeck"][j], found["viscous"][j], found["degressive"][j] = parts
+                found["stribeck_velocity"][j], found["degressive_velocity"][j] = v_s, v_e
         dry = max(found["coulomb"][j] + found["stribeck"][j], 1e-9)
         half = 0.5 * float(np.mean(forward[:, j] - backward[:, j]))
         found["friction_asymmetry"][j] = np.clip(half / dry, -0.9, 0.9)
@@ -244,24 +227,20 @@ def _friction(model: Model, recordings: Sequence[Recording], robot: Robot) -> di
     return found
 
 
-def residual_octaves(model: Model, recordings: Sequence[Recording]) -> tuple[Array, Array]:
+def _residual_octaves(model: Model, recordings: Sequence[Recording]) -> tuple[Array, Array]:
     """Standard deviation of the unexplained torque by octaves ``(B, n)``, and of white noise in 2 ms samples ``(n,)``.
 
-    Args:
-        model: what explains the rest.
-        recordings: checked ones, with torques in N m.
+    The recordings are checked ones, with torques in N m.
     """
     filters = model.provenance["filters"]
     power, noise = [], []
     for recording in recordings:
         s = preprocess(recording, cutoff=filters["cutoff"], cutoff_decimation=filters["cutoff_decimation"])
         left = s.tau - model.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0])
-        edge = round(_EDGE / s.dt)
-        left = left[edge:-edge]
+        left = left[round(_EDGE / s.dt) : -round(_EDGE / s.dt)]
         f, density = welch(left, 1.0 / s.dt, nperseg=min(len(left), round(_SEGMENT / s.dt)), axis=0)
         white = np.median(density[(f > 0.25 / s.dt) & (f < 0.45 / s.dt)], axis=0)
-        count = max(1, round(np.log2(s.cutoff / LOWEST)))
-        edges = octave_edges(count)
+        edges = octave_edges(max(1, round(np.log2(s.cutoff / LOWEST))))
         inside = [np.where((f >= low) & (f < high)) for low, high in pairwise(edges)]
         power.append(np.array([np.maximum(np.sum(density[rows] - white, axis=0) * (f[1] - f[0]), 0.0)
                                for rows in inside]))

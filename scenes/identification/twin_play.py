@@ -67,12 +67,11 @@ class TwinResult(Summarised):
 
     def to_dict(self) -> dict[str, Any]:
         """The figures as plain values."""
-        values: dict[str, Any] = plain({
+        return dict(plain({
             "world": self.twin.table, "seen": self.twin.seen, "assumed": self.twin.assumed,
             "torque_rms_N_m": {"measured": self.rms[0], "twin": self.rms[1]},
             "spectrum_off_percent": 100.0 * self.spectrum,
-            "residual_std_percent": {"measured": self.left[0], "twin": self.left[1]}})
-        return values
+            "residual_std_percent": {"measured": self.left[0], "twin": self.left[1]}}))
 
 
 COLUMNS = ["joint", "torque measured [N m]", "twin's [N m]", "off by [%]", "spectrum off by [%]",
@@ -100,19 +99,14 @@ def make_twin(recordings: list[Recording], robot_name: str, *, analysis: Identif
     own = played_again(twin.world(robot_name), robot, first, seed)
     progress(0.8, "identifying the twin")
     again = identify_model(own, robot, cascade=False)
-    rms, spectrum = compared(first, behind_gears(own, twin, analysis.model.provenance["filters"]))
+    rms, spectrum = _compared(first, behind_gears(own, twin, analysis.model.provenance["filters"]))
     return TwinResult(twin, analysis, rms, spectrum,
                       np.array([joined(some).residual_std_percent
                                 for some in (analysis.result.estimation[:1], again.result.estimation)]))
 
 
-def compared(measured: Recording, own: Recording) -> tuple[Array, Array]:
-    """Torques of two recordings of the same motion: root mean squares ``(2, n)`` [N m], difference of spectra ``(n,)``.
-
-    Args:
-        measured: the recording.
-        own: the twin's.
-    """
+def _compared(measured: Recording, own: Recording) -> tuple[Array, Array]:
+    """Torques of two recordings of one motion: root mean squares ``(2, n)`` [N m], difference of spectra ``(n,)``."""
     both = [(one.t[one.t > one.t[0] + _START], one.joints("tau", one.t > one.t[0] + _START)) for one in (measured, own)]
     rms = np.array([np.sqrt(np.mean(tau**2, axis=0)) for _, tau in both])
     top = 0.4 / max(float(np.median(np.diff(t))) for t, _ in both)

@@ -215,13 +215,7 @@ def _of_case(label: str, group: pd.DataFrame, names: Sequence[str], figures: Seq
 
 
 def _failures(label: str, after: pd.Series, before: pd.Series | None = None) -> list[Row]:
-    """A row of the runs of a case that failed; none where none did.
-
-    Args:
-        label: of the case.
-        after: reason of each run, missing where it succeeded.
-        before: of the same runs of the baseline; None where there is no baseline.
-    """
+    """A row of the runs of a case that failed, by their reasons and those of the baseline's; none where none did."""
     new = after.notna()
     old = new if before is None else before.notna()
     if not (new | old).any():
@@ -293,11 +287,7 @@ def _label(row: dict[str, Any]) -> str:
 
 
 def bounds_of(results: Results, asked: Sequence[dict[str, float]]) -> tuple[Bound, ...]:
-    """What the bounds say of the means of each case.
-
-    Args:
-        results: of the runs.
-        asked: of each run the bounds of its case, by figure, in its unit.
+    """What the bounds, ``asked`` of each run's case by figure, in its unit, say of the means of each case.
 
     Raises:
         InputError: a figure that no run of the case has.

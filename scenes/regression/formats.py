@@ -31,10 +31,6 @@ def write_comparison(comparison: Comparison, out: Path) -> Path:
     """Writes page, Markdown, JUnit XML, JSON, JSON Lines and Parquet into a folder; returns the page.
 
     The same runs give the same bytes.
-
-    Args:
-        comparison: what was found.
-        out: folder.
     """
     with whole_folder(out) as new:
         comparison.after.write(new / "results.json")

@@ -6,6 +6,7 @@ worse or better with the chance ``false_alarms`` at most, however many figures t
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -149,16 +150,13 @@ def _judged(row: Row, corrected: float, level: float, rules: Rules) -> Row:
 
 
 def seeds_needed(effect: float, chance: float) -> int | None:
-    """How many seeds tell a mean from its bound, by a one-sided t-test with the chance ``POWER``.
+    """How many seeds tell a mean from its bound, by a one-sided t-test with the chance ``POWER``; None if too many.
 
     The power is that of the noncentral t distribution.
 
     Args:
         effect: distance of mean and bound, relative to the standard deviation of one run.
         chance: of a false answer.
-
-    Returns:
-        The number, or None where it is beyond ``MOST_SEEDS``.
 
     >>> seeds_needed(1.0, 0.05)
     11
@@ -168,8 +166,4 @@ def seeds_needed(effect: float, chance: float) -> int | None:
 
     if effect <= 0.0 or power(MOST_SEEDS) < POWER:
         return None
-    low, high = 1, MOST_SEEDS
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if power(middle) >= POWER else (middle, high)
-    return high
+    return bisect_left(range(MOST_SEEDS), POWER, lo=2, key=power)

@@ -125,10 +125,7 @@ def _is_number(value: Any) -> bool:
 # Reading what run, compare, sweep and check have written.
 
 def read_results(path: Path) -> Results:
-    """Results of a file (JSON, JSON Lines, CSV, Parquet) or a folder of such.
-
-    Args:
-        path: what ``run``, ``compare``, ``sweep`` or ``check`` has written.
+    """Results of a file (JSON, JSON Lines, CSV, Parquet) or a folder of such that a verb has written.
 
     Raises:
         InputError: no such file, or none with runs.

@@ -119,10 +119,6 @@ class Suite:
     def play(self, file: Kept | None = None, **how: Any) -> list[dict[str, Any]]:
         """Plays all runs, one of each scene first; answers in the order of ``work``.
 
-        Args:
-            file: where answers are kept.
-            how: as ``scenes.sweep.sweep`` takes it.
-
         Raises:
             InputError: as ``sweep`` does, and as ``check_figures`` does once the scenes in question have been played.
         """
@@ -137,8 +133,7 @@ class Suite:
     def check_figures(self, answer: dict[str, Any]) -> None:
         """Makes sure that figures which are compared or bounded are among those that their scenes have.
 
-        Args:
-            answer: of a run. What a scene has is known from its first run without a failure.
+        What a scene has is known from its first answer without a failure.
 
         Raises:
             InputError: none of the scenes that a figure is asked of has it.

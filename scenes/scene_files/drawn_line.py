@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -293,15 +293,7 @@ def true_camera(believed: CameraModel, table: Calibration, rng: np.random.Genera
         table: sizes of the calibration errors, in the units of its keys.
         rng: draws their signs.
     """
-    return believed.perturbed(**CalibrationError(**_sizes(table)).signed(rng))
-
-
-def _sizes(table: Calibration) -> dict[str, Any]:
-    """The table in SI units, as ``sensing.camera.camera_model.CalibrationError`` takes them."""
-    return {
-        "roll": math.radians(table.roll_deg),
-        "pitch": math.radians(table.pitch_deg),
-        "yaw": math.radians(table.yaw_deg),
-        "height": 1e-3 * table.height_mm, "lateral": 1e-3 * table.lateral_mm, "focal": 1e-2 * table.focal_percent,
-        "principal_point": table.principal_px, "distortion": table.k1,
-    }
+    sizes = CalibrationError(math.radians(table.roll_deg), math.radians(table.pitch_deg), math.radians(table.yaw_deg),
+                             1e-3 * table.height_mm, 1e-3 * table.lateral_mm, 1e-2 * table.focal_percent,
+                             table.principal_px, table.k1)
+    return believed.perturbed(**sizes.signed(rng))

@@ -121,9 +121,7 @@ def joint_path(scene: PathScene, robot: Robot, t_ipo: float) -> JointPath:
         raise InputError(f"the arm would hit something: {touch} {5 * touch.row * t_ipo:.2f} s from the path's begin",
                          file=scene.source, field="path.centre", value=list(figure.centre))
     before, after = round(REST_BEFORE / t_ipo), round(REST_AFTER / t_ipo)
-    q_d = held(moved, before=before, after=after)
-    x = tool.positions
-    x_d = held(x, before=before, after=after)
+    q_d, x_d = (held(rows, before=before, after=after) for rows in (moved, tool.positions))
     counts = np.zeros(len(q_d), dtype=bool)
     counts[before : before + len(moved)] = True
     return JointPath(q_d, x_d, np.asarray(t_ipo * np.arange(float(len(q_d)))), counts, tool)

@@ -206,10 +206,7 @@ class Scene(Table):
         return text
 
     def check_duration(self, lasts: float) -> None:
-        """Refuses a motion along the path that takes longer than the scene allows.
-
-        Args:
-            lasts: of the planned motion [s].
+        """Refuses a motion along the path that lasts longer [s] than the scene allows.
 
         Raises:
             InputError: longer than ``max_duration``.
