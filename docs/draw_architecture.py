@@ -187,8 +187,7 @@ class Panel:
         for (start, end), way in sorted(self.ways.items()):
             points = [(x0 + self.places[name][0], y0 + self.places[name][1]) for name in way]
             parts.append(_arrow(start, end, points))
-        names = self.arrows
-        for name in sorted(names):
+        for name in sorted(self.arrows):
             x, y = x0 + self.places[name][0] - 0.5 * BOX[0], y0 + self.places[name][1] - 0.5 * BOX[1]
             parts.append(_box(name, x, y))
         return parts

@@ -34,7 +34,6 @@ class Play(Protocol):
         Raises:
             InputError: no such method, or a scene that cannot be played.
         """
-        ...
 
 
 class Compare(Protocol):
@@ -42,7 +41,6 @@ class Compare(Protocol):
 
     def __call__(self, scene: Any, *, methods: Any = None, out: Any = None, progress: Any = ...) -> CompareResult:
         """See ``Play.__call__``; ``methods`` are several of what it takes, all that apply if None."""
-        ...
 
 
 class CloseLoop(Protocol):
@@ -54,7 +52,6 @@ class CloseLoop(Protocol):
         Raises:
             InputError: another word for what is measured, or a world that holds nothing to be found.
         """
-        ...
 
 
 @dataclass(frozen=True)

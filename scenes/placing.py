@@ -117,12 +117,12 @@ def where_it_fits(scene: LineScene) -> str:
 def _candidates(scene: LineScene, robot: Robot, share: float, heading: float) -> Iterator[LineScene]:
     """The scene with a line of a share of the reach, at the places that are tried, without a tool first."""
     size, shoulder = reach(robot), shoulder_height(robot)
-    length = _rounded(share * size)
+    length = round(share * size, 2)
     turn = math.radians(heading)
     for tool, below, ahead in product(TOOLS, BELOW, AHEAD):
-        height = _rounded(max(shoulder + below * size, LOWEST))
+        height = round(max(shoulder + below * size, LOWEST), 2)
         begin = np.array([ahead * size, 0.0]) - 0.5 * length * np.array([math.cos(turn), math.sin(turn)])
-        origin = (_rounded(float(begin[0])), _rounded(float(begin[1])), height)
+        origin = (round(float(begin[0]), 2), round(float(begin[1]), 2), height)
         yield resized(scene, length, origin, heading).changed(tool_mm=round(100.0 * tool * size) * 10.0)
 
 
@@ -142,12 +142,12 @@ def resized(scene: LineScene, length: float, origin: tuple[float, float, float],
 
 def run_ups(length: float) -> dict[str, float]:
     """Straight pieces before and behind a line of a length [m]: the usual ones, shorter for short lines."""
-    return {"run_up": _rounded(min(0.15, max(0.06, 0.25 * length))), "run_out": _rounded(min(0.05, 0.1 * length))}
+    return {"run_up": round(min(0.15, max(0.06, 0.25 * length)), 2), "run_out": round(min(0.05, 0.1 * length), 2)}
 
 
 def formula(length: float) -> str:
     """A sine of one and a half waves, its curvature the same whatever its length [m]."""
-    wave = _rounded(length / 1.5)
+    wave = round(length / 1.5, 2)
     return f"{0.04 * (wave / 0.8) ** 2:.4g}*sin(2*pi*x/{wave:g})"
 
 
@@ -173,10 +173,6 @@ def scene_text(example: str, robot: str, place: Place) -> str:
     example = example.replace("\n[surface]", f'model = "own"\n{tool}\n[surface]', 1)
     ends = "".join(f"{key} = {value:g}\n" for key, value in run_ups(place.length).items())
     return f"{example.rstrip()}\n\n[reference]\n{ends}"
-
-
-def _rounded(value: float) -> float:
-    return round(value, 2)
 
 
 def fits(scene: LineScene, robot: Robot) -> float | None:

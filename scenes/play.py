@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, overload
 from ideal_robot.errors import InputError
 from ideal_robot.registry import imported
 from scenes.kind import KINDS, kind_of
-from scenes.result import CompareResult, Progress, RunResult, silent
+from scenes.result import Progress, silent
 from scenes.scene_files.scene import Scene
 
 if TYPE_CHECKING:
@@ -59,8 +59,7 @@ def run_scene(scene: Scene, *, method: Any = None, out: Path | None = None, prog
     """
     own = {key: value for key, value in changes.items() if key not in type(scene).model_fields}
     changed = scene.changed(**{key: value for key, value in changes.items() if key not in own})
-    result: RunResult = kind_of(changed).run(changed, method=method, out=out, progress=progress, **own)
-    return result
+    return kind_of(changed).run(changed, method=method, out=out, progress=progress, **own)
 
 
 def compare_scene(scene: Scene, *, methods: Sequence[Any] | None = None, out: Path | None = None,
@@ -78,8 +77,7 @@ def compare_scene(scene: Scene, *, methods: Sequence[Any] | None = None, out: Pa
         InputError: the scene cannot be played.
     """
     changed = scene.changed(**changes) if changes else scene
-    result: CompareResult = kind_of(changed).compare(changed, methods=methods, out=out, progress=progress)
-    return result
+    return kind_of(changed).compare(changed, methods=methods, out=out, progress=progress)
 
 
 def close_scene(scene: Scene, *, measured: str = "tcp", out: Path | None = None,

@@ -93,8 +93,7 @@ def _answer(scene: Scene, method: str | None, folder: Path, fresh: bool) -> dict
 
     place = folder / f"{digest_of([program()['digest'], identity(scene), scene.model_dump(), method])}.json"
     if place.is_file() and not fresh:
-        kept: dict[str, Any] = read_json(place, "a kept run")
-        return kept
+        return dict(read_json(place, "a kept run"))
     answer: dict[str, Any] = plain(play(Job(scene, method, None, None)))
     write_json(place, answer)
     return answer

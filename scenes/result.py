@@ -23,20 +23,16 @@ class RunResult(Protocol):
     @property
     def failure(self) -> str | None:
         """Why the run ended early, or None; what was done until then is kept."""
-        ...
 
     @property
     def report(self) -> Path | None:
         """The HTML page, where one was asked for."""
-        ...
 
     def json(self) -> dict[str, Any]:
         """The content of ``--json``."""
-        ...
 
     def summary(self) -> list[tuple[str, str]]:
         """The few figures a person wants first: label and value with unit."""
-        ...
 
 
 class CompareResult(Protocol):
@@ -45,15 +41,12 @@ class CompareResult(Protocol):
     @property
     def report(self) -> Path | None:
         """The HTML page, where one was asked for."""
-        ...
 
     def json(self) -> dict[str, Any]:
         """The content of ``--json``; the runs stand under ``methods``."""
-        ...
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
         """Column titles and rows, one row a method."""
-        ...
 
 
 class Shown(ABC):

@@ -229,7 +229,6 @@ Core = Annotated[int | None, typer.Option(help="Processor core to keep to.", min
 Cycle = Annotated[float | None, typer.Option(help="Interpolation cycle [s], e.g. 0.004; default: robot's.")]
 DriveData = Annotated[Path | None, typer.Option(help="Drive data of the arm (TOML): gains, rotor inertias, cycles; "
                                                 "default: beside the URDF.")]
-Horizon = Annotated[int | None, typer.Option("--n-d", help="Desired positions the feedforward is given, from 1 up.")]
 Individual = Annotated[int | None, typer.Option(help="Arm of the type, with a model of its own (see prepare).", min=0)]
 JsonFigures = Annotated[Path | None, typer.Option(help="Write the figures as JSON to this file.")]
 JsonPlan = Annotated[Path | None, typer.Option(help="Write the plan and its figures as JSON to this file.")]
@@ -249,7 +248,6 @@ Seed = Annotated[int | None, typer.Option(help="Seed instead of the scene's.", m
 Speed = Annotated[float | None, typer.Option(help="Path speed [m/s] instead of the scene's.")]
 TimeLimit = Annotated[float, typer.Option(help="How long a run may take [s]; one that takes longer is ended, begun "
                                                "once more, and then not played.", min=0.001)]
-WorldName = Annotated[str | None, typer.Option(help="Where it plays instead of the scene's world: workshop or bench.")]
 
 
 def method_help(verb: str) -> str:

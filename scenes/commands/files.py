@@ -284,18 +284,16 @@ def _shown(what: str, robot: str | None, play: bool) -> tuple[Robot, Replay | No
 
 # A simulated arm of recordings.
 
-Recorded = Annotated[list[Path], typer.Argument(help="Recordings of free motion (Parquet, CSV, ROS 2 bag or MCAP).")]
-World = Annotated[Path, typer.Option("-o", "--output", help="Where the twin goes (.toml): a scene with its world.")]
-Draws = Annotated[int, typer.Option(help="Follow the scene's line with that many of the twin's individuals, and say "
-                                         "what accuracy to expect; ten take some twenty minutes.", min=0, max=100)]
-
-
 def twin(
-    recordings: Recorded,
+    recordings: Annotated[list[Path], typer.Argument(help="Recordings of free motion (Parquet, CSV, ROS 2 bag or "
+                                                          "MCAP).")],
     robot: RobotName,
-    output: World,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Where the twin goes (.toml): a scene with its "
+                                                                "world.")],
     controller: Controller = None,
-    draws: Draws = 0,
+    draws: Annotated[int, typer.Option(help="Follow the scene's line with that many of the twin's individuals, and say "
+                                            "what accuracy to expect; ten take some twenty "
+                                            "minutes.", min=0, max=100)] = 0,
     seed: Seed = None,
     json: JsonResults = None,
 ) -> None:

@@ -35,10 +35,6 @@ if TYPE_CHECKING:
 
 InCell = Annotated[Path | None, typer.Option(help="Scene whose surface and boxes the arm keeps off, a name or a file; "
                                                   "default: only itself and its base plane.")]
-HowIdentified = Annotated[str, typer.Option(help="joint (optimised Fourier series) or two-step (trapezoidal moves at "
-                                                 "operating points, [G] 3.1.2).")]
-LeastHeight = Annotated[float | None, typer.Option(help="Lowest height of tool and links [m]; default: 0.15, less for "
-                                                        "arms that reach less than 1 m or stand low.")]
 
 
 @dataclass(kw_only=True)
@@ -47,11 +43,13 @@ class IdentificationMotion:
 
     robot: RobotName
     drive_data: DriveData = None
-    method: HowIdentified = "joint"
+    method: Annotated[str, typer.Option(help="joint (optimised Fourier series) or two-step (trapezoidal moves at "
+                                             "operating points, [G] 3.1.2).")] = "joint"
     period: Annotated[float, typer.Option(help="Period of the Fourier motion [s].", min=1.0)] = 20.0
     points: Annotated[int, typer.Option(help="Operating points of the two-step method.", min=2)] = 10
     seed: SearchSeed = 1
-    z_min: LeastHeight = None
+    z_min: Annotated[float | None, typer.Option(help="Lowest height of tool and links [m]; default: 0.15, less for "
+                                                     "arms that reach less than 1 m or stand low.")] = None
     cell: InCell = None
     play: Annotated[bool, typer.Option("--play", help="Play it on the simulated arm and record it.")] = False
     json: JsonPlan = None
@@ -93,23 +91,19 @@ def plan_identification(options: IdentificationMotion) -> None:
         typer.echo(f"written: {path}")
 
 
-Diagnosed = Annotated[Path | None, typer.Option(help="What diagnose --json wrote of it; without it the recording is "
-                                                     "diagnosed now.")]
-HeightBeside = Annotated[float | None, typer.Option(help="Lowest height of tool and links [m]; wherever the recording "
-                                                         "has been is allowed too; default: by the arm's size.")]
-
-
 @dataclass(kw_only=True)
 class DiagnosticMotion:
     """Options of ``plan-diagnosis``."""
 
     recording: Annotated[Path, typer.Argument(help="Recording that was diagnosed (Parquet, CSV, ROS 2 bag or MCAP).")]
     robot: RobotName
-    result: Diagnosed = None
+    result: Annotated[Path | None, typer.Option(help="What diagnose --json wrote of it; without it the recording is "
+                                                     "diagnosed now.")] = None
     model: Annotated[Path | None, typer.Option(help="Model that the diagnosis was given.")] = None
     drive_data: DriveData = None
     length: Annotated[float, typer.Option(help="Longest motion [s], 4 to 600.")] = 30.0
-    z_min: HeightBeside = None
+    z_min: Annotated[float | None, typer.Option(help="Lowest height of tool and links [m]; wherever the recording has "
+                                                     "been is allowed too; default: by the arm's size.")] = None
     cell: InCell = None
     seed: SearchSeed = 1
     json: JsonPlan = None

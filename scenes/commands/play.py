@@ -13,14 +13,12 @@ from ideal_robot.errors import InputError
 from ideal_robot.progress import part_of
 from ideal_robot.whole_file import inert, whole_files
 from scenes.commands.common import (
-    Horizon,
     Individual,
     JsonFigures,
     SceneName,
     Seed,
     Speed,
     TimeLimit,
-    WorldName,
     closed,
     length,
     numbers,
@@ -47,8 +45,10 @@ class PlayedScene:
     speed: Speed = None
     seed: Seed = None
     individual: Individual = None
-    world: WorldName = None
-    n_d: Horizon = None
+    world: Annotated[str | None, typer.Option(help="Where it plays instead of the scene's world: workshop or "
+                                                   "bench.")] = None
+    n_d: Annotated[int | None, typer.Option("--n-d", help="Desired positions the feedforward is given, from 1 "
+                                                          "up.")] = None
 
     def load(self) -> Scene:
         """The scene with these values."""
@@ -233,9 +233,9 @@ def _show_swept(answers: list[dict[str, Any]], *, with_arm: bool) -> pd.DataFram
     frame = frame.rename(columns=names)
     shown = ["scene", "method", *(["individual"] if with_arm else []), "seed", *names.values(), "failure"]
     kinds = [key for key in ("scene", "method", "m/s") if key in frame]
-    figures = [title for title in names.values() if title not in ("m/s",)]
-    worst = frame.groupby(kinds, sort=False, dropna=False)[figures].max().reset_index()
-    counts = frame.groupby(kinds, sort=False, dropna=False).size().to_numpy()
+    figures = [title for title in names.values() if title != "m/s"]
+    groups = frame.groupby(kinds, sort=False, dropna=False)
+    worst, counts = groups[figures].max().reset_index(), groups.size().to_numpy()
     show_table("sweep", shown, frame[shown].astype(object).where(frame[shown].notna(), None).to_numpy().tolist())
     rows = [[*row, int(count)] for row, count in zip(worst.astype(object).to_numpy().tolist(), counts, strict=True)]
     show_table("largest of each kind of run", [*kinds, *figures, "runs"], rows)

@@ -40,42 +40,35 @@ SHARES_WITH_CASCADE = {"reading": 0.73, "drawing": 0.27}
 """With them."""
 
 
-Identified = Annotated[list[Path], typer.Argument(help="Recordings to identify from (Parquet, CSV, ROS 2 bag or "
-                                                       "MCAP).")]
-Unseen = Annotated[list[Path] | None, typer.Option(help="Recording the model is compared with and never fitted "
-                                                        "to; may be given several times.")]
-HowIdentified = Annotated[str, typer.Option(help="joint (whole motions at once) or two-step (the program of "
-                                                 "plan-identification --method two-step).")]
-FrictionLaw = Annotated[str, typer.Option(help="auto (law and refinements chosen per joint on held-back blocks), "
-                                               "viscous_coulomb, cube_root, arctan, stribeck, "
-                                               "bell_stribeck or asymmetric.")]
-Decimation = Annotated[float | None, typer.Option(help="Decimation filter [Hz]; default: half of the position "
-                                                       "filter.")]
-WithoutIntegrator = Annotated[list[Path] | None, typer.Option(help="Recording with the controllers' integrators "
-                                                                   "off, for their gains ([G] 5.2.2).")]
 Controller = Annotated[str | None, typer.Option(help="Joint controllers that the recordings do not tell: a file of "
                                                      "data-sheet gains (TOML), or class for what arms usually "
                                                      "have.")]
-UrdfOut = Annotated[Path | None, typer.Option(help="Write a URDF with the identified, physically consistent "
-                                                   "inertias.")]
 
 
 @dataclass(kw_only=True)
 class IdentifyOptions:
     """Options of ``identify``."""
 
-    recordings: Identified
+    recordings: Annotated[list[Path], typer.Argument(help="Recordings to identify from (Parquet, CSV, ROS 2 bag or "
+                                                          "MCAP).")]
     robot: RobotName
-    validate: Unseen = None
-    method: HowIdentified = "joint"
+    validate: Annotated[list[Path] | None, typer.Option(help="Recording the model is compared with and never fitted "
+                                                             "to; may be given several times.")] = None
+    method: Annotated[str, typer.Option(help="joint (whole motions at once) or two-step (the program of "
+                                             "plan-identification --method two-step).")] = "joint"
     drive_data: DriveData = None
-    friction: FrictionLaw = "auto"
+    friction: Annotated[str, typer.Option(help="auto (law and refinements chosen per joint on held-back blocks), "
+                                               "viscous_coulomb, cube_root, arctan, stribeck, bell_stribeck or "
+                                               "asymmetric.")] = "auto"
     cutoff: Annotated[float | None, typer.Option(help="Position filter [Hz]; default: chosen from the data.")] = None
-    decimate_to: Decimation = None
-    without_integrator: WithoutIntegrator = None
+    decimate_to: Annotated[float | None, typer.Option(help="Decimation filter [Hz]; default: half of the position "
+                                                           "filter.")] = None
+    without_integrator: Annotated[list[Path] | None, typer.Option(help="Recording with the controllers' integrators "
+                                                                       "off, for their gains ([G] 5.2.2).")] = None
     controller: Controller = None
     model: Annotated[Path | None, typer.Option(help="Write the model to this file.")] = None
-    export_urdf: UrdfOut = None
+    export_urdf: Annotated[Path | None, typer.Option(help="Write a URDF with the identified, physically consistent "
+                                                          "inertias.")] = None
     json: JsonResults = None
     out: ReportFolder = Path("out/identify")
 
@@ -279,17 +272,12 @@ def stiffness(options: StiffnessOptions) -> None:
     typer.echo(f"report: {page}")
 
 
-JointPath = Annotated[Path, typer.Argument(help="CSV or Parquet with t [s] and q_d_1 … q_d_n (or q_1 … q_n, "
-                                                "or q_c_1 … q_c_n) [rad].")]
-Played = Annotated[bool, typer.Option("--play", help="Play both paths on the simulated arm and say what became of "
-                                                     "them.")]
-
-
 @dataclass(kw_only=True)
 class PrecorrectOptions:
     """Options of ``precorrect``."""
 
-    path: JointPath
+    path: Annotated[Path, typer.Argument(help="CSV or Parquet with t [s] and q_d_1 … q_d_n (or q_1 … q_n, or q_c_1 … "
+                                              "q_c_n) [rad].")]
     model: Annotated[Path, typer.Option("--model", help="Identified model (JSON).")]
     output: Annotated[Path, typer.Option("-o", "--output", help="Where the corrected path goes (CSV or Parquet).")]
     robot: ModelsRobot = None
@@ -298,7 +286,8 @@ class PrecorrectOptions:
     delay: PlannerDelay = False
     rest: Rest = 0.6
     controller: Controller = None
-    play: Played = False
+    play: Annotated[bool, typer.Option("--play", help="Play both paths on the simulated arm and say what became of "
+                                                      "them.")] = False
     seed: Annotated[int, typer.Option(help="Seed of the simulated arm's noise.", min=0)] = 1
     json: JsonFigures = None
     out: Annotated[Path | None, typer.Option(help="Folder of the report; default out/precorrect.")] = None

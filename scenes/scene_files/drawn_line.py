@@ -116,27 +116,22 @@ class LineTables(Protocol):
     @property
     def surface(self) -> Surface:
         """The plane that the line is drawn on."""
-        ...
 
     @property
     def line(self) -> Line:
         """The drawn line."""
-        ...
 
     @property
     def reference(self) -> Reference:
         """The path that the arm takes where no camera corrects it."""
-        ...
 
     @property
     def displacement(self) -> Displacement:
         """By how much the drawn line lies beside its nominal place."""
-        ...
 
     @property
     def folder(self) -> Path | None:
         """Folder of the scene file, where files that it names are looked for."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from functools import cache
 from pathlib import Path
@@ -30,29 +30,6 @@ WORLDS = (WORKSHOP, BENCH)
 
 ARM: dict[str, Any] = {"kinematic_error": 3.0e-4, "zero_error": 3.5e-4, "twist_error": 3.5e-4}
 """An arm that nobody calibrated: joints elsewhere by 0.3 mm, zeros and axes off by 0.02°."""
-
-
-def in_its_world(values: dict[str, Any], workshop: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of a scene with those of its world filled in, and the table ``world`` with the key ``base``.
-
-    Args:
-        values: as given; ``world`` is a name or a table.
-        workshop: what the workshop of that kind of scene has, by table; empty where the kind has none.
-    """
-    world = values.get("world", {})
-    if isinstance(world, str):
-        world = {"base": world}
-    if not isinstance(world, dict):
-        return values
-    usual = WORKSHOP if workshop and world.get("ideal") is not True else BENCH
-    values = {**values, "world": {"base": usual, **world}}
-    if values["world"]["base"] != WORKSHOP:
-        return values
-    for table, keys in workshop.items():
-        given = values.get(table, {})
-        if isinstance(given, dict):
-            values[table] = {**keys, **given}
-    return values
 
 
 S = TypeVar("S", bound="Scene")
@@ -150,7 +127,20 @@ class Scene(Table):
     @pydantic.model_validator(mode="before")
     @classmethod
     def _in_its_world(cls, values: Any) -> Any:
-        return in_its_world(values, cls.workshop) if isinstance(values, dict) else values
+        """Fills in the values of the scene's world, and makes ``world``, a name or a table, one with ``base``."""
+        world = values.get("world", {}) if isinstance(values, dict) else None
+        if isinstance(world, str):
+            world = {"base": world}
+        if not isinstance(world, dict):
+            return values
+        usual = WORKSHOP if cls.workshop and world.get("ideal") is not True else BENCH
+        values = {**values, "world": {"base": usual, **world}}
+        if values["world"]["base"] == WORKSHOP:
+            for table, keys in cls.workshop.items():
+                given = values.get(table, {})
+                if isinstance(given, dict):
+                    values[table] = {**keys, **given}
+        return values
 
     @pydantic.field_validator("world")
     @classmethod

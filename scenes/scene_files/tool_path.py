@@ -88,12 +88,10 @@ class ToolPath:
     """A timed tool path at the interpolation cycle.
 
     Attributes:
-        t: instants from the start of the motion ``(N,)`` [s]; the tool rests before and after.
-        poses: one per instant.
+        poses: one per cycle; the tool rests before and after.
         speed: along the path ``(N,)`` [m/s].
     """
 
-    t: Array
     poses: list[pin.SE3]
     speed: Array
 
@@ -194,7 +192,7 @@ def tool_path(shape: Shape, plane: pin.SE3, speed: float, acceleration: float, t
     for x, share in zip(np.concatenate(points), np.concatenate(shares), strict=True):
         turned = fixed if turn is None else pin.exp3(turn[1] * share * np.array(turn[0])) @ fixed
         poses.append(pin.SE3(turned, plane.act(np.array([x[0], x[1], 0.0]))))
-    return ToolPath(np.asarray(t_ipo * np.arange(float(len(poses)))), poses, np.concatenate(speeds))
+    return ToolPath(poses, np.concatenate(speeds))
 
 
 def _check(shape: Shape, speed: float, acceleration: float) -> None:
