@@ -119,8 +119,7 @@ def model_at(wanted: str, robot: Robot, source: str | None = None) -> Model:
     """The model that a scene names by ``shipped`` or by its path.
 
     Args:
-        wanted: the name or path.
-        robot: the arm.
+        wanted, robot: the name or path, and the arm.
         source: the scene, for messages.
 
     Raises:

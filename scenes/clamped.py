@@ -54,8 +54,7 @@ def record(scene: ClampedScene, robot: Robot, world: ClampWorld, postures: Array
     """Plays the pushes in every posture, and the payloads where the scene has them.
 
     Args:
-        scene: what to play.
-        robot: the arm.
+        scene, robot: what to play, and the arm.
         world: gears, clamp and drives as they are.
         postures: joint angles in which the flange is clamped ``(c, n)`` [rad].
         rng: draws noise and drive gains.
@@ -138,8 +137,7 @@ def stiffness_page(analysis: StiffnessAnalysis, *, title: str, truth: Array | No
     """The page.
 
     Args:
-        analysis: what is shown.
-        title: of the page.
+        analysis, title: what it shows, and its title.
         truth: true stiffness ``(n,)`` [N m/rad], for the comparison that only a simulation allows.
     """
     report = Report(title, _summary(analysis, truth))

@@ -216,8 +216,7 @@ def detection_page(source: str, kind: str | None, results: list[Detected]) -> Re
     """The page about all pictures of a source.
 
     Args:
-        source: where they came from.
-        kind: of line that was looked for.
+        source, kind: where they came from, and what line was looked for.
         results: of each picture.
     """
     count = sum(one.found.found for one in results)

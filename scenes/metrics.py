@@ -157,10 +157,8 @@ def distance_to_path(t: Array, x: Array, t_path: Array, x_path: Array) -> Array:
     not flatter the error.
 
     Args:
-        t: instants of the points ``(N,)`` [s].
-        x: points ``(N, 3)`` [m].
-        t_path: instants of the corners of the polyline ``(M,)`` [s], rising.
-        x_path: its corners ``(M, 3)`` [m].
+        t, x: instants ``(N,)`` [s] and points ``(N, 3)`` [m].
+        t_path, x_path: rising instants ``(M,)`` [s] and corners of the polyline ``(M, 3)`` [m].
     """
     starts, steps = x_path[:-1], np.diff(x_path, axis=0)
     lengths = np.maximum(np.sum(steps**2, axis=1), 1e-24)
@@ -202,9 +200,7 @@ class ControlError:
         """From signed distances; without any that counts, all figures are NaN.
 
         Args:
-            t: instants ``(N,)`` [s].
-            s: arc length of the drawn line ``(N,)`` [m].
-            lateral: signed distance, positive to the left ``(N,)`` [m].
+            t, s, lateral: as the attributes.
             counts: which of them count ``(N,)``.
         """
         size = np.abs(lateral[counts])

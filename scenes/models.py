@@ -76,8 +76,7 @@ def prepared_model(robot: Robot, world: World, progress: Progress = silent, boxe
     The world says how the simulated arm moves, as a real arm's mechanics do; the model sees its recordings alone.
 
     Args:
-        robot: the arm as its data sheet has it.
-        world: the arm as it is.
+        robot, world: the arm as its data sheet has it, and as it is.
         progress: called with the fraction done.
         boxes: that stand in the cell; the motions keep off them.
 
@@ -100,9 +99,7 @@ def cache_name(robot: Robot, world: World, boxes: Sequence[Box] = ()) -> str:
     """The robot, and a digest of all that the model depends on: also of the procedure.
 
     Args:
-        robot: the data sheet.
-        world: the arm as it is.
-        boxes: in its cell.
+        robot, world, boxes: as for ``prepared_model``.
     """
     digest = digest_of([PROCEDURE, ideal_robot.__version__, robot.urdf_hash, robot.data, world.table(),
                         *(box.model_dump() for box in boxes)])
@@ -116,8 +113,7 @@ def model_for(scene: Scene, robot: Robot, progress: Progress = silent) -> Model:
     """The model that a scene asks for; the arm's own one is identified now if that has not been done.
 
     Args:
-        scene: says which model, and what the arm is like that moves for an own one.
-        robot: the arm as its data sheet has it.
+        scene, robot: say which model, and what the arm is like that moves for an own one; its data sheet.
         progress: called with the fraction of an identification done.
 
     Raises:
@@ -132,8 +128,7 @@ def own_model(scene: Scene, robot: Robot, progress: Progress = silent) -> str:
     """Where the model lies that the own motions of the scene's arm give; identified now if that has not been done.
 
     Args:
-        scene: says what the arm is like.
-        robot: the arm as its data sheet has it.
+        scene, robot: the arm as it is, and as its data sheet has it.
         progress: called with the fraction of an identification done.
     """
     world = World.from_table(scene.robot, scene.arm_world, scene.source)

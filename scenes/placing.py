@@ -60,10 +60,8 @@ class Place:
     """Where a line fits.
 
     Attributes:
-        origin: of the surface [m].
-        heading: of the surface about z [deg].
-        length: of the line [m].
-        speed: that the joints allow with something to spare [m/s].
+        origin, heading: of the surface [m], and about z [deg].
+        length, speed: of the line [m], and that the joints allow with something to spare [m/s].
         tool_mm: length of a tool that keeps the wrist off the surface.
     """
 
@@ -132,8 +130,7 @@ def resized(scene: LineScene, length: float, origin: tuple[float, float, float],
     Args:
         scene: to change.
         length: of the line [m].
-        origin: of the surface [m].
-        heading: of the surface about z [deg].
+        origin, heading: of the surface [m], and about z [deg].
     """
     return scene.changed(surface={"origin": list(origin), "heading_deg": heading, "tilt_deg": [0.0, 0.0]},
                          line={"formula": formula(length), "length": length, "points": None, "svg": None},
@@ -155,8 +152,7 @@ def scene_text(example: str, robot: str, place: Place) -> str:
     """A shipped line scene's text for another arm.
 
     Args:
-        example: the text.
-        robot: URDF, as the scene is to name it.
+        example, robot: the text, and the URDF as the scene is to name it.
         place: where the line fits.
     """
     values: dict[str, Any] = {"robot": robot, "speed": place.speed, "origin": list(place.origin),
@@ -199,10 +195,8 @@ def check_way(scene: LineScene, robot: Robot, reference: ReferencePath, path: Jo
     """Refuses a reference on which the arm would hit something, or could not follow a line that lies beside it.
 
     Args:
-        scene: says how far the line may be from its reference.
-        robot: the arm.
-        reference: the path.
-        path: its joint angles.
+        scene, robot: how far the line may be from its reference, and the arm.
+        reference, path: the path, and its joint angles.
 
     Raises:
         InputError: says where, and what is in the way.

@@ -69,9 +69,7 @@ def compare_scene(scene: Scene, *, methods: Sequence[Any] | None = None, out: Pa
     Args:
         scene: what to play.
         methods: method keys, ``Feedforward`` objects or factories; every method that applies if None.
-        out: folder for recordings and report; nothing is written without.
-        progress: called with the fraction done.
-        changes: as for ``run_scene``.
+        out, progress, changes: as for ``run_scene``.
 
     Raises:
         InputError: the scene cannot be played.
@@ -87,8 +85,7 @@ def close_scene(scene: Scene, *, measured: str = "tcp", out: Path | None = None,
     Args:
         scene: what to play; its kind has to offer it.
         measured: what the arm measures: ``motor``, ``arm`` or ``tcp``.
-        out: folder for recording, model and report; nothing is written without.
-        progress: called with the fraction done.
+        out, progress: as for ``run_scene``; the model is written, too.
 
     Raises:
         InputError: a scene of another kind, or one whose world holds nothing undeclared.

@@ -108,8 +108,7 @@ def commented_scene(name: str, kind: str, example: str) -> str:
 
     Args:
         name: of the new scene, for its title.
-        kind: one of ``scenes.kind.KINDS``.
-        example: text of a shipped scene of that kind.
+        kind, example: text of a shipped scene of that kind.
     """
     given = re.sub(r'^title = .*$', f"title = {json.dumps(name, ensure_ascii=False)}", example, flags=re.M)
     lines = ["# Play it: ideal-robot run FILE. Every key of such a scene is here; one behind # has the value shown.",

@@ -259,12 +259,8 @@ def sweep_scene(scene: str | Scene | Sequence[str | Scene], *, methods: Sequence
 
     Args:
         scene: one or several, by name, path or as loaded.
-        methods: keys; the scene's own if empty.
-        speeds: [m/s]; the scene's own if empty.
-        seeds: of all that is drawn; the scene's own if empty.
-        individuals: arms of the type, each with a model of its own; the scene's own if empty.
-        processes: local processes.
-        dask: address of a running Dask scheduler instead.
+        methods, speeds, seeds, individuals: as for ``jobs``; the scene's own if empty.
+        processes, dask: how many local ones, or the address of a running Dask scheduler instead.
 
     Raises:
         InputError: a run's input cannot be used.

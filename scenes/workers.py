@@ -321,7 +321,6 @@ class _Handed:
         """Indices and results of a batch; empty where it was handed over anew, None where it is not there yet."""
         from dask.distributed import KilledWorker
 
-        batch = self.pending[future]
         if future.status == "cancelled":
             raise _GoneError
         try:
@@ -329,20 +328,19 @@ class _Handed:
         except TimeoutError:
             return None
         except (KilledWorker, MemoryError) as error:
-            del self.pending[future]
-            return self._lost(batch, f"its worker was lost each time ({type(error).__name__}), or it did "
-                                     f"not end within {self.limit:g} s")
+            return self._lost(future, f"its worker was lost each time ({type(error).__name__}), or it did "
+                                      f"not end within {self.limit:g} s")
         except Exception as error:  # whatever else a cluster makes of a task
-            del self.pending[future]
-            return self._lost(batch, f"the cluster lost it ({type(error).__name__})")
-        del self.pending[future]
+            return self._lost(future, f"the cluster lost it ({type(error).__name__})")
+        batch = self.pending.pop(future)
         self._size = int(min(max(batch_lasts(self._workers) / max(seconds, 1e-6), 1.0), _MOST_OF_A_BATCH))
         found = [(index, result) for index, result in zip(batch, results, strict=True) if index in self.left]
         self.left -= set(batch)
         return found
 
-    def _lost(self, batch: list[int], why: str) -> list[tuple[int, Any]]:
+    def _lost(self, future: Any, why: str) -> list[tuple[int, Any]]:
         """Tasks of a lost batch begin alone, after all others; one that was lost alone too often is given up."""
+        batch = self.pending.pop(future)
         for index in batch:
             self._losses[index] += not self.pending
         given_up = [index for index in batch if len(batch) == 1 and self._losses[index] >= _LOSSES]

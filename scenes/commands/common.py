@@ -74,8 +74,7 @@ def show_table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
 
     Args:
         title: above the table; empty for none.
-        columns: titles.
-        rows: cells.
+        columns, rows: titles and cells.
     """
     from rich.box import HEAVY_HEAD
     from rich.cells import cell_len

@@ -23,10 +23,8 @@ def identified_model(robot_name: str, *, seed: int = 1, period: float = 20.0, wo
     """Plays two identification motions on a simulated arm and identifies everything from them.
 
     Args:
-        robot_name: the arm as its data sheet has it.
-        seed: of motions and noise.
-        period: of the motions [s].
-        world: what the arm is like; its default world if None.
+        robot_name, world: the arm as its data sheet has it, and what it is like; its default world if None.
+        seed, period: of motions and noise, and of the motions [s].
         boxes: that stand in the cell.
         progress: called with the fraction done.
     """

@@ -114,8 +114,7 @@ def fourier_commands(robot: Robot, motion: FourierMotion, start: Array, t_ipo: f
     """Commands ``(N, n)`` [rad] from rest through one period of the motion and slow reversals about its end.
 
     Args:
-        robot: the arm, with its limits.
-        motion: the periodic motion.
+        robot, motion: the arm, with its limits, and what it plays.
         start: joint angles at rest ``(n,)`` [rad].
         t_ipo: cycle of the commands [s].
     """
@@ -148,10 +147,9 @@ def play_plan(planned: Plan, robot: Robot, seed: int, progress: Callable[[float]
 
     Args:
         planned: the motion.
-        robot: the arm as its data sheet has it.
+        robot, world: the arm as its data sheet has it, and what it is like; its default world if None.
         seed: of the world's noise.
         progress: called with the share played.
-        world: what the arm is like; its default world if None.
     """
     world = World.default(robot) if world is None else world
     with SimulatedArm(robot, world, np.random.default_rng(seed), robot.home) as arm:

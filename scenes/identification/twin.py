@@ -73,8 +73,7 @@ def twin_of(analysis: IdentificationResult, robot: Robot, name: str) -> Twin:
 
     Args:
         analysis: what was identified from its recordings.
-        robot: the arm as its data sheet has it.
-        name: of the robot, as scenes name it.
+        robot, name: the arm as its data sheet has it, and as scenes name it.
     """
     model, recordings = analysis.model, analysis.estimation
     seen = ["friction: the identified law, as bristles and fluid"]
@@ -132,8 +131,7 @@ def played_again(world: World, robot: Robot, recording: Recording, seed: int) ->
     """What the twin's controller logs along a recorded motion: of its commands, else of its positions.
 
     Args:
-        world: the twin's.
-        robot: the arm as its data sheet has it.
+        world, robot: the twin's, and the arm as its data sheet has it.
         recording: of the motion.
         seed: of noise and residual.
     """
@@ -183,8 +181,7 @@ def behind_gears(own: Recording, twin: Twin, filters: dict[str, Any]) -> Recordi
     """What a twin logs along a motion, its torques without what turns the rotors that the recordings did not show.
 
     Args:
-        own: of the twin.
-        twin: its world.
+        own, twin: its recording and its world.
         filters: of the identification.
     """
     hidden = np.asarray(twin.table["extra_rotor_inertia"])

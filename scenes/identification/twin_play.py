@@ -83,8 +83,7 @@ def make_twin(recordings: list[Recording], robot_name: str, *, analysis: Identif
     """A twin of recordings, played along the first of them.
 
     Args:
-        recordings: of free motion, as for ``identify_model``.
-        robot_name: shipped robot or URDF.
+        recordings, robot_name: of free motion, as for ``identify_model``, of a shipped robot or URDF.
         analysis: of the same recordings, where it was made already.
         seed: of the twin's noise and residual.
         progress: called with the fraction done.
@@ -127,8 +126,7 @@ def twin_text(twin: Twin, robot_name: str, file: Path) -> str:
     """The file of a twin: a scene in which its arm follows a line, with its world; of fewer joints the world alone.
 
     Args:
-        twin: its world.
-        robot_name: shipped robot or URDF.
+        twin, robot_name: its world, and shipped robot or URDF.
         file: of the scene, from whose folder the URDF is seen.
     """
     robot = arm_of(robot_name)

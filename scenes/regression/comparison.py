@@ -158,8 +158,7 @@ def compared(before: Results, after: Results, *, figures: Sequence[str] = MAIN, 
     """Compares results pair by pair.
 
     Args:
-        before: earlier results.
-        after: new ones.
+        before, after: earlier results and new ones.
         figures: names of what is compared; those that not both have are passed over.
         rules: what counts as a change.
         title: of the comparison.
@@ -332,8 +331,7 @@ def comparison_of(after: Results, before: Results | None, bounds: tuple[Bound, .
     """A suite's comparison with its baseline, where it has one, and with its bounds.
 
     Args:
-        after: what was played.
-        before: the baseline; None where there is none yet.
+        after, before: what was played, and the baseline; None where there is none yet.
         bounds: from ``bounds_of``.
         rules: as ``compared`` takes them, and ``title``.
 

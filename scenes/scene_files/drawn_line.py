@@ -281,11 +281,10 @@ def believed_camera(table: CameraTable, told: Calibration | None = None) -> Came
 
 
 def true_camera(believed: CameraModel, table: Calibration, rng: np.random.Generator) -> CameraModel:
-    """The camera as it is: the believed one with errors of the table's sizes; ``rng`` draws their signs.
+    """The camera as it is: the believed one with errors of the table's sizes.
 
     Args:
-        believed: the camera as it is calibrated.
-        table: sizes of the calibration errors, in the units of its keys.
+        believed, table: the camera as it is calibrated, and the sizes of its errors, in the units of their keys.
         rng: draws their signs.
     """
     sizes = CalibrationError(math.radians(table.roll_deg), math.radians(table.pitch_deg), math.radians(table.yaw_deg),

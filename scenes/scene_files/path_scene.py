@@ -87,8 +87,7 @@ def joint_path(scene: PathScene, robot: Robot, t_ipo: float) -> JointPath:
     """Plans the scene's path in joint space.
 
     Args:
-        scene: figure, speed and posture.
-        robot: kinematics and limits.
+        scene, robot: figure and speed; posture, kinematics and limits.
         t_ipo: cycle [s].
 
     Raises:

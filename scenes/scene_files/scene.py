@@ -231,9 +231,7 @@ def scene_in_file(model: type[S], values: dict[str, Any], path: Path) -> S:
     """The scene of a file, in which paths are as seen from the file's folder.
 
     Args:
-        model: the kind's scene.
-        values: keys as they stand in the file.
-        path: of the file.
+        model, values, path: as for ``scene_of``.
 
     Raises:
         InputError: as ``scene_of``.
@@ -248,8 +246,7 @@ def scene_of(model: type[S], values: dict[str, Any], path: Path) -> S:
     """The scene that these values describe.
 
     Args:
-        model: the kind's scene.
-        values: keys as they stand in a file.
+        model, values: the kind's scene, and keys as they stand in a file.
         path: of the file, for messages.
 
     Raises:
@@ -268,8 +265,7 @@ def validated(model: type[M], values: dict[str, Any], path: Path) -> M:
     """The object that the values of a file describe.
 
     Args:
-        model: its class.
-        values: keys as they stand in the file.
+        model, values: its class, and keys as they stand in the file.
         path: of the file, for messages.
 
     Raises:

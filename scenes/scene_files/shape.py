@@ -62,14 +62,11 @@ class _RefusedError(ValueError):
 
 
 def evaluated(formula: str, x: Array) -> Array:
-    """The formula at every ``x``.
+    """The formula at every ``x``: ``(N,)``, finite.
 
     Args:
         formula: an expression of ``x``, ``pi``, ``e``, numbers, ``+ - * / % **``, comparisons and ``FUNCTIONS``.
         x: where ``(N,)``.
-
-    Returns:
-        ``(N,)``, finite.
 
     Raises:
         InputError: anything else in it, too long, too deep, or not finite somewhere.
@@ -176,11 +173,7 @@ MAX_SEGMENTS = 5_000
 
 
 def first_path(name: str, folder: Path) -> Any:
-    """The first path of an .svg file.
-
-    Args:
-        name: of the file, relative to ``folder`` and not outside it.
-        folder: of the scene.
+    """The first path of an .svg file, whose name is relative to the scene's folder and not outside it.
 
     Raises:
         InputError: outside the folder, missing, too large, with entities, or without a path.
@@ -300,8 +293,7 @@ class Shape(Table):
 
 def _formula(formula: str, length: float) -> Array:
     x = np.linspace(0.0, length, max(int(length / STEP), 200) + 1)
-    y = evaluated(formula, x)
-    return np.column_stack([x, y])
+    return np.column_stack([x, evaluated(formula, x)])
 
 
 def _rounded(corners: Array, radius: float) -> Array:
@@ -351,9 +343,7 @@ def _svg(svg: str, length: float | None, folder: Path | None) -> Array:
 
 def _even(raw: Array) -> Array:
     """The curve at even steps of arc length."""
-    step = np.linalg.norm(np.diff(raw, axis=0), axis=1)
-    keep = np.concatenate([[True], step > 1e-9])
-    raw = raw[keep]
+    raw = raw[np.concatenate([[True], np.linalg.norm(np.diff(raw, axis=0), axis=1) > 1e-9])]
     s = arc_lengths(raw)
     if len(raw) < 2 or s[-1] < 20 * STEP:
         raise InputError("the line is shorter than 10 mm", field="line", value=float(s[-1]) if len(s) else 0.0)

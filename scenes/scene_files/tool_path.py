@@ -105,7 +105,7 @@ def travel(length: float, speed: float, acceleration: float, t: Array) -> tuple[
     """Arc length and speed at ``t (m,)`` of one stop-to-stop motion with sin² ramps.
 
     Args:
-        length: of the way [m].
+        length: of the way from stop to stop [m].
         speed: wanted [m/s]; reached only where the way is long enough.
         acceleration: largest [m/s²].
         t: [s].
@@ -131,21 +131,18 @@ def duration(length: float, speed: float, acceleration: float) -> float:
     """Time of such a motion [s].
 
     Args:
-        length: of the way from stop to stop [m].
-        speed: wanted path speed [m/s].
-        acceleration: largest path acceleration [m/s²].
+        length, speed, acceleration: as for ``travel``.
     """
     peak = min(speed, np.sqrt(length * acceleration / 2))
     return float(2 * peak / acceleration + length / peak)
 
 
 def lasting(shape: Shape, speed: float, acceleration: float) -> float:
-    """Time of all of a figure's parts, see ``duration`` [s].
+    """Time of all of a figure's parts [s].
 
     Args:
         shape: the figure.
-        speed: wanted path speed [m/s].
-        acceleration: largest path acceleration [m/s²].
+        speed, acceleration: as for ``travel``.
     """
     return sum(duration(sum(length for _, length, _ in run), speed, acceleration) for run in shape.runs())
 
@@ -155,10 +152,8 @@ def tool_path(shape: Shape, plane: pin.SE3, speed: float, acceleration: float, t
     """Times a plane figure and gives it a tool orientation.
 
     Args:
-        shape: the figure in the x-y plane of ``plane``.
-        plane: where that plane is, in the base frame.
-        speed: wanted path speed [m/s].
-        acceleration: largest path acceleration [m/s²].
+        shape, plane: the figure in the x-y plane of ``plane``, which is in the base frame.
+        speed, acceleration: as for ``travel``.
         t_ipo: cycle [s].
         rotation: tool orientation ``(3, 3)`` in the base frame; by default the tool's z axis points into the plane.
         turn: axis in the base frame and angle [rad] by which the orientation turns over the length of each stop-to-stop
