@@ -107,12 +107,7 @@ def path_errors(t: Array, x_d: Array, t_actual: Array, x_actual: Array) -> PathE
 
 
 class _Motion:
-    """Positions between samples, by a cubic spline; that of a long motion is made piece by piece.
-
-    Args:
-        t: instants ``(M,)`` [s].
-        x: positions ``(M, 3)`` [m].
-    """
+    """Positions ``(M, 3)`` [m] between samples ``(M,)`` [s], by a cubic spline; of a long motion piece by piece."""
 
     def __init__(self, t: Array, x: Array) -> None:
         self._t, self._x = t, x

@@ -10,7 +10,7 @@ from collections.abc import Callable, Hashable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import pandas as pd
 
@@ -38,10 +38,12 @@ _LARGEST = 1e15
 """Numbers beyond are no figures."""
 
 
-class Kept(Protocol):
-    """Where answers are kept as they come, so that a sweep that was ended can go on."""
+class Kept:
+    """Where answers are kept as they come, so that a sweep that was ended can go on; this one keeps none."""
 
-    answers: dict[Hashable, dict[str, Any]]
+    def __init__(self) -> None:
+        self.answers: dict[Hashable, dict[str, Any]] = {}
+        """Answers of earlier sweeps, by ``key_of`` their job."""
 
     def add(self, job: dict[str, Any], answer: dict[str, Any]) -> None:
         """Keeps an answer; it is on the disk when this returns."""
@@ -50,7 +52,7 @@ class Kept(Protocol):
         """Called when the sweep has ended, in whatever way."""
 
 
-class SweepFile:
+class SweepFile(Kept):
     """A file of lines ``{"job": …, "answer": …}``.
 
     Args:
@@ -62,9 +64,8 @@ class SweepFile:
     """
 
     def __init__(self, path: Path, *, resume: bool) -> None:
+        super().__init__()
         self.path = path
-        self.answers: dict[Hashable, dict[str, Any]] = {}
-        """Answers read from the file, by ``key_of`` their job."""
         if path.exists():
             if not resume:
                 raise InputError("is there already; --resume goes on with it, or give another name", field="--lines",
@@ -107,10 +108,6 @@ class SweepFile:
         except OSError as error:
             raise OutputError.of(self.path, error, "make room and go on with --resume; it holds the answers before "
                                                    "this one") from error
-
-
-    def close(self) -> None:
-        """Nothing is left to be done."""
 
 
 def _checked(answer: dict[str, Any]) -> dict[str, Any]:
@@ -228,8 +225,8 @@ def sweep(work: Sequence[Job], *, processes: int = 2, dask: str | None = None,
     digests = {id(scene): digest_of([program()["digest"], identity(scene), scene.model_dump(mode="json")])
                for scene in {id(scene): scene for scene in loaded}.values()}
     described = [_described(job, digests[id(scene)]) for job, scene in zip(work, loaded, strict=True)]
-    known = {} if file is None else file.answers
-    answers: list[dict[str, Any] | None] = [known.get(key_of(one)) for one in described]
+    file = file or Kept()
+    answers = [file.answers.get(key_of(one)) for one in described]
     left = [index for index, answer in enumerate(answers) if answer is None]
     tasks = [work[index] for index in left]
     count = len(work) - len(left)
@@ -242,13 +239,11 @@ def sweep(work: Sequence[Job], *, processes: int = 2, dask: str | None = None,
                 answers[index] = {**_named(work[index]), "not_played": str(answer), "failure": f"not played: {answer}"}
                 continue
             answers[index] = answer
-            if file is not None:
-                file.add(described[index], answer)
+            file.add(described[index], answer)
             count += 1
             done(count)
     finally:
-        if file is not None:
-            file.close()
+        file.close()
     return [answer for answer in answers if answer is not None]
 
 

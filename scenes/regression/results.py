@@ -17,7 +17,7 @@ from ideal_robot.results import flat, plain
 from ideal_robot.whole_file import OutputError, whole_file
 from scenes.program import PLACES, SCHEMA, TIMES, machine, program
 from scenes.report.page import write_json
-from scenes.sweep import FIGURES, SweepFile, key_of
+from scenes.sweep import FIGURES, Kept, SweepFile, key_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -198,7 +198,7 @@ EVERY = 30.0
 """How old an answer may become before a query finds it [s]."""
 
 
-class RunSet:
+class RunSet(Kept):
     """A folder ``scene=NAME/part-….parquet`` with a row a run, and ``open.jsonl`` with the answers of no part yet.
 
     An answer is on the disk when ``add`` returns; a part is there whole or not at all. Any reader of Parquet can query
@@ -217,8 +217,7 @@ class RunSet:
         if folder.exists() and not resume:
             raise InputError("is there already; --resume goes on with it, or give another name", field="--runs",
                              value=str(folder))
-        self.answers: dict[Hashable, dict[str, Any]] = dict(self._of_parts())
-        """Answers of earlier sweeps, by ``key_of`` their job."""
+        self.answers = dict(self._of_parts())
         self._open = SweepFile(folder / "open.jsonl", resume=True)
         # What a sweep that was killed between both wrote into a part already.
         self._waiting = [(json.loads(str(key)), answer) for key, answer in self._open.answers.items()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -125,7 +125,7 @@ class Suite:
         work = [job for job, _ in self.work]
         first = {_name(job): i for i, job in reversed(list(enumerate(work)))}
         order = sorted(range(len(work)), key=lambda i: first[_name(work[i])] != i)
-        answers = sweep([work[i] for i in order], file=_Looked(self.check_figures, file), **how)
+        answers = sweep([work[i] for i in order], file=_Looked(self.check_figures, file or Kept()), **how)
         for answer in answers:  # those that were kept already, too
             self.check_figures(answer)
         return [answer for _, answer in sorted(zip(order, answers, strict=True), key=lambda one: one[0])]
@@ -150,21 +150,18 @@ class Suite:
                                      field=field, value=figure)
 
 
-class _Looked:
+class _Looked(Kept):
     """Has each answer looked at as it comes, once it is kept."""
 
-    def __init__(self, look: Callable[[dict[str, Any]], None], file: Kept | None) -> None:
-        self._look, self._file = look, file
-        self.answers: dict[Hashable, dict[str, Any]] = {} if file is None else file.answers
+    def __init__(self, look: Callable[[dict[str, Any]], None], file: Kept) -> None:
+        self._look, self._file, self.answers = look, file, file.answers
 
     def add(self, job: dict[str, Any], answer: dict[str, Any]) -> None:
-        if self._file is not None:
-            self._file.add(job, answer)
+        self._file.add(job, answer)
         self._look(answer)
 
     def close(self) -> None:
-        if self._file is not None:
-            self._file.close()
+        self._file.close()
 
 
 def _name(job: Job) -> str:
