@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.motor_torque import in_own_units, torque_regression, without_dead_channels
-from ideal_robot.diagnosis.channels.regression import Regression, rms, spread
+from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.diagnosis.search.forward_selection import Only
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
@@ -49,17 +49,10 @@ class Case:
 
     def torque_regression(self, recording: Recording, model: Model, *, cutoff: float | None = None,
                           reversal_width: Array | None = None) -> Regression:
-        """The regression of the motor torques of one of the recordings.
-
-        Args:
-            recording: the one that is diagnosed, or that validates.
-            model: what predicts.
-            cutoff: of the position filter [Hz], from the data if None.
-            reversal_width: speed over which dry friction changes sign ``(n,)`` [rad/s], from the data if None.
-        """
-        made = torque_regression(recording, self.robot, model, cutoff=self.cutoff if cutoff is None else cutoff,
-                                 shared=self.shared, reversal_width=reversal_width, payload=self.given is not None)
-        made = without_dead_channels(made, self.dead)
+        """See ``torque_regression``. The regression of the motor torques of one of the recordings about a model."""
+        made = without_dead_channels(torque_regression(
+            recording, self.robot, model, cutoff=self.cutoff if cutoff is None else cutoff, shared=self.shared,
+            reversal_width=reversal_width, payload=self.given is not None), self.dead)
         return made if self.shared else in_own_units(made)
 
 
@@ -103,22 +96,3 @@ class Findings:
     warnings: tuple[str, ...] = ()
     beside_known: tuple[tuple[Candidate, ...], ...] = ()
     held: tuple[int, ...] = ()
-
-
-def unlike(case: Case, found: Findings, validate: Recording) -> tuple[str, ...]:
-    """Channels of the validation recording that the first one's parameters miss by more than they vary.
-
-    Short motions leave parameters open, above all in amperes, where each joint has its own. An error of many times the
-    torque then falls by whatever moves these parameters, which no cause explains.
-
-    Args:
-        case: what is asked.
-        found: about the recording, nothing fitted yet.
-        validate: the other recording.
-    """
-    problem = found.problem
-    other = case.torque_regression(validate, found.start, cutoff=problem.regression.filtered.cutoff)
-    error = rms(problem.fit().residual(other, []), other.use)
-    varies = spread(other.measured, other.use)
-    still = {*problem.regression.undecided, *other.undecided}
-    return tuple(name for j, name in enumerate(other.channels) if j + 1 not in still and error[j] > varies[j])

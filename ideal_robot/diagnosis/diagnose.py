@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from ideal_robot.diagnosis import stages
-from ideal_robot.diagnosis.case import Case, Findings, joints_share, unlike
-from ideal_robot.diagnosis.channels.regression import rms, unused_columns
+from ideal_robot.diagnosis.case import Case, Findings, joints_share
+from ideal_robot.diagnosis.channels.regression import rms, spread, unused_columns
 from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.diagnosis.search.forward_selection import Only
 from ideal_robot.diagnosis.statistics.problem import (
@@ -73,9 +70,9 @@ def undecided(case: Case, found: Findings) -> Diagnosis:
     """The answer where no joint moves enough to decide anything of the arm: what sensors show beside it as it is."""
     made = found.problem.regression
     error, signal = (rms(values, made.use) for values in (made.y, made.measured))
-    channels = tuple(ChannelResult(name, unit, float(error[j]), float(error[j]), float(error[j]),
-                                   float(made.noise_floor[j]), float(signal[j]), float(np.mean(made.use[:, j])))
-                     for j, (name, unit) in enumerate(zip(made.channels, made.units, strict=True)))
+    numbers = (values.tolist() for values in (error, made.noise_floor, signal, made.use.mean(axis=0)))
+    channels = tuple(ChannelResult(name, unit, own, own, own, floor, whole, counted) for
+                     name, unit, own, floor, whole, counted in zip(made.channels, made.units, *numbers, strict=True))
     effects = tuple(effect for result in found.results for effect in result.found)
     model = None if case.given is None else case.given.with_effects(tuple(f.fitted for f in effects))
     how, seconds = "nothing: no joint moves enough to decide anything", 0.0
@@ -102,18 +99,17 @@ def _extended(case: Case, found: Findings, added: list[FoundEffect]) -> tuple[Mo
         return None, ()
     final = found.domains[0].final
     model = with_parameters(found.start, final.change, final.covariance)
-    warnings: tuple[str, ...] = ()
+    warnings = tuple[str, ...]()
     try:
         known = Model.nominal(case.robot) if case.given is None else case.given
         model = with_possible_inertias(model, known.consistent)
     except IdealRobotError as error:
         # What was found does not depend on it: torques come from the base parameters.
         warnings = (f"the extended model predicts torques, but cannot be simulated: {error}",)
-    provenance = dict(model.provenance)
-    provenance["diagnosis"] = {"recording": case.recording.source, "hash": case.recording.hash,
-                               "effects": [f.fitted.name for f in added]}
-    effects = model.effects + tuple(f.fitted for f in added)
-    return dataclasses.replace(model, effects=effects, provenance=provenance), warnings
+    found_in = {"recording": case.recording.source, "hash": case.recording.hash,
+                "effects": [f.fitted.name for f in added]}
+    return replace(model, effects=model.effects + tuple(f.fitted for f in added),
+                   provenance={**model.provenance, "diagnosis": found_in}), warnings
 
 
 def _name(recording: Recording) -> str:
@@ -124,35 +120,23 @@ _READING = "Reading"
 SHARES = {_READING: 0.03, "Baseline": 0.02, "Effects of the motor torque": 0.55, "Found, but not added": 0.02,
           "Joint fit": 0.04, "Effects of other channels": 0.23, "Error before and after, on held-out data": 0.11}
 """Measured shares of the time, an arm of six joints."""
-STAGES = {
-    "Baseline": stages.baseline,
-    "Effects of the motor torque": stages.effects_of_motor_torque,
-    "Found, but not added": stages.found_but_not_added,
-    "Joint fit": stages.joint_fit,
-    "Effects of other channels": stages.effects_of_other_channels,
-    "Error before and after, on held-out data": stages.errors_before_and_after,
-}
+STAGES = dict(zip(list(SHARES)[1:], (
+    stages.baseline, stages.effects_of_motor_torque, stages.found_but_not_added, stages.joint_fit,
+    stages.effects_of_other_channels, stages.errors_before_and_after), strict=True))
 """Heading, and what is done: a function of the case and of what was found before."""
 
 
-def _usable(recording: Recording, validate: Recording | None,
-            robot: Robot) -> tuple[Recording, Recording | None, list[str]]:
-    """The recordings as they can be used, and warnings."""
+def _usable(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
+    """The recording as it can be used, and warnings."""
     recording, warnings = shortened(recording)
     (recording,), more = checked([recording], robot)
-    warnings = warnings + more
-    if validate is not None:
-        expect(validate, Recording, "validate", "give one recording; diagnose once for each where there are several")
-        validate, shorter = shortened(validate)
-        (validate,), more = checked([validate], robot)
-        warnings += shorter + more
-    return recording, validate, warnings
+    return recording, warnings + more
 
 
 def _prepared(case: Case, warnings: list[str]) -> tuple[Case, Findings]:
     """What is known before any search; without the validation recording where nothing predicts it."""
     found = stages.prepared(case, tuple(warnings))
-    missed = () if case.validate is None or case.given is not None else unlike(case, found, case.validate)
+    missed = () if case.validate is None or case.given is not None else _unlike(case, found, case.validate)
     if not missed:
         return case, found
     case = replace(case, validate=None)
@@ -160,6 +144,19 @@ def _prepared(case: Case, warnings: list[str]) -> tuple[Case, Findings]:
         *warnings, "validation-not-predicted: with the parameters of the recording alone the error of the other one is "
         f"larger than what it varies by in {', '.join(missed)}; it decides and reports nothing, blocks of the "
         "recording kept apart do (give --model, or a recording that moves as widely as the other)"))
+
+
+def _unlike(case: Case, found: Findings, validate: Recording) -> tuple[str, ...]:
+    """Channels of the validation recording that the first one's parameters miss by more than they vary.
+
+    Short motions leave parameters open, above all in amperes, where each joint has its own. An error of many times the
+    torque then falls by whatever moves these parameters, which no cause explains.
+    """
+    problem = found.problem
+    other = case.torque_regression(validate, found.start, cutoff=problem.regression.filtered.cutoff)
+    error, varies = rms(problem.fit().residual(other, []), other.use), spread(other.measured, other.use)
+    still = {*problem.regression.undecided, *other.undecided}
+    return tuple(name for j, name in enumerate(other.channels) if j + 1 not in still and error[j] > varies[j])
 
 
 def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, validate: Recording | None = None,
@@ -189,12 +186,15 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
     if model is not None:
         model.require_arm(robot)
     shared = joints_share(recording, robot, model)
-    recording, validate, warnings = _usable(recording, validate, robot)
+    recording, warnings = _usable(recording, robot)
+    if validate is not None:
+        expect(validate, Recording, "validate", "give one recording; diagnose once for each where there are several")
+        validate, more = _usable(validate, robot)
+        warnings += more
     known = [finding for one in (recording, validate) if one is not None for finding in channel_findings(one)]
     warnings += [finding.warning for finding in known]
-    case = Case(recording, robot, model, validate, options or Options(), progress,
-                shared=shared, only=only, dead=tuple(dead_joints(tuple(known))),
-                cutoff=cutoff, explain=explain)
+    case = Case(recording, robot, model, validate, options or Options(), progress, shared=shared, only=only,
+                dead=tuple(dead_joints(tuple(known))), cutoff=cutoff, explain=explain)
     case, found = _prepared(case, warnings)
     if len(found.problem.regression.undecided) == robot.n:
         return undecided(case, stages.sensors_alone(case, found))

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.case import Case, Findings
 from ideal_robot.diagnosis.channels.arm import arm_angle_regression, punctual, tool_regression, with_loose_weights
 from ideal_robot.diagnosis.channels.force import force_regressions
 from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import about_model, in_position_band, with_reversal_width
 from ideal_robot.diagnosis.channels.regression import Regression, without_known
-from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.diagnosis.search.forward_selection import Search
 from ideal_robot.diagnosis.search.scoring import with_equivalents
 from ideal_robot.diagnosis.statistics.dependence import reversal_widths
@@ -24,7 +22,7 @@ from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
 from ideal_robot.diagnosis.validation.refit import with_braking_friction, without_scatter
 from ideal_robot.diagnosis.validation.result import NotTransferred
 from ideal_robot.diagnosis.validation.transfer import deciding, transferring
-from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, SENSOR, TCP_POSITION, Effect, library
+from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, SENSOR, TCP_POSITION, library
 from ideal_robot.effects.backlash import Backlash
 from ideal_robot.effects.drive import DeadTime
 from ideal_robot.effects.kinematics import GeometryChange
@@ -34,36 +32,32 @@ Settled = tuple[DomainDiagnosis, tuple[NotTransferred, ...]]
 """A domain after its search, and what does not hold in the end."""
 
 
-def diagnosed_channels(case: Case, found: Findings) -> Iterator[Settled]:
+def _diagnosed_channels(case: Case, found: Findings) -> Iterator[Settled]:
     """The domains that the recording has beside the motor torque, after their search."""
     torque, validation = _in_position_band(case, found)
     for build in (arm_angle_regression, tool_regression):
         made = build(case.recording, case.robot, torque, case.stiffness)
         if made is None:
             continue
-        made = without_known(made, found.start.effects)
-        if made.domain == ARM_POSITION:
-            made = with_loose_weights(made, found.choices)
         other = None if validation is None or case.validate is None else \
             build(case.validate, case.robot, validation, case.stiffness)
+        made = without_known(made, found.start.effects)
         other = None if other is None else without_known(other, found.start.effects)
+        if made.domain == ARM_POSITION:
+            made = with_loose_weights(made, found.choices)
         yield (settled := _diagnosed(case, made, other))
         if made.domain == ARM_POSITION:
-            case = _with_punctual_angles(case, settled[0])
-    yield from diagnosed_sensors(case, found)
+            # Else the tool would be early beside the delays of arm angles that were found.
+            arm = settled[0]
+            late = [(choice.joint, float(own[0])) for choice, own in
+                    zip(arm.choices, arm.final.coefficients, strict=True) if isinstance(choice.effect, DeadTime)]
+            case = replace(case, recording=punctual(case.recording, late),
+                           validate=None if case.validate is None else punctual(case.validate, late))
+    yield from _diagnosed_sensors(case, torque, validation)
 
 
-def _with_punctual_angles(case: Case, arm: DomainDiagnosis) -> Case:
-    """The case without the delays of arm angles that were found: else the tool would be early beside them."""
-    late = [(choice.joint, float(own[0])) for choice, own in zip(arm.choices, arm.final.coefficients, strict=True)
-            if isinstance(choice.effect, DeadTime)]
-    return replace(case, recording=punctual(case.recording, late),
-                   validate=None if case.validate is None else punctual(case.validate, late))
-
-
-def diagnosed_sensors(case: Case, found: Findings) -> Iterator[Settled]:
+def _diagnosed_sensors(case: Case, torque: Regression, validation: Regression | None) -> Iterator[Settled]:
     """The domains of a force sensor and of a camera, as far as the recording has them, after their search."""
-    torque, validation = _in_position_band(case, found)
     for made, other in force_regressions(case.recording, case.validate, case.robot, torque, validation,
                                          case.stiffness):
         yield _diagnosed(case, made, other)
@@ -135,12 +129,9 @@ def effects_of_motor_torque(case: Case, found: Findings) -> Findings:
 
 
 def _columns_changed(before: Regression, found: Findings, share: float) -> bool:
-    """Whether the columns of the effects changed so much that some channel's residual was made of it.
+    """Whether the columns of the effects changed so much, of what was selected before, that a residual was made of it.
 
-    Args:
-        before: the regression in which the effects were selected.
-        found: the effects, and the regression with columns that follow from the model with them in it.
-        share: of the residual's squares: what is asked of an effect.
+    ``share`` is of the residual's squares, as is asked of an effect.
     """
     after, effects = found.problem.regression, found.choices
     fit = found.problem.fit(effects)
@@ -153,63 +144,47 @@ def _columns_changed(before: Regression, found: Findings, share: float) -> bool:
 def _searched(case: Case, found: Findings) -> Findings:
     """What a search finds that begins with the physical causes found before."""
     effects = [effect for effect in library() if effect.domain == MOTOR_TORQUE]
-    problem, warnings = found.problem, found.warnings
     start = [choice for choice in found.choices if not choice.effect.learned]
-    options = case.options
-    if case.validate is not None:
-        # The other recording decides what stays.
-        options = options.finer()
-    if case.given is None or not np.any(found.start.covariance):
-        choices = Search(problem, effects, options, absorbed=False, only=case.only, progress=case.progress).run(start)
-        return replace(found, choices=tuple(choices))
-    prior = prior_precision(found.start, problem)
-    choices, beside_known = _selected_against(case, found, prior, effects, options, start)
-    if beside_known is None:
-        return replace(found, problem=problem.with_prior(prior), choices=tuple(choices), beside_known=())
-    warnings += ("the model's parameters do not hold for this recording and were fitted anew; changes of "
-                 "parameters are therefore not listed as effects",)
-    return replace(found, problem=problem.with_prior(None), choices=tuple(choices), warnings=warnings,
-                   beside_known=beside_known)
+    # The other recording decides what stays.
+    options = case.options if case.validate is None else case.options.finer()
 
-
-def _selected_against(case: Case, found: Findings, prior: Array, effects: Sequence[Effect], options: Options,
-                      start: Sequence[Candidate],
-                      ) -> tuple[list[Candidate], tuple[tuple[Candidate, ...], ...] | None]:
-    """Selects effects with the known model's parameters held, or with free ones where the model does not hold.
-
-    Args:
-        case: what is asked.
-        found: what was found before, with the problem about the known model, without a prior.
-        prior: precision of its parameters ``(P, P)``, in the units of the weighted squares.
-        effects: to choose from.
-        options: thresholds.
-        start: choices of an earlier search to begin with.
-
-    Returns:
-        The effects, and where the parameters do not hold what a search with held ones selected all the same: all of
-        it, and what of it the parameters, as uncertain as they are, do not take over; None where they hold.
-    """
     def search(problem: Problem, absorbed: bool) -> Search:
         return Search(problem, effects, options, absorbed=absorbed, only=case.only, progress=case.progress)
 
-    held = search(found.problem.with_prior(prior).held(), absorbed=True)
+    if case.given is None or not np.any(found.start.covariance):
+        return replace(found, choices=tuple(search(found.problem, False).run(start)))
+    return _searched_beside_known(found, start, search)
+
+
+def _searched_beside_known(found: Findings, start: Sequence[Candidate],
+                           search: Callable[[Problem, bool], Search]) -> Findings:
+    """Effects selected with the known model's parameters held, or with free ones where the model does not hold.
+
+    Then it is said what a search with held ones selected all the same: all of it, and what of it the parameters, as
+    uncertain as they are, do not take over.
+    """
+    prior = prior_precision(found.start, found.problem)
+    held = search(found.problem.with_prior(prior).held(), True)
     every = tuple(held.run(start))
     held.settle(prior)
     settled = tuple(held.model.choices)
-    free = search(found.problem, absorbed=False)
+    holding = replace(found, problem=found.problem.with_prior(prior), choices=settled, beside_known=())
+    free = search(found.problem, False)
     # A curve without a cause is no reason to hold what other parameters explain as well.
-    free.model.replace([c for c in held.model.choices
-                        if not (c.effect.absorbed_by_base or c.effect.learned)])
+    free.model.replace([c for c in settled if not (c.effect.absorbed_by_base or c.effect.learned)])
     # What was known holds until data tell otherwise, and where it takes curves to hold, data have to tell that.
-    limit = -TOLD if any(c.effect.learned for c in held.model.choices) else TOLD
+    limit = -TOLD if any(c.effect.learned for c in settled) else TOLD
     if held.model.worse_than(free.model) < limit:
-        return held.model.choices, None
+        return holding
     # The search begins without effects, but with the weights that they leave.
     free.model.choices = []
     free.run()
     if held.model.worse_than(free.model) < limit:
-        return held.model.choices, None
-    return free.model.choices, tuple(dict.fromkeys(own for own in (every, settled) if own))
+        return holding
+    return replace(found, problem=found.problem.with_prior(None), choices=tuple(free.model.choices), warnings=(
+        *found.warnings, "the model's parameters do not hold for this recording and were fitted anew; changes of "
+        "parameters are therefore not listed as effects"),
+        beside_known=tuple(dict.fromkeys(own for own in (every, settled) if own)))
 
 
 def found_but_not_added(case: Case, found: Findings) -> Findings:
@@ -244,7 +219,7 @@ def _domain_of(case: Case, found: Findings) -> DomainDiagnosis:
 
 def effects_of_other_channels(case: Case, found: Findings) -> Findings:
     """Arm angles, TCP positions, force sensor and camera, as far as the recording has them."""
-    return _settled(found, diagnosed_channels(case, found))
+    return _settled(found, _diagnosed_channels(case, found))
 
 
 def _settled(found: Findings, domains: Iterator[Settled]) -> Findings:
@@ -257,7 +232,7 @@ def sensors_alone(case: Case, found: Findings) -> Findings:
     """Force sensor and camera, where no joint moves enough to decide anything of the arm: the model stays as it is."""
     if case.validate is not None:
         found = replace(found, validation=case.torque_regression(case.validate, found.start))
-    return errors_before_and_after(case, _settled(found, diagnosed_sensors(case, found)))
+    return errors_before_and_after(case, _settled(found, _diagnosed_sensors(case, *_in_position_band(case, found))))
 
 
 def errors_before_and_after(case: Case, found: Findings) -> Findings:

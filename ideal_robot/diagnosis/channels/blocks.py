@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -81,7 +82,7 @@ def time_blocks(samples: int, dt: float, held_out: bool) -> Blocks:
 # The rows of a recording (samples × channels) are many, the columns few. With ``X_b`` the rows of a block ``b`` every
 # least-squares fit on some blocks and its error on others is a function of ``X_b' X_b``; so the rows are touched once.
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Columns:
     """Columns that are zero outside some channels.
 
@@ -92,13 +93,16 @@ class Columns:
         own: of each column's squares the share ``(m,)`` that is not of the form of the model's own parameters; None
             where all of it may be the columns' own.
         in_blocks: of channels that were asked for, which columns act there, and their values block by block.
+        products: with other columns, as far as they were asked for.
     """
 
     values: Array
     channels: tuple[int, ...]
     alike: bool = False
     own: Array | None = None
-    in_blocks: dict[Any, tuple[np.ndarray, Array]] = field(default_factory=dict, compare=False, repr=False)
+    in_blocks: dict[Any, tuple[np.ndarray, Array]] = field(default_factory=dict, init=False, repr=False)
+    products: WeakKeyDictionary[Columns, dict[Any, Any]] = field(default_factory=WeakKeyDictionary, init=False,
+                                                                 repr=False)
 
     @property
     def m(self) -> int:
@@ -129,73 +133,6 @@ class Columns:
         return np.asarray(own - theirs @ np.linalg.lstsq(theirs, own, rcond=None)[0]).reshape(self.values.shape)
 
 
-Known = dict[str, dict[str, tuple[Columns, Columns, Any]]]
-"""Products of groups; with each the columns that it is of, as another group may take over a name."""
-
-
-class BlockProducts:
-    """The rows of a recording, ready for cross-products.
-
-    Args:
-        y: ``(N, c)``.
-        W: ``(N, c, p)``.
-        use: samples that count ``(N, c)``.
-        blocks: of the ``N`` samples.
-    """
-
-    def __init__(self, y: Array, W: Array, use: np.ndarray, blocks: Blocks) -> None:
-        self.blocks = blocks
-        self.use = use
-        self.c = y.shape[1]
-        everywhere = tuple(range(self.c))
-        self.W = Columns(W * use[:, :, None], everywhere)
-        self.y = Columns((y * use)[:, :, None], everywhere)
-        self.count = np.add.reduceat(use.astype(float), blocks.edges[:-1], axis=0)
-        # Products of groups that have been asked for; with each the columns that it is of.
-        self.known: Known = {}
-        # Weights of the channels by folds and prior, as the model's parameters leave them, with that prior.
-        self.of_model: dict[tuple[int, int], tuple[Array, Array | None]] = {}
-
-    def in_folds_of(self, blocks: Blocks) -> BlockProducts:
-        """The same rows in blocks with the same edges and other folds."""
-        made = copy.copy(self)
-        made.blocks = blocks
-        return made
-
-    def cross(self, a: Columns, b: Columns) -> dict[int, Array]:
-        """``a_b' b_b`` for each block ``(B, k_a, k_b)`` of the columns that act on each channel that both act on."""
-        return {j: np.swapaxes(self.acting(a, j)[1], 1, 2) @ self.acting(b, j)[1]
-                for j in a.channels if j in b.channels}
-
-    def total(self, a: Columns, b: Columns) -> Array:
-        """``a' b`` over all selecting blocks, for each channel of ``a``: ``(k, m_a, m_b)``."""
-        result, rows = np.zeros((len(a.channels), a.m, b.m)), self.blocks.selecting_samples
-        for i, j in enumerate(a.channels):
-            if j in b.channels:
-                acting, right = (slice(None), a.values[:, i] * rows[:, None]) if a is b else self._selecting(b, j, rows)
-                result[i][:, acting] = a.values[:, i].T @ right
-        return result
-
-    def _selecting(self, columns: Columns, j: int, rows: np.ndarray) -> tuple[np.ndarray, Array]:
-        """Which columns act on one channel, and their rows ``(N, m)``, zero where they do not select."""
-        key = j, self.blocks.folds
-        if key not in columns.in_blocks:
-            acting = self.acting(columns, j)[0]
-            columns.in_blocks[key] = acting, columns.values[:, columns.channels.index(j), acting] * rows[:, None]
-        return columns.in_blocks[key]
-
-    def acting(self, columns: Columns, j: int) -> tuple[np.ndarray, Array]:
-        """Which columns act on one channel, and their rows block by block ``(B, L, m)``.
-
-        Of the model's parameters a joint feels those of the links behind it.
-        """
-        if j not in columns.in_blocks:
-            values = columns.values[:, columns.channels.index(j)]
-            acting = np.flatnonzero(values.any(axis=0)) if columns.m > 1 else np.arange(columns.m)
-            columns.in_blocks[j] = acting, self.blocks.cut(values[:, acting])
-        return columns.in_blocks[j]
-
-
 @dataclass(frozen=True)
 class Gram:
     """Cross-products of ``m`` columns with each other, block by block, and on each channel of those that act there.
@@ -221,18 +158,34 @@ class Gram:
 
 
 class Design:
-    """Named groups of columns and their cross-products, each computed once."""
+    """Named groups of columns, ``W`` and ``y`` among them, and their cross-products, each computed once.
 
-    def __init__(self, data: BlockProducts) -> None:
-        self.data = data
-        self.groups: dict[str, Columns] = {"W": data.W, "y": data.y}
-        self._total: Known = {}
+    Args:
+        y: ``(N, c)``.
+        W: ``(N, c, p)``.
+        use: samples that count ``(N, c)``.
+        blocks: of the ``N`` samples.
+    """
+
+    def __init__(self, y: Array, W: Array, use: np.ndarray, blocks: Blocks) -> None:
+        self.blocks, self.use, self.c = blocks, use, y.shape[1]
+        everywhere = tuple(range(self.c))
+        self.W = Columns(W * use[:, :, None], everywhere)
+        self.y = Columns((y * use)[:, :, None], everywhere)
+        self.count = np.add.reduceat(use.astype(float), blocks.edges[:-1], axis=0)
+        # Weights of the channels by folds and prior, as the model's parameters leave them, with that prior.
+        self.of_model: dict[tuple[int, int], tuple[Array, Array | None]] = {}
+        self.groups = {"W": self.W, "y": self.y}
         self._gram: tuple[list[Columns], Gram] = [], Gram(0, [])
+
+    def bare(self, blocks: Blocks) -> Design:
+        """The same rows without any other group, in blocks with the same edges and maybe other folds."""
+        made = copy.copy(self)
+        made.blocks, made.groups = blocks, {"W": self.W, "y": self.y}
+        return made
 
     def add(self, key: str, columns: Columns) -> None:
         """Adds or replaces a group."""
-        if any(one is not columns for one, _, _ in self.data.known.get(key, {}).values()) or key in self.groups:
-            self.forget_products(key)
         self.groups[key] = columns
 
     def drop(self, key: str) -> None:
@@ -242,37 +195,66 @@ class Design:
 
     def forget_products(self, key: str) -> None:
         """Forgets the cross-products of a group that is hardly asked for again; they are made anew where it is."""
-        self.data.known.pop(key, None)
-        self._total.pop(key, None)
         if key in self.groups:
             self.groups[key].in_blocks.clear()
+            self.groups[key].products.clear()
 
     def cross(self, a: str, b: str) -> dict[int, Array]:
-        """See ``BlockProducts.cross``."""
-        made: dict[int, Array] = self._known(self.data.known, self.data.cross, a, b)
-        return made
+        """``a_b' b_b`` for each block ``(B, k_a, k_b)`` of the columns that act on each channel that both act on."""
+        left, right = self.groups[a], self.groups[b]
+        made = left.products.setdefault(right, {})
+        if "cross" not in made:
+            made["cross"] = {j: np.swapaxes(self.acting(left, j)[1], 1, 2) @ self.acting(right, j)[1]
+                             for j in left.channels if j in right.channels}
+        found: dict[int, Array] = made["cross"]
+        return found
 
     def total(self, a: str, b: str) -> Array:
         """``a' b`` of all selecting blocks together, for each channel of ``a`` ``(k, m_a, m_b)``."""
-        return np.asarray(self._known(self._total, self.data.total, a, b))
+        left, right, blocks = self.groups[a], self.groups[b], self.blocks
+        made = left.products.setdefault(right, {})
+        if blocks.folds not in made:
+            result, rows = np.zeros((len(left.channels), left.m, right.m)), blocks.selecting_samples[:, None]
+            for i, j in enumerate(left.channels):
+                if left is right:
+                    result[i] = left.values[:, i].T @ (left.values[:, i] * rows)
+                elif j in right.channels:
+                    acting, selecting = self._selecting(right, j)
+                    result[i][:, acting] = left.values[:, i].T @ selecting
+            made[blocks.folds] = result
+        return np.asarray(made[blocks.folds])
 
-    def _known(self, made: Known, make: Callable[[Columns, Columns], Any], a: str, b: str) -> Any:
-        of, left, right = made.setdefault(a, {}), self.groups[a], self.groups[b]
-        if b not in of or of[b][0] is not left or of[b][1] is not right:
-            of[b] = left, right, make(left, right)
-        return of[b][2]
+    def _selecting(self, columns: Columns, j: int) -> tuple[np.ndarray, Array]:
+        """Which columns act on one channel, and their rows ``(N, m)``, zero where they do not select."""
+        key = j, self.blocks.folds
+        if key not in columns.in_blocks:
+            acting = self.acting(columns, j)[0]
+            values = columns.values[:, columns.channels.index(j), acting]
+            columns.in_blocks[key] = acting, values * self.blocks.selecting_samples[:, None]
+        return columns.in_blocks[key]
+
+    def acting(self, columns: Columns, j: int) -> tuple[np.ndarray, Array]:
+        """Which columns act on one channel, and their rows block by block ``(B, L, m)``.
+
+        Of the model's parameters a joint feels those of the links behind it.
+        """
+        if j not in columns.in_blocks:
+            values = columns.values[:, columns.channels.index(j)]
+            acting = np.flatnonzero(values.any(axis=0)) if columns.m > 1 else np.arange(columns.m)
+            columns.in_blocks[j] = acting, self.blocks.cut(values[:, acting])
+        return columns.in_blocks[j]
 
     def gram(self, keys: list[str]) -> Gram:
         """Cross-products of several groups side by side with each other, and with ``y`` last."""
         groups = [self.groups[key] for key in (*keys, "y")]
-        if len(self._gram[0]) != len(groups) or any(a is not b for a, b in zip(self._gram[0], groups, strict=True)):
+        if self._gram[0] != groups:
             self._gram = groups, Gram(sum(group.m for group in groups),
-                                      [self._on_channel([*keys, "y"], j) for j in range(self.data.c)])
+                                      [self._on_channel([*keys, "y"], j) for j in range(self.c)])
         return self._gram[1]
 
     def _on_channel(self, keys: list[str], j: int) -> tuple[np.ndarray, Array]:
         places, index = self._places(keys, j)
-        products = np.empty((self.data.blocks.count, len(index), len(index)))
+        products = np.empty((self.blocks.count, len(index), len(index)))
         for i, (a, left) in enumerate(places):
             for b, right in places[: i + 1]:
                 # A candidate's products with W and y are known from its test.
@@ -287,7 +269,7 @@ class Design:
         for key in keys:
             group = self.groups[key]
             if j in group.channels:
-                acting = first + self.data.acting(group, j)[0]
+                acting = first + self.acting(group, j)[0]
                 places.append((key, slice(at, at + len(acting))))
                 index.append(acting)
                 at += len(acting)
@@ -295,15 +277,15 @@ class Design:
         return places, np.concatenate(index)
 
     def beside(self, key: str, keys: list[str], j: int) -> tuple[Array, Array]:
-        """Products of one more group on one of its channels: with those of ``gram`` ``(B, m, k)``, with itself.
+        """Products of one more group on channel ``j``: with those of ``gram(keys) (B, m, k)``, with itself.
 
         Args:
             key: of the group.
-            keys: of the others, as for ``gram``.
-            j: the channel, from 0.
+            keys: of the others.
+            j: one of its channels, from 0.
         """
         places, index = self._places([*keys, "y"], j)
-        ours, m, B = self.data.acting(self.groups[key], j)[0], self.groups[key].m, self.data.blocks.count
+        ours, m, B = self.acting(self.groups[key], j)[0], self.groups[key].m, self.blocks.count
         with_others, with_itself = np.zeros((B, m, len(index))), np.zeros((B, m, m))
         for other, place in places:
             with_others[:, ours, place] = self.cross(key, other)[j]

@@ -107,9 +107,9 @@ def _filtered(recording: Recording, cutoff: float | None) -> FilteredSignals:
 def _counting_rows(recording: Recording, filtered: FilteredSignals, noise_velocity: Array,
                    robot: Robot) -> tuple[np.ndarray, dict[int, str]]:
     """Which rows ``(M, n)`` count: away from ends, pauses, reversals and limits; and why a joint has none."""
-    q, qd, factor = filtered.q, filtered.qd, filtered.factor
-    moving, undecided = _moving_samples(filtered.t - filtered.t[0], q, qd, noise_velocity, 1.0 / filtered.cutoff, robot)
-    use = apart_from_reversals(q, qd, moving, MEMORY / filtered.cutoff, filtered.dt)[::factor][filtered.keep]
+    factor, (moving, undecided) = filtered.factor, _moving_samples(filtered, noise_velocity, robot)
+    use = apart_from_reversals(filtered.q, filtered.qd, moving, MEMORY / filtered.cutoff,
+                               filtered.dt)[::factor][filtered.keep]
     for j in range(recording.n):
         at_limit = clipped(recording.columns[f"tau_{j + 1}"])
         if at_limit.any():
@@ -119,14 +119,13 @@ def _counting_rows(recording: Recording, filtered: FilteredSignals, noise_veloci
                     for j in np.flatnonzero(~use.any(axis=0))}, **undecided}
 
 
-def _moving_samples(t: Array, q: Array, qd: Array, v_small: Array, rest: float,
-                    robot: Robot) -> tuple[Array, dict[int, str]]:
+def _moving_samples(filtered: FilteredSignals, v_small: Array, robot: Robot) -> tuple[Array, dict[int, str]]:
     """Samples at which each joint moves ``(N, n)``, and joints that move too little, with the reason.
 
-    Below velocities of ``v_small (n,)`` the direction is lost in noise; passages through low speed that are shorter
-    than ``rest`` [s] count as motion.
+    Below velocities of ``v_small (n,)`` the direction is lost in noise. Passages through low speed that are shorter
+    than a period of the position filter's cut-off count as motion.
     """
-    dt = float(t[1] - t[0])
+    q, qd, dt = filtered.q, filtered.qd, filtered.dt
     moving = np.ones(q.shape, dtype=bool)
     undecided: dict[int, str] = {}
     for j in range(q.shape[1]):
@@ -134,7 +133,7 @@ def _moving_samples(t: Array, q: Array, qd: Array, v_small: Array, rest: float,
         slow = speed < np.maximum(2.0 * v_small[j], RESTING * np.percentile(speed, 99))
         edges = np.flatnonzero(np.diff(np.concatenate([[0], slow.astype(int), [0]])))
         for start, stop in zip(edges[::2], edges[1::2], strict=True):
-            if (stop - start) * dt > rest:
+            if (stop - start) * dt > 1.0 / filtered.cutoff:
                 moving[start:stop, j] = False
         seconds = float(np.sum(moving[:, j]) * dt)
         travel = float(np.ptp(q[:, j]))
@@ -184,8 +183,6 @@ def _small_velocity(recording: Recording, filtered: FilteredSignals) -> Array:
 
 def without_dead_channels(made: Regression, dead: Sequence[int]) -> Regression:
     """The same regression where some torque channels (from 0) do not count, for they do not measure their joint."""
-    if not dead:
-        return made
     use = made.use.copy()
     use[:, list(dead)] = False
     why = {j + 1: f"has a dead torque channel, tau_{j + 1}" for j in dead}

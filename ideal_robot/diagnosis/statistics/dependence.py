@@ -7,6 +7,7 @@ explained follow from the blocks; also where the motion repeats itself, where sh
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -47,14 +48,6 @@ class Dependence:
     p_value: float
 
 
-def signal_names(signals: Signals, channel: int) -> list[str]:
-    """Signals of one channel's residual that are worth looking at, those that hardly vary left out."""
-    own = min(channel, signals.n - 1) + 1
-    names = ["t", *(f"{kind}_{i + 1}" for kind in ("q", "qd", "qdd") for i in range(signals.n)), f"load_{own}",
-             *([] if signals.temperature is None else [f"temp_{own}"]), *signals.extra]
-    return [name for name in names if _varies(signals, name)]
-
-
 def terms(signals: Signals, channel: int, pairs: bool, domain: Domain = MOTOR_TORQUE) -> list[Unknown]:
     """Curves to try on a channel: of single signals, and times the direction of motion.
 
@@ -64,21 +57,21 @@ def terms(signals: Signals, channel: int, pairs: bool, domain: Domain = MOTOR_TO
         pairs: whether products of two signals are tried too.
         domain: of the channel.
     """
-    names = signal_names(signals, channel)
+    own = min(channel, signals.n - 1) + 1
+    names = ["t", *(f"{kind}_{i + 1}" for kind in ("q", "qd", "qdd") for i in range(signals.n)), f"load_{own}",
+             *([] if signals.temperature is None else [f"temp_{own}"]), *signals.extra]
+    names = [name for name in names if _varies(signals, name)]
     result = [Unknown((name,), False, (_knots(signals, name, intervals),), domain=domain)
               for name in names for intervals in (_SLOW if name == "t" else (9,))]
     directed = [name for name in names if name.startswith(("q_", "load_", "temp_")) or name == "t"]
     if domain == MOTOR_TORQUE:
         result += [Unknown((name,), True, (_knots(signals, name, 9),)) for name in directed]
     if pairs:
-        j = channel + 1
-        ours = [f"{kind}_{j}" for kind in ("q", "qd")]
-        smooth = [name for name in names if name.startswith(("q_", "qd_"))]
-        both = {tuple(sorted((a, b))) for a in ours for b in smooth if a != b and a in names}
-        both |= {tuple(sorted((a, b))) for a in smooth for b in smooth
-                 if a != b and a.split("_")[0] == b.split("_")[0]}
+        ours = {f"q_{channel + 1}", f"qd_{channel + 1}"}
+        smooth = sorted(name for name in names if name.startswith(("q_", "qd_")))
         result += [Unknown(pair, False, tuple(_knots(signals, name, 2) for name in pair), domain=domain)
-                   for pair in sorted(both)]
+                   for pair in itertools.combinations(smooth, 2)
+                   if ours & {*pair} or len({name.split("_")[0] for name in pair}) == 1]
     return result
 
 
@@ -230,7 +223,7 @@ def reversal_widths(problem: Problem, model: Model) -> Array:
             continue
         # Halved down to what the noise of the position asks for; the best is refined.
         speeds = widest * 0.5 ** np.arange(np.ceil(np.log2(widest / reversal_width[j])))
-        left = partial(_remaining, problem, design, weights, law, j, place.start)
+        left = partial(_remaining, problem, design, weights, law, j, place)
         remaining = [left(speed) for speed in speeds]
         best = int(np.argmin(remaining))
         if left(reversal_width[j]) - remaining[best] < TOLD**2:
@@ -242,31 +235,22 @@ def reversal_widths(problem: Problem, model: Model) -> Array:
     return reversal_width
 
 
-def _remaining(problem: Problem, design: Design, weights: Array, law: FrictionModel, j: int, first: int,
+def _remaining(problem: Problem, design: Design, weights: Array, law: FrictionModel, j: int, place: slice,
                speed: float) -> float:
-    """Weighted squares that remain if friction of joint ``j`` changes sign over ``speed``.
+    """Weighted squares that remain if friction of joint ``j``, whose coefficients stand at ``place``, changes sign so.
 
-    Its coefficients stand from ``first`` on among the parameters.
+    The change over ``speed`` counts with the coefficients of the model and with what is fitted to them, never alone.
     """
     s = problem.regression.signals
     qd, load, q = (values[:, [j]] for values in (s.qd, s.load, s.q))
     change = law.regressor(qd, load, q, np.tanh(qd / speed)) - law.regressor(qd, load, q, direction_of(s, j))
     design.add("reversal_width", problem.prepared(s.on_joint(j + 1, *change[:, 0].T)))
-    return _squares(design, weights, first, law.coefficients[:, 0])
-
-
-def _squares(design: Design, weights: Array, first: int, coefficients: Array) -> float:
-    """Weighted squares with the columns from ``first`` on changed by the group ``reversal_width``, refitted.
-
-    The change counts with the coefficients of the model and with what is fitted to them, never on its own.
-    """
-    G = design.gram(["W", "reversal_width"]).summed(weights, design.data.blocks.selecting.astype(float))
-    m = len(coefficients)
-    P = G.shape[0] - m - 1
+    G = design.gram(["W", "reversal_width"]).summed(weights, design.blocks.selecting.astype(float))
+    P, m = design.W.m, change.shape[2]
     M = np.zeros((len(G), P + 1))
     M[:P, :P] = np.eye(P)
-    M[P : P + m, first : first + m] = np.eye(m)
-    M[P : P + m, P] = -coefficients
+    M[P : P + m, place] = np.eye(m)
+    M[P : P + m, P] = -law.coefficients[:, 0]
     M[-1, P] = 1.0
     G = M.T @ G @ M
     scale = 1.0 / np.sqrt(np.maximum(np.diag(G)[:P], 1e-300))

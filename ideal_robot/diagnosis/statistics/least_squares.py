@@ -68,7 +68,7 @@ class Fit:
 
     def __init__(self, design: Design, keys: list[str], weights: Array, prior: Array | None = None) -> None:
         self.design, self.keys, self.weights = design, keys, weights
-        blocks = design.data.blocks
+        blocks = design.blocks
         self.fold, self.folds = blocks.fold, blocks.folds
         self.G = design.gram(keys)
         self.P = self.G.size - 1
@@ -122,7 +122,7 @@ class Fit:
 
     def refitted_weights(self) -> Array:
         """1/σ² of each channel from the squares that this fit leaves ``(c,)``; zero for an empty channel."""
-        total, number = self.squares().sum(axis=0), self.design.data.count.sum(axis=0)
+        total, number = self.squares().sum(axis=0), self.design.count.sum(axis=0)
         return np.where((number > 0) & (total > 0), number / np.maximum(total, 1e-300), 0.0)
 
     def covariance(self) -> Array:
@@ -136,7 +136,7 @@ class Fit:
         middle = scores.T @ scores * (B / max(B - 1, 1))
         bread = self.inverse
         # Few blocks cannot fill a large matrix; the model-based covariance is the floor.
-        dof = max(float(self.design.data.count[selecting].sum()) - self.P, 1.0)
+        dof = max(float(self.design.count[selecting].sum()) - self.P, 1.0)
         plain = bread * float(np.sum(self.squares()[selecting] * self.weights)) / dof
         robust = bread @ middle @ bread
         inflation = np.sqrt(np.maximum(np.diag(robust) / np.maximum(np.diag(plain), 1e-300), 1.0))
@@ -149,7 +149,7 @@ class Fit:
         where stretches are alike their scatter does not show it.
         """
         estimating = self.fold >= 0
-        count = self.design.data.count[estimating].sum(axis=0)
+        count = self.design.count[estimating].sum(axis=0)
         mean = self.squares()[estimating].sum(axis=0) / np.maximum(count, 1.0)
         share = np.maximum(1.0 - noise**2 / np.maximum(mean, 1e-300), 0.0) * count / max(float(estimating.sum()), 1.0)
         middle = self.G.summed(self.weights * share, estimating.astype(float))[: self.P, : self.P]
@@ -180,12 +180,7 @@ class Fit:
         return float(gains[0]), coefficients[0]
 
     def gains(self, key: str, count: int) -> tuple[Array, Array]:
-        """In-sample gains ``(count,)`` and coefficients ``(count, m)`` of each part of one more group by itself.
-
-        Args:
-            key: of the group.
-            count: of the parts side by side in it, each of ``m`` columns.
-        """
+        """In-sample gains ``(count,)`` and coefficients ``(count, m)`` of so many equal parts of one more group."""
         group, total = self.design.groups[key], self.design.total
         weights, m = self.weights[list(group.channels)], group.m // count
         CG = np.tensordot(weights, np.concatenate([total(key, other) for other in (*self.keys, "y")], axis=2), 1)
@@ -224,12 +219,8 @@ class Fit:
                 present: Array) -> tuple[Array, Array, Array]:
         """Schur complements: gains ``(…,)``, coefficients ``(…, m)``, and by what all others fall ``(…, P)``.
 
-        Args:
-            group: that joins.
-            CG: its weighted products with the groups fitted and ``y`` ``(…, m, P + 1)``.
-            CC: and with itself ``(…, m, m)``.
-            inverse: of the normal equations ``(…, P, P)``.
-            present: parameters without it ``(…, P)``.
+        ``CG (…, m, P + 1)`` are the weighted products of the group that joins with the groups fitted and ``y``, ``CC
+        (…, m, m)`` those with itself, ``present`` the parameters without it.
         """
         CX = CG[..., :-1]
         Z = CX @ inverse
@@ -296,9 +287,9 @@ def weights_of_channels(design: Design, keys: list[str], prior: Array | None, ro
         prior: precision of the parameters ``(P, P)``, or None.
         rounds: refits with ``keys``; after two the weights have settled.
     """
-    known, key = design.data.of_model, (design.data.blocks.folds, id(prior))
+    known, key = design.of_model, (design.blocks.folds, id(prior))
     if key not in known:
-        known[key] = Fit(design, ["W"], np.ones(design.data.c), prior).refitted_weights(), prior
+        known[key] = Fit(design, ["W"], np.ones(design.c), prior).refitted_weights(), prior
     weights = known[key][0]
     for _ in range(rounds):
         weights = Fit(design, keys, weights, prior).refitted_weights()

@@ -6,7 +6,6 @@ of a joint fit, and effects with their numbers.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -16,7 +15,7 @@ import numpy as np
 from scipy import signal
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.channels.blocks import BlockProducts, Blocks, Columns, Design
+from ideal_robot.diagnosis.channels.blocks import Blocks, Columns, Design
 from ideal_robot.diagnosis.channels.regression import FEWEST, Regression
 from ideal_robot.diagnosis.statistics.least_squares import ROUNDING, Fit, HeldOutTest, weights_of_channels
 from ideal_robot.dynamics.base_parameters import consistent_parameters
@@ -110,27 +109,21 @@ def fitted_effect(candidate: Candidate, found: Estimate, k: int, prismatic: Sequ
         prismatic: which joints slide, so that parameters of theirs are in metres and newtons ``(n,)``.
         evidence: for ``FittedEffect``.
     """
-    effect, theta = candidate.effect, tuple(float(v) for v in candidate.theta)
-    theta_std = tuple(float(v) for v in found.theta_std[k])
+    effect = candidate.effect
+    own, std, theta, theta_std = (tuple(map(float, values)) for values in (
+        found.coefficients[k], found.std[k], candidate.theta, found.theta_std[k]))
     parameters = effect.parameters(found.coefficients[k], found.std[k], theta, theta_std)
     # Geometry and curves are in units of their own, all else in those of its joint.
-    own = candidate.joint > 0 and not (isinstance(effect, GeometryChange) or effect.learned)
-    if own and prismatic[candidate.joint - 1]:
+    of_joint = candidate.joint > 0 and not (isinstance(effect, GeometryChange) or effect.learned)
+    if of_joint and prismatic[candidate.joint - 1]:
         parameters = [replace(p, unit=sliding_unit(p.unit)) for p in parameters]
-    return FittedEffect(effect.name, candidate.joint, effect.channel(candidate.joint),
-                        tuple(float(v) for v in found.coefficients[k]), tuple(float(v) for v in found.std[k]), theta,
-                        theta_std, effect.to_data(), tuple(parameters), evidence or {})
+    return FittedEffect(effect.name, candidate.joint, effect.channel(candidate.joint), own, std, theta, theta_std,
+                        effect.to_data(), tuple(parameters), evidence or {})
 
 
 def fitted_effects(candidates: Sequence[Candidate], found: Estimate, prismatic: Sequence[bool]
                    ) -> tuple[FittedEffect, ...]:
-    """All effects of a fit, in their order, with their numbers.
-
-    Args:
-        candidates: effects, joints and theta.
-        found: the joint fit.
-        prismatic: which joints slide ``(n,)``.
-    """
+    """See ``fitted_effect``. All effects of a fit, in their order."""
     return tuple(fitted_effect(candidate, found, k, prismatic) for k, candidate in enumerate(candidates))
 
 
@@ -151,29 +144,25 @@ def with_parameters(model: Model, change: Array, covariance: Array | None = None
         new.append(type(law)(law.coefficients + change[place, None], shape, presliding=law.presliding,
                              loaded=law.loaded))
         at += len(law.shape)
-    return dataclasses.replace(
-        model, base_values=base_values, friction=PerJointFriction(new),
-        covariance=model.covariance if covariance is None else covariance,
-        # The full parameters that have these base parameters and lie closest to those of before.
-        consistent=model.base.nearest_full(base_values, model.consistent))
+    # The full parameters that have these base parameters and lie closest to those of before.
+    full = model.base.nearest_full(base_values, model.consistent)
+    return replace(model, base_values=base_values, friction=PerJointFriction(new), consistent=full,
+                   covariance=model.covariance if covariance is None else covariance)
 
 
 def with_possible_inertias(model: Model, near: Array) -> Model:
     """The model with inertias that bodies can have, nearest to its base parameters.
 
     A fit of all parameters leaves what the data hardly tell anywhere within its uncertainty, also where no body could
-    have it; such an arm cannot be simulated. Predicted torques do not change, they come from the base parameters.
-
-    Args:
-        model: whose base parameters they shall have.
-        near: possible full parameters ``(p,)`` that what cannot be seen keeps near to.
+    have it; such an arm cannot be simulated. Predicted torques do not change, they come from the base parameters. What
+    cannot be seen keeps near to the possible full parameters ``near (p,)``.
 
     Raises:
         IdealRobotError: there are none near.
     """
     b = model.base.count
     possible = consistent_parameters(model.base, model.base_values, model.covariance[:b, :b], near)
-    return dataclasses.replace(model, consistent=possible.full)
+    return replace(model, consistent=possible.full)
 
 
 @dataclass(frozen=True)
@@ -201,12 +190,13 @@ class Problem:
         return cls(regression, regression.blocks(held_out))
 
     @cached_property
-    def products(self) -> BlockProducts:
-        """The rows, masked and ready for cross-products of blocks."""
+    def products(self) -> Design:
+        """The parameters of the model alone: rows that are masked and ready for cross-products of blocks."""
         r = self.regression
         if self.band not in self.made:
-            self.made[self.band] = BlockProducts(self._in_band(r.y), self._in_band(r.W), r.use, self.blocks)
-        return self.made[self.band].in_folds_of(self.blocks)
+            self.made[self.band] = Design(self._in_band(r.y), self._in_band(r.W), r.use, self.blocks)
+        bare: Design = self.made[self.band].bare(self.blocks)
+        return bare
 
     def with_regression(self, regression: Regression) -> Problem:
         """The same problem about another model."""
@@ -283,7 +273,7 @@ class Problem:
 
     def design(self, effects: Sequence[Candidate] = ()) -> Design:
         """Parameters of the model and columns of effects, with their cross-products."""
-        design = Design(self.products)
+        design = self.products.bare(self.blocks)
         for candidate in effects:
             design.add(candidate.key, self.columns(candidate))
         return design
@@ -297,29 +287,26 @@ class Problem:
             uncertainty: whether standard deviations are wanted; theta's derivative columns then join the fit.
             misfit: whether those of the effects hold what the model class leaves, for the report.
         """
-        design = self.design(effects)
-        keys = ["W", *[c.key for c in effects]]
-        weights = weights_of_channels(design, keys, self.prior)
-        fit = Fit(design, keys, weights, self.prior)
+        design, keys = self.design(effects), ["W", *[c.key for c in effects]]
+        fit = Fit(design, keys, weights_of_channels(design, keys, self.prior), self.prior)
         p = self.products.W.m
-        sizes = [design.groups[c.key].m for c in effects]
-        parts = np.split(fit.beta, np.cumsum([p, *sizes])[:-1]) if effects else [fit.beta]
+        *firsts, end = np.cumsum([p, *(design.groups[c.key].m for c in effects)])
+        change, *coefficients = np.split(fit.beta, firsts)
         if not uncertainty:
-            return Estimate(parts[0], np.zeros((p, p)), tuple(parts[1:]), (), ())
-        moved = [self._add_theta_columns(design, c, own) for c, own in zip(effects, parts[1:], strict=True)]
+            return Estimate(change, np.zeros((p, p)), tuple(coefficients), (), ())
+        moved = [self._add_theta_columns(design, c, own) for c, own in zip(effects, coefficients, strict=True)]
         extra = [key for keys_of in moved for key in keys_of if key is not None]
-        weights = fit.refitted_weights()
-        whole = Fit(design, [*keys, *extra], weights, self.prior)
+        whole = Fit(design, [*keys, *extra], fit.refitted_weights(), self.prior)
         covariance = whole.covariance()
         variance = np.maximum(np.diag(covariance), 0.0)
         # Of white noise a part of the band holds its share.
         noise = np.sqrt(self.band) * self.regression.noise_floor
         sigma = np.sqrt(variance + whole.misfit_variance(noise) if misfit else variance)
-        std = np.split(sigma[: p + sum(sizes)], np.cumsum([p, *sizes])[:-1])[1:] if effects else []
-        where = {key: p + sum(sizes) + i for i, key in enumerate(extra)}
+        where = {key: end + i for i, key in enumerate(extra)}
         theta_std, step = ([np.array([0.0 if key is None else values[where[key]] for key in keys_of])
                             for keys_of in moved] for values in (sigma, whole.beta))
-        return Estimate(parts[0], covariance[:p, :p], tuple(parts[1:]), tuple(std), tuple(theta_std), tuple(step))
+        return Estimate(change, covariance[:p, :p], tuple(coefficients), tuple(np.split(sigma[:end], firsts)[1:]),
+                        tuple(theta_std), tuple(step))
 
     def _add_theta_columns(self, design: Design, candidate: Candidate, coefficients: Array) -> list[str | None]:
         """Adds, for each physical theta, what moving it changes in the prediction, ``dC/dtheta c``; names of groups."""

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ideal_robot.diagnosis.channels.blocks import BlockProducts, Blocks, Columns, Design, time_blocks
+from ideal_robot.diagnosis.channels.blocks import Blocks, Columns, Design, time_blocks
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.search.choice import likelier
 from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms
@@ -35,8 +35,7 @@ def test_p_values_of_coloured_noise_are_honest():
         x, extra = coloured(rng, count, 0.98), coloured(rng, count, 0.98)
         W = np.stack([np.ones(count), x], axis=1)[:, None, :]
         y = coloured(rng, count)[:, None]
-        data = BlockProducts(y, W, np.ones((count, 1), bool), time_blocks(count, 0.01, held_out=False))
-        design = Design(data)
+        design = Design(y, W, np.ones((count, 1), bool), time_blocks(count, 0.01, held_out=False))
         design.add("c", Columns(extra[:, None, None], (0,)))
         p_values.append(Fit(design, ["W"], np.ones(1)).held_out_test("c").p_value)
     assert np.mean(np.array(p_values) < 0.05) < 0.12
@@ -49,8 +48,7 @@ def test_the_trial_is_what_refitting_without_each_fold_gives():
     W, C = rng.normal(size=(count, 2, 3)), rng.normal(size=(count, 2, 1))
     y = rng.normal(size=(count, 2)) + 0.3 * C[:, :, 0] + W[:, :, 0]
     blocks = time_blocks(count, 0.02, held_out=True)
-    data = BlockProducts(y, W, np.ones((count, 2), bool), blocks)
-    design, weights = Design(data), np.array([1.0, 2.0])
+    design, weights = Design(y, W, np.ones((count, 2), bool), blocks), np.array([1.0, 2.0])
     design.add("c", Columns(C, (0, 1)))
     trial = Fit(design, ["W"], weights).held_out_test("c")
     of_sample = blocks.fold[blocks.of_samples()]
@@ -124,7 +122,7 @@ def test_held_out_blocks_take_no_part():
     blocks = time_blocks(count, 0.05, held_out=True)
     spoiled = y.copy()
     spoiled[blocks.fold[blocks.of_samples()] < 0] += 100.0
-    betas = [Fit(Design(BlockProducts(values, W, np.ones((count, 1), bool), blocks)), ["W"], np.ones(1)).beta
+    betas = [Fit(Design(values, W, np.ones((count, 1), bool), blocks), ["W"], np.ones(1)).beta
              for values in (y, spoiled)]
     np.testing.assert_allclose(betas[0], betas[1])
     assert isinstance(blocks, Blocks)
@@ -138,8 +136,7 @@ def test_a_group_that_the_prior_allows_is_not_significant_and_one_beyond_it_is()
     blocks = time_blocks(count, 0.01, held_out=False)
 
     def p_value(change: float) -> float:
-        data = BlockProducts((change * x + rng.normal(size=count))[:, None], W, np.ones((count, 1), bool), blocks)
-        design = Design(data)
+        design = Design((change * x + rng.normal(size=count))[:, None], W, np.ones((count, 1), bool), blocks)
         design.add("c", Columns(x[:, None, None], (0,)))
         # The second parameter is known to 0.1; the group changes the same.
         return Fit(design, ["W"], np.ones(1), np.diag([0.0, 1.0 / 0.1**2])).p_value("c")
@@ -154,9 +151,7 @@ def test_parameters_that_leave_what_was_known_of_them_leave_squares_as_well():
     blocks = time_blocks(len(x), 0.01, held_out=False)
 
     def shares(known: float) -> tuple[float, float]:
-        data = BlockProducts((x + rng.normal(size=len(x)))[:, None], x[:, None, None], np.ones((len(x), 1), bool),
-                             blocks)
-        design = Design(data)
+        design = Design((x + rng.normal(size=len(x)))[:, None], x[:, None, None], np.ones((len(x), 1), bool), blocks)
         design.add("c", Columns(x[:, None, None], (0,)))
         fit = Fit(design, ["W"], np.ones(1), np.array([1.0 / known**2]))
         return fit.share_with_prior("c"), fit.gain("c")[0] / float(fit.squares().sum())
@@ -176,9 +171,9 @@ def test_what_a_model_class_leaves_averages_out_over_stretches_not_over_samples(
     for _ in range(200):
         # The residual follows the motion in a way that differs from one stretch to the next.
         x, misfit = coloured(rng, count, 0.97), coloured(rng, count, 0.97)
-        data = BlockProducts((2.0 * x + misfit)[:, None], x[:, None, None], np.ones((count, 1), bool), blocks)
-        fit = Fit(Design(data), ["W"], np.ones(1))
-        fit = Fit(Design(data), ["W"], fit.refitted_weights())
+        design = Design((2.0 * x + misfit)[:, None], x[:, None, None], np.ones((count, 1), bool), blocks)
+        fit = Fit(design, ["W"], np.ones(1))
+        fit = Fit(design, ["W"], fit.refitted_weights())
         variance = fit.misfit_variance(np.zeros(1))[0]
         np.testing.assert_allclose(variance, fit.inverse[0, 0] * count / blocks.count)
         assert fit.misfit_variance(1.0 / np.sqrt(fit.weights))[0] < 1e-9 * variance
@@ -195,7 +190,7 @@ def test_what_a_fold_leaves_open_says_nothing_of_candidates():
     alone = (blocks.of_samples() == 3) + 1e-4 * rng.normal(size=count)
     y = (50.0 * alone + rng.normal(size=count))[:, None]
     W = np.stack([alone, np.ones(count)], axis=1)[:, None, :]
-    fit = Fit(Design(BlockProducts(y, W, np.ones((count, 1), bool), blocks)), ["W"], np.ones(1))
+    fit = Fit(Design(y, W, np.ones((count, 1), bool), blocks), ["W"], np.ones(1))
     assert fit.held_out_squares.sum() < 2.0 * fit.squares().sum()
 
 
