@@ -36,23 +36,36 @@ GAVE_UP = SimpleNamespace(verdict="failed", effects=(), unknown=())
 
 
 def strangers(seeds: str = "40000-40044", kind: str | None = None, sizes: str = "0.5,10", processes: int = 1,
-              lines: Path | None = None, share_scale: float = 1.0, write: bool = False) -> None:
-    """Trials of the diagnosis in three engines that nothing of the program wrote: named, and nothing else named.
+              lines: Path | None = None, write: bool = False, engine: str | None = None) -> None:
+    """Trials of the diagnosis in engines that nothing of the program wrote: named, and nothing else named.
 
-    Every recording follows from its seed; the engine goes by turns (mujoco, pybullet, integrator), the kind is drawn
+    Every recording follows from its seed; the engine goes by turns (mujoco, pybullet, integrator), or is that of
+    --engine: one of these or dart, which was left out while the diagnosis was made. The kind is drawn
     (none, inside, new, outside, two, model, arm, known), --sizes are the least and most in multiples of visible. With
     --lines each score is a line of that file, and seeds that have one are not played again. --write puts the tables
-    into the page. --kind none --share-scale 0.5 plays empty recordings with all shares of the residual that are asked
-    of an effect halved, and says which factor on them each two engines ask for and what it does in the third.
-    --kind known plays healthy recordings against the model that `identify` makes of another healthy recording.
+    into the page. --kind known plays healthy recordings against the model that `identify` makes of another healthy
+    recording.
     """
     least, most = numbers(sizes, "--sizes")
-    play = partial(_play, kind=kind, size=(least, most), scale=share_scale)
+    play = partial(_play, draw=partial(draw_trial, kind=kind, engine=engine, size=(least, most)))
     scores = [s for s in _scores(whole_numbers(seeds, "--seeds"), lines, play, processes) if kind in (None, s.kind)]
-    text = report(scores) if share_scale == 1.0 else leaving_out(scores, share_scale)
+    text = report(scores)
     print(text, reliability(by_name(scores), "probability by its name"), sep="\n\n")
     if write:
-        write_tables("stranger trials" if share_scale == 1.0 else "engines left out", text)
+        write_tables("stranger trials", text)
+
+
+def shares(seeds: str = "767000-767057", scale: float = 0.5, processes: int = 1, lines: Path | None = None,
+           write: bool = False) -> None:
+    """Factor on the shares asked of effects that each two engines need, and what it does in the third.
+
+    Recordings as in `strangers` without an effect, played with all shares times --scale; options as there.
+    """
+    play = partial(_play, draw=partial(draw_trial, kind="none"), scale=scale)
+    text = leaving_out(_scores(whole_numbers(seeds, "--seeds"), lines, play, processes), scale)
+    print(text)
+    if write:
+        write_tables("engines left out", text)
 
 
 def certainty(seeds: str = "1600000-1600079", inside: str = "1600100-1600155", sizes: str = "0.1,5",
@@ -63,9 +76,10 @@ def certainty(seeds: str = "1600000-1600079", inside: str = "1600100-1600155", s
     the library has. --lines as there. The probability of a cause is what the score behind `--explain` says.
     """
     least, most = numbers(sizes, "--sizes")
-    play = partial(_play, size=(least, most), length=(15.0, 25.0), explain=True)
-    scores = [*_scores(whole_numbers(seeds, "--seeds"), lines, partial(play, kind=None)),
-              *_scores(whole_numbers(inside, "--inside"), lines, partial(play, kind="inside"))]
+    draw = partial(draw_trial, size=(least, most), seconds=(15.0, 25.0))
+    scores = [*_scores(whole_numbers(seeds, "--seeds"), lines, partial(_play, draw=draw, explain=True)),
+              *_scores(whole_numbers(inside, "--inside"), lines,
+                       partial(_play, draw=partial(draw, kind="inside"), explain=True))]
     print("\n\n".join((power(scores), detection(scores, _family), reliability(scores))))
 
 
@@ -78,8 +92,9 @@ def each_effect(seeds: str = "1970000-1970029", sizes: str = "0.1,5", lines: Pat
     least, most = numbers(sizes, "--sizes")
     scores = []
     for place, (kind, cause) in enumerate([(pool, name) for pool in SINGLE for name in POOLS[pool]]):
-        play = partial(_play, kind=kind, size=(least, most), length=(15.0, 25.0), cause=cause)
-        scores += _scores([seed + 100000 * place for seed in whole_numbers(seeds, "--seeds")], lines, play)
+        draw = partial(draw_trial, kind=kind, size=(least, most), seconds=(15.0, 25.0), cause=cause)
+        scores += _scores([seed + 100000 * place for seed in whole_numbers(seeds, "--seeds")], lines,
+                          partial(_play, draw=draw))
     print(power(scores), detection(scores, lambda cause: cause), sep="\n\n")
 
 
@@ -130,14 +145,13 @@ def _scores(wanted: list[int], lines: Path | None, play: Callable[[int], Score |
     return scores
 
 
-def _play(seed: int, *, kind: str | None, size: tuple[float, float], length: tuple[float, float] = (20.0, 45.0),
-          scale: float = 1.0, explain: bool = False, cause: str | None = None) -> Score | None:
+def _play(seed: int, *, draw: Callable[[int], Trial], scale: float = 1.0, explain: bool = False) -> Score | None:
     """Draws, diagnoses and scores one trial; None where nothing can be drawn from its seed.
 
     A diagnosis that gives up has said nothing, and is never right.
     """
     try:
-        trial = draw_trial(seed, kind, None, size, length, cause)
+        trial = draw(seed)
     except RuntimeError as error:
         print(error, flush=True)
         return None

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import chain_of
@@ -17,7 +18,7 @@ from ideal_robot.robots.robot import Robot
 from studies.strangers import drive
 from studies.strangers.arm import Arm, Motion, arm_of, draw_motion, random_urdf
 from studies.strangers.logger import Logger, draw_logger
-from studies.strangers.plant import CONSTRAINT, Plant, draw_plant
+from studies.strangers.plant import CONSTRAINT, Plant, draw_plant, with_observer
 
 LINK = '<link name="{name}">{inertial}</link>'
 INERTIAL = ('<inertial><origin xyz="0 0 0.1"/><mass value="{mass}"/>'
@@ -76,6 +77,7 @@ def written(folder: Path, text: str, name: str = "bare") -> Path:
 
 # Strangers: one arm, bare or with some of what drives have.
 
+
 def an_arm(seed: int = 3, n: int = 3) -> Arm:
     rng = np.random.default_rng(seed)
     return arm_of(rng, "chain", random_urdf(rng, n))
@@ -85,8 +87,11 @@ def a_motion(arm: Arm, seconds: float = 3.0, kind: str = "fourier") -> Motion:
     return draw_motion(np.random.default_rng(5), arm, seconds, kind)
 
 
-def a_plant(arm: Arm, *, friction: bool = True, stiffness: float = np.inf, kind: int = CONSTRAINT) -> Plant:
-    """A plant under the cascade, gears rigid or as stiff as said."""
+def a_plant(arm: Arm, *, friction: bool = True, stiffness: float = np.inf, kind: int = CONSTRAINT,
+            engine: str = "") -> Plant:
+    """A plant under the cascade, or what DART has, which may not be here; gears rigid or as stiff as said."""
+    if engine == "dart":
+        pytest.importorskip("dartpy", exc_type=ImportError)
     rng = np.random.default_rng(1)
     plant = draw_plant(rng, arm)
     while plant.controller != "cascade":
@@ -94,8 +99,9 @@ def a_plant(arm: Arm, *, friction: bool = True, stiffness: float = np.inf, kind:
     n, block = arm.n, plant.block.copy()
     if not friction:
         block[[drive.COULOMB, drive.VISCOUS]] = 0.0
-    return dataclasses.replace(plant, block=block, stiffness=np.full(n, stiffness), damping=np.full(n, 5.0),
-                               regularisation=np.full(n, kind), presliding=np.full(n, 5e-4), v_smooth=np.full(n, 2e-3))
+    plant = dataclasses.replace(plant, block=block, stiffness=np.full(n, stiffness), damping=np.full(n, 5.0),
+                                regularisation=np.full(n, kind), presliding=np.full(n, 5e-4), v_smooth=np.full(n, 2e-3))
+    return with_observer(rng, plant) if engine == "dart" else plant
 
 
 def a_logger(rng: np.random.Generator, n: int, qa: tuple[int, ...] = (), **wanted: Any) -> Logger:

@@ -1,7 +1,8 @@
 """What happens in a drive, compiled: the controller, the level of dry friction, and torques that effects add.
 
-Engines differ in how bodies, springs and standstill are integrated; what a drive does with a current is the same. The
-formulas are not those of the effect library on purpose, where nature leaves a choice.
+Engines differ in how bodies, springs and standstill are integrated; what a drive does with a current is the same in
+three of them, another make in the fourth (``observer_step``). The formulas are not those of the effect library on
+purpose, where nature leaves a choice.
 """
 
 from __future__ import annotations
@@ -26,13 +27,25 @@ from studies.strangers.arm import STEP
 (GAIN, OFFSET) = range(33, 35)
 # Controller:
 (C_KV, C_KFF, C_KP, C_KI, C_LIMIT, C_FILTER) = range(35, 41)
-ROWS = 41
+# Drive of the other make: inertia it reckons with [kg m²], bandwidths of its loop and of its observer [rad/s], time
+# constant of its current loop [s], step of its encoder [rad].
+(O_INERTIA, O_PACE, O_WATCH, O_CURRENT, O_COUNT) = range(41, 46)
+ROWS = 46
 # Rows of the result of ``drive_step``: torque the controller believes in, torque that acts on the rotor, level of dry
 # friction, coefficient of fluid friction.
 (BELIEVED, ACTING, LEVEL, FLUID) = range(4)
 RESULTS = 4
 # Rows of the controller's state: filtered velocity, last position, integral, torque.
 STATES = 4
+# The same of the other make: estimates of position, velocity and disturbing acceleration, torque of the next cycle and
+# of this one, torque by the current that flows.
+(SEEN_Q, SEEN_V, DISTURBED, NEXT, NOW, CURRENT) = range(6)
+OBSERVER_STATES = 6
+# Maxwell slip: four elements, each a spring that slides at a share of the level. After a reversal all slide at
+# twice their own way; together they then follow Dahl's curve of the joint's way, in straight pieces.
+_ELEMENT_WAY = np.array([0.125, 0.375, 0.75, 1.5])
+_ELEMENT_SHARE = np.array([0.068, 0.210, 0.276, 0.446])
+ELEMENTS = 4
 
 
 def parameters(n: int) -> Array:
@@ -153,3 +166,60 @@ def drive_step(k: int, every: int, P: Array, x: Array, moved: Array, wanted: Arr
         out[ACTING, j] = (x[3, j] - P[OFFSET, j]) / P[GAIN, j] - resisted(P, j, t, q[j])
         out[LEVEL, j] = dry_level(P, j, t, q, v[j], load[j])
         out[FLUID, j] = fluid(P, j, t, v[j])
+
+
+@jit()
+def observer_step(k: int, every: int, P: Array, x: Array, moved: Array, wanted: Array, out: Array) -> None:
+    """One step of all drives of the other make: state feedback that takes off what a disturbance observer sees.
+
+    Linear active disturbance rejection, its bandwidths being its only gains (Gao 2003); the observer is the discrete
+    current one (Miklosovic, Radke & Gao 2006). It reads its encoder's steps, its torque is set a cycle later, and a
+    current loop follows. The current that flows is what the drive reports.
+
+    Args:
+        k: number of the step.
+        every: steps per cycle of the controller.
+        P: parameter block ``(ROWS, n)``.
+        x: state of the controller ``(OBSERVER_STATES, n)``, changed in place.
+        moved: as for ``drive_step``.
+        wanted: desired position, velocity and acceleration ``(3, n)`` [rad, s].
+        out: ``(RESULTS, n)``, the result.
+    """
+    t, q, load, v, dt = k * STEP, moved[0], moved[1], moved[2], every * STEP
+    for j in range(q.shape[0]):
+        if k % every == 0:
+            pace, pole = P[O_PACE, j], math.exp(-P[O_WATCH, j] * dt)
+            pushed = x[CURRENT, j] / P[O_INERTIA, j] + x[DISTURBED, j]
+            seen = x[SEEN_Q, j] + dt * x[SEEN_V, j] + 0.5 * dt * dt * pushed
+            error = P[O_COUNT, j] * round(q[j] / P[O_COUNT, j]) - seen
+            x[SEEN_Q, j] = seen + (1.0 - pole**3) * error
+            x[SEEN_V, j] += dt * pushed + 1.5 / dt * (1.0 - pole) ** 2 * (1.0 + pole) * error
+            x[DISTURBED, j] += (1.0 - pole) ** 3 / dt**2 * error
+            x[NOW, j] = x[NEXT, j]
+            x[NEXT, j] = P[O_INERTIA, j] * (wanted[2, j] + pace * pace * (wanted[0, j] - x[SEEN_Q, j])
+                                            + 2.0 * pace * (wanted[1, j] - x[SEEN_V, j]) - x[DISTURBED, j])
+        x[CURRENT, j] += (1.0 - math.exp(-STEP / P[O_CURRENT, j])) * (x[NOW, j] - x[CURRENT, j])
+        out[BELIEVED, j] = x[CURRENT, j]
+        out[ACTING, j] = (x[CURRENT, j] - P[OFFSET, j]) / P[GAIN, j] - resisted(P, j, t, q[j])
+        out[LEVEL, j] = dry_level(P, j, t, q, v[j], load[j])
+        out[FLUID, j] = fluid(P, j, t, v[j])
+
+
+@jit()
+def slipped(level: Array, way: Array, damping: Array, v: Array, x: Array, out: Array) -> None:
+    """Friction of Maxwell's elements in the next step (Al-Bender, Lampaert & Swevers 2005): its memory is not local.
+
+    Args:
+        level: of dry friction ``(n,)`` [N m].
+        way: after a reversal, over which most of the level is turned ``(n,)`` [rad].
+        damping: of the elements that stick, were it all of them ``(n,)`` [N m s/rad].
+        v: velocity ``(n,)`` [rad/s].
+        x: force of each element over its share of the level, -1 … 1, ``(ELEMENTS, n)``, changed in place.
+        out: ``(n,)``, the result [N m].
+    """
+    for j in range(v.shape[0]):
+        out[j] = 0.0
+        for i in range(ELEMENTS):
+            pulled = x[i, j] + v[j] * STEP / (_ELEMENT_WAY[i] * way[j])
+            x[i, j] = min(max(pulled, -1.0), 1.0)
+            out[j] += _ELEMENT_SHARE[i] * (level[j] * x[i, j] + (damping[j] * v[j] if x[i, j] == pulled else 0.0))

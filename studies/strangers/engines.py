@@ -1,10 +1,11 @@
-"""The engines: MuJoCo and our PyBullet arm as the plant, beside the independent integrator.
+"""The engines: MuJoCo, our PyBullet arm and DART as the plant, beside the independent integrator.
 
 MuJoCo has effects by its own means wherever it can: dry friction is its ``frictionloss``, whose level changes with what
 the drive says and whose softness, some mrad/s of creep, is the engine's own default; smooth friction is its implicit
 joint damping. Elastic gears are a second joint in series with a spring, a gap is a limit of that joint, cables and
 balance springs are tendons, a shaft that turns two joints is a tendon with inertia and friction, a tilted base is
-tilted gravity. PyBullet's arm has its world keys, and the rest as additional torque on the motors.
+tilted gravity. PyBullet's arm has its world keys, and the rest as additional torque on the motors. DART, which was left
+out while the diagnosis was made, has drives and friction of its own, and gears by its implicit joint springs.
 """
 
 from __future__ import annotations
@@ -14,12 +15,14 @@ import math
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
 from ideal_robot.jit import jit
 from ideal_robot.robots.robot import Robot
 from sim.arm.arm import SimulatedArm
@@ -28,7 +31,6 @@ from sim.bullet import pybullet
 from studies.strangers import drive, integrator
 from studies.strangers.arm import STEP, Motion, joint_axes, sliding, written
 from studies.strangers.drive import ACTING, BELIEVED, CABLE, CABLE_REST, FLUID, LEVEL, RESULTS, STATES, drive_step
-from studies.strangers.integrator import spring_torque
 from studies.strangers.plant import BRISTLE, CONSTRAINT, DAHL, TANH, Plant, Run
 
 
@@ -236,7 +238,7 @@ def _rest(plant: Plant) -> Callable[[float, Array, Array, Array], Array] | None:
             result[j] = (-drive.resisted(block, j, t, float(q[j])) - block[drive.OFFSET, j] - fluid * speed
                          - level * math.tanh(speed / 2e-3))
         for spring in plant.balancers:
-            result[spring.joint] -= spring_torque(spring, float(q[spring.joint]))
+            result[spring.joint] -= spring.torque(float(q[spring.joint]))
         return result
 
     return torque
@@ -290,10 +292,100 @@ def _in_pybullet(plant: Plant, motion: Motion) -> Run:
     return Run(history["t"], motion.q[:rows], history["q"], history["q_a"], history["tau"])
 
 
+def dart() -> Any:
+    """The module of DART.
+
+    Raises:
+        InputError: it is not installed, or the system lacks what its viewer is linked to.
+    """
+    try:
+        import dartpy
+    except ImportError as error:
+        raise InputError(f"DART cannot be loaded ({error}): pip install dartpy, and on Linux apt-get install libgl1",
+                         field="--engine", value="dart") from error
+    return dartpy
+
+
+def _tree(plant: Plant) -> Any:
+    """The plant in DART: joints ``m1 …`` of the motors, ``s1 …`` of the twist of gears that are not rigid.
+
+    DART's joint damping D is implicit: with D = J/STEP, and ``D v`` given back as torque, a joint has a rotor's J.
+    """
+    dartpy = dart()
+    tree, dynamics, body = dartpy.dynamics.Skeleton("stranger"), dartpy.dynamics, None
+    tree.setTimeStep(STEP)
+    tree.setGravity(plant.model.gravity.linear)
+    slides, axes, (k_gear, d_gear) = sliding(plant.model), joint_axes(plant.model), plant.springs()
+
+    def below(name: str, j: int, placement: pin.SE3) -> Any:
+        kind = "Prismatic" if slides[j] else "Revolute"
+        properties = getattr(dynamics, f"{kind}JointProperties")()
+        properties.mName, properties.mAxis = f"{name}{j + 1}", axes[j, :3] if slides[j] else axes[j, 3:]
+        properties.mT_ParentBodyToJoint = dartpy.math.Isometry3(placement.homogeneous)
+        return getattr(tree, f"create{kind}JointAndBodyNodePair")(body, properties)
+
+    for j in range(plant.n):
+        joint, body = below("m", j, plant.model.jointPlacements[j + 1])
+        joint.setDampingCoefficient(0, plant.rotor[j] / STEP)
+        if plant.elastic[j]:
+            body.setInertia(dynamics.Inertia(1e-9, np.zeros(3), 1e-12 * np.eye(3)))
+            joint, body = below("s", j, pin.SE3.Identity())
+            joint.setSpringStiffness(0, k_gear[j])
+            joint.setDampingCoefficient(0, d_gear[j])
+        link = plant.model.inertias[j + 1]
+        body.setInertia(dynamics.Inertia(link.mass, link.lever, link.inertia))
+    return tree
+
+
+def _in_dart(plant: Plant, motion: Motion) -> Run:
+    n, N, tree, block = plant.n, len(motion.t), _tree(plant), plant.block
+    dofs = {dof.getName(): i for i, dof in enumerate(tree.getDofs())}
+    motor, elastic = np.array([dofs[f"m{j + 1}"] for j in range(n)]), np.flatnonzero(plant.elastic)
+    twist = np.array([dofs[f"s{j + 1}"] for j in elastic], dtype=int)
+    (k_gear, d_gear), load = plant.springs(), plant.holding(motion.q[0])
+    stops = [(dofs[f"s{j + 1}"], 0.5 * plant.gap[j], k_gear[j], d_gear[j]) for j in np.flatnonzero(plant.gap)]
+    q, force = np.zeros(len(dofs)), np.zeros(len(dofs))
+    q[motor], q[twist] = motion.q[0], -(load / k_gear + np.sign(load) * 0.5 * plant.gap)[elastic]
+    tree.setPositions(q)
+    x, out = plant.held(motion.q[0]), np.zeros((RESULTS, n))
+    slip, friction = np.zeros((drive.ELEMENTS, n)), np.zeros(n)
+    # The elements are lightly damped against the rotor.
+    damping = 0.6 * np.sqrt(block[drive.COULOMB] / plant.presliding * plant.rotor)
+    wanted, log = plant.wanted(motion), np.zeros((3, N, n))
+    for k in range(N):
+        q, v = tree.getPositions(), tree.getVelocities()[motor]
+        log[0, k] = log[1, k] = q[motor]
+        log[1, k, elastic] += q[twist]
+        drive.observer_step(k, plant.cycle, block, x, np.array([log[0, k], load, v]), wanted[k], out)
+        log[2, k] = out[BELIEVED]
+        drive.slipped(out[LEVEL], plant.presliding, damping, v, slip, friction)
+        acts = out[ACTING] - friction - out[FLUID] * v
+        for s in plant.balancers:
+            acts[s.joint] -= s.torque(float(log[0, k, s.joint]))
+        force[motor] = acts + plant.rotor / STEP * v
+        for i, half, stiffness, damper in stops:
+            joint, touches = tree.getJoint(i), float(abs(q[i]) > half)
+            joint.setRestPosition(0, math.copysign(half, q[i]))
+            joint.setSpringStiffness(0, touches * stiffness)
+            joint.setDampingCoefficient(0, touches * damper)
+        tree.setForces(force)
+        tree.computeForwardDynamics()
+        tree.integrateVelocities(STEP)
+        tree.integratePositions(STEP)
+        load = acts - plant.rotor * (tree.getVelocities()[motor] - v) / STEP
+    if not np.isfinite(log[0]).all() or np.abs(log[0] - motion.q).max() > 2.0:
+        raise RuntimeError("the plant left its path")
+    # The drive reports what its encoder read.
+    log[0] = block[drive.O_COUNT] * np.round(log[0] / block[drive.O_COUNT])
+    return Run(motion.t, motion.q, *log)
+
+
 Engine = Callable[[Plant, Motion], Run]
 
 ENGINES: dict[str, Engine] = {
-    "mujoco": _in_mujoco, "pybullet": _in_pybullet, "integrator": integrator.simulate,
+    "mujoco": _in_mujoco, "pybullet": _in_pybullet, "integrator": integrator.simulate, "dart": _in_dart,
 }
-NOT_IN = {"pybullet": frozenset({"axis_coupling", "drive_gain"})}
+TURNS = ("mujoco", "pybullet", "integrator")
+"""The engines that the diagnosis was made with, in which seeds are drawn by turns."""
+NOT_IN = {"pybullet": frozenset({"axis_coupling", "drive_gain"}), "dart": frozenset({"axis_coupling"})}
 """Effects that an engine has no means for."""

@@ -19,7 +19,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.jit import jit
 from studies.strangers.arm import STEP, Motion
 from studies.strangers.drive import ACTING, BELIEVED, FLUID, LEVEL, RESULTS, STATES, drive_step
-from studies.strangers.plant import BRISTLE, CONSTRAINT, TANH, BalanceSpring, Coupling, Plant, Run
+from studies.strangers.plant import BRISTLE, CONSTRAINT, TANH, Coupling, Plant, Run
 
 _SWEEPS, _TOLERANCE = 30, 1e-9
 # Rows of the state: motors' position, gears' load, motors' velocity, bristles' deflection over the one of sliding, dry
@@ -225,7 +225,7 @@ def _pushed(plant: Plant, push: Array, x: Array) -> Array:
         push[coupling.joint] -= torque
         push[coupling.partner] -= coupling.sense * torque
     for spring in plant.balancers:
-        push[spring.joint] -= spring_torque(spring, float(x[Q, spring.joint]))
+        push[spring.joint] -= spring.torque(float(x[Q, spring.joint]))
     return push
 
 
@@ -264,9 +264,3 @@ def _coupled(coupling: Coupling, n: int, inertia: float) -> Array:
     row = np.zeros(n)
     row[coupling.joint], row[coupling.partner] = 1.0, coupling.sense
     return inertia * np.outer(row, row)
-
-
-def spring_torque(s: BalanceSpring, q: float) -> float:
-    """Torque of the balance spring that the motor works against [N m]: dU/dq of ``k/2 (l - rest)²``."""
-    length = math.sqrt(s.reach**2 + s.lever**2 - 2.0 * s.reach * s.lever * math.cos(q - s.angle))
-    return s.stiffness * (length - s.rest) * s.reach * s.lever * math.sin(q - s.angle) / length

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
+from scipy import signal
 
 from ideal_robot.arrays import Array
 from studies.strangers import drive
-from studies.strangers.arm import Arm, Motion
+from studies.strangers.arm import STEP, Arm, Motion
 
-CONSTRAINT, TANH, BRISTLE, DAHL = range(4)
-"""How friction passes through standstill: hard, smooth in velocity, by bristles with damping, by Dahl's state."""
-REGULARISATIONS = ("constraint", "tanh", "bristle", "dahl")
+CONSTRAINT, TANH, BRISTLE, DAHL, MAXWELL = range(5)
+"""How friction passes through standstill: hard, smooth in velocity, by bristles with damping, by Dahl's state, by
+Maxwell's elements, which only the arm under an observer has."""
+REGULARISATIONS = ("constraint", "tanh", "bristle", "dahl", "maxwell")
 CONTROLLERS = ("cascade", "pd_gravity", "computed_torque")
 
 
@@ -53,6 +56,11 @@ class BalanceSpring:
     lever: float
     angle: float
 
+    def torque(self, q: float) -> float:
+        """Torque that the motor works against [N m]: dU/dq of ``k/2 (l - rest)²``."""
+        length = math.sqrt(self.reach**2 + self.lever**2 - 2.0 * self.reach * self.lever * math.cos(q - self.angle))
+        return self.stiffness * (length - self.rest) * self.reach * self.lever * math.sin(q - self.angle) / length
+
 
 @dataclass(frozen=True)
 class Plant:
@@ -68,10 +76,11 @@ class Plant:
         regularisation: of each joint's dry friction ``(n,)``.
         v_smooth: velocity over which ``tanh`` passes zero ``(n,)`` [rad/s].
         presliding: displacement over which bristles yield ``(n,)`` [rad].
-        controller: one of ``CONTROLLERS``.
+        controller: one of ``CONTROLLERS``, or ``observer`` in the engine that was left out.
         cycle: of the controller, in steps.
         known: the controller's own idea of the rigid body, with errors.
         couplings, balancers: of some joints; two effects of a recording may be of one kind.
+        filtered: time over which the command is averaged before an observer's drive gets it, twice [s].
     """
 
     arm: Arm
@@ -89,6 +98,7 @@ class Plant:
     known: pin.Model
     couplings: tuple[Coupling, ...] = ()
     balancers: tuple[BalanceSpring, ...] = ()
+    filtered: float = 0.0
 
     @property
     def n(self) -> int:
@@ -107,7 +117,16 @@ class Plant:
         return k, np.where(np.isfinite(self.stiffness), self.damping, 0.1 * np.sqrt(k * self.arm.mass))
 
     def wanted(self, motion: Motion) -> Array:
-        """Desired position and velocity, and the torque that the controller sends ahead of its loops ``(N, 3, n)``."""
+        """What the drives are given ``(N, 3, n)``: position, velocity, and the torque sent ahead of their loops.
+
+        An observer's drives get the path averaged twice, and its acceleration in the place of a torque.
+        """
+        if self.controller == "observer":
+            path, taps = motion.q - motion.q[0], max(round(self.filtered / STEP), 1)
+            for _ in range(2):
+                path = signal.lfilter(np.full(taps, 1.0 / taps), 1.0, path, axis=0)
+            speed = np.gradient(path, STEP, axis=0)
+            return np.stack([motion.q[0] + path, speed, np.gradient(speed, STEP, axis=0)], axis=1)
         forward = np.zeros_like(motion.q)
         if self.controller != "cascade":
             rows = np.unique(np.append(np.arange(0, len(motion.t), 8), len(motion.t) - 1))
@@ -123,6 +142,17 @@ class Plant:
     def holding(self, q: Array) -> Array:
         """Gravity torque at rest ``(n,)`` [N m]."""
         return np.asarray(pin.computeGeneralizedGravity(self.model, self.model.createData(), q)).copy()
+
+    def held(self, q: Array) -> Array:
+        """State of an observer's drives that hold the arm at ``q (n,)``, ``(drive.OBSERVER_STATES, n)``."""
+        x, torque = np.zeros((drive.OBSERVER_STATES, self.n)), self.holding(q)
+        for j in range(self.n):
+            torque[j] += drive.resisted(self.block, j, 0.0, q[j])
+        for spring in self.balancers:
+            torque[spring.joint] += spring.torque(float(q[spring.joint]))
+        x[drive.SEEN_Q], x[drive.NEXT :] = q, self.block[drive.GAIN] * torque + self.block[drive.OFFSET]
+        x[drive.DISTURBED] = -x[drive.CURRENT] / self.block[drive.O_INERTIA]
+        return x
 
 
 @dataclass(frozen=True)
@@ -177,3 +207,29 @@ def draw_plant(rng: np.random.Generator, arm: Arm) -> Plant:
     return Plant(arm, arm.model, block, rotor, stiffness, damping, np.zeros(n), np.full(n, kind),
                  np.full(n, float(np.exp(rng.uniform(np.log(5e-4), np.log(5e-3))))),
                  np.exp(rng.uniform(np.log(2e-4), np.log(1.5e-3), n)), controller, cycle, known)
+
+
+def with_observer(rng: np.random.Generator, plant: Plant) -> Plant:
+    """The same arm with drives of another make and Maxwell's elements in all joints.
+
+    The observer is three to five times as fast as the loop (Gao 2003; Herbst 2013). As a commissioner would, it stays
+    below a fifth over the delay of cycle and current loop and below the frequency of soft gears. Encoders count 2^14
+    to 2^20 a turn of the motor behind gears of 60 to 160.
+
+    Args:
+        rng: source of the draw.
+        plant: healthy, as ``draw_plant`` has it.
+    """
+    n, block = plant.n, plant.block.copy()
+    elastic = bool(plant.elastic.any())
+    cycle = int(rng.choice([1, 2, 4]))
+    block[drive.O_CURRENT] = rng.uniform(3e-4, 1e-3)
+    block[drive.O_INERTIA] = (plant.rotor + (0.3 if elastic else 1.0) * plant.arm.mass) * rng.uniform(0.7, 1.2, n)
+    ratio = rng.uniform(3.0, 5.0)
+    watch = np.full(n, min(rng.uniform(15.0, 30.0) * ratio, 0.2 / (1.5 * cycle * STEP + block[drive.O_CURRENT, 0])))
+    if elastic:
+        watch = np.minimum(watch, 0.6 * np.sqrt(plant.stiffness / np.maximum(plant.arm.mass, 0.2 * plant.rotor)))
+    block[drive.O_WATCH], block[drive.O_PACE] = watch, watch / ratio
+    block[drive.O_COUNT] = 2.0 * np.pi / (2.0 ** rng.integers(14, 21) * rng.uniform(60.0, 160.0, n))
+    return replace(plant, block=block, controller="observer", cycle=cycle, regularisation=np.full(n, MAXWELL),
+                   filtered=float(rng.uniform(0.004, 0.02)))

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.errors import IdealRobotError
+from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.signals.recording import Recording
 from studies.strangers.arm import Motion, draw_arm, draw_motion
 from studies.strangers.effects import ARM, INSIDE, Draw, Drawn, Setup, Values
-from studies.strangers.engines import ENGINES, NOT_IN
+from studies.strangers.engines import ENGINES, NOT_IN, TURNS, dart
 from studies.strangers.logger import Logger, Reading, draw_logger, read, record, sizes, twist_sizes
 from studies.strangers.other_effects import AGAINST_MODEL, NEW, OUTSIDE
-from studies.strangers.plant import BRISTLE, DAHL, REGULARISATIONS, Plant, Run, draw_plant
+from studies.strangers.plant import BRISTLE, DAHL, MAXWELL, REGULARISATIONS, Plant, Run, draw_plant, with_observer
 
 WHOLE_ARM = 0
 
@@ -49,7 +49,7 @@ LAST_BUT_ONE_ONLY = frozenset({("link_load", "payload")})
 """Pairs that hold only where the load sits on the last link but one."""
 
 HEALTHY: dict[str, str] = {
-    "presliding_hysteresis": "the plant's friction goes through standstill by bristles or Dahl's state in every joint",
+    "presliding_hysteresis": "the plant's friction goes through standstill by bristles, Dahl's state or Maxwell's",
     "arm:joint_elasticity": "all gears of the plant are elastic, which arm angles show",
     "joint_elasticity": "all gears of the plant are elastic, and say nothing but their stiffness",
     "common_delay": "the logger averaged or filtered all torques; as one cause of the whole arm",
@@ -141,15 +141,19 @@ def draw_trial(seed: int, kind: str | None = None, engine: str | None = None, si
     Args:
         seed: everything follows from it.
         kind: one of ``KINDS``; drawn if None, more than a third of them ``none``.
-        engine: one of ``ENGINES``; by turns with the seed if None.
+        engine: one of ``ENGINES``; of ``TURNS`` by turns with the seed if None.
         size: range of the effect's size in multiples of visible, drawn evenly in its logarithm.
         seconds: range of the recording's length [s].
         cause: the effect, of those of a kind with one; drawn if None.
+
+    Raises:
+        InputError: there is no such engine, or its library is not installed.
+        RuntimeError: nothing can be drawn from the seed.
     """
     rng = np.random.default_rng([seed, 40013])
     drawn_kind = str(rng.choice(KINDS, p=SHARES))
     kind = drawn_kind if kind is None else kind
-    engine = list(ENGINES)[seed % len(ENGINES)] if engine is None else engine
+    engine = TURNS[seed % len(TURNS)] if engine is None else _playable(engine)
     for _ in range(25):
         try:
             trial = _attempt(rng, seed, kind, engine, size, seconds, cause)
@@ -161,12 +165,22 @@ def draw_trial(seed: int, kind: str | None = None, engine: str | None = None, si
     raise RuntimeError(f"no trial of kind {kind} in {engine} from seed {seed}")
 
 
+def _playable(engine: str) -> str:
+    if engine not in ENGINES:
+        raise InputError(f"the engines are {', '.join(ENGINES)}", field="--engine", value=engine)
+    if engine == "dart":
+        dart()
+    return engine
+
+
 def _attempt(rng: np.random.Generator, seed: int, kind: str, engine: str, size: tuple[float, float],
              seconds: tuple[float, float], cause: str | None) -> Trial | None:
     arm = draw_arm(rng)
     plant = draw_plant(rng, arm)
     if engine == "pybullet":
         plant = dataclasses.replace(_with_cascade(rng, plant), regularisation=np.full(arm.n, BRISTLE))
+    elif engine == "dart":
+        plant = with_observer(rng, plant)
     duration = float(rng.uniform(*seconds))
     motion = draw_motion(rng, arm, duration)
     qa = tuple(range(int(rng.integers(min(2, arm.n), arm.n + 1)))) if kind == "arm" else None
@@ -235,7 +249,7 @@ def _truly_there(setup: Setup) -> frozenset[tuple[str, int]]:
     """What is true of the plant and its logger beside the causes, see ``equivalents.HEALTHY``."""
     plant, found = setup.plant, set()
     for j in range(plant.n):
-        if plant.regularisation[j] in (BRISTLE, DAHL):
+        if plant.regularisation[j] in (BRISTLE, DAHL, MAXWELL):
             found.add(("presliding_hysteresis", j + 1))
         if np.isfinite(plant.stiffness[j]) and np.isfinite(plant.stiffness).all():
             found |= {("joint_elasticity", j + 1), ("arm:joint_elasticity", j + 1)}

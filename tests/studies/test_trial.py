@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from ideal_robot.diagnosis.validation.argument import Argument, Weighed
+from ideal_robot.errors import InputError
 from ideal_robot.signals.recording import Recording
 from studies.__main__ import GROUPS, STUDIES, main
 from studies.diagnoses import by_name
 from studies.strangers.effects import INSIDE, Setup
-from studies.strangers.engines import ENGINES
+from studies.strangers.engines import ENGINES, TURNS
 from studies.strangers.logger import draw_logger, left, read, record, sizes
 from studies.strangers.other_effects import NEW
 from studies.strangers.score import Score, detection, leaving_out, power, probability, rates, reliability, score
@@ -25,10 +26,19 @@ ARM = an_arm()
 
 @pytest.mark.parametrize("engine", sorted(ENGINES))
 def test_a_seed_gives_the_same_recording_bit_for_bit(engine: str) -> None:
+    if engine == "dart":
+        pytest.importorskip("dartpy", exc_type=ImportError)
     one, two = (draw_trial(7, "none", engine, seconds=(4.0, 5.0)) for _ in range(2))
     assert one.recording.hash == two.recording.hash
     assert one.urdf == two.urdf
     assert draw_trial(10, "none", engine, seconds=(4.0, 5.0)).recording.hash != one.recording.hash
+
+
+def test_an_engine_that_was_left_out_is_drawn_only_by_its_name() -> None:
+    assert "dart" in ENGINES
+    assert [draw_trial(seed, "none", seconds=(4.0, 4.1)).engine for seed in (0, 1, 2)] == list(TURNS)
+    with pytest.raises(InputError, match="the engines are mujoco"):
+        draw_trial(0, engine="moon")
 
 
 def test_size_that_came_out_is_near_the_one_drawn() -> None:
@@ -313,7 +323,8 @@ def test_every_study_can_be_called(capsys: pytest.CaptureFixture[str]) -> None:
         assert f"python -m studies {name}" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("words", [["dance"], ["closings", "none.jsonl", "--count", "0"], ["world", "--moon"]])
+@pytest.mark.parametrize("words", [["dance"], ["closings", "none.jsonl", "--count", "0"], ["world", "--moon"],
+                                   ["strangers", "--engine", "moon"]])
 def test_what_cannot_be_played_is_said_in_a_line(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(words)
