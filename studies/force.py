@@ -21,9 +21,9 @@ from planning.line.filter_bank import FilterBank
 from planning.line.fusion import DeviationFilter
 from planning.line.measurement import Measurement
 from scenes.commands.common import numbers, whole_numbers
-from scenes.force.cell import Cell, set_up
+from scenes.force.cell import Cell, calibrated, friction_shown, set_up
 from scenes.force.kind import run
-from scenes.force.play import ForceResult, calibrated, friction_shown, methods, play, pressed
+from scenes.force.play import ForceResult, methods, play, pressed
 from scenes.methods import DIRECT, IDEAL, method_of
 from scenes.online.force_task import ForceTask
 from scenes.scene_files.force_scene import ForceScene

@@ -84,12 +84,10 @@ class Closing(ShownTable):
     """What came of a closing.
 
     Attributes:
-        scene: what was played.
         undeclared: effects that the world holds and the model does not know.
         plays: with the model as it was (``before``), as extended (``after``), and with what an oracle is told
             (``oracle``); others by the kind of scene.
         closed: extended model, every trial, and what was found.
-        words: of the kind of scene.
         recordings: file name → recording that is kept, the first one what was diagnosed at first.
         more: what the kind adds to the JSON.
         section: adds a section of its own to the page.
@@ -164,11 +162,11 @@ class Closing(ShownTable):
         for refused in self.refusals():
             page.warning(f"{refused[:1].upper()}{refused[1:]}.")
         page.heading("Before and after")
-        page.table(list(self.rows()[0]), self.rows()[1], self.words.caption)
+        page.table(*self.table(), self.words.caption)
         if self.words.axes is not None:
             page.figure(self._curves(*self.words.axes[:2]), self.words.axes[2])
         page.heading("What was tried, and what stays")
-        page.table(list(self.ladder()[0]), self.ladder()[1],
+        page.table(*self.ladder(),
                    f"{self.words.decides} A change stays where it falls by more than one standard error: of its "
                    "scatter along the motion and from play to play.")
         self.section(page)
@@ -210,10 +208,8 @@ _STEPS = 80
 def at_speeds(motion: Array, slownesses: tuple[float, ...]) -> Array:
     """A joint motion ``(N, n)`` [rad] at several speeds, one after the other ``(M, n)`` [rad]."""
     rows = np.arange(len(motion))
-    parts = [interpolated(np.arange(0.0, len(motion) - 1, 1.0 / slowness), rows, motion)
-             for slowness in slownesses]
-    s = np.linspace(0.0, 1.0, _STEPS)[:, None]
-    ease = eased(s)
+    parts = [interpolated(np.arange(0.0, len(motion) - 1, 1.0 / slowness), rows, motion) for slowness in slownesses]
+    ease = eased(np.linspace(0.0, 1.0, _STEPS)[:, None])
     return np.concatenate([parts[0], *[np.concatenate([a[-1] + (b[0] - a[-1]) * ease, b]) for a, b in pairwise(parts)]])
 
 
@@ -249,8 +245,7 @@ def tool_deviation(recording: Recording, wanted: tuple[Array, Array, Array], rob
 def _deflections(model: Model, t: Array, q_d: Array, at: Array) -> Array:
     """Deflection of the gears ``(M, n)`` [rad] at times ``(M,)`` [s], as a model expects it along a motion."""
     gears = GearDeflection(model, float(t[1] - t[0]))
-    at_cycles = gears.along(np.concatenate([q_d[:1], q_d, q_d[-1:]]))[1:-1]
-    return interpolated(at, t, at_cycles)
+    return interpolated(at, t, gears.along(np.concatenate([q_d[:1], q_d, q_d[-1:]]))[1:-1])
 
 
 Measured = Literal["motor", "arm", "tcp"]

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, wraps
+from typing import TypeVar
 
 import numpy as np
 
@@ -25,7 +27,7 @@ from scenes.online.force_calibration import Pressed
 from scenes.online.force_known import Known, force_reference
 from scenes.online.line_log import SETTLING
 from scenes.scene_files.drawn_line import Geometry, believed_camera, geometry, true_camera
-from scenes.scene_files.force_scene import ForceScene, SensorTable, TipTable, UnknownSurface
+from scenes.scene_files.force_scene import Assumed, CameraTrouble, Emergency, ForceScene, TipTable, UnknownSurface
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.hand_eye import HandEye
 from sensing.camera.line_search import DetectionSettings
@@ -49,11 +51,6 @@ def true_surface(table: UnknownSurface) -> HeightSurface:
 def true_tip(table: TipTable) -> Tip:
     """The tool's elastic tip."""
     return Tip(table.stiffness, table.damping, table.friction)
-
-
-def true_sensor(table: SensorTable) -> ForceSensorSettings:
-    """The force sensor and the tool that it carries."""
-    return ForceSensorSettings(**table.model_dump())
 
 
 @dataclass(kw_only=True)
@@ -107,17 +104,16 @@ def set_up(scene: ForceScene, seen: tuple[HandEye, DetectionSettings] | None = N
     known = Known(scene=scene, robot=robot, delay=int(world.correction_delay), model=model_for(scene, robot),
                   reference=reference, profile=profile, camera=camera, detection=detection)
     return Cell(known=known, world=world, surface=true_surface(scene.surface), geometry=where,
-                sensor=ForceSensor(true_sensor(scene.sensor), sensor_noise), noise=noise,
+                sensor=ForceSensor(ForceSensorSettings(**scene.sensor.model_dump()), sensor_noise), noise=noise,
                 camera_streams=(camera_noise, calibration))
 
 
 def calibrate_tool(cell: Cell) -> ToolLoad:
     """Bias and weight of the tool from the sensor in seven orientations, the arm resting in the air."""
-    home = cell.known.robot.home
     wrenches, rotations = [], []
     fk = cell.known.robot.fk()
     for turn, bend in ((0.0, 0.0), (0.0, 0.6), (0.0, -0.6), (0.8, 0.3), (1.6, 0.6), (-0.8, 0.4), (-1.6, -0.4)):
-        q = home.copy()
+        q = cell.known.robot.home.copy()
         q[-3] += turn
         q[-2] += bend
         with SimulatedArm(cell.known.robot, cell.world, cell.noise, q) as arm:
@@ -148,17 +144,34 @@ def calibrate_elasticity(cell: Cell, tool: ToolLoad) -> ContactElasticity:
     return pressed.elasticity()
 
 
-@lru_cache(maxsize=64)
-def calibrations(scene: ForceScene) -> tuple[ToolLoad, ContactElasticity]:
-    """Both calibrations of a scene, once for all methods."""
+Shown = TypeVar("Shown")
+"""By a scene before it is played."""
+
+
+def _once(show: Callable[[ForceScene], Shown]) -> Callable[[ForceScene], Shown]:
+    """Called once for all scenes that differ in what is not seen before the play alone, such as the method."""
+    cached = lru_cache(maxsize=64)(show)
+
+    @wraps(show)
+    def shown(scene: ForceScene) -> Shown:
+        return cached(scene.model_copy(update={
+            "method": "ideal", "gains": None, "assumed": Assumed(), "emergency": Emergency(),
+            "trouble": CameraTrouble(), "sensor": scene.sensor.model_copy(update={"drift": ()})}))
+
+    return shown
+
+
+@_once
+def calibrated(scene: ForceScene) -> tuple[ToolLoad, ContactElasticity]:
+    """Tool and contact as calibration by moving finds them in this scene."""
     cell = set_up(scene)
     tool = calibrate_tool(cell)
     return tool, calibrate_elasticity(cell, tool)
 
 
-@lru_cache(maxsize=64)
-def friction_above(scene: ForceScene) -> FrictionAtWork | None:
-    """Friction on a dry run above the path, once for all methods.
+@_once
+def friction_shown(scene: ForceScene) -> FrictionAtWork | None:
+    """Friction as a dry run above the path shows it.
 
     None where the path is not known beforehand or cannot be reached above the surface, and where a camera looks at a
     line as well: there the dry run made the force no better.
@@ -177,9 +190,9 @@ def friction_above(scene: ForceScene) -> FrictionAtWork | None:
     return friction_at_work(recording, loop_model(cell.known.model, cell.known.robot, delay=cell.known.delay))
 
 
-@lru_cache(maxsize=64)
-def seen_by_moving(scene: ForceScene) -> tuple[HandEye, DetectionSettings] | None:
-    """Camera and looks of the line as moving over it shows them, once for all methods.
+@_once
+def camera_shown(scene: ForceScene) -> tuple[HandEye, DetectionSettings] | None:
+    """Camera and looks of the line as moving over it shows them.
 
     None where there is no camera, or it is believed as mounted.
 

@@ -37,10 +37,7 @@ def run(scene: ForceScene, *, method: Any = None, out: Path | None = None, progr
     # The first thing that playing says is that it has calibrated.
     result = play(scene, chosen, gains, steps.part("playing"))
     steps.begin("report")
-    if out is None:
-        return result
-    moving = force_replay(result)
-    return write_run_files(result, run_page(result, moving), out, moving)
+    return result if out is None else write_run_files(result, run_page, out, force_replay(result))
 
 
 def compare(scene: ForceScene, *, methods: Sequence[Any] | None = None, out: Path | None = None,

@@ -14,19 +14,16 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.feedforward.friction_at_work import FrictionAtWork
 from ideal_robot.row_log import ColumnStore, let_go
 from ideal_robot.signals.recording import Recording
-from scenes.force.cell import Cell, GlueWorld, calibrations, friction_above, seen_by_moving, set_up, true_tip
+from scenes.force.cell import Cell, GlueWorld, calibrated, camera_shown, friction_shown, set_up, true_tip
 from scenes.methods import DIRECT, following_methods, method_of
 from scenes.metrics import ControlError
 from scenes.online.cycle import CycleSettings, play_cycles
 from scenes.online.force_task import BRAKING, LONGEST, ForceLog, ForceTask
 from scenes.result import Progress, ShownRun, silent
-from scenes.scene_files.force_scene import Assumed, CameraTrouble, Emergency, ForceScene
+from scenes.scene_files.force_scene import ForceScene
 from sensing.camera.hand_eye import HandEye
-from sensing.camera.line_search import DetectionSettings
-from sensing.force.force_calibration import ContactElasticity, ToolLoad
 from sim.arm.arm import SimulatedArm
 from sim.contact.contact import TipContact
 from sim.equipped_arm import Carried, CarriedCamera, CarriedForceSensor, EquippedArm, Knock
@@ -116,15 +113,8 @@ class ForceResult(ShownRun):
         return rows
 
 
-def force_figures(scene: ForceScene, history: dict[str, Array], log: ForceLog) -> ForceFigures:
-    """How well the force was kept.
-
-    Args:
-        scene: what was wanted.
-        history: true normal force ``normal (N,)`` [N] at ``t (N,)`` [s], every 0.5 ms.
-        log: of the play.
-    """
-    moving = log.travel
+def _figures(scene: ForceScene, history: dict[str, Array], moving: list[float]) -> ForceFigures:
+    """How well the force was kept: ``normal (N,)`` [N] at ``t (N,)`` [s], every 0.5 ms, and when the tip travelled."""
     largest = float(history["normal"].max(initial=0.0))
     if len(moving) < 2:
         return ForceFigures(float("nan"), float("nan"), largest, float("nan"), float("nan"), 0.0)
@@ -142,25 +132,19 @@ WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 """Columns of a force sensor."""
 
 
-def force_recording(arm: SimulatedArm, scene: ForceScene, method: str, task: ForceTask) -> Recording:
+def _recording(arm: SimulatedArm, scene: ForceScene, method: str, task: ForceTask) -> Recording:
     """The controller's recording, with columns added.
 
-    ``q_d_i``, the wrench as sensed, the felt force ``f_normal``; in the metadata what
-    calibration said of tool and contact, and why the arm stopped.
-
-    Args:
-        arm: after the run.
-        scene: noted in the metadata.
-        method: its key, noted in the metadata.
-        task: what was done.
+    ``q_d_i``, the wrench as sensed, the felt force ``f_normal``; in the metadata what calibration said of tool and
+    contact, and why the arm stopped.
     """
     recording, log = arm.recording(external=True), task.log
     t, q_d, felt = recording.t, np.asarray(log.q_d), np.asarray(log.samples)
     names = [f"q_d_{i + 1}" for i in range(q_d.shape[1])]
     names += (["f_normal"] if len(felt) else []) + ([*WRENCH] if len(log.wrenches) else [])
     store = ColumnStore(names, len(t))
-    for i in range(q_d.shape[1]):
-        store.fill(names[i], 0, np.interp(t, np.asarray(log.t), q_d[:, i]))
+    for name, angle in zip(names, q_d.T, strict=False):
+        store.fill(name, 0, np.interp(t, np.asarray(log.t), angle))
         store.release()
     if len(felt):
         order = np.argsort(felt[:, 0])
@@ -172,8 +156,7 @@ def force_recording(arm: SimulatedArm, scene: ForceScene, method: str, task: For
             store.release()
     tool = {"bias": task.tool.bias.tolist(), "mass": task.tool.mass, "com": task.tool.com.tolist()}
     meta = {**recording.meta, "tool": tool, "contact_stiffness": task.assumed_stiffness, "scene": scene.name,
-            "method": method, "speed": scene.speed, "seed": scene.seed,
-            "stopped_because": log.failure}
+            "method": method, "speed": scene.speed, "seed": scene.seed, "stopped_because": log.failure}
     return Recording({**recording.columns, **store.finished()}, meta, recording.source)
 
 
@@ -235,28 +218,6 @@ def pressed(cell: Cell, task: ForceTask, method: str, progress: Progress = silen
         return _result(cell, method, task, glue, arm, contact, wall)
 
 
-def calibrated(scene: ForceScene) -> tuple[ToolLoad, ContactElasticity]:
-    """Tool and contact as calibration by moving finds them in this scene."""
-    return calibrations(_before(scene))
-
-
-def camera_shown(scene: ForceScene) -> tuple[HandEye, DetectionSettings] | None:
-    """Camera and looks of the line as moving over it shows them; None where nothing is looked at."""
-    return seen_by_moving(_before(scene))
-
-
-def friction_shown(scene: ForceScene) -> FrictionAtWork | None:
-    """Friction as a dry run above the path shows it; None where there is none."""
-    return friction_above(_before(scene))
-
-
-def _before(scene: ForceScene) -> ForceScene:
-    """The scene without what calibration does not see, which must not make it run again."""
-    return scene.model_copy(update={"method": "ideal", "gains": None, "assumed": Assumed(), "emergency": Emergency(),
-                                    "trouble": CameraTrouble(),
-                                    "sensor": scene.sensor.model_copy(update={"drift": ()})})
-
-
 def _result(cell: Cell, method: str, task: ForceTask, glue: GlueWorld | None, arm: SimulatedArm,
             contact: TipContact, wall: float) -> ForceResult:
     """Collects what a run leaves behind."""
@@ -267,8 +228,8 @@ def _result(cell: Cell, method: str, task: ForceTask, glue: GlueWorld | None, ar
         first, last = np.searchsorted(history["t"], moving[0]), np.searchsorted(history["t"], moving[-1], side="right")
         error = glue.control_error(task.vision.first_used, history["t"][first:last], history["tip"][first:last])
     return ForceResult(
-        scene=scene, method=method, figures=force_figures(scene, history, log),
+        scene=scene, method=method, figures=_figures(scene, history, moving),
         elasticity=(task.follower.settings.elasticity, task.elasticity.std, scene.tip.stiffness),
         tool={"mass": task.tool.mass, "force_residual_N": float(task.tool.residual[0])}, history=history, log=log,
-        recording=force_recording(arm, scene, method, task), urdf=cell.known.robot.urdf,
+        recording=_recording(arm, scene, method, task), urdf=cell.known.robot.urdf,
         real_time_factor=arm.t / wall, control_error=error, failure=log.failure)

@@ -14,7 +14,6 @@ from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.errors import InputError, found_in
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.signals.recording import Recording
-from planning.line.deviation_sensor import DeviationSensor
 from scenes.camera_calibration import calibrate_by_moving, look_at_line
 from scenes.models import model_for
 from scenes.online.line_known import Known, SeenBefore, line_follower, looked_again, span_of
@@ -41,17 +40,8 @@ WAVES = (0.37, 0.23, 0.11)
 """Wavelengths over which width and ink of a line drawn by hand change [m]."""
 
 
-def drawn_line(scene: LineScene, where: Geometry, rng: np.random.Generator) -> DrawnLine:
-    """The line with the scene's features and what the seed draws of its wear.
-
-    Args:
-        scene: its tables ``line``, ``feature`` and ``wear``.
-        where: the line's place.
-        rng: draws the wear.
-
-    Raises:
-        InputError: a feature that lies beyond the line.
-    """
+def _drawn_line(scene: LineScene, where: Geometry, rng: np.random.Generator) -> DrawnLine:
+    """The line with the scene's features and what the seed draws of its wear."""
     look, wear = scene.line, scene.wear
     s = arc_lengths(where.drawn)
     wide, pale = _smooth(s, rng), 0.5 * (1.0 + _smooth(s, rng))
@@ -168,7 +158,7 @@ def set_up(scene: LineScene, hand_eye: HandEye | None = None, camera: CameraMode
     robot = world.with_cycles(scene.arm)
     place, noise, camera_noise, calibration, _, wear, _, bend = streams(scene)
     where = geometry(scene, place)
-    line, relief = drawn_line(scene, where, wear), bent_surface(scene, where, bend)
+    line, relief = _drawn_line(scene, where, wear), bent_surface(scene, where, bend)
     detector = DETECTORS.get(scene.camera.detector)()
     believed = believed_camera(scene.camera, scene.calibration)
     true = true_camera(believed, scene.calibration, calibration)
@@ -303,11 +293,3 @@ class LineWorld:
         nearest = self._line.nearest((place - up * (up @ (place - plane.translation)))[None])
         beside = 1e-6 < nearest.s[0] < self._line.length - 1e-6
         return -float(nearest.lateral[0]) if beside else float("nan")
-
-
-def mounted(sensors: Sequence[DeviationSensor], world: LineWorld) -> None:
-    """Shows the world to those sensors that are simulated: they have a method ``mount(world)``."""
-    for sensor in sensors:
-        mount = getattr(sensor, "mount", None)
-        if mount is not None:
-            mount(world)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from ideal_robot.results import Summarised
 from planning.line.deviation_sensor import DeviationSensor
 from scenes.line.cell import Prepared, prepared, set_up
 from scenes.line.play import play
-from scenes.line.result import LineResult, little_gained
+from scenes.line.result import LineResult
 from scenes.methods import ADAPTED, DIRECT, IDEAL, NONE, GainSearch, GainTrial, SceneMethod
 from scenes.result import Progress, ShownTable, part_of, silent
 from scenes.scene_files.line_scene import LineScene
@@ -80,11 +80,9 @@ def overshoot_gain(scene: LineScene, *, progress: Progress = silent) -> tuple[fl
 
 @dataclass(frozen=True, repr=False)
 class LineComparison(ShownTable):
-    """Every method on the same scene.
+    """Every method on the same scene, by their keys.
 
     Attributes:
-        scene: what was played.
-        runs: method → result.
         gains: K_p, K_d of direct sensor feedback, found by search; None where it is not among the methods.
         tried: every pair of gains tried, with the mean error it left [m].
         overshoot_gain: largest K_p whose overshoot over a sideways step stays below 5 %.
@@ -158,8 +156,7 @@ def compare_lines(scene: LineScene, methods: Sequence[SceneMethod], *, sensors: 
                                     progress=part_of(progress, start + (1 - start) * i / len(methods),
                                                      (1 - start) / len(methods)))
     for key in runs.keys() & {IDEAL, ADAPTED} if NONE in runs else ():
-        said = little_gained(runs[key].control_error.mean, runs[NONE].control_error.mean)
-        runs[key] = replace(runs[key], warning="; ".join(filter(None, [runs[key].warning, said])))
+        runs[key] = runs[key].beside_none(runs[NONE])
     return LineComparison(scene, runs, gains, tried, gain, overshoots)
 
 

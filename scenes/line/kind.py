@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from scenes.line.compare import LineComparison, best_gains, compare_lines
 from scenes.line.page import comparison_page, line_replay, run_page
 from scenes.line.play import methods as play_methods
 from scenes.line.play import play
-from scenes.line.result import DOUBTFUL, LineResult, little_gained
+from scenes.line.result import DOUBTFUL, LineResult
 from scenes.methods import DIRECT, NONE, PLAIN, compared, method_of
 from scenes.report.page import write_comparison_files, write_run_files
 from scenes.result import Progress, part_of, silent
@@ -44,22 +43,11 @@ def run(scene: LineScene, *, method: Any = None, out: Path | None = None, progre
         progress = part_of(progress, 0.8, 0.2)
     result = play(scene, chosen, shared=shared, gains=gains, sensors=sensors, progress=part_of(progress, 0.0, _PLAYED),
                   pictures=out is not None)
-    result = _beside_none(result, shared, sensors)
+    if result.method != NONE and result.control_error.mean > DOUBTFUL:
+        # What it gains over no correction is played for it.
+        result = result.beside_none(play(result.scene, NONE, shared=shared, sensors=sensors))
     progress(_PLAYED, "report")
-    if out is None:
-        return result
-    moving = line_replay(result)
-    return write_run_files(result, run_page(result, moving), out, moving)
-
-
-def _beside_none(result: LineResult, shared: Prepared, sensors: Sequence[DeviationSensor]) -> LineResult:
-    """A doubtful result with what it gains over no correction, played for it."""
-    mean = result.control_error.mean
-    if result.method == NONE or not mean > DOUBTFUL:
-        return result
-    none = play(result.scene, NONE, shared=shared, sensors=sensors).control_error.mean
-    said = little_gained(mean, none)
-    return replace(result, warning="; ".join(filter(None, [result.warning, said])))
+    return result if out is None else write_run_files(result, run_page, out, line_replay(result))
 
 
 def compare(scene: LineScene, *, methods: Sequence[Any] | None = None, out: Path | None = None,

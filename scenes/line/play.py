@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
 
@@ -16,7 +16,7 @@ from ideal_robot.feedforward.registry import method as registered
 from ideal_robot.row_log import ColumnStore
 from ideal_robot.signals.recording import Recording
 from planning.line.deviation_sensor import DeviationSensor
-from scenes.line.cell import Cell, LineWorld, Prepared, mounted, prepared, set_up
+from scenes.line.cell import Cell, LineWorld, Prepared, prepared, set_up
 from scenes.line.result import LineResult, Timing, far_from_line
 from scenes.methods import DIRECT, IDEAL, NONE, SceneMethod, following_methods, method_of
 from scenes.metrics import ControlError, PathErrors, path_errors
@@ -32,18 +32,12 @@ from sim.arm.arm import SimulatedArm
 from sim.equipped_arm import CarriedCamera, EquippedArm, Knock
 
 
-def line_recording(arm: SimulatedArm, scene: LineScene, method: str, log: LineLog, camera: CameraModel) -> Recording:
+def _recording(arm: SimulatedArm, scene: LineScene, method: str, log: LineLog, camera: CameraModel) -> Recording:
     """The arm's own recording with columns added.
 
     ``q_d_i`` desired arm angles; for each camera field, in the row at its time stamp and NaN elsewhere: ``cam_t`` [s]
-    and the line points in the tool frame ``line_x_i line_y_i line_z_i`` [m] (points that were left out are NaN).
-
-    Args:
-        arm: the arm after the run.
-        scene: noted in the metadata.
-        method: its key, noted in the metadata.
-        log: of the run; why it ended early is noted in the metadata.
-        camera: as it is believed to be; where its optical axis meets the surface, and how far away, is noted.
+    and the line points in the tool frame ``line_x_i line_y_i line_z_i`` [m] (points that were left out are NaN). In the
+    metadata where the optical axis of the camera, as it is believed, meets the surface, and how far away.
     """
     recording = arm.recording(external=scene.tracker)
     rows, t, q_d = recording.t, np.asarray(log.t), np.asarray(log.q_d)
@@ -55,14 +49,12 @@ def line_recording(arm: SimulatedArm, scene: LineScene, method: str, log: LineLo
     for name, values in log.field_columns(rows, scene.points):
         store.fill(name, 0, values)
         store.release()
-    columns = {**recording.columns, **store.finished()}
-    meta: dict[str, Any] = {**recording.meta, "scene": scene.name, "method": method, "speed": scene.speed,
-                            "seed": scene.seed, "stopped_because": log.failure}
     mount = camera.T_tool_camera
-    distance = -mount.translation[2] / mount.rotation[2, 2]
-    meta["camera"] = {"axis": [float(v) for v in camera.axis_on_surface],
-                      "distance": float(distance)}
-    return dataclasses.replace(recording, columns=columns, meta=meta)
+    meta = {**recording.meta, "scene": scene.name, "method": method, "speed": scene.speed, "seed": scene.seed,
+            "stopped_because": log.failure, "camera": {
+                "axis": [float(v) for v in camera.axis_on_surface],
+                "distance": float(-mount.translation[2] / mount.rotation[2, 2])}}
+    return replace(recording, columns={**recording.columns, **store.finished()}, meta=meta)
 
 
 POINTS = "ideal_points"
@@ -94,15 +86,10 @@ def play(scene: LineScene, method: Any, *, shared: Prepared | None = None,
     method = method_of(method, methods())
     if method.key == POINTS:
         scene, method = scene.changed(measurement="points"), SceneMethod(POINTS, registered(IDEAL).make)
-    if shared is None:
-        with prepared(scene, progress) as own:
-            return _play(_cell(scene, own), method, gains, own, sensors, progress, pictures)
-    return _play(_cell(scene, shared), method, gains, shared, sensors, progress, pictures)
-
-
-def _cell(scene: LineScene, shared: Prepared) -> Cell:
-    cell = set_up(scene, shared.hand_eye, shared.believed, shared.shape)
-    return replace(cell, known=replace(cell.known, detection=shared.detection))
+    with prepared(scene, progress) if shared is None else nullcontext(shared) as ready:
+        cell = set_up(scene, ready.hand_eye, ready.believed, ready.shape)
+        cell = replace(cell, known=replace(cell.known, detection=ready.detection))
+        return _play(cell, method, gains, ready, sensors, progress, pictures)
 
 
 def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, shared: Prepared,
@@ -111,7 +98,9 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
     log = LineLog()
     with SimulatedArm(cell.known.robot, cell.world, cell.noise, follower.q_start) as arm:
         camera = CarriedCamera(shared.camera, arm, Knock.of(scene.camera))
-        mounted(sensors, LineWorld(arm, cell.line))
+        # Sensors that are simulated are shown the world.
+        for sensor in (one for one in sensors if hasattr(one, "mount")):
+            sensor.mount(LineWorld(arm, cell.line))
         model = model_for(scene, cell.known.robot) if method.knows_model else None
         if model is not None and method.adapts and shared.recorded is not None:
             model = arm_of_its_type(shared.recorded, model, cell.known.robot)
@@ -126,7 +115,7 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
         if log.failure and len(t) < 2:
             raise SceneError(f"the arm did not move: {log.failure or 'no cycle was played'}")
         shown = tuple(replace(seen, image=camera.whole(seen.field)) for seen in log.shown) if pictures else ()
-        recording = line_recording(arm, scene, method.key, log, cell.known.camera)
+        recording = _recording(arm, scene, method.key, log, cell.known.camera)
     whole, error = _control_error(cell, t, tcp, log.first_used)
     far = "" if method.key == NONE else far_from_line(error.mean)
     return LineResult(
@@ -134,8 +123,7 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
         path_errors=_path_errors(cell, log, t, tcp), fields_seen=len(log.fields), fields_used=log.used,
         recording=recording, timing=Timing(np.array(log.cycles), np.array(log.with_field, dtype=bool), wall,
                                            float(t[-1])),
-        geometry=cell.geometry, failure=log.failure, urdf=cell.known.robot.urdf,
-        shown=shown,
+        geometry=cell.geometry, failure=log.failure, urdf=cell.known.robot.urdf, shown=shown,
         world=cell.world.table(), hand_eye=shared.hand_eye, warning="; ".join(filter(None, [shared.warning, far])),
         assumed=cell.known.robot.assumed,
         s_reference=np.array(log.s), believed=np.array(log.believed),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -74,15 +74,11 @@ class LineResult(ShownRun):
     """One run along a drawn line with one method.
 
     Attributes:
-        scene, method: what was played.
         control_error: distance of the true TCP from the drawn line while it counts.
         control_error_from_start: the same from the line's first point on.
         path_errors: true TCP against the desired path, three ways; None where the run was too short to tell.
         fields_seen, fields_used: camera fields that arrived, and those that gave a measurement.
         recording: what a controller would have logged, plus desired angles and line points.
-        timing: computing times.
-        geometry: where everything was.
-        failure: why the run ended early, or None.
         shown: fields for the report.
         world: the world's settings.
         hand_eye: how the camera was calibrated before the run, if it was.
@@ -92,7 +88,6 @@ class LineResult(ShownRun):
         looked_back: the deviation of the line as all fields of the run show it, smoothed; NaN where it is not kept [m].
         plan_error_mm: mean and largest distance of the desired path from it.
         sensors: values that each further sensor gave, and how many of them were fused.
-        recording_path, report: files written, if any.
     """
 
     scene: LineScene
@@ -119,6 +114,11 @@ class LineResult(ShownRun):
     plan_error_mm: dict[str, float | None] = field(default_factory=dict)
     recording_path: Path | None = None
     report: Path | None = None
+
+    def beside_none(self, none: LineResult) -> LineResult:
+        """With a warning where no correction leaves little more."""
+        said = little_gained(self.control_error.mean, none.control_error.mean)
+        return replace(self, warning="; ".join(filter(None, [self.warning, said])))
 
     def json(self) -> dict[str, Any]:
         """The content of ``--json``."""

@@ -68,17 +68,12 @@ class CameraProcess:
                                                              camera, detector, theirs), daemon=True)
         self._process.start()
         theirs.close()
+        kind, content = "failed", f"the camera was not ready within {patience:g} s"
         try:
-            if not self._pipe.poll(patience):
-                raise InputError(f"the camera was not ready within {patience:g} s", field="--camera", value=address)
-            kind, content = self._pipe.recv()
-        except (EOFError, OSError) as error:
-            self.close()
-            raise InputError("the camera's process ended before it was ready", field="--camera",
-                             value=address) from error
-        except InputError:
-            self.close()
-            raise
+            if self._pipe.poll(patience):
+                kind, content = self._pipe.recv()
+        except (EOFError, OSError):
+            content = "the camera's process ended before it was ready"
         if kind == "failed":
             self.close()
             raise InputError(content, field="--camera", value=address)
@@ -120,17 +115,9 @@ class CameraProcess:
         elif self._tell("detect", (number, t, prediction, detection)):
             self._asked += 1
 
-    def calibrate(self, camera: CameraModel, observations: Any, near: Any, normal: Any, prior: Any) -> None:
-        """Asks for a calibration from what was observed; it comes out of ``poll``.
-
-        Args:
-            camera: as it is believed to be.
-            observations: see ``sensing.camera.hand_eye.calibrate``.
-            near: see there.
-            normal: see there.
-            prior: see there.
-        """
-        self._tell("calibrate", (camera, observations, near, normal, prior))
+    def calibrate(self, *given: Any) -> None:
+        """Asks for a calibration from what ``sensing.camera.hand_eye.calibrate`` is given; it comes out of ``poll``."""
+        self._tell("calibrate", given)
 
     def use(self, camera: CameraModel) -> None:
         """The camera as it is calibrated, from now on."""

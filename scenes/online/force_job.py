@@ -296,16 +296,13 @@ class ForceJob(Job):
     def columns(self, t: Array) -> dict[str, Array]:
         """See ``Job``: the wrench as sensed and the felt normal force; NaN before the first and behind the last."""
         columns: dict[str, Array] = {}
-        if self.log.samples:
-            felt = np.array(self.log.samples)
-            order = np.argsort(felt[:, 0])
-            columns["f_normal"] = np.interp(t, felt[order, 0], felt[order, 1], left=np.nan, right=np.nan)
-        if self._force is not None and self._force.samples:
-            sensed = np.array(self._force.samples)
-            times, sensed = sensed[:, 0], sensed[:, 1:]
-            order = np.argsort(times)
-            for i, name in enumerate(("fx", "fy", "fz", "mx", "my", "mz")):
-                columns[name] = np.interp(t, times[order], sensed[order, i], left=np.nan, right=np.nan)
+        sensed: Any = [] if self._force is None else self._force.samples
+        for names, samples in ((("f_normal",), self.log.samples), (("fx", "fy", "fz", "mx", "my", "mz"), sensed)):
+            if samples:
+                rows = np.array(samples)
+                rows = rows[np.argsort(rows[:, 0])]
+                columns |= {name: np.interp(t, rows[:, 0], rows[:, i], left=np.nan, right=np.nan)
+                            for i, name in enumerate(names, start=1)}
         return columns
 
     def planned(self) -> Array:

@@ -29,7 +29,6 @@ from planning.path.kinematics import InverseKinematics
 from scenes.methods import DIRECT, SceneMethod
 from scenes.online.cycle import CycleLog
 from scenes.online.force_known import Known
-from scenes.scene_files.force_scene import ForceScene
 from sensing.camera.camera_device import Camera, Field, Window
 from sensing.camera.line_detection import LineField, at_middle_row
 from sensing.camera.line_search import PredictedLine, search_windows
@@ -71,7 +70,7 @@ class GlueCamera:
     """
 
     def __init__(self, cell: Known, follower: SurfaceFollower, rng: np.random.Generator) -> None:
-        scene: ForceScene = cell.scene
+        scene = cell.scene
         # A stream of its own: garbage leaves the noise of the pictures as it is.
         self._rng, self.follower, self._trouble = rng.spawn(1)[0], follower, scene.trouble
         self.camera, self.detection = cell.camera, cell.detection
@@ -121,8 +120,7 @@ class GlueCamera:
         beside = size * self._rng.uniform(-1, 1) + 0.2 * size * self._rng.standard_normal(len(seen.points_tcp))
         points = seen.points_tcp.copy()
         points[:, 1] += beside
-        return LineField(seen.t, points, seen.pixels, seen.lateral, seen.sigma, seen.quality, seen.used, seen.seen,
-                         seen.reason)
+        return replace(seen, points_tcp=points)
 
 
 # What is written down while a contact is followed.
@@ -316,8 +314,7 @@ class ForceTask:
         return self.follower.phase is Phase.DONE or lifted
 
     def _sense(self, t: float) -> None:
-        arrived = self._sensor.arrived(t)
-        if arrived:
+        if arrived := self._sensor.arrived(t):
             self._felt.append(self._contact(t, arrived))
 
     def fuse_forces(self, t: float) -> bool:

@@ -100,11 +100,6 @@ class Journal:
             remove_empty(self._made)
 
 
-def lies_there(folder: Path) -> bool:
-    """Whether a journal is in a folder."""
-    return (folder / ROWS).is_file() and (folder / META).is_file()
-
-
 def remove(folder: Path) -> None:
     """The recording of a run is written: its journal goes."""
     (folder / ROWS).unlink(missing_ok=True)
@@ -113,8 +108,6 @@ def remove(folder: Path) -> None:
 
 def left_behind(folder: Path) -> Recording | None:
     """What a run that was killed has left in its folder; None where there is nothing, or nothing that can be read."""
-    if not lies_there(folder):
-        return None
     try:
         found = _recording(*journal_rows(folder))
     except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
@@ -179,7 +172,7 @@ def written(result: FollowResult, folder: Path) -> FollowResult:
 
 def rescued(folder: Path) -> Path | None:
     """Makes a recording of what a run that was killed has left in its folder; None where there is nothing."""
-    if not lies_there(folder):
+    if not ((folder / ROWS).is_file() and (folder / META).is_file()):
         return None
     found: Path | None = _elsewhere("scenes.online.journal:rescue", folder)
     return found

@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from scenes.online.live_arm import LiveArm
 from sensing import SensingError
 from sensing.camera.camera_device import Field, WindowsAt
 from sensing.camera.camera_model import CameraModel
-from sensing.camera.hand_eye import HandEye, Observation
+from sensing.camera.hand_eye import HandEye
 from sensing.camera.line_detection import LineField
 from sensing.camera.line_search import DetectionSettings, PredictedLine
 from sensing.force.sensors import WrenchSample, WrenchSource
@@ -109,11 +109,10 @@ class LiveCamera:
         self.ages += [t - field.t_stamp for field in found]
         return found
 
-    def calibrate(self, camera: CameraModel, observations: Sequence[Observation], near: Array, normal: Array,
-                  prior: Mapping[str, float]) -> None:
+    def calibrate(self, *given: Any) -> None:
         """See ``CameraProcess.calibrate``; ``hand_eye`` is what comes of it."""
         self.predict = None
-        self._process.calibrate(camera, observations, near, normal, prior)
+        self._process.calibrate(*given)
 
     def use(self, camera: CameraModel, time_offset: float) -> None:
         """The camera as it is calibrated, and what has to be added to its stamps [s]."""
@@ -216,10 +215,9 @@ class LiveForce:
                 self.untimely += 1
             elif self.signs.check(wrench, np.repeat([self.reach, np.inf], 3)):
                 found.append(WrenchSample(at, t, wrench))
-        if found:
-            self._sound = max(self._sound, max(sample.t for sample in found))
-            for sample in found:
-                self.samples.append((sample.t, *sample.wrench))
+        for sample in found:
+            self._sound = max(self._sound, sample.t)
+            self.samples.append((sample.t, *sample.wrench))
         return found
 
     def silent(self, t: float) -> float:

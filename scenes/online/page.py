@@ -11,14 +11,15 @@ from matplotlib.figure import Figure
 from ideal_robot.results import flat
 from scenes.online.result import FollowResult
 from scenes.report.page import Report, write_run_files
+from scenes.report.replay import Replay
 
 
 def write_run(result: FollowResult, out: Path) -> FollowResult:
     """Writes recording, page and figures of a run into a folder; returns the result with their places."""
-    return write_run_files(result, _page(result), out)
+    return write_run_files(result, _page, out, None)
 
 
-def _page(result: FollowResult) -> Report:
+def _page(result: FollowResult, _: Replay | None) -> Report:
     page = Report(result.scene.title, f"{result.method} on devices: {len(result.recording.t)} cycles"
                   + (", the whole path." if result.failure is None else ", ended early."))
     if result.failure is not None:

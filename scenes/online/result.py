@@ -18,16 +18,12 @@ class FollowResult(ShownRun):
     """One run.
 
     Attributes:
-        scene: what was followed.
-        method: how what is sensed became commands.
-        failure: why it ended early, or None.
         recording: the controller's side of it: ``t``, ``q_d_i``, ``q_c_i``, ``q_i``, torques, line points, wrenches.
         figures: of the kind of scene.
         devices: what each device did, and how its clock relates to this computer's.
         timing: answers to the controller [ms], computing, what the system granted.
         planned: time [s] and planned deviation from the reference [m] of each cycle ``(N, 2)``.
         left_behind: recording of a run before that was killed, where one was found.
-        recording_path, report: files written, if any.
     """
 
     scene: Scene

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -128,16 +129,7 @@ def measured_errors(robot: Robot, path: JointPath, recording: Recording, source:
 
 @dataclass(frozen=True, repr=False)
 class PathResult(ShownRun):
-    """One path played with one method.
-
-    Attributes:
-        scene, method: what was played.
-        path: the path in joint space.
-        played: errors, motion, commands and timing.
-        urdf: file of the arm.
-        world: the world's settings.
-        recording_path, report: files written, if any.
-    """
+    """One path played with one method; ``world`` holds the settings of its world."""
 
     scene: PathScene
     method: str
@@ -180,12 +172,10 @@ class PathResult(ShownRun):
 
     def summary(self) -> list[tuple[str, str]]:
         """The few figures a person wants first."""
-        rows = [("method", self.method), ("speed", f"{self.scene.speed:g} m/s")]
-        for name, error in (("time-matched", self.errors.time_matched), ("aligned", self.errors.aligned),
-                            ("geometric", self.errors.geometric)):
-            rows.append((f"E_car {name}", f"{1e3 * error.E_car:.3f} mm"))
-            rows.append((f"E_max {name}", f"{1e3 * error.E_max:.3f} mm"))
-        return [*rows, ("delay", f"{1e3 * self.errors.delay:.2f} ms")]
+        errors = [(f"{figure} {kind.replace('_', '-')}", f"{1e3 * getattr(getattr(self.errors, kind), figure):.3f} mm")
+                  for kind in ("time_matched", "aligned", "geometric") for figure in ("E_car", "E_max")]
+        return [("method", self.method), ("speed", f"{self.scene.speed:g} m/s"), *errors,
+                ("delay", f"{1e3 * self.errors.delay:.2f} ms")]
 
 
 # What the scene needs before anything moves, and the feedforward of each method for its path.
@@ -216,7 +206,6 @@ class PathCell:
     learn_from: str
     seed: int
     plays: int = 0
-    _practice: Practice | None = field(default=None, repr=False, init=False)
 
     @property
     def delay(self) -> int:
@@ -240,17 +229,13 @@ class PathCell:
             InputError: no such method.
         """
         wanted = method if isinstance(method, SceneMethod) else SceneMethod(method)
-        setting = Setting(self.robot, self.model, round(HORIZON / self.robot.t_ipo), self.delay, self.path.q_d,
-                          practice=self.practice,
-                          progress=progress)
-        return wanted.feedforward(setting)
+        return wanted.feedforward(Setting(self.robot, self.model, round(HORIZON / self.robot.t_ipo), self.delay,
+                                          self.path.q_d, practice=self.practice, progress=progress))
 
-    @property
+    @cached_property
     def practice(self) -> Practice:
         """Plays on this arm before the path counts, and what was learned in them."""
-        if self._practice is None:
-            self._practice = Practice(self._rehearsed, self.robot)
-        return self._practice
+        return Practice(self._rehearsed, self.robot)
 
     def learned(self, progress: Progress = silent) -> Learned:
         """Learning of the path on the arm, [G] (10), (11), from the uncorrected path."""

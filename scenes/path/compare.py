@@ -47,17 +47,12 @@ def play_method(scene: PathScene, cell: PathCell, method: SceneMethod, progress:
 
 @dataclass(frozen=True, repr=False)
 class PathComparison(ShownTable):
-    """Several methods on the same path.
-
-    Attributes:
-        scene: what was played.
-        runs: method → result.
-        learning_criterion: root mean square of the errors that learning on the arm saw at each play [rad].
-    """
+    """Several methods on the same path, by their keys."""
 
     scene: PathScene
     runs: dict[str, PathResult]
     learning_criterion: tuple[float, ...]
+    """Root mean square of the errors that learning on the arm saw at each play [rad]."""
     report: Path | None = None
 
     @property
@@ -99,13 +94,10 @@ class PathComparison(ShownTable):
         """One row a method, what fits a terminal: E_car [mm], its reduction as arm, motors and paper say [%]."""
         paper = self.scene.paper.E_car_reduction_percent
         columns = ["method", "timed mm", "aligned", "E_car −%", "motors −%", "E_max −%", "paper −%"]
-        rows: list[list[Any]] = []
-        for method, run in self.runs.items():
-            less = self.reduction(method)
-            rows.append([method, 1e3 * run.errors.time_matched.E_car, 1e3 * run.errors.aligned.E_car,
-                         less["E_car"]["weaker"], self.motor_reduction(method)["E_car"], less["E_max"]["weaker"],
-                         paper.get(method)])
-        return columns, rows
+        return columns, [[method, 1e3 * run.errors.time_matched.E_car, 1e3 * run.errors.aligned.E_car,
+                          self.reduction(method)["E_car"]["weaker"], self.motor_reduction(method)["E_car"],
+                          self.reduction(method)["E_max"]["weaker"], paper.get(method)]
+                         for method, run in self.runs.items()]
 
     def full_table(self) -> tuple[list[str], list[list[Any]]]:
         """One row a method: errors in mm, reductions in per cent, the paper's beside them."""

@@ -27,10 +27,7 @@ def run(scene: PathScene, *, method: Any = None, out: Path | None = None, progre
     steps.begin("setting up")
     result = play_method(scene, set_up(scene, delay=chosen.key.endswith(DELAY)), chosen, steps.part("playing"))
     steps.begin("report")
-    if out is None:
-        return result
-    moving = path_replay(result)
-    return write_run_files(result, run_page(result, moving), out, moving)
+    return result if out is None else write_run_files(result, run_page, out, path_replay(result))
 
 
 def compare(scene: PathScene, *, methods: Sequence[Any] | None = None, out: Path | None = None,

@@ -6,7 +6,7 @@ import base64
 import io
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
@@ -65,7 +65,7 @@ class Report:
         """Key figures as tiles: ``[(label, value with unit), …]``."""
         self._blocks.append({"kind": "figures", "cells": items})
 
-    def table(self, columns: list[str], rows: list[list[Any]], caption: str = "", folded: str = "") -> None:
+    def table(self, columns: Sequence[str], rows: list[list[Any]], caption: str = "", folded: str = "") -> None:
         """A table; numbers are shown with three significant digits and aligned right.
 
         Args:
@@ -146,21 +146,22 @@ def write_json(path: str | Path, content: dict[str, Any]) -> Path:
 R = TypeVar("R", bound=Any)
 
 
-def write_run_files(result: R, page: Report, out: Path, replay: Replay | None = None) -> R:
+def write_run_files(result: R, page: Callable[[R, Replay | None], Report], out: Path, replay: Replay | None) -> R:
     """Writes recording, page and figures of a run into ``out``; returns the result with their paths.
 
     Args:
         result: a frozen run result with ``recording``, ``recording_path``, ``report`` and ``json()``.
-        page: of it.
+        page: makes the page of it, with the replay.
         out: folder.
         replay: written beside the recording, for the viewer.
     """
+    report = page(result, replay)
     result = replace(result, recording_path=out / "recording.parquet", report=out / "report.html")
     with whole_folder(out) as new:
         result.recording.write(new / "recording.parquet")
         if replay is not None:
             write_replay(replay, replay_beside(new / "recording.parquet"), result.recording)
-        page.write(new / "report.html")
+        report.write(new / "report.html")
         write_json(new / "report.json", result.json())
     return result
 

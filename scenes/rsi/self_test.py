@@ -10,6 +10,7 @@ import sys
 import time
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -72,12 +73,8 @@ class HeldCycles:
 
     def shortest(self) -> int | None:
         """Shortest cycle that is held, and all longer ones too [ms]."""
-        shortest = None
-        for test in self.tests:
-            if not test.held:
-                break
-            shortest = test.cycle_ms
-        return shortest
+        held = [test.cycle_ms for test in takewhile(lambda test: test.held, self.tests)]
+        return held[-1] if held else None
 
     def json(self) -> dict[str, Any]:
         """Key figures."""
@@ -167,14 +164,10 @@ _AFTER = 4
 """Packets behind the last that counts."""
 
 
-def delays(port: int, cycle: float, packets: int, axes: list[float]) -> list[float | None]:
+def _delays(port: int, cycle: float, packets: int, axes: list[float]) -> list[float | None]:
     """From each packet to its answer [ms], from the first that was answered on; None where there was none.
 
-    Args:
-        port: UDP port of the server, on this computer.
-        cycle: time between packets [s].
-        packets: how many, from the first that was answered on.
-        axes: axis angles it tells, always the same [deg].
+    ``cycle`` [s]; ``axes``: the axis angles that every packet tells [deg].
     """
     told = " ".join(f'A{i + 1}="{angle:.6f}"' for i, angle in enumerate(axes))
     step = round(1e3 * cycle)
@@ -210,5 +203,5 @@ if __name__ == "__main__":
     if hasattr(os, "sched_setscheduler"):
         with suppress(OSError):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(60))
-    print(json.dumps(delays(int(sys.argv[1]), 1e-3 * int(sys.argv[2]), int(sys.argv[3]),
-                            [float(angle) for angle in sys.argv[4:]])))
+    print(json.dumps(_delays(int(sys.argv[1]), 1e-3 * int(sys.argv[2]), int(sys.argv[3]),
+                             [float(angle) for angle in sys.argv[4:]])))

@@ -7,6 +7,7 @@ import signal
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing.connection import Connection
 
 import numpy as np
@@ -97,24 +98,12 @@ def draw_and_send(pipe: Connection) -> None:
     with suppress(EOFError, OSError), undisturbed(priority=_PRIORITY):
         while (exposure := pipe.recv()) is not None:
             if server.watched:
-                send_picture(exposure, device.camera, server, outbox)
+                gray = device.camera.picture(exposure.poses, exposure.at, exposure.shape)
+                payload = field_payload(exposure.number, gray.shape[1], gray.shape[0], gray.tobytes())
+                outbox.put(exposure.arrival, partial(server.send, Kind.FIELD, exposure.stamp, payload))
             pipe.send(server.watched)
     outbox.close()
     server.close()
-
-
-def send_picture(exposure: Exposure, camera: LiveCamera, server: StreamServer, outbox: Outbox) -> None:
-    """Draws a picture and hands it over to be sent when it is due.
-
-    Args:
-        exposure: what it shows.
-        camera: draws it.
-        server: to whoever looks.
-        outbox: sends when it is due.
-    """
-    gray = camera.picture(exposure.poses, exposure.at, exposure.shape)
-    payload = field_payload(exposure.number, gray.shape[1], gray.shape[0], gray.tobytes())
-    outbox.put(exposure.arrival, lambda: server.send(Kind.FIELD, exposure.stamp, payload))
 
 
 class ServedCamera:
@@ -137,8 +126,8 @@ class ServedCamera:
 
     def __init__(self, device: CameraDevice, settings: CameraSettings, pose_at: PoseAt, shape_at: ShapeAt,
                  rng: np.random.Generator) -> None:
-        self._settings, self._clock, self._pose_at, self._shape_at = settings, device.clock, pose_at, shape_at
-        self._rng = rng
+        self._settings, self._clock, self._rng = settings, device.clock, rng
+        self._pose_at, self._shape_at = pose_at, shape_at
         self._number, self._waiting, self._next, self.left_out = 0, 0, 0.0, 0
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
@@ -227,5 +216,4 @@ class ServedForce:
             t = t0 + at - host
             sample = self._sensor.sample(t, self._pose_at(t), self._force_at(t))
             record = self._server.record(self._number, sample.wrench)
-            self._outbox.put(at + sample.t_arrival - t,
-                             lambda record=record: self._server.send(record))  # type: ignore[misc]
+            self._outbox.put(at + sample.t_arrival - t, partial(self._server.send, record))

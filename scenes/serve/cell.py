@@ -37,12 +37,7 @@ from sim.camera.live_camera import LiveCamera
 from sim.camera.surface import DrawnLine
 from sim.contact.contact import TipContact
 from sim.devices.served_arm import Carried, ServedArm, ServedRtde, Session
-from sim.devices.stream_server import (
-    DeviceClock,
-    NetFTServer,
-    Outbox,
-    Unkindness,
-)
+from sim.devices.stream_server import DeviceClock, NetFTServer, Outbox, Unkindness
 
 MARGIN = 0.002
 """Distance from where the travel on the surface begins and ends within which the force does not count [m]."""
@@ -153,17 +148,8 @@ class ServedCell:
 
 
 @contextmanager
-def served_cell(scene: Scene, places: Places, unkind: Unkindness) -> Iterator[tuple[ServedCell, ServedArm]]:
-    """The devices of a scene; they listen from now on, and the arm is led as soon as ``sessions`` is called.
-
-    Args:
-        scene: of kind ``line`` or ``force``.
-        places: where the devices are.
-        unkind: what clocks and network do.
-
-    Raises:
-        InputError: a scene of another kind, or an address that cannot be listened on.
-    """
+def _served_cell(scene: Scene, places: Places, unkind: Unkindness) -> Iterator[tuple[ServedCell, ServedArm]]:
+    """The devices of a scene; they listen from now on, and the arm is led as soon as ``sessions`` is called."""
     if not isinstance(scene, LineScene | ForceScene):
         raise InputError("only scenes of kind line and force have devices", field="scene", value=scene.kind)
     cell: LineCell | ForceCell = set_up_line(scene) if isinstance(scene, LineScene) else set_up_force(scene)
@@ -233,9 +219,12 @@ def serve_scene(scene: Scene, places: Places, unkind: Unkindness, sessions: int,
         sessions: after how many it ends; 0 for no end.
         json: file for what happened in the last session; None for none.
         say: prints a line.
+
+    Raises:
+        InputError: a scene of another kind, or an address that cannot be listened on.
     """
     told: list[dict[str, Any]] = []
-    with served_cell(scene, places, unkind) as (cell, arm):
+    with _served_cell(scene, places, unkind) as (cell, arm):
         def done(session: Session) -> None:
             figures = {"session": len(told) + 1, **scene.played(), **cell.truth(session)}
             told.append(figures)

@@ -17,8 +17,8 @@ from ideal_robot.robots.collisions import Obstacle, Shapes
 from ideal_robot.robots.robot import Robot, spread_postures
 from planning.path.kinematics import InverseKinematics
 from scenes.arms import arm_of
+from scenes.force.cell import friction_shown
 from scenes.force.cell import set_up as set_up_force
-from scenes.force.play import friction_shown
 from scenes.identification.plan import plan
 from scenes.line.cell import set_up
 from scenes.line.result import far_from_line, little_gained

@@ -18,10 +18,10 @@ from ideal_robot.signals.recording import Recording
 from planning.line.deviation_model import Stand
 from scenes import load_scene
 from scenes.force import play as playing
-from scenes.force.cell import glue_line, set_up
+from scenes.force.cell import camera_shown, friction_shown, glue_line, set_up
 from scenes.force.kind import run
 from scenes.force.page import forces_figure
-from scenes.force.play import ForceResult, camera_shown, friction_shown, play
+from scenes.force.play import ForceResult, play
 from scenes.online.force_task import GlueCamera
 from sensing.camera.line_detection import LineField
 from sim.arm.drive import steady_friction
