@@ -223,11 +223,9 @@ def _settings(report: Report, result: LineResult) -> None:
     report.heading("The world, as it was set")
     report.text("Nothing of this is known to sensing, planning or the ideal robot.")
     report.table(COLUMNS, world_rows(result.world), folded="All settings of the simulated arm")
-    tables: list[tuple[str, dict[str, Any]]] = [("camera", scene.camera.model_dump()),
-                                                ("calibration errors", scene.calibration.model_dump()),
-                                                ("displacement (sizes)", scene.displacement.model_dump())]
-    for title, table in tables:
-        rows = [[key, _short(value)] for key, value in table.items()]
+    for title, table in (("camera", scene.camera), ("calibration errors", scene.calibration),
+                         ("displacement (sizes)", scene.displacement)):
+        rows = [[key, _short(value)] for key, value in table.model_dump().items()]
         report.table([title, "value"], rows, folded=title.capitalize())
 
 
@@ -247,10 +245,10 @@ def _cell(result: LineResult) -> bytes:
     q = result.recording.joints("q", slice(middle, middle + 1))[0]
     robot = result.scene.arm
     tip = robot.fk()(q)
-    boxes = box_edges(result.scene.box).values()
-    tool = [np.array([tip.translation, tip.act(np.array([0.0, 0.0, -robot.tool_length]))])]
+    tool = np.array([tip.translation, tip.act(np.array([0.0, 0.0, -robot.tool_length]))])
     drawn = result.geometry.drawn[::10]  # every 5 mm, about two pixels
-    seen = picture(robot, q, lines=(drawn, *tool, *boxes), surface=surface_corners(result))
+    seen = picture(robot, q, lines=(drawn, tool, *box_edges(result.scene.box).values()),
+                   surface=surface_corners(result))
     return bytes(cv2.imencode(".png", cv2.cvtColor(seen, cv2.COLOR_RGB2BGR))[1])
 
 
@@ -269,10 +267,8 @@ def _from_above(result: LineResult) -> Figure:
     axes.plot(*(1e3 * _in_plane(tcp, plane)).T, color=ACCENT, lw=1.3, label="tool centre point")
     axes.set(xlabel="x in the surface [mm]", ylabel="y [mm]", aspect="equal")
     axes.margins(y=0.25)
-    axes.grid(alpha=0.25)
     axes.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.02))
-    figure.tight_layout()
-    return figure
+    return _laid_out(figure)
 
 
 def _fields(shown: tuple[FieldShown, ...]) -> Figure:
@@ -307,7 +303,6 @@ def _along(result: LineResult) -> Figure:
                label="line as all fields show it")
     above.axhline(0, color=BLUE, lw=1.0, ls="--", label="reference path x_r")
     above.set(xlabel="along the reference path [mm]", ylabel="deviation Δx_r [mm]")
-    above.grid(alpha=0.25)
     above.legend(frameon=False, ncols=4)
     whole, error = result.control_error_from_start, result.control_error
     axes.axhline(0, color=INK, lw=0.8)
@@ -315,10 +310,8 @@ def _along(result: LineResult) -> Figure:
     axes.plot(1e3 * error.s, 1e3 * error.lateral, color=ACCENT, lw=1.5, label="counts")
     limit = 3.0 * max(1e3 * error.p95, 0.1) if len(error.s) else 5.0
     axes.set(xlabel="along the line [mm]", ylabel="distance to the left [mm]", ylim=(-limit, limit))
-    axes.grid(alpha=0.25)
     axes.legend(frameon=False, ncols=2)
-    figure.tight_layout()
-    return figure
+    return _laid_out(figure)
 
 
 def _along_all(comparison: LineComparison) -> Figure:
@@ -333,12 +326,10 @@ def _along_all(comparison: LineComparison) -> Figure:
             lower.plot(1e3 * run.control_error.s, 1e3 * run.control_error.lateral, color=colour.get_color())
     for axes in (upper, lower):
         axes.axhline(0, color=INK, lw=0.8)
-        axes.grid(alpha=0.25)
         axes.set_ylabel("distance to the left [mm]")
     upper.legend(frameon=False, ncols=4)
     lower.set_xlabel("along the line [mm]")
-    figure.tight_layout()
-    return figure
+    return _laid_out(figure)
 
 
 def _gains(comparison: LineComparison) -> Figure:
@@ -357,7 +348,12 @@ def _gains(comparison: LineComparison) -> Figure:
     right.semilogx(*np.array([(k, 100 * o) for k, o in comparison.overshoots]).T, "o-", color=BLUE)
     right.axhline(5, color=INK, lw=0.8, ls="--")
     right.set(xlabel="K_p per cycle", ylabel="overshoot [%]")
-    for axes in (left, right):
+    return _laid_out(figure)
+
+
+def _laid_out(figure: Figure) -> Figure:
+    """With a grid in each of its axes."""
+    for axes in figure.axes:
         axes.grid(alpha=0.25)
     figure.tight_layout()
     return figure

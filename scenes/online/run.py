@@ -81,7 +81,7 @@ def follow(scene: Scene, devices: Devices, *, method: str | None = None, calibra
         motion = job.calibration_motion()
         moved = list[RobotState]()
         calibrated = _played(scene, job, devices, folder, "calibration", progress,
-                             partial(_calibrate, motion=motion, moved=moved))
+                             partial(_calibrate, job=job, motion=motion, moved=moved))
         if calibrated.failure is not None:
             return _kept(replace(calibrated, left_behind=before), folder)
         remove(folder)
@@ -96,7 +96,8 @@ def follow(scene: Scene, devices: Devices, *, method: str | None = None, calibra
     at_start = max(at_start, give_back())
     # What a cycle needs is there again before the first packet.
     job.rehearse()
-    result = _played(scene, job, devices, folder, name, progress, partial(_follow, check=devices.check))
+    result = _played(scene, job, devices, folder, name, progress,
+                     partial(_follow, job=job, method=name, progress=progress, check=devices.check))
     timing = {**result.timing, "memory_at_start_MB": at_start}
     return _kept(replace(result, left_behind=before, timing=timing), folder)
 
@@ -180,12 +181,7 @@ def _opened(scene: Scene, job: Job, devices: Devices, folder: Path, method: str,
         yield _Opened(arm, journal, process, camera, force), granted
 
 
-Work = Callable[[_Opened, Job, CycleSettings, Progress], None]
-"""What is done with the devices; what comes of it is in the job."""
-
-
-def _calibrate(opened: _Opened, job: Job, settings: CycleSettings, progress: Progress, motion: CalibrationMotion,
-               moved: list[RobotState]) -> None:
+def _calibrate(opened: _Opened, job: Job, motion: CalibrationMotion, moved: list[RobotState]) -> None:
     if opened.camera is None:
         raise InputError("calibrating by moving needs a camera", field="--camera")
     opened.arm.approach(job.q_start)
@@ -193,7 +189,7 @@ def _calibrate(opened: _Opened, job: Job, settings: CycleSettings, progress: Pro
     moved += opened.arm.reported
 
 
-def _follow(opened: _Opened, job: Job, settings: CycleSettings, progress: Progress, check: bool) -> None:
+def _follow(opened: _Opened, job: Job, method: str, progress: Progress, check: bool) -> None:
     opened.arm.approach(job.q_start)
     look, camera = job.look, opened.camera
     if check and look is not None and camera is not None:
@@ -203,18 +199,19 @@ def _follow(opened: _Opened, job: Job, settings: CycleSettings, progress: Progre
     shown = Later(progress)
     opened.arm.between.append(shown.catch_up)
     opened.arm.begin()
-    play_cycles(opened.arm, job.robot, task, job.log, settings, shown)
+    play_cycles(opened.arm, job.robot, task, job.log,
+                CycleSettings(job.braking, REST, job.longest, job.expected, method), shown)
 
 
-def _played(scene: Scene, job: Job, devices: Devices, folder: Path, method: str, progress: Progress, work: Work
-            ) -> FollowResult:
+def _played(scene: Scene, job: Job, devices: Devices, folder: Path, method: str, progress: Progress,
+            work: Callable[[_Opened], None]) -> FollowResult:
     """Opens the devices, does the work and tells what came of it, however it ended."""
     with _opened(scene, job, devices, folder, method, progress) as (opened, granted):
         arm = opened.arm
         pids = [os.getpid()] + ([opened.process.pid] if opened.process is not None and opened.process.pid else [])
         begun, used = time.perf_counter(), [processor_seconds(pid) for pid in pids]
         try:
-            work(opened, job, CycleSettings(job.braking, REST, job.longest, job.expected, method), progress)
+            work(opened)
             failure = job.log.failure
         except IdealRobotError as error:
             if not arm.cycles:

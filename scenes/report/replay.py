@@ -43,26 +43,26 @@ def polygons(robot: Robot) -> tuple[list[dict[str, Any]], list[int]]:
     """
     model = robot.pinocchio
     shapes: list[dict[str, Any]] = []
-    links = list(range(model.njoints))
     text = without_meshes(robot.description)
     for item in pin.buildGeomFromUrdfString(model, text, pin.GeometryType.VISUAL).geometryObjects:
-        faces = _faces(item.geometry)
-        if not faces:
-            continue
-        placed = [[rounded(item.placement.act(np.asarray(corner)), 4) for corner in face] for face in faces]
-        shapes.append({"link": int(item.parentJoint), "faces": placed,
-                       "colour": [round(255 * float(c)) for c in item.meshColor[:3]]})
+        if faces := _faces(item.geometry):
+            shapes.append({"link": int(item.parentJoint), "faces": _placed(item.placement, faces),
+                           "colour": [round(255 * float(c)) for c in item.meshColor[:3]]})
     if robot.tool_length > 0.0:
         flange = model.frames[model.frames[robot.tool_id].parentFrame]
-        rod = [[rounded(flange.placement.act(np.asarray(corner)), 4) for corner in face]
-               for face in _rod(np.array([0.0, 0.0, robot.tool_length]), 0.006)]
-        shapes.append({"link": int(flange.parentJoint), "faces": rod, "colour": [51, 51, 51]})
+        rod = _rod(np.array([0.0, 0.0, robot.tool_length]), 0.006)
+        shapes.append({"link": int(flange.parentJoint), "faces": _placed(flange.placement, rod),
+                       "colour": [51, 51, 51]})
     if not shapes:
         for joint in range(1, model.njoints):
             end = model.jointPlacements[joint].translation
             if np.linalg.norm(end) > 1e-6:
                 shapes.append({"link": int(model.parents[joint]), "faces": _rod(end, 0.04), "colour": [224, 106, 0]})
-    return shapes, links
+    return shapes, list(range(model.njoints))
+
+
+def _placed(placement: pin.SE3, faces: list[list[list[float]]]) -> list[list[list[float]]]:
+    return [[rounded(placement.act(np.asarray(corner)), 4) for corner in face] for face in faces]
 
 
 def link_poses(robot: Robot, q: Array, links: list[int]) -> Array:

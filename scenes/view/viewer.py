@@ -87,7 +87,7 @@ class Viewer:
         poses = link_poses(self.robot, np.asarray(q, dtype=float)[None], self._links)[0]
         with self.server.atomic():
             for frame, pose in zip(self.frames[name], poses, strict=True):
-                frame.wxyz = _quaternion(pose[:9].reshape(3, 3))
+                frame.wxyz = tuple(Rotation.from_matrix(pose[:9].reshape(3, 3)).as_quat(scalar_first=True).tolist())
                 frame.position = tuple(pose[9:])
 
     def draw(self, name: str, points: Array, colour: tuple[int, int, int] | Array, thickness: float = 3.0) -> None:
@@ -150,12 +150,6 @@ class Viewer:
                                           cast_shadow=False)
 
 
-def _quaternion(rotation: Array) -> tuple[float, float, float, float]:
-    """A rotation matrix as w, x, y, z."""
-    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
-    return float(w), float(x), float(y), float(z)
-
-
 MOST = 3000
 """Samples that are shown of a recording; longer ones are thinned out."""
 
@@ -193,11 +187,8 @@ def recorded_replay(path: Path, arm: Robot, recording: Recording) -> Replay:
         recording: what the file holds.
     """
     beside = replay_beside(path)
-    if beside.is_file():
-        replay = read_replay(beside, arm, recording)
-        if replay is not None:
-            return replay
-    return replay_of_columns(arm, recording)
+    replay = read_replay(beside, arm, recording) if beside.is_file() else None
+    return replay or replay_of_columns(arm, recording)
 
 
 def replay_of_columns(arm: Robot, recording: Recording) -> Replay:
