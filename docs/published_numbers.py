@@ -68,11 +68,7 @@ class Published:
 
 
 def published(table: Path = ROOT / "docs" / "numbers.toml", root: Path = ROOT) -> list[Published]:
-    """All numbers of the table, read from their pages.
-
-    Raises:
-        ValueError: a page does not have what the table says, with the entry.
-    """
+    """All numbers of the table, read from their pages; ValueError with the entry that a page does not have."""
     entries = tomllib.loads(table.read_text(encoding="utf-8"))
     return [one for entry in entries["entry"] for one in _numbers(entry, root)]
 

@@ -38,11 +38,7 @@ DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 def arm_of(name_or_urdf: str) -> Robot:
-    """The arm that a scene names, such that it can be played whatever its URDF leaves open.
-
-    Raises:
-        InputError: as ``Robot.load``.
-    """
+    """The arm that a scene names, so that it can be played whatever its URDF leaves open; errors of ``Robot.load``."""
     if name_or_urdf in SHIPPED_ARMS or not os.path.isfile(name_or_urdf):
         return Robot.load(name_or_urdf)
     beside = os.path.splitext(name_or_urdf)[0] + ".toml"
@@ -118,12 +114,11 @@ def shipped_model(robot_name: str) -> Path:
 def model_at(wanted: str, robot: Robot, source: str | None = None) -> Model:
     """The model that a scene names by ``shipped`` or by its path.
 
+    Raises InputError for no shipped model for that robot, no such file, or a model of another robot.
+
     Args:
         wanted, robot: the name or path, and the arm.
         source: the scene, for messages.
-
-    Raises:
-        InputError: no shipped model for that robot, no such file, or a model of another robot.
     """
     path = shipped_model(robot.name) if wanted == SHIPPED else Path(wanted)
     if not os.path.isfile(path):

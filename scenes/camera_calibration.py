@@ -51,6 +51,7 @@ def calibrate_by_moving(known: Known | ForceKnown, arm: SimulatedArm, camera: Re
     """The camera that explains all that is seen while the arm moves it over one piece of the line.
 
     The arm goes from pose to pose through its positional interface; fields are taken at short rests and on the way.
+    Raises SceneError where fewer than half of the poses can be reached, or fewer than half of the fields show the line.
 
     Args:
         known: arm, reference path, camera as mounted by hand and detector; where the line really is stays unknown.
@@ -60,9 +61,6 @@ def calibrate_by_moving(known: Known | ForceKnown, arm: SimulatedArm, camera: Re
         at: arc length of the reference around which the piece lies [m].
         before: how pictures showed the line before, and where.
         moved: gets what the controller reports, cycle by cycle.
-
-    Raises:
-        SceneError: fewer than half of the poses can be reached, or fewer than half of the fields show the line.
     """
     robot, reference, believed = known.robot, known.reference, known.camera
     T, ahead = arm.t_ipo, BEFORE / camera.settings.rate  # its clock runs ahead by a whole number of fields
@@ -105,15 +103,14 @@ def look_at_line(known: Known | ForceKnown, arm: SimulatedArm, camera: RenderedC
                  rng: np.random.Generator) -> SeenBefore:
     """Takes pictures of all of the line from above where it ought to be: how it looks and where it is.
 
+    Raises SensingError where no picture shows a line.
+
     Args:
         known: arm, reference path and camera as mounted by hand; where the line really is stays unknown.
         arm: the arm; it is put to rest above each place.
         camera: renders what the true camera sees.
         span: arc lengths of the reference between which the line ought to be [m].
         rng: of the pictures' noise.
-
-    Raises:
-        SensingError: no picture shows a line.
     """
     robot, reference, believed, clear = known.robot, known.reference, known.camera, known.clear
     kinematics, above = InverseKinematics(robot), pin.SE3(np.eye(3), np.array([0.0, 0.0, -clear]))

@@ -143,8 +143,7 @@ class _Clamp(Subject[Play]):
 def stiffness_of(analysis: StiffnessAnalysis, n: int) -> Array:
     """The best known stiffness of each joint ``(n,)`` [N m/rad]: of the methods that say one, the surest.
 
-    Raises:
-        InputError: a joint that no recording loaded.
+    Raises InputError for a joint that no recording loaded.
     """
     result = np.full(n, np.nan)
     for joint in range(1, n + 1):

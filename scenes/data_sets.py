@@ -86,15 +86,14 @@ def data_sets(registry: Path | None = None) -> dict[str, DataSet]:
 def fetch(name: str, out: Path, *, file: Path | None = None, registry: Path | None = None) -> Path:
     """Gets a data set and writes it as ``NAME.parquet``, with its origin and licence in ``NAME.txt`` beside it.
 
+    Raises InputError for no such set, one that needs ``file``, or a file that cannot be read; IdealRobotError for no
+    connection, or not the file that it should be.
+
     Args:
         name: of the set.
         out: folder; made if missing.
         file: the original file where it was downloaded by hand.
         registry: see ``data_sets``.
-
-    Raises:
-        InputError: no such set, a set that needs ``file``, a file that cannot be read.
-        IdealRobotError: no connection, or not the file that it should be.
     """
     known = data_sets(registry)
     if name not in known:

@@ -36,14 +36,13 @@ class Detected(NamedTuple):
 def pictures(source: str, *, every: int = 1, most: int = 100) -> Iterator[tuple[str, Picture]]:
     """Names and pictures, gray ``(height, width)`` or BGR ``(height, width, 3)``, of a source, one after the other.
 
+    Raises InputError for nothing of that name, nothing readable in it, or a picture that is too large.
+
     Args:
         source: path of a picture, a folder of pictures or a video; number of a camera; or an ``rtsp://``, ``http://``
             address that OpenCV can open.
         every: takes one of so many frames of a video or stream.
         most: ends after so many pictures.
-
-    Raises:
-        InputError: nothing of that name, nothing readable in it, or a picture that is too large.
     """
     path = Path(source)
     if os.path.isdir(path):
@@ -65,15 +64,8 @@ def detected(source: str, *, every: int, most: int, kind: str | None, near: tupl
     """What is found in each picture of a source; in a film the line is followed from picture to picture.
 
     Args:
-        source: see ``pictures``.
-        every: see ``pictures``.
-        most: see ``pictures``.
-        kind: see ``detect_in_picture``.
-        near: see ``detect_in_picture``.
-        points: see ``detect_in_picture``.
-
-    Raises:
-        InputError: as ``pictures`` and ``detect_in_picture``.
+        source, every, most: see ``pictures``.
+        kind, near, points: see ``detect_in_picture``; errors as of both.
     """
     # Pictures of a video, a camera or a stream follow each other.
     film = not os.path.isdir(source) and Path(source).suffix.lower() not in PICTURES
@@ -87,11 +79,7 @@ def detected(source: str, *, every: int, most: int, kind: str | None, near: tupl
 
 
 def pixel(words: str) -> tuple[float, float]:
-    """``320,240`` as two numbers.
-
-    Raises:
-        InputError: not two numbers.
-    """
+    """``320,240`` as two numbers; InputError for anything else."""
     try:
         u, v = (float(word) for word in words.split(","))
     except ValueError as error:
@@ -190,11 +178,7 @@ def figures(one: Detected) -> dict[str, Any]:
 
 
 def drawn(picture: Picture, found: PictureLine) -> bytes:
-    """The picture, gray or BGR, as PNG with the line's edges (orange) and points (green, red where it hardly shows).
-
-    Raises:
-        IdealRobotError: the picture cannot be encoded.
-    """
+    """The picture, gray or BGR, as PNG with the line's edges (orange) and points (green, red where it hardly shows)."""
     scale = min(_WIDEST / picture.shape[1], 3.0)
     image = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
     image = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image

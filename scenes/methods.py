@@ -56,11 +56,7 @@ class SceneMethod:
         return self.key.removesuffix("_delay") == ADAPTED
 
     def feedforward(self, setting: Setting) -> Feedforward:
-        """Makes the feedforward.
-
-        Raises:
-            InputError: something that it needs is missing, or it cannot be played on this arm.
-        """
+        """Makes the feedforward; InputError where something that it needs is missing, or this arm cannot play it."""
         if isinstance(self.made, Feedforward):
             found = self.made
         elif self.made is not None:
@@ -73,8 +69,7 @@ class SceneMethod:
     def following(self, setting: Setting) -> Feedforward:
         """Makes the feedforward of a play that knows its path over a horizon only.
 
-        Raises:
-            InputError: it needs more than there is: the whole path, plays beforehand, or a longer horizon.
+        Raises InputError where it needs more: the whole path, plays beforehand, or a longer horizon.
         """
         found = self.feedforward(setting)
         if setting.n_d is not None and found.n_d > setting.n_d:
@@ -90,14 +85,11 @@ def following_methods() -> tuple[str, ...]:
 
 
 def method_of(wanted: Any, allowed: Sequence[str]) -> SceneMethod:
-    """The method that a caller asks for.
+    """The method that a caller asks for; InputError for no such key.
 
     Args:
         wanted: one of ``allowed``, a ``Feedforward``, or a factory of one that is called with a ``Setting``.
         allowed: keys of the kind of scene.
-
-    Raises:
-        InputError: no such key.
     """
     if isinstance(wanted, SceneMethod):
         return wanted
@@ -116,15 +108,12 @@ def method_of(wanted: Any, allowed: Sequence[str]) -> SceneMethod:
 
 
 def compared(wanted: Sequence[Any] | None, allowed: Sequence[str], left_out: Sequence[str] = ()) -> list[SceneMethod]:
-    """The methods of a comparison.
+    """The methods of a comparison; InputError for no such method, or two of one name.
 
     Args:
         wanted: those that a caller asks for; None for all.
         allowed: keys of the kind of scene.
         left_out: keys that are compared only where they are asked for.
-
-    Raises:
-        InputError: no such method, or two of one name.
     """
     every = [key for key in allowed if key not in left_out]
     found = [method_of(one, allowed) for one in (every if wanted is None else wanted)]

@@ -69,7 +69,7 @@ class PathErrors:
 
 
 def path_errors(t: Array, x_d: Array, t_actual: Array, x_actual: Array) -> PathErrors:
-    """Errors of a motion against its desired path.
+    """Errors of a motion against its desired path; InputError for fewer than four samples, or shapes that do not fit.
 
     Args:
         t: instants at which the path counts ``(N,)`` [s].
@@ -77,9 +77,6 @@ def path_errors(t: Array, x_d: Array, t_actual: Array, x_actual: Array) -> PathE
         t_actual: instants of the motion ``(M,)`` [s]; may begin earlier and end later than ``t``. Where they do not,
             the first and last position hold.
         x_actual: positions at them ``(M, 3)`` [m].
-
-    Raises:
-        InputError: fewer than four samples of either, or shapes that do not fit.
     """
     if len(t) < 4 or len(t_actual) < 4 or x_d.shape != (len(t), 3) or x_actual.shape != (len(t_actual), 3):
         raise InputError("expected at least four instants and positions (N, 3) at each", field="path",

@@ -74,14 +74,12 @@ def prepared_model(robot: Robot, world: World, progress: Progress = silent, boxe
     """The model that an arm's own identification motions give; they are played where nothing sound is kept of them.
 
     The world says how the simulated arm moves, as a real arm's mechanics do; the model sees its recordings alone.
+    Raises InputError for an arm whose world does not fit its data, or a cache folder that cannot be written.
 
     Args:
         robot, world: the arm as its data sheet has it, and as it is.
         progress: called with the fraction done.
         boxes: that stand in the cell; the motions keep off them.
-
-    Raises:
-        InputError: an arm whose world does not fit its data; a cache folder that cannot be written.
     """
     path = cache_folder() / f"{cache_name(robot, world, boxes)}.json"
     if os.path.isfile(path):
@@ -112,12 +110,11 @@ __all__ = ["model_for", "own_model", "shipped_model"]
 def model_for(scene: Scene, robot: Robot, progress: Progress = silent) -> Model:
     """The model that a scene asks for; the arm's own one is identified now if that has not been done.
 
+    Raises InputError as ``model_at`` and ``prepared_model`` do.
+
     Args:
         scene, robot: say which model, and what the arm is like that moves for an own one; its data sheet.
         progress: called with the fraction of an identification done.
-
-    Raises:
-        InputError: no shipped model for that robot, no such file, or a model of another robot.
     """
     if scene.model != OWN:
         return model_at(scene.model, robot, scene.source)

@@ -29,12 +29,11 @@ _TRIES = 100
 def check_outputs(folders: dict[str, Path | None] | None = None, **files: Path | None) -> None:
     """Makes sure that results can be written, without leaving anything behind.
 
+    Raises InputError for a folder where a file should be or the reverse, no right to write, two results of one name.
+
     Args:
         folders: option → folder that results go to; None where the option is not given.
         files: name of the option (``_`` for ``-``) → file.
-
-    Raises:
-        InputError: a folder where a file should be or the reverse, no right to write, two results of one name.
     """
     taken: dict[Path, str] = {}
     wanted = [*((option, path, True) for option, path in (folders or {}).items()),
@@ -82,8 +81,7 @@ def folders_held() -> Iterator[None]:
 
     So a file that is written after a folder, in the block, is whole before the folder is there.
 
-    Raises:
-        OutputError: a folder cannot take its place.
+    Raises OutputError where a folder cannot take its place.
     """
     held: _Held = []
     token = _HELD.set(held)
@@ -107,13 +105,8 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     """Yields a new folder to write into; its files take their places in ``folder`` together when the block ends.
 
     Other files of ``folder`` stay. Where the system cannot exchange folders at one stroke (not Linux, or ``folder`` is
-    the working folder, a mount point or holds folders), the files are moved one by one, each whole.
-
-    Args:
-        folder: where the files go; missing parents are made.
-
-    Raises:
-        OutputError: it cannot be written; ``folder`` is as it was.
+    the working folder, a mount point or holds folders), the files are moved one by one, each whole. Missing parents are
+    made. Raises OutputError where it cannot be written; ``folder`` is as it was.
     """
     new: Path | None = None
     made: list[Path] = []

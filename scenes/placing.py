@@ -75,10 +75,7 @@ class Place:
 def place_line(scene: LineScene) -> Place:
     """A long line across the arm that it can follow fast, ahead of it and beside nothing that it would hit.
 
-    Of the scene, shape of the line and run-up count.
-
-    Raises:
-        InputError: nowhere.
+    Of the scene, shape of the line and run-up count. Raises InputError where it fits nowhere.
     """
     robot = scene.arm
     if shoulder_height(robot) < 0.0:
@@ -192,14 +189,11 @@ def fits(scene: LineScene, robot: Robot) -> float | None:
 
 
 def check_way(scene: LineScene, robot: Robot, reference: ReferencePath, path: JointPath) -> None:
-    """Refuses a reference on which the arm would hit something, or could not follow a line that lies beside it.
+    """Raises InputError for a reference on which the arm would hit something, or could not follow a line beside it.
 
     Args:
         scene, robot: how far the line may be from its reference, and the arm.
         reference, path: the path, and its joint angles.
-
-    Raises:
-        InputError: says where, and what is in the way.
     """
     check_clear(shapes_about(scene, robot), path)
     beside = scene.displacement
@@ -214,11 +208,7 @@ def check_way(scene: LineScene, robot: Robot, reference: ReferencePath, path: Jo
 
 
 def check_clear(shapes: Shapes, path: JointPath) -> None:
-    """Refuses a path on which the arm would touch something.
-
-    Raises:
-        InputError: says where, and what is in the way.
-    """
+    """Raises InputError for a path on which the arm would touch something, and says where, and what is in the way."""
     touch = shapes.first_touch(path.q[::5])
     if touch is not None:
         raise InputError(f"the arm would hit something: {touch} {path.s[5 * touch.row]:.2f} m from the path's begin",

@@ -93,11 +93,7 @@ def _hidden() -> dict[str, str]:
 
 
 def check_rooms() -> None:
-    """Makes sure that our packages are those that imports find.
-
-    Raises:
-        InputError: a folder of the same name stands before one of them.
-    """
+    """Raises InputError where imports find a folder of the same name in place of one of our packages."""
     for room, place in _hidden().items():
         raise InputError(f"hides the package {room} of ideal-robot, which is looked for by that name; rename it, start "
                          "from another folder, or call the program ideal-robot, which finds its own", file=place)

@@ -41,11 +41,7 @@ def load_scene(name_or_path: str | Path) -> Scene:
 
 
 def scene_values(name_or_path: str | Path) -> tuple[Path, dict[str, Any]]:
-    """Where a scene's file is, and its keys, not yet checked.
-
-    Raises:
-        InputError: no such scene, two scenes of the same name, broken TOML.
-    """
+    """Where a scene's file is, and its keys, not yet checked; InputError as of ``find_scene``, or for broken TOML."""
     path = find_scene(str(name_or_path))
     values = read_toml(path, "a scene file")
     values.setdefault("name", path.stem)

@@ -55,12 +55,7 @@ class Kept:
 class SweepFile(Kept):
     """A file of lines ``{"job": …, "answer": …}``.
 
-    Args:
-        path: of the file.
-        resume: go on with a file that is there; without it such a file is refused.
-
-    Raises:
-        InputError: the file is there and not to be gone on with, or is none of a sweep.
+    Without ``resume`` a file that is there is refused by InputError, as is one of something else.
     """
 
     def __init__(self, path: Path, *, resume: bool) -> None:
@@ -89,11 +84,7 @@ class SweepFile(Kept):
             os.truncate(self.path, len(whole))
 
     def add(self, job: dict[str, Any], answer: dict[str, Any]) -> None:
-        """Appends an answer; it is on the disk when this returns.
-
-        Raises:
-            OutputError: it cannot be written; the file holds the answers before it.
-        """
+        """Appends an answer; OutputError where it cannot be written, the file holds the answers before it."""
         line = json.dumps({"job": plain(job), "answer": plain(answer)}, allow_nan=False) + "\n"
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -177,8 +168,7 @@ def jobs(scenes: Sequence[str | Scene], methods: Sequence[Any] = (), speeds: Seq
 def play(job: Job) -> dict[str, Any]:
     """Plays one job without writing anything; whatever fails is part of the answer, it does not end the sweep.
 
-    Raises:
-        MemoryError: which says nothing of the run, but of what was beside it.
+    But for MemoryError, which says nothing of the run, but of what was beside it.
     """
     answer = _named(job)
     try:

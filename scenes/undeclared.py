@@ -48,8 +48,7 @@ _REASONS = {
 def undeclared_effects(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
     """Effects by which the scene's world differs from the default one, with the joints they sit in (0: all ``n``).
 
-    Raises:
-        InputError: a world that cannot be closed, which key and why; or one that holds nothing undeclared.
+    Raises InputError for a world that cannot be closed, which key and why; or one that holds nothing undeclared.
     """
     result = effects_of_world(scene, n)
     if not result:
@@ -59,11 +58,7 @@ def undeclared_effects(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
 
 
 def effects_of_world(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
-    """As ``undeclared_effects``, of a world that may hold none.
-
-    Raises:
-        InputError: a world that cannot be closed, which key and why.
-    """
+    """As ``undeclared_effects``, of a world that may hold none."""
     default, file = World.default(scene.robot), scene.source
     world = World.from_table(scene.robot, scene.arm_world, file)
     for key, value in scene.arm_world.items():

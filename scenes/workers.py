@@ -185,16 +185,13 @@ def work_off_on(address: str, tasks: Sequence[Any], function: Callable[[Any], An
 
     Short tasks are handed over in batches. Where a batch's worker is lost each time, its tasks are begun alone after
     all others, so that the one that ends its worker costs no other. A scheduler that has gone is waited for, and a new
-    one at the same address gets what is left.
+    one at the same address gets what is left. Raises InputError where none answers, or Dask is not installed.
 
     Args:
         address: of a running Dask scheduler.
         tasks: what ``function`` is called with.
         function: of a module that the workers can import.
         limit: how long a task may take [s]; its worker ends then, and a nanny begins it anew.
-
-    Raises:
-        InputError: no scheduler answers, or Dask is not installed.
     """
     try:
         from dask.distributed import Client

@@ -197,11 +197,7 @@ def _number(piece: str, kind: type[N], option: str, text: str) -> N:
 
 
 def scenes_there(given: Any) -> Any:
-    """A scene or scenes as given, if there are any of that name: asked before what would play them is loaded.
-
-    Raises:
-        InputError: no such scene, two scenes of the same name.
-    """
+    """A scene or scenes as given, or InputError for none or two of that name: before what plays them is loaded."""
     from scenes.scene_file import find_scene
 
     for one in given if isinstance(given, (list, tuple)) else [given]:
@@ -210,11 +206,7 @@ def scenes_there(given: Any) -> Any:
 
 
 def arm_there(given: Any) -> Any:
-    """A robot as given, if there is one of that name or file; None stays what it is.
-
-    Raises:
-        InputError: neither a shipped robot nor a file.
-    """
+    """A robot as given, or InputError where it is neither a shipped robot nor a file; None stays what it is."""
     from ideal_robot.robots import urdf_of
 
     if given is not None:

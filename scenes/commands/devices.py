@@ -136,11 +136,7 @@ class SimulateOptions:
                     ] = None
 
     def places(self) -> Places:
-        """Where the devices listen.
-
-        Raises:
-            InputError: an arm behind neither RSI nor RTDE.
-        """
+        """Where the devices listen; InputError for an arm behind neither RSI nor RTDE."""
         from scenes.serve.cell import Places
         from sensing.stream import host_and_port
 
@@ -266,11 +262,7 @@ class RsiOptions:
     json: JsonFigures = None
 
     def form(self) -> RsiFormat:
-        """How the controller calls the parts of its messages.
-
-        Raises:
-            InputError: its configuration cannot be used.
-        """
+        """How the controller calls the parts of its messages; InputError where its configuration cannot be used."""
         from ideal_robot.robots.robot import Robot
         from ideal_robot.rsi.message import RsiFormat
 

@@ -70,11 +70,7 @@ class RunOptions(PlayedScene):
     out: Annotated[Path | None, typer.Option(help="Folder for recording and report; default out/SCENE.")] = None
 
     def allowed(self, scene: Scene) -> float | None:
-        """The error at which 95 % of the way lie [m]; None where the speed is given.
-
-        Raises:
-            InputError: no length, no line, or a speed beside it.
-        """
+        """Error within which 95 % of the way lie [m], if given; InputError for no length, no line, or a speed too."""
         from scenes.scene_files.line_scene import LineScene
 
         if self.tolerance is None:

@@ -72,7 +72,7 @@ class Plan(Summarised):
 
 def plan(robot: Robot, method: str, *, seed: int = 1, period: float = 20.0, points: int = 10,
          workspace: Workspace | None = None) -> Plan:
-    """Plans a motion from the robot's home posture.
+    """Plans a motion from the robot's home posture; InputError where none is possible in limits, workspace and cell.
 
     Args:
         robot: the arm.
@@ -81,9 +81,6 @@ def plan(robot: Robot, method: str, *, seed: int = 1, period: float = 20.0, poin
         period: of the Fourier motion [s].
         points: operating points of the two-step program.
         workspace: where the arm may move; in proportion to its reach if None.
-
-    Raises:
-        InputError: unknown method, or nothing possible within limits, workspace and cell.
     """
     if method not in ("joint", "two-step"):
         raise InputError("expected joint or two-step", field="method", value=method)

@@ -155,16 +155,13 @@ class Comparison(Summarised):
 
 def compared(before: Results, after: Results, *, figures: Sequence[str] = MAIN, rules: Rules | None = None,
              title: str = "") -> Comparison:
-    """Compares results pair by pair.
+    """Compares results pair by pair; InputError for different arms, no pair in common, or a run that is held twice.
 
     Args:
         before, after: earlier results and new ones.
         figures: names of what is compared; those that not both have are passed over.
         rules: what counts as a change.
         title: of the comparison.
-
-    Raises:
-        InputError: they are of different arms, share no pair, or one of them holds a run twice.
     """
     pairs = _pairs(before, after)
     rows: list[Row] = []
@@ -229,11 +226,7 @@ def _failures(label: str, after: pd.Series, before: pd.Series | None = None) -> 
 
 
 def check_arms(before: Results, robots: set[str]) -> None:
-    """Makes sure that earlier results are of an arm among these, wherever its file lies.
-
-    Raises:
-        InputError: they are of other arms alone.
-    """
+    """Raises InputError where earlier results are of other arms than these alone, wherever the arms' files lie."""
     of, robots = ({Path(one).name for one in every} for every in (before.runs["robot"].dropna(), robots))
     if of and robots and not of & robots:
         raise InputError(f"is of another arm ({', '.join(sorted(of))}); these runs are of {', '.join(sorted(robots))}: "
@@ -288,8 +281,7 @@ def _label(row: dict[str, Any]) -> str:
 def bounds_of(results: Results, asked: Sequence[dict[str, float]]) -> tuple[Bound, ...]:
     """What the bounds, ``asked`` of each run's case by figure, in its unit, say of the means of each case.
 
-    Raises:
-        InputError: a figure that no run of the case has.
+    Raises InputError for a figure that no run of the case has.
     """
     frame = _labelled(results)
     found = []
@@ -333,10 +325,7 @@ def comparison_of(after: Results, before: Results | None, bounds: tuple[Bound, .
     Args:
         after, before: what was played, and the baseline; None where there is none yet.
         bounds: from ``bounds_of``.
-        rules: as ``compared`` takes them, and ``title``.
-
-    Raises:
-        InputError: the baseline is of another arm, or shares no pair.
+        rules: as ``compared`` takes them, and ``title``; errors as there.
     """
     lost = int(after.runs["not_played"].notna().sum()) if "not_played" in after.runs else 0
     if before is None:

@@ -204,12 +204,7 @@ class RunSet(Kept):
     An answer is on the disk when ``add`` returns; a part is there whole or not at all. Any reader of Parquet can query
     the parts while the sweep goes on.
 
-    Args:
-        folder: of the data set.
-        resume: go on with one that is there; without it such a folder is refused.
-
-    Raises:
-        InputError: the folder is there and not to be gone on with, or holds something else.
+    Without ``resume`` a folder that is there is refused by InputError, as is one that holds something else.
     """
 
     def __init__(self, folder: Path, *, resume: bool) -> None:
@@ -241,22 +236,14 @@ class RunSet(Kept):
         return found
 
     def add(self, job: dict[str, Any], answer: dict[str, Any]) -> None:
-        """Appends an answer.
-
-        Raises:
-            OutputError: it cannot be written; the data set holds the answers before it.
-        """
+        """Appends an answer; OutputError where it cannot be written, the data set holds the answers before it."""
         self._open.add(job, answer)
         self._waiting.append((plain(job), plain(answer)))
         if len(self._waiting) >= PART or time.monotonic() - self._written > EVERY:
             self.close()
 
     def close(self) -> None:
-        """Makes parts of the answers that are in none yet.
-
-        Raises:
-            OutputError: they cannot be written; the answers are in ``open.jsonl``.
-        """
+        """Makes parts of the answers that are in none yet; OutputError where it cannot, they are in ``open.jsonl``."""
         scenes = dict.fromkeys(str(answer["scene"]) for _, answer in self._waiting)
         try:
             for scene in scenes:

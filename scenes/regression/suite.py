@@ -73,14 +73,7 @@ class SuiteFile(Table):
 
 
 class Suite:
-    """A suite, its scenes loaded and its bounds in the figures' units.
-
-    Args:
-        path: of the suite file.
-
-    Raises:
-        InputError: a key, scene, method or unit that is not known.
-    """
+    """A suite file, its scenes loaded and its bounds in the figures' units; InputError for what is not known in it."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -262,11 +262,7 @@ class Calibration(Table):
 
 
 def check_clock(camera: CameraTable, calibration: Calibration) -> None:
-    """Refuses a clock that drifts where the camera is calibrated by moving.
-
-    Raises:
-        InputError: it does.
-    """
+    """Raises InputError for a clock that drifts where the camera is calibrated by moving."""
     if camera.stamp_drift != 0.0 and calibration.by_moving:
         raise InputError("a clock that drifts is followed only with calibration.by_moving = false",
                          field="camera.stamp_drift", value=camera.stamp_drift)

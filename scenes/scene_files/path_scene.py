@@ -84,14 +84,11 @@ class JointPath:
 
 
 def joint_path(scene: PathScene, robot: Robot, t_ipo: float) -> JointPath:
-    """Plans the scene's path in joint space.
+    """Plans the scene's path in joint space; InputError for one out of reach, too fast, or that touches something.
 
     Args:
         scene, robot: figure and speed; posture, kinematics and limits.
         t_ipo: cycle [s].
-
-    Raises:
-        InputError: out of reach, faster than a joint can, or where the arm would touch something.
     """
     kinematics = InverseKinematics(robot)
     home = kinematics.fk(robot.home)

@@ -196,11 +196,7 @@ class Scene(Table):
         return text
 
     def check_duration(self, lasts: float) -> None:
-        """Refuses a motion along the path that lasts longer [s] than the scene allows.
-
-        Raises:
-            InputError: longer than ``max_duration``.
-        """
+        """Raises InputError for a motion along the path that lasts longer [s] than ``max_duration``."""
         if not lasts <= self.max_duration:
             raise InputError(f"the motion would last {lasts:.3g} s, the scene allows {self.max_duration:g} s: move "
                              "faster, or give the scene a larger max_duration", file=self.source,
@@ -231,10 +227,7 @@ def scene_in_file(model: type[S], values: dict[str, Any], path: Path) -> S:
     """The scene of a file, in which paths are as seen from the file's folder.
 
     Args:
-        model, values, path: as for ``scene_of``.
-
-    Raises:
-        InputError: as ``scene_of``.
+        model, values, path: as for ``scene_of``, whose errors it raises.
     """
     names = {"robot": SHIPPED_ARMS, "model": (SHIPPED, OWN)}
     places = {key: str(path.parent / values[key]) for key, known in names.items()
@@ -246,11 +239,7 @@ def scene_of(model: type[S], values: dict[str, Any], path: Path) -> S:
     """The scene that these values describe.
 
     Args:
-        model, values: the kind's scene, and keys as they stand in a file.
-        path: of the file, for messages.
-
-    Raises:
-        InputError: an unknown key, a missing one, a value out of range.
+        model, values, path: as for ``validated``, whose errors it raises.
     """
     scene = validated(model, values, path)
     scene._given = deepcopy(values)
@@ -320,7 +309,7 @@ class SceneError(IdealRobotError):
 
 def chosen(scene: S, *, speed: float | None = None, seed: int | None = None, individual: int | None = None,
            n_d: int | None = None, world: str | None = None) -> S:
-    """The scene with options in place of its own values.
+    """The scene with options in place of its own values; InputError for a kind without, or a value that is too small.
 
     Args:
         scene: to change.
@@ -330,9 +319,6 @@ def chosen(scene: S, *, speed: float | None = None, seed: int | None = None, ind
             names a model file; the scene's own arm and model if None.
         n_d: desired positions that the feedforward is given ([L] 2.2); the scene's own if None.
         world: where the scene plays, ``workshop`` or ``bench``; where its file says if None.
-
-    Raises:
-        InputError: a speed that is not positive, or a kind of scene that has none; the same of a horizon.
     """
     changes: dict[str, Any] = {}
     if speed is not None:

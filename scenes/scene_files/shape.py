@@ -224,11 +224,7 @@ def _first_d(text: str, file: Path) -> str | None:
 
 
 def parsed_path(d: str) -> Any:
-    """The path of a ``d`` attribute, as svgpathtools has it.
-
-    Raises:
-        InputError: broken, or longer than ``MAX_PATH`` and ``MAX_SEGMENTS``.
-    """
+    """The path of a ``d`` attribute, as svgpathtools has it; InputError for a broken or too long one."""
     if len(d) > MAX_PATH:
         raise InputError(f"SVG path longer than {MAX_PATH} characters", field="line.svg", value=d[:30])
     import svgpathtools

@@ -151,6 +151,9 @@ def tool_path(shape: Shape, plane: pin.SE3, speed: float, acceleration: float, t
               rotation: Array | None = None, turn: tuple[tuple[float, float, float], float] | None = None) -> ToolPath:
     """Times a plane figure and gives it a tool orientation.
 
+    Raises InputError for speed or acceleration not positive, a speed that no part of the path is long enough for, or
+    one so low that the path lasts too long.
+
     Args:
         shape, plane: the figure in the x-y plane of ``plane``, which is in the base frame.
         speed, acceleration: as for ``travel``.
@@ -158,10 +161,6 @@ def tool_path(shape: Shape, plane: pin.SE3, speed: float, acceleration: float, t
         rotation: tool orientation ``(3, 3)`` in the base frame; by default the tool's z axis points into the plane.
         turn: axis in the base frame and angle [rad] by which the orientation turns over the length of each stop-to-stop
             part, in proportion to the way; None for a constant orientation.
-
-    Raises:
-        InputError: speed or acceleration not positive, a speed that no part of the path is long enough for, or one so
-            low that the path lasts too long.
     """
     _check(shape, speed, acceleration)
     fixed = plane.rotation @ np.diag([1.0, -1.0, -1.0]) if rotation is None else np.asarray(rotation, dtype=float)
