@@ -13,12 +13,7 @@ LONGEST = 86400.0
 
 @dataclass(frozen=True)
 class Deadline:
-    """An end that a whole wait shares, however many reads it takes.
-
-    Attributes:
-        seconds: how long was to be waited [s].
-        end: until when, by ``time.perf_counter`` [s].
-    """
+    """An end, by ``time.perf_counter`` [s], that a whole wait of some seconds shares, however many reads it takes."""
 
     seconds: float
     end: float

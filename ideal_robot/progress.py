@@ -28,12 +28,7 @@ def part_of(progress: Progress, start: float, share: float, key: str = "") -> Pr
 
 
 class Steps:
-    """Steps of a job, each with its share of the time; what is told never goes back.
-
-    Args:
-        progress: of the whole job.
-        shares: measured share of the time of each step, in their order; together 1.
-    """
+    """Steps of a job, each with its measured share of the time, together 1; what is told never goes back."""
 
     def __init__(self, progress: Progress, shares: Mapping[str, float]) -> None:
         self._progress, self._shares = progress, shares

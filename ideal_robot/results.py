@@ -15,6 +15,8 @@ from ideal_robot.arrays import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+else:
+    Figure = Any  # in annotations; whoever draws imports it
 
 _WIDTH = 240
 """Characters of a line of figures; what does not fit is left out."""

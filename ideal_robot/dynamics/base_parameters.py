@@ -194,6 +194,8 @@ def _order(n: int) -> list[int]:
 
 _PRIOR = 1e-4
 """Weight of staying near the nominal inertias: it decides only what the base parameters leave open."""
+_MARGIN = 1e-3
+"""Smallest allowed eigenvalue of a pseudo-inertia, relative to that of the nominal link's mean."""
 
 
 @dataclass(frozen=True)
@@ -219,15 +221,13 @@ def pseudo_inertia(link: Array) -> Array:
     return np.einsum("i,iab->ab", np.asarray(link, dtype=float), _BASIS)
 
 
-def consistent_parameters(base: BaseParameters, values: Array, covariance: Array, nominal: Array, *,
-                          margin: float = 1e-3) -> Consistency:
+def consistent_parameters(base: BaseParameters, values: Array, covariance: Array, nominal: Array) -> Consistency:
     """The physically possible full parameters closest to identified base parameters.
 
     Args:
         base: grouping of the parameters.
         values, covariance: identified base parameters ``(b,)``, and theirs ``(b, b)``; closeness is measured in it.
         nominal: full parameters ``(p,)``, physically possible, that what cannot be seen keeps near to.
-        margin: smallest allowed eigenvalue of a pseudo-inertia, relative to that of the nominal link's mean.
 
     Raises:
         IdealRobotError: the solver finds no solution, or the covariance is none.
@@ -250,7 +250,7 @@ def consistent_parameters(base: BaseParameters, values: Array, covariance: Array
     # Unknowns are the full parameters in units of their scales.
     A = np.vstack([whiten @ base.grouping * scale, np.sqrt(_PRIOR) * np.eye(len(nominal))])
     b = np.concatenate([whiten @ values, np.sqrt(_PRIOR) * nominal / scale])
-    solved = _solve(A, b, scale, nominal, n, margin)
+    solved = _solve(A, b, scale, nominal, n)
     full = solved * scale
     exact = base.nearest_full(values, nominal)
     eigenvalues = np.array([[np.linalg.eigvalsh(pseudo_inertia(p[10 * i : 10 * i + 10]))[0] for p in (exact, full)]
@@ -259,7 +259,7 @@ def consistent_parameters(base: BaseParameters, values: Array, covariance: Array
     return Consistency(full, (base.of(full) - values) / floor, eigenvalues, possible)
 
 
-def _solve(A: Array, b: Array, scale: Array, nominal: Array, n: int, margin: float) -> Array:
+def _solve(A: Array, b: Array, scale: Array, nominal: Array, n: int) -> Array:
     """Minimum of ‖A x - b‖² subject to positive pseudo-inertias and rotor inertias.
 
     Solved for the difference from the nearest unconstrained point: with precise recordings ‖b‖² is so large that the
@@ -281,7 +281,7 @@ def _solve(A: Array, b: Array, scale: Array, nominal: Array, n: int, margin: flo
         block[:, span] = np.array([_triangle(shrink[:, None] * _BASIS[k] * shrink) * scale[span][k]
                                    for k in range(10)]).T
         rows.append(-block)
-        rhs.append(-margin * _triangle(np.eye(4)))
+        rhs.append(-_MARGIN * _triangle(np.eye(4)))
         cones.append(clarabel.PSDTriangleConeT(4))
     rotor = np.zeros((n, len(nominal)))
     rotor[np.arange(n), 10 * n + np.arange(n)] = -1.0

@@ -27,9 +27,8 @@ from ideal_robot.effects.signals import Signals
 class CameraError:
     """What a unit of a coefficient is off by.
 
-    Attributes:
-        signal: name of what it does across the line, less what another line would do.
-        optional: whether it is left out where another line does the same.
+    The ``signal`` is named after what it does across the line, less what another line would do; an ``optional`` error
+    is left out where another line does the same.
     """
 
     signal: str
@@ -38,11 +37,10 @@ class CameraError:
 
 @dataclass(frozen=True)
 class PointError(CameraError):
-    """Points are measured off.
+    """Points are measured off, by ``moved (m, 3)`` [m].
 
-    Attributes:
-        moved: by how much ``(m, 3)`` [m], of points ``(m, 3)`` from where the optical axis meets the surface to where
-            they are measured, in the tool frame [m].
+    That is of points ``(m, 3)`` from where the optical axis meets the surface to where they are measured, in the tool
+    frame [m].
     """
 
     moved: Callable[[Array], Array]
@@ -50,11 +48,7 @@ class PointError(CameraError):
 
 @dataclass(frozen=True)
 class StampError(CameraError):
-    """Pictures were taken later than they are stamped.
-
-    Attributes:
-        late: by how much [s], like the time stamps that it is given [s].
-    """
+    """Pictures were taken later than they are stamped: ``late`` by so much [s], like the stamps it is given [s]."""
 
     late: Callable[[Array], Array]
 
@@ -80,11 +74,7 @@ def _cubed(out: Array) -> Array:
 
 
 class CameraEffect(WholeArmEffect):
-    """An effect of a camera, made of its errors.
-
-    Attributes:
-        errors: one for each coefficient, those that are optional last.
-    """
+    """An effect of a camera, made of its ``errors``: one for each coefficient, those that are optional last."""
 
     domain = SENSOR
     errors: ClassVar[tuple[CameraError, ...]]
@@ -177,11 +167,7 @@ class ClockDrift(CameraEffect):
 
 @dataclass(frozen=True)
 class CameraErrors:
-    """What effects say of a camera, put together: how a follower corrects what it is told.
-
-    Attributes:
-        sizes: errors with their coefficients.
-    """
+    """What effects say of a camera, errors with their sizes: how a follower corrects what it is told."""
 
     sizes: tuple[tuple[CameraError, float], ...]
 

@@ -130,9 +130,8 @@ class AxisCoupling(Effect):
 class DeadTime(Effect):
     """Something is recorded late by ``delta``; the arm moves as it did.
 
-    Attributes:
-        longest: delay beyond which it is none of a recording [s].
-        held: the open interval of delays that are in every drive, for a torque is held over a cycle [s].
+    A delay beyond ``longest`` [s] is none of a recording, one in the open interval ``held`` [s] is in every drive, for
+    a torque is held over a cycle.
     """
 
     name = "dead_time"

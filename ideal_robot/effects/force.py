@@ -81,9 +81,8 @@ class ForceCompliance(WholeArmEffect):
 class ForceErrors:
     """What effects say of force sensor and contact, put together: how a force controller corrects its readings.
 
-    Attributes:
-        wrench: what the force sensor shows when nothing touches the tool ``(6,)`` [N, N m].
-        give: compliance beyond what is assumed [m/N].
+    The sensor shows a ``wrench (6,)`` [N, N m] when nothing touches the tool; ``give`` [m/N] is compliance beyond what
+    is assumed.
     """
 
     wrench: Array

@@ -103,11 +103,7 @@ def names() -> tuple[str, ...]:
 
 
 def find(name: str, prefix: str) -> Effect:
-    """The effect of a name in the channels of a prefix.
-
-    Raises:
-        InputError: there is none.
-    """
+    """The effect of a name in the channels of a prefix; raises InputError where there is none."""
     key = f"{name}/{prefix}"
     if key not in EFFECTS:
         raise InputError(f"no such effect in a channel {prefix!r}; known are {', '.join(names())}", field="effects",

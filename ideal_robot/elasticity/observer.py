@@ -45,12 +45,9 @@ class ObserverState:
 
 
 class ArmObserver:
-    """Observer for the arm angles.
+    """Observer for the arm angles, from motor angles that come every ``T`` [s].
 
-    Args:
-        model: identified model; gears of unknown or infinite stiffness count as rigid, and so do those too stiff for
-            the model's time step.
-        T: cycle at which motor angles come [s].
+    Gears of unknown or infinite stiffness in the model count as rigid, and so do those too stiff for its time step.
     """
 
     def __init__(self, model: Model, T: float) -> None:

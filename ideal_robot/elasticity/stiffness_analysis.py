@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -24,13 +24,10 @@ from ideal_robot.elasticity.stiffness import (
     joint_torque,
 )
 from ideal_robot.errors import InputError
-from ideal_robot.results import Summarised, plain, with_intervals
+from ideal_robot.results import Figure, Summarised, plain, with_intervals
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.plausible import plausible, require_joint_units
 from ideal_robot.signals.recording import Recording, recordings_of
-
-if TYPE_CHECKING:
-    from ideal_robot.results import Figure
 
 # The give of clamp and links, estimated from the wrench and taken away from the motor angles.
 #

@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,13 +15,10 @@ from ideal_robot.errors import IdealRobotError, InputError, LimitError
 from ideal_robot.execution.command_governor import CommandGovernor, check_limits, stopping_rows, stops_at_once
 from ideal_robot.feedforward.base import Feedforward, tried
 from ideal_robot.progress import Progress, silent
-from ideal_robot.results import Summarised, listed, over_time, plain
+from ideal_robot.results import Figure, Summarised, listed, over_time, plain
 from ideal_robot.robots.interface import RobotInterface, RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-
-if TYPE_CHECKING:
-    from ideal_robot.results import Figure
 
 _BRAKING_MIN = 0.15
 """Speed over deceleration that braking counts with at least [s]."""

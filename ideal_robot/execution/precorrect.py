@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -21,13 +21,10 @@ from ideal_robot.loop.loop_model import largest_speeds
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.cascade import Cascade
 from ideal_robot.model.model import Model
-from ideal_robot.results import Summarised, listed, one_unit, over_time, plain
+from ideal_robot.results import Figure, Summarised, listed, one_unit, over_time, plain
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.plausible import MOST_LEFT_OUT, checked_time, require_joint_units
 from ideal_robot.signals.recording import Recording, expect
-
-if TYPE_CHECKING:
-    from ideal_robot.results import Figure
 
 # A path of whatever sampling at the interpolation cycle, with rest before and behind.
 

@@ -26,11 +26,9 @@ _TURN = 0.2
 
 
 class CorrectedArm:
-    """Kinematics with the errors that effects name, and the inverse that a path needs.
+    """Kinematics with the errors that effects name, a zero or a geometry, and the inverse that a path needs.
 
-    Args:
-        robot: kinematics as drawn; what paths were planned with.
-        effects: of which those with a zero or a geometry count.
+    Paths were planned with the kinematics of ``robot``, as drawn.
     """
 
     def __init__(self, robot: Robot, effects: tuple[FittedEffect, ...]) -> None:
@@ -132,12 +130,7 @@ class CorrectedState:
 
 
 class ForCorrectedArm(Feedforward):
-    """A feedforward whose desired path is corrected by the inverse kinematics of the corrected arm.
-
-    Args:
-        feedforward: what makes commands of the corrected path.
-        arm: kinematics.
-    """
+    """A feedforward whose desired path is corrected by the inverse kinematics of the corrected arm."""
 
     def __init__(self, feedforward: Feedforward, arm: CorrectedArm) -> None:
         self.feedforward, self.arm = feedforward, arm

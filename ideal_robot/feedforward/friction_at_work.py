@@ -46,11 +46,9 @@ BELIEVED = 0.4
 
 @dataclass(frozen=True)
 class FrictionAtWork:
-    """Friction beyond the identified loop's.
+    """Friction beyond the identified loop's: ``values (n, TERMS)`` of friction's terms.
 
-    Attributes:
-        values: of friction's terms ``(n, TERMS)``.
-        bend: factor on the angle over which friction turns after a reversal ``(n,)`` [1].
+    And ``bend (n,)``, a factor on the angle over which friction turns after a reversal [1].
     """
 
     values: Array

@@ -111,11 +111,7 @@ class _Known(NamedTuple):
 
 
 class FrictionCurve:
-    """Friction and inertia of every joint from its following error.
-
-    Args:
-        loop: the identified loop; its controller and its dry friction are the reference.
-    """
+    """Friction and inertia of every joint from its following error, against the loop's controller and dry friction."""
 
     def __init__(self, loop: LoopModel) -> None:
         self.loop = loop

@@ -45,6 +45,8 @@ _BEFORE = 6
 """Desired positions kept from the cycles before, for the derivatives."""
 _AFTER = 4
 """Desired positions wanted beyond the last one used, for the same reason."""
+_CUTOFF = 14.0
+"""Frequencies of the desired path above this are not asked of the arm [Hz]."""
 
 
 @dataclass(frozen=True)
@@ -90,15 +92,12 @@ class IdealRobot(Feedforward):
             acceleration.
         elastic: whether gear deflection is compensated. Then the command at rest differs from the desired position
             by the deflection under gravity; without, by nothing.
-        cutoff: frequencies of the desired path above this are not asked of the arm [Hz].
-        settle: time over which the deflection under gravity is taken up after ``init`` [s].
     """
 
-    def __init__(self, loop: LoopModel, n_d: int = 30, *, elastic: bool = True, cutoff: float = 14.0,
-                 settle: float = SETTLE) -> None:
+    def __init__(self, loop: LoopModel, n_d: int = 30, *, elastic: bool = True) -> None:
         if n_d < 1:
             raise InputError("the horizon needs at least one row", field="n_d", value=n_d)
-        self.loop, self.n_d, self.t_ipo, self.elastic, self.settle = loop, n_d, loop.t_ipo, elastic, settle
+        self.loop, self.n_d, self.t_ipo, self.elastic = loop, n_d, loop.t_ipo, elastic
         T, fine = loop.t_ipo, loop.t_position
         self.n_d_needed = loop.delay + _CYCLES + _AFTER + 1
         t_rows = T * np.arange(-_BEFORE, self.n_d_needed, dtype=float)
@@ -107,9 +106,9 @@ class IdealRobot(Feedforward):
         # A position-loop output acts on average half its cycle later: torques are wanted there.
         t_fine = T * loop.delay + fine * (np.arange(float(loop.steps_ipo * _CYCLES)) + 0.5)
         self._t_fine = t_fine
-        self._coarse = spline_operators(t_rows, t_coarse, T, cutoff)
-        self._fine = _Operators(*spline_operators(t_rows, t_fine, T, cutoff))
-        self._torque = _Operators(*spline_operators(t_coarse, t_fine, T, cutoff))
+        self._coarse = spline_operators(t_rows, t_coarse, T, _CUTOFF)
+        self._fine = _Operators(*spline_operators(t_rows, t_fine, T, _CUTOFF))
+        self._torque = _Operators(*spline_operators(t_coarse, t_fine, T, _CUTOFF))
         self._inverse = command_inverse(loop, _CYCLES)
         self._compliance = loop.compliance if elastic else np.zeros(loop.n)
         self._damped = np.where(np.isfinite(loop.stiffness), loop.damping, 0.0) * self._compliance**2
@@ -206,11 +205,11 @@ class IdealRobot(Feedforward):
 
     def _take_up(self, state: IdealState, q_m: Array, v_m: Array) -> None:
         """Takes the deflection at the start up smoothly, from nothing to all, in the motors' motion ``(N, n)``."""
-        begun = (state.cycle * self.t_ipo + self._t_fine) / self.settle
+        begun = (state.cycle * self.t_ipo + self._t_fine) / SETTLE
         if begun[0] < 1.0:
             left = 1.0 - np.minimum(begun, 1.0)[:, None]
             q_m -= state.sag * left**3 * (10.0 - 15.0 * left + 6.0 * left**2)
-            v_m += state.sag * 30.0 * left**2 * (1.0 - left) ** 2 / self.settle
+            v_m += state.sag * 30.0 * left**2 * (1.0 - left) ** 2 / SETTLE
 
     def _load(self, q: Array, qd: Array, qdd: Array, carried: Carried | None) -> tuple[Array, Array | None]:
         """Torques of the model's bodies and of what is carried beyond them, each ``(N, n)`` [N m]."""

@@ -152,13 +152,9 @@ def _slew(commands: Array, step_max: Array) -> Array:
 
 
 class Playback(Feedforward):
-    """Plays commands that were found beforehand, cycle by cycle; holds the last one behind their end.
+    """Plays commands ``(N, n)`` [rad] that were found beforehand for a cycle [s]; holds the last one behind their end.
 
     The desired positions are not looked at: learned commands belong to one path.
-
-    Args:
-        q_c: commands ``(N, n)`` [rad].
-        t_ipo: the cycle they were found for [s].
     """
 
     n_d = 1

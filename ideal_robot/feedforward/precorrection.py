@@ -14,7 +14,7 @@ the motor has to be at q_d + τ_g/k.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
@@ -224,8 +224,7 @@ class Precorrection(Feedforward):
 
 def at_cycle(controller: ControllerModel, t_cycle: float) -> ControllerModel:
     """The same controller for another cycle: the integral gain of (17) is a share per cycle, the others are rates."""
-    values = {**vars(controller), "k_i": controller.k_i * t_cycle / controller.t_cycle, "t_cycle": t_cycle}
-    return ControllerModel(**values)
+    return replace(controller, k_i=controller.k_i * t_cycle / controller.t_cycle, t_cycle=t_cycle)
 
 
 # Inverse of the command path: which commands make the position loop see a wanted signal.
@@ -238,10 +237,8 @@ def at_cycle(controller: ControllerModel, t_cycle: float) -> ControllerModel:
 class CommandInverse:
     """Gains of the first command.
 
-    Attributes:
-        wanted: ``(n, m s)``: of the wanted signal ``k_v r + k_ff ṙ`` at the position cycles of the ``m`` next
-            interpolation cycles in which the command can act.
-        past: ``(n, P)``: of the commands before, oldest first.
+    Those ``wanted (n, m s)`` are of the signal ``k_v r + k_ff ṙ`` at the position cycles of the ``m`` next
+    interpolation cycles in which the command can act, ``past (n, P)`` of the commands before, oldest first.
     """
 
     wanted: Array
@@ -253,14 +250,13 @@ class CommandInverse:
         return self.past.shape[1]
 
 
-def command_inverse(loop: LoopModel, cycles: int, smoothness: float = 0.02) -> CommandInverse:
-    """Solves for the first of ``cycles`` commands once and for all.
+_SMOOTHNESS = 0.02
+"""Weight of the commands' second differences against a position error of the same size: keeps the inverse of the
+low-pass from amplifying what the interpolation cannot pass anyway."""
 
-    Args:
-        loop, cycles: the identified loop, and commands solved for together.
-        smoothness: weight of the commands' second differences against a position error of the same size; keeps the
-            inverse of the low-pass from amplifying what the interpolation cannot pass anyway.
-    """
+
+def command_inverse(loop: LoopModel, cycles: int) -> CommandInverse:
+    """Solves for the first of ``cycles`` commands, which are solved for together, once and for all."""
     s, n = loop.steps_ipo, loop.n
     taps = loop.command_filter
     n_past = int(np.ceil(len(taps) / s)) + 2
@@ -283,7 +279,7 @@ def command_inverse(loop: LoopModel, cycles: int, smoothness: float = 0.02) -> C
         signal = loop.k_v[i] * position
         signal[1:] += loop.k_ff[i] / loop.t_position * np.diff(position, axis=0)
         signal = signal[-s * cycles :] / loop.k_v[i]
-        free, forced, weight = signal[:, :n_past], signal[:, n_past:], smoothness * np.sqrt(s)
+        free, forced, weight = signal[:, :n_past], signal[:, n_past:], _SMOOTHNESS * np.sqrt(s)
         first = np.linalg.pinv(np.vstack([forced, weight * second[:, 2:]]))[0]
         wanted[i] = first[: s * cycles] / loop.k_v[i]
         past[i] = -first[: s * cycles] @ free

@@ -286,11 +286,7 @@ def law_of(key: str) -> type[FrictionModel]:
 
 
 class PerJointFriction:
-    """One single-joint law per joint; torque ``(…, n)`` of velocity ``(…, n)`` like every friction model.
-
-    Args:
-        laws: ``n`` laws of one joint each.
-    """
+    """One single-joint law per joint; torque ``(…, n)`` of velocity ``(…, n)`` like every friction model."""
 
     def __init__(self, laws: Sequence[FrictionModel]) -> None:
         if any(law.n != 1 for law in laws):

@@ -44,11 +44,9 @@ _EDGE = 50
 
 @dataclass(frozen=True)
 class ControllerFit:
-    """Cascade gains of ``n`` joints as identified, each ``(n,)``.
+    """Cascade gains of ``n`` joints in the form of [G] (16), (17) at the position loop's cycle, as identified.
 
-    Attributes:
-        controller: in the form of [G] (16), (17) at the position loop's cycle.
-        error_percent: ``100 ‖τ - τ̂‖ / ‖τ - mean‖`` per joint.
+    The error per joint ``(n,)`` is ``100 ‖τ - τ̂‖ / ‖τ - mean‖``.
     """
 
     controller: ControllerModel
@@ -135,9 +133,7 @@ class _JointCascade:
 class _Stretches:
     """All stretches of one joint together; the integrator's state at the start of each is a constant of its own.
 
-    Attributes:
-        tau: torques of the stretches one after the other ``(M,)`` [N m].
-        scale: their standard deviation [N m].
+    Their torques ``tau (M,)`` [N m] are one after the other, ``scale`` is the standard deviation.
     """
 
     def __init__(self, parts: Sequence[_JointCascade]) -> None:

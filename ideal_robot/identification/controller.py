@@ -94,11 +94,7 @@ def identify_controller(recordings: Sequence[Recording], t_cycle: float,
 
 @dataclass(frozen=True)
 class _Gains:
-    """Gains of all joints at a delay of the command, k_p, k_d, k_1, k_2, k_i, and their standard deviations ``(5, n)``.
-
-    Attributes:
-        error_percent: of the simulated torque ``(n,)``.
-    """
+    """Gains of all joints at a delay of the command, k_p, k_d, k_1, k_2, k_i, and their deviations ``(5, n)`` each."""
 
     gains: Array
     std: Array

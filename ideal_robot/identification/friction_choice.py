@@ -124,12 +124,10 @@ class FrictionChoice:
         """
         key = (joint, candidate, shape)
         if key not in self._cache:
-            law = candidate.make(shape)
-            directions = self._directions(joint, shape[-1]) if candidate.presliding else None
-            parts = []
-            for i, (qd, load, _) in enumerate(self._motion(joint)):
-                direction = None if directions is None else directions[i]
-                parts.append(self._decimated(i, law.regressor(qd, load, None, direction)[:, 0]))
+            law, motion = candidate.make(shape), self._motion(joint)
+            directions = self._directions(joint, shape[-1]) if candidate.presliding else [None] * len(motion)
+            parts = [self._decimated(i, law.regressor(qd, load, None, direction)[:, 0])
+                     for i, ((qd, load, _), direction) in enumerate(zip(motion, directions, strict=True))]
             self._cache[key] = np.concatenate(parts) / self._noise[joint]
         return self._cache[key]
 
@@ -270,12 +268,8 @@ def _leaders(options: Sequence[Candidate], scores: dict[str, float]) -> list[Can
 
 def with_coefficients(laws: Sequence[FrictionModel], coefficients: Array) -> PerJointFriction:
     """The chosen laws with their fitted coefficients, which come joint after joint in one vector."""
-    result, at = [], 0
-    for law in laws:
-        rows = len(law.coefficients)
-        result.append(law.altered(coefficients[at : at + rows, None]))
-        at += rows
-    return PerJointFriction(result)
+    parts = np.split(coefficients, np.cumsum([len(law.coefficients) for law in laws]))
+    return PerJointFriction([law.altered(part[:, None]) for law, part in zip(laws, parts, strict=False)])
 
 
 # Friction that falls while a gear warms up, [G] Figs 3 and 12: a law scaled by ``1 + α (T_ref - T) / 10 K``.

@@ -178,12 +178,9 @@ def plan_two_step(robot: Robot, rng: np.random.Generator, *, points: int = 10, c
     reach = np.minimum(0.25 * speeds + 0.5 * speeds**2 / (0.5 * a_max), 4.0 * amplitude)
     reach = np.maximum(reach, np.minimum(0.02, np.minimum(first - robot.q_min, robot.q_max - first)))
     reach = np.minimum(reach, _farthest(robot, first, reach.max(axis=0), room))
-    moves = []
-    for k in range(len(chosen)):
-        for i in range(n):
-            way, v, a = float(amplitude[i]), float(v_max[i]), float(a_max[i])
-            moves.append(Move(k, i + 1, "gravity", way, 0.06 * v, 0.3 * a, 1))
-            moves.append(Move(k, i + 1, "inertia", way, 0.5 * v, 0.5 * a, 3))
+    moves = [Move(k, i + 1, purpose, float(amplitude[i]), speed * float(v_max[i]), rise * float(a_max[i]), repeats)
+             for k in range(len(chosen)) for i in range(n)
+             for purpose, speed, rise, repeats in (("gravity", 0.06, 0.3, 1), ("inertia", 0.5, 0.5, 3))]
     for i in range(n):
         moves += [Move(0, i + 1, "friction", float(way), float(v), float(0.5 * a_max[i]), 1)
                   for way, v in zip(reach[:, i], speeds[:, i], strict=True)]

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,14 +26,11 @@ from ideal_robot.model.model import Model
 from ideal_robot.model.model_file import require_controller
 from ideal_robot.model.parametrisation import joined
 from ideal_robot.progress import Progress, Steps, silent
-from ideal_robot.results import Summarised, listed, over_time, plain
+from ideal_robot.results import Figure, Summarised, listed, over_time, plain
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import preprocess
 from ideal_robot.signals.recording import Recording, expect, recordings_of
 from ideal_robot.signals.sampling import stretches
-
-if TYPE_CHECKING:
-    from ideal_robot.results import Figure
 
 METHODS = ("joint", "two-step")
 
@@ -253,12 +250,8 @@ def _missing_of_the_loop(controller: ControllerIdentification | None, loop: Line
     if not commanded:
         return [f"controller, linear loop: commands q_c_1 to q_c_{robot.n} are needed; without a controller the model "
                 "cannot correct a path"]
-    missing = []
-    if controller is None:
-        missing.append("controller: the commands do not determine it, see the warning no-controller")
-    if loop is None:
-        missing.append("linear loop: the commands do not determine it, see the warning no-linear-loop")
-    return missing
+    return [f"{what}: the commands do not determine it, see the warning no-{what.replace(' ', '-')}"
+            for what, told in (("controller", controller), ("linear loop", loop)) if told is None]
 
 
 def _with_stiffness(model: Model, recordings: Sequence[Recording]) -> tuple[Model, list[str]]:

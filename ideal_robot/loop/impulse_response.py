@@ -22,11 +22,7 @@ from ideal_robot.loop.simulation import simulate
 # estimate on demand. A prior is a measurement like any other.
 
 class InformationFilter:
-    """Information matrix ``Y = Σ Hᵀ R⁻¹ H`` and vector ``y = Σ Hᵀ R⁻¹ z`` of ``size`` unknowns.
-
-    Args:
-        size: number of unknowns.
-    """
+    """Information matrix ``Y = Σ Hᵀ R⁻¹ H`` and vector ``y = Σ Hᵀ R⁻¹ z`` of ``size`` unknowns."""
 
     def __init__(self, size: int) -> None:
         self.matrix = np.zeros((size, size))
@@ -51,11 +47,9 @@ class InformationFilter:
 
 @dataclass(frozen=True)
 class LinearLoop:
-    """Impulse responses of ``n`` decoupled joints at the interpolation cycle.
+    """Impulse responses of ``n`` decoupled joints at the interpolation cycle [s].
 
-    Attributes:
-        g: ``(m + 1, n)``; row ``l`` is the answer ``l`` cycles after the command.
-        t_ipo: the cycle [s].
+    Row ``l`` of ``g (m + 1, n)`` is the answer ``l`` cycles after the command.
     """
 
     g: Array

@@ -246,16 +246,13 @@ class Model(Summarised):
     def require_arm(self, robot: Robot, *, file: Path | str | None = None) -> None:
         """Raises InputError for a robot that this is no model of: other joints, or joints at other places."""
         mine, own = self.kinematics.jointPlacements, robot.pinocchio.jointPlacements
-        found = None
+        found = ""
         if self.n != robot.n:
             found = f"the model of {self.robot_name} has {self.n} joints, the robot {robot.name} has {robot.n}"
-        else:
-            elsewhere = [j for j in range(1, robot.n + 1)
-                         if not np.allclose(mine[j].homogeneous, own[j].homogeneous, atol=_SAME_PLACE)]
-            if elsewhere:
-                found = (f"joint {elsewhere[0]} of the model of {self.robot_name} sits elsewhere than that of "
-                         f"{robot.name}")
-        if found is not None:
+        elif elsewhere := [j for j in range(1, robot.n + 1)
+                           if not np.allclose(mine[j].homogeneous, own[j].homogeneous, atol=_SAME_PLACE)]:
+            found = f"joint {elsewhere[0]} of the model of {self.robot_name} sits elsewhere than that of {robot.name}"
+        if found:
             raise InputError(f"{found}; give the model that was identified for this arm", file=file, field="model",
                              value=self.robot_name)
 

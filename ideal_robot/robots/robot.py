@@ -326,7 +326,9 @@ def spread_postures(q_min: Array, q_max: Array, count: int = 128) -> Array:
         count: how many.
     """
     low, high = np.clip(q_min, -np.pi, np.pi), np.clip(q_max, -np.pi, np.pi)
-    spread = np.column_stack([_radical_inverse(count, base) for base in _primes(len(low))])
+    # Primes as bases, more than any arm has joints.
+    primes = [base for base in range(2, 200) if all(base % divisor for divisor in range(2, base))]
+    spread = np.column_stack([_radical_inverse(count, base) for base in primes[: len(low)]])
     return np.asarray(low + spread * (high - low))
 
 
@@ -336,14 +338,4 @@ def _radical_inverse(count: int, base: int) -> Array:
     while left.any():
         found += (left % base) * digit
         left, digit = left // base, digit / base
-    return found
-
-
-def _primes(count: int) -> list[int]:
-    found: list[int] = []
-    candidate = 2
-    while len(found) < count:
-        if all(candidate % prime for prime in found):
-            found.append(candidate)
-        candidate += 1
     return found

@@ -21,17 +21,10 @@ from ideal_robot.rsi.message import Axes, RobMessage, RsiError, RsiFormat, forma
 # Which corrections the controller has in force: it is told what was sent and what of it came too late.
 
 class InForce:
-    """The sum of corrections in force at the controller and what it changed by in the last cycle, in its degrees.
+    """The sum of corrections in force at the controller, ``position``, and its last change, ``step``, ``(n,)`` [deg].
 
-    Args:
-        n: number of axes.
-        repeats: what the controller does in a cycle without an answer: goes on as in the last one (increments that are
-            held on), or stays where it was commanded.
-
-    Attributes:
-        position: sum of the corrections in force ``(n,)`` [deg].
-        step: change in the last cycle ``(n,)`` [deg].
-        repeats: see above.
+    In a cycle without an answer the controller goes on as in the last one (increments that are held on) where it
+    ``repeats``, or stays where it was commanded.
     """
 
     def __init__(self, n: int, repeats: bool) -> None:

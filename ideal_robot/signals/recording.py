@@ -13,7 +13,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.results import Summarised, over_time, plain
+from ideal_robot.results import Figure, Summarised, over_time, plain
 from ideal_robot.row_log import in_file, let_go
 from ideal_robot.signals.bag import SUFFIXES, read_joint_states
 from ideal_robot.signals.table_file import read_table
@@ -21,8 +21,6 @@ from ideal_robot.whole_file import inert, whole_file
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from ideal_robot.results import Figure
 
 OF_JOINTS = ("q_c", "q_d", "q", "qa", "tau", "current", "temp")
 """Quantities that every joint has."""
