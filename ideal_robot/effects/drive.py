@@ -9,14 +9,7 @@ import numpy as np
 from scipy import ndimage, signal
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import (
-    ARM_POSITION,
-    TCP_POSITION,
-    Effect,
-    EffectParameter,
-    Theta,
-    WholeArmEffect,
-)
+from ideal_robot.effects.base import ARM_POSITION, TCP_POSITION, Effect, EffectParameter, Theta, WholeArmEffect
 from ideal_robot.effects.signals import Signals
 
 HOLD = 5e-4

@@ -8,15 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import (
-    ARM_POSITION,
-    MOTOR_TORQUE,
-    TCP_POSITION,
-    Domain,
-    Effect,
-    EffectParameter,
-    Theta,
-)
+from ideal_robot.effects.base import ARM_POSITION, MOTOR_TORQUE, TCP_POSITION, Domain, Effect, EffectParameter, Theta
 from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import LEVER, Signals
 from ideal_robot.jit import jit

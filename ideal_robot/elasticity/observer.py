@@ -70,7 +70,7 @@ class ArmObserver:
         self._gears = _Gears(np.where(self._elastic, self._k, 0.0), damping * self._elastic, self._elastic, steps)
 
     def _leave_followed(self, pull: Array) -> None:
-        """Makes gears rigid until the substep follows the others' oscillation anywhere; h² k + 2 h d of each pull."""
+        """Makes gears rigid until the substep h follows the others' oscillation anywhere; ``pull`` is h² k + 2 h d."""
         for q in spread_postures(self._dynamics.lowerPositionLimit, self._dynamics.upperPositionLimit):
             upper = pin.crba(self._dynamics, self._data, q)
             while len(gears := np.flatnonzero(self._elastic)):

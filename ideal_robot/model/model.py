@@ -12,12 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
-from ideal_robot.dynamics import (
-    BaseParameters,
-    base_parameters,
-    link_parameters,
-    with_link_parameters,
-)
+from ideal_robot.dynamics import BaseParameters, base_parameters, link_parameters, with_link_parameters
 from ideal_robot.dynamics.newton_euler import Chain, chain_of, gravity_across, inverse_dynamics
 from ideal_robot.dynamics.regressor import regressor
 from ideal_robot.effects import MOTOR_TORQUE, FittedEffect, Signals
