@@ -7,7 +7,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
@@ -83,6 +83,14 @@ def shown_cell(cell: Any) -> str:
 
 
 # Plain values: what JSON can hold, from whatever results are made of.
+
+@overload
+def plain(value: dict[str, Any], digits: int | None = None) -> dict[str, Any]: ...
+
+
+@overload
+def plain(value: Any, digits: int | None = None) -> Any: ...
+
 
 def plain(value: Any, digits: int | None = None) -> Any:
     """The value as dictionaries, lists, numbers and strings, of dataclasses, arrays, paths and what they are nested in.

@@ -150,7 +150,7 @@ class StiffnessAnalysis(Summarised):
 
     def to_dict(self) -> dict[str, Any]:
         """The figures as plain values."""
-        values: dict[str, Any] = plain({
+        return plain({
             "robot": self.robot.name,
             "urdf": self.robot.urdf,
             "joints": [
@@ -167,7 +167,6 @@ class StiffnessAnalysis(Summarised):
                  "condition": condition_number(self.robot, one.q_0)} for one in self.signals],
             "warnings": self.warnings,
         })
-        return values
 
 
 def analyse_stiffness(recordings: Recording | Sequence[Recording], robot: Robot, method: str = "both", *,

@@ -71,12 +71,11 @@ class PlayResult(Summarised):
 
     def to_dict(self) -> dict[str, Any]:
         """Key figures as plain values."""
-        values: dict[str, Any] = plain({
+        return plain({
             "cycles": len(self.q_c), "failure": self.failure, "motor_rms_error_mrad": 1e3 * self.rms_error,
             "compute_time_ms": {"median": 1e3 * float(np.median(self.compute_times)),
                                 "max": 1e3 * float(np.max(self.compute_times))},
             "recording_hash": self.recording.hash})
-        return values
 
 
 def play(driver: RobotInterface, feedforward: Feedforward, q_d: Array, *, robot: Robot | None = None,

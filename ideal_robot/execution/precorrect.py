@@ -197,14 +197,13 @@ class PrecorrectedPath(Summarised):
     def to_dict(self) -> dict[str, Any]:
         """Key figures as plain values; what is called mrad is mm of joints that slide."""
         after, before = (1e3 * rms for rms in self.expected_rms)
-        values: dict[str, Any] = plain({
+        return plain({
             "method": self.method, "robot": self.robot_name, "cycles": len(self.t), "duration_s": float(self.t[-1]),
             "largest_correction_mrad": 1e3 * np.max(np.abs(self.q_c - self.q_d), axis=0),
             "expected_rms_error_mrad": {"corrected": after, "uncorrected": before, **(
                 {} if self.reach is None else {"corrected_from": 1e3 * self.reach.min(axis=0),
                                                "corrected_to": 1e3 * self.reach.max(axis=0)})},
             "warnings": self.warnings})
-        return values
 
 
 def precorrect(t: Array, q_d: Array, model: Model, robot: Robot, method: str = "ideal", *, delay: int = 0,

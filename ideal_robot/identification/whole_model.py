@@ -91,14 +91,11 @@ class IdentificationResult(Summarised):
     def to_dict(self) -> dict[str, Any]:
         """The figures as plain values."""
         model = self.model
-        values: dict[str, Any] = plain({
+        return plain({
             "robot": {"name": model.robot_name, "urdf_hash": model.urdf_hash, "joints": model.n},
             "method": model.provenance["method"],
             "verdicts": [one.to_dict() for one in self.verdicts],
-            "parameters": [
-                {"name": p.name, "joint": p.joint, "value": p.value, "std": p.std, "std_percent": p.std_percent,
-                 "unit": p.unit, "meaning": p.meaning} for p in model.parameters
-            ],
+            "parameters": [one.to_dict() for one in model.parameters],
             **{name: {"estimation": getattr(joined(self.result.estimation), name),
                       "validation": getattr(joined(self.result.validation), name) if self.validation else []}
                for name in ("relative_error_percent", "residual_std_percent")},
@@ -126,7 +123,6 @@ class IdentificationResult(Summarised):
             "warnings": self.warnings,
             "missing": self.missing,
         })
-        return values
 
 
 def identify_model(recordings: Recording | Sequence[Recording], robot: Robot, *,

@@ -253,13 +253,10 @@ class Model(Summarised):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, as in the model file; non-finite numbers become None, an infinite stiffness ``"inf"``."""
-        values: dict[str, Any] = plain({
+        return plain({
             "schema": SCHEMA,
             "robot": {"name": self.robot_name, "urdf_hash": self.urdf_hash, "joints": self.n, "urdf": self.urdf},
-            "parameters": [
-                {"name": p.name, "joint": p.joint, "value": p.value, "std": p.std, "std_percent": p.std_percent,
-                 "unit": p.unit, "meaning": p.meaning} for p in self.parameters
-            ],
+            "parameters": [one.to_dict() for one in self.parameters],
             "base": {
                 "full_names": self.base.full_names, "full_units": self.base.full_units,
                 "independent": self.base.independent, "gravitational": self.base.gravitational,
@@ -275,7 +272,6 @@ class Model(Summarised):
             "effects": [effect.to_dict() for effect in self.effects],
             "provenance": self.provenance,
         }, digits=12)
-        return values
 
     @classmethod
     def from_dict(cls, values: dict[str, Any], *, file: Path | str | None = None) -> Model:

@@ -45,6 +45,11 @@ class Parameter:
         """Relative standard deviation [%], [J] (17); NaN where the value is zero."""
         return 100.0 * self.std / abs(self.value) if self.value else float("nan")
 
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {"name": self.name, "joint": self.joint, "value": self.value, "std": self.std,
+                "std_percent": self.std_percent, "unit": self.unit, "meaning": self.meaning}
+
 
 def parameter_vector(base_values: Array, friction: PerJointFriction) -> Array:
     """All parameters in order ``(P,)``."""

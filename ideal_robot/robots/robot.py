@@ -209,14 +209,13 @@ class Robot(Summarised):
 
     def to_dict(self) -> dict[str, Any]:
         """Its data as plain values; unknown limits, which are infinite, as None."""
-        values: dict[str, Any] = plain({
+        return plain({
             "name": self.name, "urdf": self.urdf, "urdf_hash": self.urdf_hash, "joints": self.n,
             "assumed": list(self.assumed),
             "tool_frame": self.tool_frame, "prismatic": self.prismatic, "q_min": self.q_min, "q_max": self.q_max,
             "v_max": self.v_max, "a_max": self.a_max, "tau_max": self.tau_max, "gear_ratio": self.gear_ratio,
             "rotor_inertia": self.rotor_inertia, "drive_gain": self.drive_gain, "home": self.home,
             "cycle_time_s": {"interpolation": self.t_ipo, "position": self.t_position, "velocity": self.t_velocity}})
-        return values
 
     @property
     def tool_length(self) -> float:

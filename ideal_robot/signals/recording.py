@@ -79,10 +79,9 @@ class Recording(Summarised):
 
     def to_dict(self) -> dict[str, Any]:
         """What it is as plain values; the samples themselves stay in the columns."""
-        values: dict[str, Any] = plain({
+        return plain({
             "source": self.source, "joints": self.n, "samples": len(self.t), "duration_s": self.duration,
             "columns": list(self.columns), "meta": self.meta, "hash": self.hash})
-        return values
 
     def plot(self) -> Figure:
         """Motor angles and, where they were logged, torques or currents over time."""
