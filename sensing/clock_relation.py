@@ -90,12 +90,7 @@ class ClockRelation:
         return self._known
 
     def add(self, stamp: float, arrived: float) -> bool:
-        """Takes one message; returns whether its stamp can be.
-
-        Args:
-            stamp: by the device's clock [s].
-            arrived: by this computer's clock [s].
-        """
+        """Takes a message stamped by the device's clock, arrived by this computer's [s]; whether its stamp can be."""
         if not (math.isfinite(stamp) and math.isfinite(arrived)):
             self.refused += 1
             return False

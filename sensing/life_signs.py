@@ -41,11 +41,9 @@ LEAPS = 3
 
 
 class LifeSigns:
-    """Looks at every reading of one sensor; readings that cannot be count as missing.
+    """Looks at every reading of one sensor, whose ``channels`` have names; readings that cannot be count as missing.
 
-    Args:
-        largest: largest absolute value that a reading can have.
-        channels: what the numbers are called.
+    None of them can be ``largest`` or more.
 
     Attributes:
         noise: standard deviation of each channel while nothing happens ``(n,)``; None while it is not known.
@@ -78,11 +76,9 @@ class LifeSigns:
         self.noise = np.sqrt(np.mean(steps**2, axis=0) / 2.0)
 
     def check(self, values: Array, reach: Array | float = np.inf) -> bool:
-        """Whether a reading can be.
+        """Whether a reading ``(n,)`` can be.
 
-        Args:
-            values: of each channel ``(n,)``.
-            reach: by how much each may change from the last sound reading to this ``(n,)``; inf where nobody knows.
+        ``reach``: by how much each channel may change from the last sound reading ``(n,)``; inf where nobody knows.
         """
         if not (np.abs(values) < self._largest).all():
             self.impossible += 1
@@ -108,9 +104,7 @@ class LifeSigns:
     def fits(self, innovation: float, values: int) -> None:
         """Takes how well a reading fits what the arm's motion lets expect, and finds the fault where many do not.
 
-        Args:
-            innovation: normalised and squared, for each value; 1 on average; NaN where it was refused.
-            values: how many independent ones it is the mean of.
+        ``innovation`` is normalised and squared, the mean of so many independent ``values``; NaN where it was refused.
         """
         size = REFUSED if np.isnan(innovation) else min(innovation, REFUSED)
         self._innovations.append((size * values, values))
@@ -154,7 +148,7 @@ class LifeSigns:
                                         f"{frequency:.0f} Hz")
 
     def stamped(self, stamp: float, arrived: float) -> None:
-        r"""Takes the stamp of a message and when it came, and finds the fault where stamps wander more than can be.
+        r"""Takes the stamp of a message and when it came [s], and finds the fault where stamps wander more than can be.
 
         What differs between the steps of both is their own noise, and of that the stamps' share
 
@@ -162,10 +156,6 @@ class LifeSigns:
 
         whatever the sensor's own pace is. Messages that are delayed, and those lost behind them, move both for a while;
         stamps that wander do so all the time. So what counts is the median of stretches.
-
-        Args:
-            stamp: by this computer's clock [s].
-            arrived: by the same clock [s].
         """
         self._times[:-1] = self._times[1:]
         self._times[-1] = stamp, arrived

@@ -115,11 +115,9 @@ class ContactSettings:
         return min(FORCE_ERRORS[1], float(np.hypot(STAMPS, DAMPING / self.elasticity)))
 
     def jerk(self, acceleration: float, jerk: float) -> float:
-        """Jerk of a travel [m/s³]: a tip at rest feels no slope, so the stiffer the contact, the gentler the start.
+        """Jerk [m/s³] of a travel with this acceleration [m/s²]; ``jerk`` where the contact is soft enough for it.
 
-        Args:
-            acceleration: of the travel [m/s²].
-            jerk: where the contact is soft enough for that acceleration from the start [m/s³].
+        A tip at rest feels no slope, so the stiffer the contact, the gentler the start.
         """
         if 0.5 * acceleration * UNSEEN**2 * SLOPE * self.elasticity <= TOLERATED:
             return jerk
@@ -240,12 +238,7 @@ class StopLimits:
 
 
 class StopConditions:
-    """Looks at every sample and at every horizon; raises before the arm does what it must not.
-
-    Args:
-        robot: whose joint limits count.
-        limits: what must not happen.
-    """
+    """Looks at every sample and every horizon of ``robot``; raises before it does what ``limits`` exclude."""
 
     def __init__(self, robot: Robot, limits: StopLimits) -> None:
         self._robot, self._limits, self._T = robot, limits, robot.t_ipo

@@ -72,11 +72,9 @@ class SlidingPlan:
         self.cycle = cycle
 
     def follow(self, estimate: Array, keep: int) -> None:
-        """Plans anew towards an estimate, each direction on its own: a large correction must not slow the other one.
+        """Plans anew towards ``estimate (samples, 2)`` [m] of the cycles behind the next ``keep``, which stay.
 
-        Args:
-            estimate: wanted positions of the cycles behind ``keep`` ``(samples, 2)`` [m].
-            keep: cycles from now on that stay as they are.
+        Each direction on its own: a large correction must not slow the other one.
         """
         for direction in (0, 1):
             one = slice(direction, direction + 1)
@@ -84,11 +82,9 @@ class SlidingPlan:
             self._states[keep + 1 : keep + 1 + self.samples, :, one] = planned.transpose(1, 0, 2)
 
     def solve(self, keep: int, joint_angles: Callable[[slice, Array], Array]) -> Array:
-        """Joint angles of the horizon ``(n_d, n)`` [rad].
+        """Joint angles of the horizon ``(n_d, n)`` [rad]; the next ``keep`` cycles stay as they are.
 
-        Args:
-            keep: cycles from now on that stay as they are.
-            joint_angles: of the rows given, from their last joint angles ``(m, n)`` [rad].
+        ``joint_angles`` gives those of some rows from their last ones ``(m, n)`` [rad].
         """
         rows = slice(keep + 1, self.n_d)
         if rows.start < rows.stop:

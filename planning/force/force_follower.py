@@ -132,14 +132,11 @@ class SurfaceFollower:
         return None if measurement is None else self.fusion.update(measurement)
 
     def measured(self, t: Array, contact: Array) -> Measurement | None:
-        """What the contact forces that arrived since the last cycle tell of the deviation.
+        """What the contact forces since the last cycle tell of the deviation; None while there is no contact yet.
 
         Args:
             t: instants they belong to ``(m,)`` [s].
             contact: forces of the environment on the tool ``(m, 3)`` in the tool frame [N], bias and weight taken away.
-
-        Returns:
-            the measurement for ``fusion``, or None while there is no contact yet.
         """
         poses = [self.history.pose(max(float(at), self.history.first)) for at in t]
         points = np.array([pose.translation for pose in poses])
@@ -237,9 +234,7 @@ class SurfaceFollower:
     def horizon(self, t: float, anew: bool = True) -> Array:
         """Desired joint positions ``q_d(k) … q_d(k + n_d - 1)`` from ``t`` on, shape ``(n_d, n)`` [rad].
 
-        Args:
-            t: begin of the cycle [s].
-            anew: whether it is planned anew; a cycle that has no time for that goes on as planned before.
+        A cycle that has no time to plan ``anew`` goes on as planned before.
 
         Raises:
             OutOfReachError: the surface leads out of the arm's reach.

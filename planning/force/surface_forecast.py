@@ -111,11 +111,7 @@ class SmoothSurface(DeviationModel):
 
 
 class RowsAcross:
-    """Rows of a map across the path; all length scales ask one after another for the same places.
-
-    Args:
-        model: the map's; None: there is none.
-    """
+    """Rows of a map across the path, if there is one; all length scales ask one after another for the same places."""
 
     def __init__(self, model: PathDeviation | None) -> None:
         self._model = model

@@ -49,15 +49,7 @@ class DeviationModel(ABC):
 
     @abstractmethod
     def basis(self, s: Array, stand: Stand | None = None) -> Array:
-        """Deviation per state.
-
-        Args:
-            s: arc lengths ``(m,)`` [m].
-            stand: of the state; the present window if None.
-
-        Returns:
-            ``(m, directions, size)``.
-        """
+        """Deviation per state ``(m, directions, size)`` at ``s (m,)`` [m]; ``stand``: the present window if None."""
 
     def travel(self, s: float) -> tuple[Array, Array] | None:
         """Transition ``(F, Q)`` of the state when the arm has come to arc length ``s``; None if there is none (yet)."""
@@ -66,9 +58,7 @@ class DeviationModel(ABC):
     def carry(self, way: float, out: tuple[Array, Array] | None = None) -> tuple[Array, Array] | None:
         """Transition ``(F, Q)`` of the state when the tool goes on by ``way`` [m]; None if there is none.
 
-        Args:
-            way: [m].
-            out: matrices of an earlier call that take the result; new ones if None.
+        ``out`` are matrices of an earlier call that take the result; new ones if None.
         """
         return None
 
@@ -80,12 +70,7 @@ class DeviationModel(ABC):
         return not self.drifts
 
     def spread(self, s: Array, stand: Stand) -> Array | None:
-        """Variance of the deviation at ``s (m,)`` that no state holds yet ``(m, directions)`` [m²]; None for none.
-
-        Args:
-            s: arc lengths [m].
-            stand: of the state.
-        """
+        """Variance of the deviation at ``s (m,)`` that no state holds yet ``(m, directions)`` [m²]; None for none."""
         return None
 
 

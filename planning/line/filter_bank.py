@@ -16,15 +16,12 @@ FORGETS = 0.1
 
 
 class FilterBank:
-    r"""Multiple models (Magill 1965).
+    r"""Multiple models (Magill 1965): filters of the same directions and sensors.
 
     What ``filterpy``'s ``MMAEFilterBank`` does, with gates, late measurements and forgetting.
 
     .. math:: p_i \propto \exp \sum_k e^{-(s - s_k) / s_f} \ln p(z_k \mid i), \qquad
               \Delta x_r = \sum_i p_i\, \Delta x_{r,i}
-
-    Args:
-        members: filters of the same directions and sensors.
     """
 
     def __init__(self, members: Sequence[DeviationFilter]) -> None:

@@ -200,13 +200,9 @@ class DeviationFilter:
         return fused
 
     def deviation(self, s: Array) -> tuple[Array, Array]:
-        """The deviation and its variance, also ahead of what was seen: [L] (6) with how sure it is.
+        """The deviation at arc lengths ``s (m,)`` [m], also ahead of what was seen: [L] (6) with how sure it is.
 
-        Args:
-            s: arc lengths ``(m,)`` [m].
-
-        Returns:
-            ``(m, directions)`` [m] and its variance ``(m, directions)`` [m²].
+        ``(m, directions)`` [m] and its variance ``(m, directions)`` [m²].
         """
         H, size, kf = self.model.basis(s, self._stand), self.model.size, self._track.kf
         mean, variance = mean_and_variance(np.ascontiguousarray(H.reshape(-1, size)), kf.x[:size],
@@ -217,11 +213,8 @@ class DeviationFilter:
     def looked_back(self, s: Array) -> tuple[Array, Array]:
         """The deviation as all measurements show it, those of other places as well: smoothed (Rauch, Tung, Striebel).
 
-        Args:
-            s: arc lengths ``(m,)`` [m]; of the last ``LOOKED_BACK`` steps, and since the map was last replaced.
-
-        Returns:
-            ``(m, directions)`` [m] and its variance ``(m, directions)`` [m²]; NaN where nothing is kept.
+        At arc lengths ``s (m,)`` [m] of the last ``LOOKED_BACK`` steps, since the map was last replaced:
+        ``(m, directions)`` [m] and its variance ``(m, directions)`` [m²]; NaN where nothing is kept.
         """
         kf, kept = self._track.kf, list(self._passed)
         stands = [one.stand for one in kept] + [self._stand]

@@ -190,14 +190,9 @@ class LineFollower:
         return first + (min(far, first + SPREAD) - first) * self._evenly
 
     def update(self, line: SeenLine, pose: pin.SE3 | None = None) -> Fused | None:
-        """Fuses one field, whenever it arrives.
+        """Fuses one field, whenever it arrives; None if it showed nothing.
 
-        Args:
-            line: the points seen.
-            pose: TCP pose at the exposure; interpolated from ``observe`` by default.
-
-        Returns:
-            what became of the points, or None if the field showed nothing.
+        The TCP's ``pose`` at the exposure is interpolated from ``observe`` by default.
         """
         self._field_t = max(self._field_t, line.t)
         if not line.seen:

@@ -61,14 +61,11 @@ class Smoother:
         self._bend_at = np.maximum(np.arange(samples - 1) - 1, 0)
 
     def plan(self, state: Array, estimate: Array) -> Array:
-        """Positions, velocities and accelerations of the next cycles.
+        """Positions, velocities and accelerations of the next cycles ``(3, samples, directions)`` [m, m/s, m/s²].
 
         Args:
-            state: position, velocity and acceleration at the last instant that stays, ``(3, directions)``.
+            state: the same at the last instant that stays ``(3, directions)``.
             estimate: the estimated deviation at the ``samples`` following cycles ``(samples, directions)`` [m].
-
-        Returns:
-            shape ``(3, samples, directions)`` [m, m/s, m/s²].
         """
         stacked = np.concatenate([state, estimate])
         rise = estimate[1:] - estimate[:-1]
@@ -152,14 +149,9 @@ class ReferenceTable:
         return len(self.s)
 
     def displaced(self, rows: Rows, deviation: Array) -> Array:
-        r"""Positions :math:`x_r + d_1 n + d_2 u` at some cycles, [L] (6).
+        """Positions :math:`x_r + d_1 n + d_2 u` at some cycles ``(m, 3)`` [m], [L] (6).
 
-        Args:
-            rows: the cycles.
-            deviation: lateral, and with a second column along the surface normal too ``(m, 1 or 2)`` [m].
-
-        Returns:
-            shape ``(m, 3)`` [m].
+        ``deviation`` is lateral, and with a second column along the surface normal too ``(m, 1 or 2)`` [m].
         """
         positions = self.frames.position[rows] + deviation[:, :1] * self.frames.normal[rows]
         if deviation.shape[1] > 1:

@@ -147,9 +147,7 @@ def away_from(J: Array, error: Array, wish: Array) -> NDArray[np.floating[Any]]:
 def weighted(J: Array, error: Array) -> NDArray[np.floating[Any]]:
     """The change of fewer than six joint angles ``(n,)`` that removes what they can of a pose error, place first.
 
-    Args:
-        J: Jacobian in the tool's frame ``(6, n)``.
-        error: of the pose ``(6,)`` [m, rad].
+    ``J (6, n)`` is the Jacobian in the tool's frame, ``error (6,)`` [m, rad].
     """
     weights = np.array([1.0, 1.0, 1.0, TILT, TILT, TWIST])
     scaled = weights.reshape(6, 1) * J

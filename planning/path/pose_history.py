@@ -37,9 +37,6 @@ class PoseHistory:
 
     "We compute the camera position of the time instant of sensing and then evaluate the measured sensor data for this
     time instant" ([L] 4.3). Between samples the joint angles follow the cubic through the four nearest ones.
-
-    Args:
-        robot: the arm.
     """
 
     def __init__(self, robot: Robot) -> None:

@@ -111,14 +111,10 @@ def pixel_rays(pixels: Array, K: Array, k: Array) -> Array:
 
 
 def default_mount(height: float = 0.25, ahead: float = 0.065) -> pin.SE3:
-    """Camera pose in the tool frame: above the surface, looking down along the tool's z, ahead of the TCP.
+    """Camera pose in the tool frame: ``height`` above the TCP and ``ahead`` of it [m], looking down along the tool's z.
 
     The tool's x points along the path and its z into the surface. In the image, forward is up and the tool's y
     is right, so a line along the path stands upright and five rows across the field cut it five times.
-
-    Args:
-        height: distance of the camera from the TCP against the tool's z [m].
-        ahead: distance of the optical axis ahead of the TCP along the tool's x [m].
     """
     rotation = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     return pin.SE3(rotation, np.array([ahead, 0.0, -height]))

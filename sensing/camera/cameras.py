@@ -261,11 +261,7 @@ def open_camera(address: str, least_delay: float = 0.0) -> FrameSource:
     """Opens a camera by its address.
 
     ``usb:0``, ``file:film.mp4``, ``rtsp://…``, ``http://…`` (MJPEG), ``genicam:producer.cti#serial``,
-    ``stream://host:port``.
-
-    Args:
-        address: as above.
-        least_delay: from mid-exposure to the picture's arrival, at least [s]; not needed for ``stream``.
+    ``stream://host:port``. The least delay from mid-exposure to the picture's arrival [s] is not needed for ``stream``.
 
     Raises:
         InputError: no such scheme, or the camera cannot be opened.

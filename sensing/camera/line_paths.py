@@ -69,11 +69,9 @@ def lab_picture(picture: NDArray[np.uint8]) -> Lab:
 
 
 def paths(lab: Lab, *, widest: float) -> list[Path]:
-    """The paths that stand out most, along the picture's columns and along its rows.
+    """The paths that stand out most in ``lab_picture``'s ``lab``, along its columns and along its rows.
 
-    Args:
-        lab: of ``lab_picture``.
-        widest: of the lines, as a share of the picture's shorter side; 0 for single edges in the place of pairs.
+    ``widest`` of the lines is a share of the picture's shorter side; 0 for single edges in the place of pairs.
     """
     height, width = lab.shape[:2]
     edges = widest == 0.0

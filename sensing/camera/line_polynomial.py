@@ -180,10 +180,7 @@ class Nearest:
 
 
 class Polyline:
-    """Points joined by straight segments, in space.
-
-    Args:
-        points: at least two, neighbours apart ``(N, 3)`` [m].
+    """Points joined by straight segments, in space: at least two, neighbours apart ``(N, 3)`` [m].
 
     Raises:
         InputError: too few points, or two neighbours coincide.

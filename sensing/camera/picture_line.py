@@ -153,11 +153,7 @@ def likeliest(picture: NDArray[np.uint8], kind: str | None, near: Array | None
 
 
 def reduced(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
-    """A picture no larger than ``LONGEST``, and by what it is smaller.
-
-    Args:
-        picture: gray or BGR.
-    """
+    """A picture, gray or BGR, no larger than ``LONGEST``, and by what it is smaller."""
     scale = min(1.0, LONGEST / max(picture.shape[:2]))
     small = picture if scale == 1.0 else cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     return np.asarray(small, dtype=np.uint8), scale

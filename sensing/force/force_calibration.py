@@ -33,11 +33,9 @@ class ToolLoad:
     residual: Array
 
     def contact(self, wrench: Array, rotation: Array) -> Array:
-        """Wrench of the environment on the tool in the tool frame ``(6,)``, weight and bias taken away.
+        """What the environment does to the tool ``(6,)``: of the sensed ``wrench (6,)`` weight and bias are taken away.
 
-        Args:
-            wrench: sensed ``(6,)``.
-            rotation: of the tool frame in the base frame ``(3, 3)``.
+        ``rotation (3, 3)`` is the tool frame's in the base frame.
         """
         weight = rotation.T @ (self.mass * GRAVITY)
         (x, y, z), (a, b, c) = self.com, weight
@@ -45,15 +43,11 @@ class ToolLoad:
 
 
 def identify_tool(wrenches: Array, rotations: Sequence[Array]) -> ToolLoad:
-    """Bias, mass and centre of the tool from wrenches in several orientations without contact.
+    """Bias, mass and centre of the tool from ``wrenches (N, 6)`` in several orientations without contact.
 
         f = b_f + Rᵀ g m,        m = b_m + (m c) × Rᵀ g
 
-    linear in bias, mass and the product of mass and centre.
-
-    Args:
-        wrenches: ``(N, 6)``.
-        rotations: of the tool frame in the base frame, N of them ``(3, 3)``.
+    linear in bias, mass and the product of mass and centre; R ``(3, 3)`` of the tool frame in the base frame.
 
     Raises:
         SensingError: too few orientations to separate bias and weight.

@@ -331,11 +331,8 @@ FORCE_SENSORS: Registry[Opener] = Registry("force sensor", "ideal_robot.force_se
 def open_force(address: str, least_delay: float = 0.0) -> WrenchSource:
     """Opens a force sensor by its address.
 
-    ``netft://host:port?rate=7000&counts_force=1e6&counts_torque=1e6`` or ``stream://host:port``.
-
-    Args:
-        address: as above.
-        least_delay: from the measurement to the packet's arrival, at least [s]; not needed for ``stream``.
+    ``netft://host:port?rate=7000&counts_force=1e6&counts_torque=1e6`` or ``stream://host:port``. The least delay from
+    the measurement to the packet's arrival [s] is not needed for ``stream``.
 
     Raises:
         InputError: no such scheme, or the sensor cannot be opened.

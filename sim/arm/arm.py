@@ -162,11 +162,9 @@ class SimulatedArm:
             pybullet.resetJointState(self.body, joint, q_a[joint], 0.0, physicsClientId=self.client)
 
     def cycle(self, q_c: Array) -> RobotState:
-        """Executes one interpolation cycle with the commanded joint angles.
+        """Executes one interpolation cycle with the commanded joint angles ``q_c (n,)`` [rad].
 
-        Args:
-            q_c: ``(n,)`` [rad]. Reached at the end of this cycle, or of the next one with the standard planner's
-                delay.
+        They are reached at the end of this cycle, or of the next one with the standard planner's delay.
 
         Raises:
             InputError: wrong size or not finite.
@@ -284,9 +282,7 @@ class SimulatedArm:
 
         Columns: ``t``, ``q_c_i``, ``q_i``, ``tau_i``, ``current_i``, ``temp_i``. ``q_c_i`` is the command as
         the joint controllers see it: after the planner's delay and the interpolation, before the low-pass.
-
-        Args:
-            external: adds ``qa_i`` and ``x y z qx qy qz qw`` from an external measuring device with the world's noise.
+        ``external`` adds ``qa_i`` and ``x y z qx qy qz qw`` from an external measuring device with the world's noise.
         """
         return recording_of(self.robot, self.world, self._history, self.tcp_of if external else None)
 

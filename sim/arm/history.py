@@ -23,12 +23,7 @@ POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 class History(RowLog):
-    """The log of one run, row by row: time, then ``kernel.LOGGED`` with ``n`` values each.
-
-    Args:
-        n: number of joints.
-        step: time between two rows [s].
-    """
+    """The log of one run, row by row, ``step`` [s] apart: time, then ``kernel.LOGGED`` with ``n`` values each."""
 
     def __init__(self, n: int, step: float) -> None:
         super().__init__(1 + len(LOGGED) * n)

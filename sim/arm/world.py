@@ -302,10 +302,7 @@ class World:
             return world.drawn(spread) if spread else world
 
     def drawn(self, spread: dict[str, float]) -> World:
-        """The world of its individual where the values of some keys are known to within a spread.
-
-        Args:
-            spread: standard deviations by key, see ``from_table``.
+        """The world of its individual where some keys are known to within standard deviations, see ``from_table``.
 
         Raises:
             InputError: a key that has no size, or a spread that is none.

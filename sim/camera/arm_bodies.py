@@ -99,12 +99,7 @@ class ArmBodies:
         self._standing: set[int] = set()
 
     def stand(self, q: Array, pose: pin.SE3) -> None:
-        """Finds out where the links are; what a window shows of them is put there by ``shown``.
-
-        Args:
-            q: arm angles ``(n,)`` [rad].
-            pose: of the TCP in the base frame.
-        """
+        """Finds out where the links are at ``q (n,)`` [rad], the TCP at ``pose``; ``shown`` puts them there."""
         pin.forwardKinematics(self._model, self._data, np.asarray(q, dtype=float))
         eye = pose * self._camera.T_tool_camera
         rotation, place = joint_places(self._data)
@@ -113,11 +108,7 @@ class ArmBodies:
         self._standing.clear()
 
     def shown(self, windows: Sequence[Window]) -> list[set[Body]]:
-        """What of the arm each window may show, standing where it is.
-
-        Args:
-            windows: what is looked at, none of them empty.
-        """
+        """What of the arm each window may show, standing where it is; none of them is empty."""
         found = in_view(self._camera, windows, self._seen, self._reach)
         for k in np.flatnonzero(found.any(axis=0)).tolist():
             if k not in self.bodies:

@@ -192,11 +192,7 @@ class ImageChain:
 
 
 def disc(radius: float) -> NDArray[np.float64]:
-    """What becomes of a point out of focus: the share of an even disc's light in each pixel; sum 1.
-
-    Args:
-        radius: of the disc [px].
-    """
+    """What becomes of a point out of focus by ``radius`` [px]: the share of a disc's light in each pixel; sum 1."""
     reach = int(np.ceil(radius + 0.5))
     count = 2 * reach + 1
     x = (np.arange(FINER * count) + 0.5) / FINER - 0.5 * count

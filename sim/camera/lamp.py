@@ -39,8 +39,7 @@ NEAREST = 0.005
 def tool_mesh(length: float = 0.0) -> list[str]:
     """Lines of an .obj file in the tool frame, z along the approach axis.
 
-    Args:
-        length: of the tool from the flange to the TCP [m]; what is seen of it is never shorter than the usual shaft.
+    ``length`` is that from the flange to the TCP [m]; what is seen of it is never shorter than the usual shaft.
     """
     shaft = (*TIP, (length, TOOL_RADIUS)) if length > TIP[-1][0] else TIP
     tip = np.array([[0.0, 0.0, -behind] for behind, _ in shaft])
@@ -71,11 +70,7 @@ def triangles(mesh: Sequence[str]) -> tuple[Array, NDArray[np.int_]]:
 def outline(mesh: Sequence[str], T_camera_tool: pin.SE3) -> Array:
     """Boxes about what a camera sees of each triangle: least x, y and largest x, y as tangents ``(4, triangles)``.
 
-    Triangles behind the camera are left out.
-
-    Args:
-        mesh: lines of its .obj file, from ``tool_mesh``.
-        T_camera_tool: pose of the tool frame in the camera's.
+    Triangles of ``tool_mesh`` that are behind the camera are left out.
     """
     places, corners = triangles(mesh)
     a = (places @ T_camera_tool.rotation.T + T_camera_tool.translation)[corners]
@@ -131,9 +126,6 @@ class ArmShape:
     """The arm's links as capsules, for its shadow: boxes and cylinders of its URDF, or rods between the joints.
 
     A tool that a scene put on is one more.
-
-    Args:
-        robot: the arm.
     """
 
     def __init__(self, robot: Robot) -> None:

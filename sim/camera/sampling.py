@@ -118,10 +118,6 @@ def texel_map(T_plane_camera: pin.SE3, texture: Texture) -> Array:
     With R, c the camera's pose in the plane's frame, the ray d meets z = 0 at (c_x - c_z (R_x d)/(R_z d), …); as a
     homogeneous vector (c_z R_x d - c_x R_z d, c_z R_y d - c_y R_z d, -R_z d), whose last entry is positive where a
     camera above the plane looks at it. Texel centres lie at whole numbers.
-
-    Args:
-        T_plane_camera: pose of the camera in the plane's frame.
-        texture: of the plane.
     """
     R, c = T_plane_camera.rotation, T_plane_camera.translation
     on_plane = np.array([c[2] * R[0] - c[0] * R[2], c[2] * R[1] - c[1] * R[2], -R[2]])

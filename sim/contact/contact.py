@@ -210,12 +210,7 @@ class ForceSensorSettings:
 
 
 class ForceSensor:
-    """Samples at an even rate on its own schedule.
-
-    Args:
-        settings: truth of the sensor.
-        rng: draws bias, noise and jitter.
-    """
+    """Samples at an even rate on its own schedule; ``rng`` draws bias, noise and jitter."""
 
     def __init__(self, settings: ForceSensorSettings, rng: np.random.Generator) -> None:
         self.settings, self._rng = settings, rng

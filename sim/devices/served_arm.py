@@ -110,12 +110,7 @@ class ServedArm:
         self._stopped = True
 
     def sessions(self, most: int, done: Callable[[Session], None]) -> None:
-        """Session after session.
-
-        Args:
-            most: sessions after which it ends; 0 for no end.
-            done: called behind each, before the arm goes back.
-        """
+        """Session after session, ``most`` of them, 0 for no end; ``done`` is called before the arm goes back."""
         count = 0
         with self._wired():
             while not self._stopped and (most == 0 or count < most):

@@ -159,12 +159,7 @@ _MAX = 2**31 - 1  # of a count, an int32
 
 
 class NetFTServer:
-    """Streams records to whoever asked last.
-
-    Args:
-        host: address of ours.
-        port: UDP port; 0 for any free one.
-    """
+    """Streams records to whoever asked last; on port 0 for any free one."""
 
     def __init__(self, host: str, port: int) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -181,12 +176,7 @@ class NetFTServer:
         return str(host), int(port)
 
     def record(self, sample: int, wrench: Array) -> bytes:
-        """The next record.
-
-        Args:
-            sample: number of the sensor's sample.
-            wrench: force [N] and moment [N m] ``(6,)``.
-        """
+        """The next record, of the sensor's sample of this number: force [N] and moment [N m] ``(6,)``."""
         self._number += 1
         scales = (COUNTS_FORCE,) * 3 + (COUNTS_TORQUE,) * 3
         counts = (max(-_MAX, min(_MAX, round(float(w) * scale))) for w, scale in zip(wrench, scales, strict=True))
@@ -258,12 +248,7 @@ class Unkindness:
 
 
 class DeviceClock:
-    """A clock of its own: what it shows at a time of this computer.
-
-    Args:
-        offset: what it shows when this is made [s].
-        drift: by how much it runs fast (relative).
-    """
+    """A clock of its own: shows ``offset`` [s] when it is made, and runs fast by ``drift`` (relative)."""
 
     def __init__(self, offset: float, drift: float) -> None:
         self._begun, self._offset, self.drift = time.perf_counter(), offset, drift
@@ -274,12 +259,7 @@ class DeviceClock:
 
 
 class Outbox:
-    """Sends what is due when it is due, from a thread of its own, with what the network does to it.
-
-    Args:
-        unkind: loss, doubling and lateness.
-        rng: draws them.
-    """
+    """Sends what is due when it is due, from a thread of its own; ``rng`` draws what the network does to it."""
 
     def __init__(self, unkind: Unkindness, rng: np.random.Generator) -> None:
         self._unkind, self._rng = unkind, rng
