@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pinocchio as pin
@@ -285,10 +286,16 @@ def test_a_contour_is_passed_within_speed_and_acceleration_however_short(powers:
 CYCLE, UP = 0.004, np.eye(3)[2]
 
 
+@cache
+def known() -> tuple[Robot, Model]:
+    """The arm of a force scene, and the model that its cell has of it."""
+    cell = set_up(load_scene("force_wave")).known
+    return cell.robot, cell.model
+
+
 def heard(way: Array, unfelt: float, currents: bool = True, speed: float = 0.2) -> float:
     """What is heard of a force that the sensor does not tell [N], the joints swinging so far ``(n,)`` [rad]."""
-    known = set_up(load_scene("force_wave")).known
-    robot, model, rng = known.robot, known.model, np.random.default_rng(1)
+    (robot, model), rng = known(), np.random.default_rng(1)
     motors, kinematics = BeyondSensor(model, CYCLE), InverseKinematics(robot)
     t = CYCLE * np.arange(800)[:, None]
     q, v, a = (robot.home + way * np.sin(3 * t), 3 * way * np.cos(3 * t), -9 * way * np.sin(3 * t))
@@ -304,8 +311,7 @@ def heard(way: Array, unfelt: float, currents: bool = True, speed: float = 0.2) 
 @pytest.mark.parametrize("unfelt", [0.0, 25.0])
 def test_friction_of_slow_joints_that_no_model_knows_is_no_force(unfelt: float) -> None:
     """5 to 30 mrad/s, friction beside the model's as large as its residual; it turns round over the presliding way."""
-    known = set_up(load_scene("force_wave")).known
-    robot, model = known.robot, known.model
+    robot, model = known()
     motors, kinematics, told = BeyondSensor(model, robot.t_ipo), InverseKinematics(robot), []
     distance = np.array([float(law.shape[-1, 0]) for law in model.friction.laws])
     t, rate = robot.t_ipo * np.arange(3000)[:, None], 0.05 * np.arange(1.0, 7.0)
@@ -334,8 +340,7 @@ def test_joints_at_rest_a_tip_at_rest_and_controllers_without_currents_say_nothi
 
 def test_motions_before_and_after_lost_cycles_are_no_acceleration() -> None:
     """A follower that was not let run for 50 ms took what the arm had moved meanwhile for one cycle's: 79 N."""
-    known = set_up(load_scene("force_wave")).known
-    robot, model = known.robot, known.model
+    robot, model = known()
     motors, torque = BeyondSensor(model, CYCLE), InverseKinematics(robot).torque(robot.home, UP)
     rate, lost, t = np.array([0.2, 0.05, -0.1, 0.02, 0.3, 0.1]), 5, 0.0
     for k in range(400):
@@ -353,8 +358,7 @@ def test_motions_before_and_after_lost_cycles_are_no_acceleration() -> None:
 def test_the_first_word_of_the_motors_is_what_a_random_walk_lets_expect(cycle: float, needed: int, sense: float,
                                                                        speed: float) -> None:
     """Joints that slide on: the weights of the joints, the prior, and the instant whose motion counts."""
-    known = set_up(load_scene("force_wave")).known
-    robot, model = known.robot, known.model
+    robot, model = known()
     motors, torque = BeyondSensor(model, cycle), InverseKinematics(robot).torque(robot.home, UP)
     rate, rest = sense * np.array([0.2, 0.05, -0.1, 0.02, 0.3, 0.1]), np.array([90.0, -120.0, 60.0, 3.0, -6.0, 3.0])
     q = robot.home + rate * cycle * np.arange(needed)[:, None]
@@ -382,8 +386,7 @@ def test_the_first_word_of_the_motors_is_what_a_random_walk_lets_expect(cycle: f
 @pytest.mark.parametrize("offset", [0.0, 2.0])
 def test_a_force_since_the_air_is_found_whatever_friction_the_model_has_wrong(force: float, offset: float) -> None:
     """A straight slow motion: in the air first, then touching; the torque that no model knows stays the same."""
-    known = set_up(load_scene("force_wave")).known
-    robot, model, rng = known.robot, known.model, np.random.default_rng(2)
+    (robot, model), rng = known(), np.random.default_rng(2)
     kinematics = InverseKinematics(robot)
     felt = FeltByMotors(model, robot, kinematics, UP, settle=0.4)
     T, late = robot.t_ipo, round(BEHIND / robot.t_ipo)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -43,6 +45,19 @@ class Truth:
 
     def at(self, s: Array) -> Array:
         return self.model.basis(s) @ self.x
+
+    def seen(self, fusion: DeviationFilter, count: int, turned: Callable[[int], float] | None = None
+             ) -> Iterator[tuple[int, float, Fused]]:
+        """Fields on the way, by a camera turned by an angle [rad] or of one without an error: number, place, fused."""
+        for k in range(count):
+            s = 0.014 * k
+            self.travel(s)
+            fusion.travel(s)
+            value = self.at(s + AHEAD)[:, 0] + NOISE * self.rng.normal(size=5)
+            if turned is not None:
+                value = value + turned(k) * AHEAD
+            yield k, s, fusion.update(points(0.02 * k, s + AHEAD, value,
+                                             bias=None if turned is None else AHEAD[:, None]))
 
 
 def ride(
@@ -155,13 +170,8 @@ def test_rigid_displacement_is_recognised_and_carried_ahead() -> None:
 
 
 def test_map_survives_the_moving_window() -> None:
-    rng = np.random.default_rng(6)
-    truth, fusion = Truth(rng), DeviationFilter(path_model())
-    for k in range(60):
-        s = 0.014 * k
-        truth.travel(s)
-        fusion.travel(s)
-        fusion.update(points(0.02 * k, s + AHEAD, truth.at(s + AHEAD)[:, 0] + NOISE * rng.normal(size=5)))
+    truth, fusion = Truth(np.random.default_rng(6)), DeviationFilter(path_model())
+    for k, s, _ in truth.seen(fusion, 60):
         at = np.array([s - 0.03, s, s + 0.03]) if k > 10 else s + AHEAD[:1]
         mean, _ = fusion.deviation(at)
         assert np.max(np.abs(mean - truth.at(at))) < 2e-4
@@ -169,15 +179,9 @@ def test_map_survives_the_moving_window() -> None:
 
 def test_errors_of_the_sensor_are_told_apart_from_the_deviation() -> None:
     yaw = 0.002
-    rng = np.random.default_rng(7)
-    truth, fusion = Truth(rng), DeviationFilter(path_model(), biases={"camera": (0.005,)})
-    for k in range(40):
-        s = 0.014 * k
-        truth.travel(s)
-        fusion.travel(s)
-        at = s + AHEAD
-        value = truth.at(at)[:, 0] + yaw * AHEAD + NOISE * rng.normal(size=5)
-        fusion.update(points(0.02 * k, at, value, bias=AHEAD[:, None]))
+    truth = Truth(np.random.default_rng(7))
+    fusion = DeviationFilter(path_model(), biases={"camera": (0.005,)})
+    *_, (_, s, _) = truth.seen(fusion, 40, lambda k: yaw)
     found, sigma = fusion.bias("camera")
     assert abs(found[0] - yaw) < 3 * sigma[0]
     assert sigma[0] < 2e-4
@@ -286,34 +290,20 @@ def test_measurements_that_do_not_fit_are_refused(change: dict[str, Array], fiel
 def test_a_sensor_that_is_moved_little_is_found_though_one_thought_of_it_before(knocked: float) -> None:
     """With one hypothesis at a time, begun by a stray measurement before the knock, the map was up to 0.8 mm off."""
     for seed in range(12):
-        rng = np.random.default_rng(seed)
-        truth = Truth(rng)
+        truth = Truth(np.random.default_rng(seed))
         fusion = DeviationFilter(path_model(), biases={"camera": (0.003,)}, moved={"camera": (0.01,)})
-        for k in range(50):
-            s = 0.014 * k
-            truth.travel(s)
-            fusion.travel(s)
-            at = s + AHEAD
-            value = truth.at(at)[:, 0] + NOISE * rng.normal(size=5) + (0.001 + knocked * (k >= 30)) * AHEAD
-            reason = fusion.update(points(0.02 * k, at, value, bias=AHEAD[:, None])).reason
-            assert k >= 30 or reason != "sensor moved"
+        for k, s, fused in truth.seen(fusion, 50, lambda k: 0.001 + knocked * (k >= 30)):
+            assert k >= 30 or fused.reason != "sensor moved"
             here = np.array([s + 0.03])
             assert k < 30 or abs(fusion.mean(here)[0, 0] - truth.at(here)[0, 0]) < 1e-4
 
 
 def test_a_sensor_that_is_moved_changes_its_own_error_and_not_the_map() -> None:
-    rng = np.random.default_rng(11)
-    truth = Truth(rng)
+    truth = Truth(np.random.default_rng(11))
     fusion = DeviationFilter(path_model(), biases={"camera": (0.003,)}, moved={"camera": (0.01,)})
     knocked, reasons = 0.009, []
-    for k in range(60):
-        s = 0.014 * k
-        truth.travel(s)
-        fusion.travel(s)
-        at = s + AHEAD
-        turned = 0.001 if k < 30 else 0.001 + knocked
-        value = truth.at(at)[:, 0] + NOISE * rng.normal(size=5) + turned * AHEAD
-        reasons.append(fusion.update(points(0.02 * k, at, value, bias=AHEAD[:, None])).reason)
+    for k, _, fused in truth.seen(fusion, 60, lambda k: 0.001 + knocked * (k >= 30)):
+        reasons.append(fused.reason)
         if k == 29:
             assert fusion.bias("camera")[0][0] == pytest.approx(0.001, abs=4 * fusion.bias("camera")[1][0])
     assert "sensor moved" in reasons[30:34]
@@ -376,12 +366,8 @@ def test_of_a_map_that_was_replaced_nothing_is_looked_back_on() -> None:
 
 
 def test_without_a_doubt_no_sensor_is_thought_to_be_moved() -> None:
-    truth = Truth(rng := np.random.default_rng(5))
+    truth, before = Truth(np.random.default_rng(5)), 0
     fusion = DeviationFilter(path_model(), biases={"camera": (0.003,)}, moved={"camera": (0.01,)})
-    for k in range(60):
-        truth.travel(0.014 * k)
-        fusion.travel(0.014 * k)
-        at, before = 0.014 * k + AHEAD, len(fusion._shaken)
-        value = truth.at(at)[:, 0] + NOISE * rng.normal(size=5)
-        fused = fusion.update(points(0.02 * k, at, value, bias=AHEAD[:, None]))
+    for *_, fused in truth.seen(fusion, 60, lambda k: 0.0):
         assert fused.nis > 5.0 or len(fusion._shaken) <= before
+        before = len(fusion._shaken)

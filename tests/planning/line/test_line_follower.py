@@ -357,9 +357,9 @@ def test_the_command_follows_the_law() -> None:
     """[L] (1): the correction grows by K_p Δs in every cycle, and by K_d times what Δs has changed by."""
     signals = np.array([0.0, 0.004, 0.004, 0.007, -0.002, -0.002])
 
-    def corrections(k_p: float, k_d: float) -> np.ndarray:
+    def corrections(*gains: float) -> np.ndarray:
         follower = LineFollower(kr6(), reference(), profile())
-        feedback, pose, found = DirectFeedback(follower, k_p, k_d), kr6().fk()(follower.q_start), []
+        feedback, pose, found = DirectFeedback(follower, *gains), kr6().fk()(follower.q_start), []
         frames = follower.reference.frames(follower.reference.project(pose.translation[None], 0.0)[0])
         for signal in signals:
             points = pose.actInv((frames.position + signal * frames.normal)[0])[None].repeat(3, axis=0)
@@ -371,23 +371,12 @@ def test_the_command_follows_the_law() -> None:
     for k_p, k_d in ((0.1, 0.0), (0.0, 0.5), (0.2, 0.7)):
         expected = np.cumsum(k_p * signals + k_d * np.diff(signals, prepend=0.0))
         np.testing.assert_allclose(corrections(k_p, k_d), expected, atol=1e-8)
+    np.testing.assert_array_equal(corrections(0.1), corrections(0.1, 0.0))
 
 
 def test_negative_gain_is_refused() -> None:
     with pytest.raises(InputError):
         ride(-0.1)
-
-
-def test_without_a_gain_on_the_change_there_is_none() -> None:
-    plain, given = ride(0.1), ride(0.1, 0.0)
-    follower = LineFollower(kr6(), reference(), profile())
-    feedback, pose = DirectFeedback(follower, 0.1), kr6().fk()(follower.q_start)
-    frames = follower.reference.frames(follower.reference.project(pose.translation[None], 0.0)[0])
-    points = pose.actInv((frames.position + 0.004 * frames.normal)[0])[None].repeat(3, axis=0)
-    feedback.update(Seen(0.0, points, np.full(3, 3e-5), np.ones(3, dtype=bool), True), pose)
-    feedback.command(0.0)
-    assert feedback.correction == pytest.approx(0.1 * 0.004, abs=1e-9)
-    np.testing.assert_array_equal(plain[1], given[1])
 
 
 @pytest.mark.parametrize(("n_d", "speed"), [(1, 0.7), (60, 0.3), (60, 1.0), (60, 2.0)])

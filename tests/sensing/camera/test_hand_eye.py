@@ -62,10 +62,14 @@ def measuring_error(true: CameraModel, believed: CameraModel | HandEye, aside: f
     return np.asarray((camera.on_plane(true.project_tool(points), -UP, rise) - points)[:, 1])
 
 
+def wrong(seed: int) -> tuple[np.random.Generator, CameraModel, CameraModel]:
+    """A camera as it is believed, and as it is."""
+    rng, believed = np.random.default_rng(seed), CameraModel.default()
+    return rng, believed, believed.perturbed(**ERROR.signed(rng))
+
+
 def run(seed: int, **options: float) -> tuple[CameraModel, CameraModel, HandEye]:
-    rng = np.random.default_rng(seed)
-    believed = CameraModel.default()
-    true = believed.perturbed(**ERROR.signed(rng))
+    rng, believed, true = wrong(seed)
     return true, believed, calibrate(believed, observations(true, rng, **options), REFERENCE, UP)  # type: ignore[arg-type]
 
 
@@ -118,9 +122,7 @@ def test_time_stamp_error_shows_while_moving() -> None:
 
 
 def test_outliers_are_dropped() -> None:
-    rng = np.random.default_rng(7)
-    believed = CameraModel.default()
-    true = believed.perturbed(**ERROR.signed(rng))
+    rng, believed, true = wrong(7)
     seen = observations(true, rng)
     for k in (3, 11):
         seen[k].pixels[2] += (3.0, -2.0)
@@ -154,9 +156,7 @@ def test_calibration_poses_look_at_the_line() -> None:
 
 
 def test_the_slope_of_the_surface_is_told_from_the_camera_that_looks_at_it() -> None:
-    rng = np.random.default_rng(9)
-    believed = CameraModel.default()
-    true = believed.perturbed(**ERROR.signed(rng))
+    rng, believed, true = wrong(9)
     # All of the cell turned about the base's y axis: the line rises by 1°, the poses stay as they are.
     slope = math.radians(1.0)
     R = pin.exp3(slope * np.array([0.0, 1.0, 0.0]))
@@ -194,9 +194,7 @@ def test_a_height_is_the_surface_s_more_than_the_camera_s() -> None:
 @pytest.mark.parametrize("bend", [-0.9, 0.6])
 def test_the_bend_of_the_surface_is_told_from_lens_and_distance(bend: float) -> None:
     """A surface that rises or falls by 4 mm over 0.1 m: taken for flat it is found as focal length."""
-    rng = np.random.default_rng(9)
-    believed = CameraModel.default()
-    true = believed.perturbed(**ERROR.signed(rng))
+    rng, believed, true = wrong(9)
     told = observations(true, rng, surface=(0.0, bend))
     result = calibrate(believed, told, REFERENCE, UP, BENT)
     assert result.parameters[BEND] == pytest.approx(bend, abs=4 * result.sigma[BEND])

@@ -150,13 +150,12 @@ def test_empty_windows_give_empty_patches_and_wrong_ones_are_refused(texture: Te
                 cam.windows(0.005, lambda t: tool_over(0.0), [window])
 
 
-@pytest.mark.parametrize(("change", "name"), [
-    ({"latency": -0.01}, "latency"), ({"rate": 0.0}, "rate"), ({"exposure": 0.03}, "exposure"), ({"loss": 1.0}, "loss"),
-    ({"noise": float("nan")}, "noise"), ({"supersampling": 0}, "supersampling"),
-])  # fmt: skip
-def test_impossible_settings_are_named(change: dict[str, float], name: str) -> None:
-    with pytest.raises(InputError, match=f"camera.{name}"):
-        CameraSettings(**change)  # type: ignore[arg-type]
+@pytest.mark.parametrize(("name", "value"), [
+    ("latency", -0.01), ("rate", 0.0), ("exposure", 0.03), ("loss", 1.0), ("noise", float("nan")), ("supersampling", 0),
+    ("vignetting", 1.0), ("jpeg_quality", 101), ("full_well", -1.0), ("defocus_px", float("nan"))])
+def test_impossible_settings_are_named(name: str, value: float) -> None:
+    with pytest.raises(InputError, match=rf"camera\.{name}"):
+        CameraSettings(**{name: value})  # type: ignore[arg-type]
 
 
 def test_a_lens_that_cannot_be_drawn_is_refused(texture: Texture) -> None:
