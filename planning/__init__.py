@@ -24,7 +24,7 @@ class OutOfReachError(PlanningError):
     """The arm cannot take a pose.
 
     Args:
-        position: the TCP position asked for [m].
+        position: the TCP position asked for ``(3,)`` [m].
         error: distance that was left between arm and pose [m].
         joint: joint counted from 1 that is at its limit, 0 if the arm is simply too short or singular there.
         value, limit: the joint's angle and the limit it would leave [rad or m]; nan where no joint is meant.
@@ -32,7 +32,7 @@ class OutOfReachError(PlanningError):
 
     def __init__(
         self,
-        position: tuple[float, float, float],
+        position: Array,
         error: float,
         joint: int = 0,
         value: float = float("nan"),

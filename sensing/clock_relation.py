@@ -82,26 +82,22 @@ class ClockRelation:
         self._aside: list[tuple[float, float]] = []
         self._late = np.full(256, np.nan)
         self._begin(0.0, 0.0)
-        self._known = False
-
-    @property
-    def known(self) -> bool:
+        self.known = False
         """Whether there has been a stamp."""
-        return self._known
 
     def add(self, stamp: float, arrived: float) -> bool:
         """Takes a message stamped by the device's clock, arrived by this computer's [s]; whether its stamp can be."""
         if not (math.isfinite(stamp) and math.isfinite(arrived)):
             self.refused += 1
             return False
-        if not self._known:
+        if not self.known:
             self._begin(stamp, arrived)
         x, y = stamp - self._x0, (arrived - self._y0) - (stamp - self._x0)
         beyond = y - self._offset - self._drift * x
-        if self._known and not -STEP < beyond < LATEST:
+        if self.known and not -STEP < beyond < LATEST:
             return self._doubted(stamp, arrived)
         self._aside.clear()
-        self._known = True
+        self.known = True
         self._late[self.stamps % len(self._late)] = max(beyond, 0.0)
         self.stamps += 1
         self._newest = max(self._newest, x)
@@ -129,7 +125,7 @@ class ClockRelation:
         """What is known of the clock by now."""
         at = self._x0 + self._newest
         late = self._late[np.isfinite(self._late)]
-        return ClockReport(self.host(at) - at if self._known else math.nan, 1e6 * self._drift, 1e6 * self._drift_std,
+        return ClockReport(self.host(at) - at if self.known else math.nan, 1e6 * self._drift, 1e6 * self._drift_std,
                            1e3 * float(np.median(late)) if len(late) else math.nan, self.stamps, self.refused,
                            self.restarts)
 
@@ -149,7 +145,7 @@ class ClockRelation:
             return False
         pairs, self._aside = self._aside, []
         self.restarts += 1
-        self._known = False
+        self.known = False
         for pair in pairs:
             self.add(*pair)
         return True

@@ -348,9 +348,8 @@ class ContourFollower:
         left = np.array([-tangent[1], tangent[0]])
         angle = bend * bent
         end = np.cos(angle)[:, None] * tangent + np.sin(angle)[:, None] * left
-        curve = (bent * np.sinc(angle / (2 * np.pi)) * np.cos(angle / 2))[:, None] * tangent + (
-            bent * np.sinc(angle / (2 * np.pi)) * np.sin(angle / 2)
-        )[:, None] * left
+        chord = bent * np.sinc(angle / (2 * np.pi))
+        curve = (chord * np.cos(angle / 2))[:, None] * tangent + (chord * np.sin(angle / 2))[:, None] * left
         return np.asarray(foot + curve + straight[:, None] * end)
 
     @property

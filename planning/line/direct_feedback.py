@@ -34,14 +34,10 @@ class DirectFeedback:
             raise InputError("expected zero or a positive number", field="k_p", value=k_p)
         self._follower, self._k_p, self._k_d, self._limit = follower, k_p, k_d, limit
         self._kinematics = InverseKinematics(follower.robot)
-        self._correction = 0.0
+        self.correction = 0.0
+        """Lateral offset of the command from the reference [m]."""
         self._signal = self._last_signal = 0.0
         self._q: Array | None = None
-
-    @property
-    def correction(self) -> float:
-        """Lateral offset of the command from the reference [m]."""
-        return self._correction
 
     def update(self, line: SeenLine, pose: pin.SE3 | None = None) -> None:
         """Takes the sensor signal from a field; none if the field showed nothing."""
@@ -62,11 +58,11 @@ class DirectFeedback:
         """Commanded joint angles ``q_c(k) (n,)`` [rad] at the cycle ``t``; once a cycle."""
         change = self._k_p * self._signal + self._k_d * (self._signal - self._last_signal)
         self._last_signal = self._signal
-        self._correction = float(np.clip(self._correction + change, -self._limit, self._limit))
+        self.correction = float(np.clip(self.correction + change, -self._limit, self._limit))
         f = self._follower
         s = f.profile.at(t - f.t_start)[0]
         frames = f.reference.frames(s)
-        target = pin.SE3(f.reference.rotation(s), frames.position + self._correction * frames.normal)
+        target = pin.SE3(f.reference.rotation(s), frames.position + self.correction * frames.normal)
         guess = f.q_start if self._q is None else self._q
         self._q = self._kinematics.refine([target], guess[None])[0]
         return self._q.copy()

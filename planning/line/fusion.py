@@ -275,9 +275,7 @@ class DeviationFilter:
         moved = self._weighed(equation, seen)
         fused = self._try(self._track, equation, seen)
         if moved:
-            self._replace(moved)
-            count = len(equation.z)
-            return Fused(np.ones(count, dtype=bool), fused.innovation, fused.nis, count, "sensor moved")
+            return self._replaced(moved, fused, "sensor moved")
         if fused.dof or not self._confirm:
             self._rival = None if fused.dof else self._rival
             return fused
@@ -286,15 +284,15 @@ class DeviationFilter:
         if not self._try(self._rival, equation, equation.innovation(self._rival.kf)).dof:
             self._rival = None
         elif self._rival.agreed >= self._confirm:
-            self._replace(self._rival)
-            count = len(equation.z)
-            return Fused(np.ones(count, dtype=bool), fused.innovation, fused.nis, count, "map replaced")
+            return self._replaced(self._rival, fused, "map replaced")
         return fused
 
-    def _replace(self, by: _Track) -> None:
-        """Another hypothesis takes over; what was passed is not its past."""
+    def _replaced(self, by: _Track, fused: Fused, reason: str) -> Fused:
+        """Another hypothesis takes over, for which all values count; what was passed is not its past."""
         self._track, self._rival, self._shaken = by, None, []
         self._passed.clear()
+        count = len(fused.innovation)
+        return Fused(np.ones(count, dtype=bool), fused.innovation, fused.nis, count, reason)
 
     def _weighed(self, equation: Equation, seen: Innovation) -> _Track | None:
         """The hypothesis of a moved sensor, once measurements have become more likely under it than under the map's.

@@ -119,7 +119,7 @@ class InverseKinematics:
             if self._solved(error, dq):
                 return self._within(target.translation, q)
             q = q + dq * min(1.0, 0.3 / max(float(np.max(np.abs(dq))), 1e-12))
-        raise OutOfReachError(_position(target.translation), float(np.linalg.norm(error[:3])))
+        raise OutOfReachError(target.translation, float(np.linalg.norm(error[:3])))
 
     def search(self, target: pin.SE3, home: Array, attempts: int = 40) -> Array:
         """Joint angles ``(n,)`` of one pose without a good guess: the solution nearest to ``home`` that was found.
@@ -175,7 +175,9 @@ class InverseKinematics:
             q: as for ``refine_rows``.
             tolerance: as for ``refine_rows``.
         """
-        return self.refine_rows(*rows_of(targets), q, tolerance)
+        rotations = np.array([target.rotation for target in targets]).reshape(-1, 3, 3)
+        positions = np.array([target.translation for target in targets]).reshape(-1, 3)
+        return self.refine_rows(rotations, positions, q, tolerance)
 
     def refine_rows(self, rotations: Array, positions: Array, q: Array, tolerance: float = 1e-6,
                     wanted: Array | None = None) -> Array:
@@ -214,7 +216,7 @@ class InverseKinematics:
             left = error @ error if self.robot.n >= 6 else 100.0 * float((q - before) @ (q - before))
             if left < tolerance:
                 return q
-        raise OutOfReachError(_position(target.translation), float(np.linalg.norm(error[:3])))
+        raise OutOfReachError(target.translation, float(np.linalg.norm(error[:3])))
 
     def _within(self, position: Array, q: Array) -> Array:
         """``q`` itself if it is within the joint limits."""
@@ -222,7 +224,7 @@ class InverseKinematics:
         joint = int(np.argmax(beyond))
         if beyond[joint] > 0:
             limit = self.robot.q_max[joint] if q[joint] > self.robot.q_max[joint] else self.robot.q_min[joint]
-            raise OutOfReachError(_position(position), 0.0, joint + 1, float(q[joint]), float(limit))
+            raise OutOfReachError(position, 0.0, joint + 1, float(q[joint]), float(limit))
         return q
 
 
@@ -231,14 +233,3 @@ def _golden(n: int) -> Array:
     for _ in range(40):
         root = (1.0 + root) ** (1.0 / (n + 1))
     return np.asarray((1.0 / root) ** np.arange(1, n + 1), dtype=float)
-
-
-def _position(place: Array) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in place)
-    return x, y, z
-
-
-def rows_of(targets: Sequence[pin.SE3]) -> tuple[Array, Array]:
-    """Rotations ``(N, 3, 3)`` and positions ``(N, 3)`` [m] of poses."""
-    return (np.array([target.rotation for target in targets]).reshape(-1, 3, 3),
-            np.array([target.translation for target in targets]).reshape(-1, 3))

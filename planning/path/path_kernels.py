@@ -254,15 +254,6 @@ def unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.sqrt(dot(vectors, vectors))[..., None])
 
 
-def cross(a: Array, b: Array) -> Array:
-    """Vector products over the last axis, ``(…, 3)`` each, of equal shape."""
-    out = np.empty_like(a)
-    out[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
-    out[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
-    out[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    return out
-
-
 def exp(w: Array) -> Array:
     """Rotation matrices ``(…, 3, 3)`` of rotation vectors ``(…, 3)``: Rodrigues' formula for many at once."""
     angle = np.linalg.norm(w, axis=-1)[..., None, None]

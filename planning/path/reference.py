@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from ideal_robot.arrays import Array, arc_lengths, interpolated
 from ideal_robot.errors import InputError
-from planning.path.path_kernels import cross, dot, exp, feet_of, frames_at, unit
+from planning.path.path_kernels import dot, exp, feet_of, frames_at, unit
 
 # Points of a curve at even steps of arc length.
 
@@ -186,11 +186,11 @@ class ReferencePath:
         closed = np.linalg.norm(chord) < 0.1 * self.length
         mean = frames.tangent[0] if closed else chord
         ahead = unit(mean - np.sum(mean * frames.up, axis=1)[:, None] * frames.up)
-        left = cross(frames.up, ahead)
+        left = np.cross(frames.up, ahead)
         heading = np.unwrap(np.arctan2(np.sum(frames.tangent * left, axis=1), np.sum(frames.tangent * ahead, axis=1)))
         heading = turning * averaged(heading[:, None], round(turn_smoothing / (knots[1] - knots[0])))[:, 0]
         x = np.cos(heading)[:, None] * ahead + np.sin(heading)[:, None] * left
-        R = np.stack([x, cross(x, frames.up), -frames.up], axis=2)
+        R = np.stack([x, np.cross(x, frames.up), -frames.up], axis=2)
         if rotation is not None:
             # The given orientation holds where the heading is the mean direction; all others turn with the surface.
             mean_frame = np.column_stack([ahead[0], np.cross(ahead[0], frames.up[0]), -frames.up[0]])

@@ -104,7 +104,7 @@ def detect_in_picture(picture: NDArray[np.uint8], *, kind: str | None = None,
     small, scale = reduced(picture)
     value, strip, reason, others = likeliest(small, kind, None if near is None else np.array(near) * scale)
     full = None if strip is None else measured(picture, strip, scale, points)
-    return PictureLine(_size(picture), full, value, others, reason)
+    return PictureLine((picture.shape[1], picture.shape[0]), full, value, others, reason)
 
 
 def check_asked(picture: NDArray[np.uint8], kind: str | None, points: int) -> None:
@@ -172,10 +172,6 @@ def measured(picture: NDArray[np.uint8], strip: Strip, scale: float, points: int
         path = Path((strip.points + 0.5) / scale - 0.5, strip.widths / scale, 0.0)
         strip = straightened(lab_picture(picture), path, sections=max(SECTIONS, points))
     return strip.thinned(points)
-
-
-def _size(picture: NDArray[np.uint8]) -> tuple[int, int]:
-    return picture.shape[1], picture.shape[0]
 
 
 def _meant(value: float, strip: Strip, middle: Array, about: float) -> float:

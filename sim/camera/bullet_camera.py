@@ -76,6 +76,7 @@ class BulletCamera(RenderedCamera):
         self._client = pybullet.connect(pybullet.DIRECT)
         self._tool: Body | None = None
         self.arm = None if arm is None else ArmBodies(arm, self._client, model)
+        self.shows_arm = arm is not None
         self._pieces: list[Body] = []
         with output_dropped(), temporary_folder() as folder:
             self._load_surface(self.texture, folder)
@@ -92,11 +93,6 @@ class BulletCamera(RenderedCamera):
         if self._client >= 0:
             pybullet.disconnect(physicsClientId=self._client)
             self._client = -1
-
-    @property
-    def shows_arm(self) -> bool:
-        """See ``RenderedCamera.shows_arm``."""
-        return self.arm is not None
 
     def _stand(self, q: Array, pose: pin.SE3) -> None:
         if self.arm is not None:

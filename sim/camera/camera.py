@@ -51,6 +51,9 @@ class RenderedCamera:
         InputError: the surface is too large for its resolution, or the lens cannot be inverted within the image.
     """
 
+    shows_arm = False
+    """Whether the arm's links are in the picture."""
+
     def __init__(
         self,
         model: CameraModel,
@@ -89,11 +92,6 @@ class RenderedCamera:
         """Frees what the camera holds for its pictures."""
         self._whole_rays.clear()
         self._whole_samples.clear()
-
-    @property
-    def shows_arm(self) -> bool:
-        """Whether the arm's links are in the picture."""
-        return False
 
     def due(self, t0: float, t1: float) -> list[float]:
         """Mid-exposure times [s] of the fields whose exposure *ends* in ``[t0, t1)``, without the lost ones.

@@ -19,8 +19,6 @@ def add_samples(
 ) -> None:
     """Adds the picture, sampled bilinearly at normalised coordinates, averaged over each pixel's samples, to ``total``.
 
-    ``x``, ``y`` have shape ``(height, width, n)``: n samples per pixel.
-
     Args:
         total: sum so far ``(height, width)`` [gray], changed.
         image: undistorted picture ``(rows, columns, channels)`` [gray].

@@ -22,6 +22,7 @@ from ideal_robot.jit import jit
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from sim import SimError
+from sim.arm.history import POSE
 from sim.contact.clamp_world import ClampWorld
 
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
@@ -288,11 +289,10 @@ def hang_payloads(robot: Robot, world: ClampWorld, postures: Array, masses: Arra
                 rows_pose.append(pin.SE3ToXYZQUAT(seen))
                 rows_mass.append(mass)
     poses = np.array(rows_pose)
-    names = ("x", "y", "z", "qx", "qy", "qz", "qw")
     meta = {"robot": robot.name, "kind": "payload", "payload_lever": [float(x) for x in lever], "source": "simulated"}
     return Recording.from_arrays(
         np.arange(float(len(rows_q))) * 0.1, source="simulated", meta=meta, q=np.array(rows_q),
-        payload=np.array(rows_mass), **{name: poses[:, i] for i, name in enumerate(names)})
+        payload=np.array(rows_mass), **{name: poses[:, i] for i, name in enumerate(POSE)})
 
 
 def loaded_pose(robot: Robot, world: ClampWorld, q_m: Array, mass: float, lever: Array) -> pin.SE3:
