@@ -51,8 +51,7 @@ class LineLostError(PlanningError):
     """The sensor has not shown the line for longer than the follower may go on without it.
 
     Args:
-        t: controller time when the follower gave up [s].
-        s: arc length of the TCP on the reference then [m].
+        t, s: controller time when the follower gave up [s], arc length of the TCP on the reference then [m].
         last_t, last_s: the same when the line was last seen; nan if never.
         limit: distance that may be travelled without seeing the line [m].
         sigma: how well the line is still known at the TCP, standard deviation [m]; nan where that was not asked.
@@ -73,8 +72,7 @@ class LineNeverSeenError(LineLostError):
     """The line has not been seen once since the start of the path.
 
     Args:
-        t: controller time when the follower gave up [s].
-        s: arc length of the TCP on the reference then [m].
+        t, s: as for ``LineLostError``.
         limit: distance that may be travelled before the line is seen first [m].
     """
 

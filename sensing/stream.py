@@ -135,8 +135,7 @@ class StreamConnection:
     """Packages of one device.
 
     Args:
-        host: address of the device.
-        port: TCP port.
+        host, port: address of the device, and TCP port.
         patience: how long the first connection is tried [s].
 
     Raises:

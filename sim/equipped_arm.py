@@ -95,8 +95,7 @@ class CarriedCamera:
     """The simulated camera on the arm, as a ``sensing.camera.camera_device.Camera``.
 
     Args:
-        camera: renders what it sees.
-        arm: that carries it.
+        camera, arm: renders what it sees, and carries it.
         knock: what happens to its mounting on the way; None for nothing.
     """
 
@@ -146,8 +145,7 @@ class CarriedForceSensor:
     """The simulated force sensor on the arm, as a ``sensing.force.sensors.ForceSensor``.
 
     Args:
-        sensor: the truth of the sensor.
-        arm: that carries it.
+        sensor, arm: the truth of the sensor, and what carries it.
         contact: of the tool's tip.
 
     Attributes:

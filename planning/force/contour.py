@@ -35,10 +35,8 @@ class SlidingPlan:
     """Desired positions in two directions with their derivatives, and their joint angles, from the current cycle on.
 
     Args:
-        n_d: desired joint positions of a horizon.
-        t_ipo: interpolation cycle [s].
-        q_start: joint angles at the beginning ``(n,)`` [rad].
-        start: position at the beginning ``(2,)`` [m].
+        n_d, t_ipo: desired joint positions of a horizon, and interpolation cycle [s].
+        q_start, start: joint angles ``(n,)`` [rad] and position ``(2,)`` [m] at the beginning.
         cutoff: frequency up to which an estimate is followed [Hz].
 
     Attributes:

@@ -33,9 +33,8 @@ class FeltByMotors:
     """Force along one direction while the tip moves straight and slowly.
 
     Args:
-        model: of the arm.
+        model, kinematics: of the arm.
         robot: the arm with the controller's cycle.
-        kinematics: of the arm.
         direction: of the force ``(3,)`` [base frame].
         settle: time after which friction has turned and the air is heard [s].
     """

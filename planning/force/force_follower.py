@@ -323,8 +323,7 @@ class DirectForceFeedback:
 
     Args:
         follower: for reference, phases and the record of poses; its map is not used.
-        k_p: gain [m/N per cycle].
-        k_d: gain on the change of the error [m/N].
+        k_p, k_d: gains on the error and on its change [m/N per cycle, m/N].
         limit: largest change of the command in a cycle [m].
     """
 

@@ -117,8 +117,7 @@ class PathDeviation(DeviationModel):
         across: what is expected across the path.
         up: what is expected along the surface normal, its rotation about the surface's axes; None where only the
             lateral deviation is sensed.
-        ahead: how far in front of the arm the deviation is needed [m].
-        behind: how far behind the arm it is kept [m].
+        ahead, behind: how far in front of the arm the deviation is needed, and how far behind it is kept [m].
         knot: spacing of the knots [m].
     """
 

@@ -23,8 +23,7 @@ class DirectFeedback:
 
     Args:
         follower: a line follower, for its reference, its tables and its record of poses; its map is not used.
-        k_p: gain on the deviation, per cycle.
-        k_d: gain on its change.
+        k_p, k_d: gains on the deviation, per cycle, and on its change.
         limit: largest lateral correction [m]; beyond it the command stays, so that an unstable gain ends in a bad
             result rather than in a broken arm.
     """

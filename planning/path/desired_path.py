@@ -49,8 +49,7 @@ class Smoother:
     estimate are followed quickly, a line that was just found is approached gently.
 
     Args:
-        samples: length of the plan in cycles.
-        t_ipo: cycle [s].
+        samples, t_ipo: cycles of the plan, and how long one is [s].
         cutoff: highest cutoff frequency [Hz]; softer ones are each a factor 1.4 below, down to 1 Hz.
         acceleration: largest one of corrections, beyond the estimate's own acceleration [m/s²].
     """
@@ -122,9 +121,7 @@ class ReferenceTable:
     """What of a reference does not change with what sensors show, computed before the travel begins.
 
     Args:
-        kinematics: of the arm.
-        reference: the reference path.
-        profile: the travel along it.
+        kinematics, reference, profile: of the arm, the reference path, and the travel along it.
         rest: cycles that the table goes on at rest behind the end of the travel.
 
     Attributes:

@@ -75,8 +75,7 @@ class StreamCamera:
     """A ``FrameSource`` over a stream; stamps are mid-exposures by the sender's clock, which is asked for.
 
     Args:
-        host: address of the sender.
-        port: TCP port.
+        host, port: address of the sender, and TCP port.
         patience: how long the sender and its description are waited for [s].
 
     Raises:

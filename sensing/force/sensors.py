@@ -169,11 +169,9 @@ class NetFT:
     """A ``WrenchSource`` over raw data transfer. Only packets of the sensor's own address count.
 
     Args:
-        host: address of the sensor.
-        port: UDP port.
+        host, port: address of the sensor, and UDP port.
         rate: samples a second of the sensor, which make its clock [Hz].
-        counts_force: counts per newton.
-        counts_torque: counts per newton metre.
+        counts_force, counts_torque: counts per newton, and per newton metre.
         least_delay: from the measurement to the packet's arrival, at least, the sensor's filter included [s].
 
     Raises:
@@ -265,8 +263,7 @@ class StreamForce:
     """A ``WrenchSource`` over a stream; stamps are of the sender's clock, which is asked for.
 
     Args:
-        host: address of the sender.
-        port: TCP port.
+        host, port: address of the sender, and TCP port.
         patience: how long the sender is waited for [s].
 
     Raises:

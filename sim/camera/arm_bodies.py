@@ -47,8 +47,7 @@ class Body:
     A renderer works through all triangles and pixels of what it is not told to leave out.
 
     Args:
-        number: PyBullet's id of the body.
-        client: PyBullet's id of its physics client.
+        number, client: PyBullet's ids of the body and of its physics client.
         colour: red, green, blue, opaque.
     """
 

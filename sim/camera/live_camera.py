@@ -39,10 +39,9 @@ class LiveCamera:
 
     Args:
         model: the true camera.
-        surface: what it looks at, given on the plane.
+        surface, relief: what it looks at, given on the plane, and heights over that; None for the plane itself.
         settings: resolution of the painted surface, lag of the automatic exposure, what lens and sensor do.
         rng: draws the noise.
-        relief: heights over the same plane; None for the plane itself.
         lamp: lights the surface; None for light from everywhere.
         tool: whether the tool's tip and a hose beside it are in the picture.
     """

@@ -52,8 +52,7 @@ class ClampedArm:
     """Elastic equilibrium of an arm whose flange is held by the environment in all six degrees of freedom.
 
     Args:
-        robot: kinematics and masses.
-        world: truth.
+        robot, world: kinematics and masses, and the truth.
         q0: joint angles at which the clamp was closed without force ``(n,)`` [rad].
     """
 

@@ -97,8 +97,7 @@ class TipContact:
 
     Args:
         arm: gets the forces; its ``step_hook`` is taken.
-        surface: the truth.
-        tip: the truth.
+        surface, tip: the truth.
     """
 
     def __init__(self, arm: SimulatedArm, surface: HeightSurface, tip: Tip) -> None:

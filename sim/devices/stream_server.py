@@ -53,11 +53,9 @@ class StreamServer:
     """Sends packages to every client there is, and answers their questions for the clock.
 
     Args:
-        host: address of ours to listen on.
-        port: TCP port; 0 for any free one.
+        host, port: address of ours to listen on, and TCP port; 0 for any free one.
         clock: what the device's clock shows now [s].
-        kind: 1 for a camera, 3 for a sensor.
-        description: payload of the package that says so.
+        kind, description: 1 for a camera, 3 for a sensor, and payload of the package that says so.
     """
 
     def __init__(self, host: str, port: int, clock: Callable[[], float], kind: int, description: bytes) -> None:
