@@ -234,8 +234,8 @@ EXTREMES = ('""', "0", "-1", "1e-12", "1e-320", "1e308", "-1e308", "inf", "nan",
             "[[0.0, 0.0], [0.0, 0.0]]", "{}", "{a = 1}", '"ü\\u202e"', "true", "false", "1979-05-27", '"/dev/zero"',
             '"../../etc/passwd"')
 """What keys of scenes are set to."""
-EXTREMES = (None, True, "", "x" * 3000, [], {}, -1, 0, 1e-320, 1e308, -1e308, 10**400, [1], [[1, 2]], {"a": 1},
-          float("nan"), float("inf"))
+JSON_EXTREMES = (None, True, "", "x" * 3000, [], {}, -1, 0, 1e-320, 1e308, -1e308, 10**400, [1], [[1, 2]], {"a": 1},
+                 float("nan"), float("inf"))
 """What values of models are set to."""
 
 
@@ -265,7 +265,7 @@ def with_key(text: bytes, kind: str, rng: np.random.Generator) -> bytes:
 
 
 def with_value(text: bytes, rng: np.random.Generator) -> bytes:
-    """A JSON file with one value, list or table of it set to one of ``VALUES``, or taken away.
+    """A JSON file with one value, list or table of it set to one of ``JSON_EXTREMES``, or taken away.
 
     Args:
         text: of a JSON object.
@@ -279,9 +279,9 @@ def with_value(text: bytes, rng: np.random.Generator) -> bytes:
         if not (isinstance(inside[key], (dict, list)) and inside[key] and rng.random() < 0.7):
             break
         inside = inside[key]
-    which = int(rng.integers(len(EXTREMES) + 1))
-    if which == len(EXTREMES):
+    which = int(rng.integers(len(JSON_EXTREMES) + 1))
+    if which == len(JSON_EXTREMES):
         del inside[key]
     else:
-        inside[key] = EXTREMES[which]
+        inside[key] = JSON_EXTREMES[which]
     return json.dumps(whole).encode()
