@@ -28,21 +28,22 @@ JUNK = (b"\0", b"\xff\xfe", b"\r", b"[/red]", b"<!--", b"../", b"\x1b[31m", "\u2
 """What is put anywhere."""
 
 
-def _number(text: bytes, rng: np.random.Generator) -> bytes:
+def _replaced(text: bytes, rng: np.random.Generator, new: Callable[[bytes], bytes]) -> bytes:
+    """The text with one of its numbers made another thing."""
     found = list(NUMBER.finditer(text))
     if not found:
         return text
     one = found[rng.integers(len(found))]
-    return text[: one.start()] + VALUES[rng.integers(len(VALUES))] + text[one.end():]
+    return text[: one.start()] + new(one.group()) + text[one.end():]
+
+
+def _number(text: bytes, rng: np.random.Generator) -> bytes:
+    return _replaced(text, rng, lambda _: VALUES[rng.integers(len(VALUES))])
 
 
 def _scaled(text: bytes, rng: np.random.Generator) -> bytes:
-    found = list(NUMBER.finditer(text))
-    if not found:
-        return text
-    one = found[rng.integers(len(found))]
-    factor = rng.choice([-1.0, 1e-9, 1e-3, 0.5, 2.0, 1e3, 1e6, 1e12])
-    return text[: one.start()] + repr(float(one.group()) * float(factor)).encode() + text[one.end():]
+    factors = [-1.0, 1e-9, 1e-3, 0.5, 2.0, 1e3, 1e6, 1e12]
+    return _replaced(text, rng, lambda number: repr(float(number) * float(rng.choice(factors))).encode())
 
 
 def _word(text: bytes, rng: np.random.Generator) -> bytes:

@@ -158,15 +158,14 @@ def test_cascade_written_as_pid_gives_the_cascades_torque() -> None:
 
 # World settings: checked, named when wrong, switchable one by one.
 
+SWITCHES = ("elasticity", "friction", "thermal", "quantisation", "correction_delay", "torque_limits")
+
+
 @pytest.mark.parametrize("name", ["kr6", "kr15", "manutec_r15"])
 def test_the_default_world_is_not_kind(name: str) -> None:
     world = World.default(name)
-    assert world.elasticity
-    assert world.friction
-    assert world.thermal
-    assert world.quantisation
-    assert world.correction_delay
-    assert world.torque_limits
+    for switch in SWITCHES:
+        assert getattr(world, switch) is True
     assert world.low_pass > 0
     assert world.inertia_tolerance >= 0.1
     for effect in ("current_noise", "degressive", "stribeck", "load_friction", "torque_ripple", "damping"):
@@ -175,7 +174,7 @@ def test_the_default_world_is_not_kind(name: str) -> None:
 
 def test_the_ideal_world_has_nothing_on() -> None:
     world = World.ideal("kr15")
-    for switch in ("elasticity", "friction", "thermal", "quantisation", "correction_delay", "torque_limits"):
+    for switch in SWITCHES:
         assert getattr(world, switch) is False
     for size in ("low_pass", "current_lag", "inertia_tolerance", "drive_gain_error", "payload_mass"):
         assert getattr(world, size) == 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -37,6 +38,12 @@ def texture() -> Texture:
 
 def camera(texture: Texture, settings: CameraSettings, seed: int = 0) -> RenderedCamera:
     return RenderedCamera(CameraModel.default(), LINE, settings, np.random.default_rng(seed), texture)
+
+
+def noted() -> tuple[list[float], Callable[[float], pin.SE3]]:
+    """Times at which the pose of a tool at rest was asked for, and what tells it."""
+    asked: list[float] = []
+    return asked, lambda t: (asked.append(t), tool_over(0.0))[1]
 
 
 def test_fields_are_due_when_their_exposure_ends(texture: Texture) -> None:
@@ -128,12 +135,7 @@ def test_motion_blurs_along_the_motion_only(texture: Texture) -> None:
 
 
 def test_poses_are_asked_for_within_the_exposure_only(texture: Texture) -> None:
-    asked: list[float] = []
-
-    def pose_at(t: float) -> pin.SE3:
-        asked.append(t)
-        return tool_over(0.0)
-
+    asked, pose_at = noted()
     with camera(texture, CameraSettings(exposure=0.006, sub_exposures=5)) as cam:
         cam.windows(0.105, pose_at, [Window(0, 0, 3, 3)])
     assert len(asked) == 5
@@ -250,12 +252,7 @@ def test_each_row_shows_the_arm_where_it_is_then(kind: type[RenderedCamera]) -> 
 
 
 def test_no_pose_is_asked_for_before_the_start_or_behind_the_end_of_the_readout() -> None:
-    asked: list[float] = []
-
-    def pose_at(t: float) -> pin.SE3:
-        asked.append(t)
-        return tool_over(0.0)
-
+    asked, pose_at = noted()
     with RenderedCamera(CameraModel.default(), READ_LINE, ROLLING, np.random.default_rng(0)) as camera:
         for k in range(20):
             for t in camera.due(0.012 * k, 0.012 * (k + 1)):
