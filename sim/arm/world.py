@@ -52,12 +52,7 @@ def _checked_value(name: str, kind: str, value: Any) -> Any:
         if isinstance(value, bool) or not isinstance(value, int) or value < 0:
             raise InputError("expected a whole number that is not negative", field=field, value=value)
         return value
-    try:
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InputError("expected a number or a list of numbers", field=field) from error
-    if isinstance(value, (bool, str)) or np.isnan(array).any():
-        raise InputError("expected a number or a list of numbers", field=field, value=value)
+    array = numbers(field, value)
     if name == "stiffness":
         array = np.where(array >= RIGID, np.inf, array)
     elif np.isinf(array).any():
@@ -80,11 +75,26 @@ def _checked_value(name: str, kind: str, value: Any) -> Any:
     return tuple(array.tolist())
 
 
+def numbers(field: str, value: Any) -> Array:
+    """A number or an array of numbers as such.
+
+    Raises:
+        InputError: it is none; names ``field``.
+    """
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError("expected a number or a list of numbers", field=field) from error
+    if isinstance(value, (bool, str)) or np.isnan(array).any():
+        raise InputError("expected a number or a list of numbers", field=field, value=value)
+    return array
+
+
 def _rows(field: str, value: Any, least: float) -> tuple[tuple[float, ...], ...]:
     """Rows of finite numbers from ``least`` up."""
     try:
         rows = tuple(tuple(float(one) for one in row) for row in value)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError("expected a list of lists of numbers", field=field) from error
     if not np.all([np.isfinite(row).all() and (np.array(row) >= least).all() for row in rows]):
         raise InputError(f"must be finite{' and not negative' if least == 0.0 else ''}", field=field)

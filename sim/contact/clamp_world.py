@@ -11,7 +11,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError, found_in
 from ideal_robot.robots.robot import Robot
 from ideal_robot.robots.size import reach_at_home
-from sim.arm.world import World
+from sim.arm.world import World, numbers
 
 KR500_STIFFNESS = (6.93e6, 7.81e6, 6.2e6, 1.35e6, 1.15e6, 0.62e6)
 """Truth [N m/rad]: joints 1 and 2 as [J] tables 5 and 6, the others assumed in proportion."""
@@ -110,12 +110,7 @@ def _checked(key: str, value: Any, default: Any) -> Any:
         if not isinstance(value, bool):
             raise InputError("expected true or false", field=field, value=value)
         return value
-    try:
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError("expected a number or a list of numbers", field=field) from error
-    if isinstance(value, (bool, str)):
-        raise InputError("expected a number or a list of numbers", field=field, value=value)
+    array = numbers(field, value)
     low, high = _RANGES[key]
     if not np.all((array >= low) & (array <= high)):
         raise InputError(f"expected {f'at least {low:g}' if np.isinf(high) else f'{low:g} to {high:g}'}", field=field,

@@ -205,6 +205,7 @@ def test_an_unknown_key_is_named_with_the_allowed_ones() -> None:
     ("stiffness", [1e5, [2]]), ("low_pass", [0.1]), ("low_pass", float("nan")), ("damping", float("inf")),
     ("inertia_tolerance", 1.5), ("t_ipo", 0.0123), ("t_ipo", 0.013), ("log_cycle", 0.0), ("payload_com", [0, 1]),
     ("time_compression", -1), ("payload_mass", True), ("ideal", "yes"), ("log_cycle", 1e-320), ("t_ipo", 360.0),
+    ("stiffness", 10**400), ("residual", [[10**400]]),
 ])
 def test_wrong_values_are_refused_by_name(key: str, value: Any) -> None:
     with pytest.raises(InputError, match=rf"world\.{key}"):
