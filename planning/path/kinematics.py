@@ -168,13 +168,7 @@ class InverseKinematics:
         return q
 
     def refine(self, targets: Sequence[pin.SE3], q: Array, tolerance: float = 1e-6) -> Array:
-        """``refine_rows`` of poses given as such.
-
-        Args:
-            targets: poses of the TCP in the base frame, ``N`` of them.
-            q: as for ``refine_rows``.
-            tolerance: as for ``refine_rows``.
-        """
+        """See ``InverseKinematics.refine_rows``; of poses given as such."""
         rotations = np.array([target.rotation for target in targets]).reshape(-1, 3, 3)
         positions = np.array([target.translation for target in targets]).reshape(-1, 3)
         return self.refine_rows(rotations, positions, q, tolerance)

@@ -291,17 +291,9 @@ def _back_project(pixels: Array, points: Array, normal: Array, R: Array, p: Arra
 def detect_line(
     field: Field, camera: CameraModel, prediction: PredictedLine, settings: DetectionSettings | None = None
 ) -> LineField:
-    """Line points of a field, in the tool frame.
+    """See ``LineDetector.detect``.
 
-    Args:
-        field: patches of the windows that ``search_windows`` asked for.
-        camera: the camera as it is calibrated.
-        prediction: the line as predicted for the exposure, in the tool frame; may be a better one than the windows
-            were made with, but for the same points.
-        settings: how the line looks and what is accepted.
-
-    Raises:
-        InputError: the field has not one window per predicted point.
+    The prediction may be a better one than the windows were made with, but for the same points.
     """
     s = settings or DetectionSettings()
     m = len(prediction.points)

@@ -145,6 +145,10 @@ def _drift(f: Array, weights: Array, t: Array) -> Array:
     return np.asarray(np.linalg.lstsq(np.concatenate(rows), f.reshape(3 * N), rcond=None)[0][4:])
 
 
+TOUCHING = 2.0
+"""Force below which the tip may not be in touch [N]."""
+
+
 @dataclass(frozen=True)
 class ContactElasticity:
     """The elasticity E of [L] (3): force per displacement.
@@ -160,19 +164,16 @@ class ContactElasticity:
     touch: float
 
 
-def identify_elasticity(position: Array, force: Array, *, least_force: float = 2.0) -> ContactElasticity:
-    """E by moving: force against the simultaneous TCP position along the surface's normal ([L] 4.4).
+def identify_elasticity(position: Array, force: Array) -> ContactElasticity:
+    """E by moving: normal ``force (N,)`` [N] against the simultaneous TCP ``position (N,)`` [m] ([L] 4.4).
 
-    Args:
-        position: of the TCP along the normal, larger is further away from the surface ``(N,)`` [m].
-        force: normal force at the same instants ``(N,)`` [N].
-        least_force: below it the tip may not be in touch [N].
+    The position is along the surface's normal, larger further away.
 
     Raises:
         SensingError: too few samples in touch, or no range of forces.
     """
-    touching = force > least_force
-    if np.count_nonzero(touching) < 10 or np.ptp(force[touching]) < 2 * least_force:
+    touching = force > TOUCHING
+    if np.count_nonzero(touching) < 10 or np.ptp(force[touching]) < 2 * TOUCHING:
         raise SensingError("the tip must be pressed with clearly different forces to find its elasticity; press harder")
     x, f = position[touching], force[touching]
     W = np.column_stack([-x, np.ones(len(x))])

@@ -84,16 +84,7 @@ class ClampWorld:
 
     @classmethod
     def from_table(cls, robot: Robot, table: dict[str, Any], file: str | None = None) -> ClampWorld:
-        """The default changed by a scene's ``[world]`` table; one number stands for all joints.
-
-        Args:
-            robot: that is clamped.
-            table: keys of the world with their values.
-            file: the table was read from, for messages.
-
-        Raises:
-            InputError: unknown key (named, with the allowed ones), wrong type, value out of range.
-        """
+        """See ``World.from_table``: the default of ``robot`` changed; one number stands for all joints."""
         default = cls.default(robot)
         known = tuple(field.name for field in fields(cls))
         with found_in(file):
