@@ -80,14 +80,8 @@ class Package:
     payload: bytes
 
 
-def packed(kind: Kind, stamp: float, payload: bytes = b"") -> bytes:
-    """A package as it goes over the wire.
-
-    Args:
-        kind: what it is.
-        stamp: by the sender's clock [s].
-        payload: see the table above.
-    """
+def _packed(kind: Kind, stamp: float, payload: bytes = b"") -> bytes:
+    """A package as it goes over the wire, stamped by the sender's clock [s]."""
     return HEADER.pack(MAGIC, VERSION, kind, len(payload), stamp) + payload
 
 
@@ -202,7 +196,7 @@ class StreamConnection:
             now = time.perf_counter()
             if now - self._asked > ASKED_EVERY:
                 self._asked = now
-                link.sendall(packed(Kind.ASK, now, struct.pack(">d", now)))
+                link.sendall(_packed(Kind.ASK, now, struct.pack(">d", now)))
             link.settimeout(max(timeout, _LEAST))
             piece = link.recv(_PIECE)
             if not piece:

@@ -43,14 +43,8 @@ class Tool(NamedTuple):
 
 
 @jit(error_model="numpy")
-def log6(R: Array, p: Array, out: Array) -> bool:
-    """Twist of a motion, linear before angular, written to ``out (6,)``; whether it turns by less than half a turn.
-
-    Args:
-        R: rotation ``(3, 3)``.
-        p: translation ``(3,)`` [m].
-        out: result [m, rad], written to.
-    """
+def _log6(R: Array, p: Array, out: Array) -> bool:
+    """Twist of a motion [m, rad], linear first, written to ``out (6,)``; whether it turns by less than half a turn."""
     cosine = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
     x, y, z = 0.5 * (R[2, 1] - R[1, 2]), 0.5 * (R[0, 2] - R[2, 0]), 0.5 * (R[1, 0] - R[0, 1])
     sine = np.sqrt(x * x + y * y + z * z)
@@ -69,18 +63,11 @@ def log6(R: Array, p: Array, out: Array) -> bool:
 
 
 @jit()
-def tool_jacobian(tool: Tool, q: Array, J: Array, T_R: Array, T_p: Array) -> None:
-    """Jacobian in the tool's frame, and its pose in the base frame; written to ``J``, ``T_R``, ``T_p``.
+def _tool_jacobian(tool: Tool, q: Array, J: Array, T_R: Array, T_p: Array) -> None:
+    """Writes the Jacobian ``J (6, n)``, linear first, in the tool's frame, and its pose in the base frame.
 
     From the tool back to the base: with the tool's pose (R, p) in the frame of a joint about z, its column is
     (Rᵀ (z × p), Rᵀ z), of one that slides (Rᵀ z, 0).
-
-    Args:
-        tool: kinematics.
-        q: joint angles ``(n,)`` [rad].
-        J: ``(6, n)``, linear before angular, written to.
-        T_R: rotation ``(3, 3)``, written to.
-        T_p: place ``(3,)`` [m], written to.
     """
     n, chain = len(q), tool.chain
     R, p = np.empty((n, 3, 3)), np.empty((n, 3))
@@ -117,13 +104,13 @@ def _newton_step(tool: Tool, target_R: Array, target_p: Array, q: Array, wanted:
     ``wanted (n,)`` [rad] as the pose lets them.
     """
     T_R, T_p, away_R, away_p = np.empty((3, 3)), np.empty(3), np.empty((3, 3)), np.empty(3)
-    tool_jacobian(tool, q, J, T_R, T_p)
+    _tool_jacobian(tool, q, J, T_R, T_p)
     for r in range(3):
         for c in range(3):
             away_R[r, c] = T_R[0, r] * target_R[0, c] + T_R[1, r] * target_R[1, c] + T_R[2, r] * target_R[2, c]
         away_p[r] = (T_R[0, r] * (target_p[0] - T_p[0]) + T_R[1, r] * (target_p[1] - T_p[1])
                      + T_R[2, r] * (target_p[2] - T_p[2]))
-    near = log6(away_R, away_p, error)
+    near = _log6(away_R, away_p, error)
     if len(q) == 6:
         return np.linalg.solve(J, error), near
     if len(q) > 6:

@@ -109,17 +109,9 @@ def _normal_equations(patch: NDArray[np.uint8], scan: tuple[float, float, float,
 
 
 @jit()
-def fit_section(patch: NDArray[np.uint8], start: float, slant: float, width: float, blur: float,
+def _fit_section(patch: NDArray[np.uint8], start: float, slant: float, width: float, blur: float,
                 polarity: float) -> tuple[float, float, float, float, float]:
-    """Fits the cross-section near ``start`` [px from the window's first pixel].
-
-    Args:
-        patch: window ``(rows, columns)`` with the scan along its rows [gray].
-        start: where the line is expected in the middle row [px].
-        slant: by how much the line moves from row to row [px].
-        width: expected width of the line [px].
-        blur: σ of the blurred edge [px].
-        polarity: 1 for a dark line, -1 for a bright one.
+    """Fits the cross-section near ``start`` [px from the window's first pixel] of the middle row, as ``find_sections``.
 
     Returns:
         u_0 [px], w [px], c [gray], root mean square residual [gray], standard deviation of u_0 per unit of residual
@@ -211,7 +203,7 @@ def find_sections(patch: NDArray[np.uint8], predicted: float, slant: float, widt
         look: blur, polarity, least depth and tolerance of the width.
 
     Returns:
-        ``(k, 5)`` with k ≤ 4: u_0, w, c, residual, standard deviation of u_0 per gray, as in ``fit_section``.
+        ``(k, 5)`` with k ≤ 4: u_0, w, c, residual, standard deviation of u_0 per gray, as in ``_fit_section``.
     """
     rows, columns = patch.shape
     found = np.empty((MAX_CANDIDATES, 5))
@@ -227,7 +219,7 @@ def find_sections(patch: NDArray[np.uint8], predicted: float, slant: float, widt
     for i in range(min(centres.size, 2 * MAX_CANDIDATES)):
         if n == MAX_CANDIDATES:
             break
-        u0, w, c, residual, spread = fit_section(patch, centres[i], slant, width, look.blur, look.polarity)
+        u0, w, c, residual, spread = _fit_section(patch, centres[i], slant, width, look.blur, look.polarity)
         if not (c >= look.min_contrast and abs(w - width) <= look.width_tolerance * width):
             continue
         new = True

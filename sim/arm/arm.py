@@ -37,19 +37,11 @@ def _checked_posture(robot: Robot, q0: Array) -> Array:
     return q
 
 
-def require_integrable(model: pin.Model, q: Array, p: Array) -> None:
-    """Refuses gears whose fastest oscillation the 0.5 ms step cannot follow.
+def _require_integrable(model: pin.Model, q: Array, p: Array) -> None:
+    """Refuses gears whose fastest oscillation the 0.5 ms step cannot follow, of links in posture ``q (n,)`` [rad].
 
-    The oscillations of links M, rotors J and springs K have the squared frequencies √K (M⁻¹ + J⁻¹) √K.
-
-    Args:
-        model: the true links.
-        q: posture in which it is judged ``(n,)`` [rad].
-        p: parameter block of the drives.
-
-    Raises:
-        InputError: beyond 1.2 / step, where semi-implicit integration is about to go wrong (its bound is 2 / step), or
-            links without inertia about a joint.
+    The oscillations of links M, rotors J and springs K have the squared frequencies √K (M⁻¹ + J⁻¹) √K. Beyond
+    1.2 / step semi-implicit integration is about to go wrong (its bound is 2 / step).
     """
     elastic = p[P_ELASTIC] > 0.0
     if not elastic.any():
@@ -123,7 +115,7 @@ class SimulatedArm:
             world, robot, self._specimen.rotor_inertia, self._specimen.drive_gain, self._specimen.phase)
         self._elastic = self._p[kernel.P_ELASTIC] > 0.0
         self._kinematics = self._model.createData()
-        require_integrable(self._model, robot.home, self._p)
+        _require_integrable(self._model, robot.home, self._p)
         self._steps_per_cycle = round(world.t_ipo / STEP)
         self._joints = list(range(robot.n))
         frame = robot.pinocchio.frames[robot.tool_id]

@@ -143,21 +143,16 @@ def in_view(camera: CameraModel, windows: Sequence[Window], corners: Array, reac
     table = np.array(windows, dtype=float).reshape(-1, 4)
     u, v = table[:, :1] + (table[:, 2:3] - 1.0) * [0, 1, 0, 1], table[:, 1:2] + (table[:, 3:] - 1.0) * [0, 0, 1, 1]
     rays = camera.rays(np.stack([u, v], axis=-1).reshape(-1, 2))[:, :2].reshape(-1, 4, 2)
-    return np.asarray(in_front(corners, reach, rays.min(axis=1) - MARGIN, rays.max(axis=1) + MARGIN))
+    return np.asarray(_in_front(corners, reach, rays.min(axis=1) - MARGIN, rays.max(axis=1) + MARGIN))
 
 
 @jit()
-def in_front(corners: Array, reach: Array, least: Array, most: Array) -> NDArray[np.bool_]:
-    """Which boxes may be seen through which windows ``(windows, M)``.
+def _in_front(corners: Array, reach: Array, least: Array, most: Array) -> NDArray[np.bool_]:
+    """Which boxes, ``corners (M, 8, 3)`` [m] in the camera's frame, may be seen through which windows ``(windows, M)``.
 
     Those whose ball about their middle reaches in front of each of the four planes through the eye that bound the
-    window, and then not all of whose corners are behind the same one.
-
-    Args:
-        corners: of the boxes in the camera's frame ``(M, 8, 3)`` [m].
-        reach: from their middles to their corners ``(M,)`` [m].
-        least: tangents of the windows' sides to the left and above ``(windows, 2)``.
-        most: of those to the right and below ``(windows, 2)``.
+    window, and then not all of whose corners are behind the same one. ``least`` are tangents of the sides to the left
+    and above ``(windows, 2)``, ``most`` of those to the right and below.
     """
     seen = np.zeros((least.shape[0], corners.shape[0]), dtype=np.bool_)
     for k in range(corners.shape[0]):

@@ -179,7 +179,7 @@ class ClampedArm:
         q_m, q, wrench = self._motion(pushes, hold, ramp, approach)
         t = np.arange(len(q_m)) / world.rate_motor
         gain_factor = 1 + world.drive_gain_std * (gain_rng or rng).standard_normal(robot.n)
-        torque = world.stiffness * (q_m - q) + dry_friction(q_m, world.friction * robot.tau_max, world.presliding)
+        torque = world.stiffness * (q_m - q) + _dry_friction(q_m, world.friction * robot.tau_max, world.presliding)
         torque += world.current_noise * robot.tau_max * rng.standard_normal(torque.shape)
         encoder = np.round(q_m / world.encoder) * world.encoder if world.encoder > 0 else q_m
         sensor_clock, sensed = self._sense(t, wrench, rng)
@@ -236,13 +236,10 @@ def _padded(values: Array, length: int) -> Array:
 
 
 @jit()
-def dry_friction(q: Array, level: Array, presliding: float) -> Array:
-    """Friction torque ``(N, n)`` of motors that move along ``q``, by Dahl's law dz = dq − |dq| z / presliding.
+def _dry_friction(q: Array, level: Array, presliding: float) -> Array:
+    """Friction torque ``(N, n)`` of motors that move along ``q (N, n)`` [rad], up to ``level (n,)`` [N m].
 
-    Args:
-        q: motor angles ``(N, n)`` [rad].
-        level: of sliding friction ``(n,)`` [N m].
-        presliding: way over which friction builds up [rad].
+    By Dahl's law dz = dq − |dq| z / presliding, the way over which friction builds up [rad].
     """
     torque = np.zeros_like(q)
     state = np.zeros(q.shape[1])
@@ -280,7 +277,7 @@ def hang_payloads(robot: Robot, world: ClampWorld, postures: Array, masses: Arra
     rows_q, rows_pose, rows_mass = [], [], []
     for q_m in postures:
         for mass in masses:
-            pose = loaded_pose(robot, world, q_m, float(mass), lever)
+            pose = _loaded_pose(robot, world, q_m, float(mass), lever)
             for _ in range(_SAMPLES):
                 error = pin.exp3(tracker[1] * rng.standard_normal(3))
                 seen = pin.SE3(error @ pose.rotation, pose.translation + tracker[0] * rng.standard_normal(3))
@@ -294,15 +291,10 @@ def hang_payloads(robot: Robot, world: ClampWorld, postures: Array, masses: Arra
         payload=np.array(rows_mass), **{name: poses[:, i] for i, name in enumerate(POSE)})
 
 
-def loaded_pose(robot: Robot, world: ClampWorld, q_m: Array, mass: float, lever: Array) -> pin.SE3:
-    """Flange pose at rest with a mass hung on it: gears by fixed-point iteration, links to first order.
+def _loaded_pose(robot: Robot, world: ClampWorld, q_m: Array, mass: float, lever: Array) -> pin.SE3:
+    """Flange pose at rest with a mass [kg] hung on it: gears by fixed-point iteration, links to first order.
 
-    Args:
-        robot: data sheet of the arm.
-        world: true stiffness of gears and links.
-        q_m: motor angles ``(n,)`` [rad].
-        mass: hung on the flange [kg].
-        lever: its centre of mass in the flange frame ``(3,)`` [m].
+    ``lever (3,)`` [m] is the mass' centre in the flange frame.
     """
     data = robot.pinocchio.createData()
     q = np.array(q_m, dtype=float)

@@ -16,7 +16,7 @@ from ideal_robot.dynamics.newton_euler import chain_of
 from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError, PlanningError
 from planning.path.kinematics import InverseKinematics
-from planning.path.newton import Tool, log6, tool_jacobian
+from planning.path.newton import Tool, _log6, _tool_jacobian
 from planning.path.pose_history import PoseHistory
 from tests.arms import urdf, written
 from tests.planning.cell import T, joint_path, kr6, reference
@@ -132,7 +132,7 @@ def test_jacobian_and_pose_are_pinocchios(seed: int) -> None:
     at = model.frames[frame].placement
     J, R, p = np.empty((6, 6)), np.empty((3, 3)), np.empty(3)
     tool = Tool(chain_of(model), 6, np.ascontiguousarray(at.rotation), np.array(at.translation))
-    tool_jacobian(tool, q, J, R, p)
+    _tool_jacobian(tool, q, J, R, p)
     np.testing.assert_allclose(J, expected, atol=1e-12)
     np.testing.assert_allclose(R, data.oMf[frame].rotation, atol=1e-12)
     np.testing.assert_allclose(p, data.oMf[frame].translation, atol=1e-12)
@@ -145,12 +145,12 @@ def test_the_twist_of_a_motion_is_pinocchios(seed: int, angle: float) -> None:
     axis = rng.standard_normal(3)
     motion = pin.SE3(pin.exp3(angle * axis / np.linalg.norm(axis)), rng.standard_normal(3))
     found = np.empty(6)
-    assert log6(np.ascontiguousarray(motion.rotation), np.array(motion.translation), found)
+    assert _log6(np.ascontiguousarray(motion.rotation), np.array(motion.translation), found)
     np.testing.assert_allclose(found, pin.log6(motion).vector, atol=1e-9)
 
 
 def test_half_a_turn_is_said_to_be_one() -> None:
-    assert not log6(pin.exp3(np.array([0.0, 0.0, np.pi])), np.zeros(3), np.empty(6))
+    assert not _log6(pin.exp3(np.array([0.0, 0.0, np.pi])), np.zeros(3), np.empty(6))
 
 
 def horizon(robot: Robot, rng: np.random.Generator) -> tuple[Array, list[pin.SE3]]:

@@ -27,7 +27,7 @@ from sensing.camera.line_detection import (
     detect_line,
     search_windows,
 )
-from sensing.camera.line_profile import _edges, find_sections, fit_section
+from sensing.camera.line_profile import _edges, _fit_section, find_sections
 from tests.sensing.camera.synthetic import NORMAL, GrayAt, make_field, stroke
 
 CAMERA = CameraModel.default()
@@ -367,7 +367,7 @@ def test_stated_standard_deviation_is_the_true_one(noise: float) -> None:
     for _ in range(400):
         u0 = rng.uniform(14.0, 16.0)
         image = section(u0, 4.0, 0.2) + noise * rng.standard_normal((3, 31))
-        found, _, _, residual, spread = fit_section(gray(image), u0 + rng.uniform(-0.5, 0.5), 0.2, 4.0, 0.5, 1.0)
+        found, _, _, residual, spread = _fit_section(gray(image), u0 + rng.uniform(-0.5, 0.5), 0.2, 4.0, 0.5, 1.0)
         scaled.append((found - u0) / (spread * residual))
     assert np.std(scaled) == pytest.approx(1.0, abs=0.12)
     assert abs(np.mean(scaled)) < 0.2

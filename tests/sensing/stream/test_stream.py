@@ -19,7 +19,7 @@ from ideal_robot.rsi.link import PacketLink
 from ideal_robot.rtde.wire import RtdeConnection, RtdeError
 from sensing.clock_relation import ClockRelation
 from sensing.force.sensors import NetFT
-from sensing.stream import HEADER, LARGEST, Kind, Reader, StreamConnection, StreamError, packed
+from sensing.stream import HEADER, LARGEST, Kind, Reader, StreamConnection, StreamError, _packed
 
 
 @settings(max_examples=60, deadline=None)
@@ -50,13 +50,13 @@ def test_an_address_that_is_no_text_is_refused_by_every_device(host: str, connec
 
 
 def test_the_documented_bytes() -> None:
-    assert packed(Kind.ASK, 1.5, struct.pack(">d", 2.0)).hex() == (
+    assert _packed(Kind.ASK, 1.5, struct.pack(">d", 2.0)).hex() == (
         "4952" "01" "05" "00000008" "3ff8000000000000" "4000000000000000")
 
 
 def test_twenty_thousand_mutated_packages_raise_nothing_else_and_hold_nothing() -> None:
     rng = np.random.default_rng(3)
-    sound = packed(Kind.WRENCH, 1.0, struct.pack(">I6d", 1, *range(6)))
+    sound = _packed(Kind.WRENCH, 1.0, struct.pack(">I6d", 1, *range(6)))
     for _ in range(20_000):
         wire = bytearray(sound)
         for place in rng.integers(0, len(wire), rng.integers(1, 4)):

@@ -17,7 +17,7 @@ from ideal_robot.row_log import KEPT
 from ideal_robot.signals.recording import Recording
 from sim import SimError
 from sim.arm import history as of_arm
-from sim.arm.arm import SimulatedArm, require_integrable
+from sim.arm.arm import SimulatedArm, _require_integrable
 from sim.arm.body import View, picture
 from sim.arm.history import History
 from sim.arm.kernel import LOGGED
@@ -136,7 +136,7 @@ def test_a_gear_that_turns_no_inertia_is_refused() -> None:
     model = ROBOT.pinocchio.copy()
     model.inertias[6] = pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
     with arm_of(DEFAULT) as arm, pytest.raises(InputError, match="nothing that has inertia"):
-        require_integrable(model, ROBOT.home, arm._p)
+        _require_integrable(model, ROBOT.home, arm._p)
 
 
 def test_too_stiff_gears_are_refused() -> None:

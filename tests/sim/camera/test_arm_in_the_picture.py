@@ -117,7 +117,7 @@ def test_what_a_window_cannot_show_is_left_out_without_a_trace(monkeypatch: pyte
         with BulletCamera(CameraModel.default(), line, replace(QUIET, sub_exposures=3), np.random.default_rng(0),
                           arm=robot, tool=True) as camera:
             if all_of_it:
-                monkeypatch.setattr(arm_bodies, "in_front", lambda seen, *_: np.ones((len(windows), len(seen)), bool))
+                monkeypatch.setattr(arm_bodies, "_in_front", lambda seen, *_: np.ones((len(windows), len(seen)), bool))
                 monkeypatch.setattr(camera, "_tool_in", lambda *_: True)
             camera._stand(q, pose)
             gray, bare = camera._sampled(windows, poses, 2)

@@ -13,7 +13,7 @@ from ideal_robot.robots.robot import Robot
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import STEP, World
 from sim.bullet import pybullet
-from sim.contact.clamp import ClampedArm, dry_friction, hang_payloads, loaded_pose
+from sim.contact.clamp import ClampedArm, _dry_friction, _loaded_pose, hang_payloads
 from sim.contact.clamp_world import ClampWorld
 from sim.contact.contact import ForceSensor, ForceSensorSettings, HeightSurface, Tip, TipContact
 
@@ -203,7 +203,7 @@ def test_force_control_pushes_along_z_alone() -> None:
 
 def test_friction_opposes_motion_and_is_a_loop() -> None:
     way = np.concatenate([np.linspace(0, 1e-3, 200), np.linspace(1e-3, 0, 200)])[:, None]
-    torque = dry_friction(way, np.array([50.0]), 2e-5)
+    torque = _dry_friction(way, np.array([50.0]), 2e-5)
     assert torque[199, 0] == pytest.approx(50.0, rel=1e-6)
     assert torque[-1, 0] == pytest.approx(-50.0, rel=1e-6)
 
@@ -220,7 +220,7 @@ def test_payload_bends_gears_as_a_body_of_its_mass_does(lever: np.ndarray) -> No
     q = Q.copy()
     for _ in range(30):
         q = Q - pin.computeGeneralizedGravity(carrying, carrying.createData(), q) / world.stiffness
-    seen = robot.fk()(q).inverse() * loaded_pose(robot, world, Q, 200.0, lever)
+    seen = robot.fk()(q).inverse() * _loaded_pose(robot, world, Q, 200.0, lever)
     np.testing.assert_allclose(pin.log6(seen).vector, 0.0, atol=1e-8)
     recording = hang_payloads(robot, world, postures, masses, lever, np.random.default_rng(0), tracker=(0.0, 0.0))
     found = {one.joint: one.stiffness for one in identify_from_payloads([recording], robot)}
