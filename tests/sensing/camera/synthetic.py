@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ideal_robot.arrays import Array
 from sensing.camera.camera_device import Field, Window
 from sensing.camera.camera_model import CameraModel
+from sensing.camera.line_search import PredictedLine
 
 GrayAt = Callable[[Array], Array]
 """Gray values ``(m,)`` of points ``(m, 2)`` [m] in the tool's x and y, on the plane z = 0 through the TCP."""
@@ -29,6 +30,29 @@ def stroke(y: Callable[[Array], Array], slope: Callable[[Array], Array], width: 
         return background + np.clip(0.5 + (width / 2 - d) / 0.001, 0.0, 1.0) * (gray - background)
 
     return at
+
+
+# A gentle line, and where it is predicted.
+
+X = np.linspace(0.02, 0.11, 5)
+
+
+def y(x: Array) -> Array:
+    return np.asarray(0.02 * np.sin(12.0 * x + 0.3) - 0.006)
+
+
+def slope(x: Array) -> Array:
+    return np.asarray(0.24 * np.cos(12.0 * x + 0.3))
+
+
+CLEAN = stroke(y, slope)
+
+
+def predicted(offset: float = 0.0, turn: float = 0.0, sigma: float = 0.001, x: Array = X) -> PredictedLine:
+    """The true line, displaced along y and turned."""
+    points = np.column_stack([x, y(x) + offset + turn * (x - 0.065), 0.0 * x])
+    tangents = np.column_stack([np.ones_like(x), slope(x) + turn, 0.0 * x])
+    return PredictedLine(points, tangents / np.linalg.norm(tangents, axis=1, keepdims=True), NORMAL, sigma)
 
 
 def make_field(camera: CameraModel, windows: Sequence[Window], gray: GrayAt, rng: np.random.Generator | None = None,

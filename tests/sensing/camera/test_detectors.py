@@ -22,31 +22,22 @@ from sensing.camera.line_search import DetectionSettings, PredictedLine, search_
 from sensing.camera.line_track import PATIENCE, _same, track
 from sensing.camera.opencv_detector import OpenCVProfiles
 from sensing.camera.picture_line import _meant, detect_in_picture, find_lines
-from tests.sensing.camera.synthetic import NORMAL, drawn_line, make_field, stroke
+from tests.sensing.camera.synthetic import CLEAN, NORMAL, X, drawn_line, make_field, predicted, y
 
 CAMERA = CameraModel.default()
 ALL = [implementation() for _, implementation in DETECTORS]
-X = np.linspace(0.02, 0.11, 5)
-
-
-def _predicted(offset: float) -> PredictedLine:
-    y, slope = 0.02 * np.sin(12.0 * X + 0.3) - 0.006, 0.24 * np.cos(12.0 * X + 0.3)
-    tangents = np.column_stack([np.ones_like(X), slope, 0.0 * X])
-    return PredictedLine(np.column_stack([X, y + offset, 0.0 * X]),
-                         tangents / np.linalg.norm(tangents, axis=1, keepdims=True), NORMAL, 0.001)
 
 
 @pytest.mark.parametrize("detector", ALL, ids=lambda one: one.name)
 def test_points_lie_on_the_line_and_sigma_is_honest(detector: LineDetector) -> None:
-    line = stroke(lambda x: 0.02 * np.sin(12.0 * x + 0.3) - 0.006, lambda x: 0.24 * np.cos(12.0 * x + 0.3))
-    prediction, settings = _predicted(0.0008), DetectionSettings()
+    prediction, settings = predicted(0.0008), DetectionSettings()
     errors, sigmas = [], []
     for seed in range(30):
-        field = make_field(CAMERA, search_windows(CAMERA, prediction), line, np.random.default_rng(seed), 3.0)
+        field = make_field(CAMERA, search_windows(CAMERA, prediction), CLEAN, np.random.default_rng(seed), 3.0)
         found = detector.detect(field, CAMERA, prediction, settings)
         assert found.seen
         p = found.points_tcp[found.used]
-        errors.append((p[:, 1] - 0.02 * np.sin(12.0 * p[:, 0] + 0.3) + 0.006) / np.hypot(1.0, 0.24))
+        errors.append((p[:, 1] - y(p[:, 0])) / np.hypot(1.0, 0.24))
         sigmas.append(found.sigma[found.used])
     spread = np.sqrt(np.mean(np.concatenate(errors) ** 2))
     assert spread < 4e-5
@@ -55,7 +46,7 @@ def test_points_lie_on_the_line_and_sigma_is_honest(detector: LineDetector) -> N
 
 @pytest.mark.parametrize("detector", ALL, ids=lambda one: one.name)
 def test_nothing_is_seen_where_nothing_is(detector: LineDetector) -> None:
-    prediction = _predicted(0.0)
+    prediction = predicted()
     field = make_field(CAMERA, search_windows(CAMERA, prediction), lambda xy: 200.0 + 0.0 * xy[:, 0],
                        np.random.default_rng(1), 5.0)
     found = detector.detect(field, CAMERA, prediction, DetectionSettings())

@@ -28,29 +28,10 @@ from sensing.camera.line_detection import (
     search_windows,
 )
 from sensing.camera.line_profile import _edges, _fit_section, find_sections
-from tests.sensing.camera.synthetic import NORMAL, GrayAt, make_field, stroke
+from tests.sensing.camera.synthetic import CLEAN, GrayAt, X, make_field, predicted, slope, stroke, y
 
 CAMERA = CameraModel.default()
 LOOK = DetectionSettings().look
-X = np.linspace(0.02, 0.11, 5)
-
-
-def y(x: Array) -> Array:
-    return np.asarray(0.02 * np.sin(12.0 * x + 0.3) - 0.006)
-
-
-def slope(x: Array) -> Array:
-    return np.asarray(0.24 * np.cos(12.0 * x + 0.3))
-
-
-CLEAN = stroke(y, slope)
-
-
-def predicted(offset: float = 0.0, turn: float = 0.0, sigma: float = 0.001, x: Array = X) -> PredictedLine:
-    """The true line, displaced along y and turned."""
-    points = np.column_stack([x, y(x) + offset + turn * (x - 0.065), 0.0 * x])
-    tangents = np.column_stack([np.ones_like(x), slope(x) + turn, 0.0 * x])
-    return PredictedLine(points, tangents / np.linalg.norm(tangents, axis=1, keepdims=True), NORMAL, sigma)
 
 
 def error(found: LineField) -> Array:
@@ -182,8 +163,9 @@ def test_too_little_is_no_measurement_and_says_why(gray: GrayAt, reason: str) ->
     assert reason in found.reason
 
 
-def test_line_outside_the_image() -> None:
-    prediction = predicted(0.3)
+@pytest.mark.parametrize("prediction", [predicted(0.3), replace(predicted(), points=np.column_stack(
+    [X, 0.0 * X, 0.0 * X - 0.5]))], ids=["beside", "behind the camera"])
+def test_line_outside_the_image(prediction: PredictedLine) -> None:
     windows = search_windows(CAMERA, prediction)
     assert all(w.width == 0 and w.height == 0 for w in windows)
     found = detect_line(make_field(CAMERA, windows, CLEAN), CAMERA, prediction)
@@ -242,14 +224,6 @@ def test_whatever_the_picture_shows_the_answer_is_sound(seed: int) -> None:
     assert np.isfinite(found.points_tcp[found.used]).all()
     assert (found.sigma[found.used] > 0).all()
     assert ((found.quality >= 0) & (found.quality <= 1)).all()
-
-
-def test_a_line_behind_the_camera_has_no_windows() -> None:
-    points = np.column_stack([X, 0.0 * X, 0.0 * X - 0.5])
-    prediction = PredictedLine(points, np.tile([1.0, 0.0, 0.0], (5, 1)), NORMAL, 0.001)
-    windows = search_windows(CAMERA, prediction)
-    assert all(w.width == 0 for w in windows)
-    assert not detect_line(make_field(CAMERA, windows, CLEAN), CAMERA, prediction).seen
 
 
 # A point is held against the line of the other points, not against one that it has drawn itself.
@@ -340,8 +314,8 @@ def test_width_and_contrast_gates() -> None:
 
 def test_two_lines_give_two_candidates_nearest_to_the_prediction_first() -> None:
     image = section(9.3, 4.0) + section(21.6, 4.0) - 200.0
-    for predicted, order in ((11.0, [9.3, 21.6]), (20.0, [21.6, 9.3])):
-        found = find_sections(gray(image), predicted, 0.0, 4.0, LOOK)
+    for near, order in ((11.0, [9.3, 21.6]), (20.0, [21.6, 9.3])):
+        found = find_sections(gray(image), near, 0.0, 4.0, LOOK)
         np.testing.assert_allclose(found[:, 0], order, atol=0.02)
 
 

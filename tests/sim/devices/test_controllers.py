@@ -43,20 +43,27 @@ AGREED = VERSION + OUTPUTS + package("I", REGISTERS) + START
 
 
 @contextmanager
-def served() -> Iterator[tuple[ServedRtde, list[Session]]]:
+def playing(cell: ServedArm) -> Iterator[list[Session]]:
     """A cell in a thread; sessions in which the arm has moved."""
     sessions: list[Session] = []
+    thread = threading.Thread(target=cell.sessions, args=(0, sessions.append))
+    thread.start()
+    try:
+        yield sessions
+    finally:
+        cell.stop()
+        thread.join(20.0)
+        assert not thread.is_alive()
+
+
+@contextmanager
+def served() -> Iterator[tuple[ServedRtde, list[Session]]]:
+    """A cell behind RTDE, and its sessions."""
     with SimulatedArm(ROBOT, World.ideal("kr6"), np.random.default_rng(1)) as arm:
         cell = ServedRtde(arm, ("127.0.0.1", 0), relative=False, unkind=Unkindness(drift=0.0),
                           rng=np.random.default_rng(2), carried=(), sign=np.ones(6))
-        thread = threading.Thread(target=cell.sessions, args=(0, sessions.append))
-        thread.start()
-        try:
+        with playing(cell) as sessions:
             yield cell, sessions
-        finally:
-            cell.stop()
-            thread.join(20.0)
-            assert not thread.is_alive()
 
 
 def ended(address: tuple[str, int], said: bytes) -> bool:
@@ -223,20 +230,14 @@ def play(arm: RsiRobot, commands: list[Any]) -> None:
 
 def test_a_session_that_has_ended_is_not_gone_on_with() -> None:
     """Who was silent and answers again is not led on from the start, somewhere else than where it believes the arm."""
-    said = list[Session]()
     with RsiRobot(ROBOT, port=0, relative=True, form=RsiFormat(hold_on=True), bridge=1.0) as follower, \
             SimulatedArm(ROBOT, World.ideal("kr6"), np.random.default_rng(1)) as arm:
         cell = ServedArm(arm, follower.address, relative=True, unkind=Unkindness(), rng=np.random.default_rng(1),
                          carried=(), sign=np.ones(6))
-        thread = threading.Thread(target=cell.sessions, args=(0, said.append))
-        thread.start()
-        try:
+        with playing(cell) as said:
             q = follower.connect().q
             play(follower, [q] * 5)
             time.sleep(0.3)
             with pytest.raises(RsiError, match="no packet"):
                 play(follower, [q] * 500)
-        finally:
-            cell.stop()
-            thread.join()
     assert [one.ended for one in said] == ["no answer for 100 ms"]
