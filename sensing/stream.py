@@ -94,9 +94,8 @@ class Reader:
     def feed(self, piece: bytes) -> Iterator[Package]:
         """The packages that are complete with this piece.
 
-        Raises:
-            StreamError: behind those that are sound: not our stream, another version, or a package too large. The
-                connection is of no use then.
+        Raises ``StreamError`` behind those that are sound for what is not our stream, another version, or a package too
+        large. The connection is of no use then.
         """
         self._waiting += piece
         while len(self._waiting) >= HEADER.size:

@@ -297,8 +297,7 @@ class ContourFollower:
     def horizon(self, t: float) -> Array:
         """Desired joint positions ``q_d(k) … q_d(k + n_d - 1)`` from ``t`` on ``(n_d, n)`` [rad].
 
-        Raises:
-            OutOfReachError: the contour leads out of the arm's reach.
+        Raises ``OutOfReachError`` where the contour leads out of the arm's reach.
         """
         self._plan.advance(round(t / self._T))
         if self._moving_from is None and self.in_contact and t - float(self._contact_since or 0) > self.settings.settle:

@@ -234,10 +234,8 @@ class SurfaceFollower:
     def horizon(self, t: float, anew: bool = True) -> Array:
         """Desired joint positions ``q_d(k) … q_d(k + n_d - 1)`` from ``t`` on, shape ``(n_d, n)`` [rad].
 
-        A cycle that has no time to plan ``anew`` goes on as planned before.
-
-        Raises:
-            OutOfReachError: the surface leads out of the arm's reach.
+        A cycle that has no time to plan ``anew`` goes on as planned before. Raises ``OutOfReachError`` where the
+        surface leads out of the arm's reach.
         """
         self.advance(t)
         k, keep = self._plan.cycle, FROZEN

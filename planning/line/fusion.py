@@ -165,8 +165,7 @@ class DeviationFilter:
     def update(self, measurement: Measurement) -> Fused:
         """Fuses one measurement, which may be older than those before.
 
-        Raises:
-            InputError: shapes that do not fit each other or the model, or values that are not finite.
+        Raises ``InputError`` where shapes do not fit each other or the model, or values are not finite.
         """
         check(measurement, self.model.directions)
         return self.take(measurement)

@@ -155,10 +155,8 @@ class InverseKinematics:
     def path(self, targets: Sequence[pin.SE3], q_start: Array) -> Array:
         """Joint angles ``(N, n)`` along a path of near poses; each starts from the linear continuation of the last two.
 
-        More than six joints are drawn back to ``q_start`` as far as the poses let them.
-
-        Raises:
-            OutOfReachError: the path leaves the reach or the joint limits, or jumps to another posture of the arm.
+        More than six joints are drawn back to ``q_start`` as far as the poses let them. Raises ``OutOfReachError``
+        where the path leaves the reach or the joint limits, or jumps to another posture of the arm.
         """
         q = np.empty((len(targets), self.robot.n))
         for i, target in enumerate(targets):

@@ -21,11 +21,7 @@ _ROWS = 0.05
 
 
 def check_cycle(robot: Robot) -> None:
-    """Makes sure that the arm's place is known wherever a camera looks in the coming cycle.
-
-    Raises:
-        InputError: a longer cycle.
-    """
+    """Raises ``InputError`` where the arm's place is not known wherever a camera looks in a cycle: it is too long."""
     if robot.t_ipo > AHEAD:
         raise InputError(f"a camera is told where to look before the cycle of its field, and the arm is forecast by "
                          f"{AHEAD:g} s: expected a cycle of at most that (world.t_ipo, or t_ipo in the arm's TOML)",
@@ -70,11 +66,7 @@ class PoseHistory:
                 return
 
     def q(self, t: float) -> Array:
-        """Joint angles ``(n,)`` [rad] at ``t`` [s].
-
-        Raises:
-            PlanningError: ``t`` lies before the history or too far after it.
-        """
+        """Joint angles ``(n,)`` [rad] at ``t`` [s]; raises ``PlanningError`` before the history or too far after it."""
         times = self._t
         if not times or t < times[0] - 1e-9 or t > times[-1] + AHEAD:
             span = f"{times[0]:.3f} to {times[-1]:.3f} s" if times else "nothing"

@@ -57,8 +57,7 @@ class FrameSource(Protocol):
     def read(self, timeout: float) -> Frame | None:
         """The next picture; None if none comes within ``timeout`` [s], or what came could not be used.
 
-        Raises:
-            SensingError: the camera is gone, or its stream has ended.
+        Raises ``SensingError`` where the camera is gone, or its stream has ended.
         """
         ...
 
@@ -261,9 +260,7 @@ def open_camera(address: str, least_delay: float = 0.0) -> FrameSource:
 
     ``usb:0``, ``file:film.mp4``, ``rtsp://…``, ``http://…`` (MJPEG), ``genicam:producer.cti#serial``,
     ``stream://host:port``. The least delay from mid-exposure to the picture's arrival [s] is not needed for ``stream``.
-
-    Raises:
-        InputError: no such scheme, or the camera cannot be opened.
+    Raises ``InputError`` where there is no such scheme, or the camera cannot be opened.
     """
     scheme, colon, rest = address.partition(":")
     if not colon or scheme not in CAMERAS.names():

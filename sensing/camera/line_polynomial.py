@@ -182,8 +182,7 @@ class Nearest:
 class Polyline:
     """Points joined by straight segments, in space: at least two, neighbours apart ``(N, 3)`` [m].
 
-    Raises:
-        InputError: too few points, or two neighbours coincide.
+    Raises ``InputError`` where there are too few points, or two neighbours coincide.
     """
 
     def __init__(self, points: Array) -> None:

@@ -89,11 +89,7 @@ def camera_number(text: str) -> int | None:
 
 
 def opened_usb(rest: str, least_delay: float) -> VideoCapture:
-    """``usb:0``.
-
-    Raises:
-        InputError: no number of a camera, or it cannot be opened.
-    """
+    """``usb:0``; raises InputError where it is no number of a camera, or cannot be opened."""
     number = camera_number(rest)
     if number is None:
         raise InputError("expected the number of a camera, as in usb:0", field="camera", value=rest)
@@ -101,11 +97,7 @@ def opened_usb(rest: str, least_delay: float) -> VideoCapture:
 
 
 def opened_file(rest: str, least_delay: float) -> VideoCapture:
-    """``file:film.mp4``, at its own pace.
-
-    Raises:
-        InputError: no such film.
-    """
+    """``file:film.mp4``, at its own pace; raises InputError where there is no such film."""
     if not Path(rest).is_file():
         raise InputError("no such film", field="camera", value=rest)
     return VideoCapture(rest, least_delay, pace=True)

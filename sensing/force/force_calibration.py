@@ -47,10 +47,8 @@ def identify_tool(wrenches: Array, rotations: Sequence[Array]) -> ToolLoad:
 
         f = b_f + Rᵀ g m,        m = b_m + (m c) × Rᵀ g
 
-    linear in bias, mass and the product of mass and centre; R ``(3, 3)`` of the tool frame in the base frame.
-
-    Raises:
-        SensingError: too few orientations to separate bias and weight.
+    linear in bias, mass and the product of mass and centre; R ``(3, 3)`` of the tool frame in the base frame. Raises
+    ``SensingError`` where there are too few orientations to separate bias and weight.
     """
     rows, values = [], []
     for wrench, rotation in zip(wrenches, rotations, strict=True):
@@ -167,10 +165,8 @@ class ContactElasticity:
 def identify_elasticity(position: Array, force: Array) -> ContactElasticity:
     """E by moving: normal ``force (N,)`` [N] against the simultaneous TCP ``position (N,)`` [m] ([L] 4.4).
 
-    The position is along the surface's normal, larger further away.
-
-    Raises:
-        SensingError: too few samples in touch, or no range of forces.
+    The position is along the surface's normal, larger further away. Raises ``SensingError`` where there are too few
+    samples in touch, or no range of forces.
     """
     touching = force > TOUCHING
     if np.count_nonzero(touching) < 10 or np.ptp(force[touching]) < 2 * TOUCHING:

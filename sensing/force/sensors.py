@@ -329,10 +329,8 @@ def open_force(address: str, least_delay: float = 0.0) -> WrenchSource:
     """Opens a force sensor by its address.
 
     ``netft://host:port?rate=7000&counts_force=1e6&counts_torque=1e6`` or ``stream://host:port``. The least delay from
-    the measurement to the packet's arrival [s] is not needed for ``stream``.
-
-    Raises:
-        InputError: no such scheme, or the sensor cannot be opened.
+    the measurement to the packet's arrival [s] is not needed for ``stream``. Raises ``InputError`` where there is no
+    such scheme, or the sensor cannot be opened.
     """
     scheme, colon, rest = address.partition(":")
     if not colon or scheme not in FORCE_SENSORS.names():

@@ -242,8 +242,7 @@ class SimulatedArm:
     def tcp_at(self, t: float) -> pin.SE3:
         """True pose of the tool frame at a time ``t`` [s] within the history; between samples by cubic Hermite splines.
 
-        Raises:
-            SimError: ``t`` lies before the start or in the future.
+        Raises ``SimError`` where ``t`` lies before the start or in the future.
         """
         return self.tcp_of(self.q_at(t))
 

@@ -33,8 +33,7 @@ class Specimen:
 def draw_specimen(robot: Robot, world: World) -> Specimen:
     """The arm of the seed ``world.individual``.
 
-    Raises:
-        InputError: elastic gears without rotor inertia, which no equation of motion exists for.
+    Raises ``InputError`` for elastic gears without rotor inertia, which no equation of motion exists for.
     """
     rng = np.random.default_rng([world.individual, 7919])
     n = robot.n

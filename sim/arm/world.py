@@ -76,11 +76,7 @@ def _checked_value(name: str, kind: str, value: Any) -> Any:
 
 
 def numbers(field: str, value: Any) -> Array:
-    """A number or an array of numbers as such.
-
-    Raises:
-        InputError: it is none; names ``field``.
-    """
+    """A number or an array of numbers as such; raises ``InputError`` where it is none, with ``field``."""
     try:
         array = np.asarray(value, dtype=float)
     except (TypeError, ValueError, OverflowError) as error:
@@ -314,8 +310,7 @@ class World:
     def drawn(self, spread: dict[str, float]) -> World:
         """The world of its individual where some keys are known to within standard deviations, see ``from_table``.
 
-        Raises:
-            InputError: a key that has no size, or a spread that is none.
+        Raises ``InputError`` for a key that has no size, or a spread that is none.
         """
         rng, changed = np.random.default_rng([self.individual, 15485863]), {}
         sizes = {field.name for field in dataclasses.fields(self) if str(field.type) == "PerJoint"}
@@ -333,11 +328,7 @@ class World:
         return self.replace(**changed)
 
     def bodies(self, n: int) -> Array:
-        """``body`` as an array ``(12 n,)``.
-
-        Raises:
-            InputError: another number of values.
-        """
+        """``body`` as an array ``(12 n,)``; raises ``InputError`` for another number of values."""
         body = np.atleast_1d(self.body)
         if len(body) != 12 * n:
             raise InputError(f"expected {12 * n} numbers for {n} joints", field="world.body", value=len(body))
@@ -346,8 +337,7 @@ class World:
     def replace(self, **changes: Any) -> World:
         """A checked copy with some effects changed.
 
-        Raises:
-            InputError: no such effect, wrong type, value out of range.
+        Raises ``InputError`` where there is no such effect, for a wrong type and for a value out of range.
         """
         known = {field.name for field in dataclasses.fields(self)}
         for name in changes:
@@ -356,11 +346,7 @@ class World:
         return dataclasses.replace(self, **changes)
 
     def per_joint(self, name: str, n: int) -> Array:
-        """An effect's size as an array ``(n,)``.
-
-        Raises:
-            InputError: it was given as a list of another length.
-        """
+        """An effect's size as an array ``(n,)``; raises ``InputError`` where it is a list of another length."""
         value = np.asarray(getattr(self, name), dtype=float)
         if value.ndim == 1 and value.shape != (n,):
             raise InputError(f"expected one number or {n}, one per joint", field=f"world.{name}", value=value.tolist())

@@ -87,11 +87,7 @@ class ClampedArm:
         return self._clamp @ np.array(pin.log6(self._anchor.inverse() * self._pose(q)).vector)
 
     def equilibrium(self, q_m: Array, start: Array) -> Array:
-        """Arm angles at motor angles ``q_m`` ``(n,)``: Newton on [J] (1) from ``start``.
-
-        Raises:
-            SimError: no equilibrium was found.
-        """
+        """Arm angles at motor angles ``q_m (n,)``: Newton on [J] (1) from ``start``; ``SimError`` if there are none."""
         q = start.copy()
         k = self.world.stiffness
         for _ in range(40):

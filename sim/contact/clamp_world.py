@@ -69,8 +69,7 @@ class ClampWorld:
     def default(cls, robot: Robot) -> ClampWorld:
         """The default for a shipped robot, with all effects; gears as in its simulated world, where there is one.
 
-        Raises:
-            InputError: there is no simulated world for that robot.
+        Raises ``InputError`` where there is no simulated world for that robot.
         """
         if robot.name == "kr500":
             stiffness = np.array(KR500_STIFFNESS)

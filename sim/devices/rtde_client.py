@@ -85,8 +85,7 @@ class RtdeClient:
     def read(self) -> list[Inputs]:
         """Answers what has been asked, and returns what was written, data package by data package.
 
-        Raises:
-            ClientError: it has left, or is no sound client.
+        Raises ``ClientError`` where it has left, or is no sound client.
         """
         try:
             piece = self.link.recv(_PIECE)

@@ -234,9 +234,7 @@ TURNED = np.radians(15.0)
 def test_the_felt_path_tells_the_normal_whatever_friction_pulls_at_the_tip() -> None:
     """Friction of 0.4 turns the force by 22°; by the force alone the normal would be as far off."""
     robot = Robot.load("kr6")
-    data = robot.pinocchio.createData()
-    pin.framesForwardKinematics(robot.pinocchio, data, robot.home)
-    start = data.oMf[robot.tool_id].copy()
+    start = robot.fk()(robot.home)
     towards, up = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
     settings = ContourSettings(friction=0.0, length=0.1)
     axes = np.stack([towards, np.cross(up, towards)])
@@ -288,7 +286,6 @@ CYCLE, UP = 0.004, np.eye(3)[2]
 
 @cache
 def known() -> tuple[Robot, Model]:
-    """The arm of a force scene, and the model that its cell has of it."""
     cell = set_up(load_scene("force_wave")).known
     return cell.robot, cell.model
 
