@@ -174,15 +174,13 @@ def dry_run(robot: Robot, reference: ReferencePath, speed: float, q_start: Array
 
     s = S sin²(π t/T), whose largest speed is that of the job; slower ones are passed on the way. Each place is passed
     in both directions, which tells friction from weight.
+    Raises ``OutOfReachError`` where a place above the path cannot be reached.
 
     Args:
         robot: cycle time and limits.
         reference: the path.
         speed: of the job [m/s].
         q_start: joint angles near the path's start ``(n,)`` [rad].
-
-    Raises:
-        OutOfReachError: a place above the path cannot be reached.
     """
     kinematics = InverseKinematics(robot)
     way = min(reference.length, speed * LONGEST / np.pi)

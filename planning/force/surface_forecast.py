@@ -239,8 +239,7 @@ class FeltArm:
     def feel(self, t: Array, force: Array) -> list[tuple[float, Array]]:
         """Takes contact forces ``(m, 3)`` [N, base frame] of the instants ``t (m,)`` [s].
 
-        Returns:
-            instants [s] and arm angles ``(n,)`` [rad] of all cycles that look different now.
+        Gives instants [s] and arm angles ``(n,)`` [rad] of all cycles that look different now.
         """
         first = len(self._cycles)
         for at, one in zip(t, force, strict=True):

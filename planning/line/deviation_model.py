@@ -182,16 +182,13 @@ class PathDeviation(DeviationModel):
 
 
 def shape_likelihoods(reference: ReferencePath, s: Array, deviation: Array, covariance: Array) -> Array:
-    """How likely each of ``SHAPES`` makes what was seen of a line, wherever the whole lies and however it is turned.
+    """Logarithms of how likely each of ``SHAPES`` makes what was seen of a line, wherever it lies and however turned.
 
     Args:
         reference: the path.
         s: where along it ``(m,)`` [m].
         deviation: what was seen there ``(m,)`` [m].
         covariance: of that ``(m, m)`` [m²].
-
-    Returns:
-        logarithms of the likelihoods.
     """
     moved, distance = _moved(reference, s) + covariance, np.abs(np.subtract.outer(s, s))
     return np.array([multivariate_normal.logpdf(deviation, cov=moved + shape**2 * matern(distance, length))

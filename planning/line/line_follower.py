@@ -109,6 +109,7 @@ class LineFollower:
 
     with the ray's components across the path and out of the surface. One place seen under different rays, as the line
     comes nearer in a curve, tells d and h apart; the map holds both, and the desired path follows both.
+    Raises ``InputError`` for a cycle too long for a camera.
 
     Args:
         robot: the arm.
@@ -118,9 +119,6 @@ class LineFollower:
         settings: assumed sensor errors and limits.
         fusion: the filter; by default a map of the path with the camera's errors as ``settings`` say.
         t_start: controller time at which the travel begins [s].
-
-    Raises:
-        InputError: a cycle too long for a camera.
     """
 
     def __init__(self, robot: Robot, reference: ReferencePath, profile: SpeedProfile, n_d: int = 25, *,

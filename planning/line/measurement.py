@@ -162,12 +162,10 @@ def polynomial_measurement(points: Measurement) -> tuple[Measurement, LinePolyno
 
     with the first two rows of A, the value and the slope. The filter so compares the field's polynomial with the one
     that the same fit makes of its map: an order too low for the line leaves no bias in the map.
+    Raises ``SensingError`` for fewer than two usable points.
 
     Args:
         points: deviations of the single points, at least two, with the sensor's errors.
-
-    Raises:
-        SensingError: fewer than two usable points.
     """
     polynomial = fit_of_lowest_order(points.s, points.value, np.sqrt(np.diag(points.covariance)))
     A = polynomial.combination[:2] / np.array([1.0, polynomial.scale])[:, None]

@@ -125,14 +125,12 @@ class InverseKinematics:
         """Joint angles ``(n,)`` of one pose without a good guess: the solution nearest to ``home`` that was found.
 
         Newton's method starts from ``home`` and from postures scattered evenly over the joint ranges around it.
+        Raises ``OutOfReachError`` where no start leads to a solution within the joint limits.
 
         Args:
             target: pose of the TCP in the base frame.
             home: preferred joint angles ``(n,)`` [rad].
             attempts: starts at most.
-
-        Raises:
-            OutOfReachError: no start leads to a solution within the joint limits.
         """
         lower, upper = np.maximum(self.robot.q_min, home - np.pi), np.minimum(self.robot.q_max, home + np.pi)
         failures: list[OutOfReachError] = []
@@ -177,6 +175,7 @@ class InverseKinematics:
 
         The error after a step is of the order of the square of the error before, so a pose is done as soon as the
         error *before* a step was below ``sqrt(tolerance)`` [m, rad].
+        Raises ``OutOfReachError`` where that takes more than ten steps, or leads outside the joint limits.
 
         Args:
             rotations: of the TCP in the base frame ``(N, 3, 3)``.
@@ -184,9 +183,6 @@ class InverseKinematics:
             q: nearly right joint angles ``(N, n)`` [rad].
             tolerance: square of the pose error before the last step [m², rad²].
             wanted: as for ``step``, of each pose ``(N, n)`` [rad]; ``q`` if None.
-
-        Raises:
-            OutOfReachError: not solved in ten steps, or outside the joint limits.
         """
         solved = np.array(q, dtype=float)
         near = solved.copy() if wanted is None else np.ascontiguousarray(wanted)

@@ -149,6 +149,7 @@ def refined(tool: Tool, targets_R: Array, targets_p: Array, q: Array, wanted: Ar
 
     A pose is done with the step whose pose error before it, squared, was below ``tolerance``; of fewer than six joints,
     which cannot remove all of it, with one that changes them by a tenth of that.
+    Raises ``LinAlgError`` for a posture from which one cannot move in all directions.
 
     Args:
         tool: kinematics.
@@ -158,9 +159,6 @@ def refined(tool: Tool, targets_R: Array, targets_p: Array, q: Array, wanted: Ar
         wanted: what more than six joints come near to in each pose ``(N, n)`` [rad].
         tolerance: see above [m², rad²].
         most: steps of a pose at most.
-
-    Raises:
-        LinAlgError: a posture from which one cannot move in all directions.
     """
     J, error = np.empty((6, q.shape[1])), np.empty(6)
     for i in range(q.shape[0]):

@@ -81,6 +81,7 @@ class ReferencePath:
     """A curve with continuous curvature and a tool orientation that turns smoothly along it.
 
     Before its start and behind its end it goes on straight, so that a camera may look past the end.
+    Raises ``InputError`` for fewer than two different points, values that are not finite, or a length below 10 mm.
 
     Args:
         points: points of the curve in the order of travel ``(N, 3)`` [m], as dense as their shape needs; nothing
@@ -93,9 +94,6 @@ class ReferencePath:
             meet arcs, or rounds corners. A curve of radius ``r`` is cut by about ``smoothing²/(12 r)``.
         rotation: tool orientation ``(3, 3)`` where the tool's heading is the path's mean direction; by default the
             tool's z axis points into the surface and its x axis ahead.
-
-    Raises:
-        InputError: fewer than two different points, values that are not finite, or a length below 10 mm.
     """
 
     def __init__(
@@ -162,15 +160,14 @@ class ReferencePath:
         return [pin.SE3(R, p) for R, p in zip(self.rotation(s), self.position(s), strict=True)]
 
     def project(self, points: Array, s_near: float, span: float = 0.3) -> tuple[Array, Array, Array]:
-        """Coordinates of points in the path's frame, nearest foot within ``s_near ± span``.
+        """Arc length, lateral deviation and height of points in the path's frame, ``(m,)`` each [m].
+
+        Of the nearest foot within ``s_near ± span``, the last two along ``normal`` and ``up``.
 
         Args:
             points: ``(m, 3)`` [m].
             s_near: where on the path to look [m]; what keeps crossings apart.
             span: how far from there [m].
-
-        Returns:
-            arc length of the foot, lateral deviation along ``normal`` and height along ``up``, ``(m,)`` each [m].
         """
         s = feet_of(self._cubics, self._knot, points, s_near - span, s_near + span)
         frames = self.frames(s)

@@ -42,14 +42,12 @@ def line_appearance(pictures: Sequence[Gray], camera: CameraModel, above: float 
 
     In each picture the line ahead of the tool counts (``detect_in_picture``); behind, the tool itself or its hose could
     be clearer. The polarity is that of most pictures, width and contrast are the medians of those.
+    Raises ``SensingError`` where no picture shows a line.
 
     Args:
         pictures: gray, of different pieces of the line ``(height, width)`` each.
         camera: as it is believed to be.
         above: height of the tool's tip over the surface [m].
-
-    Raises:
-        SensingError: no picture shows a line.
     """
     ahead = _ahead_of_the_tool(camera)
     seen = [detect_in_picture(np.ascontiguousarray(picture[ahead]), kind="line") for picture in pictures]

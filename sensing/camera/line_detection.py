@@ -43,9 +43,10 @@ BEND = 3.0
 @jit()
 def confirmed_points(along: Array, deviation: Array, used: NDArray[np.bool_], tolerance: float,
                      covariance: Array) -> NDArray[np.bool_]:
-    """The points that lie within a tolerance of the least-squares line of the others.
+    """The points ``(m,)`` that lie within a tolerance of the least-squares line of the others.
 
     As long as one does not, the one that contradicts the others most is taken out.
+    Two points or fewer have nothing to be held against and remain.
 
     Args:
         along: places along the prediction ``(m,)`` [m].
@@ -53,9 +54,6 @@ def confirmed_points(along: Array, deviation: Array, used: NDArray[np.bool_], to
         used: points to choose from ``(m,)``.
         tolerance: how far a point may be off [m], beside what the prediction leaves open.
         covariance: of the prediction ``(m, m)`` [m²]; a motion of the whole line counts for nothing.
-
-    Returns:
-        ``(m,)``. Two points or fewer have nothing to be held against and remain.
     """
     m = along.size
     kept, weight = used.copy(), np.empty(m)

@@ -195,8 +195,7 @@ def _fine(points: Array, normals: Array) -> tuple[Array, Array]:
 def _measured(lab: Lab, points: Array, halves: Array, edge: bool) -> tuple[Strip, float, float]:
     """Sections across a line of these half widths ``(n,)``, without features.
 
-    Returns:
-        They; contrast over scatter; and difference of the sides over the contrast, 0 of an edge.
+    Beside them contrast over scatter, and the difference of the sides over the contrast, 0 of an edge.
     """
     steps = np.diff(points, axis=0)
     tangents = _smooth(0.5 * (np.concatenate([steps[:1], steps]) + np.concatenate([steps, steps[-1:]])), 5)
@@ -255,10 +254,9 @@ def _orthonormal(count: int, degree: int) -> Array:
 
 
 def _edges(lab: Lab, along: tuple[Array, Array], about: Array, direction: Array, reach: float) -> tuple[Array, Array]:
-    """Where ``direction`` rises most about the first of the offsets ``(n, k)``, and falls most about a second one.
+    """Where ``direction`` rises most about the first of the offsets ``(n, k)`` [px], and falls most about a second one.
 
-    Returns:
-        Offsets ``(n, k)`` [px], and how steep it is there [1/px].
+    Beside these offsets how steep it is there [1/px].
     """
     step = _NARROWEST
     offsets = np.arange(-reach - 1.0, reach + 1.0 + step, step)

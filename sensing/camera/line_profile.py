@@ -113,9 +113,8 @@ def _fit_section(patch: NDArray[np.uint8], start: float, slant: float, width: fl
                 polarity: float) -> tuple[float, float, float, float, float]:
     """Fits the cross-section near ``start`` [px from the window's first pixel] of the middle row, as ``find_sections``.
 
-    Returns:
-        u_0 [px], w [px], c [gray], root mean square residual [gray], standard deviation of u_0 per unit of residual
-        [px/gray]; NaN where the fit failed.
+    u_0 [px], w [px], c [gray], root mean square residual [gray], standard deviation of u_0 per unit of residual
+    [px/gray]; NaN where the fit failed.
     """
     reach = 0.5 * width + 2.5 * blur + 2.0
     u0, w, c = start, width, 0.0
@@ -195,15 +194,14 @@ def _centres(falling: Array, rising: Array, predicted: float, width: float, tole
 def find_sections(patch: NDArray[np.uint8], predicted: float, slant: float, width: float, look: Look) -> Array:
     """All cross-sections in a window that pass the gates of width and contrast, nearest to the prediction first.
 
+    ``(k, 5)`` with k ≤ 4: u_0, w, c, residual, standard deviation of u_0 per gray, as in ``_fit_section``.
+
     Args:
         patch: gray values, rows × scan direction.
         predicted: where the line should be [px from the window's first pixel].
         slant: shift of the line along the scan from row to row.
         width: expected width along the scan [px].
         look: blur, polarity, least depth and tolerance of the width.
-
-    Returns:
-        ``(k, 5)`` with k ≤ 4: u_0, w, c, residual, standard deviation of u_0 per gray, as in ``_fit_section``.
     """
     rows, columns = patch.shape
     found = np.empty((MAX_CANDIDATES, 5))

@@ -50,7 +50,7 @@ class Track:
 
 def track(picture: NDArray[np.uint8], before: Track | None = None, *, kind: str | None = None,
           near: tuple[float, float] | None = None, points: int = 15) -> Track:
-    """The line in the next picture of a film.
+    """The line in the next picture of a film; raises as ``detect_in_picture``.
 
     Args:
         picture: gray or BGR, all of one size.
@@ -58,9 +58,6 @@ def track(picture: NDArray[np.uint8], before: Track | None = None, *, kind: str 
         kind: see ``detect_in_picture``.
         near: see ``detect_in_picture``; counts until a line is found.
         points: along the line.
-
-    Raises:
-        InputError: as ``detect_in_picture``.
     """
     check_asked(picture, kind, points)
     small, scale = reduced(picture)

@@ -24,14 +24,12 @@ class VideoCapture:
 
     Most drivers tell when a picture was taken (``CAP_PROP_POS_MSEC``): V4L2 by the kernel's clock, RTSP by the
     sender's, a file by its beginning. Where those stamps do not rise, or there are none, the arrival is the stamp.
+    Raises ``InputError`` where it cannot be opened.
 
     Args:
         source: number of a USB camera, path of a file, or URL.
         least_delay: from mid-exposure to the picture's arrival, at least [s].
         pace: whether a file is played at its own speed, as if it were a camera.
-
-    Raises:
-        InputError: it cannot be opened.
     """
 
     def __init__(self, source: int | str, least_delay: float = 0.0, *, pace: bool = False) -> None:

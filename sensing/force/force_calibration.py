@@ -84,15 +84,13 @@ def require_gravity(wrenches: Array, rotations: Sequence[Array], t: Array, sigma
     """Refuses readings that do not turn with the postures as the weight of a tool has to: f = b + Rᵀ g m, m > 0.
 
     A sensor that is alive and feels nothing has noise as every other; that a weight turns is what it cannot imitate.
+    Raises ``SensingError`` for no weight, or one that turns otherwise, and says what it looks like.
 
     Args:
         wrenches: means at rest ``(N, 6)``.
         rotations: of the tool frame in the base frame, N of them ``(3, 3)``.
         t: when they were taken ``(N,)`` [s].
         sigma: standard deviation of their forces ``(3,)`` [N].
-
-    Raises:
-        SensingError: no weight, or one that turns otherwise; says what it looks like.
     """
     f, noise = wrenches[:, :3], float(np.sqrt(np.mean(np.square(sigma))))
     weights = np.array([rotation.T @ GRAVITY for rotation in rotations])

@@ -66,6 +66,7 @@ def force_deviation(force: Array, direction: Array, wanted: float, elasticity: f
     """Δx_a = (F_r − F) / E, [L] (3), along ``direction``.
 
     A force that is too small asks to go deeper, against the direction, which points out of the surface.
+    Raises ``InputError`` for an elasticity that is not positive.
 
     Args:
         force: of the environment on the tool ``(3,)`` [N].
@@ -76,9 +77,6 @@ def force_deviation(force: Array, direction: Array, wanted: float, elasticity: f
         elasticity_error: relative error of E that the standard deviation allows for.
         normal: of the surface, if it is known better than ``direction``; the force counts along it, and friction does
             not.
-
-    Raises:
-        InputError: an elasticity that is not positive.
     """
     if not elasticity > 0:
         raise InputError("expected a positive elasticity [N/m]", field="elasticity", value=elasticity)

@@ -32,7 +32,7 @@ def start_physics() -> int:
 
 
 def load_links(model: pin.Model, client: int, tool: pin.SE3 | None = None, tool_radius: float = 0.0) -> int:
-    """Loads the links of a serial arm and switches off whatever PyBullet adds of its own.
+    """Loads the links of a serial arm without whatever PyBullet adds of its own; PyBullet's id of the body.
 
     Joints keep their order; link ``i`` of the body is the one that joint ``i`` (from 0) moves, in the joint's frame.
     Joint limits are left to the controller: a limit constraint would be an effect of its own.
@@ -42,9 +42,6 @@ def load_links(model: pin.Model, client: int, tool: pin.SE3 | None = None, tool_
         client: PyBullet's id of the physics client.
         tool: pose of the TCP in the frame of the last joint, if a ball about it shall collide with other bodies.
         tool_radius: its radius [m].
-
-    Returns:
-        PyBullet's id of the body.
     """
     with temporary_folder() as folder:
         path = folder / "links.urdf"
@@ -241,19 +238,15 @@ class Stage:
 
 
 def picture(robot: Robot, q: Array, view: View | None = None, **drawn: Any) -> Picture:
-    """One picture of an arm in a posture.
+    """One RGB picture ``(height, width, 3)`` of an arm in a posture.
+
+    Raises ``InputError`` for ``q`` of wrong size.
 
     Args:
         robot: the arm.
         q: arm angles ``(n,)`` [rad].
         view: from where it is shown.
         drawn: lines and surface as for ``Stage``.
-
-    Returns:
-        RGB picture ``(height, width, 3)``.
-
-    Raises:
-        InputError: ``q`` of wrong size.
     """
     with Stage(robot, q, view, **drawn) as stage:
         return stage.show(np.asarray(q, dtype=float))

@@ -33,7 +33,7 @@ def motor_torque_limit(robot: Robot) -> Array:
 
 def drive_parameters(world: World, robot: Robot, rotor_inertia: Array, drive_gain: Array,
                      phase: Array) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Packs a world's numbers for ``drive_step``.
+    """Packs a world for ``drive_step``: parameters ``(PARAMETERS, n)``, shared numbers ``(11,)``, step counts ``(4,)``.
 
     Args:
         world: the true world.
@@ -41,9 +41,6 @@ def drive_parameters(world: World, robot: Robot, rotor_inertia: Array, drive_gai
         rotor_inertia: true rotor inertias on the joint side ``(n,)`` [kg m²].
         drive_gain: true torque per ampere relative to the data sheet's ``(n,)``.
         phase: of torque ripple and transmission error ``(n,)`` [rad].
-
-    Returns:
-        Parameter block ``(PARAMETERS, n)``, shared numbers ``(11,)``, step counts ``(4,)``.
     """
     n = robot.n
     limit = motor_torque_limit(robot)

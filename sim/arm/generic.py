@@ -36,15 +36,12 @@ SWEPT = 25
 
 
 def generic_world(robot: Robot) -> dict[str, Any]:
-    """The settings that ``World`` needs per joint, for any robot that Pinocchio can load.
+    """The settings that ``World(robot=…, **settings)`` needs per joint, for any robot that Pinocchio can load.
 
     Friction takes about a tenth of the torque limit (of the gravity and inertia torque of a moderate motion where no
     limit is given). Rotors that the robot data do not know get the inertia that the torque limit turns with
     300 rad/s² (a third of the link's where no limit is given): no geared drive is without. Inertias and gravity are
     those of the home posture, of an arm whose data name none the mean and the largest over its range.
-
-    Returns:
-        Settings by name, ready for ``World(robot=…, **settings)``.
     """
     mass, gravity, lightest = _loads(robot)
     guess = np.where(np.isfinite(robot.tau_max), _strength(robot, gravity, mass) / 300.0, mass / 3.0)

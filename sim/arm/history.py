@@ -54,14 +54,13 @@ class History(RowLog):
     def pose(self, t: float, t_now: float, q_now: Array, qd_now: Array) -> Array:
         """Arm angles ``(n,)`` [rad] at a time, from angles and velocities of the neighbouring rows.
 
+        Raises ``SimError`` where ``t`` lies before the start or after ``t_now``.
+
         Args:
             t: the time asked for [s].
             t_now: time that has been reached, behind the last row [s].
             q_now: arm angles then ``(n,)`` [rad].
             qd_now: arm velocities then ``(n,)`` [rad/s].
-
-        Raises:
-            SimError: ``t`` lies before the start or after ``t_now``.
         """
         if not -1.0e-9 <= t <= t_now + 1.0e-9:
             raise SimError(f"the simulated arm knows its pose from 0 to {t_now:.4f} s, not at {t:.4f} s")

@@ -286,14 +286,12 @@ class World:
 
         Its table ``spread`` gives standard deviations of keys that nobody measured, of their logarithms, that of
         ``velocity_feedforward`` itself: the individual says which values they have.
+        Raises ``InputError`` for an unknown key (named, with the allowed ones), a wrong type, a value out of range.
 
         Args:
             robot_name: of a shipped robot, or the path of a URDF.
             table: keys of the world with their values.
             file: the table was read from, for messages.
-
-        Raises:
-            InputError: unknown key (named, with the allowed ones), wrong type, value out of range.
         """
         table = dict(table)
         ideal, spread = table.pop("ideal", False), table.pop("spread", {})

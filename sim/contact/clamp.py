@@ -103,16 +103,13 @@ class ClampedArm:
         raise SimError("no elastic equilibrium found; the shift is too large for this clamp")
 
     def curve(self, motion: Array, low: float, high: float, *, points: int = 25) -> tuple[Array, Array, Array]:
-        """Equilibria along a motor motion.
+        """Equilibria along a motor motion: shifts ``(m,)``, arm angles ``(m, n)`` and wrenches ``(m, 6)``.
 
         Args:
             motion: direction of the motors' shift ``(n,)``.
             low: smallest multiple of ``motion``, ≤ 0.
             high: largest multiple, ≥ 0.
             points: number of equilibria ``m``.
-
-        Returns:
-            Shifts ``(m,)`` from ``low`` ≤ 0 to ``high`` ≥ 0, arm angles ``(m, n)`` and wrenches ``(m, 6)``.
         """
         shifts = np.linspace(low, high, points)
         middle = int(np.argmin(np.abs(shifts)))
@@ -158,6 +155,9 @@ class ClampedArm:
              ramp: float = 0.7, approach: float = 0.0) -> tuple[Recording, ClampTruth]:
         """Holds the levels of all pushes one after the other and records, as a controller's scope and a sensor do.
 
+        The recording has ``t``, ``q_i``, ``current_i`` on the controller's clock, ``t_wrench`` and the wrench
+        ``components`` on the sensor's clock, padded with NaN; the truth comes beside it.
+
         Args:
             pushes: load cases.
             rng: for everything that scatters.
@@ -166,10 +166,6 @@ class ClampedArm:
             hold: time at a level [s].
             ramp: time between levels [s].
             approach: distance from which the flange first approaches along −z under position control [m].
-
-        Returns:
-            The recording (``t``, ``q_i``, ``current_i`` on the controller's clock; ``t_wrench`` and the wrench
-            ``components`` on the sensor's clock, padded with NaN), and the truth.
         """
         world, robot = self.world, self.robot
         q_m, q, wrench = self._motion(pushes, hold, ramp, approach)
@@ -256,7 +252,7 @@ _SAMPLES = 50
 
 def hang_payloads(robot: Robot, world: ClampWorld, postures: Array, masses: Array, lever: Array,
                   rng: np.random.Generator, *, tracker: tuple[float, float] = (2e-5, 3e-5)) -> Recording:
-    """Records motor angles and flange pose under known masses.
+    """Records motor angles and flange pose under known masses: ``t``, ``q_i``, ``payload`` [kg], ``x y z qx qy qz qw``.
 
     Args:
         robot: kinematics and masses.
@@ -266,9 +262,6 @@ def hang_payloads(robot: Robot, world: ClampWorld, postures: Array, masses: Arra
         lever: where the masses' centre hangs in the tool frame ``(3,)`` [m].
         rng: for the tracker's noise.
         tracker: standard deviation of the measured position [m] and rotation [rad].
-
-    Returns:
-        ``t``, ``q_i``, ``payload`` [kg], ``x y z qx qy qz qw``.
     """
     rows_q, rows_pose, rows_mass = [], [], []
     for q_m in postures:
