@@ -101,8 +101,7 @@ class ContourSettings:
     Attributes:
         force: F_r [N].
         elasticity: E that is assumed [N/m].
-        speed: along the contour [m/s].
-        acceleration: up to that speed and down again [m/s²].
+        speed, acceleration: along the contour [m/s], and up to that and down again [m/s²].
         length: way after which the motion ends [m].
         approach: speed towards the contour [m/s].
         reach: distance the approach may take before there has to be contact [m].

@@ -87,10 +87,8 @@ class Expected(NamedTuple):
     """What is expected of a deviation in one direction: standard deviations, and over which distance it changes.
 
     Attributes:
-        displacement: of the whole line [m].
-        rotation: of the whole line [rad].
-        shape: change of shape [m].
-        length: distance over which the change of shape becomes another [m].
+        displacement, rotation: of the whole line [m, rad].
+        shape, length: change of shape, and distance over which it becomes another [m].
     """
 
     displacement: float = 0.02

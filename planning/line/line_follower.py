@@ -112,9 +112,7 @@ class LineFollower:
     Raises ``InputError`` for a cycle too long for a camera.
 
     Args:
-        robot: the arm.
-        reference: the reference path.
-        profile: the travel along it.
+        robot, reference, profile: the arm, the reference path, and the travel along it.
         n_d: desired positions a call of ``horizon`` gives.
         settings: assumed sensor errors and limits.
         fusion: the filter; by default a map of the path with the camera's errors as ``settings`` say.

@@ -166,9 +166,7 @@ class DesiredPath:
     is not computed again: a cycle without one costs a single pose.
 
     Args:
-        robot: the arm.
-        reference: the reference path.
-        profile: the travel along it.
+        robot, reference, profile: the arm, the reference path, and the travel along it.
         n_d: desired positions a call of ``horizon`` gives.
         directions: 1 lateral, 2 also height.
         t_start: controller time at which the travel begins [s].

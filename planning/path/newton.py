@@ -32,8 +32,7 @@ class Tool(NamedTuple):
     Attributes:
         chain: of the arm.
         joints: that carry the tool, the first ones of the chain.
-        R: the tool's rotation in the last one's frame ``(3, 3)``.
-        p: where it is there ``(3,)`` [m].
+        R, p: the tool's rotation in the last one's frame ``(3, 3)``, and where it is there ``(3,)`` [m].
     """
 
     chain: Chain

@@ -33,8 +33,7 @@ class Limits:
 
     Attributes:
         speed: top speed [m/s].
-        acceleration: along the path [m/s²].
-        jerk: along the path [m/s³].
+        acceleration, jerk: along the path [m/s², m/s³].
         share: share of the joints' velocity and acceleration limits that the reference may use; the rest is for
             corrections by sensors.
     """

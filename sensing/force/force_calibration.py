@@ -150,8 +150,7 @@ class ContactElasticity:
     """The elasticity E of [L] (3): force per displacement.
 
     Attributes:
-        stiffness: E [N/m].
-        std: its standard deviation [N/m].
+        stiffness, std: E and its standard deviation [N/m].
         touch: position along the direction of motion at which the force begins [m].
     """
 

@@ -23,8 +23,7 @@ class WrenchSample:
     """One sample.
 
     Attributes:
-        t: instant of measurement [s].
-        t_arrival: instant at which it is available [s].
+        t, t_arrival: instants of measurement, and at which it is available [s].
         wrench: force [N] and moment [N m] of the tool on the sensor, in the tool frame about its origin ``(6,)``: what
             the environment does to the tool, plus the tool's own weight, plus bias.
     """
@@ -51,8 +50,7 @@ class ForceDeviation:
     """How far the tip has to move for the wanted force.
 
     Attributes:
-        value: along the direction, positive out of the surface [m].
-        sigma: its standard deviation [m].
+        value, sigma: along the direction, positive out of the surface, and its standard deviation [m].
         force: component of the contact force along the direction [N].
     """
 

@@ -65,8 +65,7 @@ class TrueState:
 
     Attributes:
         t: time [s].
-        q_a: arm angles ``(n,)`` [rad].
-        q_m: motor angles on the joint side ``(n,)`` [rad].
+        q_a, q_m: arm angles, and motor angles on the joint side ``(n,)`` [rad].
         tcp: pose of the tool frame in the base frame.
     """
 

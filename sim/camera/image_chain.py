@@ -31,13 +31,11 @@ class CameraSettings:
         defocus_px: radius of the disc that a point becomes in the picture [px].
         vignetting: share of the light that the lens loses in the picture's corners.
         jpeg_quality: 1 to 100 of the file's compression; 0 for none.
-        latency: from mid-exposure to the data's arrival [s].
-        jitter: standard deviation of the latency [s].
+        latency, jitter: from mid-exposure to the data's arrival, and its standard deviation [s].
         stamp_offset: constant error of the time stamp [s].
         stamp_drift: by how much the clock of the time stamps runs fast [s/s].
         stamp_noise: standard deviation of the time stamp [s].
-        loss: probability that a field is lost.
-        doubled: probability that a field arrives twice.
+        loss, doubled: probabilities that a field is lost, and that it arrives twice.
         rolling: time from the first row's exposure to the last row's [s]; 0 where all rows are exposed together. Fields
             are timed by their middle row.
         auto_exposure: time constant with which the exposure follows the light [s]; 0 for a fixed one.

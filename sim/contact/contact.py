@@ -181,8 +181,7 @@ class ForceSensorSettings:
 
     Attributes:
         rate: [Hz].
-        latency: from measurement to availability [s].
-        jitter: standard deviation of the latency [s].
+        latency, jitter: from measurement to availability, and its standard deviation [s].
         noise: standard deviations of force [N] and moment [N m].
         bias: standard deviations from which the constant bias of force [N] and moment [N m] is drawn.
         mass: of the tool behind the sensor [kg].

@@ -37,8 +37,7 @@ class RtdeFaults:
         in_use: input fields another client writes.
         skips: cycles whose data package is left out.
         protective_stop: cycle from which the arm is stopped by its safety system.
-        program_begins: cycle from which the program runs.
-        program_ends: cycle from which the program does not run any more.
+        program_begins, program_ends: cycles from which the program runs, and does not any more.
         clock_stands: cycle from which the time stamps stay what they are.
         disconnects: cycle at which it closes the connection.
         says: text it sends at the start.

@@ -58,8 +58,7 @@ class Session:
 
     Attributes:
         commands: commanded joint angles of every cycle ``(n,)`` [rad].
-        answered: cycles with an answer in time.
-        late: cycles without.
+        answered, late: cycles with an answer in time, and without.
         held_up: cycles that began late because this program was not let run, or the network stood still.
         slipped: how often this program itself fell so far behind that its clock had to stand still.
         ended: why it ended.

@@ -223,10 +223,8 @@ class Unkindness:
     Attributes:
         drift: by how much each device's clock runs fast, with a sign of its own (relative).
         offset: between the clocks, with a sign of its own [s].
-        loss: probability that a packet is lost.
-        doubled: probability that it comes twice.
-        late: how much later a packet comes that is late [s].
-        late_share: probability of that.
+        loss, doubled: probabilities that a packet is lost, and that it comes twice.
+        late, late_share: how much later a packet comes that is late [s], and probability of that.
     """
 
     drift: float = 2e-5
