@@ -38,7 +38,6 @@ class InverseKinematics:
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
         self._model, self._data, self._tool = robot.pinocchio, robot.pinocchio.createData(), robot.tool_id
-        self._square = robot.n == 6
         # computeFrameJacobian leaves the tool's pose in iMf[0]; holding the vector saves a third of the call's time.
         self._poses = self._data.iMf
         tool = self._model.frames[self._tool]
@@ -65,7 +64,7 @@ class InverseKinematics:
         """
         jacobian = pin.computeFrameJacobian(self._model, self._data, q, self._tool, pin.LOCAL)
         error = pin.log6(self._poses[0].actInv(target)).vector
-        if self._square:
+        if self.robot.n == 6:
             _, _, dq, info = dgesv(jacobian, error)
             if info == 0:
                 return q + dq, error

@@ -261,16 +261,10 @@ class _Problem:
         T = camera.T_tool_camera
         directions = self._rays_of(camera) @ T.rotation.T
         # To first order in the delay: milliseconds at a few rad/s.
-        if camera.readout == 0.0:
-            rotation = self.rotation + delay * self.rotation_rate
-            position = self.position + delay * self.velocity
-            ray = np.einsum("ijk,ik->ij", rotation[self.owner], directions)
-            origin = (position + rotation @ T.translation)[self.owner]
-        else:
-            late, own = delay + camera.row_delay(self.pixels), self.owner
-            rotation = self.rotation[own] + late[:, None, None] * self.rotation_rate[own]
-            ray = np.einsum("ijk,ik->ij", rotation, directions)
-            origin = self.position[own] + late[:, None] * self.velocity[own] + rotation @ T.translation
+        late, own = delay + camera.row_delay(self.pixels), self.owner
+        rotation = self.rotation[own] + late[:, None, None] * self.rotation_rate[own]
+        ray = np.einsum("ijk,ik->ij", rotation, directions)
+        origin = self.position[own] + late[:, None] * self.velocity[own] + rotation @ T.translation
         meets, along = ray @ normal, moved.rotation @ self.along
         plane = depth = (centre - origin) @ normal / meets
         for _ in range(3 if bend else 0):
