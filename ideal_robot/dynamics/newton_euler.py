@@ -44,8 +44,7 @@ class Chain(NamedTuple):
 def chain_of(model: pin.Model) -> Chain:
     """The chain of a Pinocchio model, without armature: rotors are not part of the links.
 
-    Raises:
-        InputError: the model branches, or a joint has more than one degree of freedom.
+    Raises InputError where the model branches, or a joint has more than one degree of freedom.
     """
     n = model.nv
     rotation, position = np.zeros((n, 3, 3)), np.zeros((n, 3))

@@ -82,9 +82,7 @@ class AxisCoupling(Effect):
     theta_units = ("", "", "")
     coefficient_names = ("inertia", "viscous friction", "Coulomb friction")
     coefficient_units = ("kg m²", "N m s/rad", "N m")
-    discriminating_motion = (
-        ("thermal_drift", "the same motion again after an hour's rest: only warming comes back"),
-    )
+    discriminating_motion = (("thermal_drift", "the same motion again after an hour's rest: only warming comes back"),)
     source = "J. Swevers et al., IEEE CSM 27(5), 2007; M. Gautier, wrist of the Stäubli RX 90"
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:

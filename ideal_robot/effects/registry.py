@@ -77,11 +77,7 @@ _made: dict[str, Effect] = {}
 
 
 def register(effect: Effect) -> None:
-    """Adds an effect of another package.
-
-    Raises:
-        InputError: there is one of that name in that channel already, or it is a class and no effect.
-    """
+    """Adds an effect of another package; raises InputError for a class, or a name that its channel has already."""
     expect(effect, Effect, "effect", "make one of the class: register(MyEffect())")
     EFFECTS.register(effect.key, effect)
 

@@ -113,10 +113,7 @@ def _with_bodies(model: Model, root: Array, found: Solved, nearby: Array) -> Mod
 
 
 def _nearby(model: Model, found: Array, heavier: Array) -> Array:
-    """Possible full parameters ``(12 n,)`` for what no motion tells, such as how a rotor and a link share an inertia.
-
-    Of likely differences ``found (12 n,)`` from the model a link's weight over its standard deviation is ``heavier``.
-    """
+    """Possible full parameters ``(12 n,)`` for what no motion tells, e.g. how a rotor and a link share an inertia."""
     n, full = model.n, np.array(model.consistent)
     full[: 10 * n] *= np.repeat(np.maximum(1.0 + LINK * heavier, 0.1), 10)
     full[10 * n :] += found[10 * n :]

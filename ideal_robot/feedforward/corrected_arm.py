@@ -103,10 +103,7 @@ def taken_up(t: Array) -> Array:
 
 def _displace(model: pin.Model, robot: Robot, joint: int, normal: Array,
               geometry: tuple[float, float, float, float]) -> None:
-    """Moves all that is behind a joint (from 1) in the joint's own frame, which turns with it; ``model`` is changed.
-
-    The common normal with the next axis is ``normal (3,)``, ``geometry`` is a, d [m], alpha, theta [rad].
-    """
+    """Moves all that is behind a joint (from 1) in the joint's own frame, by a, d [m], alpha and theta [rad]."""
     a, d, alpha, theta = geometry
     data = robot.pinocchio.createData()
     pin.computeJointJacobians(robot.pinocchio, data, pin.neutral(robot.pinocchio))
@@ -140,8 +137,7 @@ class ForCorrectedArm(Feedforward):
         """See ``Feedforward.init``."""
         return CorrectedState(self.feedforward.init(q0), 0)
 
-    def step(self, state: CorrectedState, q_d: Array, tau_ext_d: Array | None = None
-             ) -> tuple[Array, CorrectedState]:
+    def step(self, state: CorrectedState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, CorrectedState]:
         """See ``Feedforward.step``."""
         share = taken_up(self.t_ipo * (state.cycle + np.arange(float(len(q_d)))))[:, None]
         path = np.asarray(q_d, dtype=float)

@@ -86,10 +86,7 @@ def _left(loop: LoopModel, s: FilteredSignals, rigid: Array) -> Array:
 
 
 def _of_joint(loop: LoopModel, s: FilteredSignals, load: Array, left: Array, j: int) -> tuple[Array, float]:
-    """Values of friction's terms ``(TERMS,)`` of joint ``j`` and factor on the angle over which friction turns.
-
-    The gear transmits ``load (N,)``, for friction is ``left (M,)``, decimated [N m].
-    """
+    """Values of friction's terms ``(TERMS,)`` of joint ``j`` and factor on the angle over which friction turns."""
     q, v = s.q[:, [j]], s.qd[:, j]
     dry = dry_friction(loop)[j]
     sides = [np.interp(np.abs(v), loop.friction_velocity[:, j], side) for side in loop.friction_torque[:, :, j]]

@@ -234,11 +234,7 @@ class IdealRobot(Feedforward):
 
 
 class _Operators:
-    """Matrices that give a spline's values and its first two derivatives, applied together.
-
-    Attributes:
-        value: the first of them.
-    """
+    """Matrices that give a spline's values (``value``) and its first two derivatives, applied together."""
 
     def __init__(self, value: Array, first: Array, second: Array) -> None:
         self.value, self._together = value, np.concatenate([value, first, second])
@@ -251,10 +247,7 @@ class _Operators:
 @jit()
 def _command(wanted: Array, signal: Array, past: Array, q_c: Array, step_max: Array, q_min: Array, q_max: Array
              ) -> Array:
-    """The command ``(n,)`` [rad] that makes the position loop see its signal ``(N, n)``, within the limits.
-
-    The weights of the signal are ``wanted (n, N)``, ``past (n, n_past)`` those of the commands before, ``q_c``.
-    """
+    """The command ``(n,)`` [rad] that makes the position loop see its signal ``(N, n)``, within the limits."""
     command = np.empty(len(q_min))
     for i in range(len(q_min)):
         ahead, behind = 0.0, 0.0

@@ -120,11 +120,7 @@ def _kind(name: str, model: Model) -> str:
 
 
 def _verdict(j: int, own: float, unseen: float, uncertain: dict[str, float], broken: str) -> JointVerdict:
-    """The verdict for joint ``j`` (from 0), of what is left [%] in recordings that were fitted, ``own``, and in others.
-
-    Parameters make ``uncertain`` [%] of the torque, by kind; ``broken`` is what is wrong with the recording, if
-    anything.
-    """
+    """The verdict for joint ``j``, of what is left and what is uncertain [%], and what is wrong with its recording."""
     left, wide = max(own, unseen), uncertain["all"]
     moves = _TELLS[max(_TELLS, key=lambda kind: uncertain[kind])].format(j=j + 1)
     values = (float(left), float(wide))

@@ -105,8 +105,7 @@ def weighted_least_squares(W: Array, y: Array, known: tuple[Array, Array], *, se
                     np.where(live, residual, np.nan), at_bound)
 
 
-def _widened(inverse: Array, W: Array, residual: Array, segments: Array,
-             regions: Sequence[np.ndarray]) -> Array:
+def _widened(inverse: Array, W: Array, residual: Array, segments: Array, regions: Sequence[np.ndarray]) -> Array:
     """The covariance for residuals that are correlated in time and differ between regions; all weighted."""
     inflation = _correlation_inflation(W, residual, inverse, segments)
     covariance = inverse * np.outer(inflation, inflation)

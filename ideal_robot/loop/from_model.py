@@ -53,8 +53,7 @@ def _least_inertia(chain: Chain, q_min: Array, q_max: Array) -> Array:
     return np.asarray(least)
 
 
-def further_torque(loop: LoopModel, t: Array, q: Array, qd: Array, qdd: Array, load: Array,
-                   sliding: Array) -> Array:
+def further_torque(loop: LoopModel, t: Array, q: Array, qd: Array, qdd: Array, load: Array, sliding: Array) -> Array:
     """Sum of the torques of ``loop.terms`` along a motion of the motors ``(N, n)`` [N m].
 
     Args:

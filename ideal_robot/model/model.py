@@ -304,10 +304,7 @@ class Model(Summarised):
 
     @classmethod
     def load(cls, path: str | Path) -> Model:
-        """Reads a model file of this or an earlier version.
-
-        Raises InputError for no such file, no model file, or one of a later schema.
-        """
+        """Reads a model file of this or an earlier version; raises InputError for anything else."""
         return cls.from_dict(read_values(Path(path)), file=path)
 
     def export_urdf(self, path: str | Path) -> Path:

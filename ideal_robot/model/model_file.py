@@ -35,10 +35,7 @@ def write_values(path: Path, values: dict[str, Any]) -> Path:
 
 
 def read_values(path: Path) -> dict[str, Any]:
-    """The plain values of a model file of this or an earlier version.
-
-    Raises InputError for no such file, no model file, or one of a later schema.
-    """
+    """The plain values of a model file of this or an earlier version; raises InputError for anything else."""
     if not os.path.isfile(path):
         raise InputError("no such model file", file=path)
     values = read_json(path, "a model file")

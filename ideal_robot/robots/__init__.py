@@ -12,10 +12,7 @@ SHIPPED = ("kr6", "kr15", "manutec_r15", "kr500")
 
 
 def urdf_of(name_or_urdf: str | Path) -> Path:
-    """The URDF of a shipped robot, or the one at that path.
-
-    Raises InputError where that is neither a shipped robot nor a file, or drive data in place of one.
-    """
+    """The URDF of a shipped robot, or the one at that path; raises InputError for neither, and for drive data."""
     if str(name_or_urdf) in SHIPPED:
         return Path(str(resources.files("ideal_robot"))) / "robots" / str(name_or_urdf) / f"{name_or_urdf}.urdf"
     urdf = Path(name_or_urdf)

@@ -179,10 +179,7 @@ class RsiRobot(LinkedRobot):
         return self._state(first)
 
     def send(self, q_c: Array) -> None:
-        """The first half of ``cycle``: answers and returns, which leaves the cycle's time for computing.
-
-        Raises RsiError before ``connect``.
-        """
+        """The first half of ``cycle``: answers, leaves its time for computing; raises RsiError before ``connect``."""
         if self._first is None:
             raise RsiError("connect to the controller before a command is handed over")
         q_c = self._want(q_c)

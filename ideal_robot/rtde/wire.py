@@ -60,10 +60,7 @@ class Reader:
         self._bytes += piece
 
     def next(self) -> tuple[int, bytes] | None:
-        """Kind and payload of the next package; None while it is not whole.
-
-        Raises RtdeError for a size that cannot be: this is no RTDE, or its beginning was lost.
-        """
+        """Kind and payload of the next package, None while it is not whole; RtdeError for a size that cannot be."""
         if len(self._bytes) < _HEADER.size:
             return None
         size, kind = _HEADER.unpack_from(self._bytes)

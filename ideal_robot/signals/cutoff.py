@@ -177,14 +177,7 @@ class _Rows:
 
 
 class _Judged:
-    """One recording under several cut-offs, judged at the same instants.
-
-    Args:
-        even: the recording, evenly sampled, with ``tau_i``.
-        columns: the model's observation matrix.
-        band: of the judgement [Hz].
-        slowest: the least cut-off [Hz].
-    """
+    """One recording under several cut-offs, judged in a band at the same instants."""
 
     def __init__(self, even: EvenSignals, columns: Columns, band: float, slowest: float) -> None:
         self._even = even

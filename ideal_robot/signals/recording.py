@@ -195,10 +195,7 @@ class Recording(Summarised):
         return cls(columns, _without_words(meta or {}, words, source), source)
 
     def write(self, path: str | Path) -> Path:
-        """Writes Parquet (with the metadata) or CSV, by the ending. Nothing is left half-written.
-
-        Raises InputError for another ending.
-        """
+        """Writes Parquet (with the metadata) or CSV, by the ending, whole or not at all; InputError for another one."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
