@@ -50,11 +50,6 @@ SENSOR = Domain("sensor", "line", "the sensor")
 DOMAINS = (MOTOR_TORQUE, ARM_POSITION, TCP_POSITION, SENSOR)
 
 
-def channel_name(prefix: str, joint: int) -> str:
-    """Name of a joint's channel; of the whole arm for joint 0."""
-    return f"{prefix}_{joint}" if joint else prefix
-
-
 def domain_of(prefix: str) -> Domain:
     """The domain whose channels' names begin like that; raises InputError where there is none."""
     for domain in DOMAINS:
@@ -192,8 +187,8 @@ class Effect(ABC):
         return self.channel_prefix == MOTOR_TORQUE.prefix
 
     def channel(self, joint: int) -> str:
-        """Name of the channel it is reported in."""
-        return channel_name(self.channel_prefix, joint)
+        """Name of the channel it is reported in; of the whole arm for joint 0."""
+        return f"{self.channel_prefix}_{joint}" if joint else self.channel_prefix
 
     def complete(self, theta: Theta) -> bool:
         """Whether that is all of theta, as a model file has it."""

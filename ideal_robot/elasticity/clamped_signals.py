@@ -13,9 +13,7 @@ from scipy.signal import butter, sosfiltfilt
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.recording import Recording
-
-WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
+from ideal_robot.signals.recording import WRENCH, Recording
 
 FILTER_HZ = 10.0
 """Cut-off of the Butterworth filter, [J] 4.3."""

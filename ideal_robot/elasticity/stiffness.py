@@ -14,7 +14,7 @@ from ideal_robot.arrays import Array, G
 from ideal_robot.elasticity.clamped_signals import DECIMATE_HZ, ClampedSignals
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.recording import POSE, Recording
 
 
 @dataclass(frozen=True)
@@ -253,7 +253,6 @@ def identify_stiffness(signals: Sequence[ClampedSignals], robot: Robot, method: 
 #
 # linear in the compliances 1/k_j. It needs an expensive tracker, and postures in which every joint is loaded.
 
-POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 LARGEST_STD_PERCENT = 10.0
 """A joint whose stiffness scatters more than this is not loaded enough to be named."""
 

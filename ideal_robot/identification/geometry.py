@@ -9,9 +9,8 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.recording import POSE, Recording
 
-POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _POSTURES = 400
 """Postures of a recording that count: neighbouring samples show the same."""
 _PASSES = 3

@@ -93,7 +93,8 @@ def with_effects(loop: LoopModel, effects: tuple[FittedEffect, ...]) -> LoopMode
             half_gap[j], gap_load[j] = max(half_gap[j] + change.half_gap, 0.0), change.gap_load
         for wave, rows in ((change.ripple, ripples), (change.uneven, uneven)):
             if wave is not None:
-                rows.append(_wave(wave, j, loop.n))
+                rows.append(np.zeros((1, 3, loop.n)))
+                rows[-1][0, :, j] = wave
     stiffness = stiffness_with(loop.stiffness, changes)
     return loop.replace(
         chain=chain_with(loop.chain, changes), friction_torque=np.maximum(torque, 0.0),
@@ -104,12 +105,6 @@ def with_effects(loop: LoopModel, effects: tuple[FittedEffect, ...]) -> LoopMode
         friction_dry=np.where(loop.friction_torque[:, 0].mean(axis=0) > 0.0, loop.friction_dry,
                               np.where(torque[:, 0].mean(axis=0) > 0.0, torque[:, 0].mean(axis=0), 1.0)),
         terms=(*loop.terms, *(effect for effect, change in changes if change.torque)))
-
-
-def _wave(wave: tuple[float, float, float], j: int, n: int) -> Array:
-    row = np.zeros((1, 3, n))
-    row[0, :, j] = wave
-    return row
 
 
 def _joined(rows: list[Array], n: int) -> Array:

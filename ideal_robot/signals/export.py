@@ -16,13 +16,10 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.recording import POSE, WRENCH, Recording
 from ideal_robot.whole_file import OutputError, whole_file
 
-JOINT_STATE, POSE, WRENCH = ("sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped",
-                             "geometry_msgs/msg/WrenchStamped")
-_POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
-_WRENCH_COLUMNS = ("fx", "fy", "fz", "mx", "my", "mz")
+_STATE, _TCP, _WRENCH = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/WrenchStamped"
 _LAST = 2.0**31
 """Seconds that a stamp of ROS 2 can hold."""
 _ANGLES = {"/joint_commands": "q_c", "/joint_desired": "q_d", "/arm_states": "qa"}
@@ -103,26 +100,26 @@ def _topics(recording: Recording, store: Any) -> Iterator[tuple[str, str, Callab
         nothing = np.empty(0)
 
         def message(k: int, stamp: int) -> Any:
-            return types[JOINT_STATE](header=header(stamp, "base"), name=names, position=position[k], velocity=nothing,
+            return types[_STATE](header=header(stamp, "base"), name=names, position=position[k], velocity=nothing,
                                       effort=nothing if effort is None else effort[k])
 
         return message
 
-    yield ("/joint_states", JOINT_STATE,
+    yield ("/joint_states", _STATE,
            joints(recording.joints("q"), recording.joints("tau") if recording.has("tau") else None))
     for topic, prefix in _ANGLES.items():
         if recording.has(prefix):
-            yield topic, JOINT_STATE, joints(recording.joints(prefix), None)
-    if all(name in recording.columns for name in _POSE_COLUMNS):
-        pose = np.column_stack([recording.columns[name] for name in _POSE_COLUMNS])
-        yield "/tcp", POSE, lambda k, stamp: None if np.isnan(pose[k]).any() else types[POSE](
+            yield topic, _STATE, joints(recording.joints(prefix), None)
+    if all(name in recording.columns for name in POSE):
+        pose = np.column_stack([recording.columns[name] for name in POSE])
+        yield "/tcp", _TCP, lambda k, stamp: None if np.isnan(pose[k]).any() else types[_TCP](
             header=header(stamp, "base"), pose=types["geometry_msgs/msg/Pose"](
                 position=types["geometry_msgs/msg/Point"](*pose[k, :3].tolist()),
                 orientation=types["geometry_msgs/msg/Quaternion"](*pose[k, 3:].tolist())))
-    if all(name in recording.columns for name in _WRENCH_COLUMNS):
-        wrench = np.column_stack([recording.columns[name] for name in _WRENCH_COLUMNS])
+    if all(name in recording.columns for name in WRENCH):
+        wrench = np.column_stack([recording.columns[name] for name in WRENCH])
         vector = types["geometry_msgs/msg/Vector3"]
-        yield "/wrench", WRENCH, lambda k, stamp: None if np.isnan(wrench[k]).any() else types[WRENCH](
+        yield "/wrench", _WRENCH, lambda k, stamp: None if np.isnan(wrench[k]).any() else types[_WRENCH](
             header=header(stamp, "force_sensor"), wrench=types["geometry_msgs/msg/Wrench"](
                 force=vector(*wrench[k, :3].tolist()), torque=vector(*wrench[k, 3:].tolist())))
 

@@ -24,7 +24,9 @@ if TYPE_CHECKING:
 
 OF_JOINTS = ("q_c", "q_d", "q", "qa", "tau", "current", "temp")
 """Quantities that every joint has."""
-_OF_THE_ARM = frozenset(("t", "x", "y", "z", "qx", "qy", "qz", "qw", "fx", "fy", "fz", "mx", "my", "mz", "cam_t"))
+POSE, WRENCH = ("x", "y", "z", "qx", "qy", "qz", "qw"), ("fx", "fy", "fz", "mx", "my", "mz")
+"""Columns of the measured TCP and of the wrench."""
+_OF_THE_ARM = frozenset(("t", *POSE, *WRENCH, "cam_t"))
 _OF_THE_LINE = ("line_x", "line_y", "line_z")
 WRITTEN = (".parquet", ".csv")
 """Endings of files that recordings are written to."""
