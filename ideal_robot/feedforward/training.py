@@ -229,23 +229,24 @@ def training_motion(path: Array, t_ipo: float) -> Array:
 # allows. The horizon makes this work for systems that are not minimum phase, whose causal inverse would grow without
 # bound ([G] 4.2.1).
 
+_PAST, _BANDWIDTH = 8, 3.0
+"""Cycles before now that are used too, and corner frequency of desired paths [Hz]: above, the inverse need not be
+right."""
+_REGULARISATION = 1e-2
+"""Error of the answer, relative to the path, that is as bad as weights of size 1."""
+
+
 class LinearInverse(Windowed):
     """Preview filter that inverts a :class:`LinearLoop`.
 
     Args:
-        loop: the linear closed loops.
-        n_d: horizon; has to cover delay and rise of the loop.
-        past: desired positions of cycles before now that are used too.
-        bandwidth: desired paths have this corner frequency [Hz]; above it the inverse need not be right.
-        regularisation: error of the answer, relative to the path, that is as bad as weights of size 1.
+        loop, n_d: the linear closed loops, and the horizon; it has to cover their delay and rise.
         limits: lowest and highest command ``(n,)`` each [rad]; None for none.
     """
 
-    def __init__(self, loop: LinearLoop, n_d: int = 30, *, past: int = 8, bandwidth: float = 3.0,
-                 regularisation: float = 1e-2, limits: tuple[Array, Array] | None = None) -> None:
-        self.t_ipo, self.n_d, self.past, self.limits = loop.t_ipo, n_d, past, limits
-        self.weights = np.column_stack([
-            _preview_weights(loop.g[:, i], past, n_d, bandwidth * loop.t_ipo, regularisation) for i in range(loop.n)])
+    def __init__(self, loop: LinearLoop, n_d: int = 30, *, limits: tuple[Array, Array] | None = None) -> None:
+        self.t_ipo, self.n_d, self.past, self.limits = loop.t_ipo, n_d, _PAST, limits
+        self.weights = np.column_stack([_preview_weights(g, n_d, _BANDWIDTH * loop.t_ipo) for g in loop.g.T])
 
     def weighed(self, rows: Array) -> Array:
         """See ``Windowed.weighed``."""
@@ -253,13 +254,13 @@ class LinearInverse(Windowed):
         return np.asarray(now + np.sum(self.weights * (rows - now), axis=0))
 
 
-def _preview_weights(g: Array, past: int, n_d: int, corner: float, regularisation: float) -> Array:
-    """Weights ``r(-past … n_d - 1)`` of one joint; that of ``l = 0`` is 0, it multiplies nothing."""
-    count = past + n_d
+def _preview_weights(g: Array, n_d: int, corner: float) -> Array:
+    """Weights ``r(-_PAST … n_d - 1)`` of one joint; that of ``l = 0`` is 0, it multiplies nothing."""
+    count = _PAST + n_d
     # Loop and filter in series, written over lags: row j is the weight of q_d(k - j) in q_a(k).
-    lags = np.arange(-(n_d - 1), past + len(g))
+    lags = np.arange(-(n_d - 1), _PAST + len(g))
     series = np.zeros((len(lags), count))
-    for column, ahead in enumerate(range(-past, n_d)):
+    for column, ahead in enumerate(range(-_PAST, n_d)):
         start = -ahead - lags[0]
         series[start : start + len(g), column] = g
     direct = np.zeros(len(lags))
@@ -274,13 +275,13 @@ def _preview_weights(g: Array, past: int, n_d: int, corner: float, regularisatio
     smooth_direct, smooth_wanted = np.convolve(direct, shape), np.convolve(wanted, shape)
     moves = smooth - smooth_direct[:, None]
     estimate = InformationFilter(count)
-    estimate.update(moves, smooth_wanted - smooth_direct, regularisation * float(np.linalg.norm(smooth_wanted)))
+    estimate.update(moves, smooth_wanted - smooth_direct, _REGULARISATION * float(np.linalg.norm(smooth_wanted)))
     # Constant velocity and constant acceleration shall pass without error: first and second moment of the whole.
     for order in (1, 2):
         moment = lags.astype(float) ** order / 10.0**order
         row, left = moment @ (series - direct[:, None]), -moment @ direct
-        estimate.update(row[None], np.array([left]), 1e-3 * regularisation)
+        estimate.update(row[None], np.array([left]), 1e-3 * _REGULARISATION)
     estimate.update(np.eye(count), np.zeros(count), 1.0)
     weights = estimate.solve()
-    weights[past] = 0.0
+    weights[_PAST] = 0.0
     return np.asarray(weights)

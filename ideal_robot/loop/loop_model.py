@@ -23,9 +23,9 @@ def largest_speeds(v_max: Array) -> Array:
     return np.where(np.isfinite(v_max), v_max, 10.0)
 
 
-def velocity_grid(v_max: Array, points: int = 161) -> Array:
-    """Velocities ``(points, n)`` at which friction is tabled: dense near zero, up to 1.2 × the limit."""
-    return np.asarray(1.2 * largest_speeds(v_max) * np.linspace(0.0, 1.0, points)[:, None] ** 3)
+def velocity_grid(v_max: Array) -> Array:
+    """Velocities ``(161, n)`` at which friction is tabled: dense near zero, up to 1.2 × the limit."""
+    return np.asarray(1.2 * largest_speeds(v_max) * np.linspace(0.0, 1.0, 161)[:, None] ** 3)
 
 
 class Drives(NamedTuple):
