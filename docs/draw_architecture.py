@@ -10,6 +10,7 @@ import ast
 import itertools
 from collections.abc import Iterable, Iterator
 from functools import cache
+from graphlib import CycleError, TopologicalSorter
 from html import escape
 from pathlib import Path
 from textwrap import wrap
@@ -83,18 +84,15 @@ def between_folders() -> Graph:
 
 def layers(graph: Graph) -> dict[str, int]:
     """How many imports lie below a name at most; raises ``ValueError`` where imports go in a circle."""
-    depth: dict[str, int] = {}
-
-    def visit(name: str, above: tuple[str, ...]) -> int:
-        if name in above:
-            raise ValueError(f"imports go in a circle: {' → '.join([*above[above.index(name):], name])}")
-        if name not in depth:
-            below = [visit(other, (*above, name)) for other in sorted(graph[name])]
-            depth[name] = 1 + max(below, default=-1)
-        return depth[name]
-
-    for name in sorted(graph):
-        visit(name, ())
+    sorter, depth = TopologicalSorter(graph), dict[str, int]()
+    try:
+        sorter.prepare()
+    except CycleError as error:
+        raise ValueError(f"imports go in a circle: {' → '.join(reversed(error.args[1]))}") from error
+    while sorter:
+        ready = sorter.get_ready()
+        depth |= dict.fromkeys(ready, 1 + max(depth.values(), default=-1))
+        sorter.done(*ready)
     return depth
 
 
@@ -110,19 +108,13 @@ def reduced(graph: Graph) -> Graph:
 def structure() -> tuple[set[str], set[tuple[str, str]]]:
     """All rooms and all arrows of the picture."""
     drawn = {room for folder in FOLDERS for room in rooms(folder)}
-    arrows = {(name, other) for name, below in reduced(between_folders()).items() for other in below}
-    for folder in FOLDERS:
-        arrows |= {(name, other) for name, below in reduced(_inside(folder)).items() for other in below}
-    return drawn, arrows
+    return drawn, {(name, other) for graph in (between_folders(), *map(_inside, FOLDERS))
+                   for name, below in reduced(graph).items() for other in below}
 
 
 def _inside(folder: str) -> Graph:
     graph = imports(folder)
     return {name: below & set(graph) for name, below in graph.items()}
-
-
-def _bend(start: str, end: str, layer: int) -> str:
-    return f"{start}>{end}@{layer}"
 
 
 def _arranged(graph: Graph) -> tuple[list[list[str]], dict[tuple[str, str], list[str]]]:
@@ -134,7 +126,7 @@ def _arranged(graph: Graph) -> tuple[list[list[str]], dict[tuple[str, str], list
     ways: dict[tuple[str, str], list[str]] = {}
     for name in sorted(graph):
         for other in sorted(graph[name]):
-            bends = {layer: _bend(name, other, layer) for layer in range(depth[name] - 1, depth[other], -1)}
+            bends = {layer: f"{name}>{other}@{layer}" for layer in range(depth[name] - 1, depth[other], -1)}
             for layer, bend in bends.items():
                 rows[layer].append(bend)
             ways[name, other] = [name, *bends.values(), other]

@@ -13,7 +13,7 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import MISSING, fields
 from functools import wraps
 from pathlib import Path
@@ -106,36 +106,20 @@ def _too_long(path: Path) -> bool:
     return False
 
 
-class Verbs(Mapping[str, TyperCommand]):
-    """The verbs by name, each declared when it is asked for: all of them cost as much as the answer of one."""
-
-    def __init__(self) -> None:
-        self._declared: dict[str, TyperCommand] = {}
-
-    def __getitem__(self, verb: str) -> TyperCommand:
-        if verb not in self._declared:
-            alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
-            alone.command(verb, cls=Verb)(function_of(verb))
-            self._declared[verb] = typer.main.get_command(alone)  # type: ignore[assignment]
-        return self._declared[verb]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(VERBS)
-
-    def __len__(self) -> int:
-        return len(VERBS)
-
-
 class Program(TyperGroup):
     """The program: its page of help tells of each verb no more than name, theme and first sentence."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
-        self.commands: Mapping[str, TyperCommand] = Verbs()  # type: ignore[assignment]
+        self.commands: dict[str, Any] = dict.fromkeys(VERBS)
 
-    def list_commands(self, ctx: Any) -> list[str]:
-        """In the order of the themes."""
-        return list(self.commands)
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """The verb, declared when it is asked for: all of them cost as much as the answer of one."""
+        if cmd_name in VERBS and self.commands[cmd_name] is None:
+            alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
+            alone.command(cmd_name, cls=Verb)(function_of(cmd_name))
+            self.commands[cmd_name] = typer.main.get_command(alone)
+        return self.commands.get(cmd_name)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Writes the page."""

@@ -210,8 +210,8 @@ def sweep(work: Sequence[Job], *, processes: int = 2, dask: str | None = None,
         InputError: a scene cannot be used, none of them knows a method, or no scheduler answers at ``dask``.
     """
     scenes = {job.scene: _scene(job.scene) for job in work if isinstance(job.scene, str)}
-    _check_methods(work, scenes)
     loaded = [job.scene if isinstance(job.scene, Scene) else scenes[job.scene] for job in work]
+    _check_methods(work, {scene.kind for scene in loaded})
     digests = {id(scene): digest_of([program()["digest"], identity(scene), scene.model_dump(mode="json")])
                for scene in {id(scene): scene for scene in loaded}.values()}
     described = [_described(job, digests[id(scene)]) for job, scene in zip(work, loaded, strict=True)]
@@ -266,8 +266,7 @@ def _named(job: Job) -> dict[str, Any]:
             **({} if job.world is None else {"world": job.world}), "failure": None}
 
 
-def _check_methods(work: Sequence[Job], scenes: dict[str, Scene]) -> None:
-    kinds = {(job.scene if isinstance(job.scene, Scene) else scenes[job.scene]).kind for job in work}
+def _check_methods(work: Sequence[Job], kinds: set[str]) -> None:
     known = sorted({key for kind in kinds for key in KINDS.get(kind).methods()})
     for job in work:
         if isinstance(job.method, str):
