@@ -11,15 +11,13 @@ import json
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import ideal_robot
 from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
 from ideal_robot.registry import imported
-from ideal_robot.results import Summarised
 from ideal_robot.robots import SHIPPED as SHIPPED_ARMS
 from ideal_robot.robots.robot import Robot
 from scenes.arms import arm_of, model_at, shipped_model
@@ -35,30 +33,15 @@ def _identified(robot_name: str, **options: Any) -> Model:
     return identified_model(robot_name, **options)[0]
 
 
-def write_models(names: Sequence[str]) -> list[Path]:
-    """Identifies and writes the shipped models."""
-    return [_identified(name).save(shipped_model(name)) for name in names]
-
-
 PROCEDURE = 4
 """Counts the ways in which models have been prepared; another one makes kept models void."""
 
 
-@dataclass(frozen=True, repr=False)
-class PreparedModel(Summarised):
-    """Where an arm's own model lies.
-
-    Attributes:
-        path: its file.
-        fresh: whether it was identified just now.
-    """
+class PreparedModel(NamedTuple):
+    """The file of an arm's own model, and whether it was identified just now."""
 
     path: Path
     fresh: bool
-
-    def summary(self) -> list[tuple[str, str]]:
-        """Where the model lies."""
-        return [("model", f"{self.path}{', identified just now' if self.fresh else ''}")]
 
 
 def cache_folder() -> Path:
@@ -135,8 +118,8 @@ def own_model(scene: Scene, robot: Robot, progress: Progress = silent) -> str:
 if __name__ == "__main__":
     import sys
 
-    for path in write_models(sys.argv[1:] or ["kr6", "kr15", "manutec_r15"]):
-        print(path)
+    for shipped in sys.argv[1:] or ["kr6", "kr15", "manutec_r15"]:
+        print(_identified(shipped).save(shipped_model(shipped)))
 
 
 # What was played, as digests: task, world and model of a run.

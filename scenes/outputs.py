@@ -61,10 +61,8 @@ def _check(path: Path, option: str, folder: bool) -> None:
     place = path if folder else path.parent
     # Libraries and pages want text: no name that the system has, but UTF-8 has not.
     str(path).encode()
-    if not folder:
-        os.fsencode(path.name)
-        if len(os.fsencode(path.name)) > 255:
-            raise InputError("the name is too long", field=option, value=f"{path.name[:40]}…")
+    if not folder and len(os.fsencode(path.name)) > 255:
+        raise InputError("the name is too long", field=option, value=f"{path.name[:40]}…")
     while not place.exists():
         place = place.parent
     if not place.is_dir():
