@@ -98,7 +98,7 @@ def path_errors(t: Array, x_d: Array, t_actual: Array, x_actual: Array) -> PathE
     return PathErrors(
         time_matched=Error.of(np.linalg.norm(actual - x_d, axis=1)),
         aligned=Error.of(np.linalg.norm(at(t + delay) - x_d, axis=1)),
-        geometric=Error.of(distance_to_path(t + delay, at(t + delay), t, x_d)),
+        geometric=Error.of(_distance_to_path(t + delay, at(t + delay), t, x_d)),
         delay=delay,
     )
 
@@ -142,15 +142,11 @@ class _Motion:
             let_go(self._t, self._x)
 
 
-def distance_to_path(t: Array, x: Array, t_path: Array, x_path: Array) -> Array:
-    """Distance ``(N,)`` [m] of points from a polyline near the same instants.
+def _distance_to_path(t: Array, x: Array, t_path: Array, x_path: Array) -> Array:
+    """Distance ``(N,)`` [m] of points ``(N, 3)`` from a polyline with corners ``(M, 3)`` near the same instants.
 
     Only the part of the path within 0.4 s of the point's own instant is looked at, so a path that crosses itself does
     not flatter the error.
-
-    Args:
-        t, x: instants ``(N,)`` [s] and points ``(N, 3)`` [m].
-        t_path, x_path: rising instants ``(M,)`` [s] and corners of the polyline ``(M, 3)`` [m].
     """
     starts, steps = x_path[:-1], np.diff(x_path, axis=0)
     lengths = np.maximum(np.sum(steps**2, axis=1), 1e-24)

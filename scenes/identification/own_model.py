@@ -18,13 +18,12 @@ from scenes.result import Progress, part_of, silent
 from sim.arm.world import World
 
 
-def identified_model(robot_name: str, *, seed: int = 1, period: float = 20.0, world: World | None = None,
-                     boxes: Sequence[Obstacle] = (), progress: Progress = silent) -> tuple[Model, list[Recording]]:
+def identified_model(robot_name: str, *, world: World | None = None, boxes: Sequence[Obstacle] = (),
+                     progress: Progress = silent) -> tuple[Model, list[Recording]]:
     """Plays two identification motions on a simulated arm and identifies everything from them.
 
     Args:
         robot_name, world: the arm as its data sheet has it, and what it is like; its default world if None.
-        seed, period: of motions and noise, and of the motions [s].
         boxes: that stand in the cell.
         progress: called with the fraction done.
     """
@@ -33,9 +32,9 @@ def identified_model(robot_name: str, *, seed: int = 1, period: float = 20.0, wo
     workspace = replace(Workspace.of(robot), cell=Shapes(robot, boxes=boxes)) if boxes else None
     for run in range(2):
         progress(0.4 * run, "planning an identification motion")
-        planned = plan(robot, "joint", seed=seed + run, period=period, workspace=workspace)
+        planned = plan(robot, "joint", seed=run + 1, workspace=workspace)
         played = part_of(progress, 0.4 * run + 0.1, 0.3)
-        recordings.append(play_plan(planned, robot, seed + run, partial(_moving, played), world))
+        recordings.append(play_plan(planned, robot, run + 1, partial(_moving, played), world))
     progress(0.8, "identifying")
     model = identify_model(recordings, robot).model
     return model.with_effects(fit_ripple(recordings, model, robot)), recordings
