@@ -16,15 +16,7 @@ from planning import OutOfReachError
 from planning.line.line_follower import line_ahead
 from planning.path.kinematics import InverseKinematics
 from scenes.online.force_known import Known as ForceKnown
-from scenes.online.line_known import (
-    REST,
-    CalibrationView,
-    Known,
-    SeenBefore,
-    calibration_postures,
-    piece_map,
-    view_of,
-)
+from scenes.online.line_known import REST, CalibrationView, Known, SeenBefore, calibration_postures, piece_map, view_of
 from scenes.online.live_arm import moves
 from scenes.placing import shapes_about
 from sensing import SensingError

@@ -11,15 +11,7 @@ import typer
 from ideal_robot.errors import InputError
 from ideal_robot.progress import part_of
 from ideal_robot.whole_file import whole_files
-from scenes.commands.common import (
-    DriveData,
-    JsonPlan,
-    RobotName,
-    SearchSeed,
-    progress_bar,
-    show_table,
-    write_signed,
-)
+from scenes.commands.common import DriveData, JsonPlan, RobotName, SearchSeed, progress_bar, show_table, write_signed
 from scenes.outputs import check_outputs, folders_held, whole_folder
 from scenes.scene_file import load_scene
 

@@ -8,15 +8,7 @@ import pydantic
 
 from ideal_robot.errors import InputError
 from planning.force.contact import TOGETHER, StopLimits
-from scenes.scene_files.drawn_line import (
-    Calibration,
-    CameraTable,
-    Displacement,
-    Line,
-    Reference,
-    Surface,
-    check_clock,
-)
+from scenes.scene_files.drawn_line import Calibration, CameraTable, Displacement, Line, Reference, Surface, check_clock
 from scenes.scene_files.scene import ARM, Box, Scene, Span, Table
 
 
