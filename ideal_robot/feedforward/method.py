@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -185,12 +185,9 @@ class Setting:
         return self.practice
 
 
-class Factory(Protocol):
-    """Makes the feedforward of a method; a subclass of ``Feedforward`` that takes a ``Setting`` is one."""
-
-    def __call__(self, setting: Setting) -> Feedforward:
-        """Makes it; raises InputError, which says what it needs and is not in the setting."""
-        ...
+Factory = Callable[[Setting], Feedforward]
+"""Makes the feedforward of a method, or raises InputError, which says what it needs and is not in the setting; a
+subclass of ``Feedforward`` that takes a ``Setting`` is one."""
 
 
 @dataclass(frozen=True)

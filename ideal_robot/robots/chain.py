@@ -69,7 +69,7 @@ def serial_arm(text: str, file: str | Path | None = None, tool: str | None = Non
     while chain and tool not in joints and (not drives(chain[-1]) or (
             chain[-1].get("name") in followed and any(map(drives, chain[:-1])))):
         chain.pop()
-    at = _tool_link(tree, [_child(joint) for joint in chain]) if tool not in joints else tool
+    at = _tool_link(tree, [_link(joint, "child") for joint in chain]) if tool not in joints else tool
     changed = _held(joints, {id(joint) for joint in chain}) + _limited(chain)
     if tool not in joints:
         at = _facing_away(root, tree, chain, at, changed)
@@ -83,7 +83,7 @@ class _Tree:
         self.joints = joints
         self.children: dict[str, list[str]] = {}
         for link, joint in joints.items():
-            self.children.setdefault(_parent(joint), []).append(link)
+            self.children.setdefault(_link(joint, "parent"), []).append(link)
         roots = [link for link in self.children if link not in joints]
         self.root = roots[0] if len(roots) == 1 else ""
         self._depth: dict[str, int] = {}
@@ -124,7 +124,7 @@ class _Tree:
         found = []
         while link in self.joints:
             found.append(self.joints[link])
-            link = _parent(self.joints[link])
+            link = _link(self.joints[link], "parent")
         return found[::-1]
 
     def fixed_beyond(self, link: str) -> list[str]:
@@ -141,12 +141,13 @@ def drives(joint: ET.Element) -> bool:
     """Whether a joint of a URDF moves on its own and is no gripper's."""
     if joint.get("type") == "fixed" or joint.find("mimic") is not None:
         return False
-    return not (_GRIPPER.search(str(joint.get("name"))) or _FINGER.search(_child(joint)))
+    return not (_GRIPPER.search(str(joint.get("name"))) or _FINGER.search(_link(joint, "child")))
 
 
-def _parent(joint: ET.Element) -> str:
-    parent = joint.find("parent")
-    return "" if parent is None else str(parent.get("link"))
+def _link(joint: ET.Element, end: str) -> str:
+    """The link at one end of a joint, ``parent`` or ``child``."""
+    element = joint.find(end)
+    return "" if element is None else str(element.get("link"))
 
 
 def _tool_link(tree: _Tree, chain: list[str]) -> str | None:
@@ -173,7 +174,7 @@ def _facing_away(root: ET.Element, tree: _Tree, chain: list[ET.Element], link: s
     if link is None or len(moving) < 2 or moving[-1].get("type") == "prismatic":
         return link
     beyond = _placed(tree.path(link), moving[-1])
-    back = _placed(tree.path(_child(moving[-1])), moving[-2])
+    back = _placed(tree.path(_link(moving[-1], "child")), moving[-2])
     along = _axis(moving[-1])
     # The last joint's angle turns about the axis alone: what lies along it is the same at every angle.
     length = float(along @ (beyond.translation + back.rotation.T @ back.translation))
@@ -210,11 +211,6 @@ def _axis(joint: ET.Element) -> Array:
     axis = joint.find("axis")
     written = np.array([float(v) for v in ("1 0 0" if axis is None else axis.get("xyz", "1 0 0")).split()])
     return np.asarray(written / max(float(np.linalg.norm(written)), 1e-9))
-
-
-def _child(joint: ET.Element) -> str:
-    child = joint.find("child")
-    return "" if child is None else str(child.get("link"))
 
 
 def _held(joints: dict[str, ET.Element], chain: set[int]) -> list[str]:

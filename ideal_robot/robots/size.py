@@ -15,6 +15,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
+from ideal_robot.results import listed
 from ideal_robot.robots import SHIPPED
 from ideal_robot.robots.robot import Robot, _frozen, spread_postures
 from ideal_robot.robots.urdf import FEWEST, model_of
@@ -168,7 +169,7 @@ def _speeds(robot: Robot, told: list[str]) -> Array:
     usual = np.where(robot.prismatic, SLIDING_SPEED, usual)
     missing = ~(np.isfinite(robot.v_max) & (robot.v_max < ABSURD_SPEED * usual))
     if missing.any():
-        told.append(f"no arm's speed limit of {_joints(missing)} in the URDF: {_listed(usual[missing])} rad/s or m/s "
+        told.append(f"no arm's speed limit of {_joints(missing)} in the URDF: {listed(usual[missing])} rad/s or m/s "
                     "are taken, as arms of that size have")
     return np.where(missing, usual, robot.v_max)
 
@@ -179,7 +180,7 @@ def _efforts(robot: Robot, told: list[str]) -> Array:
     usual = np.maximum(usual, WEAKEST * usual[~robot.prismatic].max(initial=0.0))
     missing = ~(np.isfinite(robot.tau_max) & (robot.tau_max > HOLDS * gravity))
     if missing.any():
-        told.append(f"no effort of {_joints(missing)} in the URDF that could hold the arm: {_listed(usual[missing])} "
+        told.append(f"no effort of {_joints(missing)} in the URDF that could hold the arm: {listed(usual[missing])} "
                     "N m or N are taken, for its masses and speeds")
     return np.where(missing, usual, robot.tau_max)
 
@@ -196,10 +197,6 @@ def loads(robot: Robot) -> tuple[Array, Array]:
 def _joints(which: NDArray[np.bool_]) -> str:
     numbers = [str(j + 1) for j in np.flatnonzero(which)]
     return f"joint {numbers[0]}" if len(numbers) == 1 else f"joints {', '.join(numbers)}"
-
-
-def _listed(values: Array) -> str:
-    return ", ".join(f"{value:.3g}" for value in values)
 
 
 def shoulder_height(robot: Robot) -> float:
