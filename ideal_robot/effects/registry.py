@@ -1,13 +1,9 @@
 """The library of effects: one table, and the way in for effects of other packages.
 
-To add an effect, write its class (``ideal_robot.effects.base.Effect``) in the file of its family, and a line in the
-table for each channel it shows in. A package outside calls ``register(MyEffect())``, or has an entry point, which is
-found without anybody importing the package:
+How one is added stands at ``ideal_robot.effects.base.Effect``; an entry point of another package is
 
     [project.entry-points."ideal_robot.effects"]
     "my_effect/tau" = "my_package.my_effect:MyEffect"
-
-The effect is then looked for by ``diagnose``, found in model files, and stands in the tables.
 """
 
 from __future__ import annotations
