@@ -21,13 +21,7 @@ from ideal_robot.jit import jit
 from sensing.camera.camera_device import Field
 from sensing.camera.camera_model import CameraModel, pixel_rays
 from sensing.camera.line_profile import MAX_CANDIDATES, Look, find_sections
-from sensing.camera.line_search import (
-    DetectionSettings,
-    PredictedImage,
-    PredictedLine,
-    predict_image,
-    search_windows,
-)
+from sensing.camera.line_search import DetectionSettings, PredictedImage, PredictedLine, predict_image, search_windows
 
 # Which points of a field the others confirm.
 #

@@ -17,14 +17,7 @@ from ideal_robot.arrays import GRAVITY
 from ideal_robot.errors import InputError
 from sensing import SensingError
 from sensing.force.force_calibration import ToolLoad, identify_elasticity, identify_tool, require_gravity
-from sensing.force.sensors import (
-    NetFT,
-    Reading,
-    StreamForce,
-    WrenchSource,
-    force_deviation,
-    open_force,
-)
+from sensing.force.sensors import NetFT, Reading, StreamForce, WrenchSource, force_deviation, open_force
 from sim.contact.contact import ForceSensor, ForceSensorSettings
 from tests.sensing.stream.test_stream import device, package
 
