@@ -67,13 +67,7 @@ class Kind(IntEnum):
 
 @dataclass(frozen=True)
 class Package:
-    """One package.
-
-    Attributes:
-        kind: see the table.
-        stamp: by the sender's clock [s].
-        payload: as it came.
-    """
+    """One package: its kind, see the table, its stamp by the sender's clock [s], and its payload as it came."""
 
     kind: int
     stamp: float

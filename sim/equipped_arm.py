@@ -75,11 +75,9 @@ class Carried(Protocol):
 
 @dataclass(frozen=True)
 class Knock:
-    """Somebody knocks the camera.
+    """Somebody knocks the camera at ``t`` [s].
 
-    Attributes:
-        t: when [s].
-        yaw: by how much it is turned about the tool's approach axis through its own centre [rad].
+    It is turned by ``yaw`` [rad] about the tool's approach axis through its own centre.
     """
 
     t: float

@@ -107,12 +107,9 @@ def feet_of(cubics: Array, knot: float, points: Array, first: float, end: float)
 
 
 class Rigid(NamedTuple):
-    """A rigid motion of a path.
+    """A rigid motion of a path about ``centre (3,)``, with ``axes`` as rows ``(3, 3)``.
 
-    Attributes:
-        centre: point about which it turns ``(3,)``.
-        axes: its axes as rows ``(3, 3)``.
-        size: 3 for a motion in the plane of the first two axes, 6 for any.
+    ``size`` is 3 for a motion in the plane of the first two axes, 6 for any.
     """
 
     centre: Array

@@ -147,11 +147,9 @@ TOUCHING = 2.0
 
 @dataclass(frozen=True)
 class ContactElasticity:
-    """The elasticity E of [L] (3): force per displacement.
+    """The elasticity E of [L] (3), force per displacement, and its standard deviation [N/m].
 
-    Attributes:
-        stiffness, std: E and its standard deviation [N/m].
-        touch: position along the direction of motion at which the force begins [m].
+    The force begins at ``touch`` [m] along the direction of motion.
     """
 
     stiffness: float

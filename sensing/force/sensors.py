@@ -88,12 +88,7 @@ def force_deviation(force: Array, direction: Array, wanted: float, elasticity: f
 
 @dataclass(frozen=True)
 class Reading:
-    """One reading.
-
-    Attributes:
-        stamp: instant of the measurement by the sensor's clock [s].
-        wrench: force [N] and moment [N m] ``(6,)``, in the sensor's frame.
-    """
+    """One reading: instant by the sensor's clock [s]; force [N] and moment [N m] ``(6,)`` in the sensor's frame."""
 
     stamp: float
     wrench: Array

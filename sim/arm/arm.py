@@ -61,12 +61,9 @@ def _require_integrable(model: pin.Model, q: Array, p: Array) -> None:
 
 @dataclass(frozen=True)
 class TrueState:
-    """The true state, which no controller measures.
+    """The true state, which no controller measures, at ``t`` [s].
 
-    Attributes:
-        t: time [s].
-        q_a, q_m: arm angles, and motor angles on the joint side ``(n,)`` [rad].
-        tcp: pose of the tool frame in the base frame.
+    Arm angles, motor angles on the joint side ``(n,)`` [rad], and pose of the tool frame in the base frame.
     """
 
     t: float

@@ -29,11 +29,9 @@ WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 
 @dataclass(frozen=True)
 class Push:
-    """One load case: the controller shifts the motors together along ``motion`` and holds levels.
+    """One load case: the controller shifts the motors together along ``motion (n,)`` [rad per unit of level].
 
-    Attributes:
-        motion: direction of the motors' shift ``(n,)`` [rad per unit of level].
-        levels: shifts held one after the other ``(m,)``.
+    It holds the levels ``(m,)`` one after the other.
     """
 
     motion: Array
