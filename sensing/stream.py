@@ -119,14 +119,11 @@ _FORGET = 1.001
 
 
 class StreamConnection:
-    """Packages of one device.
+    """Packages of one device; raises ``InputError`` where no one listens there.
 
     Args:
         host, port: address of the device, and TCP port.
         patience: how long the first connection is tried [s].
-
-    Raises:
-        InputError: no one listens there.
 
     Attributes:
         clock: how the device's clock relates to this computer's; no delay has to be known.
@@ -220,15 +217,12 @@ class StreamConnection:
 
 
 def host_and_port(rest: str, field: str, port: int | None = None) -> tuple[str, int]:
-    """Host and port of ``//host:port``.
+    """Host and port of ``//host:port``; raises ``InputError`` for what is not of that form.
 
     Args:
         rest: what stands behind the scheme and its colon.
         field: what is addressed, for messages.
         port: usual one; it must be given if None.
-
-    Raises:
-        InputError: not of that form.
     """
     place = rest.removeprefix("//").partition("?")[0].rstrip("/")
     host, colon, number = place.rpartition(":")
@@ -243,13 +237,12 @@ def host_and_port(rest: str, field: str, port: int | None = None) -> tuple[str, 
 def options(rest: str, known: dict[str, float], field: str) -> dict[str, float]:
     """Numbers behind a question mark, ``?rate=7000&counts_force=1e6``.
 
+    Raises ``InputError`` for another name, or no positive number.
+
     Args:
         rest: what stands behind the scheme and its colon.
         known: names that may be given, with their usual values.
         field: what is addressed, for messages.
-
-    Raises:
-        InputError: another name, or no positive number.
     """
     found = dict(known)
     for piece in filter(None, rest.partition("?")[2].split("&")):

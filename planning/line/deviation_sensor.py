@@ -53,13 +53,12 @@ class DeviationSensor(Protocol):
 def fuse_reading(follower: LineFollower, reading: Reading, sensor: str) -> Fused:
     """Fuses a reading into the follower's map: [L] (5), Δx_r = Δx_a - (x_r - x̂_a), along the sensed direction.
 
+    Raises ``InputError`` for shapes that do not fit, values that are not finite, or a variance that is none.
+
     Args:
         follower: knows where the tool was at the reading's time.
         reading: what was measured.
         sensor: its name.
-
-    Raises:
-        InputError: shapes that do not fit, values that are not finite, or a variance that is none.
     """
     at = np.asarray(reading.at, dtype=float)
     if at.shape != (3,):

@@ -197,13 +197,12 @@ class DesiredPath:
     def horizon(self, t: float, estimate: Callable[[Array], Array], changed: bool) -> Array:
         """Desired joint positions ``q_d(k) … q_d(k + n_d - 1)`` from ``t`` on, shape ``(n_d, n)`` [rad].
 
+        Raises ``OutOfReachError`` where the desired path leads out of the arm's reach.
+
         Args:
             t: now [s].
             estimate: the estimated deviation ``(m, directions)`` [m] of arc lengths ``(m,)`` [m].
             changed: whether the estimate is another one than at the last call.
-
-        Raises:
-            OutOfReachError: the desired path leads out of the arm's reach.
         """
         k = self.cycle(t)
         end = k + self.n_d

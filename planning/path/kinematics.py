@@ -102,14 +102,13 @@ class InverseKinematics:
     def solve(self, target: pin.SE3, q: Array, iterations: int = 50, wanted: Array | None = None) -> Array:
         """Joint angles ``(n,)`` [rad] of one pose, from the guess ``q (n,)``; steps are cut to 0.3 rad.
 
+        Raises ``OutOfReachError`` where no solution lies within the joint limits near the guess.
+
         Args:
             target: pose of the TCP in the base frame.
             q: guess ``(n,)`` [rad].
             iterations: Newton steps at most.
             wanted: as for ``step``.
-
-        Raises:
-            OutOfReachError: no solution within the joint limits near the guess.
         """
         error = np.full(6, np.inf)
         for _ in range(iterations):

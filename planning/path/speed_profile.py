@@ -61,15 +61,12 @@ class JointPath:
 
     @classmethod
     def of(cls, robot: Robot, reference: ReferencePath, home: Array | None = None) -> JointPath:
-        """Solves the inverse kinematics along the whole path, in the posture nearest to ``home``.
+        """Solves the whole path in the posture nearest to ``home``; ``InputError`` names place, joint and limit.
 
         Args:
             robot: the arm.
             reference: the reference path.
             home: preferred joint angles ``(n,)`` [rad]; the robot's home posture if None.
-
-        Raises:
-            InputError: a part of the path is out of reach; says where, which joint and its limit.
         """
         kinematics = InverseKinematics(robot)
         s = np.linspace(0.0, reference.length, max(round(reference.length / STEP), 10) + 1)

@@ -165,15 +165,12 @@ class GenICamCamera:
 
     @classmethod
     def open(cls, producer: Path, serial: str | None = None, least_delay: float = 0.0) -> GenICamCamera:
-        """A camera by its producer's GenTL file.
+        """A camera by its producer's GenTL file; raises ``InputError`` without harvesters, such a file or a camera.
 
         Args:
             producer: the ``.cti`` file that came with the camera.
             serial: number of the camera; the first one found if None.
             least_delay: see the class.
-
-        Raises:
-            InputError: harvesters is not installed, no such file or camera.
         """
         try:
             from harvesters.core import Harvester

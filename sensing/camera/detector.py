@@ -22,16 +22,13 @@ class LineDetector(Protocol):
 
     def detect(self, field: Field, camera: CameraModel, prediction: PredictedLine,
                settings: DetectionSettings) -> LineField:
-        """Line points of a field, in the tool frame.
+        """Line points of a field, in the tool frame; raises ``InputError`` without one window per predicted point.
 
         Args:
             field: patches of the windows that ``search_windows`` asked for.
             camera: the camera as it is calibrated.
             prediction: where the line should be, in the tool frame; point i belongs to window i.
             settings: how the line looks and what is accepted.
-
-        Raises:
-            InputError: the field has not one window per predicted point.
         """
         ...
 

@@ -144,6 +144,8 @@ def calibrate(
 ) -> HandEye:
     """Estimates what is wrong with the camera from observations of one piece of the line.
 
+    Raises ``SensingError`` for too few points.
+
     Args:
         camera: the camera as it is believed.
         observations: fields from different poses; at least three with three points.
@@ -151,9 +153,6 @@ def calibrate(
         normal: unit normal of the surface ``(3,)``.
         prior: standard deviations of the parameters; those missing are not estimated.
         knot: spacing of the spline of the line's deviation from the reference [m].
-
-    Raises:
-        SensingError: too few points.
     """
     names = [name for name in prior if name != RISE]
     rise = prior.get(RISE, 0.0)

@@ -159,14 +159,13 @@ _FURTHEST = 100_000
 class NetFT:
     """A ``WrenchSource`` over raw data transfer. Only packets of the sensor's own address count.
 
+    Raises ``InputError`` where there is no such address.
+
     Args:
         host, port: address of the sensor, and UDP port.
         rate: samples a second of the sensor, which make its clock [Hz].
         counts_force, counts_torque: counts per newton, and per newton metre.
         least_delay: from the measurement to the packet's arrival, at least, the sensor's filter included [s].
-
-    Raises:
-        InputError: no such address.
     """
 
     def __init__(self, host: str, port: int = PORT, *, rate: float = 7000.0, counts_force: float = 1e6,
@@ -253,12 +252,11 @@ _WRENCH = struct.Struct(">I6d")
 class StreamForce:
     """A ``WrenchSource`` over a stream; stamps are of the sender's clock, which is asked for.
 
+    Raises ``InputError`` where no one listens there.
+
     Args:
         host, port: address of the sender, and TCP port.
         patience: how long the sender is waited for [s].
-
-    Raises:
-        InputError: no one listens there.
     """
 
     def __init__(self, host: str, port: int, patience: float = 5.0) -> None:

@@ -177,7 +177,7 @@ class View(NamedTuple):
 
 
 class Stage:
-    """An arm on a floor that can be shown in many postures from one place.
+    """An arm on a floor, shown in many postures from one place; raises ``InputError`` for ``q`` of wrong size.
 
     Args:
         robot: any robot whose URDF holds primitive shapes; an arm without any is drawn as rods from joint to joint.
@@ -185,9 +185,6 @@ class Stage:
         view: from where it is shown.
         lines: polylines ``(N, 3)`` [m] in the base frame to be drawn as thin rods, e.g. a path.
         surface: corners ``(4, 3)`` [m] of a flat surface to be drawn as a plate, or None.
-
-    Raises:
-        InputError: ``q`` of wrong size.
     """
 
     def __init__(self, robot: Robot, q: Array, view: View | None = None, *, lines: Sequence[Array] = (),

@@ -132,7 +132,7 @@ class RenderedCamera:
 
     def windows(self, t_exposure: float, pose_at: PoseAt, windows: Sequence[Window],
                 shape: Sequence[Array] = (), q: Array | None = None, *, measured: bool = True) -> Field:
-        """One field, cut to windows.
+        """One field, cut to windows; raises ``InputError`` where one reaches outside the image.
 
         Args:
             t_exposure: true time of mid-exposure, one of ``due`` [s].
@@ -142,9 +142,6 @@ class RenderedCamera:
             q: arm angles ``(n,)`` [rad] at ``t_exposure``, for an arm that is in the picture (``shows_arm``).
             measured: whether it is measured in; what is only looked at stands where it is in the middle of the
                 exposure, one sample a pixel.
-
-        Raises:
-            InputError: a window reaches outside the image.
         """
         for window in windows:
             inside = min(window) >= 0 and window.u + window.width <= self.model.width

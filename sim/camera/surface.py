@@ -280,13 +280,12 @@ class _Canvas:
 def paint(line: DrawnLine, resolution: float = 0.00025, margin: float = 0.2) -> Texture:
     """Paints the line and its features.
 
+    Raises ``InputError`` for more than 64 million texels, or a resolution that is not positive.
+
     Args:
         line: what is drawn.
         resolution: size of a texel [m]; a quarter of the soft edge or finer keeps the nearest texel's error small.
         margin: how far the surface reaches beyond the line [m].
-
-    Raises:
-        InputError: the surface would need more than 64 million texels, or the resolution is not positive.
     """
     if not resolution > 0.0:
         raise InputError("must be positive", field="surface.resolution", value=resolution)

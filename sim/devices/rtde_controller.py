@@ -33,7 +33,7 @@ _LOOK = 0.05
 
 
 class RtdeController:
-    """Listens from the beginning, and serves clients while it is asked to.
+    """Listens from the beginning, and serves clients while it is asked to; raises ``OSError`` where it cannot.
 
     Args:
         arm: the arm; it has to have six joints.
@@ -42,9 +42,6 @@ class RtdeController:
         timeout: how long a command is waited for in each cycle of ``run`` [s]; the simulated time stands still
             meanwhile.
         address: where to listen; port 0 for any free one.
-
-    Raises:
-        OSError: it cannot be listened there.
 
     Attributes:
         address: where it listens.
