@@ -74,8 +74,7 @@ def overshoot_gain(scene: LineScene, *, progress: Progress = silent) -> tuple[fl
             progress((i + 1) / len(K_P), "searching the gain at which direct feedback overshoots")
             if found[-1][1] > 4 * OVERSHOOT:
                 break
-    below = [k_p for k_p, overshoot in found if overshoot <= OVERSHOOT]
-    return (max(below) if below else 0.0), tuple(found)
+    return max((k_p for k_p, overshoot in found if overshoot <= OVERSHOOT), default=0.0), tuple(found)
 
 
 @dataclass(frozen=True, repr=False)

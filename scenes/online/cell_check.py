@@ -40,8 +40,7 @@ class Piece:
     """The piece of the line that is looked at.
 
     Attributes:
-        reference: the reference path.
-        at: arc length of it around which the piece lies [m].
+        at: arc length of the reference around which the piece lies [m].
         start: where the arm is, and is again afterwards ``(n,)`` [rad].
         clear: how far the tip keeps away from the reference at least [m].
         shapes: the arm in its cell.
@@ -61,7 +60,6 @@ class CalibrationMotion:
     """From the start over the piece of the line and back, which is planned before the arm is connected.
 
     Attributes:
-        piece: of the line.
         commands: ``(N, n)`` [rad].
         sag: how far the gears bend ``(N, n)`` [rad].
         begin, end: when the arm is over the piece [s]. On the way there and back another piece of the line is seen, or
@@ -168,11 +166,9 @@ class Look:
     """What is looked at.
 
     Attributes:
-        reference: the reference path.
-        begin: arc length at which the line begins [m].
+        begin: arc length of the reference at which the line begins [m].
         start: where the arm is, and is again afterwards ``(n,)`` [rad].
         camera: as it is calibrated.
-        model: of the arm, for the gears' deflection.
     """
 
     reference: ReferencePath
@@ -219,7 +215,7 @@ def _postures(look: Look, robot: Robot) -> list[Array]:
     s = look.begin + AHEAD
     up, place = look.reference.frames(np.array([s])).up[0], look.reference.position(np.array([s]))[0]
     mount, kinematics, q = look.camera.T_tool_camera, InverseKinematics(robot), look.start
-    axis, postures = mount.rotation[:, 2], []
+    axis, postures = mount.rotation[:, 2], list[Array]()
     for height, turn in POSES:
         rotation = pin.exp3(turn * up) @ look.reference.rotation(s)
         # In the tool frame, whose z axis points into the surface.

@@ -50,11 +50,8 @@ class Known:
         scene: the file; of its tables those of the world are not looked at.
         robot: as its data sheet has it, with the controller's cycles.
         delay: cycles between the hand-over of a command and the begin of its interpolation.
-        model: of the arm.
-        reference: the reference path.
-        profile: travel along it.
+        profile: travel along the reference.
         camera: of a ``glue`` scene, as it is believed to be.
-        detection: how its line looks.
         clear: how far the tip keeps away from the reference while the camera is calibrated [m]: where the surface
             lies the force is to find.
         prior: of that calibration: how the surface is shaped is not known.

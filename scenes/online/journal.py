@@ -42,9 +42,9 @@ class Journal:
     def __init__(self, folder: Path, robot: Robot, meta: dict[str, Any]) -> None:
         self._made = make_folder(folder)
         self._folder, self._robot = folder, robot
-        meta = {"robot": robot.name, "cycle_time": robot.t_ipo, "source": "follow",
-                "units": {"t": "s", "q_d": "rad", "q_c": "rad", "q": "rad", "tau": "N m", "current": "A"}, **meta}
-        self._meta = {**meta, "gain": robot.drive_gain.tolist()}
+        self._meta = {"robot": robot.name, "cycle_time": robot.t_ipo, "source": "follow",
+                      "units": {"t": "s", "q_d": "rad", "q_c": "rad", "q": "rad", "tau": "N m", "current": "A"}, **meta,
+                      "gain": robot.drive_gain.tolist()}
         write_text(folder / META, json.dumps(self._meta) + "\n")
         self._row = np.zeros(2 + len(_QUANTITIES) * robot.n)
         self._each = self._row[2:].reshape(len(_QUANTITIES), robot.n)

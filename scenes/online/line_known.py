@@ -52,10 +52,6 @@ class Known:
         robot: as its data sheet has it, with the controller's cycles.
         delay: cycles between the hand-over of a command and the begin of its interpolation.
         camera: as it is believed: by hand at first, then as calibrated.
-        reference: the reference path.
-        follower: plans along it.
-        detector: finds the line's points in a field.
-        detection: how the line looks.
         clear, prior: of the camera's calibration: how far the tip keeps off the reference [m], see ``calibrate``.
     """
 

@@ -158,7 +158,7 @@ def _opened(scene: Scene, job: Job, devices: Devices, folder: Path, method: str,
     """The devices that the job needs, and what the system granted for even timing; signals stop the arm."""
     with ExitStack() as stack:
         process = None
-        if "camera" in job.needs and job.camera is not None and devices.camera is not None:
+        if job.camera is not None and devices.camera is not None:
             progress(0.0, "opening the camera")
             process = CameraProcess(devices.camera, devices.camera_delay, job.camera, scene.camera.detector,  # type: ignore[attr-defined]
                                     devices.patience)

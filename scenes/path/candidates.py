@@ -37,15 +37,11 @@ Effects = tuple[FittedEffect, ...]
 
 @dataclass(frozen=True)
 class Candidates:
-    """What a diagnosis of an arm suggests.
+    """What the diagnosis of a recording suggests for an arm and its model.
 
     Attributes:
-        model: that the diagnosis was given.
-        found: what it found.
-        moved: the recording it was found in.
+        moved: the recording.
         run: the last play of the path, as far as it was measured.
-        robot: the arm.
-        measured: what the arm measures.
     """
 
     model: Model

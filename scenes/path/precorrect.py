@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.execution.precorrect import PrecorrectedPath, path_at_cycles, precorrect
+from ideal_robot.execution.precorrect import PrecorrectedPath, precorrect
 from ideal_robot.model.cascade import given_controller
 from ideal_robot.model.model import Model
 from ideal_robot.results import one_unit
@@ -45,7 +45,7 @@ def precorrected_path(path: Path, model_file: Path, *, robot: str | None = None,
     arm = robot_of(model, robot, model_file)
     if controller is not None:
         model = replace(model, controller=given_controller(controller, model.dynamics, arm))
-    t, q_d, column = columns_of(Recording.read(path), arm, path)
+    t, q_d, column = columns_of(path, arm)
     result = precorrect(t, q_d, model, arm, method, delay=int(delay), rest=rest, file=path, column=column)
     meta = {**result.recording.meta, "model": str(model_file)}
     return replace(result, recording=replace(result.recording, meta=meta))
@@ -66,45 +66,25 @@ def robot_of(model: Model, wanted: str | None, file: Path) -> Robot:
     return Robot.load(name)
 
 
-def desired_path(recording: Recording, arm: Robot, path: Path, rest: float) -> tuple[Array, Array, tuple[str, ...]]:
-    """Times ``(N,)``, path ``q_d (N, n)`` at the interpolation cycle with rest before and behind, and warnings of it.
-
-    Args:
-        recording: ``t`` and ``q_d_i``, ``q_i`` or ``q_c_i``.
-        arm: cycle and number of joints.
-        path: the recording's file, for messages.
-        rest: rest before the path [s].
-
-    Raises:
-        InputError: columns are missing or do not fit the arm, too few samples, values that are not finite.
-    """
-    t, q_d, column = columns_of(recording, arm, path)
-    return path_at_cycles(t, q_d, arm, rest=rest, file=str(path), column=column)
-
-
-def columns_of(recording: Recording, arm: Robot, path: Path) -> tuple[Array, Array, str]:
-    """Times ``(N,)`` [s], positions ``(N, n)`` [rad] and what the positions are called.
+def columns_of(path: Path, arm: Robot) -> tuple[Array, Array, str]:
+    """Of a recorded path times ``(N,)`` [s], positions ``(N, n)`` [rad] and what the positions are called.
 
     ``q_d`` comes before ``q`` before ``q_c``: commands alone, as of a planned motion, are a path too.
-
-    Args:
-        recording: ``t`` and ``q_d_i``, ``q_i`` or ``q_c_i``.
-        arm: gives the number of joints.
-        path: the recording's file, for messages.
 
     Raises:
         InputError: columns are missing, or there are more than the arm has joints.
     """
-    for prefix in ("q_d", "q", "q_c"):
-        names = [f"{prefix}_{i + 1}" for i in range(arm.n)]
+    recording = Recording.read(path)
+    wanted = {prefix: [f"{prefix}_{i + 1}" for i in range(arm.n)] for prefix in ("q_d", "q", "q_c")}
+    for prefix, names in wanted.items():
         if all(name in recording.columns for name in names):
             if f"{prefix}_{arm.n + 1}" in recording.columns:
                 raise InputError(f"the path has more joints than {arm.name} ({arm.n})", file=path,
                                  field=f"{prefix}_{arm.n + 1}")
             return recording.t, np.column_stack([recording.columns[name] for name in names]), prefix
-    wanted = [f"{prefix}_{i + 1}" for prefix in ("q_d", "q", "q_c") for i in range(arm.n)]
-    begun = next((name.rpartition("_")[0] for name in wanted if name in recording.columns), "q_d")
-    missing = next(f"{begun}_{i + 1}" for i in range(arm.n) if f"{begun}_{i + 1}" not in recording.columns)
+    begun = next((names for names in wanted.values() if any(name in recording.columns for name in names)),
+                 wanted["q_d"])
+    missing = next(name for name in begun if name not in recording.columns)
     raise InputError(f"column is missing; q_d_1 to q_d_{arm.n} (or q_1 to q_{arm.n}, or q_c_1 to q_c_{arm.n}) are "
                      "needed", file=path, field=missing)
 

@@ -81,13 +81,12 @@ class HeldCycles:
         return {"shortest_cycle_ms": self.shortest(), "granted": self.granted, "load_per_core": self.load,
                 "cores": self.cores, "cycles": [
                     {"cycle_ms": t.cycle_ms, "held": t.held, "share_late": t.late, "packets": len(t.delays_ms),
-                     "answer_ms": dict(zip(("median", "p99", "max"), _spread(t.delays_ms), strict=True)),
-                     "computing_ms": dict(zip(("median", "p99", "max"), _spread(t.computing_ms), strict=True)),
+                     "answer_ms": _spread(t.delays_ms), "computing_ms": _spread(t.computing_ms),
                      "failure": t.failure} for t in self.tests]}
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
         """One row a cycle."""
-        rows = [[t.cycle_ms, "yes" if t.held else "no", f"{1e2 * t.late:.2f}", *_spread(t.delays_ms)]
+        rows = [[t.cycle_ms, "yes" if t.held else "no", f"{1e2 * t.late:.2f}", *_spread(t.delays_ms).values()]
                 for t in self.tests]
         return ["cycle ms", "held", "late %", "answer after, median ms", "99 %", "worst"], rows
 
@@ -100,9 +99,10 @@ class HeldCycles:
         own, whole = _spread(failed.computing_ms), _spread(failed.delays_ms)
         lines.append(f"{failed.cycle_ms} ms are not held: {1e2 * failed.late:.2f} % of the answers late"
                      + (f"; {failed.failure}" if failed.failure else ""))
-        if own[1] > 0.5 * failed.cycle_ms:
-            lines.append(f"the answer itself takes up to {own[1]:.1f} ms (99 %): a faster processor, or --method none")
-        elif whole[2] > failed.cycle_ms:
+        if own["p99"] > 0.5 * failed.cycle_ms:
+            lines.append(f"the answer itself takes up to {own['p99']:.1f} ms (99 %): a faster processor, or --method "
+                         "none")
+        elif whole["max"] > failed.cycle_ms:
             lines.append("the program was not let run in time: stop other programs, keep to a core of its own (--core),"
                          " permit real-time priority (rtprio in limits.conf), or take a real-time kernel")
         return lines
@@ -145,11 +145,10 @@ def held_cycles(*, robot: str | None = None, model: Path | None = None, method: 
     return HeldCycles(tuple(tests), granted, load, cores)
 
 
-def _spread(times: Array) -> list[float]:
-    """Median, 99th percentile and maximum; an answer that never came is later than any."""
-    if not len(times):
-        return [float("nan")] * 3
-    return [float(np.percentile(times, share, method="lower")) for share in (50, 99, 100)]
+def _spread(times: Array) -> dict[str, float]:
+    """Median, 99th percentile and maximum, NaN where there are none; an answer that never came is later than any."""
+    return {name: float(np.percentile(times, share, method="lower")) if len(times) else float("nan")
+            for name, share in (("median", 50), ("p99", 99), ("max", 100))}
 
 
 # A controller's clock in a process of its own: sends a packet every cycle and notes when its answer is there.

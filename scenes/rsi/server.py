@@ -14,6 +14,7 @@ from ideal_robot.arrays import Array, eased
 from ideal_robot.errors import IdealRobotError, InputError, LimitError
 from ideal_robot.execution.command_governor import CommandGovernor, require_within_limits
 from ideal_robot.execution.play import LONGEST_STOP, PathCommands
+from ideal_robot.execution.precorrect import path_at_cycles
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.corrected_arm import ForCorrectedArm
 from ideal_robot.feedforward.method import Needs
@@ -33,7 +34,7 @@ from scenes.arms import shipped_model
 from scenes.metrics import spread_ms
 from scenes.online.live_arm import answers_within, at_cycle, near_start
 from scenes.online.processes import undisturbed
-from scenes.path.precorrect import desired_path, robot_of
+from scenes.path.precorrect import columns_of, robot_of
 from scenes.result import Progress, silent
 
 
@@ -245,7 +246,8 @@ def rsi_server(path: Path, *, robot: str | None = None, model: Path | None = Non
     if not 0.0 <= rest <= 60.0:
         raise InputError("expected 0 to 60 seconds", field="--rest", value=rest)
     arm, law, loop, file = prepared(robot=robot, model=model, method=method, cycle=cycle, delay=delay)
-    _, q_d, warnings = desired_path(Recording.read(path), arm, path, rest)
+    t, q_d, column = columns_of(path, arm)
+    _, q_d, warnings = path_at_cycles(t, q_d, arm, rest=rest, file=str(path), column=column)
     require_within_limits(q_d, arm, start=-rest, file=path)
     if loop is not None:
         link_options.setdefault("answers_within", answers_within(loop, arm))

@@ -50,9 +50,6 @@ class CameraDevice:
         camera: draws what the true camera sees.
         rate: pictures a second [Hz].
         address: of this computer on which it listens; port 0 for any free one.
-        clock: of the camera.
-        unkind: what clocks and network do.
-        rng: draws what they do.
     """
 
     camera: LiveCamera
