@@ -149,7 +149,7 @@ Shown = TypeVar("Shown")
 
 
 def _once(show: Callable[[ForceScene], Shown]) -> Callable[[ForceScene], Shown]:
-    """Called once for all scenes that differ in what is not seen before the play alone, such as the method."""
+    """A function that is called once for all scenes which differ only in what it does not see, such as the method."""
     cached = lru_cache(maxsize=64)(show)
 
     @wraps(show)

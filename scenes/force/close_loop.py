@@ -120,11 +120,9 @@ def undeclared_effects(scene: ForceScene) -> tuple[str, ...]:
     Raises:
         InputError: none; names the keys that would be some.
     """
-    found = []
-    if any(scene.sensor.drift):
-        found.append("force_bias")
-    if scene.assumed.elasticity_ratio != 1.0 and not scene.assumed.elasticity_estimated:
-        found.append("force_compliance")
+    compliance = scene.assumed.elasticity_ratio != 1.0 and not scene.assumed.elasticity_estimated
+    wrong = {"force_bias": any(scene.sensor.drift), "force_compliance": compliance}
+    found = tuple(name for name, there in wrong.items() if there)
     keys = keys_of_arm(scene)
     if not found and keys:
         raise InputError("sensor and contact are right, and what this does to the force is not looked for here: close "
@@ -134,4 +132,4 @@ def undeclared_effects(scene: ForceScene) -> tuple[str, ...]:
         raise InputError("sensor and contact are right, or the controller finds out by itself: nothing is there to be "
                          "found; set sensor.drift, or assumed.elasticity_ratio with elasticity_estimated = false",
                          file=scene.source, field="sensor.drift")
-    return tuple(found)
+    return found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -94,7 +94,7 @@ class LineComparison(ShownTable):
     tried: tuple[GainTrial, ...]
     overshoot_gain: float
     overshoots: tuple[tuple[float, float], ...]
-    report: Path | None = field(default=None)
+    report: Path | None = None
 
     def json(self) -> dict[str, Any]:
         """The content of ``--json``: the runs stand under ``methods``."""

@@ -23,7 +23,7 @@ from scenes.metrics import ControlError, PathErrors, path_errors
 from scenes.models import model_for
 from scenes.online.cycle import CycleSettings, play_cycles
 from scenes.online.line_log import SETTLING, LineLog, field_columns, plan_error
-from scenes.online.line_task import LineTask
+from scenes.online.line_task import REST, LineTask
 from scenes.result import Progress, silent
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError
@@ -108,7 +108,7 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
         task.learn(shared.moved)
         started = time.perf_counter()
         play_cycles(EquippedArm(arm, [camera]), cell.known.robot, task, log,
-                    CycleSettings(scene.reference.acceleration, task.rest, task.longest, task.longest, method.key),
+                    CycleSettings(scene.reference.acceleration, REST, task.longest, task.longest, method.key),
                     progress)
         wall = time.perf_counter() - started
         t, tcp = arm.tcp_path()

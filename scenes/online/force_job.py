@@ -300,8 +300,8 @@ class ForceJob(Job):
         for names, samples in ((("f_normal",), self.log.samples), (("fx", "fy", "fz", "mx", "my", "mz"), sensed)):
             if samples:
                 rows = np.array(samples)
-                rows = rows[np.argsort(rows[:, 0])]
-                columns |= {name: np.interp(t, rows[:, 0], rows[:, i], left=np.nan, right=np.nan)
+                order = np.argsort(rows[:, 0])
+                columns |= {name: np.interp(t, rows[order, 0], rows[order, i], left=np.nan, right=np.nan)
                             for i, name in enumerate(names, start=1)}
         return columns
 

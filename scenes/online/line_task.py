@@ -88,11 +88,6 @@ class LineTask:
         return self.follower.q_start
 
     @property
-    def rest(self) -> float:
-        """Time the recording goes on after a stop [s]."""
-        return REST
-
-    @property
     def longest(self) -> float:
         """Length of the play [s]."""
         return (self._count + 0.5) * self._T

@@ -150,12 +150,14 @@ class _Opened:
     process: CameraProcess | None
     camera: LiveCamera | None
     force: LiveForce | None
+    granted: list[str]
+    """For even timing, by the system."""
 
 
 @contextmanager
 def _opened(scene: Scene, job: Job, devices: Devices, folder: Path, method: str, progress: Progress
-            ) -> Iterator[tuple[_Opened, list[str]]]:
-    """The devices that the job needs, and what the system granted for even timing; signals stop the arm."""
+            ) -> Iterator[_Opened]:
+    """The devices that the job needs; signals stop the arm."""
     with ExitStack() as stack:
         process = None
         if job.camera is not None and devices.camera is not None:
@@ -178,7 +180,7 @@ def _opened(scene: Scene, job: Job, devices: Devices, folder: Path, method: str,
             stack.callback(force.close)
         camera = None if process is None else LiveCamera(process, arm, job.detection)
         stack.enter_context(stopping_on_signals(arm.stop))
-        yield _Opened(arm, journal, process, camera, force), granted
+        yield _Opened(arm, journal, process, camera, force, granted)
 
 
 def _calibrate(opened: _Opened, job: Job, motion: CalibrationMotion, moved: list[RobotState]) -> None:
@@ -206,7 +208,7 @@ def _follow(opened: _Opened, job: Job, method: str, progress: Progress, check: b
 def _played(scene: Scene, job: Job, devices: Devices, folder: Path, method: str, progress: Progress,
             work: Callable[[_Opened], None]) -> FollowResult:
     """Opens the devices, does the work and tells what came of it, however it ended."""
-    with _opened(scene, job, devices, folder, method, progress) as (opened, granted):
+    with _opened(scene, job, devices, folder, method, progress) as opened:
         arm = opened.arm
         pids = [os.getpid()] + ([opened.process.pid] if opened.process is not None and opened.process.pid else [])
         begun, used = time.perf_counter(), [processor_seconds(pid) for pid in pids]
@@ -223,7 +225,7 @@ def _played(scene: Scene, job: Job, devices: Devices, folder: Path, method: str,
                   "computing_ms": spread_ms(np.array(job.log.cycles)),
                   "processor_share": dict(zip(("follower", "camera"), shares, strict=False)),
                   "peak_memory_MB": dict(zip(("follower", "camera"), map(peak_memory, pids), strict=False)),
-                  "memory_together_MB": memory_together(pids), "seconds": wall, "granted": granted}
+                  "memory_together_MB": memory_together(pids), "seconds": wall, "granted": opened.granted}
         recording = _recorded(opened.journal, job)
         recording = replace(recording, meta={**recording.meta, "stopped_because": failure})
         return FollowResult(scene, method, failure, recording, job.figures(), _told(opened, devices), timing,
