@@ -60,8 +60,7 @@ def joints_share(recording: Recording, robot: Robot, model: Model | None) -> boo
     """Whether joints share inertias: not where torques are made of currents without known gains, and so in amperes.
 
     Args:
-        recording: as it was read; checks add the torques.
-        robot: the arm.
+        recording, robot: as it was read (checks add the torques), and the arm.
         model: that was given, in the recording's units, or None.
     """
     return model is not None or recording.has("tau") or robot.knows_drive_gains or robot.n == 1

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 from ideal_robot.diagnosis import stages
 from ideal_robot.diagnosis.case import Case, Findings, joints_share
@@ -17,7 +16,7 @@ from ideal_robot.diagnosis.statistics.problem import (
     with_possible_inertias,
 )
 from ideal_robot.diagnosis.validation.refit import explained_by_refitting
-from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, FoundEffect
+from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis
 from ideal_robot.diagnosis.validation.weighing import arguments
 from ideal_robot.effects import MOTOR_TORQUE, FittedEffect
 from ideal_robot.errors import IdealRobotError
@@ -32,30 +31,45 @@ from ideal_robot.signals.sampling import shortened
 
 def diagnosis_of(case: Case, found: Findings) -> Diagnosis:
     """The answer after all stages."""
-    every = [effect for result in found.results for effect in result.found]
-    effects, unknown = (tuple(f for f in every if f.fitted.effect.learned is learned) for learned in (False, True))
-    channels = tuple(channel for result in found.results for channel in result.channels)
+    answer = _of_domains(case, found)
     refitted = () if case.given is None else explained_by_refitting(case.given, found.domains[0],
                                                                     found.results[0].channels)
-    left = bool(unknown or refitted) or any(channel.unexplained for channel in channels)
-    verdict = "unknown" if left else ("effects" if effects else "none")
-    model, warnings = _extended(case, found, every)
+    left = answer.unknown or refitted or answer.unexplained
+    model, warnings = _extended(case, found)
     why = (one for domain in found.domains for one in arguments(domain, case.options)) if case.explain else ()
-    return Diagnosis(verdict, channels, effects, unknown, _held_out(case, found), found.domains[0].held_out_seconds,
-                     found.problem.regression.undecided, warnings=found.warnings + warnings, model=model,
-                     refitted=refitted, beside_known=_beside_known(found), arguments=tuple(why),
-                     **_of_domains(case, found))
+    return replace(answer, verdict="unknown" if left else "effects" if answer.effects else "none", model=model,
+                   warnings=answer.warnings + warnings, refitted=refitted, beside_known=_beside_known(found),
+                   arguments=tuple(why))
 
 
-def _of_domains(case: Case, found: Findings) -> dict[str, Any]:
-    """What an answer says of the domains that were searched, beside their channels and effects."""
+def undecided(case: Case, found: Findings) -> Diagnosis:
+    """The answer where no joint moves enough to decide anything of the arm: what sensors show beside it as it is."""
+    answer, made = _of_domains(case, found), found.problem.regression
+    error, signal = (rms(values, made.use) for values in (made.y, made.measured))
+    numbers = (values.tolist() for values in (error, made.noise_floor, signal, made.use.mean(axis=0)))
+    channels = tuple(ChannelResult(name, unit, own, own, own, floor, whole, counted) for
+                     name, unit, own, floor, whole, counted in zip(made.channels, made.units, *numbers, strict=True))
+    return replace(answer, verdict="effects" if answer.effects else "undecided", channels=channels + answer.channels,
+                   held_out_how=f"of sensors alone, no joint moves enough: {answer.held_out_how}" if found.domains else
+                   "nothing: no joint moves enough to decide anything",
+                   model=None if case.given is None else
+                   case.given.with_effects(tuple(f.fitted for f in answer.effects)))
+
+
+def _of_domains(case: Case, found: Findings) -> Diagnosis:
+    """What an answer says of the domains that were searched."""
     results, searched = found.results, [domain.problem.regression for domain in found.domains]
     if not any(made.domain == MOTOR_TORQUE for made in searched):
         searched.insert(0, found.problem.regression)
-    return {"before": tuple(structure for result in results for structure in result.before),
-            "remaining": tuple(structure for result in results for structure in result.remaining),
-            "traces": tuple(result.traces for result in results), "not_transferred": found.not_transferred,
-            "unused": unused_columns(case.recording, tuple(searched))}
+    effects, unknown = (tuple(f for result in results for f in result.found if f.fitted.effect.learned is learned)
+                        for learned in (False, True))
+    return Diagnosis(
+        "none", tuple(channel for result in results for channel in result.channels), effects, unknown,
+        _held_out(case, found), found.domains[0].held_out_seconds if found.domains else 0.0,
+        found.problem.regression.undecided, warnings=found.warnings, not_transferred=found.not_transferred,
+        before=tuple(structure for result in results for structure in result.before),
+        remaining=tuple(structure for result in results for structure in result.remaining),
+        traces=tuple(result.traces for result in results), unused=unused_columns(case.recording, tuple(searched)))
 
 
 def _beside_known(found: Findings) -> tuple[tuple[FittedEffect, ...], ...]:
@@ -64,24 +78,6 @@ def _beside_known(found: Findings) -> tuple[tuple[FittedEffect, ...], ...]:
     problem = found.problem.with_prior(prior_precision(found.start, found.problem)).held().on_all_blocks()
     prismatic = problem.regression.prismatic
     return tuple(fitted_effects(some, problem.fit(some, uncertainty=True), prismatic) for some in found.beside_known)
-
-
-def undecided(case: Case, found: Findings) -> Diagnosis:
-    """The answer where no joint moves enough to decide anything of the arm: what sensors show beside it as it is."""
-    made = found.problem.regression
-    error, signal = (rms(values, made.use) for values in (made.y, made.measured))
-    numbers = (values.tolist() for values in (error, made.noise_floor, signal, made.use.mean(axis=0)))
-    channels = tuple(ChannelResult(name, unit, own, own, own, floor, whole, counted) for
-                     name, unit, own, floor, whole, counted in zip(made.channels, made.units, *numbers, strict=True))
-    effects = tuple(effect for result in found.results for effect in result.found)
-    model = None if case.given is None else case.given.with_effects(tuple(f.fitted for f in effects))
-    how, seconds = "nothing: no joint moves enough to decide anything", 0.0
-    if found.domains:
-        how = f"of sensors alone, no joint moves enough: {_held_out(case, found)}"
-        seconds = found.domains[0].held_out_seconds
-    return Diagnosis("effects" if effects else "undecided",
-                     channels + tuple(channel for result in found.results for channel in result.channels), effects, (),
-                     how, seconds, made.undecided, warnings=found.warnings, model=model, **_of_domains(case, found))
 
 
 def _held_out(case: Case, found: Findings) -> str:
@@ -93,11 +89,11 @@ def _held_out(case: Case, found: Findings) -> str:
             "took no part in finding effects; one that does not lower their error is dropped")
 
 
-def _extended(case: Case, found: Findings, added: list[FoundEffect]) -> tuple[Model | None, tuple[str, ...]]:
+def _extended(case: Case, found: Findings) -> tuple[Model | None, tuple[str, ...]]:
     """The model with the parameters of the joint fit and all effects, and warnings; None for torques in amperes."""
     if not case.shared:
         return None, ()
-    final = found.domains[0].final
+    final, added = found.domains[0].final, [effect.fitted for result in found.results for effect in result.found]
     model = with_parameters(found.start, final.change, final.covariance)
     warnings = tuple[str, ...]()
     try:
@@ -107,8 +103,8 @@ def _extended(case: Case, found: Findings, added: list[FoundEffect]) -> tuple[Mo
         # What was found does not depend on it: torques come from the base parameters.
         warnings = (f"the extended model predicts torques, but cannot be simulated: {error}",)
     found_in = {"recording": case.recording.source, "hash": case.recording.hash,
-                "effects": [f.fitted.name for f in added]}
-    return replace(model, effects=model.effects + tuple(f.fitted for f in added),
+                "effects": [effect.name for effect in added]}
+    return replace(model, effects=model.effects + tuple(added),
                    provenance={**model.provenance, "diagnosis": found_in}), warnings
 
 

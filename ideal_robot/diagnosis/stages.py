@@ -129,9 +129,9 @@ def effects_of_motor_torque(case: Case, found: Findings) -> Findings:
 
 
 def _columns_changed(before: Regression, found: Findings, share: float) -> bool:
-    """Whether the columns of the effects changed so much, of what was selected before, that a residual was made of it.
+    """Whether the columns of the effects changed so much since they were selected that a residual was made of it.
 
-    ``share`` is of the residual's squares, as is asked of an effect.
+    As large a ``share`` of a channel's squares counts as is asked of an effect.
     """
     after, effects = found.problem.regression, found.choices
     fit = found.problem.fit(effects)

@@ -150,8 +150,7 @@ def tool_motion(robot: Robot, q: Array, qd: Array) -> tuple[Array, Array, Array]
 
     Args:
         robot: the arm.
-        q: positions ``(N, n)`` [rad].
-        qd: velocities ``(N, n)`` [rad/s].
+        q, qd: positions and velocities ``(N, n)`` [rad, rad/s].
     """
     rotation, place, twist = np.empty((len(q), 3, 3)), np.empty((len(q), 3)), np.empty((len(q), 6))
     for k, (data, jacobian) in enumerate(_postures(robot, q)):

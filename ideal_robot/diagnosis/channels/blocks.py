@@ -277,11 +277,10 @@ class Design:
         return places, np.concatenate(index)
 
     def beside(self, key: str, keys: list[str], j: int) -> tuple[Array, Array]:
-        """Products of one more group on channel ``j``: with those of ``gram(keys) (B, m, k)``, with itself.
+        """Products of one more group on a channel: with those of ``gram(keys) (B, m, k)``, with itself.
 
         Args:
-            key: of the group.
-            keys: of the others.
+            key, keys: of the group, and of the others.
             j: one of its channels, from 0.
         """
         places, index = self._places([*keys, "y"], j)

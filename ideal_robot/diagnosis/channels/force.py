@@ -37,11 +37,9 @@ def force_regressions(recording: Recording, validate: Recording | None, robot: R
     """The regressions that a recording's wrench allows, each with that of the validation recording if it has one.
 
     Args:
-        recording: with ``fx fy fz`` and at best ``mx my mz``, else there are none.
-        validate: the other recording, or None.
+        recording, validate: with ``fx fy fz`` and at best ``mx my mz``, else there are none; the other one, or None.
         robot: the arm.
-        torque: the regression of its torques, for signals and filters.
-        validation: that of the other recording's, or None.
+        torque, validation: the regressions of their torques, for signals and filters.
         stiffness: of the gears as far as the model knows ``(n,)`` [N m/rad], or None.
     """
     wrench = _wrench_of(recording, robot, torque)
@@ -135,8 +133,7 @@ class _Wrench:
         # Damping of the tip, and a force that is a little late against the position, follow the force's rate.
         rate = np.gradient(pressed, dt)
         W = np.concatenate([_surface(place, normal, strong), rate[:, None, None]], axis=2)
-        # The filter looks to both sides: out of contact stands what was last or next in contact, for which the law
-        # holds.
+        # The filter looks to both sides: out of contact stands what was last or next in contact, where the law holds.
         touching, = ndimage.distance_transform_edt(~strong, return_distances=False, return_indices=True)
         # Noise of the force is in the column as well and would make it look too small: less of it in a narrow band.
         band = min(BAND, 0.2 / dt)

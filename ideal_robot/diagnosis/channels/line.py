@@ -96,23 +96,23 @@ def line_regression(recording: Recording, robot: Robot, torque: Regression,
     rows = np.flatnonzero(inside)
     W, slope, kept = _curve(s[rows], d[rows])
     rows = rows[kept]
-    if len(np.unique(number[rows])) < FEWEST:
+    s, d, tangent, field = s[rows], d[rows], tangent[rows], number[rows]
+    if len(np.unique(field)) < FEWEST:
         return None
-    t = tangent[rows]
     # A point that moves along its line comes to where the line has another deviation.
-    normal = np.cross(up, t) - slope[:, None] * t
-    moved = twist[number[rows], :3] + np.cross(twist[number[rows], 3:], lever[rows])
-    times = stamps[number[rows]] - begin
+    normal = np.cross(up, tangent) - slope[:, None] * tangent
+    moved = twist[field, :3] + np.cross(twist[field, 3:], lever[rows])
+    times = stamps[field] - begin
     basis, sizes, _ = np.linalg.svd(W, full_matrices=False)
-    seen_points = _SeenPoints(times, from_axis(points[rows], _axis(recording, points)), rotation[number[rows]], normal,
+    seen_points = _SeenPoints(times, from_axis(points[rows], _axis(recording, points)), rotation[field], normal,
                               -np.sum(normal * moved, axis=1), basis[:, sizes > 1e-6 * sizes[0]])
-    residual = seen_points.beside(d[rows])
+    residual = seen_points.beside(d)
     at_points: dict[str, Any] = {name: interpolated(times, grid - begin, getattr(torque.signals, name))
                                  for name in ("q", "qd", "qdd", "load", "torque", "friction")}
     signals = Signals(times, **at_points, extra=seen_points.signals())
-    noise_floor = np.array([_finding_noise(residual, number[rows])])
+    noise_floor = np.array([_finding_noise(residual, field)])
     # As little known as the line is how its surface inclines: along it points come nearer or farther than taken for.
-    inclined = seen_points.beside((s[rows] - s[rows].mean()) * seen_points.off(seen_points.out))
+    inclined = seen_points.beside((s - s.mean()) * seen_points.off(seen_points.out))
     y, W = residual[:, None], np.column_stack([np.ones(len(residual)), inclined])[:, None, :]
     use = np.ones(y.shape, dtype=bool)
     # Rows are points in order of time, and need no filter.

@@ -154,11 +154,9 @@ def apart_from_reversals(q: Array, qd: Array, moving: np.ndarray, width: float, 
     remember it for a time, bristles for a travel, which slow motion is long in covering.
 
     Args:
-        q: positions ``(N, n)`` [rad or m].
-        qd: velocities ``(N, n)`` [rad/s or m/s].
+        q, qd: positions and velocities ``(N, n)`` [rad or m, and per second].
         moving: samples at which each joint moves ``(N, n)``.
-        width: time left out to either side [s].
-        dt: between samples [s].
+        width, dt: time left out to either side, and between samples [s].
     """
     near = ~moving
     change = np.diff(np.sign(qd), axis=0) != 0
@@ -220,8 +218,7 @@ def with_reversal_width(made: Regression, model: Model, reversal_width: Array) -
     Where an axis creeps, its friction is anything between none and sliding, by a law that is another in every drive.
 
     Args:
-        made: the regression.
-        model: whose friction it is.
+        made, model: the regression, and whose friction it is.
         reversal_width: speeds ``(n,)`` [rad/s].
     """
     made = about_model(replace(made, signals=replace(made.signals, v_small=reversal_width)), model)

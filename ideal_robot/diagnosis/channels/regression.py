@@ -139,14 +139,10 @@ def spread(values: Array, use: np.ndarray) -> Array:
 
 
 def noise_floor(values: Array, share: float = 1.0) -> Array:
-    """Noise of measured channels ``(c,)``, in as much of their band as is looked at.
+    """Noise of measured channels ``(N, c)``, evenly spaced in time, in as large a share of their band as is looked at.
 
     Effects follow the motion and are slow against the band's end; so the floor of the spectrum over the band's upper
     part, where only noise is left, times the whole band. Noise whose spectrum falls is underestimated by that.
-
-    Args:
-        values: evenly spaced in time ``(N, c)``.
-        share: of their band that is looked at, from 0 Hz on.
     """
     length = min(len(values), 256)
     f, power = signal.welch(values, nperseg=length, axis=0)

@@ -79,9 +79,8 @@ class DependenceTest:
     """Tests many curves on residuals at the same samples; what follows from the samples alone is computed once.
 
     Args:
-        signals: at the samples.
+        signals, blocks: at the samples, and of time.
         use: samples of each channel that count ``(N, c)``.
-        blocks: of time.
     """
 
     def __init__(self, signals: Signals, use: np.ndarray, blocks: Blocks) -> None:
@@ -95,8 +94,7 @@ class DependenceTest:
 
         Args:
             residual: of the channel ``(N,)``, in its unit.
-            channel: its index.
-            of: the curves.
+            channel, of: its index, and the curves.
         """
         use = self.use[:, channel]
         # About the mean, as a constant is in every model; the columns too, as a residual with flipped blocks has one.
@@ -208,9 +206,7 @@ def _knots(signals: Signals, name: str, intervals: int) -> tuple[float, ...]:
 def reversal_widths(problem: Problem, model: Model) -> Array:
     """Speeds over which the sign changes ``(n,)``: those that explain most, else what the position's noise asks for.
 
-    Args:
-        problem: the regression about ``model``, and its blocks.
-        model: whose friction changes sign.
+    The problem's regression is about the model whose friction changes sign.
     """
     design = problem.design()
     weights = weights_of_channels(design, ["W"], None, 0)

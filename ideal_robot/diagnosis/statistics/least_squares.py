@@ -282,9 +282,7 @@ def weights_of_channels(design: Design, keys: list[str], prior: Array | None, ro
     The first weights are those that the model's own parameters leave, so that no channel's misfit weighs on another.
 
     Args:
-        design: groups and cross-products.
-        keys: the groups of the fit, ``W`` first.
-        prior: precision of the parameters ``(P, P)``, or None.
+        design, keys, prior: see ``Fit``.
         rounds: refits with ``keys``; after two the weights have settled.
     """
     known, key = design.of_model, (design.blocks.folds, id(prior))

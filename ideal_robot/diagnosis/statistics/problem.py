@@ -235,12 +235,12 @@ class Problem:
 
     def columns(self, candidate: Candidate) -> Columns:
         """A candidate's columns at the rows of the regression; each round asks for many of the round before."""
-        recent, key = self.made.setdefault("recent", {}), (candidate.key, self.band)
-        recent[key] = recent.pop(key, None) or self._columns(candidate)
+        recent: dict[Any, Columns] = self.made.setdefault("recent", {})
+        key = candidate.key, self.band
+        recent[key] = recent.pop(key) if key in recent else self._columns(candidate)
         if len(recent) > 256:
             del recent[next(iter(recent))]
-        made: Columns = recent[key]
-        return made
+        return recent[key]
 
     def _columns(self, candidate: Candidate) -> Columns:
         signals, effect = self.regression.signals, candidate.effect
@@ -310,24 +310,20 @@ class Problem:
 
     def _add_theta_columns(self, design: Design, candidate: Candidate, coefficients: Array) -> list[str | None]:
         """Adds, for each physical theta, what moving it changes in the prediction, ``dC/dtheta c``; names of groups."""
-        signals, theta = self.regression.signals, candidate.theta
-        physical = candidate.effect.theta_is_physical and bool(candidate.effect.bounds(signals, candidate.joint))
-        keys: list[str | None] = []
-        for i, value in enumerate(theta):
-            if not physical or value == 0.0:
-                keys.append(None)
+        effect, signals, joint, theta = candidate.effect, self.regression.signals, candidate.joint, candidate.theta
+        physical = effect.theta_is_physical and bool(effect.bounds(signals, joint))
+        names = [f"d{i}:{candidate.key}" if physical and value != 0.0 else None for i, value in enumerate(theta)]
+        for i, (name, value) in enumerate(zip(names, theta, strict=True)):
+            if name is None:
                 continue
-            name = f"d{i}:{candidate.key}"
             if (name, self.band) not in self.made:
                 step = 1e-3 * max(abs(value), 1e-6)
-                after, before = (candidate.effect.columns(signals, candidate.joint, (*theta[:i], value + side,
-                                                                                     *theta[i + 1 :]))
+                after, before = (effect.columns(signals, joint, (*theta[:i], value + side, *theta[i + 1 :]))
                                  for side in (step, -step))
                 self.made[name, self.band] = self.prepared((after - before) / (2.0 * step))
             by_theta = self.made[name, self.band]
-            keys.append(name)
             design.add(name, Columns((by_theta.values @ coefficients)[:, :, None], by_theta.channels))
-        return keys
+        return names
 
 
 def prior_precision(model: Model, problem: Problem) -> Array:
