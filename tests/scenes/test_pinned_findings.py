@@ -364,7 +364,7 @@ def test_of_a_parameter_without_a_finite_covariance_nothing_is_known(tmp_path: P
     covariance = np.diag(np.full(len(nominal.covariance), 1e-4))
     covariance[0, 3] = np.nan
     model = replace(nominal, covariance=covariance)
-    case = Case(recording, robot, model, None, Options(), np.random.default_rng(0), silent, True, None)
+    case = Case(recording, robot, model, None, Options(), silent, True, None)
     precision = prior_precision(model, stages.prepared(case, ()).problem)
     assert np.isfinite(precision).all()
     assert not precision[0].any()
