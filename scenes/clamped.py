@@ -108,12 +108,12 @@ class ClampedResult(ShownRun):
 
     def json(self) -> dict[str, Any]:
         """The content of ``--json``."""
-        return dict(plain({
+        return plain({
             "scene": self.scene.name, "seed": self.scene.seed, **self.analysis.to_dict(),
             "against_truth": self.errors(),
             "configurations": self.chosen, "recording": next(iter(self.recordings), None),
             "recording_files": list(self.recordings),
-            "report": self.report}))
+            "report": self.report})
 
     def summary(self) -> list[tuple[str, str]]:
         """Joint and method with stiffness, %σ and error."""

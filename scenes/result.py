@@ -60,7 +60,7 @@ class Shown(ABC):
 
     def to_dict(self) -> dict[str, Any]:
         """The content of ``--json`` as plain values."""
-        return dict(plain(self.json()))
+        return plain(self.json())
 
 
 class ShownRun(Shown, Summarised):

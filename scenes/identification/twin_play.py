@@ -67,11 +67,11 @@ class TwinResult(Summarised):
 
     def to_dict(self) -> dict[str, Any]:
         """The figures as plain values."""
-        return dict(plain({
+        return plain({
             "world": self.twin.table, "seen": self.twin.seen, "assumed": self.twin.assumed,
             "torque_rms_N_m": {"measured": self.rms[0], "twin": self.rms[1]},
             "spectrum_off_percent": 100.0 * self.spectrum,
-            "residual_std_percent": {"measured": self.left[0], "twin": self.left[1]}}))
+            "residual_std_percent": {"measured": self.left[0], "twin": self.left[1]}})
 
 
 COLUMNS = ["joint", "torque measured [N m]", "twin's [N m]", "off by [%]", "spectrum off by [%]",
