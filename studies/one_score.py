@@ -177,12 +177,13 @@ class SetSearch(Search):
                 and (hole is None or starts[0].place != hole.place)]
         scored = sorted(self.scoring.scored(fit, pool), key=lambda s: -s.test.total)
         refined = [self.scoring.refined(fit, s) for s in scored[: 2 * PER_JOINT] if s.share > 0.5 * VISIBLE]
-        best = sorted((s for s in refined if s.share > VISIBLE and self.scoring.holds(fit, s)),
+        best = sorted((s for s in refined if s.share > VISIBLE and self.scoring.holds_slowly(s)
+                       and self.scoring.holds_everywhere(fit, s)),
                       key=lambda s: -s.test.total)[:PER_JOINT]
         channel = self.model.problem.regression.channel_of(joint)
         if self.learns and channel is not None and self.kept[channel]:
-            curves = self.curves._of_channel(fit, self.model.residual(fit), channel, False,
-                                             2.0 * VISIBLE * self.count[channel])
+            curves = self.curves.in_channel(fit, self.model.residual(fit), channel,
+                                            least=2.0 * VISIBLE * self.count[channel])
             best += sorted((s for s in curves if s.share > 2.0 * VISIBLE), key=lambda s: -s.test.total)[:1]
         return best
 

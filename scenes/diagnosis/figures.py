@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ideal_robot.arrays import Array
@@ -92,23 +93,19 @@ def contributions(diagnosis: Diagnosis) -> list[tuple[FoundEffect, Contribution]
     return shown
 
 
-def effect_figure(effect: FoundEffect, name: str, unit: str, traces: Traces, j: int, added: Array,
-                  ) -> tuple[Figure, str]:
+def effect_figure(effect: FoundEffect, contribution: Contribution, unit: str) -> tuple[Figure, str]:
     """What remains without one effect, over the signal the effect depends on most, with the effect drawn through it.
 
     An effect that is no curve over one signal is drawn over what it foretells itself.
 
     Args:
-        effect: which.
-        name: of its channel.
+        effect, contribution: which, and what it adds.
         unit: of its channel, as text.
-        traces: series of its domain.
-        j: channel, from 0.
-        added: what the effect adds to the channel ``(N,)``, in its unit.
 
     Returns:
         The picture, and the sentence that says what to see in it.
     """
+    names, traces, j, added = contribution
     mask = traces.use[:, j]
     signals = {"t [s]": traces.t}
     if j < traces.q.shape[1]:
@@ -126,17 +123,17 @@ def effect_figure(effect: FoundEffect, name: str, unit: str, traces: Traces, j: 
     figure = Figure(figsize=(5.4, 3.4), layout="constrained")
     axes = figure.subplots()
     axes.plot(x[mask], without[mask], ".", ms=2, color=_SOFT, alpha=0.35, rasterized=True, label="residual without it")
-    centre, mean, error = binned(x[mask], without[mask], 30)
+    centre, mean, error = _binned(x[mask], without[mask], 30)
     axes.errorbar(centre, mean, error, color=_AFTER, lw=0, elinewidth=1.2, marker="o", ms=3.5, label="its mean in bins")
-    centre, mean, _ = binned(x[mask], added[mask], 60)
+    centre, mean, _ = _binned(x[mask], added[mask], 60)
     axes.plot(centre, mean, color=_EFFECT, lw=2.2, label=word)
     axes.axhline(0.0, color="0.6", lw=0.6)
     limit = 1.15 * float(np.percentile(np.abs(without[mask]), 99)) if mask.any() else 1.0
     axes.set_ylim(-limit, limit)
-    axes.set(xlabel=label if curve else f"what {word} foretells [{unit}]", ylabel=f"{name} [{unit}]")
+    axes.set(xlabel=label if curve else f"what {word} foretells [{unit}]", ylabel=f"{names[j]} [{unit}]")
     axes.legend(fontsize=9, frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     axes.spines[["top", "right"]].set_visible(False)
-    said = f"{word}: what remains of {name} without it (grey, means blue), and the effect (orange)"
+    said = f"{word}: what remains of {names[j]} without it (grey, means blue), and the effect (orange)"
     if not curve:
         said += ("; it depends on several signals at once, so it is drawn over what it foretells: the nearer the means "
                  "are to the line, the better")
@@ -158,24 +155,20 @@ def _explained(x: Array, y: Array) -> float:
 
 
 def over_time(traces: Traces, j: int, name: str, unit: str) -> Figure:
-    """The measurement, and below it what the model leaves of it before and after.
+    """The measurement of a channel, and below it what the model leaves of it before and after.
 
     Args:
-        traces: series of a domain.
-        j: channel, from 0.
-        name: of the channel.
-        unit: of the channel, as text.
+        traces, j: series of a domain, and the channel, from 0.
+        name, unit: of the channel.
     """
     figure = Figure(figsize=(10, 3.6))
     top, low = figure.subplots(2, 1, sharex=True)
-    mask = traces.use[:, j]
-    t = traces.t
+    mask, t = traces.use[:, j], traces.t
     top.plot(t, traces.measured[:, j], color="0.5", lw=0.7)
     top.set_ylabel(f"{name} [{unit}]")
-    low.plot(t, np.where(mask, traces.residual_before[:, j], np.nan), color=_BEFORE, lw=0.6, label="before")
-    low.plot(t, np.where(mask, traces.residual_after[:, j], np.nan), color=_AFTER, lw=0.6, label="after")
-    limit = 1.3 * np.nanpercentile(np.abs(traces.residual_before[mask, j]), 99.5) if mask.any() else 1.0
-    low.set_ylim(-limit, limit)
+    for r, color, label in _residuals(traces, j):
+        low.plot(t, np.where(mask, r, np.nan), color=color, lw=0.6, label=label)
+    _within(low, 1.3, traces, j, 99.5)
     low.set(xlabel="t [s]", ylabel=f"residual [{unit}]")
     low.legend(loc="upper right", ncols=2, fontsize=8)
     if not traces.held_out.all():
@@ -186,44 +179,44 @@ def over_time(traces: Traces, j: int, name: str, unit: str) -> Figure:
 
 
 def over_signals(traces: Traces, j: int, name: str, unit: str) -> Figure:
-    """The residual over position and velocity of the joint and over time.
+    """The residual of a channel over position and velocity of the joint and over time.
 
     Args:
-        traces: series of a domain.
-        j: channel, from 0.
-        name: of the channel.
-        unit: of the channel, as text.
+        traces, j: series of a domain, and the channel, from 0.
+        name, unit: of the channel.
     """
     figure = Figure(figsize=(10, 3.0))
     axes = figure.subplots(1, 3, sharey=True)
     mask = traces.use[:, j]
     for axis, x, label in zip(axes, (traces.q[:, j], traces.qd[:, j], traces.t),
                               (*_of_joint(j, unit), "t [s]"), strict=True):
-        for r, color in ((traces.residual_before[:, j], _BEFORE), (traces.residual_after[:, j], _AFTER)):
+        for r, color, _ in _residuals(traces, j):
             if color == _BEFORE:
                 axis.plot(x[mask], r[mask], ".", ms=1, color=color, alpha=0.15, rasterized=True)
-            centre, mean, error = binned(x[mask], r[mask])
-            axis.errorbar(centre, mean, error, color=color, lw=1.4, elinewidth=0.8)
+            axis.errorbar(*_binned(x[mask], r[mask]), color=color, lw=1.4, elinewidth=0.8)
         axis.axhline(0.0, color="0.6", lw=0.6)
         axis.set_xlabel(label)
-    limit = 1.2 * np.nanpercentile(np.abs(traces.residual_before[mask, j]), 98) if mask.any() else 1.0
-    axes[0].set_ylim(-limit, limit)
+    _within(axes[0], 1.2, traces, j, 98)
     axes[0].set_ylabel(f"residual of {name} [{unit}]")
     figure.tight_layout()
     return figure
 
 
-def binned(x: Array, y: Array, bins: int = 24) -> tuple[Array, Array, Array]:
-    """Centres, means and standard errors of ``y`` in equally filled bins of ``x``.
+def _residuals(traces: Traces, j: int) -> list[tuple[Array, str, str]]:
+    return [(traces.residual_before[:, j], _BEFORE, "before"), (traces.residual_after[:, j], _AFTER, "after")]
 
-    Args:
-        x: signal ``(N,)``.
-        y: values at it ``(N,)``.
-        bins: number of bins; fewer samples than that are given back as they are.
-    """
+
+def _within(axis: Axes, times: float, traces: Traces, j: int, percent: float) -> None:
+    """Limits about zero, as far as the residual before mostly goes."""
+    residual = traces.residual_before[traces.use[:, j], j]
+    limit = times * np.nanpercentile(np.abs(residual), percent) if len(residual) else 1.0
+    axis.set_ylim(-limit, limit)
+
+
+def _binned(x: Array, y: Array, bins: int = 24) -> tuple[Array, Array, Array]:
+    """Centres, means and standard errors of ``y (N,)`` in equally filled bins of ``x (N,)``; as it is if too few."""
     if len(x) < bins:
         return x, y, np.zeros_like(y)
-    order = np.argsort(x)
-    parts = np.array_split(order, bins)
+    parts = np.array_split(np.argsort(x), bins)
     return (np.array([x[p].mean() for p in parts]), np.array([y[p].mean() for p in parts]),
             np.array([y[p].std() / np.sqrt(len(p)) for p in parts]))

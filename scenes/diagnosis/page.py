@@ -8,7 +8,6 @@ import numpy as np
 
 from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, FoundEffect, Traces
 from ideal_robot.effects import SENSOR
-from ideal_robot.effects.base import EffectParameter
 from scenes.diagnosis.figures import (
     arguments_figure,
     contributions,
@@ -77,8 +76,7 @@ def add_diagnosis(page: Report, diagnosis: Diagnosis) -> None:
     for number, (e, contribution) in enumerate(contributions(diagnosis), start=1):
         if number == 1:
             page.heading("The effects that were found")
-        names, traces, j, added = contribution
-        page.figure(*effect_figure(e, names[j], _unit(diagnosis, names[j]), traces, j, added))
+        page.figure(*effect_figure(e, contribution, _unit(diagnosis, contribution[0][contribution[2]])))
     _effects(page, diagnosis)
     _arguments(page, diagnosis)
     if diagnosis.not_transferred:
@@ -168,10 +166,6 @@ def _lowers(e: FoundEffect) -> bool:
     return e.rms_after < e.rms_before and e.transfers is not False
 
 
-def _amount(p: EffectParameter) -> str:
-    return p.text
-
-
 def _where(e: FoundEffect) -> str:
     nowhere = "the sensor" if e.fitted.domain == SENSOR else "the whole arm"
     return f"joint {e.fitted.joint}" if e.fitted.joint else nowhere
@@ -179,17 +173,12 @@ def _where(e: FoundEffect) -> str:
 
 def _named(effects: list[FoundEffect]) -> list[str]:
     """Each effect once, with all the joints it is in, whatever channels show it there."""
-    joints: dict[str, set[int]] = {}
-    words: dict[str, str] = {}
+    places: dict[tuple[str, str], set[int]] = {}
     for e in effects:
-        name = e.fitted.name.replace("_", " ")
-        if e.fitted.joint:
-            joints.setdefault(name, set()).add(e.fitted.joint)
-            found = sorted(joints[name])
-            words[name] = f"{name} in joint{'s' if len(found) > 1 else ''} {_listed(list(map(str, found)))}"
-        else:
-            words[f"{name}, {_where(e)}"] = f"{name} in {_where(e)}"
-    return list(words.values())
+        key = e.fitted.name.replace("_", " "), "" if e.fitted.joint else _where(e)
+        places.setdefault(key, set()).add(e.fitted.joint)
+    return [f"{name} in {where or ('joints ' if len(at) > 1 else 'joint ') + _listed(list(map(str, sorted(at))))}"
+            for (name, where), at in places.items()]
 
 
 def _listed(parts: list[str]) -> str:
@@ -203,7 +192,7 @@ def _effects(page: Report, diagnosis: Diagnosis) -> None:
     rows = []
     for e in (*diagnosis.effects, *diagnosis.unknown):
         name = e.fitted.name + (f" ({', '.join(e.depends_on)})" if e.depends_on else "")
-        numbers = "; ".join(map(_amount, e.fitted.parameters))
+        numbers = "; ".join(p.text for p in e.fitted.parameters)
         told = {None: "–", True: "yes", False: "no"}[e.transfers]
         rows.append([name, _where(e), e.fitted.channel,
                      *_told(_unit(diagnosis, e.fitted.channel), e.rms_before, e.rms_after), e.p_value, numbers,

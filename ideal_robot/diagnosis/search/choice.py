@@ -9,7 +9,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.blocks import Columns
-from ideal_robot.diagnosis.statistics.least_squares import TOLD, Fit, standard_errors, weights_of_channels
+from ideal_robot.diagnosis.statistics.least_squares import Fit, standard_errors, weights_of_channels
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 
 
@@ -59,8 +59,7 @@ class PresentModel:
     """
 
     def __init__(self, problem: Problem) -> None:
-        self.problem = problem
-        self.design = problem.design()
+        self.problem, self.design = problem, problem.design()
         self.choices: list[Candidate] = []
         self._starts: dict[str, list[tuple[float, ...]]] = {}
         self.weights = self._weights()
@@ -150,63 +149,12 @@ FINALISTS = 6
 """Candidates of a round that are looked at closely, at most: effects that are refined over theta, or curves."""
 
 
-def discoveries(scored: list[Candidate], tests: int, rate: float) -> list[Candidate]:
-    """Candidates that Benjamini–Hochberg accepts.
-
-    Args:
-        scored: candidates with their p-values.
-        tests: how many were tested, joints × effects.
-        rate: of false discoveries.
-    """
-    ordered = sorted(scored, key=lambda s: s.p_value)
-    last = 0
-    for rank, s in enumerate(ordered, start=1):
-        if s.p_value <= rate * rank / max(tests, 1):
-            last = rank
-    return ordered[:last]
-
-
-def rivals_of(model: PresentModel, best: Candidate, others: list[Candidate]) -> tuple[tuple[str, int, float], ...]:
-    """Candidates with nearly all of the reduction: with other data they might be ahead.
-
-    Args:
-        model: the present model.
-        best: the candidate that was selected.
-        others: all that were refined beside it.
-
-    Returns:
-        Name, joint, and share of the best one's reduction.
-    """
-    shares = [(s, s.test.total / max(best.test.total, 1e-300)) for s in others if s is not best]
-    return tuple((s.effect.name, s.joint, share) for s, share in shares if share > NEARLY and overlap(model, best, s))
-
-
-def indistinguishable(model: PresentModel, best: Candidate, other: Candidate) -> bool:
-    """Whether another candidate reduces the same channel as much, but for what scatters from block to block.
-
-    Args:
-        model: the present model.
-        best: scored against it.
-        other: likewise.
-    """
-    if not overlap(model, best, other) or other.test.total < NEARLY * best.test.total:
-        return False
-    return standard_errors(best.test.reduction - other.test.reduction) < TOLD
-
-
-def likelier(best: Candidate, others: list[Candidate]) -> Candidate:
-    """The best one, or one of the others that is taken sooner and reduces nearly as much of what is asked of it."""
-    return next((other for other in others if best.effect.name in other.effect.sooner_than and
-                 other.test.total / other.effect.caution > NEARLY * best.test.total / best.effect.caution), best)
-
-
 def overlap(model: PresentModel, a: Candidate, b: Candidate) -> bool:
     """Whether two candidates act on a common channel, so that one can stand for the other.
 
     Args:
-        model: the present model.
-        a: a candidate.
-        b: another one.
+        model: that has their columns.
+        a, b: the two.
     """
     groups = model.design.groups
     ours, theirs = (set(groups[c.key].channels) for c in (a, b) if c.key in groups)

@@ -6,31 +6,51 @@ no part in the fit, and taken out again when later ones make it superfluous.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.search.choice import (
-    FINALISTS,
-    NEARLY,
-    Options,
-    PresentModel,
-    discoveries,
-    indistinguishable,
-    likelier,
-    overlap,
-    rivals_of,
-)
+from ideal_robot.diagnosis.search.choice import FINALISTS, NEARLY, Options, PresentModel, overlap
 from ideal_robot.diagnosis.search.scoring import Scoring
 from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms, time_period
-from ideal_robot.diagnosis.statistics.least_squares import Fit
+from ideal_robot.diagnosis.statistics.least_squares import TOLD, Fit, standard_errors
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.effects import TCP_POSITION, Effect, Signals
 from ideal_robot.effects.loads import AngleLaw
 from ideal_robot.progress import Progress, silent
+
+
+def discoveries(scored: Sequence[Candidate], tests: int, rate: float) -> list[Candidate]:
+    """Candidates that Benjamini–Hochberg accepts.
+
+    Args:
+        scored: candidates with their p-values.
+        tests: how many were tested, joints × effects.
+        rate: of false discoveries.
+    """
+    ordered = sorted(scored, key=lambda s: s.p_value)
+    accepted = [rank for rank, s in enumerate(ordered, start=1) if s.p_value <= rate * rank / max(tests, 1)]
+    return ordered[: max(accepted, default=0)]
+
+
+def indistinguishable(model: PresentModel, best: Candidate, other: Candidate) -> bool:
+    """Whether another candidate reduces the same channel as much, but for what scatters from block to block.
+
+    Args:
+        model: against which both were scored.
+        best, other: the two.
+    """
+    if not overlap(model, best, other) or other.test.total < NEARLY * best.test.total:
+        return False
+    return standard_errors(best.test.reduction - other.test.reduction) < TOLD
+
+
+def likelier(best: Candidate, others: list[Candidate]) -> Candidate:
+    """The best one, or one of the others that is taken sooner and reduces nearly as much of what is asked of it."""
+    return next((other for other in others if best.effect.name in other.effect.sooner_than and
+                 other.test.total / other.effect.caution > NEARLY * best.test.total / best.effect.caution), best)
 
 
 class LearnedCurves:
@@ -47,55 +67,40 @@ class LearnedCurves:
         self.dependence = DependenceTest(scoring.at_rows, self.use, problem.blocks)
 
     def best(self, fit: Fit, best: Candidate | None) -> Candidate | None:
-        """A learned curve, if it reduces the residual clearly more than the best effect of the library.
-
-        Args:
-            fit: of the present model.
-            best: the best effect of this round, or None.
-        """
+        """A curve that reduces what a fit leaves clearly more than the best effect of the library of this round."""
         least = 0.0 if best is None else self.options.unknown_margin * best.test.total
-        problem = self.model.problem
-        residual = self.model.residual(fit)
+        problem, residual = self.model.problem, self.model.residual(fit)
         scored: list[Candidate] = []
         for j in range(problem.products.c):
-            if j + 1 in problem.regression.undecided and problem.regression.domain != TCP_POSITION:
-                continue
-            scored += self._of_channel(fit, residual, j, best is None, least)
+            if j + 1 not in problem.regression.undecided or problem.regression.domain == TCP_POSITION:
+                scored += self.in_channel(fit, residual, j, best is None, least)
         taken = {c.key for c in self.model.choices}
         scored = [s for s in scored if s.p_value < self.options.learned_discovery and s.test.total > least
                   and s.key not in taken and self.scoring.is_large(s)]
         found = max(scored, key=lambda s: s.test.total, default=None)
         return None if found is None else replace(found, asked=self.scoring.smallest_share(found))
 
-    def in_channel(self, fit: Fit, channel: int) -> Candidate | None:
-        """The curve that takes most away in one channel, from 0, whether it is large or not.
-
-        Args:
-            fit: without it.
-            channel: from 0.
-        """
-        scored = self._of_channel(fit, self.model.residual(fit), channel, False, 0.0)
-        return max(scored, key=lambda s: s.test.total, default=None)
-
     def over_angle(self, fit: Fit, joint: int) -> list[Candidate]:
-        """The curve over a joint's own angle, tested; none where the joint hardly moves.
-
-        Args:
-            fit: of the present model.
-            joint: from 1.
-        """
+        """The curve over a joint's own angle, from 1, tested; none where the joint hardly moves."""
         curves = [Candidate(term, joint) for term in terms(self.scoring.at_rows, joint - 1, False)
                   if term.depends_on == (f"q_{joint}",) and not term.directed]
         for curve in curves:
             self.model.add_columns(curve)
         return [self.scoring.tested(fit, curve) for curve in curves]
 
-    def _of_channel(self, fit: Fit, residual: np.ndarray, j: int, pairs: bool, least: float) -> list[Candidate]:
-        """Curves of channel ``j`` tested on blocks left out; ``least`` is what they have to take away."""
-        regression = self.model.problem.regression
-        use = self.use[:, j]
+    def in_channel(self, fit: Fit, residual: Array, j: int, pairs: bool = False,
+                   least: float = 0.0) -> list[Candidate]:
+        """Curves of one channel tested on blocks left out, whether they are large or not.
+
+        Args:
+            fit: without them.
+            residual: that it leaves ``(N, c)``.
+            j: channel, from 0.
+            pairs: whether curves over two signals are looked at as well.
+            least: what they have to take away to be promising.
+        """
+        regression, at_rows, use = self.model.problem.regression, self.scoring.at_rows, self.use[:, j]
         squares = float(np.sum(residual[use, j] ** 2) * self.model.weights[j])
-        at_rows = self.scoring.at_rows
         period = time_period(residual[:, j], use, at_rows.t, regression.domain)
         curves = [*terms(at_rows, j, pairs, regression.domain), *([] if period is None else [period])]
         # By the share explained of what would not be by chance: many curves follow a residual that is in few places.
@@ -127,13 +132,9 @@ def candidates(effects: Sequence[Effect], signals: Signals, undecided: dict[int,
         if effect.absorbed_by_base and not absorbed:
             continue
         for joint in effect.joints(signals):
-            if joint in undecided or not effect.usable(signals, joint):
-                continue
-            if effect.scanned:
-                yield [Candidate(effect, joint)]
-                continue
-            starts = effect.starts(signals, joint)
-            yield [Candidate(effect, joint, theta, len(starts)) for theta in starts]
+            if joint not in undecided and effect.usable(signals, joint):
+                starts = [()] if effect.scanned else effect.starts(signals, joint)
+                yield [Candidate(effect, joint, theta, len(starts)) for theta in starts]
 
 
 Only = tuple[tuple[str, int], ...]
@@ -166,11 +167,7 @@ class Search:
         self.pool = sorted(pool, key=lambda starts: starts[0].joint)
 
     def run(self, start: Sequence[Candidate] = ()) -> list[Candidate]:
-        """Selects; returns the choices in the order they were taken.
-
-        Args:
-            start: choices of an earlier search to begin with, as far as they still hold their places.
-        """
+        """The choices in the order they were taken, first those of an earlier search that still hold their places."""
         self.model.replace(list(start))
         for one in sorted(start, key=lambda c: c.share):
             self._drop_if_small(one)
@@ -213,28 +210,29 @@ class Search:
         scored = [self._sharpened(fit, s) for s in scored]
         passed = [s for s in discoveries(scored, len(self.pool), self.options.false_discovery)
                   if self.scoring.is_large(s)]
-        if not passed:
-            return None
         passed.sort(key=lambda s: -s.test.total)
         refined: list[Candidate] = []
         for s in passed:
             if len(refined) == FINALISTS or (refined and s.test.total < 0.4 * refined[0].test.total):
                 break
             better = self.scoring.refined(fit, s)
-            if self.scoring.holds(fit, better):
+            if self.scoring.holds_slowly(better) and self.scoring.holds_everywhere(fit, better):
                 refined.append(better)
         if not refined:
             return None
         refined.sort(key=lambda s: -s.test.total)
-        best = refined[0]
+        first = refined[0]
         # Of those that the data cannot tell apart, the one with fewest parameters.
-        for other in refined[1:]:
-            if other.parameter_count < best.parameter_count \
-                    and indistinguishable(self.model, refined[0], other):
-                best = other
-        best = likelier(best, refined)
-        return dataclasses.replace(best, rivals=rivals_of(self.model, best, refined),
-                                   asked=self.scoring.share_asked(best))
+        alike = [first, *(other for other in refined if other.parameter_count < first.parameter_count
+                          and indistinguishable(self.model, first, other))]
+        best = likelier(min(alike, key=lambda s: s.parameter_count), refined)
+        return self._with_rivals(best, refined, self.scoring.share_asked(best))
+
+    def _with_rivals(self, best: Candidate, others: Sequence[Candidate], asked: float) -> Candidate:
+        """The best one with what was asked of it, and its rivals: with other data they might be ahead of it."""
+        shares = [(s, s.test.total / max(best.test.total, 1e-300)) for s in others if s is not best]
+        return replace(best, asked=asked, rivals=tuple((s.effect.name, s.joint, share) for s, share in shares
+                                                       if share > NEARLY and overlap(self.model, best, s)))
 
     def _sharpened(self, fit: Fit, s: Candidate) -> Candidate:
         """A candidate that is large enough, but whose start lies too far off its theta to pay the price of all starts.
@@ -264,9 +262,6 @@ class Search:
 
         Residuals of friction, lags and gears depend on the motion and differ between blocks. A residual over the angle
         that is alike in all blocks says that the law's form is wrong. Without one the simpler law stays.
-
-        Returns:
-            Whether any was exchanged.
         """
         for position, choice in enumerate(self.model.choices):
             if not isinstance(choice.effect, AngleLaw):
@@ -289,23 +284,17 @@ class Search:
                     for s in ([other] if simple is other else own))
                 if needed == (rich is other) and self.scoring.is_large(other, choice) \
                         and other.test.total > NEARLY * present.test.total:
-                    better = dataclasses.replace(other, rivals=rivals_of(self.model, other, [present]),
-                                                 asked=self.scoring.smallest_share(other, choice))
+                    better = self._with_rivals(other, [present], self.scoring.smallest_share(other, choice))
                     self.model.replace([*self.model.choices[:position], better, *self.model.choices[position + 1 :]])
                     return True
         return False
 
     def _retune(self, newest: Candidate) -> None:
-        """Theta of each effect once more, where the newest acts on the same channels: they were found without it.
-
-        Args:
-            newest: that was taken.
-        """
+        """Theta of each effect once more, where the newest acts on the same channels: they were found without it."""
         for choice in self.model.choices:
             if choice.effect.learned or not choice.theta or not overlap(self.model, choice, newest):
                 continue
             fit = self.model.fit(choice)
             better = self.scoring.refined(fit, self.scoring.tested(fit, choice))
             if better.key != choice.key:
-                self.model.replace([dataclasses.replace(c, theta=better.theta) if c is choice else c
-                                    for c in self.model.choices])
+                self.model.replace([replace(c, theta=better.theta) if c is choice else c for c in self.model.choices])

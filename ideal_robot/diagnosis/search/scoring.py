@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import replace
 from functools import cached_property
 
@@ -63,12 +62,7 @@ class Scoring:
         return caution * self.options.smallest
 
     def is_large(self, s: Candidate, replaced: Candidate | None = None) -> bool:
-        """Whether a candidate reduces enough, in the whole band or where nothing vibrates.
-
-        Args:
-            s: tested.
-            replaced: the choice in whose place it would be taken, if there is one.
-        """
+        """Whether a candidate reduces enough, in a choice's place if ``replaced``, in all of the band or slowly."""
         return self._is_large_here(s, replaced) or self.share_slowly(s, replaced) > 0.0
 
     def share_slowly(self, s: Candidate, replaced: Candidate | None = None) -> float:
@@ -76,10 +70,6 @@ class Scoring:
 
         Another cause sets elastic arms swinging, and that may be most of what a joint's residual is. Friction over
         speed has next to nothing at those frequencies, so they say nothing of how much it explains.
-
-        Args:
-            s: tested in the whole band.
-            replaced: the choice in whose place it would be taken, if there is one.
         """
         if not s.effect.of_slow_motion or self.model.problem.band < 1.0 \
                 or s.p_value > self.options.learned_discovery:
@@ -104,12 +94,7 @@ class Scoring:
                        replace(self.options, smallest=self.options.smallest_learned))
 
     def share_asked(self, s: Candidate, own: Candidate | None = None) -> float:
-        """Share of the whole band's squares that is asked of a candidate which is large.
-
-        Args:
-            s: tested.
-            own: its choice, if it was taken.
-        """
+        """Share of the whole band's squares that is asked of a large candidate; ``own`` is its choice if taken."""
         asked, slowly = self.smallest_share(s, own), 0.0
         if s.share < asked:
             slowly = self.share_slowly(s, own)
@@ -141,34 +126,24 @@ class Scoring:
         # Beside a far larger effect of the same joint it is the form of that one, which is never quite the right one.
         return bool(np.any(size > self.options.smallest_beside * self._sizes_at(s.joint, replaced)[channels]))
 
-    def holds(self, fit: Fit, s: Candidate) -> bool:
-        """Whether a candidate that ``fit`` is without is at all frequencies and places where its law says it is."""
-        return self.holds_slowly(s) and self.holds_everywhere(fit, s)
-
     def holds_everywhere(self, fit: Fit, s: Candidate) -> bool:
         """Whether what repeats over the angle is in all parts of the range, half as large as in the whole at least.
 
-        Parts hold a period or more, and are no more than the parts of the time that are left out in turn.
-
-        An odd shape at one place, or what a curve leaves of it, has a spectrum over the angle as well, but no torque
-        elsewhere.
-
-        Args:
-            fit: without the candidate.
-            s: the candidate, scored.
+        Parts hold a period or more, and are no more than the parts of the time that are left out in turn. An odd shape
+        at one place, or what a curve leaves of it, has a spectrum over the angle as well, but no torque elsewhere.
+        ``fit`` is without the candidate.
         """
-        effect, joint = s.effect, s.joint
-        if not effect.scanned:
+        if not s.effect.scanned:
             return True
-        key, group = s.key, self.model.design.groups[s.key]
-        fit = Fit(self.model.design, [*fit.keys, key], self.model.weights, self.model.problem.prior)
+        group = self.model.design.groups[s.key]
+        fit = Fit(self.model.design, [*fit.keys, s.key], self.model.weights, self.model.problem.prior)
         channels, blocks = list(group.channels), self.model.problem.blocks
         use = self.model.problem.products.use[:, channels] & blocks.selecting_samples[:, None]
         wave = group.values @ fit.beta[-group.m :] * use
         left = self.model.residual(fit)[:, channels] * use
         rows = np.flatnonzero(use.any(axis=1))
-        q = self.at_rows.q[rows, joint - 1]
-        parts = int(np.clip(effect.periods(self.signals, joint, s.theta), 1, blocks.folds))
+        q = self.at_rows.q[rows, s.joint - 1]
+        parts = int(np.clip(s.effect.periods(self.signals, s.joint, s.theta), 1, blocks.folds))
         return all(np.sum(left[part] * wave[part]) > -0.5 * np.sum(wave[part] ** 2)
                    for part in np.array_split(rows[np.argsort(q)], parts))
 
@@ -197,34 +172,31 @@ class Scoring:
         return result
 
     def refined(self, fit: Fit, s: Candidate) -> Candidate:
-        """Theta by bounded search from the best start, all linear parameters eliminated."""
-        effect, joint = s.effect, s.joint
-        if not effect.theta_is_physical:
+        """Theta by bounded search from the best start, all linear parameters eliminated; ``fit`` is without it."""
+        if not s.effect.theta_is_physical:
             return self._made_consistent(fit, s)
-        bounds = effect.bounds_near(self.signals, joint, s.theta)
+        bounds, present = s.effect.bounds_near(self.signals, s.joint, s.theta), self.model.keys()
         if not bounds:
             return s
 
-        present = self.model.keys()
+        def at(theta: Array | float) -> Candidate:
+            return replace(s, theta=tuple(np.atleast_1d(theta).tolist()))
 
-        def loss(theta: Array) -> float:
-            candidate = replace(s, theta=tuple(float(v) for v in theta))
-            self.model.add_columns(candidate)
+        def loss(theta: Array | float) -> float:
+            candidate = at(theta)
             gain = self.plausible_gain(fit, candidate)
             if candidate.key != s.key and candidate.key not in present:
                 self.model.design.drop(candidate.key)
             return -gain if gain is not None else 0.0
 
         if len(bounds) == 1:
-            low, high = bounds[0]
-            found = optimize.minimize_scalar(lambda v: loss(np.array([v])), bounds=(low, high), method="bounded",
+            (low, high), = bounds
+            found = optimize.minimize_scalar(loss, bounds=(low, high), method="bounded",
                                              options={"maxiter": 14, "xatol": 1e-3 * (high - low)})
-            theta = np.array([float(found.x)])
         else:
             found = optimize.minimize(loss, np.array(s.theta), method="Nelder-Mead", bounds=bounds,
                                       options={"maxfev": 40, "xatol": 1e-3, "fatol": 1e-2})
-            theta = np.asarray(found.x)
-        better = replace(s, theta=tuple(float(v) for v in theta))
+        better = at(found.x)
         if self.plausible_gain(fit, better) is None:
             return s
         tried = self.tested(fit, better)
@@ -244,21 +216,16 @@ class Scoring:
         return s if better.theta == s.theta else self.tested(fit, better)
 
     def scored(self, fit: Fit, pool: list[list[Candidate]]) -> list[Candidate]:
-        """The best start of every effect at every joint, tested on blocks left out.
-
-        Args:
-            fit: without the candidates.
-            pool: for every effect and joint its starts.
-        """
-        residual = self.model.residual(fit)
-        use, scored = self.model.problem.products.use, []
+        """The best of the starts of every effect at every joint, tested on blocks left out by a fit without it."""
+        residual, scored = self.model.residual(fit), []
         taken = [c for c in self.model.choices if c.key in fit.keys]
         for starts in pool:
             first = starts[0]
             if not first.effect.scanned and any(_forms_of_one(first, other) for other in taken):
                 continue
             if first.effect.scanned:
-                found, tries = first.effect.starts_from_residual(self.at_rows, first.joint, residual, use)
+                found, tries = first.effect.starts_from_residual(self.at_rows, first.joint, residual,
+                                                                 self.model.problem.products.use)
                 starts = [replace(first, theta=theta, tries=tries) for theta in found]
             best = self._best_start(fit, starts)
             if best is not None:
@@ -290,21 +257,15 @@ def _forms_of_one(a: Candidate, b: Candidate) -> bool:
 
 
 def with_equivalents(problem: Problem, choices: list[Candidate]) -> list[Candidate]:
-    """The choices with what other joints' geometry could do as well: links of parallel axes are one length.
-
-    Args:
-        problem: the regression of the TCP.
-        choices: what was selected.
-    """
+    """The choices with what other joints' geometry could do as well: links of parallel axes are one length."""
     if not any(isinstance(choice.effect, GeometryChange) for choice in choices):
         return choices
-    made, found = problem.regression, problem.fit(choices)
-    result = []
-    for k, choice in enumerate(choices):
+    made, found, result = problem.regression, problem.fit(choices), []
+    for choice, coefficients in zip(choices, found.coefficients, strict=True):
         effect, joint, theta = choice.effect, choice.joint, choice.theta
         more: list[tuple[str, int, float]] = []
         if isinstance(effect, GeometryChange):
-            own = (made.columns_of(effect, joint, theta) @ found.coefficients[k]).reshape(-1)
+            own = (made.columns_of(effect, joint, theta) @ coefficients).reshape(-1)
             W = made.W.reshape(len(own), -1)
             alone = float(np.sum(_without(W, own) ** 2))
             for other in effect.joints(made.signals):
@@ -313,7 +274,7 @@ def with_equivalents(problem: Problem, choices: list[Candidate]) -> list[Candida
                     left = float(np.sum(_without(np.column_stack([W, theirs]), own) ** 2))
                     if left < (1.0 - NEARLY) * alone:
                         more.append((f"{effect.name} of joint {other}", other, 1.0 - left / alone))
-        result.append(dataclasses.replace(choice, rivals=choice.rivals + tuple(more)))
+        result.append(replace(choice, rivals=choice.rivals + tuple(more)))
     return result
 
 

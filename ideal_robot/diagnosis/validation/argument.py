@@ -80,20 +80,19 @@ class Argument:
     def text(self) -> str:
         """The argument in a few sentences."""
         said = [f"{self.place}: {self.name} in {self.channel}."]
-        for one in [one for one in self.rivals if not one.learned][:1]:
-            what = one.words if one.joint != self.joint else one.name
+        best = next((one for one in self.rivals if not one.learned), None)
+        if best is not None:
+            what = best.words if best.joint != self.joint else best.name
             low, high = self.band
             between = (f"above {low:g} Hz" if not np.isfinite(high) else
                        f"between {low:g} and {high:g} Hz" if low else f"below {high:g} Hz")
             where = (f"half of the difference lies {between}, {100.0 * min(self.share, 1.0):.0f} % of it in the "
                      f"quarter of the time {self.when}.")
-            if not one.told:
-                said.append(f"Not told from {what}, {one.amount}.")
-            elif one.nats > 0.0:
-                said.append(f"Next best is {what}, {one.amount}: {where}")
-            else:
-                said.append(f"With {what} it is {one.amount}: {where} Where both explain nearly the same, the likelier "
-                            "cause or the one with fewer parameters is named.")
+            said.append(
+                f"Not told from {what}, {best.amount}." if not best.told else
+                f"Next best is {what}, {best.amount}: {where}" if best.nats > 0.0 else
+                f"With {what} it is {best.amount}: {where} Where both explain nearly the same, the likelier cause or "
+                "the one with fewer parameters is named.")
         said += [f"With {one.name}, which has no cause, {one.amount}." for one in self.rivals if one.learned]
         said += [f"With nothing in its place {one.amount}." for one in self.sets if not one.name]
         return f"{' '.join(said)} Sets weighed: {len(self.sets) + 1}."

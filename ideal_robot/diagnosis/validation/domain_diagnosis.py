@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -30,14 +30,8 @@ def discriminating_motion(name: str, rivals: tuple[str, ...]) -> str:
     return "; ".join(dict.fromkeys(found))
 
 
-def ranked_structure(problem: Problem, residuals: Sequence[Array], most: int = 3) -> list[tuple[Structure, ...]]:
-    """For each residual the strongest dependences of each channel that stand out of their null distribution.
-
-    Args:
-        problem: with signals and blocks.
-        residuals: at its rows ``(N, c)``, in the units of the channels.
-        most: dependences of a channel.
-    """
+def _ranked_structure(problem: Problem, residuals: Sequence[Array]) -> list[tuple[Structure, ...]]:
+    """For each residual ``(N, c)`` the three strongest dependences of each channel that are not as by chance."""
     regression, use = problem.regression, problem.products.use
     signals = regression.decimated_signals()
     dependence = DependenceTest(signals, use, problem.blocks)
@@ -51,7 +45,7 @@ def ranked_structure(problem: Problem, residuals: Sequence[Array], most: int = 3
             clear = [d for d in tests if d.p_value < limit and d.share - d.expected > 0.01]
             clear.sort(key=lambda d: d.expected - d.share)
             found += [Structure(regression.channels[j], tuple(d.term.signals_of(j + 1)), d.share, d.expected, d.p_value)
-                      for d in clear[:most]]
+                      for d in clear[:3]]
         result.append(tuple(found))
     return result
 
@@ -60,32 +54,26 @@ def with_limits(fitted: FittedEffect, candidate: Candidate, signals: Signals) ->
     """The effect with limits, and no standard deviation, for parameters whose theta stands at its bound.
 
     Args:
-        fitted: the effect with its numbers.
-        candidate: whose theta they were found with.
+        fitted, candidate: its numbers, and the theta that they were found with.
         signals: of the recording.
     """
-    effect, theta = candidate.effect, candidate.theta
-    parameters = list(fitted.parameters)
+    theta, parameters = candidate.theta, list(fitted.parameters)
     for i, side in enumerate(sides(candidate, signals)):
         if not side:
             continue
         inward = (*theta[:i], theta[i] - 0.01 * side * (abs(theta[i]) or 1.0), *theta[i + 1 :])
-        moved = effect.parameters(np.asarray(fitted.coefficients), np.asarray(fitted.std), inward, fitted.theta_std)
+        moved = candidate.effect.parameters(np.asarray(fitted.coefficients), np.asarray(fitted.std), inward,
+                                            fitted.theta_std)
         for k, (here, there) in enumerate(zip(fitted.parameters, moved, strict=True)):
             step = there.value - here.value
             if abs(step) > 1e-9 * max(abs(here.value), 1e-300):
                 # What lies beyond the bound lies on the other side than what lies within.
                 parameters[k] = EffectParameter(here.name, here.value, 0.0, here.unit, "≤" if step > 0.0 else "≥")
-    return dataclasses.replace(fitted, parameters=tuple(parameters))
+    return replace(fitted, parameters=tuple(parameters))
 
 
 def sides(candidate: Candidate, signals: Signals) -> list[int]:
-    """For each theta -1 where it stands at the lower end of what was searched, 1 at the upper, 0 between.
-
-    Args:
-        candidate: effect, joint and theta.
-        signals: of the recording.
-    """
+    """For each theta -1 where it stands at the lower end of what was searched, 1 at the upper, 0 between."""
     effect, theta = candidate.effect, candidate.theta
     bounds = effect.bounds(signals, candidate.joint) if effect.theta_is_physical else []
     if len(bounds) != len(theta):
@@ -93,7 +81,7 @@ def sides(candidate: Candidate, signals: Signals) -> list[int]:
     if len(bounds) == 1 and not effect.scanned:
         starts = [start[0] for start in effect.starts(signals, candidate.joint) if start and start[0] > 0.0]
         if starts and bounds[0][0] >= 0.0:
-            (low, high) = bounds[0]
+            low, high = bounds[0]
             bounds = [(max(low, min(starts) / REACH), min(high, max(starts) * REACH))]
     return [_side(value, low, high) for value, (low, high) in zip(theta, bounds, strict=True)]
 
@@ -115,8 +103,7 @@ def with_misfit(problem: Problem, effects: Sequence[Candidate], found: Estimate)
     what is left, that is far less than all that is left could bend it by.
 
     Args:
-        problem: in which the effects were fitted.
-        effects: of the fit, in its order.
+        problem, effects: of the fit, in its order.
         found: the fit to all blocks, with uncertainty.
     """
     if not effects:
@@ -124,14 +111,12 @@ def with_misfit(problem: Problem, effects: Sequence[Candidate], found: Estimate)
     whole = problem.on_all_blocks()
     wide = whole.fit(effects, uncertainty=True, misfit=True)
     slow = whole.slow().fit(effects, uncertainty=True, misfit=True)
-    hidden = [candidate.effect.of_slow_motion for candidate in effects]
-    own_std, own_theta = ([np.minimum(here, there) if less else here for here, there, less in
-                           zip(*stds, hidden, strict=True)]
-                          for stds in ((wide.std, slow.std), (wide.theta_std, slow.theta_std)))
-    std = [np.hypot(own, there - here) for own, here, there in
-           zip(own_std, found.coefficients, slow.coefficients, strict=True)]
-    theta_std = [np.where(own > 0.0, np.hypot(own, there - here), own) for own, here, there in
-                 zip(own_theta, wide.theta_step, slow.theta_step, strict=True)]
+    std, theta_std = [], []
+    for k, candidate in enumerate(effects):
+        errs, drifts = (np.minimum(here[k], there[k]) if candidate.effect.of_slow_motion else here[k]
+                        for here, there in ((wide.std, slow.std), (wide.theta_std, slow.theta_std)))
+        std.append(np.hypot(errs, slow.coefficients[k] - found.coefficients[k]))
+        theta_std.append(np.where(drifts > 0.0, np.hypot(drifts, slow.theta_step[k] - wide.theta_step[k]), drifts))
     return replace(found, std=tuple(std), theta_std=tuple(theta_std))
 
 
@@ -201,37 +186,33 @@ class DomainDiagnosis:
         An effect whose coefficients in the fit of everything together are not what physics allows, or with which the
         error on the held-out data does not fall by half of what was asked at least, is not missing.
         """
-        domain = self
-        dropped: list[NotTransferred] = []
-        while domain.choices:
-            found = domain._unsound() or domain._worthless()
-            if found is None:
-                break
+        domain, dropped = self, list[NotTransferred]()
+        while domain.choices and (found := domain._unsound() or domain._worthless()):
             k, gone = found
             kept = [choice for i, choice in enumerate(domain.choices) if i != k]
             final = domain.problem.on_all_blocks().fit(kept, uncertainty=True)
-            domain, dropped = replace(domain, choices=kept, final=final), [*dropped, gone]
+            domain = replace(domain, choices=kept, final=final)
+            dropped.append(gone)
         return domain, tuple(dropped)
 
     def _unsound(self) -> tuple[int, NotTransferred] | None:
         """The last effect that in the final fit is not plausible, as good as none, or only near standstill."""
         signals = self.problem.regression.signals
-        widened = self._widened
         for k in reversed(range(len(self.choices))):
             candidate, own = self.choices[k], self.final.coefficients[k]
-            allowed = not np.any(own) or candidate.effect.plausible(own, candidate.theta, signals, candidate.joint)
-            clear = candidate.effect.learned or self._differs(k)
-            # A friction law whose bend lies below a hundredth or so of the speeds that were driven follows contact,
-            # filters and controller there, which differ from drive to drive.
-            near = candidate.effect.at_standstill(sides(candidate, signals))
-            if allowed and clear and not near:
-                continue
-            why = ("it has a sign or a size that physics does not allow" if not allowed
-                   else "it is how friction goes through standstill, at the end of what was searched" if near
-                   else "it is not distinguished from none")
-            numbers = fitted_effect(candidate, widened, k, self.reported.prismatic).parameters
-            said = ", ".join(p.text for p in numbers)
-            return k, self._not_added(k, f"in the fit of everything together {why} ({said})")
+            why = ""
+            if np.any(own) and not candidate.effect.plausible(own, candidate.theta, signals, candidate.joint):
+                why = "it has a sign or a size that physics does not allow"
+            elif candidate.effect.at_standstill(sides(candidate, signals)):
+                # A friction law whose bend lies below a hundredth or so of the speeds that were driven follows contact,
+                # filters and controller there, which differ from drive to drive.
+                why = "it is how friction goes through standstill, at the end of what was searched"
+            elif not (candidate.effect.learned or self._differs(k)):
+                why = "it is not distinguished from none"
+            if why:
+                numbers = fitted_effect(candidate, self._widened, k, self.reported.prismatic).parameters
+                said = ", ".join(p.text for p in numbers)
+                return k, self._not_added(k, f"in the fit of everything together {why} ({said})")
         return None
 
     def _differs(self, k: int) -> bool:
@@ -269,8 +250,7 @@ class DomainDiagnosis:
     def _shares(self) -> list[float]:
         """Share of the held-out squares of its channel that each effect takes away, those before it being there."""
         return [1.0 - float(after[j] / max(float(before[j]), 1e-300)) ** 2
-                for before, after, j in zip(self.levels, self.levels[1:], map(self._channel, range(len(self.choices))),
-                                            strict=False)]
+                for k, (before, after) in enumerate(pairwise(self.levels)) for j in [self._channel(k)]]
 
     def _asked_in_the_end(self, choice: Candidate) -> float:
         """Share of the held-out squares that an effect has to take away.
@@ -304,45 +284,41 @@ class DomainDiagnosis:
     def result(self) -> DomainResult:
         """Errors of each step, effects with their numbers, and what the residual depends on."""
         effects, own, reported = self.choices, self.problem.regression, self.reported
-        steps = [self.problem.fit(effects[:k]) for k in (0, len(effects))]
-        residuals = [step.residual(reported, effects[:k]) for k, step in zip((0, len(effects)), steps, strict=True)]
-        before = reported.y if self.given else residuals[0]
-        refit = self._rms(residuals[0])
-        start, signal = self._rms(before), self._rms(reported.measured)
+        first, last = self.problem.fit(), self.problem.fit(effects)
+        refitted, left = first.residual(reported, []), last.residual(reported, effects)
+        before, after = reported.y if self.given else refitted, self._rms(left)
         # The floor belongs to the band of the residual, and is part of it.
-        after = self._rms(residuals[-1])
-        white, usual = noise_left(residuals[-1], reported.use)
-        floor = np.minimum.reduce([reported.noise_floor, white, after])
-        channels = tuple(ChannelResult(name, unit, float(start[j]), float(refit[j]), float(after[j]),
-                                       float(floor[j]), float(signal[j]), float(np.mean(own.use[:, j])),
-                                       float(spread(reported.measured, reported.use)[j]),
-                                       reported.domain != TCP_POSITION or not reported.absent, float(usual[j]))
-                         for j, (name, unit) in enumerate(zip(reported.channels, reported.units, strict=True))
+        white, usual = noise_left(left, reported.use)
+        numbers = np.array([self._rms(before), self._rms(refitted), after,
+                            np.minimum.reduce([reported.noise_floor, white, after]), self._rms(reported.measured),
+                            own.use.mean(axis=0), spread(reported.measured, reported.use), usual]).T.tolist()
+        judged = reported.domain != TCP_POSITION or not reported.absent
+        channels = tuple(ChannelResult(name, unit, *values, judged=judged) for j, (name, unit, values) in
+                         enumerate(zip(reported.channels, reported.units, numbers, strict=True))
                          if j not in reported.absent)
-        found = tuple(self._found(k) for k in range(len(effects)))
         # Dependences are looked for in the recording that the fit was made on.
-        first = own.y if self.given else steps[0].residual(own, [])
-        before_it, after_it = ranked_structure(self.problem, [first, steps[-1].residual(own, effects)])
+        at_first = own.y if self.given else first.residual(own, [])
+        before_it, after_it = _ranked_structure(self.problem, [at_first, last.residual(own, effects)])
         at = reported.decimated_signals()
-        traces = Traces(reported.t, reported.measured, before, residuals[-1], reported.use, self.held_out, at.q, at.qd,
-                        tuple(steps[-1].contributions(reported, effects)))
-        return DomainResult(channels, found, before_it, after_it, (reported.channels, traces))
+        traces = Traces(reported.t, reported.measured, before, left, reported.use, self.held_out, at.q, at.qd,
+                        tuple(last.contributions(reported, effects)))
+        return DomainResult(channels, tuple(map(self._found, range(len(effects)))), before_it, after_it,
+                            (reported.channels, traces))
 
     def _rms(self, values: Array) -> Array:
         return rms(values, self.reported.use & self.held_out[:, None])
 
     def _found(self, k: int) -> FoundEffect:
         """What is said of a choice."""
-        choice, levels, j = self.choices[k], self.levels, self._channel(k)
-        effect = choice.effect
+        choice, effect, j = self.choices[k], self.choices[k].effect, self._channel(k)
         rivals = tuple(dict.fromkeys(name for name, _, _ in choice.rivals if name != effect.name))
-        before, after = float(levels[k][j]), float(levels[k + 1][j])
-        transfers = None if self.validation is None else bool(levels[k + 1][j] < levels[k][j])
+        before, after = float(self.levels[k][j]), float(self.levels[k + 1][j])
+        transfers = None if self.validation is None else after < before
         evidence = {"p_value": choice.p_value, "rms_before": before, "rms_after": after,
                     "indistinguishable_from": list(rivals), "transfers": transfers, "recording": self.source,
                     "share": choice.share, "share_asked": choice.asked}
-        fitted = fitted_effect(choice, self._widened, k, self.reported.prismatic, evidence=evidence)
-        fitted = with_limits(fitted, choice, self.problem.regression.signals)
+        fitted = with_limits(fitted_effect(choice, self._widened, k, self.reported.prismatic, evidence=evidence),
+                             choice, self.problem.regression.signals)
         names = tuple(effect.signals_of(choice.joint)) if isinstance(effect, Unknown) else ()
         return FoundEffect(fitted, before, after, choice.p_value, rivals, discriminating_motion(effect.name, rivals),
                            transfers, names, k)

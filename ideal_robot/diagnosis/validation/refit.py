@@ -42,13 +42,8 @@ from ideal_robot.signals.recording import Recording
 # tells badly goes anywhere: into rotors, gravity, other joints' friction. On another motion that is an error of its
 # own. Where the model is known and the effects are named, what the recording holds beyond the model is theirs alone.
 
-def held_problem(regression: Regression, model: Model) -> Problem:
-    """The problem of a recording with the model's parameters held.
-
-    Args:
-        regression: of the motor torques, about the model.
-        model: that is known.
-    """
+def _held_problem(regression: Regression, model: Model) -> Problem:
+    """The problem of the motor torques about a model with its parameters held."""
     problem = Problem.of(regression, held_out=False).on_all_blocks()
     return problem.with_prior(prior_precision(model, problem)).held()
 
@@ -69,7 +64,7 @@ def beside_held_model(regression: Regression, model: Model,
     if not of_torque:
         return ()
     candidates = [Candidate(effect.effect, effect.joint, effect.theta) for effect in of_torque]
-    found = held_problem(regression, model).fit(candidates, uncertainty=True)
+    found = _held_problem(regression, model).fit(candidates, uncertainty=True)
     return tuple(replace(effect, coefficients=tuple(float(value) for value in own),
                          std=tuple(float(value) for value in std), theta_std=(), parameters=())
                  for effect, own, std in zip(of_torque, found.coefficients, found.std, strict=True)
@@ -94,8 +89,7 @@ def friction_anew(regression: Regression, model: Model, joints: tuple[int, ...])
     result: dict[int, Model] = {}
     places = friction_places(model.base, model.friction)
     for joint, (law, columns) in enumerate(zip(model.friction.laws, places, strict=True), start=1):
-        use = regression.use[:, joint - 1]
-        known = law.coefficients[:, 0]
+        use, known = regression.use[:, joint - 1], law.coefficients[:, 0]
         free = np.abs(known) > 0.0
         if joint not in joints or joint in regression.undecided or not free.any() or np.count_nonzero(use) < len(known):
             continue
@@ -114,37 +108,24 @@ def with_braking_friction(case: Case, found: Findings) -> Findings:
     if not case.shared or case.given is not None:
         return found
     for _ in range(case.robot.n):
+        start = found.start
+        value = parameter_vector(start.base_values, start.friction)
+        brakes = np.zeros(len(value), dtype=bool)
+        for law, place in zip(start.friction.laws, friction_places(start.base, start.friction), strict=True):
+            brakes[place] = law.nonnegative
+        brakes[list(found.held)] = False
         change = found.problem.on_all_blocks().fit(found.choices).change
-        driving = _driving(found.start, change) & ~np.isin(np.arange(len(change)), found.held)
-        if not driving.any():
+        index = np.flatnonzero(brakes & (value + change < 0.0))
+        if not len(index):
             break
-        found = _held(found, np.flatnonzero(driving))
+        found = _held(found, index, value)
     return found
 
 
-def without_scatter(estimate: Estimate, held: tuple[int, ...]) -> Estimate:
-    """The estimate where held parameters stay and have no scatter: they stand at their limit."""
-    covariance, change = estimate.covariance.copy(), estimate.change.copy()
-    covariance[list(held)] = 0.0
-    covariance[:, list(held)] = 0.0
-    change[list(held)] = 0.0
-    return replace(estimate, change=change, covariance=covariance)
-
-
-def _driving(model: Model, change: np.ndarray) -> np.ndarray:
-    """Mask ``(P,)`` of coefficients of friction that a change of the parameters ``(P,)`` makes negative."""
-    value = parameter_vector(model.base_values, model.friction) + change
-    brakes = np.zeros(len(value), dtype=bool)
-    for law, place in zip(model.friction.laws, friction_places(model.base, model.friction), strict=True):
-        brakes[place] = law.nonnegative
-    return np.asarray(brakes & (value < 0.0))
-
-
-def _held(found: Findings, index: np.ndarray) -> Findings:
-    """The same about a model whose parameters at ``index`` are zero, with no part in any fit."""
-    values = parameter_vector(found.start.base_values, found.start.friction)
-    change = np.zeros(len(values))
-    change[index] = -values[index]
+def _held(found: Findings, index: np.ndarray, value: Array) -> Findings:
+    """The same about a model whose parameters ``(P,)`` are zero at ``index``, with no part in any fit."""
+    change = np.zeros(len(value))
+    change[index] = -value[index]
     start = with_parameters(found.start, change)
 
     def about(regression: Regression) -> Regression:
@@ -154,7 +135,14 @@ def _held(found: Findings, index: np.ndarray) -> Findings:
 
     return replace(found, start=start, problem=found.problem.with_regression(about(found.problem.regression)),
                    validation=None if found.validation is None else about(found.validation),
-                   held=(*found.held, *(int(i) for i in index)))
+                   held=(*found.held, *index.tolist()))
+
+
+def without_scatter(estimate: Estimate, held: tuple[int, ...]) -> Estimate:
+    """The estimate where held parameters stay and have no scatter: they stand at their limit."""
+    covariance, change, index = estimate.covariance.copy(), estimate.change.copy(), list(held)
+    covariance[index], covariance[:, index], change[index] = 0.0, 0.0, 0.0
+    return replace(estimate, change=change, covariance=covariance)
 
 
 # What refitting a given model's parameters alone explains: a cause that looks like them may hide in that.
@@ -170,8 +158,7 @@ def explained_by_refitting(model: Model, torque: DomainDiagnosis,
 
     Args:
         model: as given.
-        torque: the domain of the motor torques, settled.
-        channels: its results.
+        torque, channels: the settled domain of the motor torques, and its results.
     """
     regression, estimate = torque.problem.regression, torque.problem.fit(torque.choices)
     left_open = torque_left_open(model, torque.problem)
@@ -191,14 +178,7 @@ def explained_by_refitting(model: Model, torque: DomainDiagnosis,
 
 
 def _moved(model: Model, change: Array, sigma: Array, W: Array) -> tuple[MovedParameter, ...]:
-    """The four parameters that moved far and change the joint's torque most.
-
-    Args:
-        model: as given.
-        change: of its parameters ``(P,)``.
-        sigma: how well they were known ``(P,)``.
-        W: derivative of the joint's torque by them ``(N, P)``.
-    """
+    """The four of the parameters ``(P,)`` that moved far and change the joint's torque ``W (N, P)`` most."""
     value = parameter_vector(model.base_values, model.friction)
     weight = np.abs(change) * np.sqrt(np.mean(W**2, axis=0))
     far = [int(i) for i in np.argsort(-weight) if abs(change[i]) > CLEAR * sigma[i] and weight[i] > 0.0]
@@ -216,9 +196,7 @@ def with_named_effects(recording: Recording, robot: Robot, model: Model,
     bend another motion.
 
     Args:
-        recording: as for ``diagnose``.
-        robot: likewise.
-        model: likewise.
+        recording, robot, model: as for ``diagnose``.
         effects: name and joint (from 1) of each.
 
     Raises:
@@ -237,7 +215,7 @@ def with_named_effects(recording: Recording, robot: Robot, model: Model,
     found: list[FittedEffect] = []
     for domain, regression in made.items():
         if domain in wanted:
-            problem = held_problem(regression, model) if domain == MOTOR_TORQUE else Problem.of(regression, False)
+            problem = _held_problem(regression, model) if domain == MOTOR_TORQUE else Problem.of(regression, False)
             found += _together(problem, wanted[domain])
     return model.with_effects(tuple(found))
 
@@ -247,16 +225,14 @@ def named_sensor_effects(recording: Recording, robot: Robot, model: Model,
     """Effects of camera, force sensor and contact by their names, fitted together; those it cannot show are left out.
 
     Args:
-        recording: as for ``diagnose``.
-        robot: likewise.
-        model: likewise.
+        recording, robot, model: as for ``diagnose``.
         names: of the effects.
     """
     (recording,), _ = checked([recording], robot)
     torque = in_position_band(torque_regression(recording, robot, model), recording)
     line = line_regression(recording, robot, torque, model.known_stiffness)
-    result: list[FittedEffect] = []
     force = force_regressions(recording, None, robot, torque, None, model.known_stiffness)
+    result: list[FittedEffect] = []
     for made in (line, *(one for one, _ in force)):
         if made is not None:
             candidates = [Candidate(effect, 0) for name in names for effect in _named(name, SENSOR)
@@ -273,26 +249,22 @@ def _named(name: str, domain: Domain) -> list[Effect]:
 def _together(problem: Problem, wanted: Sequence[tuple[Sequence[Effect], int]]) -> tuple[FittedEffect, ...]:
     """Effects in one fit; of each the form and start that leave least beside those before it."""
     regression, chosen = problem.regression, list[Candidate]()
+
+    def left(effects: Sequence[Candidate]) -> Array:
+        return problem.fit(effects).residual(regression, effects)
+
+    def loss(candidate: Candidate) -> float:
+        squares = np.where(regression.use, left([*chosen, candidate]), 0.0) ** 2
+        return float(np.sum(np.log(np.mean(squares, axis=0) + 1e-300)))
+
     for kinds, joint in wanted:
-        best: tuple[float, Candidate] | None = None
+        tried = []
         for effect in kinds:
-            for theta in _starts(problem, effect, joint, chosen):
-                candidate = Candidate(effect, joint, theta)
-                left = problem.fit([*chosen, candidate]).residual(regression, [*chosen, candidate])
-                loss = float(np.sum(np.log(np.mean(np.where(regression.use, left, 0.0) ** 2, axis=0) + 1e-300)))
-                if best is None or loss < best[0]:
-                    best = loss, candidate
-        if best is None:
+            starts = effect.starts(regression.signals, joint) if not effect.scanned else effect.starts_from_residual(
+                regression.decimated_signals(), joint, left(chosen), regression.use)[0]
+            tried += [Candidate(effect, joint, theta) for theta in starts]
+        if not tried:
             raise InputError("the effect has nothing to start from in this recording", field="effect",
                              value=kinds[0].name)
-        chosen.append(best[1])
+        chosen.append(min(tried, key=loss))
     return fitted_effects(chosen, problem.fit(chosen, uncertainty=True), regression.prismatic)
-
-
-def _starts(problem: Problem, effect: Effect, joint: int, beside: Sequence[Candidate]) -> Sequence[tuple[float, ...]]:
-    """Values of theta to start from, of a scanned effect those that the residual suggests."""
-    regression = problem.regression
-    if not effect.scanned:
-        return effect.starts(regression.signals, joint)
-    left = problem.fit(beside).residual(regression, beside)
-    return effect.starts_from_residual(regression.decimated_signals(), joint, left, regression.use)[0]

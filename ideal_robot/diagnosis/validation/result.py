@@ -83,9 +83,9 @@ class ChannelResult:
         rms_signal: of what was measured.
         counted: share of all samples that counted, 0 to 1: in motion, apart from reversals, rests and ends.
         spread: standard deviation of what was measured; ``rms_signal`` where it is not known.
+        usual: what changes from sample to sample of the error all the time, as noise.
         judged: whether all that may cause its error was looked at; not the arm's geometry where an axis of the tool's
             place is missing.
-        usual: what changes from sample to sample of the error all the time, as noise.
     """
 
     channel: str
@@ -97,8 +97,8 @@ class ChannelResult:
     rms_signal: float
     counted: float = 1.0
     spread: float = float("nan")
-    judged: bool = True
     usual: float = 0.0
+    judged: bool = field(default=True, kw_only=True)
 
     @property
     def times_noise(self) -> float:
@@ -297,10 +297,9 @@ class Diagnosis(Summarised):
                              value=self.verdict)
         names, first = self.traces[0]
         units = {one.channel: one.unit for one in self.channels}
-        panels = [(f"{name} [{units[name]}]", [("residual before", first.residual_before[:, j]),
-                                               ("after", first.residual_after[:, j])])
-                  for j, name in enumerate(names)]
-        return over_time(first.t, panels, f"{self.summary()[0][1]}")
+        panels = [(f"{name} [{units[name]}]", [("residual before", before), ("after", after)])
+                  for name, before, after in zip(names, first.residual_before.T, first.residual_after.T, strict=True)]
+        return over_time(first.t, panels, self.summary()[0][1])
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON: the keys that were promised, and a few more."""

@@ -29,8 +29,7 @@ def log_reduction(without: Array, present: Array, channel: int | None) -> float:
     """Logarithm of the error without an effect over that with it.
 
     Args:
-        without: error of each channel ``(c,)``, in their units.
-        present: the same with it.
+        without, present: errors of each channel ``(c,)``, in their units.
         channel: the effect's own; None takes the mean over all.
     """
     ratio = np.log(without / present)
@@ -42,8 +41,7 @@ def eliminated(effects: Sequence[T], error: Error[T],
     """Drops, one after another, the effect without which the error is lowest, until each lowers it.
 
     Args:
-        effects: all of them.
-        error: of the other recording with some of them.
+        effects, error: all of them, and the error with some of them.
         channel_of: the channel of an effect, None if it has no own.
 
     Returns:
@@ -66,11 +64,10 @@ def accepted(effects: Sequence[T], error: Error[T], channel_of: Callable[[T], in
     """Takes, one after another, the effects that lower the error beside those already taken.
 
     Args:
-        effects: in the order in which they are tried.
-        error: of the other recording with some of them.
+        effects, error: in the order in which they are tried, and the error with some of them.
         channel_of: the channel of an effect, None if it has no own.
     """
-    kept: list[T] = []
+    kept = list[T]()
     present = error(kept)
     for effect in effects:
         tried = error([*kept, effect])
@@ -92,18 +89,12 @@ def transferring(problem: Problem, choices: Sequence[Candidate], validation: Reg
     known before are held: else they would follow whatever change of them was left out.
 
     Args:
-        problem: that was searched.
-        choices: what was selected in it.
-        validation: the regression of another recording, or that of the problem.
-        samples: of ``validation`` that decide ``(N,)``.
-
-    Returns:
-        The choices that stay, in their order, and what was dropped with its errors.
+        problem, choices: what was searched and selected.
+        validation, samples: the regression of another recording, or of the same, and what of it decides ``(N,)``.
     """
     problem, mask = problem.held(), validation.use & samples[:, None]
 
     def error(kept: Sequence[Candidate]) -> Array:
-        """RMS of each channel with these effects, on the blocks that decide."""
         return rms(problem.fit(kept).residual(validation, kept), mask) + 1e-300
 
     kept, dropped = eliminated(choices, error, lambda choice: validation.channel_of(choice.joint))
@@ -111,10 +102,9 @@ def transferring(problem: Problem, choices: Sequence[Candidate], validation: Reg
 
 
 def _not_transferred(validation: Regression, choice: Candidate, without: Array, present: Array) -> NotTransferred:
-    joint = choice.joint
-    j = validation.channel_of(joint)
-    j = int(np.argmax(present / without)) if j is None else j
-    return NotTransferred(choice.effect.name, joint, validation.channels[j], choice.p_value,
+    own = validation.channel_of(choice.joint)
+    j = int(np.argmax(present / without)) if own is None else own
+    return NotTransferred(choice.effect.name, choice.joint, validation.channels[j], choice.p_value,
                           float(without[j]), float(present[j]))
 
 
@@ -131,10 +121,8 @@ def adopted(known: Model, found: Diagnosis, run: Recording, robot: Robot) -> Mod
     Joints count in which something was found, and those whose error refitting the known model alone explains.
 
     Args:
-        known: the model that the diagnosis was given.
-        found: what it found in one recording.
-        run: another recording of the same arm; only what was measured is looked at.
-        robot: the arm.
+        known, found: the model that the diagnosis was given, and what it found in one recording.
+        run, robot: another recording of the same arm, of which only what was measured is looked at.
     """
     kept = dataclasses.replace(known, effects=known.effects + behind_gears(known, found, run, robot))
     fitted = found.model
@@ -158,10 +146,8 @@ def with_joint(model: Model, fitted: Model, joint: int, effects: tuple[FittedEff
     """The model with the friction that one joint has in a joint fit, and the effects that were in that fit.
 
     Args:
-        model: what keeps all else.
-        fitted: the joint fit.
-        joint: from 1; 0 leaves all friction as it is.
-        effects: of this joint.
+        model, fitted: what keeps all else, and the joint fit.
+        joint, effects: from 1, where 0 leaves all friction as it is; and what it has.
     """
     laws = list(model.friction.laws)
     if joint:
@@ -173,10 +159,8 @@ def behind_gears(known: Model, found: Diagnosis, run: Recording, robot: Robot) -
     """Effects of the measured arm angles that also lower the error of those of the run.
 
     Args:
-        known: the model that the diagnosis was given.
-        found: what it found in one recording.
-        run: another recording of the same arm.
-        robot: the arm.
+        known, found: the model that the diagnosis was given, and what it found in one recording.
+        run, robot: another recording of the same arm.
     """
     behind = [f.fitted for f in found.effects if f.fitted.domain == ARM_POSITION]
     arm = arm_angle_regression(run, robot, torque_regression(run, robot, known), known.stiffness) if behind else None

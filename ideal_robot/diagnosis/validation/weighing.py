@@ -30,51 +30,40 @@ from ideal_robot.effects.fitted import Unknown
 
 
 def arguments(domain: DomainDiagnosis, options: Options) -> Iterator[Argument]:
-    """Why each cause of a domain was named, in their order.
-
-    Args:
-        domain: settled.
-        options: thresholds of the search.
-    """
-    problem = domain.problem.held()
-    model = PresentModel(problem)
+    """Why each cause of a settled domain was named, in their order, by the thresholds of the search."""
+    model = PresentModel(domain.problem.held())
     model.replace(list(domain.choices))
     scoring = Scoring(model, options)
     curves = LearnedCurves(scoring)
-    effects = [effect for effect in library() if effect.domain == problem.regression.domain]
     for choice in domain.choices:
-        yield _Weighing(scoring, choice).argument(
-            [*_instead(scoring, choice, effects), *_curve_instead(curves, choice)])
+        yield _Weighing(scoring, choice).argument([*_instead(scoring, choice), *_curve_instead(curves, choice)])
 
 
-def _instead(scoring: Scoring, choice: Candidate, effects: Sequence[Effect]) -> list[Candidate]:
+def _instead(scoring: Scoring, own: Candidate) -> list[Candidate]:
     """Every cause of the library that can stand in the place of a choice, its theta as the search has it."""
-    model, own = scoring.model, choice
-    made, fit = model.problem.regression, model.fit(choice)
+    model, made = scoring.model, scoring.model.problem.regression
+    effects = [effect for effect in library() if effect.domain == made.domain]
     known = model.problem.prior is not None or made.domain != MOTOR_TORQUE
     pool = [starts for starts in candidates(effects, made.signals, made.undecided, known)
             if (not own.joint or starts[0].joint in (own.joint, 0)) and starts[0].place != own.place]
+    fit = model.fit(own)
     scored = [s for s in scoring.scored(fit, pool) if overlap(model, own, s)]
     scored.sort(key=lambda s: -s.test.total)
     return [scoring.refined(fit, s) if k < FINALISTS else s for k, s in enumerate(scored)]
 
 
-def _curve_instead(curves: LearnedCurves, choice: Candidate) -> list[Candidate]:
+def _curve_instead(curves: LearnedCurves, own: Candidate) -> list[Candidate]:
     """The learned curve that explains most in the place of a cause of one joint, if there is one."""
-    channel = curves.model.problem.regression.channel_of(choice.joint)
-    if channel is None or choice.effect.learned:
+    channel = curves.model.problem.regression.channel_of(own.joint)
+    if channel is None or own.effect.learned:
         return []
-    found = curves.in_channel(curves.model.fit(choice), channel)
-    return [] if found is None else [found]
+    fit = curves.model.fit(own)
+    found = curves.in_channel(fit, curves.model.residual(fit), channel)
+    return sorted(found, key=lambda s: -s.test.total)[:1]
 
 
 class _Weighing:
-    """What stands for and against one choice.
-
-    Args:
-        scoring: about the named set.
-        choice: of it.
-    """
+    """What stands for and against one choice of the named set that ``scoring`` is about."""
 
     def __init__(self, scoring: Scoring, choice: Candidate) -> None:
         self.scoring, self.model, self.choice = scoring, scoring.model, choice
@@ -89,15 +78,14 @@ class _Weighing:
 
     def argument(self, others: Sequence[Candidate]) -> Argument:
         """The argument, from what can stand in the choice's place."""
-        own, made = self.choice, self.model.problem.regression
-        left = [self._left(self.model.fit(self.choice)),
-                *(self._left(self.model.fit_beside(other, self.choice)) for other in others)]
+        own = self.choice
+        left = [self._left(self.model.fit(own)), *(self._left(self.model.fit_beside(one, own)) for one in others)]
         sets = [self._weighed(r, other) for r, other in zip(left, [None, *others], strict=True)]
         # Nothing in its place tells what the cause is worth; the next best cause why it is this.
         next_best = min(range(len(sets)), key=lambda k: (not sets[k].name or sets[k].learned, sets[k].nats))
         when, share = self._when(left[next_best])
         return Argument(own.effect.name, own.joint, own.effect.channel(own.joint),
-                        f"joint {own.joint}" if own.joint else made.domain.whole,
+                        f"joint {own.joint}" if own.joint else self.model.problem.regression.domain.whole,
                         tuple(sorted(sets, key=lambda one: one.nats)), self._band(left[next_best]), when, share)
 
     def _weighed(self, left: Array, other: Candidate | None) -> Weighed:

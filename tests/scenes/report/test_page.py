@@ -26,7 +26,7 @@ from ideal_robot.signals.recording import Recording
 from scenes.cli import app
 from scenes.closing.result import Closing
 from scenes.diagnosis.figures import contributions, effect_figure, ladder_figure
-from scenes.diagnosis.page import _amount, diagnosis_page, summary
+from scenes.diagnosis.page import diagnosis_page, summary
 from scenes.path.page import path_replay, run_page
 from scenes.play import run_scene
 from scenes.report.page import UNITS, Report, world_rows
@@ -147,7 +147,7 @@ def test_the_effect_is_drawn_over_the_signal_it_depends_on() -> None:
     one = found(2.0, 0.2)
     whole = diagnosis(one)
     traces = whole.traces[0][1]
-    figure, said = effect_figure(one, "tau_1", "N m", traces, 0, traces.added[0][:, 0])
+    figure, said = effect_figure(one, (("tau_1",), traces, 0, traces.added[0][:, 0]), "N m")
     (axes,) = figure.axes
     assert axes.get_xlabel() == "velocity of joint 1 [rad/s]"
     assert axes.get_ylabel() == "tau_1 [N m]"
@@ -214,9 +214,9 @@ def test_what_is_left_above_the_noise_is_told_where_no_cause_is_found() -> None:
 
 
 def test_a_number_without_uncertainty_does_not_pretend_to_one() -> None:
-    assert "±" not in _amount(EffectParameter("gain", 0.0, 0.0, "N m"))
-    assert "nan" not in _amount(EffectParameter("gain", 0.0, float("nan"), "N m"))
-    assert _amount(EffectParameter("gain", 1.23456, 0.0456, "N m")) == "gain 1.23 ± 0.046 N m"
+    assert "±" not in EffectParameter("gain", 0.0, 0.0, "N m").text
+    assert "nan" not in EffectParameter("gain", 0.0, float("nan"), "N m").text
+    assert EffectParameter("gain", 1.23456, 0.0456, "N m").text == "gain 1.23 ± 0.046 N m"
 
 
 def test_pictures_of_effects_come_before_the_rest() -> None:
