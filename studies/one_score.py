@@ -182,7 +182,7 @@ class SetSearch(Search):
                       key=lambda s: -s.test.total)[:PER_JOINT]
         channel = self.model.problem.regression.channel_of(joint)
         if self.learns and channel is not None and self.kept[channel]:
-            curves = self.curves.in_channel(fit, self.model.residual(fit), channel,
+            curves = self.scoring.curves_in(fit, self.model.residual(fit), channel,
                                             least=2.0 * VISIBLE * self.count[channel])
             best += sorted((s for s in curves if s.share > 2.0 * VISIBLE), key=lambda s: -s.test.total)[:1]
         return best

@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.statistics.least_squares import TOLD
-from ideal_robot.diagnosis.validation.argument import Argument
-from ideal_robot.diagnosis.validation.result import Diagnosis, FoundEffect, Traces
+from ideal_robot.diagnosis.validation.result import Argument, Diagnosis, FoundEffect, Traces
 from ideal_robot.effects.base import TCP_POSITION, prefix_of
 
 _BEFORE, _AFTER, _EFFECT, _SOFT = "#b0413e", "#2f6690", "#e06a00", "#8893a1"
@@ -26,7 +25,7 @@ Contribution = tuple[tuple[str, ...], Traces, int, Array]
 
 def ladder_figure(diagnosis: Diagnosis) -> Figure:
     """The error on held-out data, effect by effect, one panel a channel, with the noise of the measurement."""
-    found = in_order([*diagnosis.effects, *diagnosis.unknown])
+    found = _in_order(diagnosis)
     channels = list(dict.fromkeys(e.fitted.channel for e in found))[:6]
     rows = {name: [e for e in found if e.fitted.channel == name] for name in channels}
     figure = Figure(figsize=(5.4, 0.7 + sum(0.75 + 0.32 * len(rows[name]) for name in channels)), layout="constrained")
@@ -72,9 +71,9 @@ def arguments_figure(arguments: Sequence[Argument]) -> Figure:
     return figure
 
 
-def in_order(found: list[FoundEffect]) -> list[FoundEffect]:
+def _in_order(diagnosis: Diagnosis) -> list[FoundEffect]:
     """Effects in the order in which they were taken, which is that of what they add to their channels."""
-    return sorted(found, key=lambda e: e.taken)
+    return sorted((*diagnosis.effects, *diagnosis.unknown), key=lambda e: e.taken)
 
 
 def contributions(diagnosis: Diagnosis) -> list[tuple[FoundEffect, Contribution]]:
@@ -83,11 +82,8 @@ def contributions(diagnosis: Diagnosis) -> list[tuple[FoundEffect, Contribution]
     for names, traces in diagnosis.traces:
         domain = TCP_POSITION.prefix if names[0] == "x" else prefix_of(names[0])
         # An effect may be reported under another name than the channel it acts in.
-        here = in_order([e for e in (*diagnosis.effects, *diagnosis.unknown)
-                         if e.fitted.channel in names or e.fitted.domain.prefix == domain])
-        if len(here) != len(traces.added):
-            continue
-        for e, added in zip(here, traces.added, strict=True):
+        here = [e for e in _in_order(diagnosis) if e.fitted.channel in names or e.fitted.domain.prefix == domain]
+        for e, added in zip(here, traces.added, strict=True) if len(here) == len(traces.added) else ():
             j = int(np.argmax(np.sum(added**2, axis=0)))
             shown.append((e, (names, traces, j, added[:, j])))
     return shown

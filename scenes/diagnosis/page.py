@@ -43,23 +43,14 @@ def diagnosis_page(diagnosis: Diagnosis, title: str) -> Report:
 
 
 def add_diagnosis(page: Report, diagnosis: Diagnosis) -> None:
-    """The sections of a diagnosis on a page: errors, effects, what competed, what remains.
-
-    Args:
-        page: is added to.
-        diagnosis: what was found.
-    """
+    """The sections of a diagnosis on a page: errors, effects, what competed, what remains."""
     page.figures([("verdict", diagnosis.verdict), ("effects", str(sum(map(_lowers, diagnosis.effects)))),
                   ("learned terms", str(len(diagnosis.unknown))),
                   ("held-out data", f"{diagnosis.held_out_seconds:.1f} s")])
-    for joint, reason in sorted(diagnosis.undecided.items()):
-        page.warning(f"Joint {joint} is left out: it {reason}.")
-    for warning in diagnosis.warnings:
+    left_out = [f"Joint {joint} is left out: it {reason}." for joint, reason in sorted(diagnosis.undecided.items())]
+    refitted = [f"Joint {refit.joint}: {refit.text}." for refit in diagnosis.refitted]
+    for warning in filter(None, (*left_out, *diagnosis.warnings, unexplained(diagnosis), *refitted)):
         page.warning(warning)
-    if loud := unexplained(diagnosis):
-        page.warning(loud)
-    for refit in diagnosis.refitted:
-        page.warning(f"Joint {refit.joint}: {refit.text}.")
     if diagnosis.unused:
         page.text(f"Not used: {unused(diagnosis)}.")
     page.heading("Error before and after, on held-out data")
@@ -73,9 +64,10 @@ def add_diagnosis(page: Report, diagnosis: Diagnosis) -> None:
     if diagnosis.effects or diagnosis.unknown:
         page.figure(ladder_figure(diagnosis), "Every step of the ladder is the error on held-out data with one more "
                     "effect in the model; dashed: the noise of the measurement, below which no model can get.")
-    for number, (e, contribution) in enumerate(contributions(diagnosis), start=1):
-        if number == 1:
-            page.heading("The effects that were found")
+    shown = contributions(diagnosis)
+    if shown:
+        page.heading("The effects that were found")
+    for e, contribution in shown:
         page.figure(*effect_figure(e, contribution, _unit(diagnosis, contribution[0][contribution[2]])))
     _effects(page, diagnosis)
     _arguments(page, diagnosis)
@@ -189,19 +181,16 @@ def _effects(page: Report, diagnosis: Diagnosis) -> None:
     if not diagnosis.effects and not diagnosis.unknown:
         return
     page.heading("What was added, in the order in which it was found")
-    rows = []
-    for e in (*diagnosis.effects, *diagnosis.unknown):
-        name = e.fitted.name + (f" ({', '.join(e.depends_on)})" if e.depends_on else "")
-        numbers = "; ".join(p.text for p in e.fitted.parameters)
-        told = {None: "–", True: "yes", False: "no"}[e.transfers]
-        rows.append([name, _where(e), e.fitted.channel,
-                     *_told(_unit(diagnosis, e.fitted.channel), e.rms_before, e.rms_after), e.p_value, numbers,
-                     ", ".join(e.indistinguishable_from) or "–", told])
+    found = (*diagnosis.effects, *diagnosis.unknown)
+    rows = [[e.fitted.name + (f" ({', '.join(e.depends_on)})" if e.depends_on else ""), _where(e), e.fitted.channel,
+             *_told(_unit(diagnosis, e.fitted.channel), e.rms_before, e.rms_after), e.p_value,
+             "; ".join(p.text for p in e.fitted.parameters), ", ".join(e.indistinguishable_from) or "–",
+             {None: "–", True: "yes", False: "no"}[e.transfers]] for e in found]
     page.table(["effect", "where", "channel", "error without", "error with", "unit", "p-value", "parameters",
                 "these data cannot tell it from", "lowers the error of the other recording"], rows,
                "Errors are on held-out data, each effect with those before it in the model. The p-value is paid for "
                "all values of nonlinear parameters that were tried.")
-    for e in (*diagnosis.effects, *diagnosis.unknown):
+    for e in found:
         if e.would_tell:
             page.text(f"To tell {e.fitted.name} in {_where(e)} from {', '.join(e.indistinguishable_from)}: "
                       f"{e.would_tell}.")
@@ -254,11 +243,10 @@ def _unit(diagnosis: Diagnosis, channel: str) -> str:
 def _remaining(page: Report, diagnosis: Diagnosis) -> None:
     page.heading("What the residual depends on")
     for words, found in (("before", diagnosis.before), ("after", diagnosis.remaining)):
-        if found:
-            page.table(["channel", "depends on", "share of squares", "by chance", "p-value"],
-                       [[s.channel, " and ".join(s.depends_on), s.share, s.share_by_chance, s.p_value]
-                        for s in found],
-                       f"Residual {words}: smooth curves over single signals; by chance: with the signs of whole "
-                       "blocks of time flipped at random.")
-        else:
+        if not found:
             page.text(f"Residual {words}: no dependence on a single signal stands out of chance.")
+            continue
+        page.table(["channel", "depends on", "share of squares", "by chance", "p-value"],
+                   [[s.channel, " and ".join(s.depends_on), s.share, s.share_by_chance, s.p_value] for s in found],
+                   f"Residual {words}: smooth curves over single signals; by chance: with the signs of whole blocks of "
+                   "time flipped at random.")

@@ -142,7 +142,7 @@ def probability(argument: Any, alike: set[str]) -> float:
     no cause, and is none of the others.
 
     Args:
-        argument: an ``ideal_robot.diagnosis.validation.argument.Argument``, or anything with its sets.
+        argument: an ``ideal_robot.diagnosis.validation.result.Argument``, or anything with its sets.
         alike: names of the cause and of what is said not to be told from it.
     """
     sets = [(one.nats / np.sqrt(1.0 + np.pi / 8.0 * one.std**2), one.name.partition("/")[0] in alike)

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ideal_robot.diagnosis.validation.argument import Argument, Weighed
+from ideal_robot.diagnosis.validation.result import Argument, Weighed
 from ideal_robot.errors import InputError
 from ideal_robot.signals.recording import Recording
 from studies.__main__ import GROUPS, STUDIES, main

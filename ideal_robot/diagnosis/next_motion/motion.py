@@ -69,9 +69,8 @@ class MotionSearch:
     """Chooses Fourier motions that together are worth most.
 
     Args:
-        robot: the arm, with its limits.
+        robot, workspace: the arm with its limits, and where tool and links may go.
         start: posture at rest before ``(n,)`` [rad].
-        workspace: where tool and links may go.
         longest: the motion may take [s].
         rng: draws the parts.
         told: what commands ``(N, n)`` [rad] tell by themselves.

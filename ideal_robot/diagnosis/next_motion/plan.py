@@ -115,11 +115,10 @@ class DiagnosisPlan(Summarised):
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        values: dict[str, Any] = plain({
+        return plain({
             "pairs": [pair.to_dict() for pair in self.pairs], "duration_s": self.seconds, "cycle_s": self.t_ipo,
             "samples": len(self.commands), "useful": self.useful, "not_asked": list(self.not_asked),
             "still_undecided": list(self.still_undecided)})
-        return values
 
 
 def plan_diagnosis(recording: Recording, robot: Robot, questions: Open, *, model: Model | None = None,
@@ -128,15 +127,12 @@ def plan_diagnosis(recording: Recording, robot: Robot, questions: Open, *, model
     """Plans the motion that tells best what a diagnosis of a recording left open.
 
     Args:
-        recording: that was diagnosed.
-        robot: the arm it was measured on, with its limits.
+        recording, robot, model: as ``diagnose`` was given them.
         questions: what the diagnosis found and left open (``open_questions``, ``read_questions``).
-        model: that the diagnosis was given, or None.
         longest: the motion may take [s].
         workspace: where tool and links may go; wherever the recording has been is added.
         seed: of the search.
-        options: thresholds of the diagnosis.
-        progress: called with the share done and a word.
+        options, progress: thresholds of the diagnosis; called with the share done and a word.
 
     Raises:
         InputError: a recording that cannot be used, a model of another arm, no motion within limits.

@@ -79,8 +79,7 @@ def read_questions(values: Any, n: int, file: Any = None) -> Open:
     """What the JSON of ``diagnose`` says was found and left open.
 
     Args:
-        values: its content.
-        n: joints of the arm.
+        values, n: its content, and joints of the arm.
         file: where it was read, for messages.
 
     Raises:
@@ -129,8 +128,7 @@ class Causes:
     """Fits what a diagnosis names to the recording of one domain.
 
     Args:
-        problem: the regression of the domain.
-        options: thresholds of the diagnosis.
+        problem, options: the regression of the domain, and thresholds of the diagnosis.
     """
 
     def __init__(self, problem: Problem, options: Options) -> None:
@@ -181,8 +179,7 @@ def undecided_joints(problem: Problem, robot: Robot, joints: Sequence[int]) -> l
     """Joints that moved too little: every cause of the library there, as large as the noise, against none.
 
     Args:
-        problem: the regression of the motor torques.
-        robot: the arm, whose speeds say where theta starts.
+        problem, robot: the motor torques, and the arm, whose speeds say where theta starts.
         joints: that moved too little, from 1.
     """
     made = problem.regression

@@ -153,8 +153,7 @@ def overlap(model: PresentModel, a: Candidate, b: Candidate) -> bool:
     """Whether two candidates act on a common channel, so that one can stand for the other.
 
     Args:
-        model: that has their columns.
-        a, b: the two.
+        model, a, b: the two, and what has their columns.
     """
     groups = model.design.groups
     ours, theirs = (set(groups[c.key].channels) for c in (a, b) if c.key in groups)

@@ -9,15 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.search.choice import FINALISTS, NEARLY, Options, PresentModel, overlap
 from ideal_robot.diagnosis.search.scoring import Scoring
-from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms, time_period
 from ideal_robot.diagnosis.statistics.least_squares import TOLD, Fit, standard_errors
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
-from ideal_robot.effects import TCP_POSITION, Effect, Signals
+from ideal_robot.effects import Effect, Signals
 from ideal_robot.effects.loads import AngleLaw
 from ideal_robot.progress import Progress, silent
 
@@ -26,8 +23,7 @@ def discoveries(scored: Sequence[Candidate], tests: int, rate: float) -> list[Ca
     """Candidates that Benjamini–Hochberg accepts.
 
     Args:
-        scored: candidates with their p-values.
-        tests: how many were tested, joints × effects.
+        scored, tests: with their p-values, and how many were tested, joints × effects.
         rate: of false discoveries.
     """
     ordered = sorted(scored, key=lambda s: s.p_value)
@@ -39,8 +35,7 @@ def indistinguishable(model: PresentModel, best: Candidate, other: Candidate) ->
     """Whether another candidate reduces the same channel as much, but for what scatters from block to block.
 
     Args:
-        model: against which both were scored.
-        best, other: the two.
+        model, best, other: the two, and against what they were scored.
     """
     if not overlap(model, best, other) or other.test.total < NEARLY * best.test.total:
         return False
@@ -53,78 +48,12 @@ def likelier(best: Candidate, others: list[Candidate]) -> Candidate:
                  other.test.total / other.effect.caution > NEARLY * best.test.total / best.effect.caution), best)
 
 
-class LearnedCurves:
-    """Looks for curves in what the present model leaves.
-
-    Args:
-        scoring: of the present model.
-    """
-
-    def __init__(self, scoring: Scoring) -> None:
-        self.scoring, self.model, self.options = scoring, scoring.model, scoring.options
-        problem = self.model.problem
-        self.use = problem.products.use & problem.blocks.selecting_samples[:, None]
-        self.dependence = DependenceTest(scoring.at_rows, self.use, problem.blocks)
-
-    def best(self, fit: Fit, best: Candidate | None) -> Candidate | None:
-        """A curve that reduces what a fit leaves clearly more than the best effect of the library of this round."""
-        least = 0.0 if best is None else self.options.unknown_margin * best.test.total
-        problem, residual = self.model.problem, self.model.residual(fit)
-        scored: list[Candidate] = []
-        for j in range(problem.products.c):
-            if j + 1 not in problem.regression.undecided or problem.regression.domain == TCP_POSITION:
-                scored += self.in_channel(fit, residual, j, best is None, least)
-        taken = {c.key for c in self.model.choices}
-        scored = [s for s in scored if s.p_value < self.options.learned_discovery and s.test.total > least
-                  and s.key not in taken and self.scoring.is_large(s)]
-        found = max(scored, key=lambda s: s.test.total, default=None)
-        return None if found is None else replace(found, asked=self.scoring.smallest_share(found))
-
-    def over_angle(self, fit: Fit, joint: int) -> list[Candidate]:
-        """The curve over a joint's own angle, from 1, tested; none where the joint hardly moves."""
-        curves = [Candidate(term, joint) for term in terms(self.scoring.at_rows, joint - 1, False)
-                  if term.depends_on == (f"q_{joint}",) and not term.directed]
-        for curve in curves:
-            self.model.add_columns(curve)
-        return [self.scoring.tested(fit, curve) for curve in curves]
-
-    def in_channel(self, fit: Fit, residual: Array, j: int, pairs: bool = False,
-                   least: float = 0.0) -> list[Candidate]:
-        """Curves of one channel tested on blocks left out, whether they are large or not.
-
-        Args:
-            fit: without them.
-            residual: that it leaves ``(N, c)``.
-            j: channel, from 0.
-            pairs: whether curves over two signals are looked at as well.
-            least: what they have to take away to be promising.
-        """
-        regression, at_rows, use = self.model.problem.regression, self.scoring.at_rows, self.use[:, j]
-        squares = float(np.sum(residual[use, j] ** 2) * self.model.weights[j])
-        period = time_period(residual[:, j], use, at_rows.t, regression.domain)
-        curves = [*terms(at_rows, j, pairs, regression.domain), *([] if period is None else [period])]
-        # By the share explained of what would not be by chance: many curves follow a residual that is in few places.
-        tests = sorted(self.dependence.tests(residual[:, j], j, curves),
-                       key=lambda d: (d.expected - d.share) / max(1.0 - d.expected, 1e-12))
-        # Only a first choice: what is promising is tested on blocks left out, corrected for all curves looked at.
-        promising = [d for d in tests if d.p_value < 0.05 and 3.0 * d.share * squares > least]
-        scored = []
-        for d in promising[:FINALISTS]:
-            candidate = Candidate(d.term, j + 1, (), len(tests) * self.model.problem.products.c)
-            self.model.add_columns(candidate)
-            scored.append(self.scoring.tested(fit, candidate))
-            # A curve has many columns, and every round has other curves.
-            self.model.design.forget_products(candidate.key)
-        return scored
-
-
 def candidates(effects: Sequence[Effect], signals: Signals, undecided: dict[int, str],
                absorbed: bool) -> Iterator[list[Candidate]]:
     """For every effect and joint the list of its starts, joints that move too little left out.
 
     Args:
-        effects: to try.
-        signals: of the recording.
+        effects, signals: to try, in a recording.
         undecided: joints that cannot be decided.
         absorbed: whether effects may be tried that the model's own parameters can take over.
     """
@@ -145,9 +74,7 @@ class Search:
     """Forward selection with backward pruning.
 
     Args:
-        problem: the regression.
-        effects: to choose from.
-        options: thresholds.
+        problem, effects, options: the regression, what to choose from, and thresholds.
         absorbed: whether effects are tried that the model's own parameters could take over.
         only: names and joints of the effects that may be looked for; then nothing is learned either.
         progress: called with the share done and a word.
@@ -158,7 +85,6 @@ class Search:
         self.options, self.progress = options, progress
         self.model = PresentModel(problem)
         self.scoring = Scoring(self.model, options)
-        self.curves = LearnedCurves(self.scoring)
         self.learns = only is None
         regression = problem.regression
         pool = [starts for starts in candidates(effects, regression.signals, regression.undecided, absorbed)
@@ -177,7 +103,7 @@ class Search:
             self.progress(round_ / (round_ + 4.0), f"round {round_ + 1}")
             fit = self.model.fit()
             best = self._best(fit, self.scoring.scored(fit, self.pool))
-            choice = (self.curves.best(fit, best) if self.learns else None) or best
+            choice = (self.scoring.best_curve(fit, best) if self.learns else None) or best
             if choice is None:
                 if not self._with_needed_form():
                     break
@@ -275,7 +201,7 @@ class Search:
             present = max(own, key=lambda s: s.test.total)
             if self.learns and choice.theta:
                 # With a shape of its own a law bends to nearly any curve, which has to be needed beside it.
-                others += self.curves.over_angle(fit, choice.joint)
+                others += self.scoring.curves_over_angle(fit, choice.joint)
             for other in others:
                 simple, rich = sorted((present, other), key=lambda s: s.parameter_count)
                 # With any of its theta the simpler one may do without the other.

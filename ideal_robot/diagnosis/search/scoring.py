@@ -11,9 +11,11 @@ from scipy import optimize
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.blocks import Columns
 from ideal_robot.diagnosis.channels.regression import spread
-from ideal_robot.diagnosis.search.choice import NEARLY, Options, PresentModel
+from ideal_robot.diagnosis.search.choice import FINALISTS, NEARLY, Options, PresentModel
+from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms, time_period
 from ideal_robot.diagnosis.statistics.least_squares import TOLD, Fit, standard_errors
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
+from ideal_robot.effects import TCP_POSITION
 from ideal_robot.effects.base import Theta
 from ideal_robot.effects.drive import DeadTime
 from ideal_robot.effects.kinematics import GeometryChange
@@ -248,6 +250,60 @@ class Scoring:
                     self.model.design.add(starts[i].key, self.model.design.groups[key].part(int(i), len(starts)))
                 return starts[i]
         return None
+
+
+    def best_curve(self, fit: Fit, best: Candidate | None) -> Candidate | None:
+        """A curve that reduces what a fit leaves clearly more than the best effect of the library of this round."""
+        least = 0.0 if best is None else self.options.unknown_margin * best.test.total
+        problem, residual = self.model.problem, self.model.residual(fit)
+        scored = [s for j in range(problem.products.c)
+                  if j + 1 not in problem.regression.undecided or problem.regression.domain == TCP_POSITION
+                  for s in self.curves_in(fit, residual, j, best is None, least)]
+        taken = {c.key for c in self.model.choices}
+        scored = [s for s in scored if s.p_value < self.options.learned_discovery and s.test.total > least
+                  and s.key not in taken and self.is_large(s)]
+        found = max(scored, key=lambda s: s.test.total, default=None)
+        return None if found is None else replace(found, asked=self.smallest_share(found))
+
+    def curves_over_angle(self, fit: Fit, joint: int) -> list[Candidate]:
+        """The curve over a joint's own angle, from 1, tested; none where the joint hardly moves."""
+        curves = [Candidate(term, joint) for term in terms(self.at_rows, joint - 1, False)
+                  if term.depends_on == (f"q_{joint}",) and not term.directed]
+        for curve in curves:
+            self.model.add_columns(curve)
+        return [self.tested(fit, curve) for curve in curves]
+
+    def curves_in(self, fit: Fit, residual: Array, j: int, pairs: bool = False, least: float = 0.0) -> list[Candidate]:
+        """Curves of one channel tested on blocks left out, whether they are large or not.
+
+        Args:
+            fit, residual: without them, and what it leaves ``(N, c)``.
+            j, pairs: channel, from 0, and whether curves over two signals are looked at as well.
+            least: what they have to take away to be promising.
+        """
+        domain, use = self.model.problem.regression.domain, self._dependence.use[:, j]
+        squares = float(np.sum(residual[use, j] ** 2) * self.model.weights[j])
+        period = time_period(residual[:, j], use, self.at_rows.t, domain)
+        curves = [*terms(self.at_rows, j, pairs, domain), *([] if period is None else [period])]
+        # By the share explained of what would not be by chance: many curves follow a residual that is in few places.
+        tests = sorted(self._dependence.tests(residual[:, j], j, curves),
+                       key=lambda d: (d.expected - d.share) / max(1.0 - d.expected, 1e-12))
+        # Only a first choice: what is promising is tested on blocks left out, corrected for all curves looked at.
+        promising = [d for d in tests if d.p_value < 0.05 and 3.0 * d.share * squares > least]
+        scored = []
+        for d in promising[:FINALISTS]:
+            candidate = Candidate(d.term, j + 1, (), len(tests) * self.model.problem.products.c)
+            self.model.add_columns(candidate)
+            scored.append(self.tested(fit, candidate))
+            # A curve has many columns, and every round has other curves.
+            self.model.design.forget_products(candidate.key)
+        return scored
+
+    @cached_property
+    def _dependence(self) -> DependenceTest:
+        problem = self.model.problem
+        return DependenceTest(self.at_rows, problem.products.use & problem.blocks.selecting_samples[:, None],
+                              problem.blocks)
 
 
 def _forms_of_one(a: Candidate, b: Candidate) -> bool:

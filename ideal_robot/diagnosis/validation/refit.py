@@ -50,41 +50,32 @@ def _held_problem(regression: Regression, model: Model) -> Problem:
 
 def beside_held_model(regression: Regression, model: Model,
                       effects: Sequence[FittedEffect]) -> tuple[FittedEffect, ...]:
-    """Effects with the sizes that they have together beside a model whose parameters are held.
+    """Effects of the motor torque with the sizes that they have together, where physics allows these, in their order.
 
     Args:
-        regression: of the motor torques, about the model, with the regressor of a payload.
-        model: that was known then; effects in it stay as they are.
+        regression, model: with the regressor of a payload, about the model, whose parameters and effects are held.
         effects: of which those of the motor torque are fitted, with their theta.
-
-    Returns:
-        Those of the motor torque that have a size which physics allows, in their order.
     """
     of_torque = [effect for effect in effects if effect.effect.at_motor]
     if not of_torque:
         return ()
     candidates = [Candidate(effect.effect, effect.joint, effect.theta) for effect in of_torque]
     found = _held_problem(regression, model).fit(candidates, uncertainty=True)
-    return tuple(replace(effect, coefficients=tuple(float(value) for value in own),
-                         std=tuple(float(value) for value in std), theta_std=(), parameters=())
+    return tuple(replace(effect, coefficients=tuple(own.tolist()), std=tuple(std.tolist()), theta_std=(), parameters=())
                  for effect, own, std in zip(of_torque, found.coefficients, found.std, strict=True)
                  if np.all(np.isfinite(own))
                  and effect.effect.plausible(own, effect.theta, regression.signals, effect.joint))
 
 
 def friction_anew(regression: Regression, model: Model, joints: tuple[int, ...]) -> dict[int, Model]:
-    """The model with the friction coefficients of one joint as a recording has them, for each of some joints.
+    """The model with the friction coefficients of one joint as a recording has them, for each that can be told.
 
     A coefficient at most doubles, and none changes its sign: what a motion tells badly stays near what was known. The
     law and its shape stay, so does all else of the model.
 
     Args:
-        regression: of the motor torques, about the model.
-        model: that is known; its effects stay.
+        regression, model: of the motor torques, about the model.
         joints: from 1.
-
-    Returns:
-        A model for each joint whose friction can be told.
     """
     result: dict[int, Model] = {}
     places = friction_places(model.base, model.friction)

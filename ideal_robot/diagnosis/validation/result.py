@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.statistics.least_squares import CLEAR
-from ideal_robot.diagnosis.validation.argument import Argument
+from ideal_robot.diagnosis.statistics.least_squares import CLEAR, TOLD
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
@@ -21,13 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MovedParameter:
-    """A parameter of the given model that refitting has moved.
-
-    Attributes:
-        name, unit: e.g. ``Fc_2``.
-        value, refitted: before and after.
-        sigmas: the change over the standard deviation of before.
-    """
+    """A parameter of the given model before and after refitting; ``sigmas``: the change over the former's deviation."""
 
     name: str
     unit: str
@@ -41,11 +34,9 @@ class RefitExplains:
     """A joint whose error falls by refitting the given model alone.
 
     Attributes:
-        joint: from 1.
-        channel: its torque.
+        joint, channel: from 1, and its torque.
         rms_before, rms_refit: held-out error of the model as given, and refitted.
-        moved: the parameters that moved far and count most for it.
-        would_tell: what motion would decide.
+        moved, would_tell: the parameters that moved far and count most for it, and what motion would decide.
     """
 
     joint: int
@@ -77,12 +68,10 @@ class ChannelResult:
     Attributes:
         channel, unit: e.g. ``tau_1``, ``N m``.
         rms_before: of the model as it was given or, without one, of the baseline identified from the same recording.
-        rms_refit: of the same model with its parameters fitted to this recording.
-        rms_after: with what was added.
+        rms_refit, rms_after: with its parameters fitted to this recording, and with what was added.
         noise_floor: level of the measurement's own noise in the same band.
-        rms_signal: of what was measured.
+        rms_signal, spread: rms and standard deviation of what was measured; the latter is not known everywhere.
         counted: share of all samples that counted, 0 to 1: in motion, apart from reversals, rests and ends.
-        spread: standard deviation of what was measured; ``rms_signal`` where it is not known.
         usual: what changes from sample to sample of the error all the time, as noise.
         judged: whether all that may cause its error was looked at; not the arm's geometry where an axis of the tool's
             place is missing.
@@ -138,11 +127,9 @@ class FoundEffect:
     """One effect, in the order in which it was taken.
 
     Attributes:
-        fitted: the effect with its numbers.
+        fitted, p_value: with its numbers, and corrected for all values of theta that were tried.
         rms_before, rms_after: of its channel on held-out data without and with it, those before it being in the model.
-        p_value: corrected for all values of theta that were tried.
-        indistinguishable_from: effects that these data cannot tell from it.
-        would_tell: what motion would tell them apart.
+        indistinguishable_from, would_tell: effects that these data cannot tell from it, and the motion that would.
         transfers: whether it also lowers the error on the validation recording; None without one.
         depends_on: for a learned term, the signals it is a curve of.
         taken: how many effects of its channels were taken before it, learned terms included.
@@ -199,14 +186,7 @@ class NotTransferred:
 
 @dataclass(frozen=True)
 class Structure:
-    """A dependence left in the residual, or none.
-
-    Attributes:
-        channel: where.
-        depends_on: the signals.
-        share, share_by_chance: of the squares, explained and expected.
-        p_value: under the null hypothesis.
-    """
+    """A dependence of a channel's residual on signals: the share of squares it explains, and what chance would."""
 
     channel: str
     depends_on: tuple[str, ...]
@@ -230,6 +210,102 @@ class Traces:
     added: tuple[Array, ...] = ()
 
 
+@dataclass(frozen=True)
+class Weighed:
+    """One set of causes: the named one with something else, or nothing, in the place of a cause.
+
+    Attributes:
+        name, joint: of what stands there; no name where nothing does.
+        nats: by which the set is worse than the named one.
+        std: standard error of that, over blocks of time.
+        learned: whether it is a curve without a physical cause.
+    """
+
+    name: str
+    joint: int
+    nats: float
+    std: float
+    learned: bool = False
+
+    @property
+    def told(self) -> bool:
+        """Whether the data tell it from the named one."""
+        return abs(self.nats) > TOLD * self.std
+
+    @property
+    def words(self) -> str:
+        """What stands there, with its joint."""
+        return f"{self.name} of joint {self.joint}" if self.joint else self.name or "nothing"
+
+    @property
+    def amount(self) -> str:
+        """The difference, to what its standard error allows."""
+        digits = 0 if self.std >= 1.0 else 1
+        return f"{abs(self.nats):.{digits}f} ± {self.std:.{digits}f} nats {'worse' if self.nats >= 0.0 else 'better'}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {"effect": self.name or None, "joint": self.joint, "nats_worse": self.nats, "std": self.std,
+                "told_apart": self.told}
+
+
+@dataclass(frozen=True)
+class Argument:
+    """Why one cause was named.
+
+    Attributes:
+        name, joint, channel: of the cause.
+        place: where it sits, in words.
+        sets: every set that was weighed, the best first.
+        band: octaves that hold half of the difference to the next best one [Hz].
+        when: in which quarter of the time most of that difference lies.
+        share: of the difference in that quarter.
+    """
+
+    name: str
+    joint: int
+    channel: str
+    place: str
+    sets: tuple[Weighed, ...]
+    band: tuple[float, float]
+    when: str
+    share: float
+
+    @property
+    def rivals(self) -> tuple[Weighed, ...]:
+        """The sets with another cause in its place, the best first."""
+        return tuple(one for one in self.sets if one.name)
+
+    @property
+    def text(self) -> str:
+        """The argument in a few sentences."""
+        said = [f"{self.place}: {self.name} in {self.channel}."]
+        best = next((one for one in self.rivals if not one.learned), None)
+        if best is not None:
+            what = best.words if best.joint != self.joint else best.name
+            low, high = self.band
+            between = (f"above {low:g} Hz" if not np.isfinite(high) else
+                       f"between {low:g} and {high:g} Hz" if low else f"below {high:g} Hz")
+            where = (f"half of the difference lies {between}, {100.0 * min(self.share, 1.0):.0f} % of it in the "
+                     f"quarter of the time {self.when}.")
+            said.append(
+                f"Not told from {what}, {best.amount}." if not best.told else
+                f"Next best is {what}, {best.amount}: {where}" if best.nats > 0.0 else
+                f"With {what} it is {best.amount}: {where} Where both explain nearly the same, the likelier cause or "
+                "the one with fewer parameters is named.")
+        said += [f"With {one.name}, which has no cause, {one.amount}." for one in self.rivals if one.learned]
+        said += [f"With nothing in its place {one.amount}." for one in self.sets if not one.name]
+        return f"{' '.join(said)} Sets weighed: {len(self.sets) + 1}."
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        low, high = self.band
+        return {"effect": self.name, "joint": self.joint, "channel": self.channel, "text": self.text,
+                "sets": [one.to_dict() for one in self.sets],
+                "next_best_decided": {"from_hz": low, "to_hz": high if np.isfinite(high) else None, "when": self.when,
+                                      "share": self.share}}
+
+
 @dataclass(frozen=True, repr=False)
 class Diagnosis(Summarised):
     """The whole answer.
@@ -242,11 +318,10 @@ class Diagnosis(Summarised):
         unknown: learned terms.
         held_out: how the reported data were kept apart, and how many seconds they are.
         undecided: joints that move too little, with the reason.
-        remaining: dependences that are left, strongest first.
-        before: dependences of the residual at the start.
+        before, remaining: dependences of the residual at the start and of what is left, strongest first.
         warnings: for people.
         model: the extended model.
-        traces: series for plots, one per domain.
+        traces: names of channels and their series for plots, of each domain.
         not_transferred: effects that were found but are a habit of the recording.
         unused: columns that measure something but took no part, with the reason.
         refitted: joints whose error refitting the given model explains alone, so that a cause may hide in it.
@@ -303,7 +378,7 @@ class Diagnosis(Summarised):
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON: the keys that were promised, and a few more."""
-        values: dict[str, Any] = plain({
+        return plain({
             "verdict": self.verdict,
             "channels": [c.to_dict() for c in self.channels],
             "effects": [e.to_dict() for e in self.effects],
@@ -323,4 +398,3 @@ class Diagnosis(Summarised):
             "unexplained": [c.channel for c in self.unexplained],
             "above_noise": [c.channel for c in self.channels if c.above_noise],
         })
-        return values

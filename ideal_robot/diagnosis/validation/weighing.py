@@ -19,12 +19,12 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.search.choice import FINALISTS, Options, PresentModel, overlap
-from ideal_robot.diagnosis.search.forward_selection import LearnedCurves, candidates
+from ideal_robot.diagnosis.search.forward_selection import candidates
 from ideal_robot.diagnosis.search.scoring import Scoring
 from ideal_robot.diagnosis.statistics.least_squares import Fit
 from ideal_robot.diagnosis.statistics.problem import Candidate
-from ideal_robot.diagnosis.validation.argument import Argument, Weighed
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
+from ideal_robot.diagnosis.validation.result import Argument, Weighed
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, Effect, library
 from ideal_robot.effects.fitted import Unknown
 
@@ -34,9 +34,8 @@ def arguments(domain: DomainDiagnosis, options: Options) -> Iterator[Argument]:
     model = PresentModel(domain.problem.held())
     model.replace(list(domain.choices))
     scoring = Scoring(model, options)
-    curves = LearnedCurves(scoring)
     for choice in domain.choices:
-        yield _Weighing(scoring, choice).argument([*_instead(scoring, choice), *_curve_instead(curves, choice)])
+        yield _Weighing(scoring, choice).argument([*_instead(scoring, choice), *_curve_instead(scoring, choice)])
 
 
 def _instead(scoring: Scoring, own: Candidate) -> list[Candidate]:
@@ -52,14 +51,13 @@ def _instead(scoring: Scoring, own: Candidate) -> list[Candidate]:
     return [scoring.refined(fit, s) if k < FINALISTS else s for k, s in enumerate(scored)]
 
 
-def _curve_instead(curves: LearnedCurves, own: Candidate) -> list[Candidate]:
+def _curve_instead(scoring: Scoring, own: Candidate) -> list[Candidate]:
     """The learned curve that explains most in the place of a cause of one joint, if there is one."""
-    channel = curves.model.problem.regression.channel_of(own.joint)
+    model = scoring.model
+    channel, fit = model.problem.regression.channel_of(own.joint), model.fit(own)
     if channel is None or own.effect.learned:
         return []
-    fit = curves.model.fit(own)
-    found = curves.in_channel(fit, curves.model.residual(fit), channel)
-    return sorted(found, key=lambda s: -s.test.total)[:1]
+    return sorted(scoring.curves_in(fit, model.residual(fit), channel), key=lambda s: -s.test.total)[:1]
 
 
 class _Weighing:

@@ -10,7 +10,7 @@ import pytest
 
 from ideal_robot.diagnosis.channels.blocks import Blocks, Columns, Design, time_blocks
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
-from ideal_robot.diagnosis.search.choice import likelier
+from ideal_robot.diagnosis.search.forward_selection import likelier
 from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms
 from ideal_robot.diagnosis.statistics.least_squares import LEFT_OUT, Fit, HeldOutTest
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem, fitted_effects

@@ -12,7 +12,7 @@ from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.search.choice import PresentModel
 from ideal_robot.diagnosis.search.scoring import Scoring
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
-from ideal_robot.diagnosis.validation.argument import Argument, Weighed
+from ideal_robot.diagnosis.validation.result import Argument, Weighed
 from ideal_robot.diagnosis.validation.weighing import _Weighing
 from ideal_robot.effects.registry import find
 from ideal_robot.model.model import Model
