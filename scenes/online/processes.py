@@ -113,7 +113,7 @@ def undisturbed(core: int | None = None, priority: int = PRIORITY) -> Iterator[l
     """
     granted = ["garbage collection out of the cycle"]
     interval, enabled = sys.getswitchinterval(), gc.isenabled()
-    cores, before = _cores(), {}
+    cores, before = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set[int](), {}
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -155,10 +155,6 @@ def _schedulers(priority: int) -> dict[int, tuple[int, os.sched_param]]:
         except OSError:
             break
     return had
-
-
-def _cores() -> set[int]:
-    return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
 
 
 def _kept_to(core: int) -> str:

@@ -283,11 +283,7 @@ def prepared(*, robot: str | None = None, model: Path | None = None, method: str
 
 
 def _require_better(law: Feedforward, loop: LoopModel, q_d: Array, file: Path) -> None:
-    """At another cycle than the robot's the identified loop has to be still of use.
-
-    Raises:
-        InputError: on the identified loop the correction makes the path worse.
-    """
+    """Refuses another cycle than the robot's where on the identified loop the correction makes the path worse."""
     part = q_d[: round(_TRIED / law.t_ipo)]
     wanted = law.arm.from_rest(part, law.t_ipo) if isinstance(law, ForCorrectedArm) else part
     errors = [float(np.sqrt(np.mean((wanted - simulate(loop, q_c).q_a[:-1]) ** 2))) for q_c in (law.along(part), part)]
