@@ -41,15 +41,7 @@ GRIPPER = """<link name="hand"/><joint name="hand_joint" type="fixed"><parent li
 
 def urdf(joints: int = 6, *, mass: float | None = None, limit: str = 'lower="-2.9" upper="2.9" effort="0" velocity="0"',
          beyond: str = "", kind: str = "revolute") -> str:
-    """A bare kinematic chain, its first joint of a kind, with what is fixed beyond its tool frame.
-
-    Args:
-        joints: 5, 6 or 7.
-        mass: of each link [kg]; no inertial elements if None.
-        limit: attributes of every joint's limit.
-        beyond: further links and joints.
-        kind: of the first joint.
-    """
+    """A bare chain of 5, 6 or 7 joints, its first one of a kind, with links of a mass [kg] or none, then ``beyond``."""
     chain = {5: FIVE, 6: SIX, 7: SEVEN}[joints]
     parts = ['<robot name="bare"><link name="base_link"/>']
     for i, (axis, place) in enumerate(chain, 1):

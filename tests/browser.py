@@ -22,11 +22,7 @@ needs_chromium = pytest.mark.skipif(shutil.which("chromium") is None, reason="ne
 
 
 class Page:
-    """One page of a browser that runs.
-
-    Args:
-        link: to the page's socket.
-    """
+    """One page of a browser that runs, by the link to its socket."""
 
     def __init__(self, link: Any) -> None:
         self._link, self._asked = link, 0

@@ -36,13 +36,7 @@ def in_part(name: str, part: int, parts: int) -> bool:
 
 
 class Ended(NamedTuple):
-    """How a call of the program ended.
-
-    Attributes:
-        code: its exit code.
-        out: standard output.
-        err: standard error.
-    """
+    """How a call of the program ended: exit code, standard output and error."""
 
     code: int
     out: str

@@ -93,13 +93,10 @@ def missing_in(text: str, folder: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_what_a_page_names_exists(page: Path) -> None:
-    assert missing_in(page.read_text(encoding="utf-8"), page.parent) == []
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_a_page_can_be_read_at_one_sitting(page: Path) -> None:
-    assert len(page.read_text(encoding="utf-8").split()) <= MOST_WORDS
+def test_what_a_page_names_exists_and_it_can_be_read_at_one_sitting(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert missing_in(text, page.parent) == []
+    assert len(text.split()) <= MOST_WORDS
 
 
 def test_what_is_not_there_is_noticed() -> None:
@@ -153,10 +150,8 @@ def helped(function: Function) -> set[str]:
 
 
 def public(tree: ast.Module) -> Iterator[tuple[str, Function, str]]:
-    """Public functions but overloads, and methods, with their docstrings; of ``__init__`` the class's."""
+    """Public functions, and methods, with their docstrings; of ``__init__`` the class's."""
     for node in tree.body:
-        if isinstance(node, Function) and any(ast.unparse(one) == "overload" for one in node.decorator_list):
-            continue
         if isinstance(node, Function) and not node.name.startswith("_"):
             yield node.name, node, ast.get_docstring(node) or ""
         elif isinstance(node, ast.ClassDef) and not node.name.startswith("_"):

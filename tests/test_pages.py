@@ -75,7 +75,9 @@ def test_the_course_has_eight_lessons_with_a_notebook_each() -> None:
     assert {path.name for path in NOTEBOOKS} <= set(re.findall(r"notebooks/(\w+\.ipynb)", text))
 
 
-def run(path: Path, monkeypatch: pytest.MonkeyPatch, **longest: float) -> None:
+@pytest.mark.parametrize("path", [pytest.param(one, marks=() if is_quick(one) else pytest.mark.slow)
+                                  for one in NOTEBOOKS], ids=lambda path: path.stem)
+def test_a_notebook_runs_and_knows_right_from_wrong(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from docs import execute_notebooks
 
     if "IDEAL_ROBOT_DATA" in path.read_text(encoding="utf-8"):
@@ -86,20 +88,7 @@ def run(path: Path, monkeypatch: pytest.MonkeyPatch, **longest: float) -> None:
     monkeypatch.setenv("MPLBACKEND", "agg")
     right, wrong = ANSWERS[path.stem]
     added = f"assert check({right})\nassert not check({wrong})\nassert not check(None)"
-    execute_notebooks.played(path, added, **longest)
-
-
-@pytest.mark.parametrize("path", [one for one in NOTEBOOKS if is_quick(one)],
-                         ids=lambda path: path.stem)
-def test_a_quick_notebook_runs_and_knows_right_from_wrong(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run(path, monkeypatch, longest=100)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("path", [one for one in NOTEBOOKS if not is_quick(one)],
-                         ids=lambda path: path.stem)
-def test_a_notebook_runs_and_knows_right_from_wrong(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run(path, monkeypatch)
+    execute_notebooks.played(path, added, **{"longest": 100.0} if is_quick(path) else {})
 
 
 # The tutorial, typed as printed: on the shipped arm and on arms of one's own, with robot data and without.
@@ -229,16 +218,16 @@ def test_numbers_are_read_out_of_json_by_path() -> None:
         published_numbers.value_of(content, "runs[speed=0.7].e.mean")
 
 
+def numbers_of(folder: Path, page: str, entry: str) -> list[published_numbers.Published]:
+    """Numbers of a page that an entry names."""
+    (folder / "page.md").write_text(page)
+    (folder / "numbers.toml").write_text(f'[[entry]]\npage = "page.md"\n{entry}')
+    return published_numbers.published(folder / "numbers.toml", folder)
+
+
 def test_a_study_prints_the_table_of_its_page(tmp_path: Path) -> None:
     table = "| arm | mm | far |\n| --- | --- | --- |\n| a | 0.5 | 7 (9) |\n| b | 2.0 | |\n| b | −3.0 | 4 |\n"
-    (tmp_path / "page.md").write_text(table)
-    (tmp_path / "numbers.toml").write_text("""[[entry]]
-page = "page.md"
-header = "| arm | mm"
-first = true
-command = "python -m studies it"
-""")
-    numbers = published_numbers.published(tmp_path / "numbers.toml", tmp_path)
+    numbers = numbers_of(tmp_path, table, 'header = "| arm | mm"\nfirst = true\ncommand = "python -m studies it"\n')
     assert [one.text for one in numbers] == ["0.5", "7", "2.0", "−3.0", "4"]
     printed = {"printed": table.replace("| 2.0 |", "| 2.5 |").replace("| 4 |", "| |")}
     found = [published_numbers.value_of(printed, one.value) for one in numbers]
@@ -246,15 +235,12 @@ command = "python -m studies it"
 
 
 def test_numbers_are_read_out_of_what_a_study_prints(tmp_path: Path) -> None:
-    (tmp_path / "page.md").write_text("| arm | mm |\n| --- | --- |\n| `a` | 0.5 / 7 |\n| `b` | 2.0 / 9 |\n")
-    (tmp_path / "numbers.toml").write_text("""[[entry]]
-page = "page.md"
+    numbers = numbers_of(tmp_path, "| arm | mm |\n| --- | --- |\n| `a` | 0.5 / 7 |\n| `b` | 2.0 / 9 |\n", """
 header = "| arm | mm |"
 rows = { "`a`" = "a", "`b`" = "b" }
 command = "python -c 'print(\\"a: 0.52 mm, 7 ms\\\\nb: 2.3 mm, 9 ms\\")'"
 printed = ['{row}: ([0-9.]+) mm', '{row}: .* ([0-9]+) ms']
 """)
-    numbers = published_numbers.published(tmp_path / "numbers.toml", tmp_path)
     assert [(found, word) for _, found, word in published_numbers.compare(numbers)] == [
         (0.52, "same"), (7.0, "same"), (2.3, "DIFFERS"), (9.0, "same")]
     with pytest.raises(ValueError, match="nothing printed"):
@@ -263,15 +249,12 @@ printed = ['{row}: ([0-9.]+) mm', '{row}: .* ([0-9]+) ms']
 
 def test_a_number_that_changed_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
                                        capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "page.md").write_text("| what | mm |\n| --- | --- |\n| `a` | 0.50 / 7 |\n| `b` | 2.0 / 9 |\n")
-    (tmp_path / "numbers.toml").write_text("""[[entry]]
-page = "page.md"
+    numbers = numbers_of(tmp_path, "| what | mm |\n| --- | --- |\n| `a` | 0.50 / 7 |\n| `b` | 2.0 / 9 |\n", """
 header = "| what | mm |"
 rows = { "`a`" = "a", "`b`" = "b" }
 command = "run it"
 values = ["{row}.first", "{row}.second"]
 """)
-    numbers = published_numbers.published(tmp_path / "numbers.toml", tmp_path)
     assert [one.text for one in numbers] == ["0.50", "7", "2.0", "9"]
     made = {"a": {"first": 0.504, "second": 7.2}, "b": {"first": 2.3, "second": None}}
     monkeypatch.setattr(published_numbers, "made", lambda command, folder: made)

@@ -132,10 +132,8 @@ def test_several_recordings_for_validation_are_refused_in_words() -> None:
 
 # Every public result says at the prompt in three lines what it is, however much it holds.
 
-for package in (ideal_robot, scenes):
-    for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
-        importlib.import_module(module.name)
-
+MODULES = [importlib.import_module(module.name) for package in (ideal_robot, scenes)
+           for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")]
 RESULT = re.compile(r"(Result|Comparison|Identification|Analysis|Plan|Diagnosis|Prediction)$")
 """How classes are called that public functions return."""
 OTHERS = {"scenes.closing.loop:Comparison", "ideal_robot.diagnosis.validation.result:ChannelResult",
@@ -152,8 +150,7 @@ def results(base: type) -> list[type]:
 
 def said_by(result: type, **told: Any) -> Any:
     """A result without its content: what it says of itself is given."""
-    said = type(result.__name__, (result,), {"__init__": lambda self: None, **told})
-    return said()
+    return type(result.__name__, (result,), {"__init__": lambda self: None, **told})()
 
 
 LONG = "a reason in many words\nwith a second line " * 40
@@ -175,12 +172,11 @@ def test_a_result_is_three_lines(result: type) -> None:
 
 
 def test_no_result_is_shown_otherwise() -> None:
-    for package in (ideal_robot, scenes):
-        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
-            for name, one in vars(importlib.import_module(module.name)).items():
-                if isinstance(one, type) and one.__module__ == module.name and RESULT.search(name) \
-                        and not getattr(one, "_is_protocol", False) and f"{module.name}:{name}" not in OTHERS:
-                    assert issubclass(one, Summarised | ShownTable), f"{module.name}.{name}"
+    for module in MODULES:
+        for name, one in vars(module).items():
+            if isinstance(one, type) and one.__module__ == module.__name__ and RESULT.search(name) \
+                    and not getattr(one, "_is_protocol", False) and f"{module.__name__}:{name}" not in OTHERS:
+                assert issubclass(one, Summarised | ShownTable), f"{module.__name__}.{name}"
 
 
 def test_what_a_result_says_is_of_its_content() -> None:

@@ -16,6 +16,8 @@ from ideal_robot.identification.excitation import Workspace, clear_of_obstacles
 from ideal_robot.robots.collisions import Obstacle, Shapes
 from ideal_robot.robots.robot import Robot, spread_postures
 from planning.path.kinematics import InverseKinematics
+from planning.path.reference import ReferencePath
+from planning.path.speed_profile import JointPath
 from scenes.arms import arm_of
 from scenes.force.cell import friction_shown
 from scenes.force.cell import set_up as set_up_force
@@ -26,8 +28,10 @@ from scenes.models import cache_name, identity, model_for
 from scenes.online.force_calibration import LEAST, TURNS, postures_to_weigh
 from scenes.online.line_known import calibration_postures
 from scenes.placing import check_way, fits, place_line, resized, scene_text, shapes_about, shapes_in
+from scenes.play import run_scene
 from scenes.regression.suite import Suite
 from scenes.scene_file import library, load_scene
+from scenes.scene_files.drawn_line import reference_points
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.path_scene import PathScene, joint_path
@@ -45,17 +49,21 @@ def scene_for(path: Path) -> LineScene:
     return scene
 
 
-@pytest.mark.parametrize(("joints", "beyond"), [
-    (6, GRIPPER), pytest.param(5, "", marks=pytest.mark.slow), pytest.param(7, "", marks=pytest.mark.slow)])
-def test_a_line_is_placed_where_a_bare_arm_reaches_it(joints: int, beyond: str, tmp_path: Path) -> None:
-    path = written(tmp_path, urdf(joints, beyond=beyond))
-    place = place_line(scene_for(path))
-    file = tmp_path / "placed.toml"
+def placed(path: Path, folder: Path) -> LineScene:
+    """The line where an arm reaches it, as a file says it."""
+    place, file = place_line(scene_for(path)), folder / "placed.toml"
     file.write_text(scene_text((library() / "line.toml").read_text(encoding="utf-8"), str(path), place))
     scene = scene_of(LineScene, str(file))
     assert (scene.surface.origin, scene.speed, scene.model) == (place.origin, place.speed, "own")
+    return scene
+
+
+@pytest.mark.parametrize(("joints", "beyond"), [
+    (6, GRIPPER), pytest.param(5, "", marks=pytest.mark.slow), pytest.param(7, "", marks=pytest.mark.slow)])
+def test_a_line_is_placed_where_a_bare_arm_reaches_it(joints: int, beyond: str, tmp_path: Path) -> None:
+    scene = placed(written(tmp_path, urdf(joints, beyond=beyond)), tmp_path)
     assert scene.speed >= 0.1
-    assert fits(scene, scene.arm) == pytest.approx(place.speed)
+    assert fits(scene, scene.arm) == pytest.approx(scene.speed)
 
 
 def test_paths_in_a_file_are_as_seen_from_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -115,8 +123,6 @@ def test_an_arm_that_hangs_from_the_floor_is_told_what_its_urdf_lacks(tmp_path: 
 
 
 def test_a_line_out_of_reach_is_refused_with_a_place_where_one_fits(tmp_path: Path) -> None:
-    from scenes.line.cell import set_up
-
     scene = resized(scene_for(written(tmp_path, urdf(6))), 0.5, (3.0, -0.25, 0.2))
     with pytest.raises(InputError, match=r"fits with surface.origin = \[") as refused:
         set_up(scene)
@@ -125,10 +131,6 @@ def test_a_line_out_of_reach_is_refused_with_a_place_where_one_fits(tmp_path: Pa
 
 def test_what_the_arm_would_hit_is_said_before_it_moves(tmp_path: Path) -> None:
     """The wrist would be under the base plane; and a line that may lie far beside its reference is beyond the reach."""
-    from planning.path.reference import ReferencePath
-    from planning.path.speed_profile import JointPath
-    from scenes.scene_files.drawn_line import reference_points
-
     scene = scene_for(written(tmp_path, urdf(6)))
     place = place_line(scene)
     low = resized(scene, 0.3, (place.origin[0], -0.15, -0.3))
@@ -194,14 +196,8 @@ def test_a_gain_that_is_too_high_is_found_unstable() -> None:
 
 @pytest.mark.slow
 def test_a_bare_arm_follows_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from scenes.play import run_scene
-
     monkeypatch.setenv("IDEAL_ROBOT_CACHE", str(tmp_path / "cache"))
-    path = written(tmp_path, urdf(7))
-    place = place_line(scene_for(path))
-    file = tmp_path / "placed.toml"
-    file.write_text(scene_text((library() / "line.toml").read_text(encoding="utf-8"), str(path), place))
-    result = run_scene(load_scene(str(file)))
+    result = run_scene(placed(written(tmp_path, urdf(7)), tmp_path))
     assert result.failure is None
     assert result.control_error.mean < 0.15e-3
     assert len(result.json()["assumed"]) == 3
@@ -215,8 +211,7 @@ ABOVE_THE_LINE = {"middle": [1.0, 0.2, 0.75], "size": [0.2, 0.2, 0.2], "heading_
 
 
 def line(**box: object) -> LineScene:
-    scene = scene_of(LineScene, "line").changed(box=[box])
-    return scene
+    return scene_of(LineScene, "line").changed(box=[box])  # type: ignore[return-value]
 
 
 def test_a_line_whose_wrist_would_hit_a_box_is_refused_and_one_beside_it_is_not() -> None:
@@ -314,8 +309,7 @@ def test_an_axis_of_five_centimetres_is_not_moved_beyond_its_ends(method: str, s
     axis = axis.replace('type="revolute"', 'type="prismatic"').replace("0 0 1", "1 0 0")
     short = re.sub(r'lower="[^"]*" upper="[^"]*"', 'lower="0" upper="0.05"', axis)
     (tmp_path / "axis.urdf").write_text(short, encoding="utf-8")
-    robot = Robot.load(tmp_path / "axis.urdf")
-    commands = plan(robot, method, seed=seed, points=3).commands
+    commands = plan(Robot.load(tmp_path / "axis.urdf"), method, seed=seed, points=3).commands
     # The steps of the last bit of a number are no motion.
     assert commands.min() >= -1e-12
     assert commands.max() <= 0.05 + 1e-12

@@ -15,17 +15,16 @@ from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import ideal_robot
 import scenes
 from ideal_robot.identification import whole_model
 from ideal_robot.progress import Steps
 from ideal_robot.signals.recording import Recording
-from scenes.cli import VERBS, app, function_of
+from scenes.cli import VERBS, function_of
 from scenes.closing import result as closing
 from scenes.commands import recordings
-from scenes.commands.common import progress_bar, show_table
+from scenes.commands.common import completed, methods_of, progress_bar, show_table
 from scenes.path import kind
 from scenes.scene_file import load_scene
 from studies.sweeps import SCENES
@@ -106,8 +105,6 @@ def test_a_run_that_loses_the_line_ends_with_one_and_keeps_its_recording(program
 
 @pytest.mark.parametrize("verb", ["rsi", "precorrect"])
 def test_the_help_lists_the_methods_of_the_registry(program, verb: str) -> None:
-    from scenes.commands.common import completed, methods_of
-
     told = " ".join(program(verb, "--help").out.replace("│", " ").split())
     assert ", ".join(methods_of(verb)) in told
     assert "Example" in told
@@ -190,10 +187,9 @@ def test_a_signal_that_comes_within_a_callback_ends_the_program(name: str, code:
     assert (done.returncode, done.stderr) == (code, "")
 
 
-def test_version_is_the_packages() -> None:
-    done = CliRunner().invoke(app, ["--version"])
-    assert done.exit_code == 0
-    assert re.fullmatch(r"ideal-robot \d+\.\d+\.\d+\S*\n", done.stdout)
+def test_version_is_the_packages_and_completion_can_be_installed(program) -> None:
+    assert re.fullmatch(r"ideal-robot \d+\.\d+\.\d+\S*\n", program("--version").out)
+    assert "--install-completion" in program("--help").out
 
 
 @pytest.mark.parametrize("words", [["--help"], ["run", "--help"], ["run", "nothing"], ["sweep", "line", "nothing"],
@@ -207,10 +203,6 @@ def test_a_first_answer_loads_nothing_that_computes(words: list[str]) -> None:
     assert done.stdout.splitlines()[-1] == "set()"
     assert done.returncode == (0 if "--help" in words else 2)
     assert "--help" in words or "nothing" in done.stderr
-
-
-def test_completion_can_be_installed() -> None:
-    assert "--install-completion" in CliRunner().invoke(app, ["--help"]).stdout
 
 
 @pytest.mark.parametrize("verb", sorted(VERBS))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import socket
 import threading
 import zipfile
 from collections.abc import Iterator
@@ -18,7 +17,7 @@ from scipy.io import savemat
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.signals.recording import Recording
 from scenes.data_sets import data_sets, fetch, values_hash
-from tests.sources import DATA
+from tests.sources import DATA, free_port
 
 ROWS = b"10.0,0.5,2.0\n10.1,0.6,-1.0\n10.2,0.7,3.0\n"
 
@@ -69,20 +68,17 @@ def test_another_file_than_published_is_refused_and_not_written(served: str, tmp
 
 
 def test_without_a_connection_it_says_what_to_do(tmp_path: Path) -> None:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
     with pytest.raises(IdealRobotError, match=r"cannot be reached.*give it with --file"):
-        fetch("arm", tmp_path / "out", registry=registry(tmp_path, f"http://127.0.0.1:{port}/arm.csv"))
+        fetch("arm", tmp_path / "out", registry=registry(tmp_path, f"http://127.0.0.1:{free_port()}/arm.csv"))
 
 
 def test_a_missing_file_on_the_server_and_other_addresses_are_errors(served: str, tmp_path: Path) -> None:
-    with pytest.raises(IdealRobotError, match="404"):
-        fetch("arm", tmp_path / "out", registry=registry(tmp_path, f"{served}/none.csv"))
-    with pytest.raises(InputError, match="http"):
-        fetch("arm", tmp_path / "out", registry=registry(tmp_path, "file:///etc/hostname"))
-    with pytest.raises(InputError, match="expected one of arm"):
-        fetch("leg", tmp_path / "out", registry=registry(tmp_path, served))
+    for name, url, error, says in (("arm", f"{served}/none.csv", IdealRobotError, "404"),
+                                   ("arm", "file:///etc/hostname", InputError, "http"),
+                                   ("arm", "", InputError, "--file"),
+                                   ("leg", served, InputError, "expected one of arm")):
+        with pytest.raises(error, match=says):
+            fetch(name, tmp_path / "out", registry=registry(tmp_path, url))
 
 
 def test_a_file_downloaded_by_hand_is_taken_and_nonsense_is_not(tmp_path: Path) -> None:
@@ -109,11 +105,6 @@ def test_a_file_in_a_zip_is_taken_out_of_it_and_a_page_of_words_is_not_a_zip(ser
         with pytest.raises(InputError, match=r"https://example\.org"):
             fetch("arm", tmp_path / "no", registry=registry(tmp_path, f"{served}/{broken}", member="arm.csv"))
     assert not (tmp_path / "no").exists()
-
-
-def test_a_set_that_no_program_can_download_says_so(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--file"):
-        fetch("arm", tmp_path / "out", registry=registry(tmp_path, ""))
 
 
 def test_every_shipped_set_has_licence_origin_and_checksum() -> None:

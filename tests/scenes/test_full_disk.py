@@ -36,16 +36,13 @@ from sim.bullet import pybullet
 from tests.fuzz import mutate, originals
 from tests.scenes.report.test_page import _replay
 from tests.scenes.test_pinned_findings import Drifting
-from tests.sources import files_of_at_most
+from tests.sources import files_of_at_most, no_room
 
 
 def test_an_arm_whose_log_finds_no_room_is_brought_to_rest_on_its_path(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is lost: rows that no file takes stay in memory."""
-    def full(*_: object) -> int:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
     monkeypatch.setattr(row_log, "KEPT", 512)
-    monkeypatch.setattr(os, "pwrite", full)
+    monkeypatch.setattr(os, "pwrite", no_room)
     task, log = Drifting(sound=1e9, step=1e-4), CycleLog()
     play_cycles(task, Robot.load("kr6"), task, log, CycleSettings(5.0, 0.1, 20.0, 20.0, ""), silent)
     assert log.failure is not None
@@ -72,12 +69,8 @@ def test_a_bag_that_finds_no_room_leaves_nothing(tmp_path: Path, monkeypatch: py
     """SQLite has errors of its own; the other formats go through the same words."""
     t = 0.01 * np.arange(200)
     recording = Recording.from_arrays(t, q=np.sin(t)[:, None])
-
-    def full(path: Path, *_: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device", str(path))
-
-    monkeypatch.setattr(Path, "rename", full)
-    monkeypatch.setattr(Path, "replace", full)
+    monkeypatch.setattr(Path, "rename", no_room)
+    monkeypatch.setattr(Path, "replace", no_room)
     for write, name in ((write_rosbag2, "bag"), (write_mcap, "a.mcap")):
         with pytest.raises(OutputError, match="No space"):
             write(recording, tmp_path / name)
@@ -87,11 +80,7 @@ def test_a_bag_that_finds_no_room_leaves_nothing(tmp_path: Path, monkeypatch: py
 def test_a_new_scene_that_finds_no_room_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("weld.toml").write_text("mine")
-
-    def full(*_: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr("ideal_robot.whole_file.synchronise", full)
+    monkeypatch.setattr("ideal_robot.whole_file.synchronise", no_room)
     with pytest.raises(OutputError):
         new("weld", force=True)
     assert Path("weld.toml").read_text() == "mine"

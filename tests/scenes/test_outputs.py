@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import signal
 import subprocess
@@ -23,7 +22,7 @@ from ideal_robot.whole_file import OutputError, whole_file, whole_files, write_t
 from scenes.outputs import check_outputs, folders_held, whole_folder
 from scenes.report.page import write_json
 from tests.fuzz import mutate, originals
-from tests.sources import files_of_at_most
+from tests.sources import files_of_at_most, no_room
 
 WRITER = """
 import sys
@@ -291,11 +290,8 @@ def test_a_verb_whose_disk_is_full_keeps_the_previous_result_and_says_so_in_one_
     words = {"identify": ["identify", "r.csv", "--urdf", "arm.urdf", "--friction", "viscous_coulomb"],
              "run": ["run", "s.toml"]}[verb]
 
-    def full(path: Path) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
     for module in ("ideal_robot.whole_file", "scenes.outputs"):
-        monkeypatch.setattr(f"{module}.synchronise", full)
+        monkeypatch.setattr(f"{module}.synchronise", no_room)
     done = program(*words, "--out", "o", "--json", "j.json")
     assert done.code == 1
     (said,) = [line for line in done.lines if line.startswith("ideal-robot:")]

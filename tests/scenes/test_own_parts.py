@@ -21,7 +21,6 @@ import pandas as pd
 import pytest
 import typer
 from PIL import Image, ImageDraw
-from typer.testing import CliRunner
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
@@ -30,20 +29,16 @@ from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.method import Setting
 from ideal_robot.robots.robot import Robot
 from scenes import Reading, compare_scene, load_scene, run_scene
-from scenes.cli import THEMES, VERBS, app, function_of
+from scenes.cli import THEMES, VERBS, function_of
 from scenes.identification.plan import plan, play_plan
 from scenes.kind import kind_of
 from scenes.methods import compared, method_of
-from scenes.scene_files.scene import Scene
 from scenes.view.viewer import Viewer
 from sim.arm.world import World
 from sim.devices import rsi_controller
 from tests.conftest import Ended
-from tests.scenes.test_sweep import free_port
-from tests.sources import DATA, ROOT
-
-CALIBRATED = {"by_moving": False, "roll_deg": 0.01, "pitch_deg": 0.02, "yaw_deg": 0.02, "height_mm": 0.2,
-              "lateral_mm": 0.02, "focal_percent": 0.1, "principal_px": 0.05, "k1": 0.001}
+from tests.scenes.line.test_line import short
+from tests.sources import DATA, ROOT, free_port
 
 
 class Ahead(Feedforward):
@@ -72,11 +67,6 @@ def own_key() -> Iterator[str]:
     registry.register("mine", factory)
     yield "mine"
     registry.unregister("mine")
-
-
-def short() -> Scene:
-    return load_scene("straight").changed(world="bench", line={"points": [(0.4, 0.0), (0.8, 0.0)]},
-                                          calibration=CALIBRATED)
 
 
 def test_feedforward_objects_and_factories_are_rows_of_the_table() -> None:
@@ -183,8 +173,7 @@ def own(tmp_path: Path) -> Path:
 
 def test_a_planned_motion_is_played_in_a_world_in_proportion(own: Path) -> None:
     arm = Robot.load(own)
-    planned = plan(arm, "joint", period=2.0)
-    recording = play_plan(planned, arm, seed=1)
+    recording = play_plan(plan(arm, "joint", period=2.0), arm, seed=1)
     assert recording.n == arm.n
     error = recording.joints("q") - recording.joints("q_c")
     assert 0 < np.max(np.abs(error)) < 0.5
@@ -221,15 +210,13 @@ def test_it_is_viewed_as_rods_where_its_meshes_are_missing(own: Path) -> None:
         viewer.server.stop()
 
 
-def test_the_address_said_is_the_one_served() -> None:
+def test_the_address_said_is_the_one_served(program: Callable[..., Ended]) -> None:
     """On a taken port the viewer moves to another; the command must not print the taken one."""
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
+    with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        done = CliRunner().invoke(app, ["view", "kr6", "--once", "--port", str(port)])
-    assert done.exit_code == 0, done.output
-    found = re.search(r"http://127\.0\.0\.1:(\d+)", done.output.partition("open ")[2])
+        done = program("view", "kr6", "--once", "--port", str(port))
+    assert done.code == 0, done.err
+    found = re.search(r"http://127\.0\.0\.1:(\d+)", (done.out + done.err).partition("open ")[2])
     assert found is not None
     assert int(found[1]) != port
 
@@ -254,10 +241,7 @@ ADDITION = {"view": ["--once"]}
 class Example(NamedTuple):
     """The first example of a verb.
 
-    Attributes:
-        after: verb whose example has to run before; empty for none.
-        commands: to be typed one after the other.
-        beside: the last command runs in another terminal, beside the others.
+    ``after``: verb whose example has to run before; ``beside``: the last command runs in another terminal.
     """
 
     after: str

@@ -165,8 +165,7 @@ def test_options_choose_the_arm_and_its_own_model() -> None:
     assert scene.world["individual"] == 3
     assert (scene.model, scene.n_d) == ("own", 7)  # type: ignore[attr-defined]
     assert scene.played()["individual"] == 3
-    named = chosen(load_scene("line").changed(model="mine.json"), individual=3)
-    assert named.model == "mine.json"
+    assert chosen(load_scene("line").changed(model="mine.json"), individual=3).model == "mine.json"
     assert [job.individual for job in jobs(["line"], individuals=[1, 2])] == [1, 2]
 
 
@@ -265,13 +264,7 @@ OF_THE_WORLD = frozenset({"world", "arm_world", "displacement", "wear", "light",
 
 
 class Guard:
-    """An object whose attributes beyond a list raise.
-
-    Args:
-        inner: the object.
-        named: what may be asked for; everything if None.
-        refused: what may not.
-    """
+    """An object whose attributes beyond those that are named (all if None), or among those refused, raise."""
 
     def __init__(self, inner: Any, named: set[str] | None, refused: frozenset[str] = frozenset()) -> None:
         self._inner, self._named, self._refused = inner, named, refused

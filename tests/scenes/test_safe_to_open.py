@@ -135,8 +135,7 @@ SVG = '<svg xmlns="http://www.w3.org/2000/svg">{}<path d="{}"/></svg>'
 
 def test_the_svg_file_beside_the_scene_is_taken_wherever_the_program_runs(tmp_path: Path) -> None:
     (tmp_path / "wave.svg").write_text(SVG.format("", "M 0 0 L 300 0"))
-    curve = Shape(svg="wave.svg").curve(tmp_path)
-    assert curve[-1] == pytest.approx([0.3, 0.0])
+    assert Shape(svg="wave.svg").curve(tmp_path)[-1] == pytest.approx([0.3, 0.0])
     (tmp_path / "scene.toml").write_text(SCENE + 'svg = "wave.svg"\n')
     assert load_scene(tmp_path / "scene.toml").folder == tmp_path
 

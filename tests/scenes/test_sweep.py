@@ -7,7 +7,6 @@ import faulthandler
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -28,7 +27,7 @@ from scenes.scene_file import load_scene
 from scenes.scene_files.scene import Scene
 from scenes.sweep import Job, SweepFile, jobs, play, sweep
 from scenes.workers import LostError, work_off
-from tests.sources import ROOT
+from tests.sources import ROOT, free_port
 
 WORK = jobs(["line", "straight"], seeds=[1, 2])
 
@@ -260,24 +259,25 @@ def _waits(job: Job) -> dict[str, Any]:
     return answer(job)
 
 
+def cluster(port: int, *more: str) -> list[subprocess.Popen[bytes]]:
+    """A scheduler and its worker, each a process."""
+    own = {**os.environ, "PYTHONPATH": str(ROOT), "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
+    dask = [sys.executable, "-m", "dask"]
+    return [subprocess.Popen([*dask, *words, "--no-dashboard"], stderr=subprocess.DEVNULL, env=own)
+            for words in (["scheduler", "--host", "127.0.0.1", "--port", str(port)],
+                          ["worker", f"tcp://127.0.0.1:{port}", "--nthreads", "1", *more])]
+
+
 def swept_until_the_scheduler_dies(folder: Path) -> tuple[list[dict[str, Any]], Path]:
     """Three runs on a cluster whose scheduler is killed after the first: their rows, and the file of lines."""
-    lines, told, dask = folder / "lines.jsonl", folder / "scheduler.json", [sys.executable, "-m", "dask"]
-    scheduler = subprocess.Popen([*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
-                                  "--scheduler-file", str(told)], stderr=subprocess.DEVNULL)
-    worker = None
+    lines, port = folder / "lines.jsonl", free_port()
+    started = cluster(port, "--no-nanny")
     try:
-        while not told.exists():
-            time.sleep(0.1)
-        address = json.loads(told.read_text())["address"]
-        worker = subprocess.Popen([*dask, "worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"],
-                                  stderr=subprocess.DEVNULL, env={**os.environ, "PYTHONPATH": str(ROOT)})
-        return sweep(jobs(["line"], seeds=[1, 2, 3]), dask=address, function=_waits,
-                     file=SweepFile(lines, resume=True), done=lambda count: scheduler.kill()), lines
+        return sweep(jobs(["line"], seeds=[1, 2, 3]), dask=f"tcp://127.0.0.1:{port}", function=_waits,
+                     file=SweepFile(lines, resume=True), done=lambda count: started[0].kill()), lines
     finally:
-        scheduler.kill()
-        if worker is not None:
-            worker.kill()
+        for process in started:
+            process.kill()
 
 
 @pytest.mark.slow
@@ -350,27 +350,18 @@ def test_what_a_killed_sweep_left_between_tail_and_part_is_there_once(tmp_path: 
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_comes_back_gets_what_is_left_and_a_poisoned_task_costs_no_other(tmp_path: Path) -> None:
+def test_a_scheduler_that_comes_back_gets_what_is_left_and_a_poisoned_task_costs_no_other() -> None:
     pytest.importorskip("dask.distributed")
-    told, dask, port = tmp_path / "scheduler.json", [sys.executable, "-m", "dask"], free_port()
-    at = ["--host", "127.0.0.1", "--port", str(port), "--no-dashboard", "--scheduler-file", str(told)]
-    own = {**os.environ, "PYTHONPATH": str(ROOT), "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
-
-    def begun() -> list[subprocess.Popen[bytes]]:
-        return [subprocess.Popen([*dask, *words], stderr=subprocess.DEVNULL, env=own) for words in
-                (["scheduler", *at], ["worker", f"tcp://127.0.0.1:{port}", "--nthreads", "1", "--no-dashboard"])]
-
-    started = begun()
+    port = free_port()
+    started = cluster(port)
 
     def restarted(count: int) -> None:
         if count == 20:
             started[0].kill()
             started[1].terminate()
-            started.extend(begun())
+            started.extend(cluster(port))
 
     try:
-        while not told.exists():
-            time.sleep(0.1)
         rows = sweep(jobs(["line"], seeds=range(40)), dask=f"tcp://127.0.0.1:{port}", function=poisoned, done=restarted,
                      limit=5.0)
     finally:
@@ -389,9 +380,3 @@ def poisoned(job: Job) -> dict[str, Any]:
         time.sleep(600.0)
     time.sleep(0.05)
     return measured(job)
-
-
-def free_port() -> int:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])

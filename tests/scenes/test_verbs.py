@@ -11,16 +11,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import typer
 from hypothesis import given
 from hypothesis import strategies as st
-from typer.testing import CliRunner
 
 from ideal_robot.errors import InputError
 from ideal_robot.signals.export import write_rerun
 from ideal_robot.signals.recording import Recording
-from scenes import cli
-from scenes.commands.files import export, new
 from scenes.detection import pictures
 from scenes.kind import KINDS
 from scenes.scene_file import library, load_scene
@@ -30,9 +26,6 @@ from sensing.camera.video_capture import opened_usb
 from tests.ideal_robot.diagnosis.poor_recording import URDF, poor_recording
 from tests.sensing.camera.synthetic import drawn_line, film
 from tests.sources import ROOT
-
-app = typer.Typer()
-app.command()(cli.function_of("detect"))
 
 
 @pytest.fixture
@@ -44,10 +37,9 @@ def folder(tmp_path: Path) -> Path:
     return where
 
 
-def test_a_folder_gives_points_and_reasons(folder: Path, tmp_path: Path) -> None:
-    done = CliRunner().invoke(app, [str(folder), "--json", str(tmp_path / "line.json"), "--out",
-                                    str(tmp_path / "out")])
-    assert done.exit_code == 0, done.output
+def test_a_folder_gives_points_and_reasons(program, folder: Path, tmp_path: Path) -> None:
+    done = program("detect", "cell", "--json", "line.json", "--out", "out")
+    assert done.code == 0, done.err
     first, second = json.loads((tmp_path / "line.json").read_text())["pictures"]
     assert first["found"]
     assert first["polarity"] == "dark"
@@ -59,23 +51,20 @@ def test_a_folder_gives_points_and_reasons(folder: Path, tmp_path: Path) -> None
     assert "data:image/png" in (tmp_path / "out" / "report.html").read_text()
 
 
-def test_pictures_without_a_line_end_with_exit_code_1(folder: Path, tmp_path: Path) -> None:
-    done = CliRunner().invoke(app, [str(folder / "b.png"), "--out", str(tmp_path)])
-    assert done.exit_code == 1
+@pytest.mark.parametrize(("words", "code", "said"), [
+    ((), 1, ""), (("--kind", "rope"), 2, "rope"), (("--near", "here"), 2, "--near")])
+def test_pictures_without_a_line_and_unknown_kinds_or_places_end_with_their_code(
+        program, words: tuple[str, ...], code: int, said: str, folder: Path) -> None:
+    done = program("detect", "cell/b.png", *words, "--out", "out")
+    assert done.code == code
+    assert said in done.err
 
 
-@pytest.mark.parametrize(("words", "said"), [(["--kind", "rope"], "rope"), (["--near", "here"], "--near")])
-def test_an_unknown_kind_or_place_is_refused(words: list[str], said: str, folder: Path, tmp_path: Path) -> None:
-    done = CliRunner().invoke(app, [str(folder), *words, "--out", str(tmp_path / "out")])
-    assert isinstance(done.exception, InputError)
-    assert said in str(done.exception)
-
-
-def test_frames_of_a_video(tmp_path: Path) -> None:
+def test_frames_of_a_video(program, tmp_path: Path) -> None:
     path = film(tmp_path / "line.avi", (drawn_line(seed=seed)[0] for seed in range(4)), 10.0)
     assert [name for name, _ in pictures(str(path), every=2)] == ["frame 0", "frame 2"]
-    done = CliRunner().invoke(app, [str(path), "--json", str(tmp_path / "line.json"), "--out", str(tmp_path / "out")])
-    assert done.exit_code == 0, done.output
+    done = program("detect", "line.avi", "--json", "line.json", "--out", "out")
+    assert done.code == 0, done.err
     states = [one["state"] for one in json.loads((tmp_path / "line.json").read_text())["pictures"]]
     assert states == ["found", *["followed"] * 3]
 
@@ -109,10 +98,6 @@ def test_a_small_file_of_a_huge_picture_is_refused_before_it_is_unpacked(tmp_pat
 
 # ``ideal-robot export`` writes what its options say, and nothing for names that cannot be.
 
-exporting = typer.Typer()
-exporting.command()(export)
-
-
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:
     t = 0.012 * np.arange(40.0)
@@ -120,31 +105,22 @@ def recording(tmp_path: Path) -> Path:
     return Recording.from_arrays(t, q=q, tau=q, x=t, y=t, z=t).write(tmp_path / "in.parquet")
 
 
-def test_several_formats_at_once(recording: Path, tmp_path: Path) -> None:
-    words = ["--csv", str(tmp_path / "o.csv"), "--mcap", str(tmp_path / "o.mcap"), "--rosbag2", str(tmp_path / "bag")]
-    done = CliRunner().invoke(exporting, [str(recording), *words])
-    assert done.exit_code == 0, done.output
+def test_several_formats_at_once(program, recording: Path, tmp_path: Path) -> None:
+    done = program("export", "in.parquet", "--csv", "o.csv", "--mcap", "o.mcap", "--rosbag2", "bag")
+    assert done.code == 0, done.err
     expected = Recording.read(recording).joints("q")
     for name in ("o.csv", "o.mcap", "bag"):
         np.testing.assert_allclose(Recording.read(tmp_path / name).joints("q"), expected, atol=1e-12)
 
 
-@pytest.mark.parametrize("words", [[], ["--csv", "o.txt"], ["--rerun", "o.txt"], ["--mcap", "o.bag"],
-                                   ["--csv", "o.csv", "--rosbag2", "o", "--rerun", "o.txt"]])
-def test_no_format_or_another_ending_is_refused(words: list[str], recording: Path, tmp_path: Path,
+@pytest.mark.parametrize("words", [
+    [], ["--csv", "o.txt"], ["--rerun", "o.txt"], ["--mcap", "o.bag"],
+    ["--csv", "o.csv", "--rosbag2", "o", "--rerun", "o.txt"],
+    pytest.param(["--mcap", "o.mcap", "--csv", "o.csv", "--rerun", "o.rrd"], id="without the extra of one format")])
+def test_no_format_or_another_ending_is_refused(program, words: list[str], recording: Path, tmp_path: Path,
                                                 monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    done = CliRunner().invoke(exporting, [str(recording), *words])
-    assert isinstance(done.exception, InputError)
-    assert [one.name for one in tmp_path.iterdir()] == ["in.parquet"]
-
-
-def test_without_the_extra_of_one_format_none_is_written(recording: Path, tmp_path: Path,
-                                                         monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
-    words = ["--mcap", str(tmp_path / "o.mcap"), "--csv", str(tmp_path / "o.csv"), "--rerun", str(tmp_path / "o.rrd")]
-    done = CliRunner().invoke(exporting, [str(recording), *words])
-    assert isinstance(done.exception, InputError)
+    assert program("export", "in.parquet", *words).code == 2
     assert [one.name for one in tmp_path.iterdir()] == ["in.parquet"]
 
 
@@ -173,15 +149,12 @@ def files(tmp_path):
     return tmp_path
 
 
-def arguments(files, *more):
-    return ["plan-diagnosis", str(files / "run.parquet"), "--urdf", str(files / "arm.urdf"), "--length", "40", *more]
+PLAN = ("plan-diagnosis", "run.parquet", "--urdf", "arm.urdf", "--result", "open.json", "--out", "motion.csv")
 
 
-def test_motion_is_written_and_read(files):
-    answer = CliRunner().invoke(cli.app, arguments(files, "--result", str(files / "open.json"), "--z-min", "-9",
-                                                   "--out", str(files / "motion.csv"), "--json",
-                                                   str(files / "plan.json")))
-    assert answer.exit_code == 0, answer.output
+def test_motion_is_written_and_read(program, files):
+    done = program(*PLAN, "--length", "40", "--z-min", "-9", "--json", "plan.json")
+    assert done.code == 0, done.err
     plan = json.loads((files / "plan.json").read_text())
     motion = Recording.read(files / "motion.csv")
     assert plan["duration_s"] <= 40.0
@@ -190,22 +163,16 @@ def test_motion_is_written_and_read(files):
     assert np.all(np.isfinite(np.column_stack([motion.columns["q_d_1"], motion.columns["q_c_2"]])))
 
 
-@pytest.mark.parametrize(("change", "field"), [
-    ({"effects": [{"effect": "gremlin", "joint": 1}]}, "effects.0.effect"), ({"verdict": "none"}, "effects"),
-    ({**OPEN, "recording_hash": "of another one"}, "recording_hash")])
-def test_wrong_result_leaves_nothing(files, change, field):
+@pytest.mark.parametrize(("change", "length", "field"), [
+    ({"effects": [{"effect": "gremlin", "joint": 1}]}, "40", "effects.0.effect"),
+    ({"verdict": "none"}, "40", "effects"), ({**OPEN, "recording_hash": "of another one"}, "40", "recording_hash"),
+    (OPEN, "1", "length")])
+def test_wrong_result_or_length_leaves_nothing(program, files, change, length, field):
     (files / "open.json").write_text(json.dumps(change), encoding="utf-8")
-    answer = CliRunner().invoke(cli.app, arguments(files, "--result", str(files / "open.json"), "--out",
-                                                   str(files / "motion.csv")))
-    assert isinstance(answer.exception, InputError)
-    assert answer.exception.field == field
+    done = program(*PLAN, "--length", length)
+    assert done.code == 2
+    assert f"{field}: " in done.err
     assert not (files / "motion.csv").exists()
-
-
-def test_length_that_makes_no_sense_is_refused(files):
-    answer = CliRunner().invoke(cli.app, [*arguments(files, "--result", str(files / "open.json")), "--length", "1"])
-    assert isinstance(answer.exception, InputError)
-    assert answer.exception.field == "length"
 
 
 # Keys of scene files: the commented file can be played, the schema accepts what the program accepts.
@@ -232,10 +199,7 @@ def test_every_commented_default_is_accepted(kind: str, tmp_path: Path) -> None:
     example = (library() / f"{EXAMPLES[kind]}.toml").read_text(encoding="utf-8")
     lines = commented_scene("mine", kind, example).splitlines()
     end = lines.index("# [world]")
-    kept = []
-    for line in lines[:end]:
-        value = re.match(r"# ([a-z_0-9]+) = (?!…)", line)
-        kept.append(line[2:] if value and not line.startswith("# [") else line)
+    kept = [line[2:] if re.match(r"# [a-z_0-9]+ = (?!…)", line) else line for line in lines[:end]]
     header = None
     alive = []
     for line in kept:
@@ -278,16 +242,13 @@ def test_lists_have_a_word_in_every_row(what: str) -> None:
     assert all(len(row) == len(columns) and row[0] is not None for row in rows)
 
 
-def test_new_writes_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    app = typer.Typer()
-    app.command()(new)
-    assert CliRunner().invoke(app, ["seam"]).exit_code == 0
+def test_new_writes_once(program, tmp_path: Path) -> None:
+    assert program("new", "seam").code == 0
     assert load_scene("seam").kind == "line"
     for words, message in ((["seam"], "already"), (["../up"], "letters"), (["other", "--kind", "dance"], "expected")):
-        done = CliRunner().invoke(app, words)
-        assert isinstance(done.exception, InputError)
-        assert message in str(done.exception)
+        done = program("new", *words)
+        assert done.code == 2
+        assert message in done.err
     assert [one.name for one in tmp_path.iterdir()] == ["seam.toml"]
 
 

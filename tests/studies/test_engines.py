@@ -81,8 +81,7 @@ def test_arm_sticks_at_rest(engine: str) -> None:
     block = plant.block.copy()
     block[drive.COULOMB] = 1e3 * ARM.need
     block[[drive.C_KP, drive.C_KI]] = 0.0
-    motion = a_motion(ARM, 0.5)
-    run = ENGINES[engine](dataclasses.replace(plant, block=block), motion)
+    run = ENGINES[engine](dataclasses.replace(plant, block=block), a_motion(ARM, 0.5))
     assert np.abs(run.q - run.q[0]).max() < (2.5e-3 if engine == "mujoco" else 1e-9)
 
 

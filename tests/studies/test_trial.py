@@ -80,8 +80,7 @@ def test_size_of_an_effect_grows_with_it_and_is_zero_without() -> None:
                                                    for name in ("mujoco", "pybullet"))])
 def test_nothing_but_dry_friction_keeps_a_clean_rigid_plant_out_of_the_model_class(engine: str) -> None:
     """No clock or engine leaves a trace of its own: without dry friction the model class explains the torque."""
-    rng = np.random.default_rng(2)
-    logger = a_logger(rng, ARM.n, every=4, encoder=1e-9, noise=np.zeros(ARM.n))
+    logger = a_logger(np.random.default_rng(2), ARM.n, every=4, encoder=1e-9, noise=np.zeros(ARM.n))
     motion = a_motion(ARM, 12.0)
     shares = []
     for friction in (False, True):
@@ -113,8 +112,7 @@ def test_filter_of_all_torques_is_late_by_its_time_constant() -> None:
     run = ENGINES["integrator"](setup.plant, a_motion(ARM, 8.0))
     effect = NEW["torque_filter"](rng, setup, 0)
     assert effect is not None
-    late = effect.apply(setup, 2.0)
-    one, two = (record(s.logger, s.plant, run) for s in (setup, late))
+    one, two = (record(s.logger, s.plant, run) for s in (setup, effect.apply(setup, 2.0)))
     slope = np.gradient(one.joints("tau"), one.t, axis=0)
     change = two.joints("tau") - one.joints("tau")
     lag = -np.sum(change * slope, axis=0) / np.sum(slope**2, axis=0)

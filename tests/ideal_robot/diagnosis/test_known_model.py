@@ -38,16 +38,7 @@ from tests.ideal_robot.diagnosis.test_diagnose import arm, torque
 
 def harmonics(rng: np.random.Generator, t: Array, middle: Array, size: float,
               frequencies: tuple[float, float], count: int) -> tuple[Array, Array, Array]:
-    """Positions, velocities and accelerations ``(N, n)`` of sines of random frequency and phase about ``middle``.
-
-    Args:
-        rng: draws them.
-        t: times ``(N,)`` [s].
-        middle: of the motion ``(n,)`` [rad].
-        size: amplitude of each sine [rad].
-        frequencies: least and largest [rad/s].
-        count: of sines in each joint.
-    """
+    """Positions, velocities and accelerations ``(N, n)`` of ``count`` random sines [rad/s] about ``middle``."""
     frequency, phase = rng.uniform(*frequencies, (count, len(middle))), rng.uniform(0.0, 6.0, (count, len(middle)))
     angle = t[:, None, None] * frequency + phase
     return (middle + size * np.sin(angle).sum(axis=1), size * (frequency * np.cos(angle)).sum(axis=1),
@@ -223,14 +214,9 @@ def test_errors_of_several_joints_kinematics_are_estimated_together(known_kr15):
 # A body that the given model does not know: on the flange it is a payload, on another link a load of that link.
 
 def carrying(name: str, link: int, mass: float, at: np.ndarray, left: float = 0.02) -> tuple[Problem, Robot]:
-    """An arm whose parameters are known, with a point mass fixed to one of its links.
+    """An arm whose parameters are known, with a point mass [kg] ``at`` a place in the frame of a link's joint [m].
 
-    Args:
-        name: of a shipped robot.
-        link: that carries it, from 1.
-        mass: of the body [kg].
-        at: where, in the frame of the link's joint ``(3,)`` [m].
-        left: what of the torques of joints 1 to 3 no model knows, as a share of them; two hundredths of a wrist's.
+    ``left``: what of the torques of joints 1 to 3 no model knows, as a share of them; two hundredths of a wrist's.
     """
     robot, rng, t = Robot.load(name), np.random.default_rng(2), np.arange(0.0, 24.0, 0.004)
     q, qd, qdd = harmonics(rng, t, robot.home, 0.25, (0.8, 5.0), 4)

@@ -59,8 +59,7 @@ def test_motion_stays_within_limits_and_rests_at_its_ends(planned):
     assert np.all(np.abs(np.diff(speed, axis=0)) / dt <= 1.0001 * robot.a_max)
     assert not np.any(speed[0])
     assert not np.any(speed[-1])
-    path = plan.path()
-    assert list(path.columns) == ["t", "q_d_1", "q_d_2", "q_c_1", "q_c_2"]
+    assert list(plan.path().columns) == ["t", "q_d_1", "q_d_2", "q_c_1", "q_c_2"]
 
 
 @pytest.mark.parametrize("limit", ["position", "speed", "acceleration"])
@@ -161,8 +160,7 @@ def test_currents_without_known_gains_are_planned_for_in_their_own_units(planned
                values / 20.0 ** int(name[4:]) if name.startswith("tau_") else values
                for name, values in first.columns.items()}
     unknown = dataclasses.replace(plain, drive_gain=np.ones(plain.n))
-    plan = plan_diagnosis(Recording(columns), unknown, asked(*TRUTH, RIVAL), workspace=ANYWHERE)
-    (told,) = plan.pairs
+    (told,) = plan_diagnosis(Recording(columns), unknown, asked(*TRUTH, RIVAL), workspace=ANYWHERE).pairs
     assert told.told_apart
 
 

@@ -28,15 +28,21 @@ def coloured(rng: np.random.Generator, count: int, memory: float = 0.9) -> np.nd
     return e
 
 
+def design_of(y: np.ndarray, W: np.ndarray, blocks: Blocks, group: np.ndarray | None = None) -> Design:
+    """Of measurements ``(N, n)`` and parameters' columns ``(N, n, m)``, and a group ``c`` of one column ``(N, n)``."""
+    design = Design(y, W, np.ones(y.shape, bool), blocks)
+    if group is not None:
+        design.add("c", Columns(group[:, :, None], tuple(range(y.shape[1]))))
+    return design
+
+
 def test_p_values_of_coloured_noise_are_honest():
     rng = np.random.default_rng(1)
     count, p_values = 1600, []
     for _ in range(120):
         x, extra = coloured(rng, count, 0.98), coloured(rng, count, 0.98)
         W = np.stack([np.ones(count), x], axis=1)[:, None, :]
-        y = coloured(rng, count)[:, None]
-        design = Design(y, W, np.ones((count, 1), bool), time_blocks(count, 0.01, held_out=False))
-        design.add("c", Columns(extra[:, None, None], (0,)))
+        design = design_of(coloured(rng, count)[:, None], W, time_blocks(count, 0.01, held_out=False), extra[:, None])
         p_values.append(Fit(design, ["W"], np.ones(1)).held_out_test("c").p_value)
     assert np.mean(np.array(p_values) < 0.05) < 0.12
     assert np.mean(np.array(p_values) < 0.001) < 0.02
@@ -48,9 +54,8 @@ def test_the_trial_is_what_refitting_without_each_fold_gives():
     W, C = rng.normal(size=(count, 2, 3)), rng.normal(size=(count, 2, 1))
     y = rng.normal(size=(count, 2)) + 0.3 * C[:, :, 0] + W[:, :, 0]
     blocks = time_blocks(count, 0.02, held_out=True)
-    design, weights = Design(y, W, np.ones((count, 2), bool), blocks), np.array([1.0, 2.0])
-    design.add("c", Columns(C, (0, 1)))
-    trial = Fit(design, ["W"], weights).held_out_test("c")
+    weights = np.array([1.0, 2.0])
+    trial = Fit(design_of(y, W, blocks, C[:, :, 0]), ["W"], weights).held_out_test("c")
     of_sample = blocks.fold[blocks.of_samples()]
     scale = np.sqrt(weights)[None, :, None]
     reduction = 0.0
@@ -69,12 +74,16 @@ def test_the_trial_is_what_refitting_without_each_fold_gives():
     assert np.isnan(trial.reduction[blocks.fold < 0]).all()
 
 
-def test_dependence_is_seen_where_it_is_and_not_where_it_is_not():
+@pytest.fixture
+def sieve() -> DependenceTest:
     signals = motion()
     blocks = time_blocks(len(signals.t), signals.dt, held_out=False)
-    rng = np.random.default_rng(3)
-    noise = rng.normal(size=len(signals.t))
-    sieve = DependenceTest(signals, np.ones((len(noise), 1), bool), blocks)
+    return DependenceTest(signals, np.ones((len(signals.t), 1), bool), blocks)
+
+
+def test_dependence_is_seen_where_it_is_and_not_where_it_is_not(sieve):
+    signals = motion()
+    noise = np.random.default_rng(3).normal(size=len(signals.t))
     term = next(t for t in terms(signals, 0, pairs=False) if t.depends_on == ("q_2",))
     nothing = sieve.tests(noise, 0, [term])[0]
     something = sieve.tests(noise + 1.5 * np.cos(3.0 * signals.q[:, 1]), 0, [term])[0]
@@ -83,12 +92,11 @@ def test_dependence_is_seen_where_it_is_and_not_where_it_is_not():
     assert something.share > 0.3
 
 
-def test_what_a_curve_explains_by_chance_follows_from_the_blocks():
+def test_what_a_curve_explains_by_chance_follows_from_the_blocks(sieve):
     signals = motion()
     blocks = time_blocks(len(signals.t), signals.dt, held_out=False)
     rng = np.random.default_rng(6)
     noise = coloured(rng, len(signals.t))
-    sieve = DependenceTest(signals, np.ones((len(noise), 1), bool), blocks)
     term = next(t for t in terms(signals, 0, pairs=False) if t.depends_on == ("q_2",))
     found = sieve.tests(noise, 0, [term])[0]
     signs = rng.choice([-1.0, 1.0], size=(400, blocks.count))[:, blocks.of_samples()]
@@ -97,12 +105,9 @@ def test_what_a_curve_explains_by_chance_follows_from_the_blocks():
     assert found.p_value == pytest.approx(np.mean(shares >= found.share), abs=0.1)
 
 
-def test_a_slow_disturbance_is_seen_over_time():
+def test_a_slow_disturbance_is_seen_over_time(sieve):
     # A curve over time is nearly constant in a block; without centring its chance share was a thousandfold.
-    signals = motion()
-    blocks = time_blocks(len(signals.t), signals.dt, held_out=False)
-    rng = np.random.default_rng(5)
-    sieve = DependenceTest(signals, np.ones((len(signals.t), 1), bool), blocks)
+    signals, rng = motion(), np.random.default_rng(5)
     of_time = [t for t in terms(signals, 0, pairs=False) if t.depends_on == ("t",) and not t.directed]
     slow = np.sin(2.0 * np.pi * 1.7 * signals.t / signals.t[-1])
     for term in of_time:
@@ -122,8 +127,7 @@ def test_held_out_blocks_take_no_part():
     blocks = time_blocks(count, 0.05, held_out=True)
     spoiled = y.copy()
     spoiled[blocks.fold[blocks.of_samples()] < 0] += 100.0
-    betas = [Fit(Design(values, W, np.ones((count, 1), bool), blocks), ["W"], np.ones(1)).beta
-             for values in (y, spoiled)]
+    betas = [Fit(design_of(values, W, blocks), ["W"], np.ones(1)).beta for values in (y, spoiled)]
     np.testing.assert_allclose(betas[0], betas[1])
     assert isinstance(blocks, Blocks)
 
@@ -136,8 +140,7 @@ def test_a_group_that_the_prior_allows_is_not_significant_and_one_beyond_it_is()
     blocks = time_blocks(count, 0.01, held_out=False)
 
     def p_value(change: float) -> float:
-        design = Design((change * x + rng.normal(size=count))[:, None], W, np.ones((count, 1), bool), blocks)
-        design.add("c", Columns(x[:, None, None], (0,)))
+        design = design_of((change * x + rng.normal(size=count))[:, None], W, blocks, x[:, None])
         # The second parameter is known to 0.1; the group changes the same.
         return Fit(design, ["W"], np.ones(1), np.diag([0.0, 1.0 / 0.1**2])).p_value("c")
 
@@ -151,8 +154,7 @@ def test_parameters_that_leave_what_was_known_of_them_leave_squares_as_well():
     blocks = time_blocks(len(x), 0.01, held_out=False)
 
     def shares(known: float) -> tuple[float, float]:
-        design = Design((x + rng.normal(size=len(x)))[:, None], x[:, None, None], np.ones((len(x), 1), bool), blocks)
-        design.add("c", Columns(x[:, None, None], (0,)))
+        design = design_of((x + rng.normal(size=len(x)))[:, None], x[:, None, None], blocks, x[:, None])
         fit = Fit(design, ["W"], np.ones(1), np.array([1.0 / known**2]))
         return fit.share_with_prior("c"), fit.gain("c")[0] / float(fit.squares().sum())
 
@@ -171,9 +173,8 @@ def test_what_a_model_class_leaves_averages_out_over_stretches_not_over_samples(
     for _ in range(200):
         # The residual follows the motion in a way that differs from one stretch to the next.
         x, misfit = coloured(rng, count, 0.97), coloured(rng, count, 0.97)
-        design = Design((2.0 * x + misfit)[:, None], x[:, None, None], np.ones((count, 1), bool), blocks)
-        fit = Fit(design, ["W"], np.ones(1))
-        fit = Fit(design, ["W"], fit.refitted_weights())
+        design = design_of((2.0 * x + misfit)[:, None], x[:, None, None], blocks)
+        fit = Fit(design, ["W"], Fit(design, ["W"], np.ones(1)).refitted_weights())
         variance = fit.misfit_variance(np.zeros(1))[0]
         np.testing.assert_allclose(variance, fit.inverse[0, 0] * count / blocks.count)
         assert fit.misfit_variance(1.0 / np.sqrt(fit.weights))[0] < 1e-9 * variance
@@ -190,7 +191,7 @@ def test_what_a_fold_leaves_open_says_nothing_of_candidates():
     alone = (blocks.of_samples() == 3) + 1e-4 * rng.normal(size=count)
     y = (50.0 * alone + rng.normal(size=count))[:, None]
     W = np.stack([alone, np.ones(count)], axis=1)[:, None, :]
-    fit = Fit(Design(y, W, np.ones((count, 1), bool), blocks), ["W"], np.ones(1))
+    fit = Fit(design_of(y, W, blocks), ["W"], np.ones(1))
     assert fit.held_out_squares.sum() < 2.0 * fit.squares().sum()
 
 
@@ -199,8 +200,7 @@ def test_what_a_fold_leaves_open_says_nothing_of_candidates():
 @pytest.fixture
 def problem(tmp_path: Path) -> Problem:
     one = arm(tmp_path)
-    made = torque_regression(rippled(one, 0.0, 1), one, Model.nominal(one))
-    return Problem.of(made, held_out=True)
+    return Problem.of(torque_regression(rippled(one, 0.0, 1), one, Model.nominal(one)), held_out=True)
 
 
 def ripple() -> Candidate:

@@ -153,8 +153,7 @@ def test_a_wrench_without_columns_or_numbers_is_not_looked_at():
 @pytest.mark.slow
 def test_a_late_device_that_measures_two_axes_only():
     t, q, _ = motion()
-    late = np.column_stack([np.interp(t - 3e-4, t, x) for x in tcp(ROBOT.pinocchio, q).T])
-    whole = recorded(late)
+    whole = recorded(np.column_stack([np.interp(t - 3e-4, t, x) for x in tcp(ROBOT.pinocchio, q).T]))
     flat = Recording({name: values for name, values in whole.columns.items() if name != "z"})
     found = diagnose(flat, ROBOT, only=(("dead_time", 0), ("kinematic_error", 1)))
     within(found, "dead_time", 0, delay=3e-4)
@@ -210,8 +209,7 @@ def test_a_run_in_which_no_joint_moves_enough_still_tells_of_the_camera(gantry_r
     kind, size, recording = draw_line_trial(35, "camera_latency")
     short = recording.t < 1.8
     run = Recording({name: values[short] for name, values in recording.columns.items()}, recording.meta)
-    model = Model.nominal(gantry_robot)
-    found = diagnose(run, gantry_robot, model=model)
+    found = diagnose(run, gantry_robot, model=Model.nominal(gantry_robot))
     assert (found.verdict, [e.fitted.name for e in found.effects]) == ("effects", [kind])
     np.testing.assert_allclose(found.effects[0].fitted.coefficients[0], size, rtol=0.1)
     assert sorted(found.undecided) == list(range(1, gantry_robot.n + 1))
@@ -254,8 +252,7 @@ def test_columns_are_what_moved_points_do(gantry_robot: Robot) -> None:
 def test_model_file_keeps_them_and_torques_do_not_change(gantry_robot: Robot, tmp_path: Path) -> None:
     model = Model.nominal(gantry_robot)
     own = tuple(FittedEffect(name, 0, "line", (0.5, 0.1) if name == "camera_offset" else (0.5,)) for name in SIZES)
-    file = dataclasses.replace(model, effects=own).save(tmp_path / "model.json")
-    loaded = Model.load(file)
+    loaded = Model.load(dataclasses.replace(model, effects=own).save(tmp_path / "model.json"))
     assert [(e.name, e.coefficients) for e in loaded.effects] == [(e.name, e.coefficients) for e in own]
     assert all(e.domain == SENSOR for e in loaded.effects)
     assert [e.effect.name for e in loaded.effects] == list(SIZES)

@@ -158,8 +158,7 @@ def test_a_recording_that_the_parameters_do_not_predict_judges_nothing(one):
 
 def test_what_does_not_lower_the_held_out_error_is_not_added_behind_the_gear_either(one):
     recording, _ = moved()
-    rng = np.random.default_rng(2)
-    qa = recording.columns["q_1"] + 1e-5 * rng.normal(size=len(recording.t))
+    qa = recording.columns["q_1"] + 1e-5 * np.random.default_rng(2).normal(size=len(recording.t))
     recording = Recording({**recording.columns, "qa_1": qa})
     torque = torque_regression(recording, one, Model.nominal(one))
     made = arm_angle_regression(recording, one, in_position_band(torque, recording), None)

@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 
 from ideal_robot.dynamics import (
+    BaseParameters,
     base_parameters,
     full_regressor,
     link_parameters,
@@ -40,8 +41,7 @@ def model(request: pytest.FixtureRequest) -> pin.Model:
 
 
 def motion(model: pin.Model, count: int = 50) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    rng = np.random.default_rng(7)
-    q, qd, qdd = rng.normal(size=(3, count, model.nv))
+    q, qd, qdd = np.random.default_rng(7).normal(size=(3, count, model.nv))
     return q, qd, qdd
 
 
@@ -129,11 +129,12 @@ def test_axes_a_degree_off_parallel_leave_a_base_that_motions_tell() -> None:
 
 # Physically possible parameters: unchanged where possible already, nearest where not.
 
-def arm() -> tuple[pin.Model, np.ndarray]:
+def arm() -> tuple[BaseParameters, np.ndarray]:
+    """Base and full parameters of an arm whose bodies can be."""
     model = pin.buildSampleModelManipulator()
     for i in range(1, model.njoints):
         model.inertias[i] = pin.Inertia(5.0 / i, np.array([0.05, 0.02, 0.1]), 0.05 * np.eye(3))
-    return model, np.concatenate([link_parameters(model), np.full(6, 0.3), np.zeros(6)])
+    return base_parameters(model), np.concatenate([link_parameters(model), np.full(6, 0.3), np.zeros(6)])
 
 
 def test_pseudo_inertia_of_a_point_mass() -> None:
@@ -143,17 +144,14 @@ def test_pseudo_inertia_of_a_point_mass() -> None:
 
 
 def test_possible_parameters_stay() -> None:
-    model, full = arm()
-    base = base_parameters(model)
-    covariance = 1e-6 * np.eye(base.count)
-    result = consistent_parameters(base, base.of(full), covariance, full)
+    base, full = arm()
+    result = consistent_parameters(base, base.of(full), 1e-6 * np.eye(base.count), full)
     assert result.was_consistent
     np.testing.assert_allclose(base.of(result.full), base.of(full), atol=1e-4)
 
 
 def test_impossible_parameters_become_possible_and_stay_near() -> None:
-    model, full = arm()
-    base = base_parameters(model)
+    base, full = arm()
     rng = np.random.default_rng(1)
     std = 0.3 * np.abs(base.of(full)) + 0.05
     values = base.of(full) + std * rng.normal(size=base.count)
@@ -182,8 +180,7 @@ def test_precise_data_leave_what_they_cannot_show_at_its_nominal_value() -> None
 
 def test_a_covariance_that_is_none_is_said() -> None:
     """A URDF with inertias of 1e59 kg m² ended in a traceback of the factorisation (fuzz, seed 34932)."""
-    model, full = arm()
-    base = base_parameters(model)
+    base, full = arm()
     covariance = np.eye(base.count)
     covariance[0, 1] = covariance[1, 0] = 5.0
     with pytest.raises(IdealRobotError, match="no usable standard deviations"):
@@ -204,7 +201,6 @@ def test_a_solver_that_panics_is_a_result_with_a_reason(monkeypatch: pytest.Monk
             raise PanicException("Eigval error: Eigen(1)")
 
     monkeypatch.setattr("clarabel.DefaultSolver", Panics)
-    model, full = arm()
-    base = base_parameters(model)
+    base, full = arm()
     with pytest.raises(IdealRobotError, match="Eigval error"):
         consistent_parameters(base, base.of(full), 1e-6 * np.eye(base.count), full)

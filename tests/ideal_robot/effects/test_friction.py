@@ -201,8 +201,7 @@ def test_the_four_equations_of_the_paper() -> None:
 
 def test_presliding_turns_over_along_a_distance_and_remembers_at_rest() -> None:
     q = np.concatenate([np.linspace(0, 0.1, 101), np.full(50, 0.1), np.linspace(0.1, 0.0, 101)])[:, None]
-    qd = np.gradient(q, axis=0)
-    z = sliding_direction(q, qd, np.array([0.01]))
+    z = sliding_direction(q, np.gradient(q, axis=0), np.array([0.01]))
     assert np.all(np.abs(z) <= 1.0)
     np.testing.assert_allclose(z[100:151], 1.0, atol=1e-4)
     one_distance_back = 151 + 10
@@ -214,8 +213,7 @@ def test_presliding_turns_over_along_a_distance_and_remembers_at_rest() -> None:
 def test_noise_at_rest_does_not_wear_the_memory_down() -> None:
     rng = np.random.default_rng(0)
     q = np.concatenate([np.linspace(0, 0.1, 100), 0.1 + 1e-4 * rng.normal(size=5000)])[:, None]
-    z = sliding_direction(q, np.ones_like(q), np.array([0.01]))
-    assert z[-1] > 0.9
+    assert sliding_direction(q, np.ones_like(q), np.array([0.01]))[-1] > 0.9
 
 
 def test_presliding_does_not_depend_on_speed() -> None:

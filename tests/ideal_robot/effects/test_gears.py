@@ -35,14 +35,7 @@ FLIGHT = find("backlash", "tau_flight")
 
 
 def through_gear(q: Array, dt: float, gear: Callable[[float, float], float], constant: float = 0.0) -> Array:
-    """Torque through the gear ``(N,)`` [N m] along motor angles ``(N,)`` [rad].
-
-    Args:
-        q: of the motor.
-        dt: between them [s].
-        gear: torque of a twist [rad] and its rate [rad/s].
-        constant: torque on the arm besides its weight [N m].
-    """
+    """Torque through the gear ``(N,)`` [N m] along motor angles [rad]; ``gear``: of a twist and its rate."""
     qd = np.gradient(q, dt)
     at, speed, torque = q[0], qd[0], np.empty(len(q))
     for i in range(len(q)):

@@ -6,7 +6,6 @@ A camera's effect lists its errors: what moves points across the line and what a
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -27,6 +26,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from studies.sensors.scene import AXIS, draw_line_trial, gantry
 from tests.arms import written
+from tests.ideal_robot.effects.test_laws import as_read
 
 ROBOT = Robot.load("kr6")
 TOOL = [e for e in library() if e.domain == "tcp_position" or e.name in ("force_bias", "force_compliance")]
@@ -104,18 +104,8 @@ def test_the_common_normal_is_square_to_both_axes():
 
 @pytest.mark.parametrize("effect", TOOL, ids=lambda e: f"{e.name}-{e.channel(1)}")
 def test_effects_survive_their_file_and_leave_torques_alone(effect):
-    signals = swinging_arm(60)
-    joint = next(iter(effect.joints(signals)))
-    theta = effect.starts(signals, joint)[0]
-    m = effect.columns(signals, joint, theta).shape[2]
-    fitted = FittedEffect(effect.name, joint, effect.channel(joint), (1e-3,) * m, (1e-4,) * m, theta,
-                          (0.0,) * len(theta))
-    again = FittedEffect.from_dict(json.loads(json.dumps(fitted.to_dict())))
-    assert type(again.effect) is type(effect)
-    assert again.domain == effect.domain
-    np.testing.assert_array_equal(again.contribution(signals), fitted.contribution(signals))
-    bare = Model.nominal(ROBOT)
-    with_it = dataclasses.replace(bare, effects=(again,))
+    signals, bare = swinging_arm(60), Model.nominal(ROBOT)
+    with_it = dataclasses.replace(bare, effects=(as_read(effect, signals),))
     motion_of = signals.q, signals.qd, signals.qdd
     np.testing.assert_array_equal(with_it.inverse_dynamics(*motion_of), bare.inverse_dynamics(*motion_of))
 

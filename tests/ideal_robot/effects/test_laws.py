@@ -47,6 +47,19 @@ def motion(n: int = 2, count: int = 1500) -> Signals:
                    rigid=rigid, payload=np.ones((count, n, 10)), v_small=np.full(n, 1e-3))
 
 
+def as_read(effect: Effect, signals: Signals) -> FittedEffect:
+    """An effect of some size as its file keeps it: the same one."""
+    joint = next(iter(effect.joints(signals)))
+    theta, m = effect.starts(signals, joint)[0], len(effect.coefficient_names)
+    size = tuple(0.1 * (i + 1) for i in range(m))
+    fitted = FittedEffect(effect.name, joint, effect.channel(joint), size, (0.01,) * m, theta, (0.0,) * len(theta))
+    again = FittedEffect.from_dict(json.loads(json.dumps(fitted.to_dict())))
+    assert type(again.effect) is type(effect)
+    assert again.domain == effect.domain
+    np.testing.assert_array_equal(again.contribution(signals), fitted.contribution(signals))
+    return again
+
+
 TORQUE_OR_ARM = [e for e in library() if e.domain in (MOTOR_TORQUE, ARM_POSITION)]
 
 
@@ -71,16 +84,7 @@ class TestEffect:
                            for value, (low, high) in zip(theta, bounds, strict=True))
 
     def test_a_fitted_effect_survives_its_file(self, effect):
-        signals = motion()
-        joint = next(iter(effect.joints(signals)))
-        theta = effect.starts(signals, joint)[0]
-        m = len(effect.coefficient_names)
-        fitted = FittedEffect(effect.name, joint, effect.channel(joint), tuple(0.1 * (i + 1) for i in range(m)),
-                              (0.01,) * m, theta, (0.0,) * len(theta))
-        again = FittedEffect.from_dict(json.loads(json.dumps(fitted.to_dict())))
-        assert type(again.effect) is type(effect)
-        assert again.domain == effect.domain
-        np.testing.assert_array_equal(again.contribution(signals), fitted.contribution(signals))
+        as_read(effect, motion())
 
     def test_a_single_sample_does_not_fail(self, effect):
         whole = motion()

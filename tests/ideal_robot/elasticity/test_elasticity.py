@@ -19,6 +19,9 @@ from scenes.models import shipped_model
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 
+ROBOT, MODEL = Robot.load("kr6"), Model.load(shipped_model("kr6"))
+STIFFNESS = np.asarray(MODEL.stiffness)
+
 
 def test_lowpass_keeps_levels_and_removes_ripple() -> None:
     t = np.arange(0.0, 10.0, 0.002)
@@ -48,20 +51,14 @@ def test_what_cannot_be_used_is_said() -> None:
     q = np.zeros((len(t), 6))
     with pytest.raises(InputError, match="neither current_i"):
         clamped_signals(Recording.from_arrays(t, q=q), robot)
-    with pytest.raises(InputError, match="5 joints"):
-        clamped_signals(Recording.from_arrays(t, q=q[:, :5], tau=q[:, :5]), robot)
-    with pytest.raises(InputError, match="at least 5 s"):
-        clamped_signals(Recording.from_arrays(t[:500], q=q[:500], tau=q[:500]), robot)
-    few = slice(None, None, len(t) // 8)
-    with pytest.raises(InputError, match="in 16 rows"):
-        clamped_signals(Recording.from_arrays(t[few], q=q[few], tau=q[few]), robot)
-    with pytest.raises(InputError, match="at least 5 s"):
-        clamped_signals(Recording.from_arrays(t[:0], q=q[:0], tau=q[:0]), robot)
+    for rows, joints, says in ((slice(None), 5, "5 joints"), (slice(500), 6, "at least 5 s"),
+                               (slice(None, None, len(t) // 8), 6, "in 16 rows"), (slice(0), 6, "at least 5 s")):
+        with pytest.raises(InputError, match=says):
+            clamped_signals(Recording.from_arrays(t[rows], q=q[rows, :joints], tau=q[rows, :joints]), robot)
 
 
 def test_without_drive_gains_recorded_torques_count_and_amperes_are_said() -> None:
-    arm = Robot.load("kr6")
-    unknown = replace(arm, drive_gain=np.ones(6))
+    arm, unknown = ROBOT, replace(ROBOT, drive_gain=np.ones(6))
     t, rng = np.arange(0.0, 60.0, 0.012), np.random.default_rng(0)
     k = np.array([3e5, 3.5e5, 2e5, 3e4, 3e4, 1.3e4])
     tau = np.repeat(rng.uniform(-1, 1, (30, 6)), 167, axis=0)[: len(t)] * 1e-3 * k
@@ -115,8 +112,7 @@ def test_what_cannot_be_determined_is_said() -> None:
 # Gear deflection on a path: all rows at once are what each row alone gives.
 
 def test_a_whole_path_is_its_rows_one_by_one() -> None:
-    model = Model.load(shipped_model("kr6"))
-    deflection = GearDeflection(model, 0.012)
+    deflection = GearDeflection(MODEL, 0.012)
     q_d = np.array([0.0, -1.2, 1.8, 0.0, 0.9, 0.0]) + 0.3 * np.sin(np.outer(0.012 * np.arange(40), np.arange(1, 7)))
     one_by_one = [deflection.at(q_d[max(k - 1, 0) : k + 2]) for k in range(len(q_d))]
     np.testing.assert_array_equal(deflection.along(q_d), one_by_one)
@@ -127,15 +123,14 @@ def test_a_whole_path_is_its_rows_one_by_one() -> None:
 
 def lively(world: World) -> tuple[np.ndarray, np.ndarray]:
     """Motor angles (as the controller tells) and true arm angles of a lively motion."""
-    robot = Robot.load("kr6")
     frequency = 2 * np.pi * np.array([0.8, 1.1, 1.3, 1.5, 0.9, 1.1])
-    motors, arms = [robot.home], []
-    with SimulatedArm(robot, world, np.random.default_rng(0)) as arm:
+    motors, arms = [ROBOT.home], []
+    with SimulatedArm(ROBOT, world, np.random.default_rng(0)) as arm:
         arms.append(arm.truth.q_a)
         for k in range(250):
             t = 0.012 * k
             swing = np.array([0.1, 0.05, 0.05, 0.1, 0.1, 0.1]) * np.sin(frequency * t) * (1 - np.exp(-((t / 0.3) ** 2)))
-            motors.append(arm.cycle(robot.home + swing + 2e-4 * np.sin(2 * np.pi * 7 * t)).q)
+            motors.append(arm.cycle(ROBOT.home + swing + 2e-4 * np.sin(2 * np.pi * 7 * t)).q)
             arms.append(arm.truth.q_a)
     return np.array(motors), np.array(arms)
 
@@ -157,7 +152,7 @@ def angles(observer: ArmObserver, q: np.ndarray) -> np.ndarray:
 def test_observer_removes_most_of_the_deflection(moved: tuple[np.ndarray, np.ndarray]) -> None:
     """Base joints, which carry the tip's error: below 40 % of the deflection is left, sag included below 10 %."""
     q, q_a = moved
-    observed = angles(ArmObserver(Model.load(shipped_model("kr6")), 0.012), q)
+    observed = angles(ArmObserver(MODEL, 0.012), q)
     before, after = (q - q_a)[40:, :3], (observed - q_a)[40:, :3]
     assert np.all(np.std(after, axis=0) < 0.4 * np.std(before, axis=0))
     assert np.sqrt(np.mean(after**2)) < 0.1 * np.sqrt(np.mean(before**2))
@@ -165,53 +160,47 @@ def test_observer_removes_most_of_the_deflection(moved: tuple[np.ndarray, np.nda
 
 def test_at_rest_it_is_the_spring_under_weight_and_contact() -> None:
     """[J] (1): k (q − q_a) = G(q_a) − τ_ext, and a long rest does not change it."""
-    model = Model.load(shipped_model("kr6"))
-    robot = Robot.load("kr6")
-    observer = ArmObserver(model, 0.012)
+    observer = ArmObserver(MODEL, 0.012)
     tau_ext = np.array([10.0, 20.0, -5.0, 1.0, 2.0, 0.5])
-    assert model.stiffness is not None
-    free, pressed = observer.init(robot.home), observer.init(robot.home, tau_ext)
-    np.testing.assert_allclose(pressed.q_a - free.q_a, tau_ext / model.stiffness, rtol=0.02, atol=1e-6)
+    free, pressed = observer.init(ROBOT.home), observer.init(ROBOT.home, tau_ext)
+    np.testing.assert_allclose(pressed.q_a - free.q_a, tau_ext / STIFFNESS, rtol=0.02, atol=1e-6)
     state = pressed
     for _ in range(100):
-        state = observer.step(state, robot.home, tau_ext)
+        state = observer.step(state, ROBOT.home, tau_ext)
     np.testing.assert_allclose(state.q_a, pressed.q_a, atol=2e-7)
 
 
 def test_rigid_gears_lead_the_arm_and_hold_it() -> None:
     """Only joint 2 gives: the motion of its rigid neighbours deflects it, their weight does not."""
-    robot, world, model = Robot.load("kr6"), World.default("kr6"), Model.load(shipped_model("kr6"))
-    elastic = np.arange(6) == 1
+    world, elastic = World.default("kr6"), np.arange(6) == 1
     q, q_a = lively(replace(world, stiffness=np.where(elastic, world.per_joint("stiffness", 6), np.inf)))
-    observer = ArmObserver(replace(model, stiffness=np.where(elastic, model.stiffness, np.inf)), 0.012)
+    observer = ArmObserver(replace(MODEL, stiffness=np.where(elastic, STIFFNESS, np.inf)), 0.012)
     before, after = (q - q_a)[40:, 1], (angles(observer, q) - q_a)[40:, 1]
     assert np.std(after) < 0.15 * np.std(before)
     assert np.sqrt(np.mean(after**2)) < 0.05 * np.sqrt(np.mean(before**2))
-    rest = observer.init(robot.home)
-    np.testing.assert_allclose(angles(observer, np.tile(robot.home, (400, 1)))[-1], rest.q_a, atol=2e-7)
+    rest = observer.init(ROBOT.home)
+    np.testing.assert_allclose(angles(observer, np.tile(ROBOT.home, (400, 1)))[-1], rest.q_a, atol=2e-7)
 
 
 @pytest.mark.parametrize("joint", range(1, 7))
 def test_a_gear_too_stiff_for_the_time_step_is_rigid(joint: int, moved: tuple[np.ndarray, np.ndarray]) -> None:
     """1e12 N m/rad is what the fit finds for a gear that does not bend; the others' angles are those beside a rigid."""
-    model = Model.load(shipped_model("kr6"))
-    stiff, rigid = (np.where(np.arange(1, 7) == joint, k, model.stiffness) for k in (1e12, np.inf))
-    q = moved[0][:60]
-    np.testing.assert_array_equal(*(angles(ArmObserver(replace(model, stiffness=k), 0.012), q) for k in (stiff, rigid)))
+    q, own = moved[0][:60], np.arange(1, 7) == joint
+    stiff, rigid = (angles(ArmObserver(replace(MODEL, stiffness=np.where(own, k, STIFFNESS)), 0.012), q)
+                    for k in (1e12, np.inf))
+    np.testing.assert_array_equal(stiff, rigid)
 
 
 def test_the_stiffer_the_gears_the_less_they_bend(moved: tuple[np.ndarray, np.ndarray]) -> None:
     """Hooke's law up to any stiffness; vibrations may double it."""
-    model, q = Model.load(shipped_model("kr6")), moved[0]
-    assert model.stiffness is not None
-    soft, *stiffer = (np.max(np.abs(angles(ArmObserver(replace(model, stiffness=factor * model.stiffness), 0.012), q)
-                                    - q), axis=0) for factor in 10.0 ** np.arange(0.0, 6.5, 0.5))
+    q = moved[0]
+    soft, *stiffer = (np.max(np.abs(angles(ArmObserver(replace(MODEL, stiffness=factor * STIFFNESS), 0.012), q) - q),
+                             axis=0) for factor in 10.0 ** np.arange(0.0, 6.5, 0.5))
     for i, bent in enumerate(stiffer, start=1):
         assert np.all(bent < 2.0 * soft / 10.0 ** (0.5 * i))
 
 
 def test_without_stiffness_the_motors_are_the_arm() -> None:
-    robot = Robot.load("kr6")
-    observer = ArmObserver(Model.nominal(robot), 0.012)
-    q = np.tile(robot.home, (5, 1)) + 0.01 * np.arange(5)[:, None]
+    observer = ArmObserver(Model.nominal(ROBOT), 0.012)
+    q = np.tile(ROBOT.home, (5, 1)) + 0.01 * np.arange(5)[:, None]
     np.testing.assert_array_equal(angles(observer, q)[1:], q[1:])

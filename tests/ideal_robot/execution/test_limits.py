@@ -201,8 +201,7 @@ def test_horizons_of_a_stop_go_on_one_into_the_next() -> None:
 
 
 def test_a_plan_that_ends_before_is_not_left() -> None:
-    planned = np.linspace(0.0, 0.1, 11)[:, None]
-    rows = stopping_rows(planned, T, 10.0, 0.1)
+    rows = stopping_rows(np.linspace(0.0, 0.1, 11)[:, None], T, 10.0, 0.1)
     walked = np.array([next(rows)[0, 0] for _ in range(60)])
     np.testing.assert_allclose(walked.max(), 0.1, atol=1e-9)
     np.testing.assert_allclose(walked[-1], 0.1, atol=1e-9)

@@ -123,8 +123,7 @@ def test_the_curve_is_as_uncertain_as_said():
 
 @pytest.mark.parametrize("spacing", [0.004, 0.012, 0.048])
 def test_samples_that_are_nearer_say_no_more(spacing):
-    dry = np.array([100.0, 4.0])
-    variance = noise_variance(dry, spacing, np.array([0.0, 3.0]))
+    variance = noise_variance(np.array([100.0, 4.0]), spacing, np.array([0.0, 3.0]))
     np.testing.assert_allclose(spacing * variance, 0.05 * np.array([15.0, 3.0]) ** 2)
 
 

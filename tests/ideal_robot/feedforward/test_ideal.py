@@ -94,8 +94,7 @@ def test_a_path_that_a_sensor_bends_under_way_is_followed():
 
 def test_noise_on_the_desired_path_is_not_amplified_beyond_the_arms_means():
     loop, q_d = plant(), motion()
-    rng = np.random.default_rng(2)
-    noisy = q_d + rng.normal(scale=2e-5, size=q_d.shape)
+    noisy = q_d + np.random.default_rng(2).normal(scale=2e-5, size=q_d.shape)
     difference = commands(IdealRobot(loop), noisy) - commands(IdealRobot(loop), q_d)
     assert rms(difference) < 2e-3
 
@@ -185,8 +184,7 @@ def test_learning_on_the_model_needs_no_arm():
 
 def test_learning_on_the_model_improves_on_the_flat_inverse():
     loop, q_d = plant(), motion()
-    start = commands(IdealRobot(loop), q_d)
-    done = learn_on_model(loop, q_d, start)
+    done = learn_on_model(loop, q_d, commands(IdealRobot(loop), q_d))
     assert done.best < 0.7 * done.criterion[0]
 
 

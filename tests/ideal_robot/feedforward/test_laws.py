@@ -89,8 +89,7 @@ def test_a_step_changes_neither_state_nor_input_and_repeats_bit_for_bit(named):
 
 
 def test_at_rest_the_command_comes_to_rest(named):
-    q_d = np.tile(ROBOT.home, (260, 1))
-    q_c = commands(named[1], q_d)
+    q_c = commands(named[1], np.tile(ROBOT.home, (260, 1)))
     assert np.max(np.abs(np.diff(q_c[-30:], axis=0))) < 1e-5
 
 
@@ -100,8 +99,7 @@ def test_the_correction_vanishes_at_rest_so_that_static_accuracy_is_untouched(na
         pytest.skip("compensates the gears' deflection at rest on purpose")
     if key == "trained":
         pytest.skip("has the deflection under gravity in its third sum on purpose")
-    q_d = np.concatenate([motion(), np.tile(ROBOT.home, (150, 1))])
-    q_c = commands(feedforward, q_d)
+    q_c = commands(feedforward, np.concatenate([motion(), np.tile(ROBOT.home, (150, 1))]))
     # After the motion u_d of [G] (18) fades with the integrator's time constant of 50 ms.
     assert np.max(np.abs(q_c[-1] - ROBOT.home)) < 1e-6
 
@@ -111,8 +109,7 @@ def test_commands_stay_within_the_limits(named):
     if key in ("none", "learned"):
         pytest.skip("plays what it is given")
     far = np.where(np.arange(ROBOT.n) % 2 == 0, ROBOT.q_max, ROBOT.q_min)
-    q_d = ROBOT.home + np.linspace(0, 1, 80)[:, None] * (far - ROBOT.home)
-    q_c = commands(feedforward, q_d)
+    q_c = commands(feedforward, ROBOT.home + np.linspace(0, 1, 80)[:, None] * (far - ROBOT.home))
     assert np.all(q_c <= ROBOT.q_max + 1e-12)
     assert np.all(q_c >= ROBOT.q_min - 1e-12)
 
@@ -139,8 +136,7 @@ MODEL = Model.load(MODELS / "kr6.json")
 
 def path() -> np.ndarray:
     """Half a second of rest, a smooth move of all joints, rest again."""
-    s = np.clip(np.linspace(-0.5, 1.5, 120), 0.0, 1.0)[:, None]
-    return KR6.home + 0.1 * eased(s)
+    return KR6.home + 0.1 * eased(np.clip(np.linspace(-0.5, 1.5, 120), 0.0, 1.0)[:, None])
 
 
 def practice() -> Practice:
@@ -207,8 +203,7 @@ def test_an_own_method_stands_beside_the_built_in_ones(own: str) -> None:
     assert "ideal" not in methods(Needs.NOTHING)
     assert method(own).description == "Commands the middle of the next cycle."
     q_d = path()
-    commands = feedforward(own, None, KR6).along(q_d)
-    np.testing.assert_allclose(commands[:-1], 0.5 * (q_d[:-1] + q_d[1:]))
+    np.testing.assert_allclose(feedforward(own, None, KR6).along(q_d)[:-1], 0.5 * (q_d[:-1] + q_d[1:]))
     with pytest.raises(InputError, match="another name"):
         register(own, PassThrough)
     with pytest.raises(InputError, match="lower case"):

@@ -229,8 +229,7 @@ def test_matrix_is_the_response_written_out():
 @pytest.mark.parametrize("zero", [0.5, 1.8])
 def test_the_inverse_is_bounded_and_right_for_any_phase(zero):
     """A zero outside the unit circle (1.8) makes the causal inverse grow by 1.8 every cycle."""
-    base = first_order(0.6, 1).g[:, 0]
-    g = np.convolve(base, [1.0, -zero])[:41]
+    g = np.convolve(first_order(0.6, 1).g[:, 0], [1.0, -zero])[:41]
     linear = LinearLoop((g / g.sum())[:, None], T)
     t = np.arange(200) * T
     ramp = np.clip(t - 0.4, 0, 1.2) / 1.2
@@ -282,8 +281,7 @@ def test_inertia_is_the_same_at_every_frequency(frequency):
     """The second derivative of a cubic through nine positions lacks a tenth at 4 Hz."""
     loop, omega = plant(elastic=False), 2.0 * np.pi * frequency
     q = 0.01 * np.cos(omega * AT) * np.ones(loop.n)
-    tau = -loop.rotor_inertia * omega**2 * q
-    found = seen(loop, q, tau)
+    found = seen(loop, q, -loop.rotor_inertia * omega**2 * q)
     np.testing.assert_allclose(found.tau, loop.rotor_inertia * found.motor_a, rtol=0.01)
     np.testing.assert_allclose(found.a, found.motor_a)
 

@@ -73,8 +73,7 @@ def logged(what: Truth, rng: np.random.Generator, t: np.ndarray, moved: tuple[np
     """What is recorded of a motion: angles, velocities and accelerations ``(N, n)`` at ``t``."""
     arm, (q, qd, qdd) = robot(), moved
     n = arm.n
-    model = with_link_parameters(arm.pinocchio, what.full[: 10 * n])
-    load = torques(model, q, qd, qdd)
+    load = torques(with_link_parameters(arm.pinocchio, what.full[: 10 * n]), q, qd, qdd)
     tau = load + what.full[10 * n : 11 * n] * qdd + what.full[11 * n :] + what.friction.torque(qd, load, q)
     return Recording.from_arrays(t, q=q + rng.normal(scale=2e-6, size=q.shape),
                                  tau=tau + noise * arm.tau_max * rng.normal(size=tau.shape), source="known truth")

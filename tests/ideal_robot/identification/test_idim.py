@@ -262,8 +262,7 @@ def test_what_only_the_validation_leaves_asks_for_its_motion(good: Recording) ->
 
 
 def test_a_joint_that_stands_still_or_is_not_measured_is_unusable(good: Recording) -> None:
-    still = replace(good, columns={**good.columns, "q_6": np.full(len(good.t), 0.3)})
-    found = verdicts(still)[5]
+    found = verdicts(replace(good, columns={**good.columns, "q_6": np.full(len(good.t), 0.3)}))[5]
     assert (found.verdict, found.reason) == ("unusable", "it does not move")
     assert "joint 6" in found.would_tell
     dead = np.where(np.random.default_rng(4).random(len(good.t)) < 0.8, 0.0, good.columns["tau_6"])

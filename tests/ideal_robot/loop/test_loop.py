@@ -84,8 +84,7 @@ def test_constant_velocity_is_followed_with_the_lag_of_the_cascade():
     t = T * np.arange(250)
     q_c = np.tile(ROBOT.home, (250, 1))
     q_c[:, 0] += 0.2 * np.clip(t - 0.5, 0, None)
-    done = simulate(loop, q_c)
-    lag = float((q_c[:, 0] - done.q_m[:-1, 0])[-20:].mean() / 0.2)
+    lag = float((q_c[:, 0] - simulate(loop, q_c).q_m[:-1, 0])[-20:].mean() / 0.2)
     taps = loop.command_filter[:, 0]
     expected = 0.07 / 20 + T + loop.t_position * float(np.arange(len(taps)) @ taps)
     # The integrator makes the mean error of the velocity loop vanish; sampling costs up to a position cycle.
@@ -94,8 +93,7 @@ def test_constant_velocity_is_followed_with_the_lag_of_the_cascade():
 
 def test_friction_stops_but_does_not_drive():
     loop = plant().replace(friction_bend=np.zeros(6))
-    q_c = np.tile(ROBOT.home, (150, 1))
-    done = simulate(loop, q_c)
+    done = simulate(loop, np.tile(ROBOT.home, (150, 1)))
     np.testing.assert_array_equal(done.q_m, np.tile(done.q_m[0], (151, 1)))
 
 
@@ -178,15 +176,13 @@ def test_friction_curve_and_constants_go_into_the_drive():
 
 
 def test_measured_arm_angles_say_more_of_a_gear_than_its_torque():
+    """And a gear that is found again from torques is a change of what was found."""
     loop = plant().replace(stiffness=np.full(6, 1000.0))
-    torque = FittedEffect("joint_elasticity", 1, "tau_1", (2e-3,))
-    angle = FittedEffect("joint_elasticity", 1, "qa_1", (1e-3,))
-    assert with_effects(loop, (torque,)).compliance[0] == pytest.approx(2e-3)
-    assert with_effects(loop, (angle,)).compliance[0] == pytest.approx(2e-3)
-    assert with_effects(loop, (torque, angle)).compliance[0] == pytest.approx(2e-3)
-    beyond = FittedEffect("joint_elasticity", 1, "tcp_1", (5e-4,))
-    assert with_effects(loop, (beyond,)).compliance[0] == pytest.approx(1.5e-3)
-    assert with_effects(loop, (beyond, angle)).compliance[0] == pytest.approx(2e-3)
+    torque, again, angle, beyond = (FittedEffect("joint_elasticity", 1, channel, (size,)) for channel, size in (
+        ("tau_1", 2e-3), ("tau_1", -3e-4), ("qa_1", 1e-3), ("tcp_1", 5e-4)))
+    for effects, compliance in (((torque,), 2e-3), ((angle,), 2e-3), ((torque, angle), 2e-3), ((beyond,), 1.5e-3),
+                                ((beyond, angle), 2e-3), ((torque, again), 1.7e-3)):
+        assert with_effects(loop, effects).compliance[0] == pytest.approx(compliance)
 
 
 @pytest.mark.parametrize("effect", [
@@ -213,12 +209,6 @@ def test_friction_in_the_drives_is_the_effects_torque_beside_them(name, size, mo
     moved = np.abs(simulate(inside, q_c).q_a - simulate(loop, q_c).q_a).max()
     left = np.abs(simulate(inside, q_c).q_a - simulate(beside, q_c).q_a).max()
     assert left < most * moved
-
-
-def test_a_gear_found_again_from_torques_is_a_change_of_what_was_found():
-    loop = plant().replace(stiffness=np.full(6, 1000.0))
-    first, second = (FittedEffect("joint_elasticity", 1, "tau_1", (value,)) for value in (2e-3, -3e-4))
-    assert with_effects(loop, (first, second)).compliance[0] == pytest.approx(1.7e-3)
 
 
 def test_a_body_on_the_last_link_weighs_what_its_columns_say():

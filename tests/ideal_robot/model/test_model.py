@@ -72,7 +72,7 @@ def test_what_is_no_model_is_refused(text: str, tmp_path: Path) -> None:
 
 # A model of another arm is refused wherever a model meets a robot.
 
-KR15, KR6 = Model.load(MODELS / "kr15.json"), Robot.load("kr6")
+KR15, MODEL, ROBOT = Model.load(MODELS / "kr15.json"), Model.load(SHIPPED), Robot.load("kr6")
 RECORDING = Recording.from_arrays(np.arange(200) * 0.012, q=np.zeros((200, 6)), x=np.zeros(200))
 
 
@@ -82,26 +82,22 @@ RECORDING = Recording.from_arrays(np.arange(200) * 0.012, q=np.zeros((200, 6)), 
 ], ids=["ideal", "precorrection", "loop", "registry", "ripple"])
 def test_a_model_of_another_arm_is_refused(meet: Callable[[Model, Robot], object]) -> None:
     with pytest.raises(InputError, match="sits elsewhere than that of") as caught:
-        meet(KR15, KR6)
+        meet(KR15, ROBOT)
     assert caught.value.field == "model"
 
 
 def test_the_file_is_named() -> None:
     with pytest.raises(InputError, match=r"kr15\.json: model: "):
-        KR15.require_arm(KR6, file="kr15.json")
+        KR15.require_arm(ROBOT, file="kr15.json")
 
 
 def test_a_calibrated_arm_is_still_the_same() -> None:
-    calibrated = KR6.pinocchio.copy()
+    calibrated = ROBOT.pinocchio.copy()
     calibrated.jointPlacements[2].translation += 0.003
-    Model.load(MODELS / "kr6.json").require_arm(dataclasses.replace(KR6, pinocchio=calibrated))
+    MODEL.require_arm(dataclasses.replace(ROBOT, pinocchio=calibrated))
 
 
 # Controllers of a file or of a class, and how far a corrected path misses within their spread.
-
-ROBOT = Robot.load("kr6")
-MODEL = Model.load(MODELS / "kr6.json")
-
 
 def test_gains_of_a_file_are_taken_and_the_class_fills_in_the_rest(tmp_path: Path) -> None:
     file = tmp_path / "gains.toml"
@@ -159,9 +155,8 @@ def test_precorrection_says_how_far_its_error_reaches() -> None:
 
 
 def test_a_rigid_gear_is_rigid_and_an_unknown_one_unknown_after_a_round_trip(tmp_path: Path) -> None:
-    robot, model = Robot.load("kr6"), Model.load(SHIPPED)
     k = np.array([np.inf, 3.5e5, np.nan, 3e4, 3e4, 1.3e4])
-    again = Model.load(dataclasses.replace(model, stiffness=k).save(tmp_path / "model.json"))
+    again = Model.load(dataclasses.replace(MODEL, stiffness=k).save(tmp_path / "model.json"))
     np.testing.assert_array_equal(again.stiffness, k)
     # A gear that nobody knows counts as rigid.
-    np.testing.assert_array_equal(np.isinf(loop_model(again, robot).stiffness[:4]), [True, False, True, False])
+    np.testing.assert_array_equal(np.isinf(loop_model(again, ROBOT).stiffness[:4]), [True, False, True, False])

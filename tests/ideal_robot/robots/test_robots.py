@@ -283,8 +283,7 @@ def test_a_finger_is_no_tool_and_a_fixed_joint_follows_none(tmp_path: Path) -> N
     fixed = GRIPPER.replace('type="prismatic"', 'type="fixed"').replace('<link name="left"/>', "").replace(
         'link="left"', 'link="finger_tip"').replace('name="left"', 'name="finger_tip"')
     bare = urdf(6, beyond=fixed).replace("tool0", "plate")
-    robot = Robot.load(written(tmp_path, bare))
-    assert robot.tool_frame == "right"
+    assert Robot.load(written(tmp_path, bare)).tool_frame == "right"
     assert Robot.load(written(tmp_path, bare.replace("right", "thumb"), "thumb")).tool_frame == "hand"
 
 
@@ -381,8 +380,7 @@ def test_shipped_arms_are_read_as_they_are_and_touch_nothing_at_home(name: str) 
 # What an arm touches.
 
 def test_an_arm_that_folds_into_itself_or_the_floor_is_seen(tmp_path: Path) -> None:
-    robot = Robot.load(written(tmp_path, urdf(7)))
-    shapes = Shapes(robot)
+    shapes = Shapes(Robot.load(written(tmp_path, urdf(7))))
     # One joint each: straight up, bent over to the floor, folded back to the shoulder.
     upright, down, folded = np.zeros(7), 2.4 * np.eye(7)[1], 2.9 * np.eye(7)[3]
     assert shapes.first_touch(upright[None]) is None

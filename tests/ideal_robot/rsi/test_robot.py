@@ -6,12 +6,14 @@ import socket
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi import RsiError, RsiRobot
 
@@ -23,6 +25,7 @@ class Controller:
     """Sends what a test wants and reads answers, nothing else."""
 
     def __init__(self, link: RsiRobot) -> None:
+        self.link = link
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.settimeout(5.0)
         self.address = link.address
@@ -33,6 +36,11 @@ class Controller:
         stamp = round(START + 12 * cycle) % 2**32
         self.socket.sendto(f'<Rob Type="KUKA"><AIPos {axes}/>{extra}<Delay D="{late}"/><IPOC>{stamp}</IPOC></Rob>'
                            .encode(), self.address)
+
+    def cycle(self, cycle: float, **said: Any) -> RobotState:
+        """Sends, and is commanded home."""
+        self.send(cycle, **said)
+        return self.link.cycle(ROBOT.home)
 
     def answer(self) -> str:
         return self.socket.recv(4096).decode()
@@ -73,10 +81,9 @@ def test_corrections_are_absolute_or_relative_as_agreed(pair) -> None:
 
 
 def test_time_goes_on_over_the_end_of_the_time_stamp(pair) -> None:
-    link, controller = pair
+    _, controller = pair
     for k in range(1, 5):
-        controller.send(k)
-        assert link.cycle(ROBOT.home).t == pytest.approx(0.012 * k)
+        assert controller.cycle(k).t == pytest.approx(0.012 * k)
 
 
 def test_a_repeated_packet_gets_the_same_answer_again(pair) -> None:
@@ -92,12 +99,10 @@ def test_a_repeated_packet_gets_the_same_answer_again(pair) -> None:
 
 def test_an_outdated_packet_gets_no_answer(pair) -> None:
     link, controller = pair
-    controller.send(1)
-    link.cycle(ROBOT.home)
+    controller.cycle(1)
     controller.answer()
     controller.send(0)
-    controller.send(2)
-    link.cycle(ROBOT.home)
+    controller.cycle(2)
     controller.answer()
     assert controller.silent()
     assert link.counts.outdated == 1
@@ -105,15 +110,12 @@ def test_an_outdated_packet_gets_no_answer(pair) -> None:
 
 def test_lost_packets_cost_time_and_are_counted(pair) -> None:
     link, controller = pair
-    controller.send(1)
-    link.cycle(ROBOT.home)
-    controller.send(4)
-    assert link.cycle(ROBOT.home).t == pytest.approx(0.048)
+    controller.cycle(1)
+    assert controller.cycle(4).t == pytest.approx(0.048)
     assert link.counts.lost == 2
     # One stamp far ahead is not believed, its like are.
     controller.send(99)
-    controller.send(5)
-    assert link.cycle(ROBOT.home).t == pytest.approx(0.060)
+    assert controller.cycle(5).t == pytest.approx(0.060)
     for k in (20, 21, 22):
         controller.send(k)
     with pytest.raises(RsiError, match="packets in a row were lost, more than 9"):
@@ -130,18 +132,16 @@ def test_a_controller_with_a_shorter_cycle_is_refused_at_once(pair) -> None:
 def test_a_controller_with_a_longer_cycle_is_told_from_a_slow_start(pair) -> None:
     link, controller = pair
     for k in (2, 4):
-        controller.send(k)
-        link.cycle(ROBOT.home)
+        controller.cycle(k)
     controller.send(6)
     with pytest.raises(RsiError, match=r"rose by 24 in a cycle"):
         link.cycle(ROBOT.home)
 
 
 def test_a_slow_start_is_no_loss_of_the_link(pair) -> None:
-    link, controller = pair
+    _, controller = pair
     for k in (9, 10, 11):
-        controller.send(k)
-        state = link.cycle(ROBOT.home)
+        state = controller.cycle(k)
     assert state.t == pytest.approx(11 * ROBOT.t_ipo)
 
 
@@ -158,8 +158,7 @@ def test_of_packets_from_before_the_newest_is_the_first() -> None:
 
 def test_of_several_packets_the_newest_is_answered(pair) -> None:
     link, controller = pair
-    controller.send(1)
-    link.cycle(ROBOT.home)
+    controller.cycle(1)
     controller.answer()
     for k in (2, 3, 3, 2):
         controller.send(k)
@@ -167,8 +166,7 @@ def test_of_several_packets_the_newest_is_answered(pair) -> None:
     assert link.cycle(ROBOT.home).t == pytest.approx(0.036)
     assert link.counts.lost == 1
     controller.answer()
-    controller.send(4)
-    link.cycle(ROBOT.home)
+    controller.cycle(4)
     assert f"<IPOC>{(START + 36) % 2**32}</IPOC>" in controller.answer()
 
 
@@ -197,11 +195,10 @@ def test_others_and_rubbish_are_not_answered_and_do_not_keep_the_link_alive(pair
 
 
 def test_torque_is_current_times_gain_and_nan_without(pair) -> None:
-    link, controller = pair
-    controller.send(1)
-    assert np.isnan(link.cycle(ROBOT.home).tau).all()
-    controller.send(2, extra='<MACur A1="2" A2="2" A3="2" A4="2" A5="2" A6="2"/>')
-    np.testing.assert_allclose(link.cycle(ROBOT.home).tau, 2 * ROBOT.drive_gain * [-1, 1, 1, -1, 1, -1])
+    _, controller = pair
+    assert np.isnan(controller.cycle(1).tau).all()
+    state = controller.cycle(2, extra='<MACur A1="2" A2="2" A3="2" A4="2" A5="2" A6="2"/>')
+    np.testing.assert_allclose(state.tau, 2 * ROBOT.drive_gain * [-1, 1, 1, -1, 1, -1])
 
 
 def test_nobody_there_and_nowhere_to_listen() -> None:
@@ -252,8 +249,7 @@ def test_a_second_controller_a_restart_and_another_port_change_no_command(pair) 
 def test_time_stamps_that_begin_anew_end_the_session(pair) -> None:
     link, controller = pair
     for k in (1, 2, 3):
-        controller.send(k)
-        link.cycle(ROBOT.home)
+        controller.cycle(k)
     for k in range(-500, -480):
         controller.send(k)
     with pytest.raises(RsiError, match=r"begin anew.*started again"):
@@ -268,8 +264,7 @@ def test_a_flood_does_not_displace_the_controllers_packets(pair) -> None:
         for k in range(1, 6):
             for _ in range(2 * size // 800):
                 stranger.sendto(b"x" * 800, link.address)
-            controller.send(k)
-            assert link.cycle(ROBOT.home).t == pytest.approx(0.012 * k)
+            assert controller.cycle(k).t == pytest.approx(0.012 * k)
     assert link.counts.lost == 0
     assert link.counts.foreign > 0
 

@@ -29,8 +29,7 @@ def sines(t: np.ndarray, hertz: np.ndarray = np.array([0.5, 1.3])) -> tuple[np.n
 
 
 def test_derivatives_of_irregular_samples() -> None:
-    rng = np.random.default_rng(0)
-    t = np.cumsum(rng.uniform(0.008, 0.012, 2000))
+    t = np.cumsum(np.random.default_rng(0).uniform(0.008, 0.012, 2000))
     q, _, _ = sines(t)
     s = preprocess(Recording.from_arrays(t, q=q, tau=q))
     inside = slice(100, -100)
@@ -41,8 +40,7 @@ def test_derivatives_of_irregular_samples() -> None:
 
 
 def test_filters_have_no_phase() -> None:
-    t = np.arange(0, 10, 0.002)
-    x = np.sin(2 * np.pi * 1.0 * t)[:, None]
+    x = np.sin(2 * np.pi * 1.0 * np.arange(0, 10, 0.002))[:, None]
     np.testing.assert_allclose(lowpass(x, 0.002, 10.0)[500:-500], x[500:-500], atol=1e-3)
     np.testing.assert_allclose(decimated(x, 10)[50:-50], x[::10][50:-50], atol=1e-2)
 

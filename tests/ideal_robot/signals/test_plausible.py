@@ -32,8 +32,7 @@ def check(one: Recording) -> tuple[Recording, list[str]]:
 
 
 def changed(name: str, index: object, value: object) -> Recording:
-    one = recording()
-    columns = {key: np.array(values) for key, values in one.columns.items()}
+    columns = {key: np.array(values) for key, values in recording().columns.items()}
     columns[name][index] = value  # type: ignore[index]
     return Recording(columns)
 
@@ -182,8 +181,7 @@ def test_dead_stepped_clipped_and_filtered() -> None:
     dead = tau.copy()
     dead[rng.random(len(T)) < 0.8, 1] = 0.0
     assert kinds(dead) == [("dead", "tau_2")]
-    found = channel_findings(Recording.from_arrays(T, q=motion(), tau=dead))
-    assert dead_joints(found) == [1]
+    assert dead_joints(channel_findings(Recording.from_arrays(T, q=motion(), tau=dead))) == [1]
     assert kinds(np.column_stack([tau[:, 0], np.round(tau[:, 1])])) == [("stepped", "tau_2")]
     assert kinds(np.column_stack([np.clip(tau[:, 0], -8.0, 8.0), tau[:, 1]])) == [("clipped", "tau_1")]
     slow = signal.sosfiltfilt(signal.butter(6, 5.0, fs=250.0, output="sos"), tau[:, 0])
@@ -194,8 +192,7 @@ def test_coarse_encoders_and_irregular_stamps() -> None:
     rng = np.random.default_rng(2)
     tau = torque(rng)
     assert kinds(tau, q=5e-4 * np.round(motion() / 5e-4)) == [("stepped", "q_1"), ("stepped", "q_2")]
-    late = np.sort(T + rng.uniform(-1e-3, 1e-3, len(T)))
-    assert kinds(tau, t=late) == [("irregular-stamps", "t")]
+    assert kinds(tau, t=np.sort(T + rng.uniform(-1e-3, 1e-3, len(T)))) == [("irregular-stamps", "t")]
 
 
 def test_a_step_is_measured() -> None:
@@ -223,8 +220,7 @@ def test_instants_are_told_by_the_motion(step: float, encoder: float) -> None:
     rng = np.random.default_rng(1)
     t = np.arange(0.0, 20.0, step)
     late = rng.uniform(-0.15, 0.15, len(t)) * step
-    q = np.round(_motion(t + late, 5) / encoder) * encoder
-    at, spread = sampling_instants(t, q)
+    at, spread = sampling_instants(t, np.round(_motion(t + late, 5) / encoder) * encoder)
     assert spread == pytest.approx(np.std(late), rel=0.2)
     # What a filter of 5 Hz takes for motion stays.
     inner = slice(50, -50)
@@ -245,15 +241,13 @@ def test_regular_samples_stay_where_they_are() -> None:
 def test_joints_that_stand_still_or_turn_evenly_say_nothing_of_the_clock(moving: int) -> None:
     """Once means of nothing: instants that were no numbers."""
     t = np.arange(0.0, 20.0, 0.004)
-    q = np.outer(t, 0.1 * (np.arange(3) < moving))
-    at, spread = sampling_instants(t, q)
+    at, spread = sampling_instants(t, np.outer(t, 0.1 * (np.arange(3) < moving)))
     np.testing.assert_array_equal(at, t)
     assert spread == 0.0
 
 
 def test_stamps_that_are_right_are_kept() -> None:
-    rng = np.random.default_rng(2)
-    t = np.arange(0.0, 20.0, 0.01) + rng.uniform(-0.0015, 0.0015, 2000)
+    t = np.arange(0.0, 20.0, 0.01) + np.random.default_rng(2).uniform(-0.0015, 0.0015, 2000)
     assert sampling_instants(t, np.round(_motion(t, 5) / 1e-4) * 1e-4)[1] == 0.0
 
 
@@ -262,9 +256,8 @@ def test_checked_recording_says_so() -> None:
     robot = Robot.load("kr6")
     t = np.arange(0.0, 20.0, 0.01)
     q = _motion(t + rng.uniform(-0.0015, 0.0015, len(t)), robot.n)
-    columns = {"t": t, **{f"q_{j + 1}": q[:, j] for j in range(robot.n)},
-               **{f"tau_{j + 1}": np.sin(t + j) for j in range(robot.n)}}
-    (made,), warnings = checked([Recording(columns, {}, "jittery")], robot)
+    tau = np.sin(t[:, None] + np.arange(robot.n))
+    (made,), warnings = checked([Recording.from_arrays(t, q=q, tau=tau, source="jittery")], robot)
     assert any(text.startswith("irregular-sampling") for text in warnings)
     assert np.std(made.t - t) == pytest.approx(0.0015 / np.sqrt(3.0), rel=0.2)
 
@@ -288,9 +281,8 @@ def test_irregular_samples_with_jittering_stamps_are_not_put_on_a_clock(lost: fl
     stamps = np.sort(at + np.clip(rng.normal(scale=1e-3, size=len(at)), -1.9e-3, 1.9e-3))
     q = np.round(_motion(at, robot.n) / 1e-4) * 1e-4
     keep = rng.random(len(at)) >= lost
-    columns = {"t": stamps, **{f"q_{j + 1}": q[:, j] for j in range(robot.n)},
-               **{f"tau_{j + 1}": np.sin(at + j) for j in range(robot.n)}}
-    (made,), _ = checked([Recording({name: v[keep] for name, v in columns.items()}, {}, "jittery")], robot)
+    tau = np.sin(at[:, None] + np.arange(robot.n))
+    (made,), _ = checked([Recording.from_arrays(stamps[keep], q=q[keep], tau=tau[keep], source="jittery")], robot)
     error = (made.t - at[keep])[50:-50]
     assert np.std(error) < 0.5 * np.std((stamps - at)[keep])
     q_now, _ = regular_stamps(made.t, made.joints("q"))
@@ -317,8 +309,7 @@ def test_late_stamps_are_put_back() -> None:
 
 
 def test_right_stamps_of_irregular_samples_stay() -> None:
-    rng = np.random.default_rng(2)
-    true = np.sort(np.arange(0.0, 20.0, STEP) + rng.normal(scale=4e-4, size=5000))
+    true = np.sort(np.arange(0.0, 20.0, STEP) + np.random.default_rng(2).normal(scale=4e-4, size=5000))
     found, jitter = regular_stamps(true, path(true))
     assert jitter == 0.0
     np.testing.assert_array_equal(found, true)

@@ -57,8 +57,7 @@ def write_bag(path: Path, plugin: str, names: list[str], positions: np.ndarray, 
 
 @pytest.mark.parametrize("plugin", ["SQLITE3", "MCAP"])
 def test_joint_states_from_a_bag(tmp_path: Path, plugin: str) -> None:
-    rng = np.random.default_rng(8)
-    q, tau = rng.normal(size=(2, 50, 3))
+    q, tau = np.random.default_rng(8).normal(size=(2, 50, 3))
     bag = write_bag(tmp_path / "bag", plugin, ["b", "a", "c"], q, tau, shuffle_from=20)
     for path in [bag, *bag.glob("*.mcap")]:
         recording = Recording.read(path)
@@ -272,8 +271,7 @@ def test_names_that_cannot_be_are_refused(tmp_path: Path) -> None:
 
 
 def test_names_of_joints_that_are_none_are_not_taken(tmp_path: Path) -> None:
-    told = Recording(RECORDING.columns, {"joints": 3})
-    back = Recording.read(write_mcap(told, tmp_path / "run.mcap"))
+    back = Recording.read(write_mcap(Recording(RECORDING.columns, {"joints": 3}), tmp_path / "run.mcap"))
     assert back.meta["joints"] == [f"joint_{i + 1}" for i in range(6)]
 
 

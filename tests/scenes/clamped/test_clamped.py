@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from ideal_robot.elasticity.configurations import ClampLimits, choose_configurations
 from ideal_robot.elasticity.stiffness import condition_number
@@ -18,7 +17,6 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes import load_scene
 from scenes.clamped import configurations, record, run
-from scenes.cli import app
 from scenes.report.page import write_json
 from sim.contact.clamp import ClampedArm
 from sim.contact.clamp_world import ClampWorld
@@ -91,7 +89,7 @@ def test_chosen_configurations_beat_random_ones(kr500: Robot) -> None:
         assert limits.height[0] <= z <= limits.height[1]
 
 
-def test_run_writes_what_the_command_reads(tmp_path: Path) -> None:
+def test_run_writes_what_the_command_reads(program, tmp_path: Path) -> None:
     result = run(load_scene("clamped_kr500_1"), out=tmp_path)
     content = json.loads(write_json(tmp_path / "run.json", result.json()).read_text())
     robot = Robot.load(content["urdf"])
@@ -103,14 +101,13 @@ def test_run_writes_what_the_command_reads(tmp_path: Path) -> None:
     # Drive data have their option, here such that know no gains.
     drive = robot.urdf.with_suffix(".toml").read_text()
     (tmp_path / "drive.toml").write_text(re.sub("(?m)^torque_constant.*$", "", drive))
-    asked = ["stiffness", content["recording"], "--robot", content["urdf"], "--json", str(tmp_path / "again.json"),
-             "--drive-data", str(tmp_path / "drive.toml"), "--out", str(tmp_path / "again")]
-    done = CliRunner().invoke(app, asked)
-    assert done.exit_code == 0, done.output
+    done = program("stiffness", content["recording"], "--robot", content["urdf"], "--json", "again.json",
+                   "--drive-data", "drive.toml", "--out", "again")
+    assert done.code == 0, done.err
     found = json.loads((tmp_path / "again.json").read_text())
     amperes = next(one for one in found["joints"] if one["method"] == "motor")["stiffness"]
     assert amperes * robot.drive_gain[0] == pytest.approx(again.by("motor")[1].stiffness, rel=1e-9)
-    for said in (done.output, str(found["warnings"]), (tmp_path / "again" / "report.html").read_text()):
+    for said in (done.out + done.err, str(found["warnings"]), (tmp_path / "again" / "report.html").read_text()):
         assert "unknown-drive-gain" in said
 
 

@@ -15,7 +15,6 @@ from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from scenes import load_scene
 from scenes.closing.loop import MODEL, Closed, Comparison, Form, Found, Group, Step, Subject, close
 from scenes.closing.result import Closing
 from scenes.force.close_loop import close_loop as close_force_loop
@@ -47,8 +46,7 @@ def form(*effects: FittedEffect) -> Form:
 class World(Subject[Array]):
     """An arm that misses one newton metre in joints 1 and 2; whatever else a model adds is wrong by it.
 
-    Args:
-        rounds: what each round finds.
+    ``rounds``: what each round finds.
     """
 
     def __init__(self, *rounds: Found) -> None:
@@ -257,22 +255,19 @@ def test_what_cannot_be_measured_does_not_fall() -> None:
 
 # Closings on sensors: wrong time stamps of a camera, a force sensor that has drifted, a contact taken for stiffer.
 
-@pytest.fixture(scope="module")
-def late_stamps() -> Any:
-    """Closing on a camera whose stamps are 8 ms late."""
-    scene = scene_of(LineScene, "close_latency")
-    return close_loop(scene)
+def closes(result: Any, of_before: float, of_oracle: float) -> None:
+    """The error after is at most so much of that of before, and of one who was told."""
+    before, after, oracle = (result.errors[name].mean for name in ("before", "after", "oracle"))
+    assert after < of_before * before
+    assert after <= of_oracle * oracle
 
 
 @pytest.mark.slow
-def test_after_is_close_to_the_oracle(late_stamps: Any) -> None:
-    assert late_stamps.errors["after"].mean <= 1.25 * late_stamps.errors["oracle"].mean
-    assert late_stamps.errors["after"].mean < 0.5 * late_stamps.errors["before"].mean
-
-
-@pytest.mark.slow
-def test_a_delay_of_the_stamps_is_named_with_its_size(late_stamps: Any) -> None:
-    found = {e.fitted.name: e.fitted for e in late_stamps.diagnosis.effects if e.fitted.channel == "line"}
+def test_a_delay_of_the_stamps_is_named_with_its_size() -> None:
+    """Of a camera whose stamps are 8 ms late."""
+    result = close_loop(scene_of(LineScene, "close_latency"))
+    closes(result, 0.5, 1.25)
+    found = {e.fitted.name: e.fitted for e in result.diagnosis.effects if e.fitted.channel == "line"}
     # Calibrated by moving, with the same wrong stamps, the camera's scale is off by what the stamps are worth.
     assert set(found) <= {"camera_latency", "camera_scale"}
     assert found["camera_latency"].coefficients[0] == pytest.approx(-0.008, abs=3e-4)
@@ -295,14 +290,13 @@ def test_follower_takes_the_latency_from_the_model() -> None:
 
 
 def test_right_time_stamps_are_refused() -> None:
-    scene = scene_of(LineScene, "line")
     with pytest.raises(InputError, match="nothing is there"):
-        close_loop(scene)
+        close_loop(scene_of(LineScene, "line"))
 
 
 def test_what_is_wrong_with_a_camera_is_named() -> None:
-    scene = scene_of(LineScene, "close_camera")
-    assert undeclared_effects(scene) == ("clock_drift", "camera_scale", "camera_offset", "lens_distortion")
+    assert undeclared_effects(scene_of(LineScene, "close_camera")) == (
+        "clock_drift", "camera_scale", "camera_offset", "lens_distortion")
 
 
 @pytest.mark.parametrize(("name", "change", "says", "key"), [
@@ -318,21 +312,15 @@ def test_what_cannot_be_seen_along_a_line_is_refused_with_its_key(name: str, cha
 
 @pytest.mark.slow
 def test_camera_that_nobody_calibrated_is_set_right() -> None:
-    scene = scene_of(LineScene, "close_camera")
-    result = close_loop(scene)
-    assert result.errors["after"].mean < 0.7 * result.errors["before"].mean
-    assert result.errors["after"].mean <= 1.5 * result.errors["oracle"].mean
+    closes(close_loop(scene_of(LineScene, "close_camera")), 0.7, 1.5)
 
 
 @pytest.mark.slow
 def test_friction_that_the_model_does_not_know_is_found_in_a_motion_about_the_line() -> None:
-    scene = load_scene("close_latency").changed(
-        world={"base": "bench", "stribeck": [30.0, 120.0, 30.0, 1.5, 1.5, 0.8]}, camera={"stamp_offset": 0.0})
-    assert isinstance(scene, LineScene)
-    result = close_loop(scene)
+    result = close_loop(scene_of(LineScene, "close_latency").changed(
+        world={"base": "bench", "stribeck": [30.0, 120.0, 30.0, 1.5, 1.5, 0.8]}, camera={"stamp_offset": 0.0}))
     assert ("stribeck", 2) in result.undeclared
-    assert result.errors["after"].mean < 0.7 * result.errors["before"].mean
-    assert result.errors["after"].mean <= 1.25 * result.errors["oracle"].mean
+    closes(result, 0.7, 1.25)
 
 
 def test_random_lines_are_wrong_by_what_they_are_drawn_with() -> None:
@@ -352,17 +340,13 @@ def test_random_lines_are_wrong_by_what_they_are_drawn_with() -> None:
 
 
 def test_right_sensor_is_refused_and_a_wrong_one_named() -> None:
-    right, wrong = load_scene("force_wave"), load_scene("close_force")
-    assert isinstance(right, ForceScene)
-    assert isinstance(wrong, ForceScene)
-    assert undeclared_on_force(wrong) == ("force_bias", "force_compliance")
+    assert undeclared_on_force(scene_of(ForceScene, "close_force")) == ("force_bias", "force_compliance")
     with pytest.raises(InputError, match="nothing is there"):
-        close_force_loop(right)
+        close_force_loop(scene_of(ForceScene, "force_wave"))
 
 
 @pytest.mark.slow
 def test_after_is_close_to_the_truth() -> None:
-    scene = scene_of(ForceScene, "close_force")
-    result = close_force_loop(scene)
+    result = close_force_loop(scene_of(ForceScene, "close_force"))
     assert result.errors["after"].rms < 0.8 * result.errors["before"].rms
     assert result.errors["after"].rms <= 1.25 * result.errors["true"].rms

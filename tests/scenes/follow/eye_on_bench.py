@@ -81,10 +81,7 @@ def frozen() -> Picture:
 class Eye:
     """A camera on a simulated arm whose pictures are evaluated when they have come; a ``CameraProcess``.
 
-    Args:
-        cell: the scene set up, with a line.
-        stamp: what the camera says of when it exposed [s].
-        picture: what becomes of a picture taken at a time [s].
+    ``stamp``: what it says of when it exposed [s]; ``picture``: what becomes of a picture taken at a time [s].
     """
 
     def __init__(self, cell: Cell | ForceCell, stamp: Stamp | None = None, picture: Picture | None = None) -> None:
@@ -149,13 +146,7 @@ class WaitingArm(LiveArm):
 
 
 class Bench:
-    """A simulated arm that is handed each command at once, and a camera on it; a ``Link``.
-
-    Args:
-        arm: simulated.
-        robot: with the controller's cycle.
-        eye: on the arm, if any.
-    """
+    """A simulated arm that is handed each command at once, and a camera on it; a ``Link``."""
 
     def __init__(self, arm: SimulatedArm, robot: Robot, eye: Eye | None) -> None:
         self.arm, self.robot, self.t_ipo, self.fault, self.eye = arm, robot, robot.t_ipo, None, eye

@@ -81,13 +81,7 @@ class BenchArm(WaitingArm):
 class Bench(EyeBench):
     """A simulated arm with a force sensor, and with a camera where the scene has one; a ``WrenchSource``, too.
 
-    Args:
-        cell: the scene set up.
-        arm: simulated.
-        eye: the camera of a scene that has one.
-        spoil: what the sensor makes of a wrench ``(6,)`` since how long it is faulty [s].
-        stage: in which the fault begins; None for never.
-        currents: whether the controller tells them.
+    ``spoil``: what the sensor makes of a wrench ``(6,)`` that is faulty for so long [s]; ``stage``: when that begins.
     """
 
     def __init__(self, cell: Cell, arm: SimulatedArm, eye: Eye | None, spoil: Spoil | None = None,
@@ -155,12 +149,6 @@ def followed(scene: ForceScene, folder: Path, before: dict[str, Any] | None = No
     Returns ``failure`` (None for the whole path), the largest true normal force ``force`` since the fault began [N] (of
     the whole run without one) and at its end ``left``, how far the tip moved from then on ``moved`` [m], how long after
     it the arm was stopped ``after`` [s], the ``job`` and the ``recording``.
-
-    Args:
-        scene: with a surface.
-        folder: for the journal.
-        before: figures of a run before.
-        faults: see ``Bench``.
     """
     cell = set_up(scene)
     with SimulatedArm(cell.known.robot, cell.world, cell.noise, cell.known.q_start()) as arm:

@@ -35,13 +35,7 @@ def free_ports() -> dict[str, int]:
 
 @dataclass
 class Cell:
-    """A served cell.
-
-    Attributes:
-        process: of ``simulate --serve``.
-        ports: of its devices.
-        folder: for files.
-    """
+    """A served cell: the process of ``simulate --serve``, its devices' ports, and a folder for files."""
 
     process: subprocess.Popen[str]
     ports: dict[str, int]

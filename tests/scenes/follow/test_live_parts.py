@@ -49,26 +49,19 @@ def _arm(link: Tame, tmp_path: Path) -> LiveArm:
     return LiveArm(link, Journal(tmp_path, link.robot, {"scene": "x"}))
 
 
-def test_the_followers_process_knows_no_simulator() -> None:
-    program = ("import sys, scenes.commands.devices, scenes.online.run, scenes.online.run as s, "
-               "scenes.online.camera_process, scenes.scene_files.scene, scenes.outputs;"
-               "s.load_cell('line'), s.load_cell('glue');"
-               "found = sorted(m for m in sys.modules if m.split('.')[0] in ('sim', 'pybullet'));"
-               "raise SystemExit(f'imported: {found}' if found else 0)")
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-
-
-def test_the_process_that_leads_the_arm_loads_neither_tables_nor_plots() -> None:
-    program = ("import sys, scenes.commands.devices; from scenes.online.run import _job; "
-               "from scenes.online.devices import Devices; from scenes.online.run import load_cell; "
-               "from scenes.commands.common import closed; from scenes.commands.common import progress_bar; "
-               "[_job(load_cell(scene), Devices('rsi:'), None, None).rehearse() for scene in ('line', 'glue')];"
-               "large = ('pandas', 'pyarrow', 'matplotlib', 'scipy.signal', 'cv2');"
-               "found = [m for m in large if m in sys.modules];"
-               "raise SystemExit(f'imported: {found}' if found else 0)")
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+@pytest.mark.parametrize(("program", "unknown"), [
+    pytest.param("import scenes.commands.devices, scenes.online.camera_process, scenes.outputs;"
+                 "import scenes.scene_files.scene, scenes.online.run as s; s.load_cell('line'), s.load_cell('glue')",
+                 ("sim", "pybullet"), id="the follower knows no simulator"),
+    pytest.param("import scenes.commands.devices; from scenes.online.run import _job, load_cell; "
+                 "from scenes.online.devices import Devices; from scenes.commands.common import closed, progress_bar; "
+                 "[_job(load_cell(scene), Devices('rsi:'), None, None).rehearse() for scene in ('line', 'glue')]",
+                 ("pandas", "pyarrow", "matplotlib", "scipy.signal", "cv2"),
+                 id="who leads the arm loads neither tables nor plots")])
+def test_what_a_process_does_not_load(program: str, unknown: tuple[str, ...]) -> None:
+    asked = f"{program}; import sys; raise SystemExit(str([m for m in {unknown} if m in sys.modules] or ''))"
+    done = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=False)
+    assert done.stderr.strip() == ""
 
 
 def test_a_lost_cycle_is_none_of_the_paths_time(link: Tame, arm: LiveArm) -> None:
@@ -206,8 +199,7 @@ def test_a_journal_survives_its_program(tmp_path: Path) -> None:
                "arm = LiveArm(link, journal);"
                "[arm.cycle(link.robot.home + 0.001 * k) for k in range(50)];"
                "os.kill(os.getpid(), 9)")
-    done = subprocess.run([sys.executable, "-c", program], check=False, cwd=ROOT)
-    assert done.returncode == -9
+    assert subprocess.run([sys.executable, "-c", program], check=False, cwd=ROOT).returncode == -9
     found = left_behind(tmp_path)
     assert found is not None
     assert len(found.t) == 50

@@ -172,11 +172,16 @@ def _glued(tmp_path: Path, link: Waited, job: ForceJob, camera: Seen, *, fails: 
     play_cycles(arm, job.robot, task, job.log, CycleSettings(job.braking, 0.05, end, end, ""), silent)
 
 
+def glue(cycle: float | None = 0.004) -> ForceJob:
+    job = _job(load_cell("glue"), Devices("rsi:", cycle=cycle), None, None)
+    assert isinstance(job, ForceJob)
+    return job
+
+
 @pytest.mark.parametrize("fails", [False, True])
 def test_fields_of_a_surface_are_fused_between_packets_too(tmp_path: Path, fails: bool) -> None:
     """What goes wrong there stops the arm on its path, as it does elsewhere."""
-    job = _job(load_cell("glue"), Devices("rsi:", cycle=0.004), None, None)
-    assert isinstance(job, ForceJob)
+    job = glue()
     link = Waited(robot=job.robot)
     _glued(tmp_path, link, job, Seen(job.robot.t_ipo, 0), fails=fails)
     before = [link.said[i - 1] for i, said in enumerate(link.said) if said == "field"]
@@ -192,8 +197,7 @@ def test_fields_of_a_surface_are_fused_between_packets_too(tmp_path: Path, fails
 
 def test_one_thing_is_done_between_two_packets_and_what_is_felt_is_fused_behind_the_next(tmp_path: Path) -> None:
     """With all at once every third answer was later than the next packet on a computer that does the rest as well."""
-    job = _job(load_cell("glue"), Devices("rsi:", cycle=0.004), None, None)
-    assert isinstance(job, ForceJob)
+    job = glue()
     link = Waited(robot=job.robot)
     _glued(tmp_path, link, job, Seen(job.robot.t_ipo, 0))
     between = [[one for one in said.split() if one in ("felt", "force", "field")]
@@ -206,9 +210,7 @@ def test_one_thing_is_done_between_two_packets_and_what_is_felt_is_fused_behind_
 
 def test_no_fusion_is_left_out_where_the_sensor_is_looked_at_later() -> None:
     """At 4 ms there is time for that behind two of five fusions, and none where a camera is quick: fields wait then."""
-    job = _job(load_cell("glue"), Devices("rsi:", cycle=0.004), None, None)
-    assert isinstance(job, ForceJob)
-    task, fits, answers = job._task, list[float](), list[Array]()
+    task, fits, answers = glue()._task, list[float](), list[Array]()
     signs = SimpleNamespace(fits=lambda innovation, values: fits.append(innovation),
                             answers=lambda felt, stiffness, frequency: answers.append(felt))
     task.force = SimpleNamespace(signs=signs)  # type: ignore[assignment]
@@ -241,8 +243,7 @@ class Bursts(Seen):
 def test_no_answer_waits_for_a_field_and_a_field_waits_where_answers_are_late(
         tmp_path: Path, cycle: float | None, spare: float, waits: bool) -> None:
     """On a slow computer three fields at once took 40 ms before an answer, until the controller ended the session."""
-    job = _job(load_cell("glue"), Devices("rsi:", cycle=cycle), None, None)
-    assert isinstance(job, ForceJob)
+    job = glue(cycle)
     link = Waited(robot=job.robot)
     link.spare = spare
     camera = Bursts(job.robot.t_ipo, 0)

@@ -19,6 +19,7 @@ from planning.line.deviation_model import Stand
 from scenes import load_scene
 from scenes.force import play as playing
 from scenes.force.cell import camera_shown, friction_shown, glue_line, set_up
+from scenes.force.compare import best_gains
 from scenes.force.kind import run
 from scenes.force.page import forces_figure
 from scenes.force.play import ForceResult, play
@@ -121,8 +122,6 @@ def test_a_stiff_contact_does_not_bounce(stiffness: float, friction: float, rms:
 
 @pytest.mark.slow
 def test_search_finds_no_better_direct_feedback(wave: ForceResult) -> None:
-    from scenes.force.compare import best_gains
-
     scene = load_scene("force_wave")
     _, trials = best_gains(scene)
     best = min(trial.error for trial in trials)
@@ -188,11 +187,8 @@ def test_emergency_stops_on_the_path_within_limits(changes: dict[str, object], r
     written = Recording.read(result.recording_path)  # type: ignore[arg-type]
     assert written.meta["stopped_because"] == result.failure
     assert json.loads((tmp_path / "report.json").read_text())["failure"] == result.failure
-    q_c = np.array(result.log.q_d)
-    v = np.diff(q_c, axis=0) / 0.012
-    from ideal_robot.robots.robot import Robot
-
-    robot = Robot.load("kr6")
+    v = np.diff(np.array(result.log.q_d), axis=0) / 0.012
+    robot = result.scene.arm
     assert np.all(np.abs(v) <= robot.v_max)
     assert np.all(np.abs(np.diff(v[::2], axis=0)) / 0.024 <= robot.a_max)
     # At rest at the end, and where a force was the reason off the surface.

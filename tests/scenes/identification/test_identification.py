@@ -11,7 +11,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.signal import welch
-from typer.testing import CliRunner
 
 from ideal_robot.dynamics import base_parameters, link_parameters, with_link_parameters
 from ideal_robot.errors import InputError
@@ -24,7 +23,6 @@ from ideal_robot.identification.whole_model import identify_model
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from scenes import cli
 from scenes.identification.own_model import identified_model
 from scenes.identification.page import identification_page
 from scenes.identification.plan import fourier_commands
@@ -57,15 +55,20 @@ def noisy(name: str, seed: int) -> World:
     return World.ideal(name).replace(current_noise=0.005, quantisation=True, inertia_tolerance=0.15, individual=seed)
 
 
+def truth_of(robot: Robot, world: World) -> np.ndarray:
+    """Base parameters of the simulated arm."""
+    individual = draw_specimen(robot, world)
+    return base_parameters(robot.pinocchio).of(
+        np.concatenate([link_parameters(individual.model), individual.rotor_inertia, np.zeros(robot.n)]))
+
+
 def deviations(robot: Robot, world: World, commands: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Deviations of the base parameters from the simulated arm's, in σ, and which are well excited."""
-    base = base_parameters(robot.pinocchio)
-    individual = draw_specimen(robot, world)
-    truth = base.of(np.concatenate([link_parameters(individual.model), individual.rotor_inertia, np.zeros(robot.n)]))
+    truth = truth_of(robot, world)
     wrong = np.repeat(np.random.default_rng(seed).choice([0.5, 1.5], robot.n), 10)
     start = replace(robot, pinocchio=with_link_parameters(robot.pinocchio, link_parameters(robot.pinocchio) * wrong))
     result = identify([played(robot, world, commands, seed)], start)
-    std = np.sqrt(np.diag(result.model.covariance))[: base.count]
+    std = np.sqrt(np.diag(result.model.covariance))[: len(truth)]
     # Well below one third: otherwise a parameter that is zero would count exactly when it is three σ off.
     good = (std > 0) & (std < 0.2 * np.abs(result.model.base_values))
     return (result.model.base_values - truth) / np.where(std > 0, std, np.inf), good
@@ -100,14 +103,12 @@ def test_two_step_method_finds_what_single_axis_moves_show() -> None:
     program = plan_two_step(robot, np.random.default_rng(1), points=3, candidates=60)
     result, measured = identify_two_step([played(robot, world, program.commands(robot.home, robot.t_ipo, robot), 1)],
                                          robot)
-    base = base_parameters(robot.pinocchio)
-    individual = draw_specimen(robot, world)
-    truth = base.of(np.concatenate([link_parameters(individual.model), individual.rotor_inertia, np.zeros(6)]))
+    truth = truth_of(robot, world)
     gravity = [m for m in measured.measurements if m.quantity == "gravity" and m.joint in (1, 2)]
     assert len(gravity) >= 6
     for m in gravity:
         assert m.value == pytest.approx(float(m.row @ truth), abs=0.02 * robot.tau_max[m.joint])
-    z = (result.model.base_values - truth) / np.sqrt(np.diag(result.model.covariance))[: base.count]
+    z = (result.model.base_values - truth) / np.sqrt(np.diag(result.model.covariance))[: len(truth)]
     assert np.mean(np.abs(z) < 3.0) > 0.9
 
 
@@ -150,24 +151,19 @@ def test_shipped_models_are_made_again(name: str) -> None:
         assert np.all(np.sqrt(np.mean(error**2, axis=0)) < 0.016 * np.sqrt(np.mean(tau**2, axis=0)))
 
 
-def test_commands_from_plan_to_model(tmp_path: Path) -> None:
-    from scenes import cli
-
-    run = CliRunner().invoke
-    plan = tmp_path / "plan"
-    answer = run(cli.app, ["plan-identification", "--urdf", "kr6", "--period", "4", "--play", "--out", str(plan),
-                           "--json", str(tmp_path / "plan.json")])
-    assert answer.exit_code == 0, answer.output
+def test_commands_from_plan_to_model(program, tmp_path: Path) -> None:
+    done = program("plan-identification", "--urdf", "kr6", "--period", "4", "--play", "--out", "plan", "--json",
+                   "plan.json")
+    assert done.code == 0, done.err
     planned = json.loads((tmp_path / "plan.json").read_text())
     assert planned["method"] == "joint"
     assert planned["condition_number"] > 1
-    whole = Recording.read(plan / "recording.parquet")
+    whole = Recording.read(tmp_path / "plan" / "recording.parquet")
     part = Recording({name: values[500:] for name, values in whole.columns.items()}, whole.meta)
-    answer = run(cli.app, ["identify", str(plan / "recording.parquet"), "--urdf", "kr6", "--validate",
-                           str(part.write(plan / "part.parquet")), "--friction", "viscous_coulomb", "--json",
-                           str(tmp_path / "model_figures.json"), "--out", str(tmp_path / "report"), "--export-urdf",
-                           str(tmp_path / "kr6.urdf")])
-    assert answer.exit_code == 0, answer.output
+    part.write(tmp_path / "part.parquet")
+    done = program("identify", "plan/recording.parquet", "--urdf", "kr6", "--validate", "part.parquet", "--friction",
+                   "viscous_coulomb", "--json", "model_figures.json", "--out", "report", "--export-urdf", "kr6.urdf")
+    assert done.code == 0, done.err
     figures = json.loads((tmp_path / "model_figures.json").read_text())
     assert set(figures["parameters"][0]) >= {"name", "joint", "value", "std", "std_percent", "unit"}
     assert len(figures["relative_error_percent"]["estimation"]) == 6
@@ -181,12 +177,9 @@ def test_commands_from_plan_to_model(tmp_path: Path) -> None:
     assert Robot.load(tmp_path / "kr6.urdf").n == 6
 
 
-def test_two_step_program_is_written_for_people_and_machines(tmp_path: Path) -> None:
-    from scenes import cli
-
-    answer = CliRunner().invoke(cli.app, ["plan-identification", "--urdf", "kr15", "--method", "two-step", "--points",
-                                          "2", "--out", str(tmp_path)])
-    assert answer.exit_code == 0, answer.output
+def test_two_step_program_is_written_for_people_and_machines(program, tmp_path: Path) -> None:
+    done = program("plan-identification", "--urdf", "kr15", "--method", "two-step", "--points", "2", "--out", ".")
+    assert done.code == 0, done.err
     program = json.loads((tmp_path / "program.json").read_text())
     assert len(program["operating_points_rad"]) == 2
     assert {move["purpose"] for move in program["moves"]} == {"gravity", "inertia", "friction"}
@@ -327,10 +320,10 @@ def test_a_sensor_behind_the_gears_does_not_feel_what_turns_the_rotors() -> None
     assert behind_gears(felt, Twin({"extra_rotor_inertia": [0.0, 0.0]}, (), ()), filters) is felt
 
 
-def test_the_verb_refuses_what_is_no_name_of_a_file(axis: Path) -> None:
-    answer = CliRunner().invoke(cli.app, ["twin", str(axis), "--robot", str(axis), "-o", "twin.json"])
-    assert isinstance(answer.exception, InputError)
-    assert "ends in .toml" in str(answer.exception)
+def test_the_verb_refuses_what_is_no_name_of_a_file(program, axis: Path) -> None:
+    done = program("twin", str(axis), "--robot", str(axis), "-o", "twin.json")
+    assert done.code == 2
+    assert "ends in .toml" in done.err
 
 
 # The world behind it: bodies, residual, spread.
@@ -396,5 +389,4 @@ def test_the_twin_of_an_arm_with_torque_sensors_behind_its_gears_follows_a_line(
     assert any(text.startswith("rotors: those of a class") for text in found.twin.assumed)
     file = tmp_path / "mine.toml"
     file.write_text(twin_text(found.twin, robot, file), encoding="utf-8")
-    scene = scene_of(LineScene, str(file))
-    assert play(scene, "adapted").control_error.mean < 0.2e-3
+    assert play(scene_of(LineScene, str(file)), "adapted").control_error.mean < 0.2e-3

@@ -68,6 +68,14 @@ def short(**changes: Any) -> LineScene:
     return load_scene("straight").changed(world=world, line=line, calibration=CALIBRATED, **changes)
 
 
+def followed(scene: LineScene, most: float, **options: Any) -> LineResult:
+    """A run that gets to the line's end, its mean distance less than ``most`` [m]."""
+    result = run(scene, **options)
+    assert result.failure is None
+    assert result.control_error.mean < most
+    return result
+
+
 def test_the_default_world_is_not_kind(ideal: LineResult) -> None:
     world, scene = ideal.world, ideal.scene
     assert world["elasticity"]
@@ -120,9 +128,7 @@ def test_methods_rank_as_the_papers_say(ideal: LineResult, on_line: Prepared) ->
                                   pytest.param("straight", marks=pytest.mark.slow)])
 def test_every_scene_is_followed(name: str) -> None:
     # Twice the mean error of the default scene: gaps are bridged by the fusion, corners ask more of the wrist.
-    result = run(load_scene(name).changed(world="bench", calibration=CALIBRATED), method="ideal")
-    assert result.failure is None
-    assert result.control_error.mean < 2.0e-4
+    result = followed(load_scene(name).changed(world="bench", calibration=CALIBRATED), 2.0e-4, method="ideal")
     assert result.control_error.max < 1.0e-3
 
 
@@ -204,9 +210,7 @@ def test_unknown_method() -> None:
 
 def test_a_controller_with_a_cycle_of_four_milliseconds() -> None:
     # The model was identified at 12 ms; a shorter cycle must not make the line worse.
-    result = run(short(world={"t_ipo": 0.004}), method="ideal")
-    assert result.failure is None
-    assert result.control_error.mean < 2e-4
+    followed(short(world={"t_ipo": 0.004}), 2e-4, method="ideal")
 
 
 # The fastest speed within a tolerance: kept by the run, near its edge, and refused where nothing keeps it.
@@ -274,9 +278,7 @@ def test_polynomials_lead_as_well_as_all_their_points() -> None:
 
 
 def test_the_line_is_followed_with_a_detector_of_opencv_alone() -> None:
-    result = run(short(camera={"detector": "opencv"}))
-    assert result.failure is None
-    assert result.control_error.mean < 2e-4
+    followed(short(camera={"detector": "opencv"}), 2e-4)
     with pytest.raises(InputError, match="edge_pairs"):
         run(short(camera={"detector": "eyes"}))
 
@@ -297,12 +299,10 @@ def test_the_error_falls_with_the_horizon_until_it_covers_the_arm_s_lag() -> Non
 def test_width_and_polarity_are_found_not_given(width: float, gray: int, background: int) -> None:
     scene = short(line={"width_mm": width, "gray": gray, "background": background})
     with prepared(scene) as cell:
-        result = run(scene, shared=cell)
+        followed(scene, 2e-4, shared=cell)
     # Half a pixel is 0.4 mm on the surface.
     assert cell.detection.line_width == pytest.approx(1e-3 * width, abs=4e-4)
     assert cell.detection.dark is (gray < background)
-    assert result.failure is None
-    assert result.control_error.mean < 2e-4
 
 
 def test_a_camera_whose_stamps_are_early_shows_the_line() -> None:
@@ -326,8 +326,7 @@ def test_windows_are_asked_for_at_the_camera_s_own_time() -> None:
 # The camera calibrated by moving the simulated arm over the line, with everything on that disturbs it.
 
 def cell_of(**changes: object) -> Cell:
-    scene = scene_of(LineScene, "line").changed(world="bench").changed(**changes)
-    return set_up(scene)
+    return set_up(scene_of(LineScene, "line").changed(world="bench").changed(**changes))
 
 
 def calibrated(cell: Cell, deflection: GearDeflection | None = None) -> HandEye:

@@ -23,7 +23,7 @@ from sensing.camera.line_detection import PredictedLine, detect_line, search_win
 from sim.camera.bullet_camera import BulletCamera
 from sim.camera.camera import CameraSettings
 from sim.camera.surface import DrawnLine, paint
-from tests.scenes.line.test_line import CALIBRATED, on_the_bench, short
+from tests.scenes.line.test_line import CALIBRATED, followed, on_the_bench, short
 from tests.sensing.camera.synthetic import tool_over
 
 
@@ -46,19 +46,15 @@ def test_kinematic_errors_and_a_displaced_surface_hardly_matter() -> None:
     """What is sensed relative to the tool does not ask where arm and surface think they are ([L] 3.1)."""
     scene = load_scene("line").changed(calibration=CALIBRATED, displacement={"height_mm": 3.0},
                                        world={"base": "bench", "kinematic_error": 3e-4, "zero_error": 3.5e-4})
-    result = run(scene)
-    assert result.failure is None
-    assert result.control_error.mean < 1.0e-4
+    followed(scene, 1.0e-4)
 
 
 @pytest.mark.slow
 def test_a_line_of_another_shape_than_its_reference_is_followed() -> None:
     """A straight reference before a sine of 40 mm, with calibration by moving ([L] 5: *positions or the shapes*)."""
-    result = run(load_scene("line").changed(reference={"shape": {"points": [[0.0, 0.0], [1.2, 0.0]]}}))
-    assert result.failure is None
+    result = followed(load_scene("line").changed(reference={"shape": {"points": [[0.0, 0.0], [1.2, 0.0]]}}), 1.5e-4)
     assert result.hand_eye is not None
     assert np.max(np.abs(result.believed)) > 0.035
-    assert result.control_error.mean < 1.5e-4
 
 
 def test_a_line_too_far_from_its_reference_is_said_before_it_is_lost() -> None:
@@ -71,26 +67,20 @@ def test_a_line_too_far_from_its_reference_is_said_before_it_is_lost() -> None:
 
 def test_the_height_of_a_tilted_surface_shows_while_following() -> None:
     """With the height taken from the reference this line is missed by 0.7 mm: ten millimetres at its ends ([L] 4.2)."""
-    result = run(load_scene("line").changed(world="bench", seed=2, calibration=CALIBRATED,
-                                            displacement={"tilt_deg": 1.0}))
-    assert result.failure is None
-    assert result.control_error.mean < 1.2e-4
+    followed(load_scene("line").changed(world="bench", seed=2, calibration=CALIBRATED, displacement={"tilt_deg": 1.0}),
+             1.2e-4)
 
 
 def test_the_whole_workshop_is_followed_with_calibration_by_moving() -> None:
-    result = run(load_scene("line"))
-    assert result.failure is None
+    result = followed(load_scene("line"), 1.0e-4)
     assert result.json()["world"] == "workshop"
-    assert result.control_error.mean < 1.0e-4
     assert result.control_error.p95 < 3.5e-4
 
 
 @pytest.mark.slow
 def test_with_the_arm_in_the_picture_the_line_is_followed_and_a_run_repeats_bit_for_bit() -> None:
     scene = load_scene("line").changed(tool_mm=150.0)
-    first, again = run(scene), run(scene)
-    assert first.failure is None
-    assert first.control_error.mean < 1.0e-4
+    first, again = followed(scene, 1.0e-4), run(scene)
     assert first.recording.columns.keys() == again.recording.columns.keys()
     for name, values in first.recording.columns.items():
         np.testing.assert_array_equal(again.recording.columns[name], values, err_msg=name)
@@ -139,10 +129,7 @@ def test_wear_is_drawn_by_the_seed_and_changes_what_is_painted() -> None:
 def test_a_camera_that_somebody_knocks_on_the_way_is_found_out() -> None:
     """Without the hypothesis of a moved sensor the map turns with the camera, and the line is missed by millimetres."""
     scene = load_scene("line").changed(world="bench", calibration=CALIBRATED, camera={"knock_deg": 0.5})
-    result = run(scene)
-    assert result.failure is None
-    assert result.control_error.mean < 1.0e-4
-    assert result.control_error.max < 4.0e-4
+    assert followed(scene, 1.0e-4).control_error.max < 4.0e-4
 
 
 def test_a_field_that_comes_twice_is_one_measurement() -> None:
@@ -265,8 +252,7 @@ def test_the_camera_sees_the_line_where_the_bent_surface_lifts_it() -> None:
     surface = next(one for one in (bent_surface(bent, where, np.random.default_rng(k)) for k in range(9))
                    if one is not None and one.waves[0].amplitude > 0)
     line, model = DrawnLine(where.drawn, where.plane), CameraModel.default()
-    s = 0.5 * line.length + np.linspace(-0.03, 0.03, 5)
-    points, tangents = line.at(s)
+    points, tangents = line.at(0.5 * line.length + np.linspace(-0.03, 0.03, 5))
     up = where.plane.rotation[:, 2]
     xy = where.plane.actInv(points[2])
     heading = where.plane.rotation.T @ tangents[2]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 import pinocchio as pin
@@ -55,14 +55,7 @@ def signals() -> Signals:
 
 
 def visible(key: str, joint: int, unit: tuple[float, ...], theta: tuple[float, ...] = ()) -> FittedEffect:
-    """An effect of five times the size that can be seen.
-
-    Args:
-        key: name and channel.
-        joint: from 1, or 0.
-        unit: what its coefficients are in proportion to.
-        theta: its nonlinear parameters.
-    """
+    """An effect of five times the size that can be seen, its coefficients in proportion to ``unit``."""
     name, prefix = key.split("/")
     effect = find(name, prefix)
     added = effect.columns(signals(), joint, theta) @ np.array(unit)
@@ -82,11 +75,8 @@ Torque = Callable[[float, Array, Array, Array], float]
 
 def _with_torque(true: FittedEffect, torque: Torque, joint: int = arm.JOINT) -> Case:
     """The arm with a torque on one motor, against what the motor has to give."""
-    def extra(t: float, q: Array, qd: Array, q_a: Array) -> Array:
-        result = np.zeros(arm.ROBOT.n)
-        result[joint - 1] = -torque(t, q, qd, q_a)
-        return result
-    return Case(arm.WORLD.replace(extra_torque=extra), true)
+    at = np.eye(arm.ROBOT.n)[joint - 1]
+    return Case(arm.WORLD.replace(extra_torque=lambda *moved: -torque(*moved) * at), true)
 
 
 def _own(joint: int, value: float, other: float = 0.0) -> list[float]:
@@ -98,30 +88,26 @@ def _along(v: float) -> float:
     return float(np.tanh(v / 2e-3))
 
 
-def viscous() -> Case:
-    true = visible("viscous/tau", 2, (1.0,))
-    return _with_torque(true, lambda t, q, qd, q_a: true.coefficients[0] * qd[1])
+TORQUES: dict[str, tuple[tuple[float, ...], tuple[float, ...], Callable[..., float]]] = {
+    "viscous/tau": ((1.0,), (), lambda c, q, qd: c[0] * qd[1]),
+    "coulomb/tau": ((1.0,), (), lambda c, q, qd: c[0] * _along(qd[1])),
+    "degressive/tau": ((1.0,), (8.0,), lambda c, q, qd: c[0] * np.arctan(8.0 * qd[1])),
+    "stribeck/tau": ((1.0,), (0.05,), lambda c, q, qd: c[0] * _along(qd[1]) * np.exp(-abs(qd[1]) / 0.05)),
+    "stribeck/tau_bell": ((1.0,), (0.05,), lambda c, q, qd: c[0] * _along(qd[1]) * np.exp(-((qd[1] / 0.05) ** 2))),
+    "current_offset/tau": ((1.0,), (), lambda c, q, qd: c[0]),
+    "cable_spring/tau": ((1.0,), (), lambda c, q, qd: c[0] * q[1]),
+    "axis_coupling/tau": ((0.0, 1.0, 0.3), (3.0, 1.0, 1.0),
+                          lambda c, q, qd: c[1] * qd[2] + c[2] * _along(qd[1] + qd[2])),
+    "gravity_spring/tau": ((1.0, 0.5), (0.4, 0.5), lambda c, q, qd: np.sin(q[1] - 0.4) * (
+        c[0] + c[1] / np.hypot(1.0 + 0.5 * np.cos(q[1] - 0.4), 0.5 * np.sin(q[1] - 0.4)))),
+}
+"""Of joint 2: what the coefficients are in proportion to, nonlinear parameters, torque of coefficients, q and qd."""
 
 
-def coulomb() -> Case:
-    true = visible("coulomb/tau", 2, (1.0,))
-    return _with_torque(true, lambda t, q, qd, q_a: true.coefficients[0] * _along(qd[1]))
-
-
-def degressive() -> Case:
-    true = visible("degressive/tau", 2, (1.0,), (8.0,))
-    return _with_torque(true, lambda t, q, qd, q_a: true.coefficients[0] * np.arctan(8.0 * qd[1]))
-
-
-def stribeck() -> Case:
-    true = visible("stribeck/tau", 2, (1.0,), (0.05,))
-    return _with_torque(true, lambda t, q, qd, q_a: true.coefficients[0] * _along(qd[1]) * np.exp(-abs(qd[1]) / 0.05))
-
-
-def bell_stribeck() -> Case:
-    true = visible("stribeck/tau_bell", 2, (1.0,), (0.05,))
-    return _with_torque(
-        true, lambda t, q, qd, q_a: true.coefficients[0] * _along(qd[1]) * np.exp(-((qd[1] / 0.05) ** 2)))
+def _of_torque(key: str) -> Case:
+    unit, theta, torque = TORQUES[key]
+    true = visible(key, 2, unit, theta)
+    return _with_torque(true, lambda t, q, qd, q_a: torque(true.coefficients, q, qd))
 
 
 def asymmetric_friction() -> Case:
@@ -144,14 +130,6 @@ def _of_load(key: str, share: Callable[[float, float], float]) -> Case:
     return _with_torque(true, torque)
 
 
-def load_dependent_friction() -> Case:
-    return _of_load("load_dependent_friction/tau", lambda load, along: abs(load) * along)
-
-
-def load_direction_friction() -> Case:
-    return _of_load("load_direction_friction/tau", lambda load, along: abs(load) * along if load * along > 0.0 else 0.0)
-
-
 def presliding_hysteresis() -> Case:
     """Dry friction is known, the way over which it turns is not."""
     dry = TIMES * max(0.25 * NOISE * float(arm.ROBOT.tau_max[1]), SHARE * float(np.std(signals().torque[:, 1])))
@@ -170,11 +148,6 @@ def torque_ripple() -> Case:
                         lambda t, q, qd, q_a: a * (0.6 * np.cos(order * q[1]) + 0.8 * np.sin(order * q[1])))
 
 
-def current_offset() -> Case:
-    true = visible("current_offset/tau", 2, (1.0,))
-    return _with_torque(true, lambda t, q, qd, q_a: true.coefficients[0])
-
-
 def drive_gain() -> Case:
     true = visible("drive_gain/tau", 2, (1.0,))
     gain = np.array(_own(2, 1.0 / (1.0 + true.coefficients[0]), 1.0))
@@ -186,43 +159,14 @@ def rotor_inertia() -> Case:
     return Case(arm.WORLD.replace(extra_rotor_inertia=_own(2, true.coefficients[0])), true)
 
 
-def gravity_spring() -> Case:
-    phi, rho = 0.4, 0.5
-    true = visible("gravity_spring/tau", 2, (1.0, 0.5), (phi, rho))
-    c1, c2 = true.coefficients
-
-    def torque(t: float, q: Array, qd: Array, q_a: Array) -> float:
-        length = np.hypot(1.0 + rho * np.cos(q[1] - phi), rho * np.sin(q[1] - phi))
-        return float(np.sin(q[1] - phi) * (c1 + c2 / length))
-    return _with_torque(true, torque)
-
-
-def cable_spring() -> Case:
-    true = visible("cable_spring/tau", 2, (1.0,))
-    return _with_torque(true, lambda t, q, qd, q_a: true.coefficients[0] * q[1])
-
-
-def axis_coupling() -> Case:
-    true = visible("axis_coupling/tau", 2, (0.0, 1.0, 0.3), (3.0, 1.0, 1.0))
-    _, viscous_, dry = true.coefficients
-    return _with_torque(true, lambda t, q, qd, q_a: viscous_ * qd[2] + dry * _along(qd[1] + qd[2]))
-
-
 def _body(key: str, link: int, joint: int) -> Case:
+    """A point mass on a link."""
     centre = np.array([0.06, 0.03, 0.12])
     about = (centre @ centre) * np.eye(3) - np.outer(centre, centre)
     full = (1.0, *centre, about[0, 0], about[0, 1], about[1, 1], about[0, 2], about[1, 2], about[2, 2])
     true = visible(key, joint, full)
     mass = true.coefficients[0]
     return Case(arm.WORLD, true, arm.with_body(link, mass, centre))
-
-
-def payload() -> Case:
-    return _body("payload/tau", 6, 0)
-
-
-def link_load() -> Case:
-    return _body("link_load/tau", 3, 3)
 
 
 def _turned(joint: int, shift: Array, turn: Array) -> Specimen:
@@ -274,8 +218,7 @@ def _softer(key: str) -> Case:
 def _swinging() -> Case:
     """The gear of ``_softer``, said by the resonance of the arm behind it."""
     case = _softer("joint_elasticity/tau")
-    stiffness = 1.0 / case.true.coefficients[0]
-    swings = FittedEffect("joint_elasticity", 2, "tau_resonance_2", (1.0,), (), (stiffness,))
+    swings = FittedEffect("joint_elasticity", 2, "tau_resonance_2", (1.0,), (), (1.0 / case.true.coefficients[0],))
     return dataclasses.replace(case, true=swings)
 
 
@@ -308,21 +251,20 @@ def kinematic_error() -> Case:
 
 
 CASES: dict[str, Callable[[], Case]] = {
-    "viscous/tau": viscous, "coulomb/tau": coulomb, "degressive/tau": degressive, "stribeck/tau": stribeck,
-    "stribeck/tau_bell": bell_stribeck,
-    "asymmetric_friction/tau": asymmetric_friction, "load_dependent_friction/tau": load_dependent_friction,
-    "load_direction_friction/tau": load_direction_friction,
+    **{key: partial(_of_torque, key) for key in TORQUES},
+    "asymmetric_friction/tau": asymmetric_friction,
+    "load_dependent_friction/tau": lambda: _of_load(
+        "load_dependent_friction/tau", lambda load, along: abs(load) * along),
+    "load_direction_friction/tau": lambda: _of_load(
+        "load_direction_friction/tau", lambda load, along: abs(load) * along if load * along > 0.0 else 0.0),
     "presliding_hysteresis/tau": presliding_hysteresis, "torque_ripple/tau": torque_ripple,
-    "current_offset/tau": current_offset, "drive_gain/tau": drive_gain, "rotor_inertia/tau": rotor_inertia,
-    "gravity_spring/tau": gravity_spring, "cable_spring/tau": cable_spring, "payload/tau": payload,
-    "link_load/tau": link_load, "zero_error/tau": zero_error, "base_tilt/tau": base_tilt,
-    "axis_coupling/tau": axis_coupling, "joint_elasticity/tau": lambda: _softer("joint_elasticity/tau"),
+    "drive_gain/tau": drive_gain, "rotor_inertia/tau": rotor_inertia,
+    "payload/tau": lambda: _body("payload/tau", 6, 0), "link_load/tau": lambda: _body("link_load/tau", 3, 3),
+    "zero_error/tau": zero_error, "base_tilt/tau": base_tilt,
+    **{f"joint_elasticity/{prefix}": partial(_softer, f"joint_elasticity/{prefix}") for prefix in ("tau", "qa", "tcp")},
     "joint_elasticity/tau_resonance": _swinging,
-    "joint_elasticity/qa": lambda: _softer("joint_elasticity/qa"),
-    "joint_elasticity/tcp": lambda: _softer("joint_elasticity/tcp"),
-    "backlash/tau": lambda: _gap("tau"), "backlash/qa_load": lambda: _gap("qa_load"),
-    "backlash/tcp_load": lambda: _gap("tcp_load"), "transmission_error/qa": lambda: _uneven("qa"),
-    "transmission_error/tcp": lambda: _uneven("tcp"),
+    **{f"backlash/{prefix}": partial(_gap, prefix) for prefix in ("tau", "qa_load", "tcp_load")},
+    **{f"transmission_error/{prefix}": partial(_uneven, prefix) for prefix in ("qa", "tcp")},
     "kinematic_error/tcp": kinematic_error,
 }
 

@@ -55,14 +55,7 @@ def path() -> JointPath:
 
 
 def played(world: World, known: Model, *, of: Specimen | None = None, along: JointPath | None = None) -> Play:
-    """One play.
-
-    Args:
-        world: the arm.
-        known: the model.
-        of: the individual, where it is not the one that the world draws.
-        along: the path; the circle if None.
-    """
+    """One play along a path, the circle if None, of the individual that the world draws if no other is given."""
     path_ = along or path()
     law = method("ideal").make(Setting(ROBOT, known, 30, 0, path_.q_d))
     with individual(of):

@@ -99,8 +99,7 @@ def test_what_learning_measures_is_what_happened(source):
 
 
 def test_two_degrees_of_freedom_are_enough_to_learn_from():
-    scene = short("iso9283_3").changed(learn_from="two_dof")
-    cell = set_up(scene, delay=False)
+    cell = set_up(short("iso9283_3").changed(learn_from="two_dof"), delay=False)
     errors = [cell.play(cell.feedforward(method)).errors.time_matched.E_car for method in ("none", "learned_3")]
     assert errors[1] < 0.5 * errors[0]
 
@@ -127,15 +126,12 @@ def test_whole_comparisons(name, tmp_path):
 
 
 def test_bad_scenes_are_refused():
-    scene = load_scene("iso9283_3")
-    with pytest.raises(InputError, match="out of reach"):
-        run(scene.changed(path={"centre": [3.0, 0.0, 0.9]}))
-    with pytest.raises(InputError, match="velocity"):
-        run(scene.changed(speed=6.0, path={"acceleration": 100.0}))
-    with pytest.raises(InputError, match="expected one of"):
-        run(scene, method="magic")
-    with pytest.raises(InputError, match="unknown key"):
-        scene.changed(path={"corner": 1.0})
+    for method, changes, says in (("ideal", {"path": {"centre": [3.0, 0.0, 0.9]}}, "out of reach"),
+                                  ("ideal", {"speed": 6.0, "path": {"acceleration": 100.0}}, "velocity"),
+                                  ("ideal", {"path": {"corner": 1.0}}, "unknown key"),
+                                  ("magic", {}, "expected one of")):
+        with pytest.raises(InputError, match=says):
+            run(load_scene("iso9283_3").changed(**changes), method=method)
 
 
 # Tool paths: figures, timing and orientation.
@@ -146,8 +142,7 @@ CYCLE = 0.012
 @pytest.mark.parametrize("name", ["iso9283", "triangle", "circle", "edge"])
 def test_speed_and_acceleration_stay_within_what_was_asked(name):
     path = tool_path(shape_of(name, 0.3), pin.SE3.Identity(), 0.4, 3.0, CYCLE)
-    x = path.positions
-    speed = np.linalg.norm(np.diff(x, axis=0), axis=1) / CYCLE
+    speed = np.linalg.norm(np.diff(path.positions, axis=0), axis=1) / CYCLE
     assert speed.max() <= 0.4 + 1e-9
     assert path.speed.max() <= 0.4 + 1e-9
     # Along the path 3 m/s²; on arcs the centripetal part comes on top (smallest radius 30 mm of the edge).
@@ -166,8 +161,7 @@ def test_figures_close_and_have_their_size():
 
 
 def test_the_tool_stops_at_corners_and_nowhere_else():
-    path = tool_path(shape_of("triangle", 0.3), pin.SE3.Identity(), 0.4, 3.0, CYCLE)
-    slow = path.speed < 0.02
+    slow = tool_path(shape_of("triangle", 0.3), pin.SE3.Identity(), 0.4, 3.0, CYCLE).speed < 0.02
     starts = np.flatnonzero(np.diff(slow.astype(int)) == -1)
     assert len(starts) == 3
     circle = tool_path(shape_of("circle", 0.3), pin.SE3.Identity(), 0.4, 3.0, CYCLE)
@@ -205,28 +199,21 @@ def test_orientation_turns_by_the_angle():
     np.testing.assert_allclose(pin.log3(turned), [0, 0, np.pi / 2], atol=1e-4)
 
 
-def test_pieces_without_length_are_refused():
-    with pytest.raises(InputError, match="no length"):
-        tool_path(Shape((0.0, 0.0), (Line((0.0, 0.0)),)), pin.SE3.Identity(), 0.1, 1.0, CYCLE)
-
-
-def test_a_speed_that_is_never_reached_is_refused():
-    with pytest.raises(InputError, match="too short for this speed"):
-        tool_path(shape_of("circle", 0.3), pin.SE3.Identity(), 5.0, 3.0, CYCLE)
-
-
-def test_a_path_that_would_last_for_years_is_refused_before_it_is_made():
-    with pytest.raises(InputError, match="would last"):
-        tool_path(shape_of("circle", 0.06), pin.SE3.Identity(), 3e-10, 3.0, CYCLE)
+@pytest.mark.parametrize(("shape", "speed", "acceleration", "says"), [
+    (Shape((0.0, 0.0), (Line((0.0, 0.0)),)), 0.1, 1.0, "no length"),
+    (shape_of("circle", 0.3), 5.0, 3.0, "too short for this speed"),
+    pytest.param(shape_of("circle", 0.06), 3e-10, 3.0, "would last", id="for years, before it is made")])
+def test_a_path_that_cannot_be_is_refused(shape, speed, acceleration, says):
+    with pytest.raises(InputError, match=says):
+        tool_path(shape, pin.SE3.Identity(), speed, acceleration, CYCLE)
 
 
 # Method `adapted` on known paths: friction and inertia, learned from the motors' following errors besides torques.
 
 def torques_alone(setting: Setting) -> Feedforward:
     """What `adapted` would be without what it learns from following errors."""
-    robot, ideal = setting.robot, IdealRobot(setting.loop(), setting.horizon(30))
-    tool = robot.tool_place
-    start = AdaptedIdeal(ideal, FrictionAdaptation(ideal.loop, tool=tool))
+    ideal = IdealRobot(setting.loop(), setting.horizon(30))
+    start = AdaptedIdeal(ideal, FrictionAdaptation(ideal.loop, tool=setting.robot.tool_place))
     practice = setting.plays()
     known = practice.play(start, practice.motion(setting.path())).state
     return AdaptedIdeal(ideal, start.adaptation, known.factors)
@@ -318,22 +305,19 @@ def test_paths_outside_the_limits_are_refused_with_joint_and_time(tmp_path):
 
 
 def test_bad_input_names_file_and_field(tmp_path):
-    with pytest.raises(InputError, match="q_d_1 to q_d_6"):
-        precorrected_path(write(tmp_path, motion()[:, :3]), MODEL)
-    path = write(tmp_path, motion(), prefix="q_c")
-    pd.read_csv(path).drop(columns="q_c_3").to_csv(path, index=False)
-    with pytest.raises(InputError, match=r"q_c_3: column is missing"):
-        precorrected_path(path, MODEL)
     broken = motion().copy()
     broken[10, 2] = np.nan
-    with pytest.raises(InputError, match="not finite"):
-        precorrected_path(write(tmp_path, broken), MODEL)
-    with pytest.raises(InputError, match="rising times"):
-        precorrected_path(write(tmp_path, motion(), np.zeros(len(motion()))), MODEL)
-    with pytest.raises(InputError, match="expected one of"):
-        precorrected_path(write(tmp_path, motion()), MODEL, method="magic")
-    with pytest.raises(InputError, match="no such"):
-        precorrected_path(tmp_path / "missing.csv", MODEL)
+    for q, t, method, says in ((motion()[:, :3], None, "ideal", "q_d_1 to q_d_6"),
+                               (broken, None, "ideal", "not finite"),
+                               (motion(), np.zeros(len(motion())), "ideal", "rising times"),
+                               (motion(), None, "magic", "expected one of")):
+        with pytest.raises(InputError, match=says):
+            precorrected_path(write(tmp_path, q, t), MODEL, method=method)
+    path = write(tmp_path, motion(), prefix="q_c")
+    pd.read_csv(path).drop(columns="q_c_3").to_csv(path, index=False)
+    for file, says in ((path, r"q_c_3: column is missing"), (tmp_path / "missing.csv", "no such")):
+        with pytest.raises(InputError, match=says):
+            precorrected_path(file, MODEL)
 
 
 def test_a_planned_motion_is_a_path_too(tmp_path):

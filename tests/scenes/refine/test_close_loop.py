@@ -41,8 +41,7 @@ def test_after_is_close_to_the_oracle(name: str, seed: int) -> None:
 
 
 def test_undeclared_effect_is_named_with_its_joint() -> None:
-    scene = scene_of(PathScene, "close_stribeck")
-    assert undeclared_effects(scene, 6) == (("stribeck", 2),)
+    assert undeclared_effects(scene_of(PathScene, "close_stribeck"), 6) == (("stribeck", 2),)
 
 
 def test_scene_without_an_undeclared_effect_is_refused() -> None:
@@ -74,8 +73,7 @@ def test_a_world_that_cannot_be_closed_says_which_key_and_why(key: str, value: o
 
 def _small(**changes: object) -> PathScene:
     """The scene with a worn gear on a path of 150 mm, which takes a third of the time."""
-    scene = scene_of(PathScene, "close_elastic").changed(path={"size_mm": 150.0}, **changes)
-    return scene
+    return scene_of(PathScene, "close_elastic").changed(path={"size_mm": 150.0}, **changes)
 
 
 @pytest.mark.slow
@@ -166,8 +164,7 @@ def test_clamped_arm_has_no_arm_angles_to_measure():
 
 @pytest.mark.slow
 def test_path_is_nearly_as_good_as_with_a_tracker():
-    scene = scene_of(CloseClampedScene, "close_clamped")
-    result = close_clamped(scene)
+    result = close_clamped(scene_of(CloseClampedScene, "close_clamped"))
     aligned = result.json()["E_car_aligned_mm"]
     assert aligned["after"] <= 1.3 * aligned["tracker"]
     assert aligned["after"] <= 1.1 * aligned["oracle"]

@@ -6,8 +6,6 @@ import dataclasses
 import inspect
 import json
 import re
-import shutil
-import subprocess
 from pathlib import Path
 
 import cv2
@@ -15,7 +13,6 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from PIL import Image
-from typer.testing import CliRunner
 
 from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, FoundEffect, Traces
 from ideal_robot.effects.base import EffectParameter
@@ -23,7 +20,6 @@ from ideal_robot.effects.fitted import FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from scenes.cli import app
 from scenes.closing.result import Closing
 from scenes.diagnosis.figures import contributions, effect_figure, ladder_figure
 from scenes.diagnosis.page import diagnosis_page, summary
@@ -151,8 +147,7 @@ def test_the_effect_is_drawn_over_the_signal_it_depends_on() -> None:
     (axes,) = figure.axes
     assert axes.get_xlabel() == "velocity of joint 1 [rad/s]"
     assert axes.get_ylabel() == "tau_1 [N m]"
-    curve = next(line for line in axes.lines if line.get_label() == "asymmetric friction")
-    x, y = curve.get_data()
+    x, y = next(line for line in axes.lines if line.get_label() == "asymmetric friction").get_data()
     np.testing.assert_allclose(y[x > 0.1], 2.0, atol=1e-9)
     np.testing.assert_allclose(y[x < -0.1], 0.0, atol=1e-9)
     assert "asymmetric friction" in said
@@ -182,8 +177,7 @@ def test_effects_stand_in_the_order_in_which_they_were_taken() -> None:
 
 def test_an_effect_that_two_channels_show_is_missing_once() -> None:
     one = found(2.0, 0.9)
-    text = summary(diagnosis(one, found(0.9, 0.2)))
-    assert text.count(f" {one.fitted.joint}") == 1
+    assert summary(diagnosis(one, found(0.9, 0.2))).count(f" {one.fitted.joint}") == 1
 
 
 def test_the_error_that_is_told_is_that_of_the_channel_with_the_effect() -> None:
@@ -256,17 +250,11 @@ def _replay(n: int = 1000, script: str = "") -> Replay:
                   curves={"line": tool})
 
 
-def _data(html: str) -> dict[str, object]:
-    found = re.search(r"const DATA = (.*);\n", html)
-    assert found is not None
-    data: dict[str, object] = json.loads(found[1].replace("<\\/", "</"))
-    return data
-
-
 def test_a_long_run_is_thinned_out_and_stays_small() -> None:
     html = _replay(20000).html()
-    data = _data(html)
-    assert len(data["t"]) <= FRAMES  # type: ignore[arg-type]
+    found = re.search(r"const DATA = (.*);\n", html)
+    assert found is not None
+    assert len(json.loads(found[1].replace("<\\/", "</"))["t"]) <= FRAMES
     assert len(html) < 2_000_000
 
 
@@ -289,8 +277,7 @@ def test_an_arm_without_shapes_is_drawn_as_rods(tmp_path: Path) -> None:
 
 
 def test_names_cannot_end_the_script() -> None:
-    html = _replay(50, "</script><script>alert(1)</script>").html()
-    assert html.count("</script>") == 1
+    assert _replay(50, "</script><script>alert(1)</script>").html().count("</script>") == 1
 
 
 def test_arrays_of_other_lengths_are_refused() -> None:
@@ -299,22 +286,19 @@ def test_arrays_of_other_lengths_are_refused() -> None:
         Replay(ROBOT, good.t, good.q, good.tool, good.wanted, good.error[:-1])
 
 
-@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs a headless Chromium")
+@needs_chromium
 def test_it_moves_in_a_browser(tmp_path: Path) -> None:
     """The slider moves the arm: the canvas changes, and the frame shown follows."""
-    page = tmp_path / "page.html"
-    page.write_text(f"""<!DOCTYPE html><meta charset="utf-8">{_replay(100).html()}<pre id="said"></pre><script>
-const canvas = document.querySelector("canvas"), slider = document.querySelector("input[type=range]");
-const before = canvas.toDataURL(); slider.value = 10; slider.dispatchEvent(new Event("input"));
-document.getElementById("said").textContent = JSON.stringify({{moved: canvas.toDataURL() !== before,
-  frame: document.querySelector(".replay").dataset.frame, blank: before.length < 5000}});</script>""", encoding="utf-8")
-    done = subprocess.run(["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic",
-                           "--no-first-run", "--disable-background-networking", "--disable-component-update",
-                           "--disable-sync", f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", page.as_uri()],
-                          capture_output=True, text=True, timeout=120, check=False)
-    found = re.search(r'<pre id="said">(.*?)</pre>', done.stdout)
-    assert found is not None, done.stderr
-    assert json.loads(found[1]) == {"moved": True, "frame": "10", "blank": False}
+    page, canvas = tmp_path / "page.html", 'document.querySelector("canvas").toDataURL()'
+    page.write_text(f'<!DOCTYPE html><meta charset="utf-8">{_replay(100).html()}', encoding="utf-8")
+    with chromium(tmp_path) as browser:
+        browser.open(page.as_uri(), 1000, 800)
+        before = browser.value(canvas)
+        assert len(before) > 5000, "blank"
+        browser.value('slider = document.querySelector("input[type=range]"); slider.value = 10; '
+                      'slider.dispatchEvent(new Event("input"))')
+        assert browser.value('document.querySelector(".replay").dataset.frame') == "10"
+        assert browser.value(canvas) != before
 
 
 # Replays of paths and of methods side by side, and the film of ``run --video``.
@@ -332,10 +316,10 @@ def test_a_paths_replay_shows_the_errors_of_its_table() -> None:
     assert kinds.index("replay") < kinds.index("table")
 
 
-def test_a_film_of_another_format_is_refused_before_the_run(tmp_path: Path) -> None:
-    done = CliRunner().invoke(app, ["run", "line", "--out", str(tmp_path / "o"), "--video", str(tmp_path / "x.avi")])
-    assert done.exit_code != 0
-    assert ".mp4 or .gif" in str(done.exception)
+def test_a_film_of_another_format_is_refused_before_the_run(program, tmp_path: Path) -> None:
+    done = program("run", "line", "--out", "o", "--video", "x.avi")
+    assert done.code == 2
+    assert ".mp4 or .gif" in done.err
     assert not (tmp_path / "o").exists()
 
 
@@ -377,8 +361,7 @@ def test_the_arm_moves_and_the_trace_grows() -> None:
     shown = list(frames(_replay(200), 1.0))
     assert len(shown) == 4
     assert all(frame.shape == shown[0].shape for frame in shown)
-    arm = np.abs(shown[0][:400, :500].astype(int) - shown[2][:400, :500]).mean()
-    assert arm > 1.0
+    assert np.abs(shown[0][:400, :500].astype(int) - shown[2][:400, :500]).mean() > 1.0
 
 
 @pytest.mark.parametrize("ending", [".gif", ".mp4"])

@@ -81,8 +81,7 @@ def test_an_arm_measured_elsewhere_than_commanded_is_not_moved(tmp_path: Path) -
 
 
 def test_one_reading_that_cannot_be_is_missing_and_said(tmp_path: Path) -> None:
-    controller = LaggingController(HOME, measured=lambda k, at: at + (40.0 * (k == 70)))
-    run = played(tmp_path, controller)
+    run = played(tmp_path, LaggingController(HOME, measured=lambda k, at: at + (40.0 * (k == 70))))
     assert run.failure is None
     assert run.counts["implausible"] == 1
 

@@ -13,8 +13,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from typer import Typer
-from typer.testing import CliRunner
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import IdealRobotError, InputError
@@ -34,7 +32,7 @@ from sim.devices.rsi_controller import ControllerRun
 from studies.rsi import SIMULATORS, home_of
 from studies.rsi import played as played_on
 from tests.sim.devices.controllers import ENDLESS, PATIENCE, controlled
-from tests.sources import ROOT
+from tests.sources import ROOT, free_port
 
 ROBOT = Robot.load("kr6")
 T = ROBOT.t_ipo
@@ -146,10 +144,8 @@ def rest_reached(run: RsiRun) -> None:
 
 
 def test_a_command_outside_the_limits_stops_the_arm_on_the_path_and_says_why(tmp_path: Path) -> None:
-    def broken(server: RsiServer) -> None:
-        server.feedforward = Jump(T)
-
-    run, seen = played(written(tmp_path, motion()), cycles=ENDLESS, server_change=broken)
+    run, seen = played(written(tmp_path, motion()), cycles=ENDLESS,
+                       server_change=lambda server: setattr(server, "feedforward", Jump(T)))
     assert run.failure is not None
     assert "stopped on the path at 0.960 s: joint" in run.failure
     assert "velocity" in run.failure
@@ -175,32 +171,21 @@ def test_stop_brings_the_arm_to_rest_on_the_path(tmp_path: Path) -> None:
 
 
 def test_a_controller_that_falls_silent_ends_the_run_and_keeps_the_recording(tmp_path: Path) -> None:
-    def impatient(server: RsiServer) -> None:
-        server.link.timeout = 1.0
-
-    run, _ = played(written(tmp_path, motion()), cycles=70, server_change=impatient)
+    run, _ = played(written(tmp_path, motion()), cycles=70,
+                    server_change=lambda server: setattr(server.link, "timeout", 1.0))
     assert run.failure is not None
     assert "no packet from the controller within 1 s" in run.failure
     assert len(run.recording.t) == 69
 
 
-def _app() -> Typer:
-    from scenes.cli import app
-
-    return app
-
-
-def test_the_command_line_plays_a_path_and_writes_what_json_names(tmp_path: Path) -> None:
-    path = written(tmp_path, motion())
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    words = ["rsi", str(path), "--robot", "kr6", "--port", str(port), "--record", str(tmp_path / "moved.parquet"),
-             "--json", str(tmp_path / "figures.json")]
+def test_the_command_line_plays_a_path_and_writes_what_json_names(program, tmp_path: Path) -> None:
+    written(tmp_path, motion())
+    port = free_port(socket.SOCK_DGRAM)
     with (SimulatedArm(ROBOT, World.default("kr6"), np.random.default_rng(1)) as arm,
           controlled(arm, port, timeout=0.5, patience=100)):
-        done = CliRunner().invoke(_app(), words)
-    assert done.exit_code == 0, done.output
+        done = program("rsi", "path.csv", "--robot", "kr6", "--port", str(port), "--record", "moved.parquet", "--json",
+                       "figures.json")
+    assert done.code == 0, done.err
     figures = json.loads((tmp_path / "figures.json").read_text())
     assert figures["failure"] is None
     assert figures["robot"] == "kr6"
@@ -231,22 +216,21 @@ def test_a_path_outside_the_limits_is_refused(tmp_path: Path) -> None:
         pass
 
 
-def test_missing_samples_are_told_before_the_controller_is_waited_for(tmp_path: Path) -> None:
+def test_missing_samples_are_told_before_the_controller_is_waited_for(program, tmp_path: Path) -> None:
     path, q = tmp_path / "path.csv", motion(400)
     pd.DataFrame({"t": T * np.arange(400.0), **{f"q_d_{i + 1}": q[:, i] for i in range(6)}}).drop(
         index=range(100, 103)).to_csv(path, index=False)
-    done = CliRunner().invoke(_app(), ["rsi", str(path), "--robot", "kr6", "--method", "none", "--port", "0",
-                                       "--wait", "0.1", "--record", str(tmp_path / "r.csv")])
-    assert done.exit_code == 1
-    told, waiting = done.output.index("warning: bridged: 1 times"), done.output.index("waiting for the controller")
-    assert told < waiting
+    done = program("rsi", "path.csv", "--robot", "kr6", "--method", "none", "--port", "0", "--wait", "0.1", "--record",
+                   "r.csv")
+    assert done.code == 1
+    assert done.err.index("warning: bridged: 1 times") < done.err.index("waiting for the controller")
 
 
 @pytest.mark.parametrize("seconds", ["1e20", "nan", "-1"])
-def test_a_wait_that_never_ends_is_refused(seconds: str) -> None:
-    done = CliRunner().invoke(_app(), ["rsi", "p.csv", "--robot", "kr6", "--wait", seconds])
-    assert done.exit_code == 2
-    assert "--wait" in done.output
+def test_a_wait_that_never_ends_is_refused(program, seconds: str) -> None:
+    done = program("rsi", "p.csv", "--robot", "kr6", "--wait", seconds)
+    assert done.code == 2
+    assert "--wait" in done.err
 
 
 # Another cycle than the robot's: the identified loop is brought to it, or it is said why not.

@@ -5,10 +5,10 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
-import socket
 import time
 import zipfile
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +19,14 @@ from PIL import Image
 
 from ideal_robot.errors import InputError
 from ideal_robot.robots.interface import RobotState
-from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.online.journal import Journal, remove
-from scenes.report.replay import Replay, read_replay, replay_beside, write_replay
-from scenes.view.viewer import open_recording, recorded_replay, replay_of_columns
+from scenes.report.replay import Replay, error_colours, read_replay, replay_beside, write_replay
+from scenes.view.live import watch
+from scenes.view.viewer import Player, Viewer, open_recording, recorded_replay, replay_of_columns
 from tests.browser import Page, chromium, needs_chromium
 from tests.scenes.report.test_page import ROBOT, _replay
+from tests.sources import free_port
 
 pytest.importorskip("viser")
 
@@ -88,12 +89,7 @@ def near(picture: np.ndarray, colour: tuple[int, int, int], within: int = 60) ->
 @pytest.mark.slow
 @needs_chromium
 def test_arm_line_force_picture_and_error_are_seen_and_the_slider_moves_them(tmp_path: Path) -> None:
-    from scenes.view.viewer import Player, Viewer
-
-    with socket.socket() as link:
-        link.bind(("127.0.0.1", 0))
-        port = link.getsockname()[1]
-    viewer = Viewer(ROBOT, port)
+    viewer = Viewer(ROBOT, free_port())
     try:
         player = Player(viewer, replay_to_see())
         player.running.value = False
@@ -109,19 +105,17 @@ def test_arm_line_force_picture_and_error_are_seen_and_the_slider_moves_them(tmp
                                                     and (picture[PHONE].max(axis=2) < 80).sum() > 300))
     finally:
         viewer.server.stop()
-    pictures = [first, second]
-    before, after = map(arm, pictures)
-    assert before.sum() > 1500, "the arm"
-    assert (before & ~after).sum() > 300, "the arm moves with the slider"
-    rows, columns = np.nonzero(near(pictures[0][SCENE], (40, 40, 40)))
+    assert arm(first).sum() > 1500, "the arm"
+    assert (arm(first) & ~arm(second)).sum() > 300, "the arm moves with the slider"
+    rows, columns = np.nonzero(near(first[SCENE], (40, 40, 40)))
     assert len(rows) > 300, "the line"
     assert np.ptp(columns) > 150
     assert np.ptp(rows) > 40
-    assert near(pictures[0][SCENE], (0, 110, 190)).sum() > 50, "the force's arrow"
-    assert near(pictures[0][PANEL], (255, 0, 255)).sum() > 3000, "the camera's picture"
-    assert near(pictures[1][PANEL], (255, 0, 255)).sum() == 0
-    assert near(pictures[1][PANEL], (0, 255, 255)).sum() > 3000, "the camera's picture of the other instant"
-    assert near(pictures[0][PANEL], (224, 106, 0)).sum() > 100, "the error over time"
+    assert near(first[SCENE], (0, 110, 190)).sum() > 50, "the force's arrow"
+    assert near(first[PANEL], (255, 0, 255)).sum() > 3000, "the camera's picture"
+    assert near(second[PANEL], (255, 0, 255)).sum() == 0
+    assert near(second[PANEL], (0, 255, 255)).sum() > 3000, "the camera's picture of the other instant"
+    assert near(first[PANEL], (224, 106, 0)).sum() > 100, "the error over time"
     assert orange(phone[PHONE]).sum() > 1500, "the arm on a phone"
     assert np.ptp(np.nonzero(orange(phone[PHONE]))[0]) > 100, "all of it"
     assert (phone[PHONE].max(axis=2) < 80).sum() > 300, "the line on a phone"
@@ -130,24 +124,31 @@ def test_arm_line_force_picture_and_error_are_seen_and_the_slider_moves_them(tmp
 
 # The page of a run on devices while it goes on.
 
-pytest.importorskip("viser")
-KR6 = Robot.load("kr6")
+@contextmanager
+def watched(folder: Path, **known: Any) -> Iterator[Any]:
+    """The page of a folder."""
+    page = watch(ROBOT, folder, free_port(), known)
+    try:
+        yield page
+    finally:
+        page.viewer.server.stop()
+
+
+def begun(folder: Path) -> Journal:
+    return Journal(folder, ROBOT, {"scene": "seam", "method": "ideal"})
 
 
 def ran(journal: Journal, cycles: range) -> None:
     for k in cycles:
-        q = KR6.home + 0.004 * k * np.array([1.0, 0, 0, 0, 0, 0])
+        q = ROBOT.home + 0.004 * k * np.array([1.0, 0, 0, 0, 0, 0])
         journal.add(0.012 * k, RobotState(0.012 * (k + (k > 50)), q, np.zeros(6)), q + 0.001, q)
 
 
 def test_the_page_follows_the_journal_and_says_how_it_ended(tmp_path: Path) -> None:
-    from scenes.view.live import watch
-
-    page = watch(KR6, tmp_path, 8090, {})
-    try:
+    with watched(tmp_path) as page:
         page.update()
         assert "waiting" in page.state
-        journal = Journal(tmp_path, KR6, {"scene": "seam", "method": "ideal"})
+        journal = begun(tmp_path)
         ran(journal, range(100))
         page.update()
         assert "seam" in page.state
@@ -165,83 +166,51 @@ def test_the_page_follows_the_journal_and_says_how_it_ended(tmp_path: Path) -> N
             {"scene": "seam", "method": "ideal", "failure": "stopped by the user", "cycles": 140, "report": "r.html"}))
         page.update()
         assert "stopped by the user" in page.state
-    finally:
-        page.viewer.server.stop()
 
 
 @pytest.mark.parametrize("change", [{"cycle_time": {"a": 1}}, {"cycle_time": 1e-320}, {"cycle_time": 0},
                                     {"cycle_time": 10**400}, {"gain": [1.0] * 3}])
 def test_a_journal_that_is_none_of_the_arm_is_waited_out(change: dict[str, Any], tmp_path: Path) -> None:
-    from scenes.view.live import watch
-
-    journal = Journal(tmp_path, KR6, {"scene": "seam", "method": "ideal"})
-    ran(journal, range(100))
+    ran(begun(tmp_path), range(100))
     meta = json.loads((tmp_path / "journal.json").read_text())
     (tmp_path / "journal.json").write_text(json.dumps({**meta, **change}))
-    page = watch(KR6, tmp_path, 8092, {})
-    try:
+    with watched(tmp_path) as page:
         page.update()
         assert "waiting" in page.state
-    finally:
-        page.viewer.server.stop()
 
 
 @pytest.mark.slow
 @needs_chromium
 def test_the_arm_its_way_and_the_words_are_seen(tmp_path: Path) -> None:
-    from scenes.view.live import watch
-
-    page = watch(KR6, tmp_path, 8091, {"reference": np.array([[0.5, -0.5, 0.3], [0.9, 0.5, 0.3]])})
-    journal = Journal(tmp_path, KR6, {"scene": "seam", "method": "ideal"})
+    journal = begun(tmp_path)
     ran(journal, range(200))
-    try:
+
+    def there(picture: np.ndarray) -> bool:
+        return bool(orange(picture).sum() > 1000 and near(picture, (0, 110, 190), 40).sum() > 50)
+
+    with (watched(tmp_path, reference=np.array([[0.5, -0.5, 0.3], [0.9, 0.5, 0.3]])) as page,
+          chromium(tmp_path) as browser):
         page.update()
-        with chromium(tmp_path) as browser:
-            browser.open(f"http://127.0.0.1:{page.viewer.port}/", 1000, 900)
-            until = time.monotonic() + 90.0
-            while True:
-                picture = browser.picture().astype(int)
-                arm = (picture[..., 0] - picture[..., 2] > 30).sum()
-                way = (np.abs(picture - np.array([0, 110, 190])).max(axis=2) < 40).sum()
-                if (arm > 1000 and way > 50) or time.monotonic() > until:
-                    break
-                time.sleep(0.5)
-            said = browser.value("document.body.innerText")
-    finally:
-        page.viewer.server.stop()
-        journal.close()
-    assert arm > 1000
-    assert way > 50
+        browser.open(f"http://127.0.0.1:{page.viewer.port}/", 1000, 900)
+        picture, said = seen(browser, there), browser.value("document.body.innerText")
+    journal.close()
+    assert there(picture), "the arm and its way"
     assert "running" in said
     assert "200 cycles of 12 ms" in said
 
 
 # The viewer of recordings: what is in the scene's tree, and that slider, picture and ghost follow.
 
-viser = pytest.importorskip("viser")
-
-
-def gray_png(gray: int) -> bytes:
-    file = io.BytesIO()
-    Image.new("L", (8, 6), gray).save(file, "png")
-    return file.getvalue()
-
-
 def whole_replay() -> Replay:
     corners = np.array([[0.0, 0, 0.3], [1, 0, 0.3], [1, 1, 0.3], [0, 1, 0.3]])
     plain = _replay(200)
-    return dataclasses.replace(plain, surface=corners, pictures=((0.0, gray_png(10)), (4.0, gray_png(240))),
+    return dataclasses.replace(plain, surface=corners, pictures=((0.0, png((10,) * 3)), (4.0, png((240,) * 3))),
                                ghost=plain.q + 0.1, force=np.outer(plain.t, [0.0, 0.0, 5.0]))
 
 
 @pytest.fixture
 def player() -> Iterator[object]:
-    from scenes.view.viewer import Player, Viewer
-
-    with socket.socket() as link:
-        link.bind(("127.0.0.1", 0))
-        port = link.getsockname()[1]
-    viewer = Viewer(ROBOT, port)
+    viewer = Viewer(ROBOT, free_port())
     yield Player(viewer, whole_replay())
     viewer.server.stop()
 
@@ -269,8 +238,6 @@ def test_the_slider_moves_arm_tool_ghost_and_picture(player) -> None:  # type: i
 
 
 def test_colours_go_from_green_to_red_and_gray_does_not_count() -> None:
-    from scenes.report.replay import error_colours
-
     green, red, gray = error_colours(np.array([0.0, -2.0, np.nan]))
     assert green[1] > green[0]
     assert red[0] > red[1]
@@ -292,8 +259,7 @@ def test_a_replay_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert read.pictures == replay.pictures
     assert read.error_name == replay.error_name
     assert list(read.curves) == list(replay.curves)
-    other = dataclasses.replace(replay, q=replay.q + 0.5)
-    assert read_replay(path, ROBOT, of_replay(other)) is None
+    assert read_replay(path, ROBOT, of_replay(dataclasses.replace(replay, q=replay.q + 0.5))) is None
     path.write_bytes(b"no zip")
     with pytest.raises(InputError, match="delete it"):
         read_replay(path, ROBOT, recording)
@@ -301,9 +267,8 @@ def test_a_replay_is_read_as_it_was_written(tmp_path: Path) -> None:
 
 def test_any_recording_shows_how_far_the_tool_is_from_the_command() -> None:
     replay = replay_of_columns(ROBOT, of_replay(_replay(100)))
-    pose = Robot.load("kr6").fk()
     k = 40
-    wanted = pose(replay.q[k] + 1e-3).translation
+    wanted = ROBOT.fk()(replay.q[k] + 1e-3).translation
     assert replay.error[k] == pytest.approx(1e3 * np.linalg.norm(wanted - replay.tool[k]), rel=1e-6)
     assert "commanded" in replay.curves
 
@@ -338,8 +303,7 @@ def test_a_replay_with_an_array_of_another_shape_is_refused(name: str, value: np
         read_replay(path, ROBOT, of_replay(replay))
 
 
-def test_a_replay_with_half_a_header_is_refused(tmp_path: Path) -> None:
-    replay, path = whole_replay(), tmp_path / "recording.replay.npz"
+    # Half a header.
     write_replay(replay, path, of_replay(replay))
     with zipfile.ZipFile(path) as file:
         parts = {name: file.read(name) for name in file.namelist()}
@@ -355,8 +319,7 @@ def test_positions_that_are_missing_are_not_shown() -> None:
     """Of what is not a number no rotation can be made."""
     columns = dict(of_replay(_replay(100)).columns)
     columns["q_2"] = np.where(np.arange(100) < 40, np.nan, columns["q_2"])
-    replay = replay_of_columns(ROBOT, Recording(columns, {"robot": "kr6"}))
-    assert len(replay.t) == 60
+    assert len(replay_of_columns(ROBOT, Recording(columns, {"robot": "kr6"})).t) == 60
     columns["q_2"] = np.full(100, np.inf)
     with pytest.raises(InputError, match="no two samples"):
         replay_of_columns(ROBOT, Recording(columns, {"robot": "kr6"}))
