@@ -168,12 +168,12 @@ SINGLE = ("inside", "new", "model", "arm")
 
 def rates(scores: Sequence[Score]) -> str:
     """Markdown table of the rates, all engines together and each by itself."""
-    engines = sorted({s.engine for s in scores})
-    groups = [list(scores), *([s for s in scores if s.engine == e] for e in engines)]
-    lines = ["| what | all | " + " | ".join(engines) + " |", "| --- |" + " --- |" * (1 + len(engines))]
+    columns = {engine: [s for s in scores if s.engine == engine] for engine in sorted({s.engine for s in scores})}
+    columns = columns if len(columns) == 1 else {"all": list(scores), **columns}
+    lines = [f"| what | {' | '.join(columns)} |", "| --- |" + " --- |" * len(columns)]
 
     def row(name: str, value: Callable[[list[Score]], str]) -> None:
-        lines.append(f"| {name} | " + " | ".join(value(group) for group in groups) + " |")
+        lines.append(f"| {name} | " + " | ".join(map(value, columns.values())) + " |")
 
     def single(group: list[Score]) -> list[bool]:
         return [s.right for s in group if s.kind in SINGLE]
