@@ -83,7 +83,7 @@ def certainty(seeds: str = "1600000-1600079", inside: str = "1600100-1600155", s
     print("\n\n".join((power(scores), detection(scores, _family), reliability(scores))))
 
 
-def each_effect(seeds: str = "1970000-1970029", sizes: str = "0.1,5", lines: Path | None = None) -> None:
+def each_effect(seeds: str = "1970000-1970011", sizes: str = "0.1,5", lines: Path | None = None) -> None:
     """From which size on each effect of the motor torque and of the arm's angle is found, and what is named falsely.
 
     Trials as in `certainty`, one of each effect from each of --seeds plus a hundred thousand times its place in the

@@ -14,6 +14,7 @@ from docs import published_numbers
 from ideal_robot.errors import InputError
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from planning.line.deviation_model import Stand
 from scenes import load_scene
@@ -188,7 +189,7 @@ def test_emergency_stops_on_the_path_within_limits(changes: dict[str, object], r
     assert written.meta["stopped_because"] == result.failure
     assert json.loads((tmp_path / "report.json").read_text())["failure"] == result.failure
     v = np.diff(np.array(result.log.q_d), axis=0) / 0.012
-    robot = result.scene.arm
+    robot = Robot.load("kr6")
     assert np.all(np.abs(v) <= robot.v_max)
     assert np.all(np.abs(np.diff(v[::2], axis=0)) / 0.024 <= robot.a_max)
     # At rest at the end, and where a force was the reason off the surface.
