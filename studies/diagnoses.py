@@ -95,7 +95,7 @@ def each_effect(seeds: str = "1970000-1970011", sizes: str = "0.1,5", lines: Pat
         draw = partial(draw_trial, kind=kind, size=(least, most), seconds=(15.0, 25.0), cause=cause)
         scores += _scores([seed + 100000 * place for seed in whole_numbers(seeds, "--seeds")], lines,
                           partial(_play, draw=draw))
-    print(power(scores), detection(scores, lambda cause: cause), sep="\n\n")
+    print(power(scores), detection(scores, lambda cause: cause, "effect"), sep="\n\n")
 
 
 def by_name(scores: Sequence[Score]) -> list[Score]:

@@ -210,8 +210,8 @@ def power(scores: Sequence[Score]) -> str:
     return "\n".join(lines)
 
 
-def detection(scores: Sequence[Score], family_of: Callable[[str], str]) -> str:
-    """Markdown table: sizes at which half and nine tenths of the effects of a family are named at their joint.
+def detection(scores: Sequence[Score], family_of: Callable[[str], str], title: str = "family") -> str:
+    """Markdown table with a title: sizes at which half and nine tenths of a family's effects are named at their joint.
 
     The log odds of being named are a family's own plus a slope, common to all, times the logarithm of the size: one
     logistic regression of all trials by Firth's penalised likelihood (1993), finite where a family was always named.
@@ -219,21 +219,20 @@ def detection(scores: Sequence[Score], family_of: Callable[[str], str]) -> str:
     twice of that size; their standard error is a Poisson number's under Jeffreys' prior.
 
     Args:
-        scores: of trials.
+        scores, title: of trials; of the first column.
         family_of: a cause by its name.
     """
     trials = [s for s in scores if s.kind in SINGLE]
     size, found, false = np.array([(np.log(s.causes[0][2]), all(s.found), len(s.false))
                                    for s in trials]).reshape(-1, 3).T
     family = np.array([family_of(s.causes[0][0]) for s in trials])
-    lines = ["| family | effects | named | half of them from | false names there | nine tenths from | "
+    lines = [f"| {title} | recordings | named | half of them from | false names there | nine tenths from | "
              "false names there |", "| --- " * 7 + "|"]
     for group in (["all"], sorted(set(family))):
         member = np.array([(family == one) | (one == "all") for one in group])
         x = np.vstack([member, size]).T
         if np.linalg.matrix_rank(x) < x.shape[1]:
-            # Trials of one size, or none, say nothing of a slope.
-            continue
+            continue  # Trials of one size, or none, say nothing of a slope.
         beta, covariance = _logistic(x, found > 0.0)
         for k, (one, own) in enumerate(zip(group, member, strict=True)):
             cells = []
@@ -243,7 +242,8 @@ def detection(scores: Sequence[Score], family_of: Callable[[str], str]) -> str:
                 slope[[k, -1]] = -1.0, -at
                 error = np.sqrt(slope @ covariance @ slope) / beta[-1]
                 here = false[own & (np.abs(size - at) < np.log(2.0))]
-                cells.append(f"{np.exp(at):.2g} ({np.exp(at - error):.2g} … {np.exp(at + error):.2g})")
+                sizes = (f"{float(f'{np.exp(x):.2g}'):g}" for x in (at, at - error, at + error))
+                cells.append("{} ({} … {})".format(*sizes))
                 cells.append(f"{here.mean():.2f} ± {np.sqrt(here.sum() + 0.5) / len(here):.2f}" if len(here) else "")
             lines.append(f"| {one} | {own.sum()} | {found[own].sum():.0f} | {' | '.join(cells)} |")
     return "\n".join(lines)
