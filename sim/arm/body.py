@@ -338,6 +338,6 @@ def _lay(corners: Array, client: int) -> None:
     shape = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=[0.5 * length, 0.5 * width, 0.005],
                                        rgbaColor=[0.97, 0.97, 0.93, 1.0], physicsClientId=client)
     # The line is drawn as a rod with its middle on the surface.
-    place = 0.25 * corners.sum(axis=0) - 0.007 * normal
+    place = 0.25 * corners.sum(axis=0) - (0.005 + 0.002) * normal
     pybullet.createMultiBody(0.0, -1, shape, place.tolist(), pin.Quaternion(rotation).coeffs().tolist(),
                              physicsClientId=client)

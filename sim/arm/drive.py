@@ -17,7 +17,7 @@ from sim.arm.world import STEP, World
 # command every t_ipo → linear interpolation → low-pass → position loop (P, velocity feedforward) every t_position
 # → velocity loop (PI, velocity from a low-pass differentiator of the encoder) every t_velocity → current
 
-PER_JOINT = {
+_PER_JOINT = {
     kernel.C_KV: "position_gain", kernel.C_KFF: "velocity_feedforward", kernel.C_KP: "velocity_gain",
     kernel.P_V_STRIBECK: "stribeck_velocity", kernel.P_ASYMMETRY: "friction_asymmetry",
     kernel.P_V_DEGRESSIVE: "degressive_velocity", kernel.P_LUBRICATION: "lubrication",
@@ -45,7 +45,7 @@ def drive_parameters(world: World, robot: Robot, rotor_inertia: Array, drive_gai
     n = robot.n
     limit = motor_torque_limit(robot)
     p = np.zeros((kernel.PARAMETERS, n))
-    for row, name in PER_JOINT.items():
+    for row, name in _PER_JOINT.items():
         p[row] = world.per_joint(name, n)
     p[kernel.C_KI] = p[kernel.C_KP] * world.t_velocity / world.per_joint("integral_time", n)
     p[kernel.C_LIMIT] = limit if world.torque_limits else np.inf
@@ -64,11 +64,17 @@ def drive_parameters(world: World, robot: Robot, rotor_inertia: Array, drive_gai
     p[kernel.P_RIPPLE_ORDER] = world.per_joint("ripple_order", n) * robot.gear_ratio
     p[kernel.P_PHASE] = phase
     p[kernel.P_NOISE] = world.per_joint("current_noise", n) * np.where(np.isfinite(robot.tau_max), limit, 0.0)
-    shared = np.array([  # in the order of the kernel's S_…
-        STEP, _share(world.t_position, world.low_pass), _share(world.t_velocity, world.velocity_filter),
-        _share(STEP, world.current_lag), world.t_position, world.t_velocity, world.dry_temperature,
-        world.viscosity_temperature, world.reference_temperature, world.ambient_temperature,
-        world.time_compression / world.lubrication_time])
+    shared = np.zeros(kernel.S_LUBRICANT_RATE + 1)
+    for row, value in {
+        kernel.S_DT: STEP, kernel.S_LOW_PASS: _share(world.t_position, world.low_pass),
+        kernel.S_VELOCITY_PASS: _share(world.t_velocity, world.velocity_filter),
+        kernel.S_CURRENT_PASS: _share(STEP, world.current_lag), kernel.S_T_POSITION: world.t_position,
+        kernel.S_T_VELOCITY: world.t_velocity, kernel.S_DRY_TEMPERATURE: world.dry_temperature,
+        kernel.S_VISCOSITY_TEMPERATURE: world.viscosity_temperature, kernel.S_REFERENCE: world.reference_temperature,
+        kernel.S_AMBIENT: world.ambient_temperature,
+        kernel.S_LUBRICANT_RATE: world.time_compression / world.lubrication_time,
+    }.items():
+        shared[row] = value
     counts = np.array([round(cycle / STEP) for cycle in
                        (world.t_ipo, world.t_position, world.t_velocity, min(world.log_cycle, 0.002))], dtype=np.int64)
     return p, shared, counts
