@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ideal_robot.arrays import Array
 from ideal_robot.feedforward.arm_of_its_type import arm_of_its_type
 from ideal_robot.feedforward.base import Feedforward, PassThrough
 from ideal_robot.feedforward.corrected_arm import CorrectedArm, for_arm
@@ -74,8 +76,16 @@ def _adapted(setting: Setting) -> Feedforward:
     # The motors tell friction's shape only where the path is not planned anew while they are on their way. What they
     # tell of it on another motion is not this path's: it starts with none.
     curve = FrictionCurve(start.ideal.loop)
-    return _corrected(setting, AdaptedIdeal(start.ideal, start.adaptation, before.state.factors, curve,
-                                            curve.inertia_alone(before.state.curve)))
+    known = before.state.factors, curve, curve.inertia_alone(before.state.curve)
+
+    def strayed(joints: NDArray[np.bool_]) -> Array:
+        """How far the motors stray from their plan on the path ``(n,)`` where these joints are adapted."""
+        tried = AdaptedIdeal(start.ideal, start.adaptation, *known, joints)
+        return np.asarray(practice.play(tried, setting.path()).state.curve.strayed)
+
+    # What another motion tells is kept in the joints that follow the path better with it.
+    every = np.ones(setting.robot.n, dtype=bool)
+    return _corrected(setting, AdaptedIdeal(start.ideal, start.adaptation, *known, strayed(every) < strayed(~every)))
 
 
 def _adapting(setting: Setting, curve: FrictionCurve | None = None) -> AdaptedIdeal:

@@ -27,6 +27,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics, joint_frames, point_mass, torque_at
@@ -317,12 +318,14 @@ class AdaptedIdeal(Feedforward):
         curve: learns from following errors what is left; nothing does if None. For paths known beforehand: one
             that is planned anew all the time leaves following errors that are not friction's.
         known_curve: what that starts with; nothing if None.
+        adapted: joints ``(n,)`` in which what is learned of friction and inertia is used; all if None.
     """
 
     def __init__(self, ideal: IdealRobot, adaptation: FrictionAdaptation | None = None,
                  known: FrictionFactors | None = None, curve: FrictionCurve | None = None,
-                 known_curve: CurveState | None = None) -> None:
+                 known_curve: CurveState | None = None, adapted: NDArray[np.bool_] | None = None) -> None:
         self.ideal, self.known, self.curve, self.known_curve = ideal, known, curve, known_curve
+        self.adapted = adapted
         self.adaptation = FrictionAdaptation(ideal.loop) if adaptation is None else adaptation
         self.n_d, self.t_ipo = ideal.n_d, ideal.t_ipo
 
@@ -337,7 +340,11 @@ class AdaptedIdeal(Feedforward):
         friction = factors.friction
         if self.curve is not None and curve is not None:
             friction = self.adaptation.more(friction, self.curve.values(curve))
-        return self.ideal.drives._replace(**dict(zip(FRICTION, friction, strict=True)))
+        known = dict(zip(FRICTION, friction, strict=True))
+        if self.adapted is not None:
+            known = {name: np.where(self.adapted, value, getattr(self.ideal.drives, name))
+                     for name, value in known.items()}
+        return self.ideal.drives._replace(**known)
 
     def observe(self, state: AdaptedState, measured: RobotState) -> AdaptedState:
         """Takes what the controller reported at the end of a cycle."""
@@ -359,6 +366,8 @@ class AdaptedIdeal(Feedforward):
             # The motors hold already at rest what was learned before the first step.
             inner = self.ideal.init(inner.q_d[-1], carried)
         inertia = None if curve is None else curve.inertia
+        if inertia is not None and self.adapted is not None:
+            inertia = self.adapted[:, None] * inertia
         q_c, inner = self.ideal.step_with(state.drives, inner, q_d, tau_ext_d, carried, inertia)
         if self.curve is not None and curve is not None:
             curve = self.curve.planned(curve, inner)

@@ -77,6 +77,7 @@ class CurveState(NamedTuple):
         measured: motor angles of the first of these cycles, each ``(n,)`` [rad].
         error: following error of the last cycle that is counted ``(n,)`` [rad]; None before the first.
         integral: torque of the controller's integral part beyond the planned one ``(n,)`` [N m].
+        strayed: sum over the cycles that are counted of the squared following errors ``(n,)`` [rad²].
     """
 
     x: Array
@@ -86,6 +87,7 @@ class CurveState(NamedTuple):
     measured: tuple[Array, ...]
     error: Array | None
     integral: Array
+    strayed: Array
 
 
 class _Known(NamedTuple):
@@ -138,7 +140,8 @@ class FrictionCurve:
 
     def _begun(self, x: Array, covariance: Array, places: Array) -> CurveState:
         x, covariance = remembered(x, covariance, places)
-        return CurveState(x, covariance, self._inertia(x), (), (), None, np.zeros(self.loop.n))
+        still = np.zeros(self.loop.n)
+        return CurveState(x, covariance, self._inertia(x), (), (), None, still, still)
 
     def _inertia(self, x: Array) -> Array:
         return np.asarray(x[:, TERMS + 1 :] * self._known.unit)
@@ -155,8 +158,8 @@ class FrictionCurve:
         if len(plans) > self.loop.delay + 1 + len(measured):  # the cycle before was not measured
             measured, error = (), None
         plan = Planned(ideal.q_m, ideal.v_m, ideal.turned, state.x)
-        return CurveState(state.x, state.covariance, state.inertia,
-                          (*plans, plan)[-self.loop.delay - 2 - len(measured) :], measured, error, state.integral)
+        plans = (*plans, plan)[-self.loop.delay - 2 - len(measured) :]
+        return state._replace(plans=plans, measured=measured, error=error)
 
     def update(self, state: CurveState, q: Array) -> CurveState:
         """Takes the motor angles ``(n,)`` [rad] that the controller reported at the end of a cycle."""
@@ -165,7 +168,7 @@ class FrictionCurve:
         measured = (*state.measured, np.array(q, dtype=float))
         # The first following error tells no torque yet.
         if len(measured) < self._together + (state.error is None):
-            return CurveState(*state[:4], measured, *state[5:])
+            return state._replace(measured=measured)
         return self._counted(state, measured)
 
     def _counted(self, state: CurveState, measured: tuple[Array, ...]) -> CurveState:
@@ -176,7 +179,8 @@ class FrictionCurve:
         if not np.abs(errors).max() < STRAY:
             # The first that strays ends what was known of this motion.
             known = state if state.error is None else self.init(state)
-            return CurveState(known.x, known.covariance, known.inertia, plans, (), None, known.integral)
+            return known._replace(plans=plans, measured=(), error=None, strayed=state.strayed)
+        strayed = state.strayed + np.square(errors).sum(axis=0)
         if state.error is None:
             now = now[1:]
         else:
@@ -184,7 +188,7 @@ class FrictionCurve:
         x, covariance, integral = state.x.copy(), state.covariance.copy(), state.integral.copy()
         _learned(self._known, np.array([plan.v for plan in now]), np.array([plan.turned for plan in now]),
                  (np.array([plan.x for plan in now]), np.array(errors)), (x, covariance, integral))
-        return CurveState(x, covariance, self._inertia(x), plans, (), errors[-1], integral)
+        return CurveState(x, covariance, self._inertia(x), plans, (), errors[-1], integral, strayed)
 
 
 @jit()

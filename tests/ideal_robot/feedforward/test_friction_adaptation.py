@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal, FrictionAdaptation
+from ideal_robot.feedforward.friction_curve import FrictionCurve
 from ideal_robot.feedforward.friction_estimator import FAR, OWN, SHARED, TERMS
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.loop.simulation import simulate
@@ -150,6 +151,23 @@ def test_without_a_recording_it_is_the_ideal_robot():
     loop, q_d = plant(), motion()
     adapts = AdaptedIdeal(IdealRobot(loop), FrictionAdaptation(loop, tool=TOOL))
     np.testing.assert_array_equal(commands(adapts, q_d), commands(IdealRobot(loop), q_d))
+
+
+def test_what_is_learned_is_used_in_the_adapted_joints_alone():
+    """Joints that are left as they were get the ideal robot's torque, the others the adapted one's."""
+    loop, q_d = plant(), motion()
+    adaptation, curve = FrictionAdaptation(loop), FrictionCurve(loop)
+    known = fed(adaptation, states(plant(friction=1.4), q_d))
+    inertia = curve.init()
+    inertia = inertia._replace(inertia=inertia.inertia + 0.1)
+    some = np.arange(loop.n) % 2 == 0
+    none, all_, mixed = (AdaptedIdeal(IdealRobot(loop), adaptation, known, curve, adapted=joints)
+                         for joints in (~some & some, None, some))
+    after = [one.step(one.init(q_d[0])._replace(curve=inertia), q_d[60:90])[1].ideal for one in (none, all_, mixed)]
+    plain = IdealRobot(loop)
+    np.testing.assert_array_equal(after[0].tau, plain.step(plain.init(q_d[0]), q_d[60:90])[1].tau)
+    np.testing.assert_array_equal(after[2].tau, np.where(some, after[1].tau, after[0].tau))
+    assert np.all(after[1].tau != after[0].tau)
 
 
 @pytest.mark.parametrize("amplitude", [0.0, 1e-4])
