@@ -11,11 +11,12 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.effects.camera import CameraErrors
 from ideal_robot.elasticity.observer import GearDeflection
-from ideal_robot.errors import IdealRobotError
+from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.feedforward.corrected_arm import CorrectedArm
 from ideal_robot.feedforward.method import Setting
 from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import RobotState
+from ideal_robot.signals.recording import expect
 from planning.line.deviation_sensor import DeviationSensor, fuse_reading
 from planning.line.direct_feedback import DirectFeedback
 from planning.line.measurement import Fused
@@ -75,6 +76,8 @@ class LineTask:
         # Once for nothing, so that compiling does not fall into the first cycles.
         follower.reference.project(follower.reference.position(np.array([0.1])), 0.1)
         for sensor in self.sensors:
+            if sensor.name in log.sensor_values:
+                raise InputError("two sensors have that name; give each its own", field="sensors", value=sensor.name)
             log.sensor_values[sensor.name] = log.sensor_used[sensor.name] = 0
 
     def learn(self, moved: Iterable[RobotState]) -> None:
@@ -123,7 +126,9 @@ class LineTask:
             if seen.seen and not np.isfinite(self.log.first_used):
                 self.log.first_used = t
         for sensor in self.sensors:
-            for reading in (one for one in sensor.arrived(t) if np.isfinite(one.value)):
+            readings = sensor.arrived(t)
+            expect(readings, Sequence, f"{sensor.name}: arrived", "return a list of Readings, empty where none is new")
+            for reading in (one for one in readings if np.isfinite(one.value)):
                 self.log.sensor_values[sensor.name] += 1
                 self.log.sensor_used[sensor.name] += fuse_reading(self.follower, reading, sensor.name).dof
         if self.method.senses:
@@ -138,7 +143,9 @@ class LineTask:
         arrived = replace(arrived, t_stamp=arrived.t_stamp + self._known.late_by(arrived.t_stamp))
         pose = follower.history.row_pose(arrived.t_stamp)
         ahead = self.cell.predicted(arrived.t_stamp)
-        seen = self.cell.detector.detect(arrived, self.cell.camera, ahead, self.cell.detection)
+        detector = self.cell.detector
+        seen = detector.detect(arrived, self.cell.camera, ahead, self.cell.detection)
+        expect(seen, LineField, f"detector {detector.name}", "return one from detect, also where no line is seen")
         seen = replace(seen, points_tcp=self._known.points(seen.points_tcp, self.cell.camera.axis_on_surface))
         seen = at_middle_row(seen, self.cell.camera, follower.history.row_pose)
         if self._direct is not None:
