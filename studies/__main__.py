@@ -52,7 +52,7 @@ GROUPS = {
         "rsi-packets": "packets", "packets": "packets", "mutations": "mutations",
         "faults": "faults", "sound-forces": "faults", "camera-faults": "faults", "arm-faults": "faults",
         "sweep-kills": "sweeps", "sweep-efficiency": "sweeps", "sweep-plan": "sweeps",
-        "check-suite": "sweeps", "mutants": "mutants",
+        "check-suite": "sweeps", "mutants": "mutants", "constants": "constants",
         "rsi-hour": "rsi", "rsi-simulators": "rsi", "loopback": "loopback", "follow-hour": "loopback",
     },
 }

@@ -21,7 +21,7 @@ import tempfile
 import time
 import tomllib
 from collections import defaultdict
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Iterator
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
@@ -82,7 +82,7 @@ class _Order:
         return result
 
 
-def _in_child(job: Callable[[], int], seconds: float) -> int:
+def in_child(job: Callable[[], int], seconds: float) -> int:
     """What a job returns, run in a process of its own for ``seconds`` of processor time; -1 where it is ended."""
     child = os.fork()
     if child == 0:
@@ -106,12 +106,7 @@ def _in_child(job: Callable[[], int], seconds: float) -> int:
 def _play(root: Path, files: Iterable[str], order: _Order, seconds: float, keep: Path | None = None) -> int:
     """Exit code of pytest for test files of a copy; with ``keep`` all are played, and what they took is written."""
     def job() -> int:
-        # Ours are those of the copy; libraries are loaded already.
-        for name in [name for name in sys.modules if name.partition(".")[0] in FOLDERS]:
-            del sys.modules[name]
-        os.chdir(root)
-        sys.path[:] = [str(root), *(place for place in sys.path if Path(place or ".").resolve() != ROOT)]
-        os.environ["PYTHONPATH"] = str(root)
+        ours_of(root)
         sys.dont_write_bytecode = keep is None
         code = int(pytest.main(["-q", "-p", "no:cacheprovider", *(["-x"] if keep is None else []), *files],
                                plugins=[order]))
@@ -119,7 +114,16 @@ def _play(root: Path, files: Iterable[str], order: _Order, seconds: float, keep:
             keep.write_text(json.dumps(order.taken), encoding="utf-8")
         return code
 
-    return _in_child(job, seconds)
+    return in_child(job, seconds)
+
+
+def ours_of(root: Path) -> None:
+    """Lets this process import our modules from a copy; libraries that are loaded stay."""
+    for name in [name for name in sys.modules if name.partition(".")[0] in FOLDERS]:
+        del sys.modules[name]
+    os.chdir(root)
+    sys.path[:] = [str(root), *(place for place in sys.path if Path(place or ".").resolve() != ROOT)]
+    os.environ["PYTHONPATH"] = str(root)
 
 
 @cache
@@ -143,7 +147,7 @@ def tests_of(file: str) -> list[str]:
 
 
 @cache
-def _compiled_with(file: str) -> tuple[str, ...]:
+def compiled_with(file: str) -> tuple[str, ...]:
     """Modules whose compiled code may hold a module's."""
     users: dict[str, set[str]] = defaultdict(set)
     texts = {str(path.relative_to(ROOT).with_suffix("")): path for folder in FOLDERS[:5]
@@ -159,7 +163,7 @@ def _compiled_with(file: str) -> tuple[str, ...]:
     return tuple(sorted(found))
 
 
-def _one_stamp() -> None:
+def one_stamp() -> None:
     """Lets numba trust compiled code of the copy whatever its file's time; what a fault touches is taken away here."""
     caching._SourceFileBackedLocatorMixin.get_source_stamp = lambda self: (0.0, 0)
 
@@ -176,26 +180,32 @@ class Copy:
                 shutil.copy2(file, root)
 
     def _code(self, file: str) -> list[Path]:
-        return [path for name in _compiled_with(file)
+        return [path for name in compiled_with(file)
                 for path in (self.root / name).parent.glob(f"__pycache__/{Path(name).name}.*.nbc")]
 
     def killed(self, mutant: Mutant, tests: list[str], known: dict[str, float]) -> bool:
         """Whether a test notices a fault."""
-        file = self.root / mutant.file
-        source = file.read_bytes()
-        kept = {path: path.read_bytes() for path in self._code(mutant.file)} if mutant.compiled else {}
-        for path in (*kept, *file.parent.glob(f"__pycache__/{file.stem}.*.pyc")):
-            path.unlink()
         expected = min(BUDGET, sum(known[name] for name in known if name.partition("::")[0] in tests))
-        try:
-            file.write_bytes(mutant.put_into(source))
-            seconds = LONGER * expected + STARTS + (COMPILES if mutant.compiled else 0.0)
+        seconds = LONGER * expected + STARTS + (COMPILES if mutant.compiled else 0.0)
+        with self.changed(mutant.file, mutant.put_into, mutant.compiled):
             # 5: no test is left within the budget.
             return _play(self.root, tests, _Order(known, mutant.file.removesuffix(".py")), seconds) not in (0, 5)
+
+    @contextlib.contextmanager
+    def changed(self, name: str, change: Callable[[bytes], bytes], compiled: bool) -> Iterator[None]:
+        """The copy with a changed file, without the code that was compiled from it."""
+        file = self.root / name
+        source = file.read_bytes()
+        kept = {path: path.read_bytes() for path in self._code(name)} if compiled else {}
+        for path in (*kept, *file.parent.glob(f"__pycache__/{file.stem}.*.pyc")):
+            path.unlink()
+        try:
+            file.write_bytes(change(source))
+            yield
         finally:
             file.write_bytes(source)
-            if mutant.compiled:
-                for path in self._code(mutant.file):
+            if compiled:
+                for path in self._code(name):
                     path.unlink()
                 for path, code in kept.items():
                     path.write_bytes(code)
@@ -246,7 +256,7 @@ def mutants(packages: str = DRAWN, seed: int = 1, only: str = "") -> None:
         raise InputError(f"expected NAME:COUNT of {', '.join(PACKAGES)}", field="packages", value=wrong[0])
     chosen = {package: [m for m in drawn(package, int(each), seed) if only in m.key] for package, _, each in asked}
     tests = {m.file: tests_of(m.file) for found in chosen.values() for m in found}
-    _one_stamp()
+    one_stamp()
     results: dict[str, list[bool]] = {}
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         copy = Copy(Path(folder))

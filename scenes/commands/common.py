@@ -241,13 +241,6 @@ TimeLimit = Annotated[float, typer.Option(help="How long a run may take [s]; one
                                                "once more, and then not played.", min=0.001)]
 
 
-def method_help(verb: str) -> str:
-    """The help of a verb's ``--method``, with the keys where somebody asks for help of this very verb."""
-    if verb in sys.argv and "--help" in sys.argv:
-        return f"How the path is corrected: {', '.join(methods_of(verb))}."
-    return "How the path is corrected."
-
-
 def methods_of(verb: str) -> tuple[str, ...]:
     """Methods of ``rsi`` (need no more than a model) or ``precorrect`` (no plays either), other packages' included."""
     from ideal_robot.feedforward.method import Needs

@@ -23,7 +23,6 @@ from scenes.commands.common import (
     Speed,
     closed,
     completed,
-    method_help,
     progress_bar,
     scenes_there,
     show_table,
@@ -235,8 +234,9 @@ class RsiOptions:
         help="CSV or Parquet with t [s] and q_d_1 … q_d_n (or q_1 … q_n) [rad].")] = None
     robot: ModelsRobot = None
     model: Annotated[Path | None, typer.Option(help="Identified model (JSON); default: the shipped one.")] = None
-    method: Annotated[str, typer.Option(help=method_help("rsi"), autocompletion=lambda incomplete: completed(
-        "rsi", incomplete))] = "ideal"
+    method: Annotated[str, typer.Option(
+        help="How the path is corrected: none, precorrected_1, precorrected, ideal, or a key of another package.",
+        autocompletion=lambda incomplete: completed("rsi", incomplete))] = "ideal"
     host: Annotated[str, typer.Option(help="Address of this computer to listen on.")] = "127.0.0.1"
     port: Annotated[int | None, typer.Option(help="UDP port to listen on; 0 for any free one. Default: that of "
                                              "--rsi-config, else 49152.", min=0, max=65535)] = None

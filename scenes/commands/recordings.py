@@ -21,7 +21,6 @@ from scenes.commands.common import (
     Rest,
     RobotName,
     completed,
-    method_help,
     progress_bar,
     show_table,
     write_signed,
@@ -281,8 +280,9 @@ class PrecorrectOptions:
     model: Annotated[Path, typer.Option("--model", help="Identified model (JSON).")]
     output: Annotated[Path, typer.Option("-o", "--output", help="Where the corrected path goes (CSV or Parquet).")]
     robot: ModelsRobot = None
-    method: Annotated[str, typer.Option(help=method_help("precorrect"), autocompletion=lambda incomplete: completed(
-        "precorrect", incomplete))] = "ideal"
+    method: Annotated[str, typer.Option(
+        help="How the path is corrected: none, linear, precorrected_1, precorrected, model_learned, ideal, or a key of "
+             "another package.", autocompletion=lambda incomplete: completed("precorrect", incomplete))] = "ideal"
     delay: PlannerDelay = False
     rest: Rest = 0.6
     controller: Controller = None

@@ -34,7 +34,7 @@ from scenes.identification.plan import plan, play_plan
 from scenes.kind import kind_of
 from scenes.methods import compared, method_of
 from scenes.view.viewer import Viewer
-from sensing.camera.detector import DETECTORS, EdgePairs
+from sensing.camera.detector import EdgePairs
 from sim.arm.world import World
 from sim.devices import rsi_controller
 from tests.conftest import Ended
@@ -156,32 +156,16 @@ def test_a_reading_without_a_variance_is_refused(variance: float) -> None:
         run_scene(short(), method="sensor_path", sensors=[sensor])
 
 
-def test_what_own_sensors_and_detectors_do_wrong_is_named() -> None:
+def test_what_own_sensors_and_detectors_do_wrong_is_named(monkeypatch) -> None:
     """Sensors of one name were counted together; who returned nothing was told of an attribute of ours."""
     silent = Profile()
     silent.arrived = lambda t: None  # type: ignore[assignment, method-assign, return-value]
+    monkeypatch.setattr(EdgePairs, "detect", lambda self, *arguments: None)
     for sensors, says in (([Profile(), Profile()], "two sensors have that name"),
-                          ([silent], "profile: arrived: expected a Sequence; return a list of Readings")):
+                          ([silent], "profile: arrived: expected a Sequence; return a list of Readings"),
+                          ([], "detector edge_pairs: expected a LineField; return one from detect")):
         with pytest.raises(InputError, match=says):
             run_scene(short(), method="sensor_path", sensors=sensors)
-
-
-@pytest.fixture
-def blind() -> Iterator[str]:
-    class Blind(EdgePairs):
-        name = "blind"
-
-        def detect(self, *arguments: Any) -> Any:
-            return None
-
-    DETECTORS.register("blind", Blind)
-    yield "blind"
-    DETECTORS.unregister("blind")
-
-
-def test_a_detector_that_returns_nothing_is_named(blind: str) -> None:
-    with pytest.raises(InputError, match="detector blind: expected a LineField; return one from detect"):
-        run_scene(short().changed(camera={"detector": blind}), method="sensor_path")
 
 
 # An arm nobody wrote a world for: it is planned for, played, served over RSI and viewed, with meshes or without.
