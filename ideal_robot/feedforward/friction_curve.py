@@ -77,7 +77,7 @@ class CurveState(NamedTuple):
         measured: motor angles of the first of these cycles, each ``(n,)`` [rad].
         error: following error of the last cycle that is counted ``(n,)`` [rad]; None before the first.
         integral: torque of the controller's integral part beyond the planned one ``(n,)`` [N m].
-        strayed: sum over the cycles that are counted of the squared following errors ``(n,)`` [rad²].
+        strayed: sum over the cycles of the squared following errors, each at most ``STRAY``, ``(n,)`` [rad²].
     """
 
     x: Array
@@ -176,11 +176,12 @@ class FrictionCurve:
         now, plans = state.plans[: len(measured) + 1], state.plans[len(measured) :]
         errors = [q - plan.q if q.shape == plan.q.shape else np.full(self.loop.n, np.inf)
                   for q, plan in zip(measured, now[1:], strict=True)]
+        # Who does not follow at all is not nearer for it.
+        strayed = state.strayed + np.square(np.clip(errors, -STRAY, STRAY)).sum(axis=0)
         if not np.abs(errors).max() < STRAY:
             # The first that strays ends what was known of this motion.
             known = state if state.error is None else self.init(state)
-            return known._replace(plans=plans, measured=(), error=None, strayed=state.strayed)
-        strayed = state.strayed + np.square(errors).sum(axis=0)
+            return known._replace(plans=plans, measured=(), error=None, strayed=strayed)
         if state.error is None:
             now = now[1:]
         else:

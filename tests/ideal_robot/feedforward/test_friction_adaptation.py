@@ -170,6 +170,20 @@ def test_what_is_learned_is_used_in_the_adapted_joints_alone():
     assert np.all(after[1].tau != after[0].tau)
 
 
+def test_a_motor_that_does_not_follow_at_all_strays_farther_than_one_that_follows_badly():
+    """Cycles that tell nothing of friction were left out of the sum: the worst play looked like the best."""
+    loop, q_d = plant(), motion()
+    ideal, curve, sums = IdealRobot(loop), FrictionCurve(loop), []
+    for apart in (0.0, 1.0):
+        planned, known = ideal.init(q_d[0]), curve.init()
+        for k in range(100):
+            _, planned = ideal.step(planned, q_d[k : k + 30])
+            known = curve.planned(known, planned)
+            known = curve.update(known, known.plans[0].q + apart)
+        sums.append(known.strayed)
+    assert np.all(sums[0] < sums[1])
+
+
 @pytest.mark.parametrize("amplitude", [0.0, 1e-4])
 def test_where_nothing_tells_anything_it_is_the_ideal_robot_bit_for_bit(amplitude):
     """An arm that stands, and one that stirs by less than friction turns over, pushed by torques of any size."""
