@@ -77,14 +77,14 @@ class Number:
     value: str
 
     def times(self, factor: float, source: bytes) -> bytes:
-        """The file with the number times a factor; of a tuple or table each of its numbers, whole ones rounded up."""
+        """The file with the number times a factor; of a tuple each of its numbers, whole ones rounded up."""
         scaled = _scaled(ast.parse(self.value, mode="eval").body, factor)
         return source[: self.start] + scaled.encode() + source[self.end:]
 
 
 def _scaled(node: ast.expr, factor: float) -> str:
     match node:
-        case ast.Constant(value=int(whole)) if not isinstance(whole, bool):
+        case ast.Constant(value=int(whole)):
             return repr(int(np.ceil(whole * factor)))
         case ast.Constant(value=float(value)):
             return repr(value * factor)
