@@ -30,7 +30,7 @@ test-part: .venv/installed
 		s=$$?; test $$s -eq 0 -o $$s -eq 5 -o $$s -eq 124
 
 docs: .venv/installed
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 	@echo "open out/site/index.html in a browser"
 
 # Plays the notebooks that changed, so that their pages have outputs; minutes.

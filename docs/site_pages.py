@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +21,6 @@ import scenes
 from docs.execute_notebooks import NOTEBOOKS, outputs_of
 
 ROOT = Path(__file__).resolve().parents[1]
-# MkDocs loads this file by its path; what stands beside it is found from the root of the repository.
-sys.path.insert(0, str(ROOT))
 
 PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes")
 DOORS = (
