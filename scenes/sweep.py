@@ -189,7 +189,7 @@ def play(job: Job) -> dict[str, Any]:
 
 
 def sweep(work: Sequence[Job], *, processes: int = 2, dask: str | None = None,
-          done: Callable[[int], None] = lambda count: None, file: Kept | None = None,
+          done: Callable[[int, dict[str, Any]], None] = lambda count, answer: None, file: Kept | None = None,
           function: Callable[[Job], dict[str, Any]] = play, limit: float = TIME_LIMIT) -> list[dict[str, Any]]:
     """Plays all jobs and returns their answers in the order of ``work``.
 
@@ -201,7 +201,7 @@ def sweep(work: Sequence[Job], *, processes: int = 2, dask: str | None = None,
         work: what to play.
         processes: local processes; not used with ``dask``.
         dask: address of a running Dask scheduler, e.g. ``tcp://host:8786``.
-        done: called with the number of jobs finished.
+        done: called with the number of jobs finished and the last one's answer, once that is kept.
         file: where answers are written as they come; jobs that it holds are not played again.
         function: plays a job.
         limit: how long a run may take [s]; one that hangs is ended, begun once more, and not played.
@@ -231,7 +231,7 @@ def sweep(work: Sequence[Job], *, processes: int = 2, dask: str | None = None,
             answers[index] = answer
             file.add(described[index], answer)
             count += 1
-            done(count)
+            done(count, answer)
     finally:
         file.close()
     return [answer for answer in answers if answer is not None]

@@ -104,7 +104,7 @@ def sweep_efficiency(count: int = 500, workers: str = "1,2,4") -> None:
             sweep(jobs(["line"], seeds=range(20 * number)), dask=address, function=quick)
             seen: list[tuple[float, float]] = []
 
-            def look(done: int, seen: list[tuple[float, float]] = seen,
+            def look(done: int, answer: dict[str, Any], seen: list[tuple[float, float]] = seen,
                      pids: tuple[int, ...] = tuple(part.pid for part in parts[1:])) -> None:
                 if done in (count // 10, count):
                     seen.append((resident(), max(map(resident, pids))))

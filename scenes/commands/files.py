@@ -353,7 +353,7 @@ def _expected(scene: Path, joints: int, draws: int) -> None:
         return
     work: list[Any] = [one for k in range(1, draws + 1) for one in jobs([_place(scene)], [], [], [k], [k])]
     with progress_bar(f"{draws} individuals") as progress:
-        answers = sweep(work, done=lambda count: progress(count / len(work), f"{count} of {len(work)}"))
+        answers = sweep(work, done=lambda count, _: progress(count / len(work), f"{count} of {len(work)}"))
     errors = [answer["control_error_mm"] for answer in answers if not answer.get("failure") and
               "control_error_mm" in answer]
     if not errors:

@@ -203,7 +203,7 @@ def sweep(options: SweepOptions) -> None:
     file = file if options.runs is None else RunSet(options.runs, resume=options.resume)
     with progress_bar(f"{len(work)} runs") as progress:
         answers = sweep(work, processes=options.processes, dask=options.dask, file=file, limit=options.time_limit,
-                        done=lambda count: progress(count / len(work), f"{count} of {len(work)}"))
+                        done=lambda count, _: progress(count / len(work), f"{count} of {len(work)}"))
     table = _show_swept(answers, with_arm=bool(options.individuals))
     # Shown first: what no disk takes is read at least.
     with whole_files(options.json, options.csv) as (json_file, csv_file):

@@ -19,7 +19,7 @@ from scenes.regression.paired import Rules
 from scenes.regression.results import MAIN, NOT_FIGURES, UNITS, Results, table, unit_of
 from scenes.scene_file import load_scene
 from scenes.scene_files.scene import Scene, Table, chosen, validated
-from scenes.sweep import MOST, Job, Kept, jobs, sweep
+from scenes.sweep import MOST, Job, jobs, sweep
 
 _LIMIT = re.compile(r"\s*((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([A-Za-zµ]+)\s*")
 _RANGE = re.compile(r"\s*(\d{1,9})\s*-\s*(\d{1,9})\s*")
@@ -109,8 +109,12 @@ class Suite:
                              file=self.path, field=field, value=figure)
         self._asked.append((field, figure, {scene.name for scene in scenes}))
 
-    def play(self, file: Kept | None = None, **how: Any) -> list[dict[str, Any]]:
+    def play(self, done: Callable[[int], None], **how: Any) -> list[dict[str, Any]]:
         """Plays all runs, one of each scene first; answers in the order of ``work``.
+
+        Args:
+            done: called with the number of runs finished.
+            how: as for ``sweep``.
 
         Raises:
             InputError: as ``sweep`` does, and as ``check_figures`` does once the scenes in question have been played.
@@ -118,7 +122,12 @@ class Suite:
         work = [job for job, _ in self.work]
         first = {_name(job): i for i, job in reversed(list(enumerate(work)))}
         order = sorted(range(len(work)), key=lambda i: first[_name(work[i])] != i)
-        answers = sweep([work[i] for i in order], file=_Looked(self.check_figures, file or Kept()), **how)
+
+        def looked(count: int, answer: dict[str, Any]) -> None:
+            self.check_figures(answer)
+            done(count)
+
+        answers = sweep([work[i] for i in order], done=looked, **how)
         for answer in answers:  # those that were kept already, too
             self.check_figures(answer)
         return [answer for _, answer in sorted(zip(order, answers, strict=True), key=lambda one: one[0])]
@@ -141,20 +150,6 @@ class Suite:
                     raise InputError(f"no run of {', '.join(sorted(scenes))} has this figure; "
                                      f"{did_you_mean(figure, known)}there are {', '.join(known)}", file=self.path,
                                      field=field, value=figure)
-
-
-class _Looked(Kept):
-    """Has each answer looked at as it comes, once it is kept."""
-
-    def __init__(self, look: Callable[[dict[str, Any]], None], file: Kept) -> None:
-        self._look, self._file, self.answers = look, file, file.answers
-
-    def add(self, job: dict[str, Any], answer: dict[str, Any]) -> None:
-        self._file.add(job, answer)
-        self._look(answer)
-
-    def close(self) -> None:
-        self._file.close()
 
 
 def _name(job: Job) -> str:

@@ -138,7 +138,7 @@ def test_an_ended_sweep_goes_on_where_it_was(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--resume"):
         SweepFile(path, resume=False)
     played: list[int] = []
-    rows = sweep(WORK, function=answer, file=SweepFile(path, resume=True), done=played.append)
+    rows = sweep(WORK, function=answer, file=SweepFile(path, resume=True), done=lambda count, _: played.append(count))
     assert played == [4]
     assert rows == [answer(job) for job in WORK]
     assert len([json.loads(line) for line in path.read_text().splitlines()]) == 4
@@ -157,7 +157,8 @@ def test_a_run_is_played_again_where_a_file_that_its_scene_names_is_another_one(
 
     def swept() -> int:
         played.clear()
-        sweep(work, function=_scene_answer, file=SweepFile(tmp_path / "runs.jsonl", resume=True), done=played.append)
+        sweep(work, function=_scene_answer, file=SweepFile(tmp_path / "runs.jsonl", resume=True),
+              done=lambda count, _: played.append(count))
         return len(played)
 
     assert (swept(), swept()) == (2, 0)
@@ -274,7 +275,7 @@ def swept_until_the_scheduler_dies(folder: Path) -> tuple[list[dict[str, Any]], 
     started = cluster(port, "--no-nanny")
     try:
         return sweep(jobs(["line"], seeds=[1, 2, 3]), dask=f"tcp://127.0.0.1:{port}", function=_waits,
-                     file=SweepFile(lines, resume=True), done=lambda count: started[0].kill()), lines
+                     file=SweepFile(lines, resume=True), done=lambda count, _: started[0].kill()), lines
     finally:
         for process in started:
             process.kill()
@@ -313,8 +314,11 @@ def _killed_once_job(job: Job) -> dict[str, Any]:
 def test_a_data_set_grows_can_be_queried_and_gone_on_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("scenes.regression.results.PART", 2)
     folder, seen = tmp_path / "runs", []
-    rows = sweep(WORK[:3], processes=1, function=measured, file=RunSet(folder, resume=False),
-                 done=lambda count: seen.append(sum(len(pd.read_parquet(path)) for path in folder.rglob("*.parquet"))))
+
+    def look(count: int, answer: dict[str, Any]) -> None:
+        seen.append(sum(len(pd.read_parquet(path)) for path in folder.rglob("*.parquet")))
+
+    rows = sweep(WORK[:3], processes=1, function=measured, file=RunSet(folder, resume=False), done=look)
     assert seen == [0, 2, 2]
     assert read_results(folder).runs["control_error_mm.mean"].tolist() == [1 / 3, 2 / 3, 1 / 3]
     with pytest.raises(InputError, match="--resume"):
@@ -355,7 +359,7 @@ def test_a_scheduler_that_comes_back_gets_what_is_left_and_a_poisoned_task_costs
     port = free_port()
     started = cluster(port)
 
-    def restarted(count: int) -> None:
+    def restarted(count: int, answer: dict[str, Any]) -> None:
         if count == 20:
             started[0].kill()
             started[1].terminate()
