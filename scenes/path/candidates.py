@@ -22,7 +22,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.closing.loop import Form, Forms, Group, Step, places_of, said
 from scenes.closing.result import Measured, at_speeds, visible
-from scenes.path.cell import PathCell, about, training_path
+from scenes.path.cell import PathCell, training_path, without_tcp
 from scenes.result import Progress, part_of, silent
 from scenes.scene_files.path_scene import JointPath
 
@@ -174,7 +174,7 @@ def diagnostic_motion(cell: PathCell) -> JointPath:
     q_d = at_speeds(fast, tuple(slowness * max(1.0, fastest) for slowness in (1.0, 2.0, 5.0)))
     t = cell.world.t_ipo * np.arange(float(len(q_d)))
     counts = np.ones(len(q_d), dtype=bool)
-    return JointPath(q_d, np.zeros((len(q_d), 3)), np.asarray(t), counts, cell.path.tool)
+    return JointPath(q_d, np.zeros((len(q_d), 3)), np.asarray(t), counts)
 
 
 def covering(motion: Array, path: Array, robot: Robot) -> Array:
@@ -251,6 +251,6 @@ def asked_motion(cell: PathCell, found: Diagnosis, moved: Recording, measured: M
         return AskedMotion(round_, plan, "no motion within the limits tells them apart")
     progress(0.5, "playing the planned motion")
     t_ipo = cell.world.t_ipo
-    played = visible(cell.play(PassThrough(t_ipo), path=about(cell.path, plan.commands, t_ipo)).recording, measured)
+    played = visible(cell.play(PassThrough(t_ipo), path=without_tcp(plan.commands, t_ipo)).recording, measured)
     again = diagnose(played, cell.robot, model=cell.model, progress=part_of(progress, 0.6, 0.4, "planned motion"))
     return AskedMotion(round_, plan, "", played, again)

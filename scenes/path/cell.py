@@ -242,7 +242,7 @@ class PathCell:
         return self.practice.learned(self.path.q_d, self.loop(), progress)
 
     def _rehearsed(self, feedforward: Feedforward, q_d: Array) -> Rehearsed:
-        path = self.path if q_d is self.path.q_d else about(self.path, q_d, self.world.t_ipo)
+        path = self.path if q_d is self.path.q_d else without_tcp(q_d, self.world.t_ipo)
         played = self.play(feedforward, path)
         return Rehearsed(played.state, lambda: measured_errors(self.robot, path, played.recording, self.learn_from),
                          played.recording)
@@ -250,20 +250,19 @@ class PathCell:
 
 def training_path(path: JointPath, t_ipo: float) -> JointPath:
     """The motion about a path that training, adaptation and diagnosis learn from."""
-    return about(path, training_motion(path.q_d, t_ipo), t_ipo)
+    return without_tcp(training_motion(path.q_d, t_ipo), t_ipo)
 
 
-def about(path: JointPath, q_d: Array, t_ipo: float) -> JointPath:
+def without_tcp(q_d: Array, t_ipo: float) -> JointPath:
     """A joint motion about a path, without a desired TCP of its own.
 
     Args:
-        path: what the motion is about; gives the tool path.
         q_d: joint motion at the cycles ``(N, n)`` [rad].
         t_ipo: cycle [s].
     """
     counts = np.zeros(len(q_d), dtype=bool)
     counts[round(REST_BEFORE / t_ipo) : len(q_d) - round(REST_AFTER / t_ipo)] = True
-    return JointPath(q_d, np.zeros((len(q_d), 3)), np.asarray(t_ipo * np.arange(float(len(q_d)))), counts, path.tool)
+    return JointPath(q_d, np.zeros((len(q_d), 3)), np.asarray(t_ipo * np.arange(float(len(q_d)))), counts)
 
 
 def set_up(scene: PathScene, *, delay: bool, model: Model | None = None) -> PathCell:

@@ -16,7 +16,7 @@ from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
 from planning.path.kinematics import InverseKinematics
 from scenes.scene_files.scene import Box, Scene, Table, obstacles
-from scenes.scene_files.tool_path import ToolPath, lasting, shape_of, tool_path
+from scenes.scene_files.tool_path import lasting, shape_of, tool_path
 
 REST_BEFORE, REST_AFTER = 0.9, 0.6
 """How long the arm rests at the start and at the end of the path [s]; it does not count for the errors."""
@@ -73,14 +73,12 @@ class JointPath:
         x_d: desired TCP positions ``(N, 3)`` [m].
         t: ``(N,)`` [s].
         counts: where errors count ``(N,)``: while the path is under way.
-        tool: the timed tool path.
     """
 
     q_d: Array
     x_d: Array
     t: Array
     counts: np.ndarray
-    tool: ToolPath
 
 
 def joint_path(scene: PathScene, robot: Robot, t_ipo: float) -> JointPath:
@@ -120,7 +118,7 @@ def joint_path(scene: PathScene, robot: Robot, t_ipo: float) -> JointPath:
     q_d, x_d = (held(rows, before=before, after=after) for rows in (moved, tool.positions))
     counts = np.zeros(len(q_d), dtype=bool)
     counts[before : before + len(moved)] = True
-    return JointPath(q_d, x_d, np.asarray(t_ipo * np.arange(float(len(q_d)))), counts, tool)
+    return JointPath(q_d, x_d, np.asarray(t_ipo * np.arange(float(len(q_d)))), counts)
 
 
 def _check_speed(q: Array, robot: Robot, t_ipo: float) -> None:

@@ -105,7 +105,7 @@ def recording(world: World, *, of: Specimen | None = None) -> Recording:
     rest = np.tile(q[:1], (40, 1))
     q = np.concatenate([rest, q])
     times = ROBOT.t_ipo * np.arange(float(len(q)))
-    motion = JointPath(q, np.zeros((len(q), 3)), times, np.ones(len(q), dtype=bool), path().tool)
+    motion = JointPath(q, np.zeros((len(q), 3)), times, np.ones(len(q), dtype=bool))
     noisy = world.replace(current_noise=0.005, external_position_noise=6e-6, external_rotation_noise=6e-6)
     return played(noisy, model(), of=of, along=motion).recording
 
