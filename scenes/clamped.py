@@ -49,8 +49,8 @@ def configurations(scene: ClampedScene, robot: Robot, rng: np.random.Generator) 
     return choose_configurations(robot, ClampLimits.of(robot), rng, most=scene.clamp.most).q
 
 
-def record(scene: ClampedScene, robot: Robot, world: ClampWorld, postures: Array, rng: np.random.Generator,
-           arms: Sequence[ClampedArm] | None = None) -> tuple[list[Recording], list[ClampTruth]]:
+def record(scene: ClampedScene, robot: Robot, world: ClampWorld, postures: Array, rng: np.random.Generator
+           ) -> tuple[list[Recording], list[ClampTruth]]:
     """Plays the pushes in every posture, and the payloads where the scene has them.
 
     Args:
@@ -58,13 +58,12 @@ def record(scene: ClampedScene, robot: Robot, world: ClampWorld, postures: Array
         world: gears, clamp and drives as they are.
         postures: joint angles in which the flange is clamped ``(c, n)`` [rad].
         rng: draws noise and drive gains.
-        arms: the clamped arms of an earlier call for the same postures and world; made if None.
     """
     table, limits = scene.clamp, ClampLimits.of(robot)
     gain_seed = int(rng.integers(2**31))
     recordings, truths = [], []
     for number, posture in enumerate(postures):
-        arm = arms[number] if arms is not None else ClampedArm(robot, world, posture)
+        arm = ClampedArm(robot, world, posture)
         if table.push == "tool_z":
             up = np.array(table.forces)
             pushes, approach = [arm.press(np.concatenate([up, up[-2::-1]]), rng)], 0.005

@@ -63,9 +63,9 @@ class Twin:
     seen: tuple[str, ...]
     assumed: tuple[str, ...]
 
-    def world(self, robot: str, individual: int = 1) -> World:
-        """One of the twin's individuals, its robot as the scene names it."""
-        return World.from_table(robot, {**self.table, "individual": individual})
+    def world(self, robot: str) -> World:
+        """The first of the twin's individuals, its robot as the scene names it."""
+        return World.from_table(robot, {**self.table, "individual": 1})
 
 
 def twin_of(analysis: IdentificationResult, robot: Robot, name: str) -> Twin:

@@ -18,7 +18,6 @@ from ideal_robot.signals.recording import Recording
 from scenes import load_scene
 from scenes.clamped import configurations, record, run
 from scenes.report.page import write_json
-from sim.contact.clamp import ClampedArm
 from sim.contact.clamp_world import ClampWorld
 
 
@@ -48,10 +47,9 @@ def test_six_joints_in_forty_runs(kr500: Robot) -> None:
     scene = load_scene("clamped_kr500_six").changed(clamp={"hold": 0.8, "payloads": ()})
     world = ClampWorld.from_table(kr500, {})
     postures = configurations(scene, kr500, np.random.default_rng(scene.seed))
-    arms = [ClampedArm(kr500, world, posture) for posture in postures]
     covered: dict[str, list[bool]] = {"motor": [], "wrench": []}
     for seed in range(40):
-        recordings, truths = record(scene, kr500, world, postures, np.random.default_rng(seed), arms)
+        recordings, truths = record(scene, kr500, world, postures, np.random.default_rng(seed))
         analysis = analyse_stiffness(recordings, kr500)
         assert set(analysis.by("motor")) == set(analysis.by("wrench")) == set(range(1, 7))
         for one in analysis.joints:

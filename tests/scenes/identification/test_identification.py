@@ -260,7 +260,8 @@ def test_without_commands_the_controller_is_of_a_class_and_each_individual_draws
                        dict(recording.meta), recording.source)
     found = make_twin([silent], str(axis))
     assert any(text.startswith("controllers") for text in found.twin.assumed)
-    gains = {found.twin.world(str(axis), k).per_joint("position_gain", 1)[0] for k in (1, 2, 2, 3)}
+    gains = {World.from_table(str(axis), {**found.twin.table, "individual": k}).per_joint("position_gain", 1)[0]
+             for k in (1, 2, 2, 3)}
     assert len(gains) == 3
     np.testing.assert_allclose(found.rms[1], found.rms[0], rtol=0.2)
 
