@@ -50,10 +50,10 @@ class Case:
     def torque_regression(self, recording: Recording, model: Model, *, cutoff: float | None = None,
                           reversal_width: Array | None = None) -> Regression:
         """See ``torque_regression``. The regression of the motor torques of one of the recordings about a model."""
-        made = without_dead_channels(torque_regression(
+        regression = without_dead_channels(torque_regression(
             recording, self.robot, model, cutoff=self.cutoff if cutoff is None else cutoff, shared=self.shared,
             reversal_width=reversal_width, payload=self.given is not None), self.dead)
-        return made if self.shared else in_own_units(made)
+        return regression if self.shared else in_own_units(regression)
 
 
 def joints_share(recording: Recording, robot: Robot, model: Model | None) -> bool:

@@ -34,21 +34,21 @@ def diagnosis_of(case: Case, found: Findings) -> Diagnosis:
     answer = _of_domains(case, found)
     refitted = () if case.given is None else explained_by_refitting(case.given, found.domains[0],
                                                                     found.results[0].channels)
-    left = answer.unknown or refitted or answer.unexplained
+    unexplained = answer.unknown or refitted or answer.unexplained
     model, warnings = _extended(case, found)
-    why = (one for domain in found.domains for one in arguments(domain, case.options)) if case.explain else ()
-    return replace(answer, verdict="unknown" if left else "effects" if answer.effects else "none", model=model,
+    why = (argument for domain in found.domains for argument in arguments(domain, case.options)) if case.explain else ()
+    return replace(answer, verdict="unknown" if unexplained else "effects" if answer.effects else "none", model=model,
                    warnings=answer.warnings + warnings, refitted=refitted, beside_known=_beside_known(found),
                    arguments=tuple(why))
 
 
 def undecided(case: Case, found: Findings) -> Diagnosis:
     """The answer where no joint moves enough to decide anything of the arm: what sensors show beside it as it is."""
-    answer, made = _of_domains(case, found), found.problem.regression
-    error, signal = (rms(values, made.use) for values in (made.y, made.measured))
-    numbers = (values.tolist() for values in (error, made.noise_floor, signal, made.use.mean(axis=0)))
-    channels = tuple(ChannelResult(name, unit, own, own, own, floor, whole, counted) for
-                     name, unit, own, floor, whole, counted in zip(made.channels, made.units, *numbers, strict=True))
+    answer, torque = _of_domains(case, found), found.problem.regression
+    error, signal = (rms(values, torque.use) for values in (torque.y, torque.measured))
+    numbers = (values.tolist() for values in (error, torque.noise_floor, signal, torque.use.mean(axis=0)))
+    channels = tuple(ChannelResult(name, unit, own, own, own, floor, whole, used) for
+                     name, unit, own, floor, whole, used in zip(torque.channels, torque.units, *numbers, strict=True))
     return replace(answer, verdict="effects" if answer.effects else "undecided", channels=channels + answer.channels,
                    held_out_how=f"of sensors alone, no joint moves enough: {answer.held_out_how}" if found.domains else
                    "nothing: no joint moves enough to decide anything",
@@ -59,7 +59,7 @@ def undecided(case: Case, found: Findings) -> Diagnosis:
 def _of_domains(case: Case, found: Findings) -> Diagnosis:
     """What an answer says of the domains that were searched."""
     results, searched = found.results, [domain.problem.regression for domain in found.domains]
-    if not any(made.domain == MOTOR_TORQUE for made in searched):
+    if not any(regression.domain == MOTOR_TORQUE for regression in searched):
         searched.insert(0, found.problem.regression)
     effects, unknown = (tuple(f for result in results for f in result.found if f.fitted.effect.learned is learned)
                         for learned in (False, True))
@@ -131,10 +131,10 @@ def _usable(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
 
 def _prepared(case: Case, warnings: list[str]) -> tuple[Case, Findings]:
     """What is known before any search; without the validation recording where nothing predicts it."""
-    found = stages.prepared(case, tuple(warnings))
-    missed = () if case.validate is None or case.given is not None else _unlike(case, found, case.validate)
+    findings = stages.prepared(case, tuple(warnings))
+    missed = () if case.validate is None or case.given is not None else _unlike(case, findings, case.validate)
     if not missed:
-        return case, found
+        return case, findings
     case = replace(case, validate=None)
     return case, stages.prepared(case, (
         *warnings, "validation-not-predicted: with the parameters of the recording alone the error of the other one is "
@@ -187,13 +187,13 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
         expect(validate, Recording, "validate", "give one recording; diagnose once for each where there are several")
         validate, more = _usable(validate, robot)
         warnings += more
-    known = [finding for one in (recording, validate) if one is not None for finding in channel_findings(one)]
+    known = [finding for run in (recording, validate) if run is not None for finding in channel_findings(run)]
     warnings += [finding.warning for finding in known]
     case = Case(recording, robot, model, validate, options or Options(), progress, shared=shared, only=only,
                 dead=tuple(dead_joints(tuple(known))), cutoff=cutoff, explain=explain)
-    case, found = _prepared(case, warnings)
-    if len(found.problem.regression.undecided) == robot.n:
-        return undecided(case, stages.sensors_alone(case, found))
+    case, findings = _prepared(case, warnings)
+    if len(findings.problem.regression.undecided) == robot.n:
+        return undecided(case, stages.sensors_alone(case, findings))
     for heading, stage in STAGES.items():
-        found = stage(replace(case, progress=steps.begin(heading)), found)
-    return diagnosis_of(case, found)
+        findings = stage(replace(case, progress=steps.begin(heading)), findings)
+    return diagnosis_of(case, findings)

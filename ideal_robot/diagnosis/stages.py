@@ -36,17 +36,17 @@ def _diagnosed_channels(case: Case, found: Findings) -> Iterator[Settled]:
     """The domains that the recording has beside the motor torque, after their search."""
     torque, validation = _in_position_band(case, found)
     for build in (arm_angle_regression, tool_regression):
-        made = build(case.recording, case.robot, torque, case.stiffness)
-        if made is None:
+        regression = build(case.recording, case.robot, torque, case.stiffness)
+        if regression is None:
             continue
         other = None if validation is None or case.validate is None else \
             build(case.validate, case.robot, validation, case.stiffness)
-        made = without_known(made, found.start.effects)
+        regression = without_known(regression, found.start.effects)
         other = None if other is None else without_known(other, found.start.effects)
-        if made.domain == ARM_POSITION:
-            made = with_loose_weights(made, found.choices)
-        yield (settled := _diagnosed(case, made, other))
-        if made.domain == ARM_POSITION:
+        if regression.domain == ARM_POSITION:
+            regression = with_loose_weights(regression, found.choices)
+        yield (settled := _diagnosed(case, regression, other))
+        if regression.domain == ARM_POSITION:
             # Else the tool would be early beside the delays of arm angles that were found.
             arm = settled[0]
             late = [(choice.joint, float(own[0])) for choice, own in
@@ -58,9 +58,9 @@ def _diagnosed_channels(case: Case, found: Findings) -> Iterator[Settled]:
 
 def _diagnosed_sensors(case: Case, torque: Regression, validation: Regression | None) -> Iterator[Settled]:
     """The domains of a force sensor and of a camera, as far as the recording has them, after their search."""
-    for made, other in force_regressions(case.recording, case.validate, case.robot, torque, validation,
-                                         case.stiffness):
-        yield _diagnosed(case, made, other)
+    for regression, other in force_regressions(case.recording, case.validate, case.robot, torque, validation,
+                                               case.stiffness):
+        yield _diagnosed(case, regression, other)
     # The curve of another recording's line would say nothing here.
     line = line_regression(case.recording, case.robot, torque, case.stiffness)
     if line is not None:
@@ -195,8 +195,8 @@ def found_but_not_added(case: Case, found: Findings) -> Findings:
         validation = _with_signals(case, found, case.torque_regression(
             case.validate, found.start, cutoff=problem.regression.filtered.cutoff, reversal_width=found.reversal_width))
         samples = deciding(validation)
-    kept, dropped = transferring(problem, found.choices, validation or problem.regression, samples)
-    return replace(found, choices=tuple(kept), validation=validation, not_transferred=dropped)
+    choices, dropped = transferring(problem, found.choices, validation or problem.regression, samples)
+    return replace(found, choices=tuple(choices), validation=validation, not_transferred=dropped)
 
 
 def joint_fit(case: Case, found: Findings) -> Findings:

@@ -140,8 +140,8 @@ class BacklashInFlight(GearEffect):
         rates = np.abs(signals.rate(load))
         starts: list[Theta] = []
         for shift in turning:
-            at = np.flatnonzero(np.diff(np.sign(load + shift)) != 0)
-            rate = float(np.sqrt(np.mean(rates[at] ** 2))) if len(at) else float(np.std(rates))
+            crossings = np.flatnonzero(np.diff(np.sign(load + shift)) != 0)
+            rate = float(np.sqrt(np.mean(rates[crossings] ** 2))) if len(crossings) else float(np.std(rates))
             gaps = [seconds**3 * rate / (12.0 * inertia) for seconds in _SECONDS]
             starts += [(gap, shift) for gap in sorted(set(np.clip(gaps, *self.bounds(signals, joint)[0]).tolist()))]
         return starts
@@ -194,15 +194,15 @@ def crossed(acceleration: Array, dt: float, half_gap: float) -> Array:
         half_gap: half the play [rad].
     """
     twist = np.empty(len(acceleration))
-    at, speed = (half_gap if acceleration[0] > 0.0 else -half_gap), 0.0
+    position, speed = (half_gap if acceleration[0] > 0.0 else -half_gap), 0.0
     for k in range(len(acceleration)):
         speed += acceleration[k] * dt
-        at += speed * dt
-        if at >= half_gap:
-            at, speed = half_gap, min(speed, 0.0)
-        elif at <= -half_gap:
-            at, speed = -half_gap, max(speed, 0.0)
-        twist[k] = at
+        position += speed * dt
+        if position >= half_gap:
+            position, speed = half_gap, min(speed, 0.0)
+        elif position <= -half_gap:
+            position, speed = -half_gap, max(speed, 0.0)
+        twist[k] = position
     return twist
 
 

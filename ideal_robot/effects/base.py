@@ -308,13 +308,13 @@ class Effect(ABC):
             coefficients: those that come out with some theta ``(m,)``, None where physics does not allow them.
             theta: to begin with.
         """
-        kept, step = theta, np.inf
-        while (found := coefficients(theta)) is not None:
-            kept, theta = theta, self.consistent_theta(found, theta)
-            last, step = step, float(np.max(np.abs(np.subtract(theta, kept))))
-            if step >= last or np.allclose(theta, kept, rtol=0.01):
+        previous, step = theta, np.inf
+        while (own := coefficients(theta)) is not None:
+            previous, theta = theta, self.consistent_theta(own, theta)
+            last, step = step, float(np.max(np.abs(np.subtract(theta, previous))))
+            if step >= last or np.allclose(theta, previous, rtol=0.01):
                 break
-        return kept
+        return previous
 
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
         """The physical numbers to report; by default the coefficients and theta as they are.

@@ -85,8 +85,8 @@ class CameraEffect(WholeArmEffect):
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
         """See ``Effect.columns``. Shape ``(N, 1, m)``, of those errors that can be seen."""
-        seen = [signals.extra[error.signal] for error in self.errors if error.signal in signals.extra]
-        return np.stack(seen, axis=-1)[:, None, :]
+        columns = [signals.extra[error.signal] for error in self.errors if error.signal in signals.extra]
+        return np.stack(columns, axis=-1)[:, None, :]
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
         """See ``Effect.loop_change``. What a follower is told by the camera, see ``CameraErrors``."""
@@ -174,8 +174,8 @@ class CameraErrors:
     @classmethod
     def of(cls, effects: Sequence[FittedEffect]) -> CameraErrors:
         """Of all effects of a model."""
-        made = [(one.effect, one.coefficients) for one in effects]
-        return cls(tuple(size for effect, coefficients in made if isinstance(effect, CameraEffect)
+        fits = [(fitted.effect, fitted.coefficients) for fitted in effects]
+        return cls(tuple(size for effect, coefficients in fits if isinstance(effect, CameraEffect)
                          for size in zip(effect.errors, coefficients, strict=False)))
 
     def late_by(self, t: float) -> float:

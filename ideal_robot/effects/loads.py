@@ -235,10 +235,10 @@ class GravitySpring(AngleLaw):
 
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
         """See ``Effect.parameters``. As they are, with the angle within one turn."""
-        found = super().parameters(coefficients, std, theta, theta_std)
-        angle = found[2]
-        return [*found[:2], EffectParameter(angle.name, float(np.angle(np.exp(1j * angle.value))), angle.std,
-                                            angle.unit), found[3]]
+        parameters = super().parameters(coefficients, std, theta, theta_std)
+        angle = parameters[2]
+        return [*parameters[:2], EffectParameter(angle.name, float(np.angle(np.exp(1j * angle.value))), angle.std,
+                                                 angle.unit), parameters[3]]
 
 
 def _carries_weight(signals: Signals) -> bool:

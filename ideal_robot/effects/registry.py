@@ -106,8 +106,8 @@ def find(name: str, prefix: str) -> Effect:
 def _effect(key: str) -> Effect:
     """The one object of an effect; searches tell effects apart by it."""
     if key not in _made:
-        found = EFFECTS.get(key)
-        effect = found.seen_in(key.partition("/")[2]) if isinstance(found, type) else found
+        entry = EFFECTS.get(key)
+        effect = entry.seen_in(key.partition("/")[2]) if isinstance(entry, type) else entry
         if effect.key != key:
             raise InputError(f"{type(effect).__name__} is {effect.key!r}; give it the name that it is registered by",
                              field="effects", value=key)

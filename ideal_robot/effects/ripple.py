@@ -176,11 +176,11 @@ def spectral_peaks(q: Array, residual: Array, use: np.ndarray, band: tuple[float
     orders = step * np.arange(len(power))
     power = np.where((orders >= low) & (orders <= high), power, 0.0)
     tries = max(int((high - low) * span / (2.0 * np.pi)), 1)
-    found: list[float] = []
+    highest: list[float] = []
     for _ in range(peaks):
         k = int(np.argmax(power))
         if power[k] <= 0.0:
             break
-        found.append(float(orders[k]))
+        highest.append(float(orders[k]))
         power[max(0, k - 8) : k + 9] = 0.0
-    return found, tries
+    return highest, tries

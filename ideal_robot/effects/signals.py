@@ -77,7 +77,7 @@ class RigidDerivatives:
         j = joint - 1
         known = self._known.pop(joint, None) or (self._difference(j, 0, _STEP), self._difference(j, 1, 1.0),
                                                  self.mass[j])
-        size = sum(one.nbytes for one in known)
+        size = sum(values.nbytes for values in known)
         while self._known and size * (len(self._known) + 1) > _KEPT:
             del self._known[next(iter(self._known))]
         self._known[joint] = known
@@ -90,7 +90,7 @@ class RigidDerivatives:
             joint: from 1.
             position, velocity, acceleration: changes ``(N,)`` [rad or m; rad/s, rad/s²].
         """
-        change = (np.ascontiguousarray(one) for one in (position, velocity, acceleration))
+        change = (np.ascontiguousarray(values) for values in (position, velocity, acceleration))
         return np.asarray(_combined(*self.by(joint), *change))
 
 

@@ -30,9 +30,9 @@ def position_regressions(recording: Recording, robot: Robot, torque: Regression,
         stiffness: of the gears as far as the model knows ``(n,)`` [N m/rad], or None.
     """
     for build in (arm_angle_regression, tool_regression):
-        made = build(recording, robot, torque, stiffness)
-        if made is not None:
-            yield made
+        regression = build(recording, robot, torque, stiffness)
+        if regression is not None:
+            yield regression
 
 
 def arm_angle_regression(recording: Recording, robot: Robot, torque: Regression,
@@ -41,14 +41,14 @@ def arm_angle_regression(recording: Recording, robot: Robot, torque: Regression,
 
     Only a constant difference is taken for granted. Joints without an encoder on the arm's side are absent.
     """
-    there = recording.having("qa")
-    if not there.any():
+    mask = recording.having("qa")
+    if not mask.any():
         return None
     motor = resampled(recording.t, recording.joints("q"), torque.filtered.t)
     bend = arm_angles(recording, torque, stiffness) - motor - _deflection(torque, stiffness)
-    y = torque.filtered.decimate(np.where(there, bend, 0.0))
-    without = {j + 1: "has no angle measured on the arm's side" for j in range(robot.n) if not there[j]}
-    return _measured(torque, y, there, channels=tuple(f"qa_{j + 1}" for j in range(robot.n)), units=robot.units("rad"),
+    y = torque.filtered.decimate(np.where(mask, bend, 0.0))
+    without = {j + 1: "has no angle measured on the arm's side" for j in range(robot.n) if not mask[j]}
+    return _measured(torque, y, mask, channels=tuple(f"qa_{j + 1}" for j in range(robot.n)), units=robot.units("rad"),
                      W=np.tile(np.eye(robot.n), (len(y), 1, 1)), undecided={**torque.undecided, **without},
                      domain=ARM_POSITION)
 
@@ -60,13 +60,13 @@ def tool_regression(recording: Recording, robot: Robot, torque: Regression,
     Where arm angles are not measured they are the motor angles with the gears' known deflection. An axis that was not
     measured is absent. Where the measuring device stands (a small rotation and a shift) is fitted beside it.
     """
-    there = measured_axes(recording)
-    if not there.any():
+    measured = measured_axes(recording)
+    if not measured.any():
         return None
     q = arm_angles(recording, torque, stiffness)
     frames = frames_along(robot, q)
     xyz = np.array(frames.tool)
-    for k in np.flatnonzero(there):
+    for k in np.flatnonzero(measured):
         xyz[:, k] = resampled(recording.t, recording.columns["xyz"[k]][:, None], torque.filtered.t)[:, 0]
     p = frames.tool - frames.tool.mean(axis=0)
     W = np.zeros((len(p), 3, 6))
@@ -75,7 +75,7 @@ def tool_regression(recording: Recording, robot: Robot, torque: Regression,
         W[:, :, 3 + i] = np.cross(axis, p)
     # With a measured arm angle the gear has no part in what is left.
     load = np.where(recording.having("qa"), 0.0, torque.signals.load)
-    return _measured(torque, torque.filtered.decimate(xyz - frames.tool), there, channels=("x", "y", "z"),
+    return _measured(torque, torque.filtered.decimate(xyz - frames.tool), measured, channels=("x", "y", "z"),
                      units=("m",) * 3, W=torque.filtered.decimate(W), domain=TCP_POSITION,
                      signals=replace(torque.signals, q=q, load=load, frames=frames))
 
@@ -126,9 +126,9 @@ def with_loose_weights(made: Regression, effects: Sequence[Candidate]) -> Regres
     the motor's or on the arm's side of its gear no torque says: what the gear carries is known but for the columns of
     such ``effects`` of the motor torques.
     """
-    loose = [made.columns_of(one.effect, one.joint, one.theta) for one in effects
-             if one.joint not in made.undecided and isinstance(one.effect, AngleLaw)
-             and one.effect.like_the_model(made.signals, one.joint) is not None]
+    loose = [made.columns_of(choice.effect, choice.joint, choice.theta) for choice in effects
+             if choice.joint not in made.undecided and isinstance(choice.effect, AngleLaw)
+             and choice.effect.like_the_model(made.signals, choice.joint) is not None]
     return replace(made, W=np.concatenate([made.W, *loose], axis=2)) if loose else made
 
 

@@ -129,7 +129,7 @@ class Columns:
 
     def without(self, form: Columns) -> Array:
         """What of the columns ``(N, k, m)`` those of ``form``, on the same channels, cannot make."""
-        own, theirs = (one.values.reshape(-1, one.m) for one in (self, form))
+        own, theirs = (columns.values.reshape(-1, columns.m) for columns in (self, form))
         return np.asarray(own - theirs @ np.linalg.lstsq(theirs, own, rcond=None)[0]).reshape(self.values.shape)
 
 
@@ -180,9 +180,9 @@ class Design:
 
     def bare(self, blocks: Blocks) -> Design:
         """The same rows without any other group, in blocks with the same edges and maybe other folds."""
-        made = copy.copy(self)
-        made.blocks, made.groups = blocks, {"W": self.W, "y": self.y}
-        return made
+        design = copy.copy(self)
+        design.blocks, design.groups = blocks, {"W": self.W, "y": self.y}
+        return design
 
     def add(self, key: str, columns: Columns) -> None:
         """Adds or replaces a group."""
@@ -202,18 +202,18 @@ class Design:
     def cross(self, a: str, b: str) -> dict[int, Array]:
         """``a_b' b_b`` for each block ``(B, k_a, k_b)`` of the columns that act on each channel that both act on."""
         left, right = self.groups[a], self.groups[b]
-        made = left.products.setdefault(right, {})
-        if "cross" not in made:
-            made["cross"] = {j: np.swapaxes(self.acting(left, j)[1], 1, 2) @ self.acting(right, j)[1]
-                             for j in left.channels if j in right.channels}
-        found: dict[int, Array] = made["cross"]
-        return found
+        products = left.products.setdefault(right, {})
+        if "cross" not in products:
+            products["cross"] = {j: np.swapaxes(self.acting(left, j)[1], 1, 2) @ self.acting(right, j)[1]
+                                 for j in left.channels if j in right.channels}
+        by_channel: dict[int, Array] = products["cross"]
+        return by_channel
 
     def total(self, a: str, b: str) -> Array:
         """``a' b`` of all selecting blocks together, for each channel of ``a`` ``(k, m_a, m_b)``."""
         left, right, blocks = self.groups[a], self.groups[b], self.blocks
-        made = left.products.setdefault(right, {})
-        if blocks.folds not in made:
+        products = left.products.setdefault(right, {})
+        if blocks.folds not in products:
             result, rows = np.zeros((len(left.channels), left.m, right.m)), blocks.selecting_samples[:, None]
             for i, j in enumerate(left.channels):
                 if left is right:
@@ -221,8 +221,8 @@ class Design:
                 elif j in right.channels:
                     acting, selecting = self._selecting(right, j)
                     result[i][:, acting] = left.values[:, i].T @ selecting
-            made[blocks.folds] = result
-        return np.asarray(made[blocks.folds])
+            products[blocks.folds] = result
+        return np.asarray(products[blocks.folds])
 
     def _selecting(self, columns: Columns, j: int) -> tuple[np.ndarray, Array]:
         """Which columns act on one channel, and their rows ``(N, m)``, zero where they do not select."""
@@ -265,14 +265,14 @@ class Design:
 
     def _places(self, keys: list[str], j: int) -> tuple[list[tuple[str, slice]], np.ndarray]:
         """Where groups stand among the columns that act on a channel, and where these stand among all."""
-        places, index, at, first = [], [], 0, 0
+        places, index, column, first = [], [], 0, 0
         for key in keys:
             group = self.groups[key]
             if j in group.channels:
                 acting = first + self.acting(group, j)[0]
-                places.append((key, slice(at, at + len(acting))))
+                places.append((key, slice(column, column + len(acting))))
                 index.append(acting)
-                at += len(acting)
+                column += len(acting)
             first += group.m
         return places, np.concatenate(index)
 

@@ -141,8 +141,8 @@ class _Wrench:
         y, W, pressed = (lowpass(values[touching], dt, band) for values in (y, W, pressed))
         small = filtered.decimate(y)
         extra = {CONTACT_FORCE: pressed, ASSUMED_GIVE: np.full(len(pressed), 1.0 / float(assumed) if assumed else 0.0)}
-        made = self._regression(filtered, ("contact",), ("m",), small[:, None], filtered.decimate(W), extra)
-        return replace(made, measured=(small - small.mean())[:, None], noise_floor=noise)
+        regression = self._regression(filtered, ("contact",), ("m",), small[:, None], filtered.decimate(W), extra)
+        return replace(regression, measured=(small - small.mean())[:, None], noise_floor=noise)
 
     def _rows(self, mask: np.ndarray) -> FilteredSignals | None:
         """The filter with rows of some samples only, None for too few; ends, where no derivatives are, count too."""
@@ -167,14 +167,14 @@ def _wrench_of(recording: Recording, robot: Robot, torque: Regression) -> _Wrenc
     if names not in (WRENCH[:3], WRENCH):
         return None
     measured = np.column_stack([recording.columns[name] for name in names])
-    filtered, there = torque.filtered, np.all(np.isfinite(measured), axis=1)
-    if not there.any():
+    filtered, usable = torque.filtered, np.all(np.isfinite(measured), axis=1)
+    if not usable.any():
         return None
     # Held within gaps, near which nothing is used.
-    values = resampled(recording.t, interpolated(recording.t, recording.t[there], measured[there]), filtered.t)
-    there = interpolated(filtered.t, recording.t, there[:, None])[:, 0] == 1.0
-    there = ndimage.binary_erosion(there, iterations=_memory(filtered.dt), border_value=1)
-    if not there.any():
+    values = resampled(recording.t, interpolated(recording.t, recording.t[usable], measured[usable]), filtered.t)
+    usable = interpolated(filtered.t, recording.t, usable[:, None])[:, 0] == 1.0
+    usable = ndimage.binary_erosion(usable, iterations=_memory(filtered.dt), border_value=1)
+    if not usable.any():
         return None
     rotation, place, _ = tool_motion(robot, filtered.q, filtered.qd)
     pull = np.einsum("kij,i->kj", rotation, GRAVITY)
@@ -186,8 +186,8 @@ def _wrench_of(recording: Recording, robot: Robot, torque: Regression) -> _Wrenc
         weight = np.column_stack([mass * pull, np.cross(mass * com, pull)])
         values = values - (np.asarray(known["bias"], dtype=float) + weight)[:, : len(names)]
     free = np.zeros(len(values), dtype=bool)
-    free[there], load, limit = _untouched(values[there, :3], pull[there], push[there], filtered.dt, bool(known))
-    return _Wrench(torque, values, rotation, pull, push, there, free, load, limit)
+    free[usable], load, limit = _untouched(values[usable, :3], pull[usable], push[usable], filtered.dt, bool(known))
+    return _Wrench(torque, values, rotation, pull, push, usable, free, load, limit)
 
 
 def _memory(dt: float) -> int:
@@ -225,11 +225,11 @@ def _untouched(force: Array, pull: Array, push: Array, dt: float, calibrated: bo
     free[: 2 * chunk] = True
     gram, right = sums(slice(0, 2 * chunk))
     for start in range(2 * chunk, len(force), chunk):
-        here = slice(start, start + chunk)
-        left = np.linalg.norm(smooth[here] - rows[here] @ fitted(gram, right), axis=1)
-        if np.all(left < limit):
-            free[here] = True
-            more = sums(here)
+        part = slice(start, start + chunk)
+        misfit = np.linalg.norm(smooth[part] - rows[part] @ fitted(gram, right), axis=1)
+        if np.all(misfit < limit):
+            free[part] = True
+            more = sums(part)
             gram, right = gram + more[0], right + more[1]
     # A touch begins before it is felt.
     return ndimage.binary_erosion(free, iterations=chunk // 2, border_value=1), fitted(gram, right)[:4], limit

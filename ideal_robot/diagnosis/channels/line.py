@@ -67,10 +67,10 @@ class _SeenPoints:
                 whole = self.off(error.moved(self.out))
             elif isinstance(error, StampError):
                 whole = error.late(self.t) * self.speed
-            left = self.beside(whole)
+            remainder = self.beside(whole)
             # As of any effect: what another line can do nearly as well is none of the camera.
-            if not error.optional or float(np.sum(left**2)) > Options.smallest_own * float(np.sum(whole**2)):
-                result[error.signal] = left
+            if not error.optional or float(np.sum(remainder**2)) > Options.smallest_own * float(np.sum(whole**2)):
+                result[error.signal] = remainder
         return result
 
 
@@ -94,8 +94,8 @@ def line_regression(recording: Recording, robot: Robot, torque: Regression,
         return None
     s, d, tangent, inside = _against(path, s_path, x, place[number], up)
     rows = np.flatnonzero(inside)
-    W, slope, kept = _curve(s[rows], d[rows])
-    rows = rows[kept]
+    W, slope, inliers = _curve(s[rows], d[rows])
+    rows = rows[inliers]
     s, d, tangent, field = s[rows], d[rows], tangent[rows], number[rows]
     if len(np.unique(field)) < FEWEST:
         return None
@@ -161,13 +161,13 @@ def _smooth(t: Array, values: Array, at: Array) -> tuple[Array, Array]:
 def _in_surface(place: Array, up: Array) -> tuple[Array, Array]:
     """A tool's path ``(N, 3)`` across ``up``, at equal steps, smoothed, straight on at its end; and its arc lengths."""
     flat = place - np.outer((place - place[0]) @ up, up)
-    way = arc_lengths(flat)
-    keep = np.concatenate([[True], np.diff(way) > 1e-6])
+    lengths = arc_lengths(flat)
+    keep = np.concatenate([[True], np.diff(lengths) > 1e-6])
     # Ten samples a knot, smoothed over half of one.
-    s = np.arange(0.0, way[-1], KNOTS / 10.0)
+    s = np.arange(0.0, lengths[-1], KNOTS / 10.0)
     if len(s) < 40:
         return flat[:1], np.zeros(1)
-    path = interpolated(s, way[keep], flat[keep])
+    path = interpolated(s, lengths[keep], flat[keep])
     path = ndimage.gaussian_filter1d(path, 5.0, axis=0, mode="nearest")[10:-10]
     end = (path[-1] - path[-11]) / 10.0
     path = np.vstack([path, path[-1] + np.arange(1, 100)[:, None] * end])
@@ -199,23 +199,23 @@ def _against(path: Array, s_path: Array, x: Array, tool: Array, up: Array) -> tu
 
 def _curve(s: Array, d: Array) -> tuple[Array, Array, np.ndarray]:
     """Columns of a smooth curve ``(m, p)``, its slope at the points ``(m,)``, and which points are no outliers."""
-    kept = np.arange(len(s))
+    inliers = np.arange(len(s))
     for last in (False, True):
-        low, high = float(s[kept].min()), float(s[kept].max())
+        low, high = float(s[inliers].min()), float(s[inliers].max())
         grid = np.linspace(low, high, max(int((high - low) / KNOTS), 2) + 1)
         # Where nothing was seen there is nothing to bend.
-        filled = np.histogram(s[kept], grid)[0] >= 3
+        filled = np.histogram(s[inliers], grid)[0] >= 3
         knots = tuple(float(v) for v in np.concatenate([[low], grid[1:-1][filled[:-1] & filled[1:]], [high]]))
-        W = spline_basis(s[kept], knots, 0.1)
+        W = spline_basis(s[inliers], knots, 0.1)
         W = W[:, np.any(np.abs(W) > 1e-6, axis=0)]
-        c = np.linalg.lstsq(W, d[kept], rcond=None)[0]
-        left = d[kept] - W @ c
-        limit = _OUTLIER * max(float(np.median(np.abs(left))), 1e-7) / 0.6745
+        c = np.linalg.lstsq(W, d[inliers], rcond=None)[0]
+        residual = d[inliers] - W @ c
+        limit = _OUTLIER * max(float(np.median(np.abs(residual))), 1e-7) / 0.6745
         if not last:
-            kept = kept[np.abs(left) < limit]
+            inliers = inliers[np.abs(residual) < limit]
     order = np.linspace(low, high, 4 * len(knots) + 1)
-    values = np.interp(order, np.sort(s[kept]), (W @ c)[np.argsort(s[kept])])
-    return W, np.interp(s[kept], order, np.gradient(values, order)), kept
+    values = np.interp(order, np.sort(s[inliers]), (W @ c)[np.argsort(s[inliers])])
+    return W, np.interp(s[inliers], order, np.gradient(values, order)), inliers
 
 
 def _axis(recording: Recording, points: Array) -> Array:

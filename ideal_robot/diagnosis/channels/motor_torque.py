@@ -75,7 +75,7 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
         # A copy: a part of the whole regressor would keep all of it.
         return regressor(robot.pinocchio, q, qd, qdd)[:, :, 10 * (link - 1) : 10 * link].copy()
 
-    payload = payload or any(one.effect.loop_change(one.coefficients, one.theta).body for one in model.effects)
+    payload = payload or any(e.effect.loop_change(e.coefficients, e.theta).body for e in model.effects)
     body = body_on(n) if payload else None
     still = np.zeros_like(q)
     signals = Signals(t, q, qd, qdd, still, still, still, filtered.temperature, extra=extra, payload=body,
@@ -88,10 +88,10 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     use, undecided = _counting_rows(recording, filtered, noise_velocity, robot)
     measured = filtered.decimate(filtered.tau)
     noise, prismatic = noise_floor(recorded.tau, 1.0 / recorded.factor), tuple(map(bool, robot.prismatic))
-    made = Regression(filtered.t_decimated - filtered.t[0], tuple(f"tau_{j + 1}" for j in range(n)),
-                      robot.units("N m"), measured, measured, W, use, signals, filtered, undecided, noise, prismatic)
-    made = with_reversal_width(made, model, noise_velocity if reversal_width is None else reversal_width)
-    return made if shared else replace(made, W=_own_copies(made.W))
+    result = Regression(filtered.t_decimated - filtered.t[0], tuple(f"tau_{j + 1}" for j in range(n)),
+                        robot.units("N m"), measured, measured, W, use, signals, filtered, undecided, noise, prismatic)
+    result = with_reversal_width(result, model, noise_velocity if reversal_width is None else reversal_width)
+    return result if shared else replace(result, W=_own_copies(result.W))
 
 
 def _filtered(recording: Recording, cutoff: float | None) -> FilteredSignals:

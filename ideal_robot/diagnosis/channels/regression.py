@@ -85,11 +85,11 @@ class Regression:
         def at(values: Array) -> Array:
             return np.asarray(values[::step][keep])
 
-        given: dict[str, Any] = {
+        sampled: dict[str, Any] = {
             name: at(getattr(s, name)) for name in ("t", "q", "qd", "qdd", "load", "torque", "friction", "weight",
                                                     "temperature", "sliding") if getattr(s, name) is not None}
-        frames = None if s.frames is None else Frames(*(at(one) for one in vars(s.frames).values()))
-        return replace(s, **given, payload=None, rigid=None, bodies=None, gravity_across=None, frames=frames,
+        frames = None if s.frames is None else Frames(*(at(values) for values in vars(s.frames).values()))
+        return replace(s, **sampled, payload=None, rigid=None, bodies=None, gravity_across=None, frames=frames,
                        extra={name: at(values) for name, values in s.extra.items()})
 
 
@@ -102,8 +102,8 @@ def without_known(made: Regression, effects: Sequence[FittedEffect]) -> Regressi
     known = [effect for effect in effects if effect.domain == made.domain and made.domain != SENSOR]
     if not known:
         return made
-    said = [made.filtered.decimate(effect.contribution(made.signals)) for effect in known]
-    return replace(made, y=np.asarray(made.y - np.sum(said, axis=0)))
+    contributions = [made.filtered.decimate(effect.contribution(made.signals)) for effect in known]
+    return replace(made, y=np.asarray(made.y - np.sum(contributions, axis=0)))
 
 
 BAND = 12.5
@@ -175,26 +175,26 @@ def unused_columns(recording: Recording, searched: tuple[Regression, ...]) -> di
     """
     torque, result = searched[0], {}
     for prefix in ("qa", "temp"):
-        for j, there in enumerate(recording.having(prefix)):
+        for j, present in enumerate(recording.having(prefix)):
             name = f"{prefix}_{j + 1}"
-            if name in recording.columns and not there:
+            if name in recording.columns and not present:
                 result[name] = _GAPS
-            elif there and prefix == "qa" and j + 1 in torque.undecided:
+            elif present and prefix == "qa" and j + 1 in torque.undecided:
                 result[name] = f"joint {j + 1} is left out"
     result |= {name: _GAPS for name in "xyz" if not np.all(np.isfinite(recording.columns.get(name, 0.0)))}
     together: list[tuple[tuple[str, ...], str]] = [
         (("qx", "qy", "qz", "qw"), "the tool's orientation is not looked at")]
     if recording.has("tau") and recording.has("current") and not _made_of_current(recording):
         together.append((tuple(f"current_{j + 1}" for j in range(recording.n)), "torques are there"))
-    sensors = {name for made in searched if made.domain == SENSOR for name in made.channels}
+    sensors = {name for regression in searched if regression.domain == SENSOR for name in regression.channels}
     wrench = tuple(name for name in WRENCH if name in recording.columns)
     if wrench not in ((), WRENCH[:3], WRENCH):
         together.append((wrench, "fx fy fz are needed, and mx my mz all or none"))
     elif not any(name.startswith(("f", "m", "contact")) for name in sensors):
         together.append((wrench, "too little of it, free or in contact, to tell anything"))
     for names, why in together:
-        if there := [name for name in names if name in recording.columns]:
-            result[", ".join(there)] = why
+        if present := [name for name in names if name in recording.columns]:
+            result[", ".join(present)] = why
     if "cam_t" in recording.columns and not any(name.startswith("line") for name in sensors):
         result["cam_t, line_x_i, line_y_i, line_z_i"] = "too few fields in which the line was seen"
     for name, values in torque.signals.extra.items():

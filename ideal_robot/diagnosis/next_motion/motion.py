@@ -131,10 +131,10 @@ class MotionSearch:
     def _commands(self, parts: Sequence[_Part]) -> Array:
         """The parts one after the other, with the ways between them ``(N, n)`` [rad]."""
         v_max, a_max = finite_limits(self.robot)
-        here, rows = self.start, [np.repeat(self.start[None], self.rest, axis=0)]
+        position, rows = self.start, [np.repeat(self.start[None], self.rest, axis=0)]
         for part in parts:
-            rows += [approach(here, part.q[0], self.robot.t_ipo, v_max, a_max), part.q]
-            here = part.q[-1]
+            rows += [approach(position, part.q[0], self.robot.t_ipo, v_max, a_max), part.q]
+            position = part.q[-1]
         return np.concatenate(rows)
 
     def _fits(self, parts: Sequence[_Part]) -> bool:
@@ -144,9 +144,9 @@ class MotionSearch:
         # Half of them near where the arm is, so that little time is lost on the way.
         centre = self.start if self.rng.random() < 0.5 else None
         for _ in range(_DRAWN):
-            made = self._made(kind, self.rng.uniform(-1, 1, (2, kind.harmonics, self.robot.n)), centre)
-            if made is not None:
-                return made
+            part = self._made(kind, self.rng.uniform(-1, 1, (2, kind.harmonics, self.robot.n)), centre)
+            if part is not None:
+                return part
         return None
 
     def _changed(self, part: _Part) -> _Part | None:
@@ -183,9 +183,9 @@ class Foresight:
                                              cutoff=self.found.problem.regression.filtered.cutoff)
         if domain == MOTOR_TORQUE:
             return torque
-        made = position_regressions(recording, self.case.robot, in_position_band(torque, recording),
-                                    self.case.stiffness)
-        return next(one for one in made if one.domain == domain)
+        regressions = position_regressions(recording, self.case.robot, in_position_band(torque, recording),
+                                           self.case.stiffness)
+        return next(regression for regression in regressions if regression.domain == domain)
 
     def _recording(self, q_c: Array) -> Recording:
         """What a commanded motion ``(N, n)`` [rad] would record, without any effect."""
@@ -208,11 +208,11 @@ class Foresight:
 
     def _moved(self, q_c: Array) -> Array:
         """Where the motors go on commands ``(N, n)`` [rad]: the identified loop's answer, where there is one."""
-        given = self.case.given
-        if given is None or given.controller is None:
+        model = self.case.given
+        if model is None or model.controller is None:
             return q_c
         try:
-            return np.asarray(simulate(loop_model(given, self.case.robot), q_c).q_m[: len(q_c)])
+            return np.asarray(simulate(loop_model(model, self.case.robot), q_c).q_m[: len(q_c)])
         except IdealRobotError:
             return q_c
 

@@ -87,8 +87,8 @@ class DiagnosisPlan(Summarised):
 
     def summary(self) -> list[tuple[str, str]]:
         """What the motion tells apart."""
-        told = sum(pair.told_apart for pair in self.pairs)
-        return [("motion", f"{self.seconds:.1f} s that tell {told} of {len(self.pairs)} pairs"),
+        count = sum(pair.told_apart for pair in self.pairs)
+        return [("motion", f"{self.seconds:.1f} s that tell {count} of {len(self.pairs)} pairs"),
                 ("not asked", str(len(self.not_asked)))]
 
     @property
@@ -146,20 +146,20 @@ def plan_diagnosis(recording: Recording, robot: Robot, questions: Open, *, model
     (recording,), _ = checked([recording], robot)
     case = Case(recording, robot, model, None, options, silent, shared=shared, only=None)
     progress(0.02, "the recording")
-    found = stages.prepared(case, ())
-    if len(found.problem.regression.undecided) < robot.n:
-        found = stages.baseline(case, found)
-    problems = dict(_problems(case, found))
-    asked, not_asked = _asked_of(questions, problems, robot, options)
-    if not asked:
+    findings = stages.prepared(case, ())
+    if len(findings.problem.regression.undecided) < robot.n:
+        findings = stages.baseline(case, findings)
+    problems = dict(_problems(case, findings))
+    open_pairs, not_asked = _asked_of(questions, problems, robot, options)
+    if not open_pairs:
         return DiagnosisPlan((), np.zeros((0, robot.n)), robot.t_ipo, not_asked)
     room = (workspace or Workspace.of(robot)).widened(robot, recording.joints("q"))
-    foresight = Foresight(case, found)
-    q_c = _best_motion(asked, foresight, room, longest, seed, progress)
+    foresight = Foresight(case, findings)
+    q_c = _best_motion(open_pairs, foresight, room, longest, seed, progress)
     progress(0.95, "what it will tell")
-    before = [one.products(problems[one.domain].regression) for one in asked]
-    pairs = tuple(_planned_pair(one, one.separation(own), one.separation(planned), recording)
-                  for one, own, planned in zip(asked, before, _told(asked, foresight, q_c), strict=True))
+    before = [pair.products(problems[pair.domain].regression) for pair in open_pairs]
+    pairs = tuple(_planned_pair(pair, pair.separation(own), pair.separation(planned), recording)
+                  for pair, own, planned in zip(open_pairs, before, _told(open_pairs, foresight, q_c), strict=True))
     still = foresight.regression(q_c, MOTOR_TORQUE).undecided
     return DiagnosisPlan(pairs, q_c, robot.t_ipo, not_asked,
                          tuple(joint for joint in questions.undecided if joint in still))
@@ -172,47 +172,47 @@ def _problems(case: Case, found: Findings) -> Iterator[tuple[Domain, Problem]]:
     if case.given is not None and np.any(found.start.covariance):
         problem = problem.with_prior(prior_precision(found.start, problem)).held()
     yield MOTOR_TORQUE, problem
-    for made in position_regressions(case.recording, case.robot, torque, case.stiffness):
-        yield made.domain, Problem.of(made, held_out=True)
+    for regression in position_regressions(case.recording, case.robot, torque, case.stiffness):
+        yield regression.domain, Problem.of(regression, held_out=True)
 
 
 def _asked_of(questions: Open, problems: Mapping[Domain, Problem], robot: Robot,
               options: Options) -> tuple[list[Pair], tuple[str, ...]]:
     """Pairs and joints that a motion may tell, and what no motion of the joints can answer."""
-    asked, not_asked = list[Pair](), list[str]()
+    open_pairs, not_asked = list[Pair](), list[str]()
     for problem in problems.values():
         pairs, mute = Causes(problem, options).pairs(questions)
-        asked += pairs
+        open_pairs += pairs
         not_asked += mute
-    asked += undecided_joints(problems[MOTOR_TORQUE], robot, questions.undecided)
-    not_asked += [f"{one.name}: no motion of the joints by itself tells it from "
-                  f"{', '.join(name for name, _ in one.rivals)}; follow a line longer, with other speeds and curvature"
-                  for one in questions.found
-                  if one.rivals and not any(effect.domain in problems for effect in one.effects)]
-    return asked, tuple(not_asked)
+    open_pairs += undecided_joints(problems[MOTOR_TORQUE], robot, questions.undecided)
+    not_asked += [f"{c.name}: no motion of the joints by itself tells it from "
+                  f"{', '.join(name for name, _ in c.rivals)}; follow a line longer, with other speeds and curvature"
+                  for c in questions.found
+                  if c.rivals and not any(effect.domain in problems for effect in c.effects)]
+    return open_pairs, tuple(not_asked)
 
 
-def _told(asked: Sequence[Pair], foresight: Foresight, q_c: Array) -> list[Products]:
+def _told(pairs: Sequence[Pair], foresight: Foresight, q_c: Array) -> list[Products]:
     """What a motion ``(N, n)`` [rad] tells of each pair."""
-    made = {domain: foresight.regression(q_c, domain) for domain in dict.fromkeys(one.domain for one in asked)}
-    return [one.products(made[one.domain]) for one in asked]
+    regressions = {domain: foresight.regression(q_c, domain) for domain in dict.fromkeys(pair.domain for pair in pairs)}
+    return [pair.products(regressions[pair.domain]) for pair in pairs]
 
 
-def _best_motion(asked: Sequence[Pair], foresight: Foresight, room: Workspace, longest: float,
+def _best_motion(pairs: Sequence[Pair], foresight: Foresight, room: Workspace, longest: float,
                  seed: int, progress: Progress) -> Array:
     """The commands ``(N, n)`` [rad] that tell the pairs best, within the arm's limits and the room."""
     case, robot = foresight.case, foresight.case.robot
     start = np.clip(case.recording.joints("q")[0], robot.q_min, robot.q_max)
-    least = [one.smallest_share(case.options) for one in asked]
+    least = [pair.smallest_share(case.options) for pair in pairs]
 
     def worth(several: Sequence[list[Products]]) -> float:
-        margins = np.array([one.separation(reduce(add, own)).margin(asks)
-                            for one, asks, own in zip(asked, least, zip(*several, strict=True), strict=True)])
+        margins = np.array([pair.separation(reduce(add, own)).margin(asks)
+                            for pair, asks, own in zip(pairs, least, zip(*several, strict=True), strict=True)])
         # Pairs that no motion tells must not keep the others waiting; beyond one, more is better, but not for long.
         return float(np.mean(np.minimum(margins, 1.0) + 0.1 * np.minimum(margins, CLEAR)))
 
     search = MotionSearch(robot, start, room, longest, np.random.default_rng(seed),
-                          lambda q_c: _told(asked, foresight, q_c))
+                          lambda q_c: _told(pairs, foresight, q_c))
     q_c = search.best(worth, 1.0 + 0.1 * CLEAR, lambda share, word: progress(0.05 + 0.85 * share, word))
     require_within_limits(robot, q_c, room)
     return q_c

@@ -65,14 +65,14 @@ class Open:
     @property
     def asks(self) -> bool:
         """Whether anything is open."""
-        return bool(self.undecided) or any(one.rivals for one in self.found)
+        return bool(self.undecided) or any(named.rivals for named in self.found)
 
 
 def open_questions(diagnosis: Diagnosis) -> Open:
     """What a diagnosis found and left open."""
-    found = tuple(Named(one.fitted.name, one.fitted.joint, prefix_of(one.fitted.channel),
-                        tuple(map(_rival, one.indistinguishable_from))) for one in diagnosis.effects)
-    return Open(found, tuple(sorted(diagnosis.undecided)))
+    causes = tuple(Named(effect.fitted.name, effect.fitted.joint, prefix_of(effect.fitted.channel),
+                         tuple(map(_rival, effect.indistinguishable_from))) for effect in diagnosis.effects)
+    return Open(causes, tuple(sorted(diagnosis.undecided)))
 
 
 def read_questions(values: Any, n: int, file: Any = None) -> Open:
@@ -91,7 +91,7 @@ def read_questions(values: Any, n: int, file: Any = None) -> Open:
 
     require(isinstance(values, Mapping) and isinstance(values.get("effects"), list),
             "expected the JSON that ideal-robot diagnose --json wrote", "effects")
-    known, found = set(names()), []
+    known, causes = set(names()), []
     for i, entry in enumerate(values["effects"]):
         place = f"effects.{i}"
         require(isinstance(entry, Mapping), "expected an effect with name and joint", place)
@@ -105,13 +105,13 @@ def read_questions(values: Any, n: int, file: Any = None) -> Open:
         for rival, other in named:
             require(rival in known and (other is None or 0 <= other <= n), "no such effect at a joint of this arm",
                     f"{place}.indistinguishable_from", rival)
-        found.append(Named(name, joint, prefix_of(str(entry.get("channel", ""))), named))
+        causes.append(Named(name, joint, prefix_of(str(entry.get("channel", ""))), named))
     undecided = values.get("undecided", [])
     require(isinstance(undecided, list), "expected a list of joints", "undecided")
     joints: list[Any] = [entry.get("joint") if isinstance(entry, Mapping) else None for entry in undecided]
     for joint in joints:
         require(_is_joint(joint, 1, n), f"expected a joint from 1 to {n}", "undecided", str(joint))
-    return Open(tuple(found), tuple(sorted(set(joints))))
+    return Open(tuple(causes), tuple(sorted(set(joints))))
 
 
 def _is_joint(value: Any, first: int, last: int) -> bool:
@@ -138,37 +138,37 @@ class Causes:
     def pairs(self, questions: Open) -> tuple[list[Pair], list[str]]:
         """The pairs of this domain that are open, and what could not be asked."""
         domain = self.problem.regression.domain
-        asked, silent, taken = list[Pair](), list[str](), list[tuple[Named, Candidate]]()
-        for one in questions.found:
-            effects = one.effects
+        pairs, silent, chosen = list[Pair](), list[str](), list[tuple[Named, Candidate]]()
+        for named in questions.found:
+            effects = named.effects
             if not any(effect.domain == domain for effect in effects):
                 continue
-            best = self._best(effects, one.joint)
+            best = self._best(effects, named.joint)
             if best is None:
-                silent.append(f"{one.name} at joint {one.joint} does not show in this recording")
+                silent.append(f"{named.name} at joint {named.joint} does not show in this recording")
                 continue
             self.model.replace([*self.model.choices, best])
-            taken.append((one, best))
-        for one, choice in taken:
-            for rival, joint in one.rivals:
+            chosen.append((named, best))
+        for named, choice in chosen:
+            for rival, joint in named.rivals:
                 best = self._best([e for e in library() if e.name == rival and e.domain == domain], joint, choice)
                 if best is None:
-                    silent.append(f"{rival} as a rival of {one.name} does not show in this recording")
+                    silent.append(f"{rival} as a rival of {named.name} does not show in this recording")
                 else:
-                    asked.append(self._pair(choice, best))
-        return asked, silent
+                    pairs.append(self._pair(choice, best))
+        return pairs, silent
 
     def _pair(self, choice: Candidate, rival: Candidate) -> Pair:
         """The two, each fitted in the other's place."""
-        fit, made = self.model.fit(choice), self.problem.regression
-        cause, other = (Cause(one, fit.gain(one.key)[1], _thetas_of(one, made)) for one in (choice, rival))
+        fit, regression = self.model.fit(choice), self.problem.regression
+        cause, other = (Cause(c, fit.gain(c.key)[1], _thetas_of(c, regression)) for c in (choice, rival))
         return Pair(cause, other, tuple(c for c in self.model.choices if c is not choice), self.model.weights,
-                    self.model.fit().inflation, self.problem.prior, made.domain)
+                    self.model.fit().inflation, self.problem.prior, regression.domain)
 
     def _best(self, effects: Sequence[Effect], joint: int | None, own: Candidate | None = None) -> Candidate | None:
         """What takes most away at one joint or (None) at all, in the place of a choice if ``own``, theta refined."""
-        made = self.problem.regression
-        pool = [starts for starts in candidates(effects, made.signals, made.undecided, True)
+        regression = self.problem.regression
+        pool = [starts for starts in candidates(effects, regression.signals, regression.undecided, True)
                 if joint in (None, starts[0].joint) and (own is None or starts[0].place != own.place)]
         fit = self.model.fit() if own is None else self.model.fit(own)
         scored = [s for s in self.scoring.scored(fit, pool) if own is None or overlap(self.model, own, s)]
@@ -182,13 +182,13 @@ def undecided_joints(problem: Problem, robot: Robot, joints: Sequence[int]) -> l
         problem, robot: the motor torques, and the arm, whose speeds say where theta starts.
         joints: that moved too little, from 1.
     """
-    made = problem.regression
-    level = np.maximum(made.noise_floor, 1e-3 * np.std(made.measured, axis=0) + 1e-9)
+    regression = problem.regression
+    level = np.maximum(regression.noise_floor, 1e-3 * np.std(regression.measured, axis=0) + 1e-9)
     # The joint as it will move, so that what depends on range and speed begins somewhere.
-    turn = np.linspace(0.0, 20.0 * np.pi, len(made.signals.t))[:, None]
+    turn = np.linspace(0.0, 20.0 * np.pi, len(regression.signals.t))[:, None]
     half = np.minimum(0.25 * (robot.q_max - robot.q_min), 1.0)
-    signals = replace(made.signals, q=half * np.sin(turn), qd=0.5 * finite_limits(robot)[0] * np.cos(turn))
-    asked = []
+    signals = replace(regression.signals, q=half * np.sin(turn), qd=0.5 * finite_limits(robot)[0] * np.cos(turn))
+    pairs = []
     effects = [e for e in library() if e.domain == MOTOR_TORQUE and not (e.absorbed_by_base or e.scanned)]
     for joint, effect in product(joints, effects):
         starts = effect.starts(signals, joint) if joint in effect.joints(signals) else ()
@@ -196,8 +196,8 @@ def undecided_joints(problem: Problem, robot: Robot, joints: Sequence[int]) -> l
             continue  # of a partner axis where there is no other joint
         theta = starts[len(starts) // 2]
         cause = Cause(Candidate(effect, joint, theta), np.ones(len(effect.coefficient_names)), (theta,))
-        asked.append(Pair(cause, None, (), 1.0 / level**2, 1.0, None))
-    return asked
+        pairs.append(Pair(cause, None, (), 1.0 / level**2, 1.0, None))
+    return pairs
 
 
 def _thetas_of(candidate: Candidate, made: Regression) -> tuple[tuple[float, ...], ...]:
@@ -208,5 +208,5 @@ def _thetas_of(candidate: Candidate, made: Regression) -> tuple[tuple[float, ...
     bounds = effect.bounds(made.signals, candidate.joint)
     # Without bounds theta is a choice, such as that of a partner axis, and not a number.
     near = [tuple(f * v for v in theta) for f in (0.5, 0.7, 1.4, 2.0)] if len(bounds) == len(theta) else []
-    inside = [one for one in near if all(low <= v <= high for v, (low, high) in zip(one, bounds, strict=True))]
+    inside = [trial for trial in near if all(low <= v <= high for v, (low, high) in zip(trial, bounds, strict=True))]
     return tuple(dict.fromkeys([theta, *inside, *effect.starts(made.signals, candidate.joint)]))

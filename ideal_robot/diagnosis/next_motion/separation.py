@@ -152,8 +152,8 @@ class Pair:
     def smallest_share(self, options: Options) -> float:
         """Share of the residual that a diagnosis with these thresholds asks of the causes."""
         options = options if self.domain == MOTOR_TORQUE else options.finer()
-        causes = [one for one in (self.cause, self.rival) if one is not None]
-        return max(one.candidate.effect.caution * options.smallest for one in causes)
+        causes = [cause for cause in (self.cause, self.rival) if cause is not None]
+        return max(cause.candidate.effect.caution * options.smallest for cause in causes)
 
 
 def _left(matrix: Array, prior: Array | None) -> float:

@@ -87,11 +87,11 @@ class PresentModel:
 
     def parts(self, fit: Fit) -> Iterator[tuple[Columns, slice]]:
         """The groups of a fit and where their coefficients stand in it."""
-        at = 0
+        column = 0
         for key in fit.keys:
             group = self.design.groups[key]
-            yield group, slice(at, at + group.m)
-            at += group.m
+            yield group, slice(column, column + group.m)
+            column += group.m
 
     def left_out(self, fit: Fit) -> Array:
         """Residual at all rows ``(N, c)``, each block predicted by the fit without its fold."""
@@ -112,9 +112,9 @@ class PresentModel:
 
     def add_starts(self, starts: Sequence[Candidate]) -> str:
         """Makes all starts of a candidate one group of the design, unless it is; the name of the group."""
-        key, thetas = f"{starts[0].place}*", [one.theta for one in starts]
+        key, thetas = f"{starts[0].place}*", [start.theta for start in starts]
         if self._starts.get(key) != thetas:
-            self.design.add(key, Columns.side_by_side([self.problem.columns(one) for one in starts]))
+            self.design.add(key, Columns.side_by_side([self.problem.columns(start) for start in starts]))
             self._starts[key] = thetas
         return key
 
@@ -136,8 +136,8 @@ class PresentModel:
 
     def worse_than(self, other: PresentModel) -> float:
         """Standard errors by which it leaves more of blocks that had no part in its fit than another about the same."""
-        left = [one.fit().held_out_squares[self.problem.blocks.selecting] @ self.weights for one in (self, other)]
-        return standard_errors(left[0] - left[1])
+        sums = [model.fit().held_out_squares[self.problem.blocks.selecting] @ self.weights for model in (self, other)]
+        return standard_errors(sums[0] - sums[1])
 
     def _weights(self) -> Array:
         return weights_of_channels(self.design, self.keys(), self.problem.prior)

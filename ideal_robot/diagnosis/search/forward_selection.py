@@ -95,8 +95,8 @@ class Search:
     def run(self, start: Sequence[Candidate] = ()) -> list[Candidate]:
         """The choices in the order they were taken, first those of an earlier search that still hold their places."""
         self.model.replace(list(start))
-        for one in sorted(start, key=lambda c: c.share):
-            self._drop_if_small(one)
+        for candidate in sorted(start, key=lambda c: c.share):
+            self._drop_if_small(candidate)
         self._with_needed_form()
         for round_ in range(self.options.most):
             # How many rounds there will be is not known: each takes a share of what is left.
@@ -196,13 +196,13 @@ class Search:
             laws = [starts for starts in self.pool
                     if isinstance(starts[0].effect, AngleLaw) and starts[0].joint == choice.joint]
             tried = [self.scoring.refined(fit, s) for s in self.scoring.scored(fit, laws)]
-            others = [s for s in tried if s.place != choice.place]
+            alternatives = [s for s in tried if s.place != choice.place]
             own = [self.scoring.tested(fit, choice), *(s for s in tried if s.place == choice.place)]
             present = max(own, key=lambda s: s.test.total)
             if self.learns and choice.theta:
                 # With a shape of its own a law bends to nearly any curve, which has to be needed beside it.
-                others += self.scoring.curves_over_angle(fit, choice.joint)
-            for other in others:
+                alternatives += self.scoring.curves_over_angle(fit, choice.joint)
+            for other in alternatives:
                 simple, rich = sorted((present, other), key=lambda s: s.parameter_count)
                 # With any of its theta the simpler one may do without the other.
                 needed = rich.test.total > simple.test.total and all(

@@ -85,9 +85,9 @@ class Scoring:
         fit = slow.model.fit(*[c for c in choices if c.place == s.place or c is replaced])
         if slow.plausible_gain(fit, s) is None:
             return 0.0
-        found = slow.tested(fit, s)
-        certain = found.p_value < self.options.learned_discovery
-        return found.share if certain and slow._is_large_here(found, replaced) else 0.0
+        tested = slow.tested(fit, s)
+        certain = tested.p_value < self.options.learned_discovery
+        return tested.share if certain and slow._is_large_here(tested, replaced) else 0.0
 
     @cached_property
     def _in_slow_band(self) -> Scoring:
@@ -97,12 +97,12 @@ class Scoring:
 
     def share_asked(self, s: Candidate, own: Candidate | None = None) -> float:
         """Share of the whole band's squares that is asked of a large candidate; ``own`` is its choice if taken."""
-        asked, slowly = self.smallest_share(s, own), 0.0
-        if s.share < asked:
+        least, slowly = self.smallest_share(s, own), 0.0
+        if s.share < least:
             slowly = self.share_slowly(s, own)
         # Vibrations may hide a slow effect. It is measured in the lower half of the band, and the share that is asked
         # for there is scaled to the whole band.
-        return asked if slowly == 0.0 else s.share * self._in_slow_band.smallest_share(s, own) / slowly
+        return least if slowly == 0.0 else s.share * self._in_slow_band.smallest_share(s, own) / slowly
 
     def _is_large_here(self, s: Candidate, replaced: Candidate | None) -> bool:
         """Whether a candidate reduces enough, and is no combination that the other parameters nearly cancel."""
@@ -142,11 +142,11 @@ class Scoring:
         channels, blocks = list(group.channels), self.model.problem.blocks
         use = self.model.problem.products.use[:, channels] & blocks.selecting_samples[:, None]
         wave = group.values @ fit.beta[-group.m :] * use
-        left = self.model.residual(fit)[:, channels] * use
+        residual = self.model.residual(fit)[:, channels] * use
         rows = np.flatnonzero(use.any(axis=1))
         q = self.at_rows.q[rows, s.joint - 1]
         parts = int(np.clip(s.effect.periods(self.signals, s.joint, s.theta), 1, blocks.folds))
-        return all(np.sum(left[part] * wave[part]) > -0.5 * np.sum(wave[part] ** 2)
+        return all(np.sum(residual[part] * wave[part]) > -0.5 * np.sum(wave[part] ** 2)
                    for part in np.array_split(rows[np.argsort(q)], parts))
 
     def holds_slowly(self, s: Candidate) -> bool:
@@ -158,7 +158,7 @@ class Scoring:
             return True
         problem = self.model.problem
         effects = [*(c for c in self.model.choices if c.place != s.place), s]
-        whole, slow = (made.fit(effects).coefficients[-1] for made in (problem, problem.slow()))
+        whole, slow = (variant.fit(effects).coefficients[-1] for variant in (problem, problem.slow()))
         return bool(np.all(slow * np.sign(whole) > 0.5 * np.abs(whole)))
 
     def _sizes_at(self, joint: int, without: Candidate | None) -> Array:
@@ -193,18 +193,18 @@ class Scoring:
 
         if len(bounds) == 1:
             (low, high), = bounds
-            found = optimize.minimize_scalar(loss, bounds=(low, high), method="bounded",
-                                             options={"maxiter": 14, "xatol": 1e-3 * (high - low)})
+            optimum = optimize.minimize_scalar(loss, bounds=(low, high), method="bounded",
+                                               options={"maxiter": 14, "xatol": 1e-3 * (high - low)})
         else:
-            found = optimize.minimize(loss, np.array(s.theta), method="Nelder-Mead", bounds=bounds,
-                                      options={"maxfev": 40, "xatol": 1e-3, "fatol": 1e-2})
-        better = at(found.x)
+            optimum = optimize.minimize(loss, np.array(s.theta), method="Nelder-Mead", bounds=bounds,
+                                        options={"maxfev": 40, "xatol": 1e-3, "fatol": 1e-2})
+        better = at(optimum.x)
         if self.plausible_gain(fit, better) is None:
             return s
         tried = self.tested(fit, better)
         # None of a theta is the law without it, which stays unless the data tell.
-        told = TOLD if s.theta == (0.0,) else 0.0
-        return tried if standard_errors(tried.test.reduction - s.test.reduction) > told else s
+        threshold = TOLD if s.theta == (0.0,) else 0.0
+        return tried if standard_errors(tried.test.reduction - s.test.reduction) > threshold else s
 
     def _made_consistent(self, fit: Fit, s: Candidate) -> Candidate:
         """Theta that agrees with the coefficients."""
@@ -220,15 +220,15 @@ class Scoring:
     def scored(self, fit: Fit, pool: list[list[Candidate]]) -> list[Candidate]:
         """The best of the starts of every effect at every joint, tested on blocks left out by a fit without it."""
         residual, scored = self.model.residual(fit), []
-        taken = [c for c in self.model.choices if c.key in fit.keys]
+        chosen = [c for c in self.model.choices if c.key in fit.keys]
         for starts in pool:
             first = starts[0]
-            if not first.effect.scanned and any(_forms_of_one(first, other) for other in taken):
+            if not first.effect.scanned and any(_forms_of_one(first, other) for other in chosen):
                 continue
             if first.effect.scanned:
-                found, tries = first.effect.starts_from_residual(self.at_rows, first.joint, residual,
-                                                                 self.model.problem.products.use)
-                starts = [replace(first, theta=theta, tries=tries) for theta in found]
+                thetas, tries = first.effect.starts_from_residual(self.at_rows, first.joint, residual,
+                                                                  self.model.problem.products.use)
+                starts = [replace(first, theta=theta, tries=tries) for theta in thetas]
             best = self._best_start(fit, starts)
             if best is not None:
                 scored.append(self.tested(fit, best))
@@ -259,11 +259,11 @@ class Scoring:
         scored = [s for j in range(problem.products.c)
                   if j + 1 not in problem.regression.undecided or problem.regression.domain == TCP_POSITION
                   for s in self.curves_in(fit, residual, j, best is None, least)]
-        taken = {c.key for c in self.model.choices}
+        chosen = {c.key for c in self.model.choices}
         scored = [s for s in scored if s.p_value < self.options.learned_discovery and s.test.total > least
-                  and s.key not in taken and self.is_large(s)]
-        found = max(scored, key=lambda s: s.test.total, default=None)
-        return None if found is None else replace(found, asked=self.smallest_share(found))
+                  and s.key not in chosen and self.is_large(s)]
+        curve = max(scored, key=lambda s: s.test.total, default=None)
+        return None if curve is None else replace(curve, asked=self.smallest_share(curve))
 
     def curves_over_angle(self, fit: Fit, joint: int) -> list[Candidate]:
         """The curve over a joint's own angle, from 1, tested; none where the joint hardly moves."""
@@ -316,20 +316,20 @@ def with_equivalents(problem: Problem, choices: list[Candidate]) -> list[Candida
     """The choices with what other joints' geometry could do as well: links of parallel axes are one length."""
     if not any(isinstance(choice.effect, GeometryChange) for choice in choices):
         return choices
-    made, found, result = problem.regression, problem.fit(choices), []
-    for choice, coefficients in zip(choices, found.coefficients, strict=True):
+    regression, estimate, result = problem.regression, problem.fit(choices), []
+    for choice, coefficients in zip(choices, estimate.coefficients, strict=True):
         effect, joint, theta = choice.effect, choice.joint, choice.theta
         more: list[tuple[str, int, float]] = []
         if isinstance(effect, GeometryChange):
-            own = (made.columns_of(effect, joint, theta) @ coefficients).reshape(-1)
-            W = made.W.reshape(len(own), -1)
+            own = (regression.columns_of(effect, joint, theta) @ coefficients).reshape(-1)
+            W = regression.W.reshape(len(own), -1)
             alone = float(np.sum(_without(W, own) ** 2))
-            for other in effect.joints(made.signals):
-                if other != joint and effect.usable(made.signals, other):
-                    theirs = made.columns_of(effect, other, theta).reshape(len(own), -1)
-                    left = float(np.sum(_without(np.column_stack([W, theirs]), own) ** 2))
-                    if left < (1.0 - NEARLY) * alone:
-                        more.append((f"{effect.name} of joint {other}", other, 1.0 - left / alone))
+            for other in effect.joints(regression.signals):
+                if other != joint and effect.usable(regression.signals, other):
+                    theirs = regression.columns_of(effect, other, theta).reshape(len(own), -1)
+                    remaining = float(np.sum(_without(np.column_stack([W, theirs]), own) ** 2))
+                    if remaining < (1.0 - NEARLY) * alone:
+                        more.append((f"{effect.name} of joint {other}", other, 1.0 - remaining / alone))
         result.append(replace(choice, rivals=choice.rivals + tuple(more)))
     return result
 

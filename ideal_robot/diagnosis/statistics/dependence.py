@@ -87,7 +87,7 @@ class DependenceTest:
         self.signals, self.use, self.blocks = signals, use, blocks
         self._white: dict[tuple[Unknown, int], tuple[Array, Array]] = {}
         self._known: dict[tuple[str, tuple[float, ...]], Array] = {}
-        self._counts = [self._both_ways(one.astype(float), j) for j, one in enumerate(use.T)]
+        self._counts = [self._both_ways(mask.astype(float), j) for j, mask in enumerate(use.T)]
 
     def tests(self, residual: Array, channel: int, of: Sequence[Unknown]) -> list[Dependence]:
         """Tests curves on one channel's residual.
@@ -105,8 +105,8 @@ class DependenceTest:
     def _both_ways(self, r: Array, channel: int) -> tuple[Array, Array, Array]:
         """Values ``(N,)`` block by block ``(B, 1, L)``, times its joint's direction, and sums ``(B, 1)``."""
         directed = r * self.signals.sliding_direction(channel + 1) if channel < self.signals.n else r
-        here = self.blocks.cut(r)
-        return here[:, None], self.blocks.cut(directed)[:, None], here.sum(axis=1)[:, None]
+        by_block = self.blocks.cut(r)
+        return by_block[:, None], self.blocks.cut(directed)[:, None], by_block.sum(axis=1)[:, None]
 
     def _test(self, weights: tuple[Array, Array, Array], channel: int, term: Unknown) -> Dependence:
         """Tests one curve on a channel's residual, given block by block, times its direction, and summed."""
@@ -152,7 +152,7 @@ class DependenceTest:
             if (name, knots) not in self._known:
                 self._known[name, knots] = self.blocks.cut(spline_basis(signal_of(self.signals, name), knots,
                                                                         term.margin))
-        return [self._known[one] for one in zip(term.depends_on, term.knots, strict=True)]
+        return [self._known[key] for key in zip(term.depends_on, term.knots, strict=True)]
 
 
 def time_period(residual: Array, use: np.ndarray, t: Array, domain: Domain) -> Unknown | None:
@@ -219,15 +219,15 @@ def reversal_widths(problem: Problem, model: Model) -> Array:
             continue
         # Halved down to what the noise of the position asks for; the best is refined.
         speeds = widest * 0.5 ** np.arange(np.ceil(np.log2(widest / reversal_width[j])))
-        left = partial(_remaining, problem, design, weights, law, j, place)
-        remaining = [left(speed) for speed in speeds]
+        misfit = partial(_remaining, problem, design, weights, law, j, place)
+        remaining = [misfit(speed) for speed in speeds]
         best = int(np.argmin(remaining))
-        if left(reversal_width[j]) - remaining[best] < TOLD**2:
+        if misfit(reversal_width[j]) - remaining[best] < TOLD**2:
             continue
         around = (max(0.5 * speeds[best], reversal_width[j]), min(2.0 * speeds[best], widest))
-        found = optimize.minimize_scalar(lambda x, of=left: of(np.exp(x)), bounds=np.log(around), method="bounded",
-                                         options={"xatol": 0.02, "maxiter": 8})
-        reversal_width[j] = float(np.exp(found.x)) if found.fun < remaining[best] else speeds[best]
+        optimum = optimize.minimize_scalar(lambda x, of=misfit: of(np.exp(x)), bounds=np.log(around), method="bounded",
+                                           options={"xatol": 0.02, "maxiter": 8})
+        reversal_width[j] = float(np.exp(optimum.x)) if optimum.fun < remaining[best] else speeds[best]
     return reversal_width
 
 

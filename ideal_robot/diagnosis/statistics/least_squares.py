@@ -170,9 +170,9 @@ class Fit:
 
         What is known of parameters is a measurement like others: a fit that moves them far leaves squares there.
         """
-        left = float((self.squares()[self.fold >= 0] * self.weights).sum())
-        left += float(self.beta @ self._precision @ self.beta)
-        return self.gain(key)[0] / max(left, 1e-300)
+        squares = float((self.squares()[self.fold >= 0] * self.weights).sum())
+        squares += float(self.beta @ self._precision @ self.beta)
+        return self.gain(key)[0] / max(squares, 1e-300)
 
     def gain(self, key: str) -> tuple[float, Array]:
         """In-sample gain and coefficients of one more group."""
@@ -197,10 +197,10 @@ class Fit:
             CG[:, :, self.G.parts[j][0]] += self.weights[j] * np.tensordot(self._training, with_others, 1)
             CC += self.weights[j] * np.tensordot(self._training, with_itself, 1)
         gains, gammas, moved = self._joined(group, CG, CC, *self._solutions)
-        at = 1 + self.fold
-        v, step, gamma = self._left_out, np.column_stack([moved, np.zeros(len(moved))])[at], gammas[at]
+        rows = 1 + self.fold
+        v, step, gamma = self._left_out, np.column_stack([moved, np.zeros(len(moved))])[rows], gammas[rows]
         # What a candidate changes, e = [X, y] step - C gamma, times the residual r that is left out; and its squares.
-        across, size = np.empty((2, len(at), len(self.weights)))
+        across, size = np.empty((2, len(rows), len(self.weights)))
         for j, (index, G) in enumerate(self.G.parts):
             across[:, j] = np.sum(self._along[j] * step[:, index], axis=1)
             size[:, j] = quadratic(G, step[:, index])
@@ -209,7 +209,7 @@ class Fit:
                 across[:, j] -= np.sum(times(with_others, v[:, index]) * gamma, axis=1)
                 size[:, j] += quadratic(with_itself, gamma) - 2.0 * np.sum(
                     times(with_others, step[:, index]) * gamma, axis=1)
-        selecting, reduction = self.fold >= 0, np.full(len(at), np.nan)
+        selecting, reduction = self.fold >= 0, np.full(len(rows), np.nan)
         by_channel = -self.weights * (2.0 * across + size)[selecting].sum(axis=0)
         across, size = across[selecting] @ self.weights, size[selecting] @ self.weights
         reduction[selecting] = -2.0 * across - size
@@ -229,12 +229,12 @@ class Fit:
         part = 1.0 if group.own is None else group.own.reshape(-1, m)
         # A column that the others explain all but what is rounding of has nothing of its own. What of it is of the form
         # of the model's own parameters does not count.
-        size, left = (np.diagonal(one, axis1=-2, axis2=-1) for one in (CC, S))
-        own = (left > ROUNDING * part * size) & (size > ROUNDING**2 * np.max(size, axis=-1, keepdims=True))
+        size, remaining = (np.diagonal(matrix, axis1=-2, axis2=-1) for matrix in (CC, S))
+        own = (remaining > ROUNDING * part * size) & (size > ROUNDING**2 * np.max(size, axis=-1, keepdims=True))
         if group.alike and m > 6:
             S = S + _SMOOTH * np.mean(size, axis=-1)[..., None, None] * np.eye(m)
-            left = np.diagonal(S, axis1=-2, axis2=-1)
-        scale = np.where(own, 1.0 / np.sqrt(np.where(own, left, 1.0)), 0.0)
+            remaining = np.diagonal(S, axis1=-2, axis2=-1)
+        scale = np.where(own, 1.0 / np.sqrt(np.where(own, remaining, 1.0)), 0.0)
         right = scale * (CG[..., -1] - times(CX, present))
         inner = S * scale[..., :, None] * scale[..., None, :] + np.eye(m) * (~own[..., None] + 1e-6)
         gamma = scale * np.linalg.solve(inner, right[..., None])[..., 0]

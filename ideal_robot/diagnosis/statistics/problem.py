@@ -137,13 +137,13 @@ def with_parameters(model: Model, change: Array, covariance: Array | None = None
     """
     base_values = model.base_values + change[: model.base.count]
     places, new = friction_places(model.base, model.friction), []
-    at = places[-1].stop
+    start = places[-1].stop
     for law, place in zip(model.friction.laws, places, strict=True):
         # Shapes are positive; a linear step may go to a third or to three times of what they were.
-        shape = np.clip(law.shape + change[at : at + len(law.shape), None], law.shape / 3.0, 3.0 * law.shape)
+        shape = np.clip(law.shape + change[start : start + len(law.shape), None], law.shape / 3.0, 3.0 * law.shape)
         new.append(type(law)(law.coefficients + change[place, None], shape, presliding=law.presliding,
                              loaded=law.loaded))
-        at += len(law.shape)
+        start += len(law.shape)
     # The full parameters that have these base parameters and lie closest to those of before.
     full = model.base.nearest_full(base_values, model.consistent)
     return replace(model, base_values=base_values, friction=PerJointFriction(new), consistent=full,
@@ -250,17 +250,17 @@ class Problem:
             raise InputError(f"columns of {type(effect).__name__} have to be ({len(signals.t)}, c, {m}): samples, "
                              "channels, coefficients; Signals.on_joint makes them", field="effects",
                              value=np.shape(columns))
-        made = replace(self.prepared(columns), alike=effect.learned)
-        if not np.isfinite(made.values).all():
+        group = replace(self.prepared(columns), alike=effect.learned)
+        if not np.isfinite(group.values).all():
             raise InputError(f"columns of {type(effect).__name__} hold values that are not finite, of "
                              f"joint {candidate.joint}", field="effects", value=effect.name)
         form = self.form_of_model(candidate)
-        if form is None or form.channels != made.channels:
-            return made
-        left, whole = ((values**2).sum(axis=(0, 1)) for values in (made.without(form), made.values))
-        share = left / np.maximum(whole, 1e-300)
+        if form is None or form.channels != group.channels:
+            return group
+        remaining, whole = ((values**2).sum(axis=(0, 1)) for values in (group.without(form), group.values))
+        share = remaining / np.maximum(whole, 1e-300)
         # A column that is all of that form is judged as any other.
-        return replace(made, own=np.where(share > ROUNDING, share, 1.0))
+        return replace(group, own=np.where(share > ROUNDING, share, 1.0))
 
     def form_of_model(self, candidate: Candidate) -> Columns | None:
         """Columns that the model's own parameters make and that a candidate is partly like; None where it is not."""
@@ -349,8 +349,8 @@ def prior_covariance(model: Model, problem: Problem) -> Array:
     """
     products = problem.products
     squares = np.zeros((products.c, products.W.m))
-    for j, made in problem.design().cross("W", "W").items():
-        squares[j, products.acting(products.W, j)[0]] = np.einsum("bii->i", made[problem.blocks.selecting])
+    for j, gram in problem.design().cross("W", "W").items():
+        squares[j, products.acting(products.W, j)[0]] = np.einsum("bii->i", gram[problem.blocks.selecting])
     torque = (problem.regression.measured**2 * products.use).sum(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         moves = 0.002 * np.sqrt(torque[:, None] / squares)
@@ -364,10 +364,10 @@ def prior_covariance(model: Model, problem: Problem) -> Array:
 
 def torque_left_open(model: Model, problem: Problem) -> Array:
     """Standard deviation of each joint's torque, as what is not known of the parameters makes it ``(n,)`` [N m]."""
-    covariance, made = prior_covariance(model, problem), problem.regression
-    result = np.full(len(made.channels), np.inf)
+    covariance, regression = prior_covariance(model, problem), problem.regression
+    result = np.full(len(regression.channels), np.inf)
     for j in range(len(result)):
-        rows = made.W[made.use[:, j], j]
+        rows = regression.W[regression.use[:, j], j]
         moves = np.any(rows != 0.0, axis=0)
         rows, own = rows[:, moves], covariance[np.ix_(moves, moves)]
         if len(rows) and np.isfinite(own).all():

@@ -23,11 +23,11 @@ from ideal_robot.effects.fitted import Unknown
 
 def discriminating_motion(name: str, rivals: tuple[str, ...]) -> str:
     """The motion that would tell an effect from its rivals; empty where there are none."""
-    said = {frozenset({effect.name, other}): motion for effect in library()
-            for other, motion in effect.discriminating_motion}
-    found = [said.get(frozenset({name, rival}), f"a motion with other speeds, ranges and loads ({name} or {rival})")
-             for rival in rivals]
-    return "; ".join(dict.fromkeys(found))
+    motions = {frozenset({effect.name, other}): motion for effect in library()
+               for other, motion in effect.discriminating_motion}
+    advice = [motions.get(frozenset({name, rival}), f"a motion with other speeds, ranges and loads ({name} or {rival})")
+              for rival in rivals]
+    return "; ".join(dict.fromkeys(advice))
 
 
 def _ranked_structure(problem: Problem, residuals: Sequence[Array]) -> list[tuple[Structure, ...]]:
@@ -38,15 +38,15 @@ def _ranked_structure(problem: Problem, residuals: Sequence[Array]) -> list[tupl
     curves = [terms(signals, j, False, regression.domain) for j in range(use.shape[1])]
     result = []
     for residual in residuals:
-        found: list[Structure] = []
+        rows: list[Structure] = []
         for j in np.flatnonzero(use.any(axis=0)).tolist():
             tests = dependence.tests(residual[:, j], j, curves[j])
             limit = 0.01 / max(len(tests) * use.shape[1], 1)
             clear = [d for d in tests if d.p_value < limit and d.share - d.expected > 0.01]
             clear.sort(key=lambda d: d.expected - d.share)
-            found += [Structure(regression.channels[j], tuple(d.term.signals_of(j + 1)), d.share, d.expected, d.p_value)
-                      for d in clear[:3]]
-        result.append(tuple(found))
+            rows += [Structure(regression.channels[j], tuple(d.term.signals_of(j + 1)), d.share, d.expected, d.p_value)
+                     for d in clear[:3]]
+        result.append(tuple(rows))
     return result
 
 
@@ -64,11 +64,11 @@ def with_limits(fitted: FittedEffect, candidate: Candidate, signals: Signals) ->
         inward = (*theta[:i], theta[i] - 0.01 * side * (abs(theta[i]) or 1.0), *theta[i + 1 :])
         moved = candidate.effect.parameters(np.asarray(fitted.coefficients), np.asarray(fitted.std), inward,
                                             fitted.theta_std)
-        for k, (here, there) in enumerate(zip(fitted.parameters, moved, strict=True)):
-            step = there.value - here.value
-            if abs(step) > 1e-9 * max(abs(here.value), 1e-300):
+        for k, (own, shifted) in enumerate(zip(fitted.parameters, moved, strict=True)):
+            step = shifted.value - own.value
+            if abs(step) > 1e-9 * max(abs(own.value), 1e-300):
                 # What lies beyond the bound lies on the other side than what lies within.
-                parameters[k] = EffectParameter(here.name, here.value, 0.0, here.unit, "≤" if step > 0.0 else "≥")
+                parameters[k] = EffectParameter(own.name, own.value, 0.0, own.unit, "≤" if step > 0.0 else "≥")
     return replace(fitted, parameters=tuple(parameters))
 
 
@@ -113,8 +113,8 @@ def with_misfit(problem: Problem, effects: Sequence[Candidate], found: Estimate)
     slow = whole.slow().fit(effects, uncertainty=True, misfit=True)
     std, theta_std = [], []
     for k, candidate in enumerate(effects):
-        errs, drifts = (np.minimum(here[k], there[k]) if candidate.effect.of_slow_motion else here[k]
-                        for here, there in ((wide.std, slow.std), (wide.theta_std, slow.theta_std)))
+        errs, drifts = (np.minimum(whole[k], half[k]) if candidate.effect.of_slow_motion else whole[k]
+                        for whole, half in ((wide.std, slow.std), (wide.theta_std, slow.theta_std)))
         std.append(np.hypot(errs, slow.coefficients[k] - found.coefficients[k]))
         theta_std.append(np.where(drifts > 0.0, np.hypot(drifts, slow.theta_step[k] - wide.theta_step[k]), drifts))
     return replace(found, std=tuple(std), theta_std=tuple(theta_std))
@@ -187,11 +187,11 @@ class DomainDiagnosis:
         error on the held-out data does not fall by half of what was asked at least, is not missing.
         """
         domain, dropped = self, list[NotTransferred]()
-        while domain.choices and (found := domain._unsound() or domain._worthless()):
-            k, gone = found
-            kept = [choice for i, choice in enumerate(domain.choices) if i != k]
-            final = domain.problem.on_all_blocks().fit(kept, uncertainty=True)
-            domain = replace(domain, choices=kept, final=final)
+        while domain.choices and (failure := domain._unsound() or domain._worthless()):
+            k, gone = failure
+            choices = [choice for i, choice in enumerate(domain.choices) if i != k]
+            final = domain.problem.on_all_blocks().fit(choices, uncertainty=True)
+            domain = replace(domain, choices=choices, final=final)
             dropped.append(gone)
         return domain, tuple(dropped)
 
@@ -211,8 +211,8 @@ class DomainDiagnosis:
                 why = "it is not distinguished from none"
             if why:
                 numbers = fitted_effect(candidate, self._widened, k, self.reported.prismatic).parameters
-                said = ", ".join(p.text for p in numbers)
-                return k, self._not_added(k, f"in the fit of everything together {why} ({said})")
+                text = ", ".join(p.text for p in numbers)
+                return k, self._not_added(k, f"in the fit of everything together {why} ({text})")
         return None
 
     def _differs(self, k: int) -> bool:
@@ -285,10 +285,10 @@ class DomainDiagnosis:
         """Errors of each step, effects with their numbers, and what the residual depends on."""
         effects, own, reported = self.choices, self.problem.regression, self.reported
         first, last = self.problem.fit(), self.problem.fit(effects)
-        refitted, left = first.residual(reported, []), last.residual(reported, effects)
-        before, after = reported.y if self.given else refitted, self._rms(left)
+        refitted, residual = first.residual(reported, []), last.residual(reported, effects)
+        before, after = reported.y if self.given else refitted, self._rms(residual)
         # The floor belongs to the band of the residual, and is part of it.
-        white, usual = noise_left(left, reported.use)
+        white, usual = noise_left(residual, reported.use)
         numbers = np.array([self._rms(before), self._rms(refitted), after,
                             np.minimum.reduce([reported.noise_floor, white, after]), self._rms(reported.measured),
                             own.use.mean(axis=0), spread(reported.measured, reported.use), usual]).T.tolist()
@@ -299,8 +299,8 @@ class DomainDiagnosis:
         # Dependences are looked for in the recording that the fit was made on.
         at_first = own.y if self.given else first.residual(own, [])
         before_it, after_it = _ranked_structure(self.problem, [at_first, last.residual(own, effects)])
-        at = reported.decimated_signals()
-        traces = Traces(reported.t, reported.measured, before, left, reported.use, self.held_out, at.q, at.qd,
+        s = reported.decimated_signals()
+        traces = Traces(reported.t, reported.measured, before, residual, reported.use, self.held_out, s.q, s.qd,
                         tuple(last.contributions(reported, effects)))
         return DomainResult(channels, tuple(map(self._found, range(len(effects)))), before_it, after_it,
                             (reported.channels, traces))

@@ -60,9 +60,9 @@ def beside_held_model(regression: Regression, model: Model,
     if not of_torque:
         return ()
     candidates = [Candidate(effect.effect, effect.joint, effect.theta) for effect in of_torque]
-    found = _held_problem(regression, model).fit(candidates, uncertainty=True)
+    estimate = _held_problem(regression, model).fit(candidates, uncertainty=True)
     return tuple(replace(effect, coefficients=tuple(own.tolist()), std=tuple(std.tolist()), theta_std=(), parameters=())
-                 for effect, own, std in zip(of_torque, found.coefficients, found.std, strict=True)
+                 for effect, own, std in zip(of_torque, estimate.coefficients, estimate.std, strict=True)
                  if np.all(np.isfinite(own))
                  and effect.effect.plausible(own, effect.theta, regression.signals, effect.joint))
 
@@ -157,8 +157,8 @@ def explained_by_refitting(model: Model, torque: DomainDiagnosis,
     result = []
     for j, c in enumerate(channels):
         explained = max(c.rms_before**2 - c.rms_refit**2, 0.0)
-        taken = float(torque.levels[0][j] ** 2 - torque.levels[-1][j] ** 2)
-        named = torque.problem.prior is not None and 2.0 * taken > explained
+        by_effects = float(torque.levels[0][j] ** 2 - torque.levels[-1][j] ** 2)
+        named = torque.problem.prior is not None and 2.0 * by_effects > explained
         if j + 1 in regression.undecided or named or np.sqrt(explained) <= CLEAR * left_open[j]:
             continue
         result.append(RefitExplains(
@@ -195,20 +195,20 @@ def with_named_effects(recording: Recording, robot: Robot, model: Model,
     """
     (recording,), _ = checked([recording], robot)
     torque = torque_regression(recording, robot, model, payload=True)
-    made = {one.domain: one for one in (*position_regressions(recording, robot, torque, model.known_stiffness), torque)}
+    by_domain = {r.domain: r for r in (*position_regressions(recording, robot, torque, model.known_stiffness), torque)}
     wanted: dict[Domain, list[tuple[list[Effect], int]]] = {}
     for name, joint in effects:
-        place = next((domain for domain in made if _named(name, domain)), None)
+        place = next((domain for domain in by_domain if _named(name, domain)), None)
         if place is not None:
             wanted.setdefault(place, []).append((_named(name, place), joint))
         elif name not in names():
             raise InputError("no such effect", field="effect", value=name)
-    found: list[FittedEffect] = []
-    for domain, regression in made.items():
+    fitted: list[FittedEffect] = []
+    for domain, regression in by_domain.items():
         if domain in wanted:
             problem = _held_problem(regression, model) if domain == MOTOR_TORQUE else Problem.of(regression, False)
-            found += _together(problem, wanted[domain])
-    return model.with_effects(tuple(found))
+            fitted += _together(problem, wanted[domain])
+    return model.with_effects(tuple(fitted))
 
 
 def named_sensor_effects(recording: Recording, robot: Robot, model: Model,
@@ -224,12 +224,12 @@ def named_sensor_effects(recording: Recording, robot: Robot, model: Model,
     line = line_regression(recording, robot, torque, model.known_stiffness)
     force = force_regressions(recording, None, robot, torque, None, model.known_stiffness)
     result: list[FittedEffect] = []
-    for made in (line, *(one for one, _ in force)):
-        if made is not None:
+    for regression in (line, *(regression for regression, _ in force)):
+        if regression is not None:
             candidates = [Candidate(effect, 0) for name in names for effect in _named(name, SENSOR)
-                          if effect.usable(made.signals, 0)]
-            found = Problem.of(made, False).fit(candidates, uncertainty=True)
-            result += fitted_effects(candidates, found, made.prismatic)
+                          if effect.usable(regression.signals, 0)]
+            estimate = Problem.of(regression, False).fit(candidates, uncertainty=True)
+            result += fitted_effects(candidates, estimate, regression.prismatic)
     return tuple(result)
 
 

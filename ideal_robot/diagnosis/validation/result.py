@@ -274,13 +274,13 @@ class Argument:
     @property
     def rivals(self) -> tuple[Weighed, ...]:
         """The sets with another cause in its place, the best first."""
-        return tuple(one for one in self.sets if one.name)
+        return tuple(weighed for weighed in self.sets if weighed.name)
 
     @property
     def text(self) -> str:
         """The argument in a few sentences."""
-        said = [f"{self.place}: {self.name} in {self.channel}."]
-        best = next((one for one in self.rivals if not one.learned), None)
+        parts = [f"{self.place}: {self.name} in {self.channel}."]
+        best = next((rival for rival in self.rivals if not rival.learned), None)
         if best is not None:
             what = best.words if best.joint != self.joint else best.name
             low, high = self.band
@@ -288,20 +288,20 @@ class Argument:
                        f"between {low:g} and {high:g} Hz" if low else f"below {high:g} Hz")
             where = (f"half of the difference lies {between}, {100.0 * min(self.share, 1.0):.0f} % of it in the "
                      f"quarter of the time {self.when}.")
-            said.append(
+            parts.append(
                 f"Not told from {what}, {best.amount}." if not best.told else
                 f"Next best is {what}, {best.amount}: {where}" if best.nats > 0.0 else
                 f"With {what} it is {best.amount}: {where} Where both explain nearly the same, the likelier cause or "
                 "the one with fewer parameters is named.")
-        said += [f"With {one.name}, which has no cause, {one.amount}." for one in self.rivals if one.learned]
-        said += [f"With nothing in its place {one.amount}." for one in self.sets if not one.name]
-        return f"{' '.join(said)} Sets weighed: {len(self.sets) + 1}."
+        parts += [f"With {rival.name}, which has no cause, {rival.amount}." for rival in self.rivals if rival.learned]
+        parts += [f"With nothing in its place {weighed.amount}." for weighed in self.sets if not weighed.name]
+        return f"{' '.join(parts)} Sets weighed: {len(self.sets) + 1}."
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
         low, high = self.band
         return {"effect": self.name, "joint": self.joint, "channel": self.channel, "text": self.text,
-                "sets": [one.to_dict() for one in self.sets],
+                "sets": [weighed.to_dict() for weighed in self.sets],
                 "next_best_decided": {"from_hz": low, "to_hz": high if np.isfinite(high) else None, "when": self.when,
                                       "share": self.share}}
 
@@ -355,9 +355,9 @@ class Diagnosis(Summarised):
 
     def summary(self) -> list[tuple[str, str]]:
         """What was found, and the errors before and after."""
-        found = [f"{one.fitted.name} in {one.fitted.channel}" for one in self.effects]
-        learned = [f"a dependence of {one.fitted.channel} on {' and '.join(one.depends_on)}" for one in self.unknown]
-        named = ", ".join([*found, *learned][:8]) or "nothing to add"
+        effects = [f"{effect.fitted.name} in {effect.fitted.channel}" for effect in self.effects]
+        learned = [f"a dependence of {f.fitted.channel} on {' and '.join(f.depends_on)}" for f in self.unknown]
+        named = ", ".join([*effects, *learned][:8]) or "nothing to add"
         errors = [f"{c.channel} {c.rms_before:.3g} → {c.rms_after:.3g} {c.unit}" for c in self.channels]
         return [("verdict", f"{self.verdict}: {named}"), ("error on held-out data", ", ".join(errors[:6]))]
 
@@ -371,7 +371,7 @@ class Diagnosis(Summarised):
             raise InputError("no joint moves enough, so there is no residual to draw", field="diagnosis",
                              value=self.verdict)
         names, first = self.traces[0]
-        units = {one.channel: one.unit for one in self.channels}
+        units = {result.channel: result.unit for result in self.channels}
         panels = [(f"{name} [{units[name]}]", [("residual before", before), ("after", after)])
                   for name, before, after in zip(names, first.residual_before.T, first.residual_after.T, strict=True)]
         return over_time(first.t, panels, self.summary()[0][1])

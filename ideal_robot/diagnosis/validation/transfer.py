@@ -47,17 +47,17 @@ def eliminated(effects: Sequence[T], error: Error[T],
     Returns:
         Those that stay, in their order, and those that do not, with the errors without and with each.
     """
-    kept, dropped = list(effects), []
-    while kept:
-        present = error(kept)
-        absent = [error([other for other in kept if other is not effect]) for effect in kept]
+    remaining, dropped = list(effects), []
+    while remaining:
+        present = error(remaining)
+        absent = [error([other for other in remaining if other is not effect]) for effect in remaining]
         reductions = [log_reduction(without, present, channel_of(effect))
-                      for effect, without in zip(kept, absent, strict=True)]
+                      for effect, without in zip(remaining, absent, strict=True)]
         worst = int(np.argmin(reductions))
         if reductions[worst] >= 0.0:
             break
-        dropped.append((kept.pop(worst), absent[worst], present))
-    return kept, dropped
+        dropped.append((remaining.pop(worst), absent[worst], present))
+    return remaining, dropped
 
 
 def accepted(effects: Sequence[T], error: Error[T], channel_of: Callable[[T], int | None]) -> list[T]:
@@ -67,13 +67,13 @@ def accepted(effects: Sequence[T], error: Error[T], channel_of: Callable[[T], in
         effects, error: in the order in which they are tried, and the error with some of them.
         channel_of: the channel of an effect, None if it has no own.
     """
-    kept = list[T]()
-    present = error(kept)
+    chosen = list[T]()
+    present = error(chosen)
     for effect in effects:
-        tried = error([*kept, effect])
+        tried = error([*chosen, effect])
         if log_reduction(present, tried, channel_of(effect)) > 0.0:
-            kept, present = [*kept, effect], tried
-    return kept
+            chosen, present = [*chosen, effect], tried
+    return chosen
 
 
 def deciding(validation: Regression) -> np.ndarray:
@@ -97,8 +97,8 @@ def transferring(problem: Problem, choices: Sequence[Candidate], validation: Reg
     def error(kept: Sequence[Candidate]) -> Array:
         return rms(problem.fit(kept).residual(validation, kept), mask) + 1e-300
 
-    kept, dropped = eliminated(choices, error, lambda choice: validation.channel_of(choice.joint))
-    return kept, tuple(_not_transferred(validation, *one) for one in dropped)
+    remaining, dropped = eliminated(choices, error, lambda choice: validation.channel_of(choice.joint))
+    return remaining, tuple(_not_transferred(validation, *entry) for entry in dropped)
 
 
 def _not_transferred(validation: Regression, choice: Candidate, without: Array, present: Array) -> NotTransferred:
@@ -124,19 +124,19 @@ def adopted(known: Model, found: Diagnosis, run: Recording, robot: Robot) -> Mod
         known, found: the model that the diagnosis was given, and what it found in one recording.
         run, robot: another recording of the same arm, of which only what was measured is looked at.
     """
-    kept = dataclasses.replace(known, effects=known.effects + behind_gears(known, found, run, robot))
+    base = dataclasses.replace(known, effects=known.effects + behind_gears(known, found, run, robot))
     fitted = found.model
     if fitted is None:
-        return kept
+        return base
     at_torque = [f.fitted for f in (*found.effects, *found.unknown) if f.fitted.effect.at_motor]
 
     def with_joints(joints: Sequence[int]) -> Model:
-        model = kept
+        model = base
         for joint in joints:
             model = with_joint(model, fitted, joint, tuple(e for e in at_torque if e.joint == joint))
         return model
 
-    joints = accepted(sorted({effect.joint for effect in at_torque} | {one.joint for one in found.refitted}),
+    joints = accepted(sorted({effect.joint for effect in at_torque} | {refit.joint for refit in found.refitted}),
                       lambda some: with_joints(some).predict(run).relative_error_percent,
                       lambda joint: joint - 1 if joint else None)
     return with_joints(joints)
@@ -170,8 +170,8 @@ def behind_gears(known: Model, found: Diagnosis, run: Recording, robot: Robot) -
     columns = {id(effect): arm.filtered.decimate(effect.contribution(arm.signals)) for effect in behind}
 
     def error(effects: Sequence[FittedEffect]) -> Array:
-        left = arm.y - sum((columns[id(effect)] for effect in effects), np.zeros_like(arm.y))
+        residual = arm.y - sum((columns[id(effect)] for effect in effects), np.zeros_like(arm.y))
         # A constant difference of the measuring devices says nothing about gears.
-        return np.asarray(np.linalg.norm(left - left.mean(axis=0), axis=0) + 1e-300)
+        return np.asarray(np.linalg.norm(residual - residual.mean(axis=0), axis=0) + 1e-300)
 
     return tuple(accepted(behind, error, lambda effect: effect.joint - 1))

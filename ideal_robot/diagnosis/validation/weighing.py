@@ -40,10 +40,10 @@ def arguments(domain: DomainDiagnosis, options: Options) -> Iterator[Argument]:
 
 def _instead(scoring: Scoring, own: Candidate) -> list[Candidate]:
     """Every cause of the library that can stand in the place of a choice, its theta as the search has it."""
-    model, made = scoring.model, scoring.model.problem.regression
-    effects = [effect for effect in library() if effect.domain == made.domain]
-    known = model.problem.prior is not None or made.domain != MOTOR_TORQUE
-    pool = [starts for starts in candidates(effects, made.signals, made.undecided, known)
+    model, regression = scoring.model, scoring.model.problem.regression
+    effects = [effect for effect in library() if effect.domain == regression.domain]
+    known = model.problem.prior is not None or regression.domain != MOTOR_TORQUE
+    pool = [starts for starts in candidates(effects, regression.signals, regression.undecided, known)
             if (not own.joint or starts[0].joint in (own.joint, 0)) and starts[0].place != own.place]
     fit = model.fit(own)
     scored = [s for s in scoring.scored(fit, pool) if overlap(model, own, s)]
@@ -77,14 +77,14 @@ class _Weighing:
     def argument(self, others: Sequence[Candidate]) -> Argument:
         """The argument, from what can stand in the choice's place."""
         own = self.choice
-        left = [self._left(self.model.fit(own)), *(self._left(self.model.fit_beside(one, own)) for one in others)]
-        sets = [self._weighed(r, other) for r, other in zip(left, [None, *others], strict=True)]
+        misfit = [self._left(self.model.fit(own)), *(self._left(self.model.fit_beside(other, own)) for other in others)]
+        sets = [self._weighed(r, other) for r, other in zip(misfit, [None, *others], strict=True)]
         # Nothing in its place tells what the cause is worth; the next best cause why it is this.
         next_best = min(range(len(sets)), key=lambda k: (not sets[k].name or sets[k].learned, sets[k].nats))
-        when, share = self._when(left[next_best])
+        when, share = self._when(misfit[next_best])
         return Argument(own.effect.name, own.joint, own.effect.channel(own.joint),
                         f"joint {own.joint}" if own.joint else self.model.problem.regression.domain.whole,
-                        tuple(sorted(sets, key=lambda one: one.nats)), self._band(left[next_best]), when, share)
+                        tuple(sorted(sets, key=lambda s: s.nats)), self._band(misfit[next_best]), when, share)
 
     def _weighed(self, left: Array, other: Candidate | None) -> Weighed:
         blocks = self.model.problem.blocks
@@ -109,16 +109,16 @@ class _Weighing:
     def _when(self, left: Array) -> tuple[str, float]:
         """The quarter of the time in which most of the difference lies, in words, and its share."""
         gain = left**2 - self.best**2
-        made, at = self.model.problem.regression, self.scoring.at_rows
+        regression, s = self.model.problem.regression, self.scoring.at_rows
         channel = int(np.argmax(gain.sum(axis=0)))
-        joint = self.choice.joint or (channel + 1 if made.domain in (MOTOR_TORQUE, ARM_POSITION) else 0)
-        signs = {"at the end": at.t, "at the beginning": -at.t}
+        joint = self.choice.joint or (channel + 1 if regression.domain in (MOTOR_TORQUE, ARM_POSITION) else 0)
+        signs = {"at the end": s.t, "at the beginning": -s.t}
         if joint:
-            q, qd, qdd, load = (values[:, joint - 1] for values in (at.q, at.qd, at.qdd, at.load))
+            q, qd, qdd, load = (values[:, joint - 1] for values in (s.q, s.qd, s.qdd, s.load))
             signs = {"at the highest speed": np.abs(qd), "near reversals and rest": -np.abs(qd),
                      "at the largest acceleration": np.abs(qdd), "under the largest load": np.abs(load),
                      "at the upper end of the range": q, "at the lower end of the range": -q, **signs}
-        rows = self.rows & made.use.any(axis=1)
+        rows = self.rows & regression.use.any(axis=1)
         total = float(gain[rows].sum()) or 1.0
         shares = {words: float(gain[rows][x[rows] >= np.quantile(x[rows], 0.75)].sum()) / total
                   for words, x in signs.items()}
