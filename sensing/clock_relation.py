@@ -123,9 +123,9 @@ class ClockRelation:
 
     def report(self) -> ClockReport:
         """What is known of the clock by now."""
-        at = self._x0 + self._newest
+        last = self._x0 + self._newest
         late = self._late[np.isfinite(self._late)]
-        return ClockReport(self.host(at) - at if self.known else math.nan, 1e6 * self._drift, 1e6 * self._drift_std,
+        return ClockReport(self.host(last) - last if self.known else math.nan, 1e6 * self._drift, 1e6 * self._drift_std,
                            1e3 * float(np.median(late)) if len(late) else math.nan, self.stamps, self.refused,
                            self.restarts)
 
@@ -163,8 +163,8 @@ class ClockRelation:
         x, y = _usual(points).T
         x = x - x.mean()
         spread = float(x @ x)
-        left = y - y.mean() - x * float(x @ y) / spread
-        variance = max(float(left @ left) / max(len(x) - 2, 1), FINEST**2)
+        residual = y - y.mean() - x * float(x @ y) / spread
+        variance = max(float(residual @ residual) / max(len(x) - 2, 1), FINEST**2)
         weight = spread + variance / PRIOR**2
         self._drift, self._drift_std = float(x @ y) / weight, math.sqrt(variance / weight)
         every = np.array(self._points)

@@ -127,14 +127,14 @@ class LifeSigns:
             stiffness: of the contact [N/m].
             frequency: ω/2π, at which it swings [Hz].
         """
-        asked = np.concatenate([self._asked, felt])
-        self._asked = asked = asked[asked[:, 0] > asked[-1, 0] - ASKED_FOR]
-        s, turned = asked[:, 1] - asked[-1, 1], 2.0 * np.pi * frequency * asked[:, 0]
+        samples = np.concatenate([self._asked, felt])
+        self._asked = samples = samples[samples[:, 0] > samples[-1, 0] - ASKED_FOR]
+        s, turned = samples[:, 1] - samples[-1, 1], 2.0 * np.pi * frequency * samples[:, 0]
         u = s / max(float(np.max(np.abs(s))), 1e-6)
         rows = np.column_stack([np.cos(turned), np.sin(turned), np.ones(len(u)), u, u**2, u**3])
         if len(u) < 2 * rows.shape[1]:
             return
-        values = asked[:, 2:] * [-stiffness, 1.0]
+        values = samples[:, 2:] * [-stiffness, 1.0]
         known = np.linalg.pinv(rows)
         fit = known @ values
         swing = fit[:2, 0] / max(float(fit[:2, 0] @ fit[:2, 0]), 1e-12)

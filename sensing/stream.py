@@ -244,7 +244,7 @@ def options(rest: str, known: dict[str, float], field: str) -> dict[str, float]:
         known: names that may be given, with their usual values.
         field: what is addressed, for messages.
     """
-    found = dict(known)
+    numbers = dict(known)
     for piece in filter(None, rest.partition("?")[2].split("&")):
         name, _, text = piece.partition("=")
         try:
@@ -253,5 +253,5 @@ def options(rest: str, known: dict[str, float], field: str) -> dict[str, float]:
             value = -1.0
         if name not in known or not 0.0 <= value < 1e12:
             raise InputError(f"expected {', '.join(known)} with a number", field=field, value=piece[:40])
-        found[name] = value
-    return found
+        numbers[name] = value
+    return numbers

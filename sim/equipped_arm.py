@@ -107,8 +107,8 @@ class CarriedCamera:
     def request(self, t0: float, t1: float, windows: WindowsAt) -> None:
         """See ``Camera.request``."""
         # Nobody knows the true instant of an exposure; the camera's own clock says when it will be.
-        asked = ((t, windows(self._camera.stamp(t))) for t in self._camera.due(t0, t1))
-        self._wanted += [(t, wanted) for t, wanted in asked if wanted is not None]
+        requests = ((t, windows(self._camera.stamp(t))) for t in self._camera.due(t0, t1))
+        self._wanted += [(t, wanted) for t, wanted in requests if wanted is not None]
 
     def arrived(self, t: float) -> list[Field]:
         """See ``Camera.arrived``."""
@@ -117,9 +117,9 @@ class CarriedCamera:
     def carry(self, t0: float, t1: float) -> None:
         """Exposes what was asked for."""
         for t, windows in self._wanted:
-            seen = self._camera.windows(t, self._tool_at, windows, *self._beside(t))
-            again = replace(seen, t_arrival=seen.t_arrival + AGAIN)
-            self._late.send([seen, again] if self._camera.comes_twice(t) else [seen])
+            field = self._camera.windows(t, self._tool_at, windows, *self._beside(t))
+            again = replace(field, t_arrival=field.t_arrival + AGAIN)
+            self._late.send([field, again] if self._camera.comes_twice(t) else [field])
         self._wanted = []
 
     def whole(self, seen: Field) -> Gray:
@@ -162,8 +162,8 @@ class CarriedForceSensor:
     def carry(self, t0: float, t1: float) -> None:
         """Measures between ``t0`` and ``t1`` [s]."""
         measured = self._sensor.due(t0, t1, self._arm.tcp_at, self._contact.force_at)
-        for one in measured:
-            self.samples.append((one.t, *one.wrench))
+        for reading in measured:
+            self.samples.append((reading.t, *reading.wrench))
         self._late.send(measured)
 
 
@@ -179,7 +179,7 @@ class EquippedArm:
         """See ``RobotInterface.cycle``."""
         state = self._arm.cycle(q_c)
         t0 = self._cycles * self.t_ipo
-        for one in self._carried:
-            one.carry(t0, t0 + self.t_ipo)
+        for device in self._carried:
+            device.carry(t0, t0 + self.t_ipo)
         self._cycles += 1
         return state

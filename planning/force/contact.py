@@ -147,10 +147,10 @@ class Tare:
 
     def add(self, t: Array, contact: Array) -> None:
         """Takes contact forces ``(m, 3)`` [N] of the instants ``t (m,)`` [s] of an approach."""
-        for at, one in zip(t, contact, strict=True):
-            self._first = float(at) if self._first is None else self._first
-            if at >= self._first + BEGIN:
-                self._recent.append((float(at), one))
+        for instant, force in zip(t, contact, strict=True):
+            self._first = float(instant) if self._first is None else self._first
+            if instant >= self._first + BEGIN:
+                self._recent.append((float(instant), force))
         while self._recent and self._recent[0][0] < float(np.max(t)) - END:
             self._sum, self._count = self._sum + self._recent.popleft()[1], self._count + 1
 
@@ -183,10 +183,10 @@ def dry_run(robot: Robot, reference: ReferencePath, speed: float, q_start: Array
         q_start: joint angles near the path's start ``(n,)`` [rad].
     """
     kinematics = InverseKinematics(robot)
-    way = min(reference.length, speed * LONGEST / np.pi)
-    lasts = np.pi * way / speed
+    travel = min(reference.length, speed * LONGEST / np.pi)
+    lasts = np.pi * travel / speed
     steps = max(round(lasts / robot.t_ipo), 2)
-    s = way * np.sin(np.pi * np.arange(steps + 1) / steps) ** 2
+    s = travel * np.sin(np.pi * np.arange(steps + 1) / steps) ** 2
     frames = reference.frames(s)
     waves = [DRY_RUN_SLOPE * length / (2 * np.pi) * (1.0 - np.cos(2 * np.pi * s / length)) for length in WAVES]
     height = CLEAR + np.sum(waves, axis=0)

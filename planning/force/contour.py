@@ -75,9 +75,9 @@ class SlidingPlan:
         Each direction on its own: a large correction must not slow the other one.
         """
         for direction in (0, 1):
-            one = slice(direction, direction + 1)
-            planned = self._smoother.plan(self._states[keep, :, one], estimate[:, one])
-            self._states[keep + 1 : keep + 1 + self.samples, :, one] = planned.transpose(1, 0, 2)
+            column = slice(direction, direction + 1)
+            planned = self._smoother.plan(self._states[keep, :, column], estimate[:, column])
+            self._states[keep + 1 : keep + 1 + self.samples, :, column] = planned.transpose(1, 0, 2)
 
     def solve(self, keep: int, joint_angles: Callable[[slice, Array], Array]) -> Array:
         """Joint angles of the horizon ``(n_d, n)`` [rad]; the next ``keep`` cycles stay as they are.
@@ -211,8 +211,8 @@ class ContourFollower:
     def update_force(self, t: Array, contact: Array) -> None:
         """Takes contact forces ``(m, 3)`` in the tool frame [N], measured at ``t (m,)`` [s]."""
         sideways = 0.0
-        for at, force_tool in zip(t, contact, strict=True):
-            pose = self.history.pose(max(float(at), self.history.first))
+        for instant, force_tool in zip(t, contact, strict=True):
+            pose = self.history.pose(max(float(instant), self.history.first))
             force = self._axes @ (pose.rotation @ force_tool)
             here = self._axes @ (pose.translation - self._start.translation)
             normal = self._felt_normal(force)
@@ -221,11 +221,11 @@ class ContourFollower:
             if self.force < self.settings.touch:
                 continue
             if self._contact_since is None:
-                self._contact_since = float(at)
-            self.last_touch = max(self.last_touch, float(at))
+                self._contact_since = float(instant)
+            self.last_touch = max(self.last_touch, float(instant))
             # [L] (3) along the normal: where the tip would have to be for F_r.
             wanted = here + normal * (self.force - self.settings.force) / self.settings.elasticity
-            self._points.append((float(at), wanted))
+            self._points.append((float(instant), wanted))
         newest = self._points[-1][1] if self._points else None
         while (
             newest is not None
@@ -243,7 +243,7 @@ class ContourFollower:
         recedes.
         """
         points = np.array([point for _, point in self._points])
-        older = sum(at < self._points[-1][0] - LATELY for at, _ in self._points) if len(points) else 0
+        older = sum(instant < self._points[-1][0] - LATELY for instant, _ in self._points) if len(points) else 0
         if older <= 12 or np.linalg.norm(points[older - 1] - points[0]) < 0.3 * self.settings.window:
             return 0.0
         tangent, bend, foot = self._parabola(points[:older])

@@ -168,7 +168,7 @@ class BeyondSensor:
 
     def _unknown(self, v: Array, sliding: Array) -> Array:
         """Spectral density ``(n,)`` [N² m² s] of ν, at speeds ``(n,)`` [rad/s]."""
-        at, one = np.maximum(np.abs(v), STILL), np.ones((1, len(v)))
-        friction = self._model.friction.torque(at[None], None, None, one)[0]
+        speed, forward = np.maximum(np.abs(v), STILL), np.ones((1, len(v)))
+        friction = self._model.friction.torque(speed[None], None, None, forward)[0]
         unknown = self._model.noise_std + (1.0 - np.abs(sliding)) * friction
-        return np.asarray(2.0 * unknown**2 * (LASTS + WAY / at))
+        return np.asarray(2.0 * unknown**2 * (LASTS + WAY / speed))

@@ -138,7 +138,7 @@ class SurfaceFollower:
             t: instants they belong to ``(m,)`` [s].
             contact: forces of the environment on the tool ``(m, 3)`` in the tool frame [N], bias and weight taken away.
         """
-        poses = [self.history.pose(max(float(at), self.history.first)) for at in t]
+        poses = [self.history.pose(max(float(instant), self.history.first)) for instant in t]
         points = np.array([pose.translation for pose in poses])
         forces = np.array([pose.rotation @ f for pose, f in zip(poses, contact, strict=True)])
         s, lateral, height = self.reference.project(points, self.s_at(float(t[-1])), span=TOGETHER)
@@ -154,12 +154,12 @@ class SurfaceFollower:
         if not self._in_contact(t):
             return None
         settings = self.settings
-        seen = [force_deviation(f, up, settings.force, settings.elasticity, sigma=settings.noise, normal=normal)
+        deviations = [force_deviation(f, up, settings.force, settings.elasticity, sigma=settings.noise, normal=normal)
                 for f in forces]
-        value = np.array([one.value for one in seen])
+        value = np.array([deviation.value for deviation in deviations])
         # A tip with damping adds a share of the velocity into the surface; along it there is none.
         sinking = float(self.history.velocity(max(float(t[middle]), self.history.first + 2e-3))[0] @ normal)
-        covariance = np.diag([one.sigma**2 for one in seen]) + self._in_common(value, sinking)
+        covariance = np.diag([deviation.sigma**2 for deviation in deviations]) + self._in_common(value, sinking)
         if self._lateral and self._lateral_sigma(s[middle : middle + 1]) < KNOWN_LATERAL:
             # With a camera the force says how far to go along the surface's normal, not along the reference's. While
             # the line is not known it says so of where the tip is: nothing lateral is to be concluded from it.

@@ -179,8 +179,8 @@ class LineOnSurface:
         if before is None or measurement.t - before[0] > 2 * settings.doubt:
             return "first field after a while, waiting for another one"
         apart = 0.5 * (float(s.mean()) - before[1])
-        there, here = before[2] @ [1.0, apart], fit @ [1.0, -apart]
-        return "" if abs(there - here) < settings.agreement else "does not agree with the field before"
+        earlier, here = before[2] @ [1.0, apart], fit @ [1.0, -apart]
+        return "" if abs(earlier - here) < settings.agreement else "does not agree with the field before"
 
     def check(self, t: float) -> None:
         """Raises ``LineLostError`` if the line has not been seen for too long a way."""

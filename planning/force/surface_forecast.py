@@ -122,8 +122,8 @@ class RowsAcross:
         """``(m, size)`` at arc lengths ``(m,)`` [m]."""
         if self._model is None:
             return np.zeros((len(s), 0))
-        if (asked := (s.tobytes(), stand.begin)) != self._asked:
-            self._asked, self._rows = asked, np.ascontiguousarray(self._model.basis(s, stand)[:, 0])
+        if (key := (s.tobytes(), stand.begin)) != self._asked:
+            self._asked, self._rows = key, np.ascontiguousarray(self._model.basis(s, stand)[:, 0])
         return self._rows
 
 
@@ -155,11 +155,11 @@ def _rows(u: Array, first_rows: Array) -> Array:  # pragma: no cover
 @jit()
 def _left(u: Array, first_rows: Array, stationary: Array) -> Array:  # pragma: no cover
     """What comes to the height on ways ``u (m,)`` [1/rate] ahead: variance across and along ``up``, ``(m, 2)`` [m²]."""
-    rows, left = _rows(np.maximum(u, 0.0), first_rows), np.zeros((u.size, 2))
+    rows, variance = _rows(np.maximum(u, 0.0), first_rows), np.zeros((u.size, 2))
     for i in range(u.size):
         if u[i] > 0.0:
-            left[i, 1] = max(stationary[0, 0] - rows[i] @ stationary @ rows[i], 0.0)
-    return left
+            variance[i, 1] = max(stationary[0, 0] - rows[i] @ stationary @ rows[i], 0.0)
+    return variance
 
 
 @jit()
@@ -180,7 +180,7 @@ def surfaces(across: Callable[[], PathDeviation] | None = None,
     """Models of all length scales, each with a map across the path of its own."""
     maps = [None if across is None else across() for _ in lengths]
     rows = RowsAcross(maps[0] if maps else None)
-    return [SmoothSurface(length, one, rows) for length, one in zip(lengths, maps, strict=True)]
+    return [SmoothSurface(length, lateral, rows) for length, lateral in zip(lengths, maps, strict=True)]
 
 
 # Where the arm was while it was in contact: the observer behind the gears, run again once the force is known.
@@ -242,12 +242,12 @@ class FeltArm:
         Gives instants [s] and arm angles ``(n,)`` [rad] of all cycles that look different now.
         """
         first = len(self._cycles)
-        for at, one in zip(t, force, strict=True):
-            index = next((i for i, cycle in enumerate(self._cycles) if at <= cycle.t), len(self._cycles))
+        for instant, sample in zip(t, force, strict=True):
+            index = next((i for i, cycle in enumerate(self._cycles) if instant <= cycle.t), len(self._cycles))
             if index == len(self._cycles):
                 continue
             cycle = self._cycles[index]
-            cycle.felt.append(self._torque(cycle.state.q_a, one))
+            cycle.felt.append(self._torque(cycle.state.q_a, sample))
             first = min(first, index)
         state = self._cycles[first - 1].state if first else self._settled
         changed = []
@@ -262,6 +262,6 @@ class FeltArm:
 
     def _went_on(self, state: ObserverState, q: Array, torque: Array, steps: int) -> ObserverState:
         """The arm some cycles later, the motors evenly on their way to ``q (n,)`` [rad]."""
-        for left in range(steps, 0, -1):
-            state = self._observer.step(state, state.q + (q - state.q) / left, torque)
+        for remaining in range(steps, 0, -1):
+            state = self._observer.step(state, state.q + (q - state.q) / remaining, torque)
         return state

@@ -73,10 +73,10 @@ def fuse_reading(follower: LineFollower, reading: Reading, sensor: str) -> Fused
     normal, up = frames.normal[0], frames.up[0]
     direction = normal
     if reading.direction is not None:
-        given = np.asarray(reading.direction, dtype=float)
-        if given.shape != (3,) or not np.linalg.norm(given) > 0:
-            raise InputError("expected a direction (3,) in the tool frame", field=f"{sensor}: direction", value=given)
-        direction = pose.rotation @ (given / np.linalg.norm(given))
+        sensed = np.asarray(reading.direction, dtype=float)
+        if sensed.shape != (3,) or not np.linalg.norm(sensed) > 0:
+            raise InputError("expected a direction (3,) in the tool frame", field=f"{sensor}: direction", value=sensed)
+        direction = pose.rotation @ (sensed / np.linalg.norm(sensed))
     value = reading.value + float(direction @ (place - frames.position[0]))
     components = np.array([[direction @ normal, direction @ up][: follower.fusion.model.directions]])
     return follower.fuse(Measurement(reading.t, s, np.array([value]), np.array([[reading.variance]]), components,

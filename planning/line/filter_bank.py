@@ -56,7 +56,7 @@ class FilterBank:
         if measurement.at is not None and measurement.at > self._s:
             self._log *= np.exp((self._s - measurement.at) / FORGETS)
             self._s = measurement.at
-        self._log += [one.likelihood for one in every]
+        self._log += [fused.likelihood for fused in every]
         self._log -= self._log.max()
         weights = np.exp(self._log)
         self._weights = weights / weights.sum()
@@ -65,7 +65,7 @@ class FilterBank:
     def deviation(self, s: Array) -> tuple[Array, Array]:
         """See ``DeviationFilter.deviation``; the variance has what the members differ by in it."""
         every = [member.deviation(s) for member in self.members]
-        means, variances = np.array([one[0] for one in every]), np.array([one[1] for one in every])
+        means, variances = np.array([estimate[0] for estimate in every]), np.array([estimate[1] for estimate in every])
         mean = self._mixed(means)
         return mean, self._mixed(variances + (means - mean) ** 2)
 

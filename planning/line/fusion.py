@@ -190,7 +190,7 @@ class DeviationFilter:
             self._track.kf.x, self._track.kf.P, self._stand = late[0].x, late[0].P, late[0].stand
             self.t = self._memory[-1].t if self._memory else t
         fused = self._in_time(measurement, t)
-        for past, after in zip(late, [*(one.stand.begin for one in late[1:]), self.model.begin], strict=False):
+        for past, after in zip(late, [*(entry.stand.begin for entry in late[1:]), self.model.begin], strict=False):
             if isinstance(past.then, Measurement):
                 self._in_time(past.then, past.t)
             else:
@@ -215,14 +215,14 @@ class DeviationFilter:
         At arc lengths ``s (m,)`` [m] of the last ``LOOKED_BACK`` steps, since the map was last replaced:
         ``(m, directions)`` [m] and its variance ``(m, directions)`` [m²]; NaN where nothing is kept.
         """
-        kf, kept = self._track.kf, list(self._passed)
-        stands = [one.stand for one in kept] + [self._stand]
+        kf, passed = self._track.kf, list(self._passed)
+        stands = [step.stand for step in passed] + [self._stand]
         xs, Ps, *_ = kf.rts_smoother(
-            np.array([one.x for one in kept] + [kf.x]), np.array([one.P for one in kept] + [kf.P]),
-            [kf.F] + [one.F for one in kept], [kf.Q] + [one.Q for one in kept],  # of a step at its end
+            np.array([step.x for step in passed] + [kf.x]), np.array([step.P for step in passed] + [kf.P]),
+            [kf.F] + [step.F for step in passed], [kf.Q] + [step.Q for step in passed],  # of a step at its end
             inv=_inverse)
         mean, variance = np.full((2, len(s), self.model.directions), np.nan)
-        which = np.searchsorted([one.begin for one in stands], s, side="right") - 1
+        which = np.searchsorted([stand.begin for stand in stands], s, side="right") - 1
         for k in np.unique(which[which >= 0]):
             H = self.model.basis(s[which == k], stands[k])
             mean[which == k] = H @ xs[k][: self.model.size]
@@ -252,8 +252,8 @@ class DeviationFilter:
 
     def bias(self, sensor: str) -> tuple[Array, Array]:
         """Estimated errors of a sensor ``(b,)`` and their standard deviations."""
-        at = self._bias_at[sensor]
-        return self._track.kf.x[at].copy(), np.sqrt(np.diag(self._track.kf.P)[at])
+        entries = self._bias_at[sensor]
+        return self._track.kf.x[entries].copy(), np.sqrt(np.diag(self._track.kf.P)[entries])
 
     def _in_time(self, measurement: Measurement, t: float) -> Fused:
         self._remember(t, measurement)
@@ -270,9 +270,9 @@ class DeviationFilter:
 
     def _fuse(self, measurement: Measurement, R: Array) -> Fused:
         equation = self._equation(measurement, R)
-        seen = equation.innovation(self._track.kf)
-        moved = self._weighed(equation, seen)
-        fused = self._try(self._track, equation, seen)
+        innovation = equation.innovation(self._track.kf)
+        moved = self._weighed(equation, innovation)
+        fused = self._try(self._track, equation, innovation)
         if moved:
             return self._replaced(moved, fused, "sensor moved")
         if fused.dof or not self._confirm:
@@ -311,9 +311,9 @@ class DeviationFilter:
             shaken.lead += self._likelihood(seen_so) - likelihood
             shaken.weighed += 1
             self._try(shaken, equation, seen_so)
-        sure = [one for one in self._shaken if one.lead > LEAD and one.agreed >= AGREED]
-        self._shaken = [one for one in self._shaken if one.lead >= -LEAD and one.weighed < WEIGHED]
-        return max(sure, key=lambda one: one.lead, default=None)
+        sure = [track for track in self._shaken if track.lead > LEAD and track.agreed >= AGREED]
+        self._shaken = [track for track in self._shaken if track.lead >= -LEAD and track.weighed < WEIGHED]
+        return max(sure, key=lambda track: track.lead, default=None)
 
     def _likelihood(self, seen: Innovation) -> float:
         """Logarithm of the likelihood, in which an outlier counts as one."""
@@ -321,9 +321,9 @@ class DeviationFilter:
 
     def _begun_anew(self, sensor: str, sigmas: tuple[float, ...]) -> _Track:
         """The map as it is, with errors of the sensor that have nothing to do with those before."""
-        at, kf = self._bias_at[sensor], _filter(self._track.kf.x.copy(), self._track.kf.P.copy())
-        kf.P[at, :] = kf.P[:, at] = 0.0
-        kf.P[at, at] = np.diag(np.square(sigmas))
+        entries, kf = self._bias_at[sensor], _filter(self._track.kf.x.copy(), self._track.kf.P.copy())
+        kf.P[entries, :] = kf.P[:, entries] = 0.0
+        kf.P[entries, entries] = np.diag(np.square(sigmas))
         return _Track(kf)
 
     def _rows(self, measurement: Measurement) -> Array:
@@ -355,9 +355,9 @@ class DeviationFilter:
             return Fused(np.zeros_like(used), innovation, float("nan"), 0, "most values beyond the gate", likelihood)
         reason = ""
         if dof < len(z):
-            reason, left = "some values beyond the gate", innovation[used]
+            reason, accepted = "some values beyond the gate", innovation[used]
             H, z, R = H[used], z[used], R[np.ix_(used, used)]
-            nis = float(left @ np.linalg.solve(S[np.ix_(used, used)], left))
+            nis = float(accepted @ np.linalg.solve(S[np.ix_(used, used)], accepted))
         if nis > self._bounds[min(dof, 64)]:
             return Fused(np.zeros_like(used), innovation, nis, 0, "innovation beyond its bound", likelihood)
         track.kf.update(z, R=R, H=H)

@@ -131,8 +131,8 @@ class LineFollower:
         # A little more than the horizon and what the smoothing looks ahead behind it.
         ahead = max(0.3, planned_cycles(n_d, self._T) * self._T * profile.top_speed + 0.05)
         self._eye = None if settings.eye is None else np.array(settings.eye)
-        told = settings.eye is not None and settings.height != 0
-        up = Expected(settings.height, settings.tilt, settings.bow, BEND) if told else None
+        expects_height = settings.eye is not None and settings.height != 0
+        up = Expected(settings.height, settings.tilt, settings.bow, BEND) if expects_height else None
         self.fusion = fusion or DeviationFilter(
             PathDeviation(reference, across=Expected(shape=settings.shape, length=settings.length), up=up, ahead=ahead),
             biases={"camera": (settings.yaw, settings.stamp)},
@@ -204,8 +204,8 @@ class LineFollower:
         else:
             fused = self.fuse(polynomial_measurement(points)[0])
         if fused.dof:
-            seen = (line.t, self.profile.at(line.t - self.t_start)[0])
-            self._last_seen = max(self._last_seen or seen, seen)
+            sighting = (line.t, self.profile.at(line.t - self.t_start)[0])
+            self._last_seen = max(self._last_seen or sighting, sighting)
             self._front = max(self._front, front)
         return fused
 

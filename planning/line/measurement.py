@@ -80,9 +80,9 @@ def check(measurement: Measurement, directions: int) -> None:
     shapes |= {"value": (measurement.value.shape, (k,)), "covariance": (measurement.covariance.shape, (k, k))}
     if measurement.direction is not None:
         shapes["direction"] = (measurement.direction.shape, (m, directions))
-    for key, (given, expected) in shapes.items():
-        if given != expected:
-            raise InputError(f"expected shape {expected}", field=f"measurement.{key}", value=given)
+    for key, (shape, expected) in shapes.items():
+        if shape != expected:
+            raise InputError(f"expected shape {expected}", field=f"measurement.{key}", value=shape)
     if not (np.isfinite(measurement.value).all() and np.isfinite(measurement.covariance).all()):
         raise InputError("expected finite numbers", field=f"measurement of {measurement.sensor}")
 

@@ -132,21 +132,21 @@ class InverseKinematics:
         """
         lower, upper = np.maximum(self.robot.q_min, home - np.pi), np.minimum(self.robot.q_max, home + np.pi)
         failures: list[OutOfReachError] = []
-        found: list[Array] = []
+        solutions: list[Array] = []
         for attempt in range(attempts):
             # Additive recurrence with the generalised golden ratio: even, and the same at each run.
             scatter = (0.5 + attempt * _golden(self.robot.n)) % 1.0
             guess = home if attempt == 0 else home + 0.5 * (lower + scatter * (upper - lower) - home)
             try:
-                found.append(self.solve(target, np.clip(guess, self.robot.q_min, self.robot.q_max)))
+                solutions.append(self.solve(target, np.clip(guess, self.robot.q_min, self.robot.q_max)))
             except OutOfReachError as error:
                 failures.append(error)
                 continue
-            if attempt == 0 or len(found) > 4:
+            if attempt == 0 or len(solutions) > 4:
                 break
-        if not found:
+        if not solutions:
             raise failures[0]
-        return min(found, key=lambda q: float(np.max(np.abs(q - home))))
+        return min(solutions, key=lambda q: float(np.max(np.abs(q - home))))
 
     def path(self, targets: Sequence[pin.SE3], q_start: Array) -> Array:
         """Joint angles ``(N, n)`` along a path of near poses; each starts from the linear continuation of the last two.
@@ -199,8 +199,8 @@ class InverseKinematics:
         for _ in range(REFINED_IN):
             before = q
             q, error = self.step(target, q, wanted)
-            left = error @ error if self.robot.n >= 6 else 100.0 * float((q - before) @ (q - before))
-            if left < tolerance:
+            remaining = error @ error if self.robot.n >= 6 else 100.0 * float((q - before) @ (q - before))
+            if remaining < tolerance:
                 return q
         raise OutOfReachError(target.translation, float(np.linalg.norm(error[:3])))
 

@@ -137,8 +137,8 @@ def weighted(J: Array, error: Array) -> NDArray[np.floating[Any]]:
     """
     weights = np.array([1.0, 1.0, 1.0, TILT, TILT, TWIST])
     scaled = weights.reshape(6, 1) * J
-    found = np.linalg.lstsq(scaled, weights * error, 1e-9)
-    return found[0]
+    solution = np.linalg.lstsq(scaled, weights * error, 1e-9)
+    return solution[0]
 
 
 @jit()
@@ -161,18 +161,18 @@ def refined(tool: Tool, targets_R: Array, targets_p: Array, q: Array, wanted: Ar
     """
     J, error = np.empty((6, q.shape[1])), np.empty(6)
     for i in range(q.shape[0]):
-        found = q[i].copy()
+        solution = q[i].copy()
         done = False
         for _ in range(most):
-            change, near = _newton_step(tool, targets_R[i], targets_p[i], found, wanted[i], J, error)
+            change, near = _newton_step(tool, targets_R[i], targets_p[i], solution, wanted[i], J, error)
             if not near:
                 return i
-            found += change
-            left = np.sum(error * error) if q.shape[1] >= 6 else 100.0 * np.sum(change * change)
-            if left < tolerance:
+            solution += change
+            remaining = np.sum(error * error) if q.shape[1] >= 6 else 100.0 * np.sum(change * change)
+            if remaining < tolerance:
                 done = True
                 break
         if not done:
             return i
-        q[i] = found
+        q[i] = solution
     return q.shape[0]

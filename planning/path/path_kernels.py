@@ -81,16 +81,16 @@ def feet_of(cubics: Array, knot: float, points: Array, first: float, end: float)
         x0, x1, x2 = points[i, 0], points[i, 1], points[i, 2]
         best, s_best = np.inf, first
         for j in range(count + 1):
-            at = first + j * knot
-            k = min(max(int(np.floor(at / knot)) + 1, 0), last)
-            u = at - max(k - 1, 0) * knot
+            place = first + j * knot
+            k = min(max(int(np.floor(place / knot)) + 1, 0), last)
+            u = place - max(k - 1, 0) * knot
             c = cubics[k]
             d0 = x0 - (((c[0, 0] * u + c[1, 0]) * u + c[2, 0]) * u + c[3, 0])
             d1 = x1 - (((c[0, 1] * u + c[1, 1]) * u + c[2, 1]) * u + c[3, 1])
             d2 = x2 - (((c[0, 2] * u + c[1, 2]) * u + c[2, 2]) * u + c[3, 2])
             square = d0 * d0 + d1 * d1 + d2 * d2
             if square < best:
-                best, s_best = square, at
+                best, s_best = square, place
         for _ in range(4):
             k = min(max(int(np.floor(s_best / knot)) + 1, 0), last)
             u = s_best - max(k - 1, 0) * knot

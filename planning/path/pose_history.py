@@ -88,10 +88,10 @@ class PoseHistory:
     def pose(self, t: float) -> pin.SE3:
         """TCP pose in the base frame at ``t`` [s], not to be written to; raises as ``q``."""
         # A field asks for the pose of its exposure several times, and so do samples of a force.
-        if (asked := self._asked.get(t)) is None:
+        if (pose := self._asked.get(t)) is None:
             pin.framesForwardKinematics(self._robot.pinocchio, self._data, self.q(t))
-            asked = self._asked[t] = self._data.oMf[self._tool].copy()
-        return asked
+            pose = self._asked[t] = self._data.oMf[self._tool].copy()
+        return pose
 
     def row_pose(self, t: float) -> pin.SE3:
         """``pose`` for a picture or its row; the first may be stamped before the first sample, when the arm rested."""

@@ -35,8 +35,8 @@ def _even_steps(points: Array, chord: Array, smoothing: float) -> tuple[Array, A
         # Chords are shorter than arcs: Gauss' rule on each piece gives the arc length that the spline really has.
         node, weight = np.polynomial.legendre.leggauss(3)
         half = 0.5 * np.diff(s)
-        at = s[:-1, None] + half[:, None] * (1.0 + node)
-        s = np.concatenate([[0.0], np.cumsum(half * (np.linalg.norm(spline(at, 1), axis=2) @ weight))])
+        nodes = s[:-1, None] + half[:, None] * (1.0 + node)
+        s = np.concatenate([[0.0], np.cumsum(half * (np.linalg.norm(spline(nodes, 1), axis=2) @ weight))])
         count = max(round(s[-1] / KNOT), 10)
         knots = np.linspace(0.0, s[-1], count + 1)
         curve = CubicSpline(s, curve)(knots)
@@ -137,10 +137,10 @@ class ReferencePath:
 
     def frames(self, s: Array | float) -> PathFrames:
         """Points, tangents, lateral and surface normals and curvature at arc lengths ``s (m,)`` [m], or at one."""
-        at = np.asarray(s, dtype=float)
-        if at.ndim:
-            return PathFrames(*frames_at(self._cubics, self._ups, self._knot, at))
-        return PathFrames(*(values[0] for values in frames_at(self._cubics, self._ups, self._knot, at[None])))
+        places = np.asarray(s, dtype=float)
+        if places.ndim:
+            return PathFrames(*frames_at(self._cubics, self._ups, self._knot, places))
+        return PathFrames(*(values[0] for values in frames_at(self._cubics, self._ups, self._knot, places[None])))
 
     def position(self, s: Array | float) -> Array:
         """Points at arc lengths ``s (m,)`` [m], shape ``(m, 3)`` [m]; a single ``s`` gives ``(3,)``."""

@@ -211,8 +211,8 @@ def _travel(path: JointPath, limit: Array, limits: Limits, a_max: Array) -> Spee
         for i in order:
             last = i - 1 if order.step > 0 else i + 1
             with np.errstate(divide="ignore", invalid="ignore"):
-                left = (a_max - bend[last] * square[last]) / slope[last]
-            room = float(np.nanmin(np.maximum(left, 0.1 * limits.acceleration), initial=limits.acceleration))
+                remaining = (a_max - bend[last] * square[last]) / slope[last]
+            room = float(np.nanmin(np.maximum(remaining, 0.1 * limits.acceleration), initial=limits.acceleration))
             square[i] = min(square[i], square[last] + 2.0 * min(room, limits.acceleration) * ds)
     v = np.sqrt(square)
     t = np.concatenate([[0.0], np.cumsum(2.0 * ds / np.maximum(v[1:] + v[:-1], 1e-9))])

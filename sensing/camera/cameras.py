@@ -93,32 +93,32 @@ class StreamCamera:
         self._connection = StreamConnection(host, port, patience)
         self.clock, self.refused = self._connection.clock, 0
         self._first = self._described(patience)
-        said = self._connection.described
-        if said is None or len(said.payload) != _CAMERA.size:
+        description = self._connection.described
+        if description is None or len(description.payload) != _CAMERA.size:
             self.close()
             raise InputError("the device does not say that it is a camera", field="camera", value=f"{host}:{port}")
-        self.width, self.height, self.rate, *numbers = _CAMERA.unpack(said.payload)
+        self.width, self.height, self.rate, *numbers = _CAMERA.unpack(description.payload)
         self.K: Array = np.array(numbers[:9]).reshape(3, 3)
         self.distortion: Array = np.array(numbers[9:])
 
     def _described(self, patience: float) -> Package | None:
         """Waits until it is known what the device is; what came meanwhile."""
-        deadline, found = Deadline.within(patience), None
-        while self._connection.described is None and found is None and not deadline.passed:
-            found = self._connection.next(min(deadline.left, 0.1))
-        return found
+        deadline, package = Deadline.within(patience), None
+        while self._connection.described is None and package is None and not deadline.passed:
+            package = self._connection.next(min(deadline.left, 0.1))
+        return package
 
     def read(self, timeout: float) -> Frame | None:
         """See ``FrameSource.read``; a sender that leaves is waited for."""
-        found, self._first = self._first or self._connection.next(timeout), None
+        package, self._first = self._first or self._connection.next(timeout), None
         arrived = time.perf_counter()
-        if found is None:
+        if package is None:
             return None
-        image = self._image(found.payload)
-        if image is None or not np.isfinite(found.stamp) or not self.clock.known:
+        image = self._image(package.payload)
+        if image is None or not np.isfinite(package.stamp) or not self.clock.known:
             self.refused += 1
             return None
-        return Frame(_FIELD.unpack_from(found.payload)[0], found.stamp, arrived, image)
+        return Frame(_FIELD.unpack_from(package.payload)[0], package.stamp, arrived, image)
 
     def _image(self, payload: bytes) -> np.ndarray | None:
         """The picture of a field package; None where its size is another than the camera's."""
@@ -190,10 +190,10 @@ class GenICamCamera:
 
     def read(self, timeout: float) -> Frame | None:
         """See ``FrameSource.read``."""
-        found = self._fetched(timeout)
-        if found is None:
+        stamped_image = self._fetched(timeout)
+        if stamped_image is None:
             return None
-        stamp, image = found
+        stamp, image = stamped_image
         if image.shape != (self.height, self.width):
             raise SensingError("the camera changed its picture's size on the way")
         arrived = time.perf_counter()

@@ -165,12 +165,12 @@ def calibrate(
     first = problem.solve(np.zeros(len(names)), scale, still=_NEAR)
     problem.drop_outliers(first.residual)
     fit = problem.solve(first.values, scale)
-    found, covariance = fit.values, fit.covariance
+    estimate, covariance = fit.values, fit.covariance
     if rise:
-        found, covariance = _shared(found, covariance, names.index("height"), prior["height"] ** 2, rise**2)
+        estimate, covariance = _shared(estimate, covariance, names.index("height"), prior["height"] ** 2, rise**2)
         names.append(RISE)
     sigma = np.sqrt(np.diag(covariance))
-    values = dict(zip(names, (float(v) for v in found), strict=True))
+    values = dict(zip(names, (float(v) for v in estimate), strict=True))
     corrected = camera.perturbed(**{name: value for name, value in values.items()
                                     if name not in ("time_offset", TILT, RISE, BEND)})
     return HandEye(
@@ -210,16 +210,16 @@ class _Problem:
         names: list[str], knot: float,
     ) -> None:  # fmt: skip
         self.camera, self.reference, self.normal, self.names = camera, reference, normal, names
-        found = [np.isfinite(o.pixels).all(axis=1) & np.isfinite(o.sigma) for o in observations]
-        seen = list(zip(observations, found, strict=True))
-        self.pixels = np.concatenate([np.empty((0, 2)), *(o.pixels[f] for o, f in seen)])
-        self.sigma = np.concatenate([np.empty(0), *(o.sigma[f] for o, f in seen)])
+        usable = [np.isfinite(o.pixels).all(axis=1) & np.isfinite(o.sigma) for o in observations]
+        masked = list(zip(observations, usable, strict=True))
+        self.pixels = np.concatenate([np.empty((0, 2)), *(o.pixels[f] for o, f in masked)])
+        self.sigma = np.concatenate([np.empty(0), *(o.sigma[f] for o, f in masked)])
         self.rotation = np.array([o.pose.rotation for o in observations]).reshape(-1, 3, 3)
         self.position = np.array([o.pose.translation for o in observations]).reshape(-1, 3)
         self.velocity = np.array([o.velocity for o in observations]).reshape(-1, 3)
         turning = np.array([pin.skew(o.angular_velocity) for o in observations]).reshape(-1, 3, 3)
         self.rotation_rate = turning @ self.rotation
-        self.owner = np.repeat(np.arange(len(found)), [int(f.sum()) for f in found])
+        self.owner = np.repeat(np.arange(len(usable)), [int(f.sum()) for f in usable])
         self._lens, self._rays = b"", np.empty((0, 3))
         self.centre = reference.points.mean(axis=0)
         along = reference.points[-1] - reference.points[0]
@@ -252,11 +252,11 @@ class _Problem:
 
     def _on_surface(self, values: Array) -> Array:
         """Where the rays of all points meet the surface ``(M, 3)`` [m], with the parameters' corrections."""
-        given = dict(zip(self.names, values, strict=True))
-        delay, bend = given.pop("time_offset", 0.0), given.pop(BEND, 0.0)
-        moved = self.surface(given)
+        corrections = dict(zip(self.names, values, strict=True))
+        delay, bend = corrections.pop("time_offset", 0.0), corrections.pop(BEND, 0.0)
+        moved = self.surface(corrections)
         normal, centre = moved.rotation @ self.normal, moved.act(self.centre)
-        camera = self.camera.perturbed(**{name: value for name, value in given.items() if name != TILT})
+        camera = self.camera.perturbed(**{name: value for name, value in corrections.items() if name != TILT})
         T = camera.T_tool_camera
         directions = self._rays_of(camera) @ T.rotation.T
         # To first order in the delay: milliseconds at a few rad/s.
@@ -267,8 +267,8 @@ class _Problem:
         meets, along = ray @ normal, moved.rotation @ self.along
         plane = depth = (centre - origin) @ normal / meets
         for _ in range(3 if bend else 0):
-            way = (origin + depth[:, None] * ray - centre) @ along
-            depth = plane + 0.5 * bend * way**2 / meets
+            distance = (origin + depth[:, None] * ray - centre) @ along
+            depth = plane + 0.5 * bend * distance**2 / meets
         return np.asarray(origin + depth[:, None] * ray)
 
     def solve(self, values: Array, scale: Array, steps: int = 6, still: float = _STILL) -> _Fit:
@@ -279,13 +279,13 @@ class _Problem:
         n, moves = len(values), np.inf
         for step in range(steps + 1):
             x = self._on_surface(values)
-            found = self.reference.nearest(x, self.normal)
-            tangent = self.reference.at(found.s)[1]
+            nearest = self.reference.nearest(x, self.normal)
+            tangent = self.reference.at(nearest.s)[1]
             left = np.cross(self.normal, tangent)
             weight = self.good / self.sigma
-            inside = np.clip(found.s, self.knots[0] + 1e-9, self.knots[-1] - 1e-9)
+            inside = np.clip(nearest.s, self.knots[0] + 1e-9, self.knots[-1] - 1e-9)
             B = weight[:, None] * BSpline.design_matrix(inside, self.knots, 3).toarray()
-            d = found.lateral * weight
+            d = nearest.lateral * weight
             # A weak prior of 30 mm keeps spline pieces that no point touches harmless.
             c = np.linalg.solve(B.T @ B + np.eye(B.shape[1]) / 0.03**2, B.T @ d)
             residual = d - B @ c

@@ -50,16 +50,16 @@ def line_appearance(pictures: Sequence[Gray], camera: CameraModel, above: float 
         above: height of the tool's tip over the surface [m].
     """
     ahead = _ahead_of_the_tool(camera)
-    seen = [detect_in_picture(np.ascontiguousarray(picture[ahead]), kind="line") for picture in pictures]
-    found = [one for one in seen if one.found]
-    if not found:
+    detections = [detect_in_picture(np.ascontiguousarray(picture[ahead]), kind="line") for picture in pictures]
+    lines = [line for line in detections if line.found]
+    if not lines:
         raise SensingError(f"none of {len(pictures)} pictures shows a line")
-    dark = 2 * sum(one.dark for one in found) >= len(found)
-    same = [one for one in found if one.dark == dark]
-    return LineAppearance(float(np.median([_width(one, ahead, camera, above) for one in same])), dark,
-                          float(np.median([one.contrast for one in same])),
-                          np.array([_places(one, ahead, camera, above) if one.found and one.dark == dark
-                                    else np.full((2, 3), np.nan) for one in seen]))
+    dark = 2 * sum(line.dark for line in lines) >= len(lines)
+    same = [line for line in lines if line.dark == dark]
+    return LineAppearance(float(np.median([_width(line, ahead, camera, above) for line in same])), dark,
+                          float(np.median([line.contrast for line in same])),
+                          np.array([_places(line, ahead, camera, above) if line.found and line.dark == dark
+                                    else np.full((2, 3), np.nan) for line in detections]))
 
 
 def _ahead_of_the_tool(camera: CameraModel) -> tuple[slice, slice]:

@@ -50,15 +50,15 @@ def confirmed_points(along: Array, deviation: Array, used: NDArray[np.bool_], to
         covariance: of the prediction ``(m, m)`` [m²]; a motion of the whole line counts for nothing.
     """
     m = along.size
-    kept, weight = used.copy(), np.empty(m)
-    while kept.sum() > 2:
+    confirmed, weight = used.copy(), np.empty(m)
+    while confirmed.sum() > 2:
         worst, out, refused = 0.0, -1, False
         for i in range(m):
-            if not kept[i]:
+            if not confirmed[i]:
                 continue
             count, a, d, aa, ad = 0, 0.0, 0.0, 0.0, 0.0
             for j in range(m):
-                if kept[j] and j != i:
+                if confirmed[j] and j != i:
                     # About the point itself: the line's value there is the intercept.
                     x = along[j] - along[i]
                     count += 1
@@ -67,7 +67,7 @@ def confirmed_points(along: Array, deviation: Array, used: NDArray[np.bool_], to
             slope = (ad - a * d / count) / spread if spread > 0.0 else 0.0
             for j in range(m):
                 weight[j] = 0.0
-                if kept[j] and j != i:
+                if confirmed[j] and j != i:
                     x = along[j] - along[i] - a / count
                     weight[j] = -1.0 / count + (a / count * x / spread if spread > 0.0 else 0.0)
             weight[i] = 1.0
@@ -81,8 +81,8 @@ def confirmed_points(along: Array, deviation: Array, used: NDArray[np.bool_], to
                 worst, out = off, i
         if not refused:
             break
-        kept[out] = False
-    return kept
+        confirmed[out] = False
+    return confirmed
 
 
 __all__ = ["DetectionSettings", "LineField", "PredictedLine", "detect_line", "search_windows"]
@@ -194,7 +194,7 @@ def _sections(image: PredictedImage, gray: NDArray[np.uint8], windows: NDArray[n
     """
     pixels, axis, slant, metres = image
     m = pixels.shape[0]
-    found, owner = np.empty((m * MAX_CANDIDATES, 6)), np.empty(m * MAX_CANDIDATES, dtype=np.int64)
+    candidates, owner = np.empty((m * MAX_CANDIDATES, 6)), np.empty(m * MAX_CANDIDATES, dtype=np.int64)
     n = start = 0
     for i in range(m):
         a, w, h = axis[i], windows[i, 2], windows[i, 3]
@@ -209,12 +209,12 @@ def _sections(image: PredictedImage, gray: NDArray[np.uint8], windows: NDArray[n
                                  look.line_width / abs(metres[i]), look)
         for j in range(sections.shape[0]):
             for c in range(5):
-                found[n, c] = sections[j, c]
-            found[n, 0] += windows[i, a]
-            found[n, 5] = middle
+                candidates[n, c] = sections[j, c]
+            candidates[n, 0] += windows[i, a]
+            candidates[n, 5] = middle
             owner[n] = i
             n += 1
-    return found, owner, n
+    return candidates, owner, n
 
 
 @jit()
@@ -249,35 +249,35 @@ def _evaluate(image: PredictedImage, points: Array, gray: NDArray[np.uint8], win
         if chosen[i] >= 0:
             agreeing[i] = deviation[chosen[i]]
     used = confirmed_points(along, agreeing, chosen >= 0, look.smoothness, covariance)
-    at, lateral, spread = np.empty((m, 2)), np.empty(m), np.empty(m)
+    place, lateral, spread = np.empty((m, 2)), np.empty(m), np.empty(m)
     quality, any_found = np.zeros(m), 0
     for i in range(m):
-        at[i, 0] = at[i, 1] = lateral[i] = spread[i] = np.nan
+        place[i, 0] = place[i, 1] = lateral[i] = spread[i] = np.nan
         if nearest[i] < 0:
             continue
         any_found += 1
         j = chosen[i] if used[i] else nearest[i]
         lateral[i], quality[i] = deviation[j], grade[j]
         spread[i] = math.hypot(s[j, 4] * max(s[j, 3], look.noise), SAMPLING) * abs(metres[i])
-        at[i, axis[i]] = s[j, 0]
-        at[i, 1 - axis[i]] = pixels[i, 1 - axis[i]] + s[j, 5]
-    return at, lateral, spread, quality, used, any_found
+        place[i, axis[i]] = s[j, 0]
+        place[i, 1 - axis[i]] = pixels[i, 1 - axis[i]] + s[j, 5]
+    return place, lateral, spread, quality, used, any_found
 
 
 @jit()
 def _back_project(pixels: Array, points: Array, normal: Array, R: Array, p: Array, K: Array, k: Array) -> Array:
     """Where the pixels' rays meet the planes through ``points``, in the tool frame; NaN of NaN."""
     rays = pixel_rays(pixels, K, k)
-    found = np.empty((pixels.shape[0], 3))
+    crossings = np.empty((pixels.shape[0], 3))
     for i in range(pixels.shape[0]):
         above = along = 0.0
         for a in range(3):
-            found[i, a] = R[a, 0] * rays[i, 0] + R[a, 1] * rays[i, 1] + R[a, 2] * rays[i, 2]
+            crossings[i, a] = R[a, 0] * rays[i, 0] + R[a, 1] * rays[i, 1] + R[a, 2] * rays[i, 2]
             above += normal[a] * (points[i, a] - p[a])
-            along += normal[a] * found[i, a]
+            along += normal[a] * crossings[i, a]
         for a in range(3):
-            found[i, a] = p[a] + above / along * found[i, a]
-    return found
+            crossings[i, a] = p[a] + above / along * crossings[i, a]
+    return crossings
 
 
 def detect_line(
@@ -293,7 +293,7 @@ def detect_line(
         raise InputError("expected one window per predicted point", field="field.windows", value=len(field.windows))
     points = np.ascontiguousarray(prediction.points, dtype=float)
     gray = np.concatenate([patch.ravel() for patch in field.patches])
-    pixels, lateral, sigma, quality, used, found = _evaluate(
+    pixels, lateral, sigma, quality, used, with_section = _evaluate(
         predict_image(camera, prediction), points, gray, np.array(field.windows, dtype=np.int64), s.look,
         float(prediction.sigma), prediction.covariance_or_zero)
     T = camera.T_tool_camera
@@ -302,7 +302,7 @@ def detect_line(
         np.ascontiguousarray(T.translation), camera.K, camera.distortion,
     )  # fmt: skip
     count = int(used.sum())
-    reason = "" if count >= s.min_points else _reason(field, found, count, s)
+    reason = "" if count >= s.min_points else _reason(field, with_section, count, s)
     return LineField(field.t_stamp, points_tcp, pixels, lateral, sigma, quality, used, count >= s.min_points, reason)
 
 
@@ -337,15 +337,15 @@ def predicted_by_rows(prediction: PredictedLine, camera: CameraModel, t: float, 
     """
     if camera.readout == 0.0:
         return prediction
-    pose, seen = pose_at(t), prediction
+    pose, exposed = pose_at(t), prediction
     for _ in range(_ROUNDS):
-        delays = camera.row_delay(camera.project_tool(seen.points))
+        delays = camera.row_delay(camera.project_tool(exposed.points))
         moves = [pose_at(t + delay).actInv(pose) for delay in delays.tolist()]
-        seen = replace(
+        exposed = replace(
             prediction,
             points=np.array([move.act(point) for move, point in zip(moves, prediction.points, strict=True)]),
-            tangents=np.array([move.rotation @ one for move, one in zip(moves, prediction.tangents, strict=True)]))
-    return seen
+            tangents=np.array([move.rotation @ along for move, along in zip(moves, prediction.tangents, strict=True)]))
+    return exposed
 
 
 def at_middle_row(seen: LineField, camera: CameraModel, pose_at: PoseAt) -> LineField:

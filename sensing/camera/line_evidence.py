@@ -141,9 +141,9 @@ def _even(points: Array, halves: Array, sections: int) -> tuple[Array, Array]:
     """The path smoothed, at equal distances ``(n, 2)``, ``(n,)``."""
     points, halves = _smooth(points, 5), _smooth(halves, 7)
     s = arc_lengths(points)
-    at = np.linspace(0.0, s[-1], sections)
-    return (np.column_stack([np.interp(at, s, points[:, 0]), np.interp(at, s, points[:, 1])]),
-            np.maximum(np.interp(at, s, halves), 0.5))
+    even = np.linspace(0.0, s[-1], sections)
+    return (np.column_stack([np.interp(even, s, points[:, 0]), np.interp(even, s, points[:, 1])]),
+            np.maximum(np.interp(even, s, halves), 0.5))
 
 
 def _smooth(values: Array, width: int) -> Array:
@@ -179,7 +179,7 @@ def _smoothed(values: Array, half: int) -> Array:
 def _sampled(lab: Lab, along: tuple[Array, Array], offsets: Array) -> Array:
     """Vectors ``(n, m, 3)`` at offsets ``(n, m)`` [px] across the places of ``_fine``, the mean over neighbours."""
     off = np.repeat(offsets, _ALONG, axis=0)
-    u, v = ((at[:, None] + off * across[:, None]).astype(np.float32) for at, across in zip(*along, strict=True))
+    u, v = ((place[:, None] + off * across[:, None]).astype(np.float32) for place, across in zip(*along, strict=True))
     values = cv2.remap(lab, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     values = values.reshape(len(offsets), _ALONG, offsets.shape[1], 3)
     return np.asarray(values.sum(axis=1, dtype=np.int32) * (COLOR / _ALONG))
@@ -215,13 +215,13 @@ def _measured(lab: Lab, points: Array, halves: Array, edge: bool) -> tuple[Strip
     shown = (inside - left) @ direction
     shown = shown if edge else np.minimum(shown, (inside - right) @ direction)
     about = np.zeros((len(halves), 1)) if edge else np.column_stack([-inner, inner])
-    at, steep = _edges(lab, along, about, direction, min(max(0.7 * half, 2.0), 6.0))
+    edges, steep = _edges(lab, along, about, direction, min(max(0.7 * half, 2.0), 6.0))
     sigmas = float(np.linalg.norm(direction)) * _NOISE / np.sqrt(_ALONG) / steep
-    middle, sigma = at.mean(axis=1), np.linalg.norm(sigmas, axis=1) / at.shape[1]
-    widths = np.zeros_like(middle) if edge else np.maximum(at[:, 1] - at[:, 0], 0.5)
-    found = points + middle[:, None] * normals
+    middle, sigma = edges.mean(axis=1), np.linalg.norm(sigmas, axis=1) / edges.shape[1]
+    widths = np.zeros_like(middle) if edge else np.maximum(edges[:, 1] - edges[:, 0], 0.5)
+    centres = points + middle[:, None] * normals
     sides = 0.0 if edge else float(np.linalg.norm(_median(left - right)) / np.linalg.norm(color))
-    return Strip(found, normals, widths, sigma, shown, color, direction, np.empty(0)), clarity, sides
+    return Strip(centres, normals, widths, sigma, shown, color, direction, np.empty(0)), clarity, sides
 
 
 def _median(values: Array) -> Array:

@@ -75,7 +75,7 @@ def paths(lab: Lab, *, widest: float) -> list[Path]:
     """
     height, width = lab.shape[:2]
     edges = widest == 0.0
-    found: list[Path] = []
+    candidates: list[Path] = []
     for reduced in REDUCED:
         scale = max(1.0, max(height, width) / reduced)
         for along in (0, 1):
@@ -97,10 +97,10 @@ def paths(lab: Lab, *, widest: float) -> list[Path]:
                 node = nodes[place[:, 0], place[:, 1]]
                 a = (place[:, 0] * every + every // 2 + 0.5) * along_size / size[0] - 0.5
                 b = (node[:, _CENTRE] + 0.5) * across_size / size[1] - 0.5
-                found.append(Path(np.column_stack([a, b] if along == 0 else [b, a]).astype(float),
+                candidates.append(Path(np.column_stack([a, b] if along == 0 else [b, a]).astype(float),
                                   np.exp(node[:, _WIDTH].astype(float)) * across_size / size[1] if not edges
                                   else np.zeros(len(a)), float(score)))
-    return found
+    return candidates
 
 
 @jit(fastmath=True)
@@ -120,9 +120,9 @@ def _edges(column: Floats, place: Array, strength: Array) -> int:
         if s < 0.25 * _LEAST or s < change[j - 1] or s <= change[j + 1]:
             continue
         bend = change[j - 1] - 2.0 * s + change[j + 1]
-        at = j + (0.5 * (change[j - 1] - change[j + 1]) / bend if bend < 0.0 else 0.0)
+        peak = j + (0.5 * (change[j - 1] - change[j + 1]) / bend if bend < 0.0 else 0.0)
         if n < place.size:
-            place[n], strength[n] = at, s
+            place[n], strength[n] = peak, s
             n += 1
             continue
         weakest = 0
@@ -132,7 +132,7 @@ def _edges(column: Floats, place: Array, strength: Array) -> int:
         if strength[weakest] < s:
             for m in range(weakest, n - 1):
                 place[m], strength[m] = place[m + 1], strength[m + 1]
-            place[n - 1], strength[n - 1] = at, s
+            place[n - 1], strength[n - 1] = peak, s
     return n
 
 
@@ -145,7 +145,7 @@ def _nodes(columns: Floats, single: bool, widest: float) -> tuple[Floats, Intege
     place, strength = np.empty(_EDGES), np.empty(_EDGES)
     total = np.zeros((rows + 1, 3))
     square = np.zeros(rows + 1)
-    one = np.empty(_FIELDS, np.float32)
+    node = np.empty(_FIELDS, np.float32)
     for i in range(count):
         for j in range(rows):
             square[j + 1] = square[j]
@@ -156,14 +156,14 @@ def _nodes(columns: Floats, single: bool, widest: float) -> tuple[Floats, Intege
         for p in range(n):
             for q in range(p + (0 if single else 1), p + 1 if single else n):
                 fits = single or 1.0 <= place[q] - place[p] <= widest
-                if fits and _compared(total, square, place[p], place[q], one):
-                    counts[i] = _kept(nodes[i], counts[i], one)
+                if fits and _compared(total, square, place[p], place[q], node):
+                    counts[i] = _kept(nodes[i], counts[i], node)
         nodes[i, : counts[i]] = nodes[i, np.argsort(nodes[i, : counts[i], _CENTRE])]
     return nodes, counts
 
 
 @jit(fastmath=True)
-def _compared(total: Array, square: Array, first: float, last: float, one: Floats) -> bool:
+def _compared(total: Array, square: Array, first: float, last: float, node: Floats) -> bool:
     """Whether the edges at ``first`` and ``last`` [px], or one if they are the same, have enough contrast.
 
     ``total (rows + 1, 3)`` and ``square (rows + 1,)`` are sums of the column and its squares; ``one`` gets the fields.
@@ -192,16 +192,16 @@ def _compared(total: Array, square: Array, first: float, last: float, one: Float
         spread_a += inside * inside
         spread_b += left * left
         spread_c += right * right
-        one[_CONTRAST + c] = 0.5 * (dl + dr)
-        one[_INSIDE + c] = inside
+        node[_CONTRAST + c] = 0.5 * (dl + dr)
+        node[_INSIDE + c] = inside
     contrast = lr / (math.sqrt(max(ll, rr)) + 1e-3)
     if contrast < _LEAST:
         return False
     spread = math.sqrt(max((square[b1] - square[b0]) * of_b - spread_b, 0.0))
     spread += math.sqrt(max((square[c1] - square[c0]) * of_c - spread_c, 0.0))
     spread += 2.0 * math.sqrt(max((square[a1] - square[a0]) * of_a - spread_a, 0.0))
-    one[_CENTRE], one[_WIDTH] = 0.5 * (first + last), 0.0 if single else math.log(w)
-    one[_CLEAR] = contrast / (0.25 * spread + 2.0)
+    node[_CENTRE], node[_WIDTH] = 0.5 * (first + last), 0.0 if single else math.log(w)
+    node[_CLEAR] = contrast / (0.25 * spread + 2.0)
     return True
 
 
@@ -288,12 +288,12 @@ def _traced(nodes: Floats, counts: Integers, sums: Array, came: Integers, taken:
         n -= 1
         place[n, 0], place[n, 1] = i, p
         i, p = came[i, p, 0], came[i, p, 1]
-    found = place[n:]
-    for m in range(len(found)):
-        a = found[m, 0]
-        one = nodes[a, found[m, 1]]
+    path = place[n:]
+    for m in range(len(path)):
+        a = path[m, 0]
+        node = nodes[a, path[m, 1]]
         for b in range(counts[a]):
-            near = abs(nodes[a, b, _CENTRE] - one[_CENTRE]) < max(1.5, 0.5 * math.exp(one[_WIDTH]))
-            if near and abs(nodes[a, b, _WIDTH] - one[_WIDTH]) < 0.7:
+            near = abs(nodes[a, b, _CENTRE] - node[_CENTRE]) < max(1.5, 0.5 * math.exp(node[_WIDTH]))
+            if near and abs(nodes[a, b, _WIDTH] - node[_WIDTH]) < 0.7:
                 taken[a, b] = True
-    return found, top
+    return path, top

@@ -100,35 +100,35 @@ def _fitted(s: Array, deviation: Array, variance: Array, used: NDArray[np.bool_]
     inside = s[used]
     centre, scale = 0.5 * (inside.min() + inside.max()), max(0.5 * (inside.max() - inside.min()), 1e-6)
     while True:
-        at = np.flatnonzero(used)
-        m, d = len(at), min(degree, len(at) - 1)
+        rows = np.flatnonzero(used)
+        m, d = len(rows), min(degree, len(rows) - 1)
         V, weighted = np.ones((m, d + 1)), np.empty((m, d + 1))
         for i in range(m):
             for j in range(d + 1):
                 if j > 0:
-                    V[i, j] = V[i, j - 1] * (s[at[i]] - centre) / scale
-                weighted[i, j] = V[i, j] / variance[at[i]]
+                    V[i, j] = V[i, j - 1] * (s[rows[i]] - centre) / scale
+                weighted[i, j] = V[i, j] / variance[rows[i]]
         covariance = np.linalg.inv(V.T @ weighted)
         weights = covariance @ weighted.T
-        coefficients = weights @ deviation[at]
-        residual = deviation[at] - V @ coefficients
+        coefficients = weights @ deviation[rows]
+        residual = deviation[rows] - V @ coefficients
         worst, most, squares = 0, 0.0, 0.0
         for i in range(m):
             # Deleted residual r_i/(1 - h_i), its variance σ_i²/(1 - h_i), h_i the leverage.
             free = 1.0
             for j in range(d + 1):
                 free -= V[i, j] * weights[j, i]
-            contradiction = abs(residual[i]) / np.sqrt(variance[at[i]] * max(free, 1e-9))
+            contradiction = abs(residual[i]) / np.sqrt(variance[rows[i]] * max(free, 1e-9))
             if contradiction > most:
                 worst, most = i, contradiction
-            squares += residual[i] ** 2 / variance[at[i]]
+            squares += residual[i] ** 2 / variance[rows[i]]
         if m <= d + 1 or m <= 3 or most <= outlier:
             break
-        used[at[worst]] = False
+        used[rows[worst]] = False
     combination = np.zeros((d + 1, len(s)))
     for i in range(m):
-        combination[:, at[i]] = weights[:, i]
-    return (centre, scale, coefficients, covariance, combination, np.sqrt(squares / m), s[at].min(), s[at].max())
+        combination[:, rows[i]] = weights[:, i]
+    return (centre, scale, coefficients, covariance, combination, np.sqrt(squares / m), s[rows].min(), s[rows].max())
 
 
 def fit_of_lowest_order(

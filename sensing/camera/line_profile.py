@@ -204,7 +204,7 @@ def find_sections(patch: NDArray[np.uint8], predicted: float, slant: float, widt
         look: blur, polarity, least depth and tolerance of the width.
     """
     rows, columns = patch.shape
-    found = np.empty((MAX_CANDIDATES, 5))
+    sections = np.empty((MAX_CANDIDATES, 5))
     profile = np.zeros(columns)
     for j in range(columns):
         for r in range(rows):
@@ -222,8 +222,8 @@ def find_sections(patch: NDArray[np.uint8], predicted: float, slant: float, widt
             continue
         new = True
         for j in range(n):
-            new = new and abs(found[j, 0] - u0) > 0.5
+            new = new and abs(sections[j, 0] - u0) > 0.5
         if new:
-            found[n, 0], found[n, 1], found[n, 2], found[n, 3], found[n, 4] = u0, w, c, residual, spread
+            sections[n, 0], sections[n, 1], sections[n, 2], sections[n, 3], sections[n, 4] = u0, w, c, residual, spread
             n += 1
-    return found[:n]
+    return sections[:n]

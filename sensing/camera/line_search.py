@@ -142,7 +142,7 @@ def _predict(
     axis = np.zeros(m, dtype=np.int64)
     slant, metres = np.empty(m), np.empty(m)
     step = 5e-4
-    seen, lateral, d = np.empty((5, 2)), np.empty(3), np.empty(3)
+    projected, lateral, d = np.empty((5, 2)), np.empty(3), np.empty(3)
     for i in range(m):
         t = tangents[i]
         lateral[0] = normal[1] * t[2] - normal[2] * t[1]
@@ -158,15 +158,15 @@ def _predict(
             if z > 0.0:
                 x, y = distort((R[0, 0] * d[0] + R[1, 0] * d[1] + R[2, 0] * d[2]) / z,
                                (R[0, 1] * d[0] + R[1, 1] * d[1] + R[2, 1] * d[2]) / z, k)
-            seen[j, 0] = K[0, 0] * x + K[0, 1] * y + K[0, 2]
-            seen[j, 1] = K[1, 1] * y + K[1, 2]
-        pixels[i, 0], pixels[i, 1] = seen[0, 0], seen[0, 1]
-        a = 1 if abs(seen[2, 0] - seen[1, 0]) > abs(seen[2, 1] - seen[1, 1]) else 0
+            projected[j, 0] = K[0, 0] * x + K[0, 1] * y + K[0, 2]
+            projected[j, 1] = K[1, 1] * y + K[1, 2]
+        pixels[i, 0], pixels[i, 1] = projected[0, 0], projected[0, 1]
+        a = 1 if abs(projected[2, 0] - projected[1, 0]) > abs(projected[2, 1] - projected[1, 1]) else 0
         axis[i] = a
-        slant[i] = (seen[2, a] - seen[1, a]) / (seen[2, 1 - a] - seen[1, 1 - a])
+        slant[i] = (projected[2, a] - projected[1, a]) / (projected[2, 1 - a] - projected[1, 1 - a])
         # A pixel e along the scan is the lateral shift d with e - d·across parallel to the line.
-        metres[i] = 1.0 / ((seen[4, a] - seen[3, a]) / (2.0 * step)
-                           - slant[i] * ((seen[4, 1 - a] - seen[3, 1 - a]) / (2.0 * step)))
+        metres[i] = 1.0 / ((projected[4, a] - projected[3, a]) / (2.0 * step)
+                           - slant[i] * ((projected[4, 1 - a] - projected[3, 1 - a]) / (2.0 * step)))
     return pixels, axis, slant, metres
 
 

@@ -79,8 +79,8 @@ def track(picture: NDArray[np.uint8], before: Track | None = None, *, kind: str 
         line = PictureLine(size, measured(picture, strip, scale, points), value, 0, "")
         return Track(line, "found again" if missed else "followed", strip,
                      np.zeros(2) if missed else _motion(known, strip))
-    told = None if near is None or known is not None else np.array(near) * scale
-    value, new, reason, others = likeliest(small, kind, told)
+    pixel = None if near is None or known is not None else np.array(near) * scale
+    value, new, reason, others = likeliest(small, kind, pixel)
     if new is None:
         return Track(PictureLine(size, None, value, others, reason), "lost", known, np.zeros(2), missed + 1)
     line = PictureLine(size, measured(picture, new, scale, points), value, others, reason)
@@ -109,7 +109,7 @@ def _elsewhere(picture: NDArray[np.uint8], known: Strip, place: Array, kind: str
     moves = _MOVES * min(picture.shape[:2]) * np.sqrt(1.0 + missed)
     lines = [(_same(value, strip, known) - 0.5 * (_distance(strip, place) / moves) ** 2, value, strip)
              for value, strip in [*find_lines(picture, kind=kind, about=place), *([there] if there else [])]]
-    best = max(lines, key=lambda one: one[0], default=None)
+    best = max(lines, key=lambda candidate: candidate[0], default=None)
     return best[1:] if best is not None and best[0] > 0.0 else None
 
 

@@ -52,7 +52,7 @@ class OpenCVProfiles:
         deviation = np.full(m, np.nan)
         expected = [float(image.pixels[i, image.axis[i]]) for i in range(m)]
         reach = _REACH * prediction.sigma / np.abs(image.metres)
-        chosen = [_nearest(found, at, px) for found, at, px in zip(sections, expected, reach.tolist(), strict=True)]
+        chosen = [_nearest(group, line, px) for group, line, px in zip(sections, expected, reach.tolist(), strict=True)]
         for i, section in enumerate(chosen):
             if section is not None:
                 deviation[i] = (section.at - expected[i]) * image.metres[i]
@@ -103,7 +103,7 @@ class OpenCVProfiles:
         falling, rising = _peaks(-slope, threshold), _peaks(slope, threshold)
         expected = s.line_width / abs(image.metres[i])
         noise = max(s.noise, float(np.std(rows - cv2.GaussianBlur(rows, (3, 1), 0))))
-        found = []
+        sections = []
         for begin in falling:
             for end in rising:
                 width = (end - begin) / _FINER
@@ -118,39 +118,39 @@ class OpenCVProfiles:
                 steep = 0.5 * (-slope[round(begin)] + slope[round(end)])
                 sigma = math.hypot(noise / (steep * math.sqrt(2.0 * rows.shape[0])), _SAMPLING)
                 # A resized row's sample k stands at (k + 0.5)/finer - 0.5 of the original.
-                found.append(_Section((0.5 * (begin + end) + 0.5) / _FINER - 0.5 + window[a], width, sigma))
-        return found
+                sections.append(_Section((0.5 * (begin + end) + 0.5) / _FINER - 0.5 + window[a], width, sigma))
+        return sections
 
 
 def _nearest(sections: list[_Section], expected: float, reach: float) -> _Section | None:
     """The section nearest to where the line is expected, if it is within reach [px]."""
-    return min((one for one in sections if abs(one.at - expected) <= reach), key=lambda one: abs(one.at - expected),
+    return min((cut for cut in sections if abs(cut.at - expected) <= reach), key=lambda cut: abs(cut.at - expected),
                default=None)
 
 
 def _peaks(slope: Array, threshold: float) -> list[float]:
     """Places of local maxima above a threshold, by a parabola through each and its neighbours."""
     local = slope >= cv2.dilate(slope.reshape(1, -1), np.ones((1, 2 * _FINER + 1), np.uint8)).ravel()
-    found = []
+    peaks = []
     for k in np.flatnonzero(local & (slope > threshold)):
         if 0 < k < slope.size - 1:
             bend = slope[k - 1] - 2.0 * slope[k] + slope[k + 1]
-            found.append(float(k) + (0.5 * float(slope[k - 1] - slope[k + 1]) / float(bend) if bend < 0.0 else 0.0))
-    return found
+            peaks.append(float(k) + (0.5 * float(slope[k - 1] - slope[k + 1]) / float(bend) if bend < 0.0 else 0.0))
+    return peaks
 
 
 def _agreeing(along: Array, deviation: Array, smoothness: float) -> np.ndarray:
     """Deviations ``(m,)`` that lie on one straight line over ``along``, by OpenCV's robust line fit."""
-    there = np.isfinite(deviation)
-    if there.sum() < 2:
-        return there
+    finite = np.isfinite(deviation)
+    if finite.sum() < 2:
+        return finite
     # In units of the tolerance on one axis and of the span on the other, so that distances mean deviations.
-    span = max(float(np.ptp(along[there])), 1e-9)
-    points = np.column_stack([100.0 * along[there] / span, deviation[there] / smoothness]).astype(np.float32)
+    span = max(float(np.ptp(along[finite])), 1e-9)
+    points = np.column_stack([100.0 * along[finite] / span, deviation[finite] / smoothness]).astype(np.float32)
     vx, vy, x0, y0 = cv2.fitLine(points, cv2.DIST_HUBER, 0, 0.01, 0.01).ravel()
     if abs(vx) < 1e-6:
-        return np.zeros_like(there)
+        return np.zeros_like(finite)
     off = np.abs(points[:, 1] - (y0 + (points[:, 0] - x0) * vy / vx))
-    used = there.copy()
-    used[there] = off < 1.0
+    used = finite.copy()
+    used[finite] = off < 1.0
     return used

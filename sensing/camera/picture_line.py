@@ -134,12 +134,12 @@ def likeliest(picture: NDArray[np.uint8], kind: str | None, near: Array | None
         # Whoever tells a point says that there is a line.
         lines = [(value + max(0.0, EXPECTED - 0.5 * (_distance(strip, middle) / about) ** 2), strip)
                  for value, strip in lines]
-    accepted = [one for one in lines if one[0] > 0.0]
+    accepted = [line for line in lines if line[0] > 0.0]
     if not accepted:
         best = max((value for value, _ in lines), default=-np.inf)
         return best, None, ("nothing crosses the picture between two edges" if not lines else
                             f"what is most like a line is likelier none (log odds {best:.1f})"), 0
-    value, strip = max(accepted, key=lambda one: _meant(one[0], one[1], middle, about))
+    value, strip = max(accepted, key=lambda line: _meant(line[0], line[1], middle, about))
     return value, strip, "", len(accepted) - 1
 
 
@@ -190,11 +190,11 @@ def find_lines(picture: NDArray[np.uint8], *, kind: str | None = None, about: Ar
     lab = lab_picture(picture)
     least, widest = KINDS[kind] if kind else ANY
     size = min(picture.shape[:2])
-    found = sorted(paths(lab, widest=widest), key=lambda path: -path.score)
+    ranked = sorted(paths(lab, widest=widest), key=lambda path: -path.score)
     if about is not None:
-        found = [path for path in found if np.linalg.norm(path.points[:, None] - about, axis=2).min() < _REACH * size]
+        ranked = [path for path in ranked if np.linalg.norm(path.points[:, None] - about, axis=2).min() < _REACH * size]
     lines: list[tuple[float, Strip]] = []
-    for path in found[:_CANDIDATES]:
+    for path in ranked[:_CANDIDATES]:
         strip = straightened(lab, path)
         width = float(np.median(strip.widths))
         length = float(np.linalg.norm(np.diff(strip.points, axis=0), axis=1).sum())
@@ -202,12 +202,12 @@ def find_lines(picture: NDArray[np.uint8], *, kind: str | None = None, about: Ar
         if not slender or (kind == "laser" and strip.color[0] < 0.0):
             continue
         lines.append((evidence(strip), strip))
-    lines.sort(key=lambda one: -one[0])
-    kept: list[tuple[float, Strip]] = []
+    lines.sort(key=lambda line: -line[0])
+    distinct: list[tuple[float, Strip]] = []
     for value, strip in lines:
-        if all(_apart(strip, other) for _, other in kept):
-            kept.append((value, strip))
-    return kept
+        if all(_apart(strip, other) for _, other in distinct):
+            distinct.append((value, strip))
+    return distinct
 
 
 def _apart(one: Strip, other: Strip) -> bool:

@@ -53,9 +53,9 @@ class VideoCapture:
 
     def read(self, timeout: float) -> Frame | None:
         """See ``FrameSource.read``; how long it waits is the driver's matter, ``timeout`` is not known to it."""
-        there, image = self._capture.read()
+        success, image = self._capture.read()
         arrived = time.perf_counter()
-        if not there or image is None:
+        if not success or image is None:
             raise SensingError(f"no picture comes from camera {self._source} any more")
         stamp = 1e-3 * float(self._capture.get(cv2.CAP_PROP_POS_MSEC))
         if self.stamps != "arrival" and not (math.isfinite(stamp) and stamp > self._last):

@@ -95,19 +95,19 @@ def require_gravity(wrenches: Array, rotations: Sequence[Array], t: Array, sigma
     f, noise = wrenches[:, :3], float(np.sqrt(np.mean(np.square(sigma))))
     weights = np.array([rotation.T @ GRAVITY for rotation in rotations])
     spread = float(np.linalg.norm(weights - weights.mean(axis=0)))
-    mass, left = _weighed(f, weights, noise)
-    if abs(mass) < max(CLEARLY * noise / spread, LIGHTEST) and left <= 1.0:
+    mass, residual = _weighed(f, weights, noise)
+    if abs(mass) < max(CLEARLY * noise / spread, LIGHTEST) and residual <= 1.0:
         raise SensingError(f"the force sensor feels the tool weigh the same in {len(rotations)} postures (to "
                            f"{np.ptp(f, axis=0).max():.2g} N): it feels nothing, or nothing hangs on it")
-    if mass > 0 and left <= 1.0:
+    if mass > 0 and residual <= 1.0:
         return
-    if left <= 1.0:
+    if residual <= 1.0:
         raise SensingError(f"the force sensor feels a tool of {mass:.3g} kg: its forces have the wrong sign; a wrench "
                            "is what the environment does to the tool")
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         turned = f[:, order] * np.array(signs)
-        found, unexplained = _weighed(turned, weights, noise)
-        if found > 0 and unexplained <= 1.0:
+        turned_mass, unexplained = _weighed(turned, weights, noise)
+        if turned_mass > 0 and unexplained <= 1.0:
             axes = ", ".join("-"[: sign < 0] + "xyz"[axis] for axis, sign in zip(order, signs, strict=True))
             raise SensingError("the force sensor's axes are not the tool's: a weight turns with the postures as "
                                f"({axes}) would; check how it is mounted and the order of its channels")
@@ -117,7 +117,7 @@ def require_gravity(wrenches: Array, rotations: Sequence[Array], t: Array, sigma
                            "what pulls at its cable")
     allowed = _allowed(noise, mass)
     raise SensingError("what the force sensor feels does not turn with the postures as a weight does: "
-                       f"{left * allowed:.2g} N are left where {allowed:.2g} N may be; it has leapt, or something "
+                       f"{residual * allowed:.2g} N are left where {allowed:.2g} N may be; it has leapt, or something "
                        "touches the tool")
 
 
@@ -136,8 +136,8 @@ def _weighed(f: Array, weights: Array, noise: float) -> tuple[float, float]:
 def _drift(f: Array, weights: Array, t: Array) -> Array:
     """Change of the bias ``(3,)`` [N/s] that, with a weight, explains forces ``(N, 3)`` best."""
     N, rows = len(t), []
-    for weight, at in zip(weights, t - t.mean(), strict=True):
-        rows.append(np.column_stack([weight, np.eye(3), at * np.eye(3)]))
+    for weight, instant in zip(weights, t - t.mean(), strict=True):
+        rows.append(np.column_stack([weight, np.eye(3), instant * np.eye(3)]))
     return np.asarray(np.linalg.lstsq(np.concatenate(rows), f.reshape(3 * N), rcond=None)[0][4:])
 
 

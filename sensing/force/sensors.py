@@ -202,8 +202,8 @@ class NetFT:
             self.counts.refused += 1
             return []
         self._heard = arrived
-        found = [self._record(record, arrived) for record in _RECORD.iter_unpack(packet)]
-        return [one for one in found if one is not None]
+        readings = [self._record(record, arrived) for record in _RECORD.iter_unpack(packet)]
+        return [reading for reading in readings if reading is not None]
 
     def close(self) -> None:
         """Stops the stream."""
@@ -267,15 +267,15 @@ class StreamForce:
 
     def read(self, timeout: float) -> list[Reading]:
         """See ``WrenchSource.read``."""
-        found = self._connection.next(timeout)
-        if found is None:
+        package = self._connection.next(timeout)
+        if package is None:
             return []
-        if found.kind != Kind.WRENCH or len(found.payload) != _WRENCH.size or not self.clock.known:
+        if package.kind != Kind.WRENCH or len(package.payload) != _WRENCH.size or not self.clock.known:
             self.counts.refused += 1
             return []
-        number, *values = _WRENCH.unpack(found.payload)
+        number, *values = _WRENCH.unpack(package.payload)
         wrench = np.array(values)
-        if not (np.isfinite(wrench).all() and np.isfinite(found.stamp)):
+        if not (np.isfinite(wrench).all() and np.isfinite(package.stamp)):
             self.counts.refused += 1
             return []
         if self._number is not None:
@@ -286,7 +286,7 @@ class StreamForce:
             self.counts.lost += max(since - 1, 0) if self._broken == self._connection.broken else 0
         self._number, self._broken = number, self._connection.broken
         self.counts.readings += 1
-        return [Reading(found.stamp, wrench)]
+        return [Reading(package.stamp, wrench)]
 
     def close(self) -> None:
         """Ends the connection."""

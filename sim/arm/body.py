@@ -265,13 +265,13 @@ def _with_rods(text: str, radius: float) -> str:
     links = {link.get("name"): link for link in root.findall("link")}
     for joint in root.findall("joint"):
         origin, parent = joint.find("origin"), joint.find("parent")
-        way = np.array([float(v) for v in ("0 0 0" if origin is None else origin.get("xyz", "0 0 0")).split()])
-        length = float(np.linalg.norm(way))
+        offset = np.array([float(v) for v in ("0 0 0" if origin is None else origin.get("xyz", "0 0 0")).split()])
+        length = float(np.linalg.norm(offset))
         if length < 1e-6 or parent is None:
             continue
-        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), way / length).matrix()
+        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), offset / length).matrix()
         visual = ET.SubElement(links[parent.get("link")], "visual")
-        ET.SubElement(visual, "origin", {"xyz": _text(0.5 * way), "rpy": _text(_rpy(turn))})
+        ET.SubElement(visual, "origin", {"xyz": _text(0.5 * offset), "rpy": _text(_rpy(turn))})
         ET.SubElement(ET.SubElement(visual, "geometry"), "cylinder", {"length": f"{length}", "radius": f"{radius}"})
         ET.SubElement(ET.SubElement(visual, "material", {"name": "rod"}), "color", {"rgba": "0.88 0.42 0 1"})
     return ET.tostring(root, encoding="unicode")

@@ -136,13 +136,13 @@ def too_fast(robot: Robot, stiffness: Array, rotor: Array) -> NDArray[np.bool_]:
     swept = np.tile(robot.home, (robot.n, SWEPT, 1))
     for j in range(robot.n):
         swept[j, :, j] = np.linspace(low[j], high[j], SWEPT)
-    found = np.array(stiffness)
+    stiffened = np.array(stiffness)
     for q in [*spread_postures(robot.q_min, robot.q_max), *swept.reshape(-1, robot.n)]:
         mass = pin.crba(model, data, q)
         mass = np.triu(mass) + np.triu(mass, 1).T
-        while (worst := fastest(mass, found, rotor))[0] > FOLLOWED / STEP:
-            found[worst[1]] = np.inf
-    return np.isinf(found)
+        while (worst := fastest(mass, stiffened, rotor))[0] > FOLLOWED / STEP:
+            stiffened[worst[1]] = np.inf
+    return np.isinf(stiffened)
 
 
 # Stability of a cascade on a rotor that a spring connects with its link.

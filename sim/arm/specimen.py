@@ -133,11 +133,11 @@ def residual_torque(world: World, n: int, rng: np.random.Generator) -> ExtraTorq
         InputError: a row of the residual for another number of joints.
     """
     offset = world.bodies(n)[11 * n :] if world.body else np.zeros(n)
-    given = world.extra_torque
+    extra = world.extra_torque
     if not world.residual:
         if not offset.any():
-            return given
-        return lambda t, q, qd, q_a: -offset + (0.0 if given is None else given(t, q, qd, q_a))
+            return extra
+        return lambda t, q, qd, q_a: -offset + (0.0 if extra is None else extra(t, q, qd, q_a))
     for row in world.residual:
         if len(row) not in (1, n):
             raise InputError(f"expected rows of one number or {n}, one per joint", field="world.residual", value=row)
@@ -147,10 +147,10 @@ def residual_torque(world: World, n: int, rng: np.random.Generator) -> ExtraTorq
     frequency = 2.0 * np.pi * edges[:-1, None, None] * 2.0**share
     phase = rng.uniform(0.0, 2.0 * np.pi, (len(bands), WAVES, n))
     size = np.sqrt(2.0 / WAVES) * bands[:, None, :] * np.ones((1, WAVES, 1))
-    rate, phase, size = (np.ascontiguousarray(one.reshape(-1, one.shape[-1])) for one in (frequency, phase, size))
+    rate, phase, size = (np.ascontiguousarray(waves.reshape(-1, waves.shape[-1])) for waves in (frequency, phase, size))
 
     def torque(t: float, q: Array, qd: Array, q_a: Array) -> Array:
         drawn = np.einsum("wn,wn->n", size, np.sin(rate * t + phase)) - offset
-        return np.asarray(drawn if given is None else drawn + given(t, q, qd, q_a))
+        return np.asarray(drawn if extra is None else drawn + extra(t, q, qd, q_a))
 
     return torque

@@ -89,7 +89,7 @@ def numbers(field: str, value: Any) -> Array:
 def _rows(field: str, value: Any, least: float) -> tuple[tuple[float, ...], ...]:
     """Rows of finite numbers from ``least`` up."""
     try:
-        rows = tuple(tuple(float(one) for one in row) for row in value)
+        rows = tuple(tuple(float(number) for number in row) for row in value)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError("expected a list of lists of numbers", field=field) from error
     if not np.all([np.isfinite(row).all() and (np.array(row) >= least).all() for row in rows]):

@@ -87,12 +87,12 @@ class ArmBodies:
         self._model, self._data = robot.pinocchio, robot.pinocchio.createData()
         self._client, self._camera = client, camera
         text = without_meshes(robot.description)
-        found = pin.buildGeomFromUrdfString(self._model, text, pin.GeometryType.VISUAL).geometryObjects
-        sized = [(one, half) for one in found if (half := half_sizes(one.geometry)) is not None]
-        self._shapes: list[Any] = [one for one, _ in sized]
-        self._parents = np.array([one.parentJoint for one in self._shapes], dtype=int)
+        shapes = pin.buildGeomFromUrdfString(self._model, text, pin.GeometryType.VISUAL).geometryObjects
+        sized = [(shape, half) for shape in shapes if (half := half_sizes(shape.geometry)) is not None]
+        self._shapes: list[Any] = [shape for shape, _ in sized]
+        self._parents = np.array([shape.parentJoint for shape in self._shapes], dtype=int)
         self._reach = np.array([np.linalg.norm(half) for _, half in sized])
-        self._corners = np.array([[one.placement.act(corner * half) for corner in CORNERS] for one, half in sized]
+        self._corners = np.array([[shape.placement.act(corner * half) for corner in CORNERS] for shape, half in sized]
                                  ).reshape(-1, len(CORNERS), 3)
         self.bodies: dict[int, Body] = {}
         self._standing: set[int] = set()
@@ -108,27 +108,27 @@ class ArmBodies:
 
     def shown(self, windows: Sequence[Window]) -> list[set[Body]]:
         """What of the arm each window may show, standing where it is; none of them is empty."""
-        found = in_view(self._camera, windows, self._seen, self._reach)
-        for k in np.flatnonzero(found.any(axis=0)).tolist():
+        visible = in_view(self._camera, windows, self._seen, self._reach)
+        for k in np.flatnonzero(visible.any(axis=0)).tolist():
             if k not in self.bodies:
                 self.bodies[k] = self._body(self._shapes[k])
             if k not in self._standing:
                 shape = self._shapes[k]
                 self.bodies[k].stand(self._data.oMi[shape.parentJoint] * shape.placement)
                 self._standing.add(k)
-        return [{self.bodies[k] for k in np.flatnonzero(row).tolist()} for row in found]
+        return [{self.bodies[k] for k in np.flatnonzero(row).tolist()} for row in visible]
 
     def _body(self, shape: Any) -> Body:
         gray = float(LUMINANCE @ np.asarray(shape.meshColor[:3], dtype=float))
         colour, x, client = [gray, gray, gray, 1.0], shape.geometry, self._client
         if hasattr(x, "halfSide"):
-            seen = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=x.halfSide.tolist(), rgbaColor=colour,
+            visual = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=x.halfSide.tolist(), rgbaColor=colour,
                                               physicsClientId=client)
         else:
             corners, faces = _prism(x.radius, x.halfLength)
-            seen = pybullet.createVisualShape(pybullet.GEOM_MESH, vertices=corners, indices=faces, rgbaColor=colour,
+            visual = pybullet.createVisualShape(pybullet.GEOM_MESH, vertices=corners, indices=faces, rgbaColor=colour,
                                               physicsClientId=client)
-        return Body(int(pybullet.createMultiBody(0.0, -1, seen, physicsClientId=client)), client, colour)
+        return Body(int(pybullet.createMultiBody(0.0, -1, visual, physicsClientId=client)), client, colour)
 
 
 def in_view(camera: CameraModel, windows: Sequence[Window], corners: Array, reach: Array) -> NDArray[np.bool_]:
@@ -154,7 +154,7 @@ def _in_front(corners: Array, reach: Array, least: Array, most: Array) -> NDArra
     window, and then not all of whose corners are behind the same one. ``least`` are tangents of the sides to the left
     and above ``(windows, 2)``, ``most`` of those to the right and below.
     """
-    seen = np.zeros((least.shape[0], corners.shape[0]), dtype=np.bool_)
+    visible = np.zeros((least.shape[0], corners.shape[0]), dtype=np.bool_)
     for k in range(corners.shape[0]):
         x, y, z, deepest = 0.0, 0.0, 0.0, -np.inf
         for c in range(8):
@@ -177,5 +177,5 @@ def _in_front(corners: Array, reach: Array, least: Array, most: Array) -> NDArra
                 if front <= -AROUND:
                     inside = False
                     break
-            seen[w, k] = inside
-    return seen
+            visible[w, k] = inside
+    return visible

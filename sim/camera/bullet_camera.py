@@ -105,15 +105,15 @@ class BulletCamera(RenderedCamera):
         views = [self._view(pose) for pose in poses]
         self._show_surface(looked, poses[len(poses) // 2])
         arm = self.arm.shown(looked) if self.arm is not None else [set[Body]()] * len(looked)
-        seen = [self._render(*each, poses, views, n) for each in zip(looked, arm, strict=True)]
-        gray, bare = (np.concatenate([one.ravel() for one in part]) for part in zip(*seen, strict=True))
+        rendered = [self._render(*each, poses, views, n) for each in zip(looked, arm, strict=True)]
+        gray, bare = (np.concatenate([picture.ravel() for picture in part]) for part in zip(*rendered, strict=True))
         return gray, bare
 
     def _show_surface(self, windows: Sequence[Window], pose: pin.SE3) -> None:
         """Takes out of the picture what no window shows of the surface, with the TCP at ``pose``."""
         T = (pose * self.model.T_tool_camera).inverse() * self.surface.plane
-        seen = in_view(self.model, windows, self._corners @ T.rotation.T + T.translation, self._reach)
-        for piece, by_any in zip(self._pieces, seen.T.tolist(), strict=True):
+        visible = in_view(self.model, windows, self._corners @ T.rotation.T + T.translation, self._reach)
+        for piece, by_any in zip(self._pieces, visible.T.tolist(), strict=True):
             piece.show(any(by_any))
 
     def _view(self, pose: pin.SE3) -> list[float]:
@@ -151,11 +151,11 @@ class BulletCamera(RenderedCamera):
             if tool is not None:
                 tool.stand(pose)
             # The samples stay where they are; the renderer's own grid moves below them, which averages its hard edges.
-            at = scale, column0 + du, row0 + dv
-            image, bodies = self._picture(view, width, height, *at, parted=parted)
-            add_samples(total, image, x, y, at, weight)
+            grid = scale, column0 + du, row0 + dv
+            image, bodies = self._picture(view, width, height, *grid, parted=parted)
+            add_samples(total, image, x, y, grid, weight)
             if bodies is not None:
-                add_samples(bare, self._surface_in(bodies), x, y, at, weight)
+                add_samples(bare, self._surface_in(bodies), x, y, grid, weight)
         return total, bare
 
     @property
@@ -209,10 +209,10 @@ class BulletCamera(RenderedCamera):
         boxes, colour = [], [*WHITE, 1.0]
         pieces = max(min(round(width / PIECE), columns), 1)
         for first, last in pairwise(np.linspace(0, columns, pieces + 1).astype(int).tolist()):
-            at = slice(first, last + 1)
+            span = slice(first, last + 1)
             u = texture.image.shape[1] * np.arange(first, last + 1) / columns
             left, right = int(u[0]), int(np.ceil(u[-1]))
-            lines = _strips(x[at], y, z[:, at], (u - left) / (right - left))
+            lines = _strips(x[span], y, z[:, span], (u - left) / (right - left))
             number = self._body(folder, f"surface{first}", lines, self.surface.plane, colour)
             # Packed, the picture would take twice as long to write and read.
             image = folder / f"surface{first}.bmp"
@@ -220,7 +220,7 @@ class BulletCamera(RenderedCamera):
             identifier = pybullet.loadTexture(str(image), physicsClientId=self._client)
             pybullet.changeVisualShape(number, -1, textureUniqueId=identifier, physicsClientId=self._client)
             self._pieces.append(Body(number, self._client, colour))
-            ends = np.array([[x[first], y[0], z[:, at].min()], [x[last], y[-1], z[:, at].max()]])
+            ends = np.array([[x[first], y[0], z[:, span].min()], [x[last], y[-1], z[:, span].max()]])
             boxes.append(ends.mean(axis=0) + 0.5 * np.diff(ends, axis=0) * CORNERS)
         self._corners = np.array(boxes)
         self._reach = np.linalg.norm(self._corners - self._corners.mean(axis=1, keepdims=True), axis=2).max(axis=1)

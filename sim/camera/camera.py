@@ -160,8 +160,8 @@ class RenderedCamera:
             self._stand(q, pose_at(t_exposure))
         for part, delay in self._in_time(read):
             poses = [pose_at(t_exposure + delay + ((i + 0.5) / n - 0.5) * s.exposure) for i in range(n)]
-            seen, bare = self._sampled(part, poses, samples)
-            gray = np.concatenate([gray, self._lit(seen, bare, part, poses[n // 2], shape)])
+            sampled, bare = self._sampled(part, poses, samples)
+            gray = np.concatenate([gray, self._lit(sampled, bare, part, poses[n // 2], shape)])
         if self.lamp is not None:
             middle = pose_at(t_exposure + ((n // 2 + 0.5) / n - 0.5) * s.exposure)
             gray = gray * self._exposure(t_exposure, middle, shape)
@@ -313,9 +313,9 @@ class RenderedCamera:
             return sample_rays(window.u, window.v, window.height, window.width, n, *lens)
         if n not in self._whole_samples:
             self._whole_samples[n] = sample_rays(0, 0, self.model.height, self.model.width, n, *lens)
-        at = slice(window.v, window.v + window.height), slice(window.u, window.u + window.width)
+        part = slice(window.v, window.v + window.height), slice(window.u, window.u + window.width)
         x, y = self._whole_samples[n]
-        return np.ascontiguousarray(x[at]), np.ascontiguousarray(y[at])
+        return np.ascontiguousarray(x[part]), np.ascontiguousarray(y[part])
 
 
 def _in_one(parts: Sequence[Array]) -> Array:

@@ -79,9 +79,9 @@ def outline(mesh: Sequence[str], T_camera_tool: pin.SE3) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         share = (NEAREST - a[..., 2]) / (b[..., 2] - a[..., 2])
         crossing = np.where(((share > 0.0) & (share < 1.0))[..., None], a + share[..., None] * (b - a), np.nan)
-    seen = np.concatenate([np.where(a[..., 2:] >= NEAREST, a, np.nan), crossing], axis=1)
-    seen = seen[~np.isnan(seen).all(axis=(1, 2))]
-    tangents = seen[..., :2] / seen[..., 2:]
+    visible = np.concatenate([np.where(a[..., 2:] >= NEAREST, a, np.nan), crossing], axis=1)
+    visible = visible[~np.isnan(visible).all(axis=(1, 2))]
+    tangents = visible[..., :2] / visible[..., 2:]
     return np.concatenate([np.nanmin(tangents, axis=1), np.nanmax(tangents, axis=1)], axis=1).T.copy()
 
 
@@ -131,7 +131,7 @@ class ArmShape:
     def __init__(self, robot: Robot) -> None:
         self._model, self._data = robot.pinocchio, robot.pinocchio.createData()
         text = without_meshes(robot.description)
-        found: list[tuple[int, Array, Array, float]] = []
+        capsules: list[tuple[int, Array, Array, float]] = []
         for item in pin.buildGeomFromUrdfString(self._model, text, pin.GeometryType.VISUAL).geometryObjects:
             half = half_sizes(item.geometry)
             if half is None or item.parentJoint == 0:
@@ -140,18 +140,18 @@ class ArmShape:
             radius = float(np.sort(half)[1])
             end = np.zeros(3)
             end[axis] = max(half[axis] - radius, 0.0)
-            found.append((int(item.parentJoint), item.placement.act(-end), item.placement.act(end), radius))
-        if not found:
+            capsules.append((int(item.parentJoint), item.placement.act(-end), item.placement.act(end), radius))
+        if not capsules:
             placed = self._model.jointPlacements
-            found = [(int(self._model.parents[joint]), np.zeros(3), placed[joint].translation, 0.05)
+            capsules = [(int(self._model.parents[joint]), np.zeros(3), placed[joint].translation, 0.05)
                      for joint in range(2, self._model.njoints)]
         tool = self._model.frames[robot.tool_id]
         if tool.name == TOOL_TIP:
             flange = self._model.frames[tool.parentFrame].placement
-            found.append((int(tool.parentJoint), flange.translation, tool.placement.translation, TOOL_RADIUS))
-        self._parents = np.array([parent for parent, *_ in found])
-        self._ends = np.array([[a, b] for _, a, b, _ in found])
-        self.radii = np.array([radius for *_, radius in found])
+            capsules.append((int(tool.parentJoint), flange.translation, tool.placement.translation, TOOL_RADIUS))
+        self._parents = np.array([parent for parent, *_ in capsules])
+        self._ends = np.array([[a, b] for _, a, b, _ in capsules])
+        self.radii = np.array([radius for *_, radius in capsules])
 
     def at(self, q: Array) -> Array:
         """Ends of the capsules' axes in the base frame ``(M, 2, 3)`` [m] at arm angles ``(n,)`` [rad]."""

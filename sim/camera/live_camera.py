@@ -91,8 +91,8 @@ class LiveCamera:
     def _still(self, poses: Sequence[pin.SE3]) -> bool:
         """Whether the picture moves so little within its exposure that one pose shows as much as all."""
         first, last = (pose * self.model.T_tool_camera for pose in (poses[0], poses[-1]))
-        way = first.actInv(last)
-        moved = np.linalg.norm(way.translation) / self._distance + np.linalg.norm(pin.log3(way.rotation))
+        motion = first.actInv(last)
+        moved = np.linalg.norm(motion.translation) / self._distance + np.linalg.norm(pin.log3(motion.rotation))
         return bool(self.model.K[0, 0] * moved < _STILL)
 
     def _lit(self, lamp: Lamp, gray: NDArray[np.float32], pose: pin.SE3, t: float, shape: tuple[Array, Array]
@@ -106,9 +106,9 @@ class LiveCamera:
         lag = self._settings.auto_exposure
         if lag > 0.0:
             places = bright.reshape(self._shape)
-            at = [np.round(np.array([0.2, 0.5, 0.8]) * (count - 1)).astype(int) for count in self._shape]
+            grid = [np.round(np.array([0.2, 0.5, 0.8]) * (count - 1)).astype(int) for count in self._shape]
             share = 1.0 if t <= self._exposed else 1.0 - np.exp((self._exposed - t) / lag)
-            self._gain += share * (1.0 / float(places[np.ix_(*at)].max()) - self._gain)
+            self._gain += share * (1.0 / float(places[np.ix_(*grid)].max()) - self._gain)
             self._exposed = t
         glare = mirrored(lamp, points, up, eye, hidden)
         return np.float32(self._gain) * (gray * self._whole(bright) + self._whole(glare))

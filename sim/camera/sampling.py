@@ -143,7 +143,7 @@ def sample_plane(image: NDArray[np.uint8], maps: Array, rays: Array, u0: int, v0
     rows, columns = image.shape
     views, n = maps.shape[0], rays.shape[2]
     gray = np.empty(int(np.sum(windows[:, 2] * windows[:, 3])))
-    at = 0
+    pixel = 0
     for i in range(windows.shape[0]):
         for v in range(windows[i, 1] - v0, windows[i, 1] - v0 + windows[i, 3]):
             for u in range(windows[i, 0] - u0, windows[i, 0] - u0 + windows[i, 2]):
@@ -164,6 +164,6 @@ def sample_plane(image: NDArray[np.uint8], maps: Array, rays: Array, u0: int, v0
                                 value = ((1.0 - b) * ((1.0 - a) * image[q, j] + a * image[q, j + 1])
                                          + b * ((1.0 - a) * image[q + 1, j] + a * image[q + 1, j + 1]))
                         total += value
-                gray[at] = total / (n * views)
-                at += 1
+                gray[pixel] = total / (n * views)
+                pixel += 1
     return gray

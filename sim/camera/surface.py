@@ -256,7 +256,7 @@ class _Canvas:
         nearest = np.zeros(part.shape, dtype=np.int32)
         _stroke_distance(distance, nearest, texels - first, drawn, reach)
         touched = np.isfinite(distance)
-        wide, ink = (np.broadcast_to(one, len(xy))[nearest[touched]] for one in (width, gray))
+        wide, ink = (np.broadcast_to(value, len(xy))[nearest[touched]] for value in (width, gray))
         cover = np.clip(0.5 + (wide / 2 - distance[touched] * self.resolution) / edge, 0.0, 1.0)
         part[touched] += cover * (ink - part[touched])
 

@@ -267,9 +267,9 @@ def hang_payloads(robot: Robot, world: ClampWorld, postures: Array, masses: Arra
             pose = _loaded_pose(robot, world, q_m, float(mass), lever)
             for _ in range(_SAMPLES):
                 error = pin.exp3(tracker[1] * rng.standard_normal(3))
-                seen = pin.SE3(error @ pose.rotation, pose.translation + tracker[0] * rng.standard_normal(3))
+                tracked = pin.SE3(error @ pose.rotation, pose.translation + tracker[0] * rng.standard_normal(3))
                 rows_q.append(q_m)
-                rows_pose.append(pin.SE3ToXYZQUAT(seen))
+                rows_pose.append(pin.SE3ToXYZQUAT(tracked))
                 rows_mass.append(mass)
     poses = np.array(rows_pose)
     meta = {"robot": robot.name, "kind": "payload", "payload_lever": [float(x) for x in lever], "source": "simulated"}

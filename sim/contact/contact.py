@@ -130,14 +130,14 @@ class TipContact:
         ``height`` of the surface ``(N,)`` and ``tip (N, 3)`` in plane coordinates [m].
         """
         count = self._log.rows
-        found = {name: new_array(count) for name in ("t", "normal", "height")}
-        found |= {name: new_array(count, 3) for name in ("force", "tip")}
+        signals = {name: new_array(count) for name in ("t", "normal", "height")}
+        signals |= {name: new_array(count, 3) for name in ("force", "tip")}
         for first, rows in self._log.blocks():
             part = slice(first, first + len(rows))
             for name, columns in (("t", 0), ("normal", 1), ("force", slice(2, 5)), ("height", 5), ("tip", slice(6, 9))):
-                found[name][part] = rows[:, columns]
-            let_go(*found.values())
-        return found
+                signals[name][part] = rows[:, columns]
+            let_go(*signals.values())
+        return signals
 
     def force_at(self, t: float) -> Array:
         """Force on the tip in the base frame ``(3,)`` at ``t`` [s], zero before the start."""

@@ -143,12 +143,12 @@ class RsiController:
                 this program was not let run to read it.
         """
         while not self._stopped.is_set():
-            left = end - time.perf_counter()
-            link.settimeout(min(max(left, 0.0), 0.05))
+            remaining = end - time.perf_counter()
+            link.settimeout(min(max(remaining, 0.0), 0.05))
             try:
                 packet, _, arrived = received(link)
             except (TimeoutError, BlockingIOError):
-                if left <= 0:
+                if remaining <= 0:
                     return None
                 continue
             except ConnectionError:
@@ -162,10 +162,10 @@ class RsiController:
 
     def _correction(self, answer: str, stamp: int) -> Array | None:
         """The corrections of a sound answer to the cycle [deg]; None for any other."""
-        found = _ANSWER.fullmatch(answer)
-        if found is None or int(found[2]) != stamp:
+        match = _ANSWER.fullmatch(answer)
+        if match is None or int(match[2]) != stamp:
             return None
-        axes = _AXIS.findall(found[1])
+        axes = _AXIS.findall(match[1])
         if [int(number) for number, _ in axes] != list(range(1, self.arm.robot.n + 1)):
             return None
         return np.array([float(value) for _, value in axes])
@@ -182,14 +182,14 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--port", type=int, default=49152)
     parser.add_argument("--relative", action="store_true")
     parser.add_argument("--patience", type=int, default=100, help="cycles without an answer after which it ends")
-    given = parser.parse_args(words)
-    robot = Robot.load(given.robot)
-    columns = Recording.read(given.path).columns
+    arguments = parser.parse_args(words)
+    robot = Robot.load(arguments.robot)
+    columns = Recording.read(arguments.path).columns
     prefix = "q_d" if "q_d_1" in columns else "q"
     start = np.array([columns[f"{prefix}_{i + 1}"][0] for i in range(robot.n)])
     with SimulatedArm(robot, World.default(robot), np.random.default_rng(0), q0=start) as arm:
-        run = RsiController(arm, ("127.0.0.1", given.port), relative=given.relative, timeout=None,
-                            patience=given.patience).run()
+        run = RsiController(arm, ("127.0.0.1", arguments.port), relative=arguments.relative, timeout=None,
+                            patience=arguments.patience).run()
     print(f"{run.ended}; {int(np.sum(run.answered))} of {len(run.answered)} cycles answered")
     return 0 if run.answered.any() else 1
 

@@ -99,7 +99,7 @@ class RtdeClient:
             written = [self._answer(letter, payload) for letter, payload in self._packages()]
         except (struct.error, UnicodeDecodeError) as error:
             raise ClientError(f"the client was let go: a package that cannot be read ({error})") from error
-        return [one for one in written if one is not None]
+        return [inputs for inputs in written if inputs is not None]
 
     def tell(self, payload: bytes) -> None:
         """A data package with the values of ``outputs``."""
@@ -242,8 +242,8 @@ def output_type(name: str) -> str | None:
 
 
 def _type(name: str, fields: dict[str, str], ways: tuple[str, ...]) -> str | None:
-    found = _REGISTER.fullmatch(name)
-    if found is not None:
-        kind, numbers = _REGISTERS[found["kind"]]
-        return kind if found["way"] in ways and int(found["number"]) in numbers else None
+    match = _REGISTER.fullmatch(name)
+    if match is not None:
+        kind, numbers = _REGISTERS[match["kind"]]
+        return kind if match["way"] in ways and int(match["number"]) in numbers else None
     return next((kind for kind, names in fields.items() if name in names.split()), None)

@@ -131,7 +131,7 @@ class RtdeController:
         k, self._cycle = self._cycle, self._cycle + 1
         if k in self.faults.skips:
             return False
-        for client in [one for one in self._clients if one.started and one.outputs]:
+        for client in [client for client in self._clients if client.started and client.outputs]:
             # A slower client gets every second package, or every third …
             if k % max(round(1.0 / (client.rate * self.arm.t_ipo)), 1) == 0:
                 self._served(client, lambda client=client: client.tell(  # type: ignore[misc]
@@ -146,13 +146,13 @@ class RtdeController:
 
     @property
     def _leader(self) -> RtdeClient | None:
-        return next((one for one in self._clients if f"input_int_register_{self.register}" in one.writes), None)
+        return next((peer for peer in self._clients if f"input_int_register_{self.register}" in peer.writes), None)
 
     def _listen(self, end: float, enough: Callable[[], bool]) -> None:
         """Serves clients until it is enough, or ``end``; at least once what is there."""
         while not self._stopped.is_set():
-            left = max(end - time.perf_counter(), 0.0)
-            for key, _ in self._selector.select(min(left, _LOOK)):
+            remaining = max(end - time.perf_counter(), 0.0)
+            for key, _ in self._selector.select(min(remaining, _LOOK)):
                 if key.data is None:
                     self._accept()
                 elif key.data in self._clients:
@@ -160,7 +160,7 @@ class RtdeController:
             for client, since in list(self._clients.items()):
                 if not (client.started or client.writes) and time.perf_counter() - since > _AGREES:
                     self._leave(client, f"the client was let go: it asked for nothing in {_AGREES:.0f} s")
-            if left == 0.0 or enough():
+            if remaining == 0.0 or enough():
                 return
 
     def _accept(self) -> None:
@@ -207,8 +207,8 @@ class RtdeController:
             "safety_mode": (1,), "safety_status": (1,), "runtime_state": (2 if playing else 1,),
             "speed_scaling": (1.0,), "target_speed_fraction": (1.0,), "robot_status_bits": (3 if playing else 1,),
             "safety_status_bits": (_PROTECTIVE if stop is not None and k >= stop else 1,), **self.inputs}
-        told = b""
+        payload = b""
         for name in names:
             kind = output_type(name) or "DOUBLE"
-            told += struct.pack(">" + CODES[kind], *values.get(name, (0,) * count(kind)))
-        return told
+            payload += struct.pack(">" + CODES[kind], *values.get(name, (0,) * count(kind)))
+        return payload

@@ -202,10 +202,10 @@ class ServedArm:
         for device in self._carried:
             device.carry(t0, k * self._T if k else 0.0, self._due)
         self._due += self._host_T
-        left = self._due - time.perf_counter()
-        if left > 0:
-            time.sleep(left)
-        elif left < -_BEHIND:
+        remaining = self._due - time.perf_counter()
+        if remaining > 0:
+            time.sleep(remaining)
+        elif remaining < -_BEHIND:
             # This program was not let run: its clock stands still with it, as the world does.
             self._due = time.perf_counter()
             if session is not None and session.commands:

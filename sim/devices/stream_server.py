@@ -197,15 +197,15 @@ class NetFTServer:
     def _listen(self) -> None:
         while not self._closed:
             try:
-                asked, client = self._socket.recvfrom(64)
+                request, client = self._socket.recvfrom(64)
             except TimeoutError:
                 continue
             except OSError:
                 if self._closed:
                     return
                 continue
-            if len(asked) == 8 and asked[:2] == b"\x12\x34":
-                command = struct.unpack(">H", asked[2:4])[0]
+            if len(request) == 8 and request[:2] == b"\x12\x34":
+                command = struct.unpack(">H", request[2:4])[0]
                 self._client = client if command == 2 else None if client == self._client else self._client
 
 
@@ -289,9 +289,9 @@ class Outbox:
                 if not self._waiting:
                     self._some.wait(0.5)
                     continue
-                left = self._waiting[0][0] - time.perf_counter()
-                if left > 0:
-                    self._some.wait(left)
+                remaining = self._waiting[0][0] - time.perf_counter()
+                if remaining > 0:
+                    self._some.wait(remaining)
                     continue
                 send = heapq.heappop(self._waiting)[2]
             send()
