@@ -7,7 +7,7 @@ import mmap
 import os
 import tempfile
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
@@ -244,44 +244,28 @@ def _made_of(values: Array) -> RowLog:
     return log
 
 
-class ColumnStore:
-    """Columns of equal length that are filled piece by piece and then become those of a ``Recording`` without a copy.
+def new_columns(names: Iterable[str], length: int, in_memory: bool | None = None) -> dict[str, Array]:
+    """Columns to be filled, which then become those of a ``Recording`` without a copy, see ``finished``.
 
     Args:
-        names: of the columns.
-        length: rows of each.
+        names, length: of the columns, and rows of each.
         in_memory: whether they are held in memory, not in a file of which only what is being used is there; None: up to
-            ``row_log.KEPT`` rows are.
+            ``KEPT`` rows are.
     """
+    if length <= KEPT if in_memory is None else in_memory:
+        return {name: np.empty(length) for name in names}
+    names = tuple(names)
+    return dict(zip(names, in_new_file(len(names) * length).reshape(len(names), length), strict=True))
 
-    def __init__(self, names: Sequence[str], length: int, in_memory: bool | None = None) -> None:
-        self.in_memory = length <= KEPT if in_memory is None else in_memory
-        """Whether the columns are held in memory."""
-        columns = [np.empty(length) for _ in names] if self.in_memory else in_new_file(len(names) * length).reshape(
-            len(names), length)
-        self._columns = dict(zip(names, columns, strict=True))
 
-    def fill(self, name: str, first: int, values: Array) -> None:
-        """Writes a piece ``values (m,)`` of a column.
-
-        Args:
-            name, first: of the column, and the row at which the piece begins.
-            values: the piece.
-        """
-        self._columns[name][first : first + len(values)] = values
-
-    def release(self) -> None:
-        """What was filled need not stay in memory: to be called after every piece."""
-        let_go(*list(self._columns.values())[:1])
-
-    def finished(self) -> dict[str, Array]:
-        """The columns, read-only from now on."""
-        self.release()
-        for column in self._columns.values():
-            column.setflags(write=False)
-        return self._columns
+def finished(columns: dict[str, Array]) -> dict[str, Array]:
+    """The columns, read-only from now on."""
+    let_go(*columns.values())
+    for column in columns.values():
+        column.setflags(write=False)
+    return columns
 
 
 def in_file(values: Array) -> bool:
-    """Whether a read-only array is a column of a ``ColumnStore`` that is in a file."""
+    """Whether an array lies in a file."""
     return file_of(values) is not None

@@ -28,7 +28,7 @@ from ideal_robot.identification.excitation import design_excitation
 from ideal_robot.identification.idim import identify
 from ideal_robot.identification.whole_model import identify_model
 from ideal_robot.robots.robot import Robot
-from ideal_robot.row_log import ColumnStore
+from ideal_robot.row_log import finished, let_go, new_columns
 from ideal_robot.signals.preprocess import preprocess
 from ideal_robot.signals.recording import Recording
 from scenes import load_scene, run_scene, shipped_model
@@ -335,12 +335,12 @@ def _write_recording(seconds: float, place: Path) -> None:
     minute = kr15_recording(1, 60.0)
     rows, times = len(minute.t), max(1, round(seconds / 60.0))
     every = float(minute.t[1]) * rows + PAUSE
-    store = ColumnStore(list(minute.columns), rows * times)
+    columns = new_columns(minute.columns, rows * times)
     for k in range(times):
         for name, values in minute.columns.items():
-            store.fill(name, k * rows, values + (k * every if name == "t" else 0.0))
-        store.release()
-    Recording(store.finished(), minute.meta, "minutes").write(place)
+            columns[name][k * rows : (k + 1) * rows] = values + (k * every if name == "t" else 0.0)
+        let_go(columns["t"])
+    Recording(finished(columns), minute.meta, "minutes").write(place)
 
 
 # How much of the program a job goes through: what whoever carries it on has to open to follow it.

@@ -22,7 +22,7 @@ from ideal_robot.bounded_values import (
     parsed_json,
 )
 from ideal_robot.errors import InputError
-from ideal_robot.row_log import ColumnStore
+from ideal_robot.row_log import finished, let_go, new_columns
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -102,22 +102,20 @@ def _rows_of_a_piece(columns: int) -> int:
 
 def _filled(frames: Iterable[pd.DataFrame], names: list[str] | None, most: int) -> tuple[dict[str, Array], list[str]]:
     """Columns of tables one below the other, at most so many rows together, and the names of those not of numbers."""
-    store: ColumnStore | None = None
-    count, words = 0, dict[str, None]()
+    count, columns, words = 0, dict[str, Array](), dict[str, None]()
     for frame in frames:
         names = names or [str(name) for name in frame.columns]
-        store = store or ColumnStore(names, most, in_memory=most * len(names) <= AT_ONCE)
+        columns = columns or new_columns(names, most, in_memory=most * len(names) <= AT_ONCE)
         for name in names:
             numbers = _numbers(frame[name])
             if numbers is None:
                 words[name] = None
             else:
-                store.fill(name, count, numbers)
+                columns[name][count : count + len(frame)] = numbers
         count += len(frame)
-        store.release()
-    if store is None:
-        return {name: np.empty(0) for name in names or ()}, []
-    return {name: values[:count] for name, values in store.finished().items() if name not in words}, list(words)
+        let_go(*list(columns.values())[:1])  # all lie in one file
+    columns = columns or {name: np.empty(0) for name in names or ()}
+    return {name: values[:count] for name, values in finished(columns).items() if name not in words}, list(words)
 
 
 def _numbers(column: pd.Series) -> Array | None:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.row_log import ColumnStore, let_go
+from ideal_robot.row_log import finished, let_go, new_columns
 from ideal_robot.signals.recording import Recording
 from scenes.force.cell import Cell, GlueWorld, calibrated, camera_shown, friction_shown, set_up, true_tip
 from scenes.methods import DIRECT, following_methods, method_of
@@ -142,22 +142,22 @@ def _recording(arm: SimulatedArm, scene: ForceScene, method: str, task: ForceTas
     t, q_d, felt = recording.t, np.asarray(log.q_d), np.asarray(log.samples)
     names = [f"q_d_{i + 1}" for i in range(q_d.shape[1])]
     names += (["f_normal"] if len(felt) else []) + ([*WRENCH] if len(log.wrenches) else [])
-    store = ColumnStore(names, len(t))
+    columns = new_columns(names, len(t))
     for name, angle in zip(names, q_d.T, strict=False):
-        store.fill(name, 0, np.interp(t, np.asarray(log.t), angle))
-        store.release()
+        columns[name][:] = np.interp(t, np.asarray(log.t), angle)
+        let_go(columns[name])
     if len(felt):
         order = np.argsort(felt[:, 0])
-        store.fill("f_normal", 0, np.interp(t, felt[order, 0], felt[order, 1]))
+        columns["f_normal"][:] = np.interp(t, felt[order, 0], felt[order, 1])
     if len(log.wrenches):
         instants = log.wrenches.column(0)
         for i, name in enumerate(WRENCH, start=1):
-            store.fill(name, 0, np.interp(t, instants, log.wrenches.column(i)))
-            store.release()
+            columns[name][:] = np.interp(t, instants, log.wrenches.column(i))
+            let_go(columns[name])
     tool = {"bias": task.tool.bias.tolist(), "mass": task.tool.mass, "com": task.tool.com.tolist()}
     meta = {**recording.meta, "tool": tool, "contact_stiffness": task.assumed_stiffness, "scene": scene.name,
             "method": method, "speed": scene.speed, "seed": scene.seed, "stopped_because": log.failure}
-    return Recording({**recording.columns, **store.finished()}, meta, recording.source)
+    return Recording({**recording.columns, **finished(columns)}, meta, recording.source)
 
 
 REST = 12

@@ -13,7 +13,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.feedforward.arm_of_its_type import arm_of_its_type
 from ideal_robot.feedforward.registry import method as registered
-from ideal_robot.row_log import ColumnStore
+from ideal_robot.row_log import finished, let_go, new_columns
 from ideal_robot.signals.recording import Recording
 from planning.line.deviation_sensor import DeviationSensor
 from scenes.line.cell import Cell, LineWorld, Prepared, prepared, set_up
@@ -42,19 +42,19 @@ def _recording(arm: SimulatedArm, scene: LineScene, method: str, log: LineLog, c
     recording = arm.recording(external=scene.tracker)
     rows, t, q_d = recording.t, np.asarray(log.t), np.asarray(log.q_d)
     desired = [f"q_d_{i + 1}" for i in range(q_d.shape[1])]
-    store = ColumnStore([*desired, *field_columns(scene.points)], len(rows))
+    columns = new_columns([*desired, *field_columns(scene.points)], len(rows))
     for name, angle in zip(desired, q_d.T, strict=True):
-        store.fill(name, 0, np.interp(rows, t, angle))
-        store.release()
+        columns[name][:] = np.interp(rows, t, angle)
+        let_go(columns[name])
     for name, values in log.field_columns(rows, scene.points):
-        store.fill(name, 0, values)
-        store.release()
+        columns[name][:] = values
+        let_go(columns[name])
     mount = camera.T_tool_camera
     meta = {**recording.meta, "scene": scene.name, "method": method, "speed": scene.speed, "seed": scene.seed,
             "stopped_because": log.failure, "camera": {
                 "axis": [float(v) for v in camera.axis_on_surface],
                 "distance": float(-mount.translation[2] / mount.rotation[2, 2])}}
-    return replace(recording, columns={**recording.columns, **store.finished()}, meta=meta)
+    return replace(recording, columns={**recording.columns, **finished(columns)}, meta=meta)
 
 
 POINTS = "ideal_points"

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
-from ideal_robot.row_log import KEPT, ColumnStore, RowLog
+from ideal_robot.row_log import KEPT, RowLog, finished, let_go, new_columns
 from ideal_robot.signals.recording import Recording
 from sim import SimError
 from sim.arm.kernel import LOGGED
@@ -98,27 +98,28 @@ def recording_of(robot: Robot, world: World, history: History, tcp_of: Callable[
     every = max(1, round(world.log_cycle / history.step))
     length, n = -(-history.rows // every), robot.n
     names = ["q_c", "q", "tau", "current", *(["temp"] if world.thermal else []), *([] if tcp_of is None else ["qa"])]
-    store = ColumnStore(["t", *(f"{name}_{i + 1}" for name in names for i in range(n)),
-                         *([] if tcp_of is None else POSE)], length)
+    columns = new_columns(["t", *(f"{name}_{i + 1}" for name in names for i in range(n)),
+                           *([] if tcp_of is None else POSE)], length)
     device = None if tcp_of is None else _ExternalDevice(world, tcp_of, length, n)
     for first, logged in history.parts(every):
         values: dict[str, Array] = {"q_c": logged["q_c"], "q": logged["q"], "tau": logged["tau"],
                                     "current": logged["tau"] / robot.drive_gain, "temp": logged["temperature"]}
-        store.fill("t", first, logged["t"])
+        piece = slice(first, first + len(logged["t"]))
+        columns["t"][piece] = logged["t"]
         if device is not None:
             values["qa"], pose = device.measured(logged["q_a"])
             for name, column in zip(POSE, pose.T, strict=True):
-                store.fill(name, first, column)
+                columns[name][piece] = column
         for name in names:
             for i in range(n):
-                store.fill(f"{name}_{i + 1}", first, values[name][:, i])
-        store.release()
+                columns[f"{name}_{i + 1}"][piece] = values[name][:, i]
+        let_go(columns["t"])
     meta: dict[str, Any] = {
         "robot": robot.name, "urdf": str(robot.urdf), "urdf_hash": robot.urdf_hash, "cycle_time": world.log_cycle,
         "t_ipo": world.t_ipo, "units": {"t": "s", "q": "rad", "tau": "N m", "current": "A", "temp": "degC", "x": "m"},
         "source": "simulated arm", "correction_delay": world.correction_delay,
     }
-    return Recording(store.finished(), meta, "simulated arm")
+    return Recording(finished(columns), meta, "simulated arm")
 
 
 class _ExternalDevice:

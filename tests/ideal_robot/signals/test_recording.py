@@ -13,7 +13,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from ideal_robot.errors import InputError
-from ideal_robot.row_log import KEPT, ColumnStore, in_file
+from ideal_robot.row_log import KEPT, finished, in_file, let_go, new_columns
 from ideal_robot.signals import sampling as module
 from ideal_robot.signals import table_file
 from ideal_robot.signals.export import write_mcap, write_rosbag2
@@ -119,25 +119,24 @@ def test_true_and_false_are_no_torque() -> None:
 
 # Recordings longer than memory should hold: their columns are in a file, and they are written piece by piece.
 
-def stored_recording(length: int) -> tuple[Recording, bool]:
-    store = ColumnStore(["t", "q_1"], length)
+def stored_recording(length: int) -> Recording:
+    columns = new_columns(["t", "q_1"], length)
     for first in range(0, length, 5000):
         rows = np.arange(first, min(first + 5000, length))
-        store.fill("t", first, 0.002 * rows)
-        store.fill("q_1", first, np.where(rows % 7 == 0, np.nan, np.sin(rows)))
-        store.release()
-    return Recording(store.finished()), store.in_memory
+        columns["t"][rows] = 0.002 * rows
+        columns["q_1"][rows] = np.where(rows % 7 == 0, np.nan, np.sin(rows))
+        let_go(columns["t"])
+    return Recording(finished(columns))
 
 
 @pytest.mark.parametrize("length", [100, KEPT, KEPT + 1, 3 * KEPT])
 def test_columns_are_the_same_wherever_they_are(length: int) -> None:
-    found, in_memory = stored_recording(length)
-    assert in_memory == (length <= KEPT)
+    found = stored_recording(length)
     rows = np.arange(length)
     plain = Recording.from_arrays(0.002 * rows, q=np.where(rows % 7 == 0, np.nan, np.sin(rows))[:, None])
     assert found.hash == plain.hash
     # Of a long one nothing is copied into memory.
-    assert all(in_file(column) for column in found.columns.values()) == (not in_memory)
+    assert all(in_file(column) for column in found.columns.values()) == (length > KEPT)
     with pytest.raises(ValueError, match="read-only"):
         found.columns["q_1"][0] = 1.0
 
@@ -150,7 +149,7 @@ def test_an_ending_in_capitals_is_the_same_one(recording: Recording, tmp_path: P
 
 @pytest.mark.parametrize("ending", [".parquet", ".csv"])
 def test_long_recordings_are_written_in_pieces(tmp_path: Path, ending: str) -> None:
-    found, _ = stored_recording(2 * WRITTEN_ROWS + 10)
+    found = stored_recording(2 * WRITTEN_ROWS + 10)
     place = found.write(tmp_path / f"long{ending}")
     if ending == ".parquet":
         assert pq.ParquetFile(place).num_row_groups == 3
