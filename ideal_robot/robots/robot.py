@@ -55,8 +55,8 @@ def _frozen(values: Any) -> Array:
 
 
 def _drive_gain(torque_constant: Array, gear_ratio: Array) -> Array:
-    """Joint-side torque per ampere ``(n,)`` [N m/A]; a torque constant of one stands for none that is known."""
-    return _frozen(np.where(torque_constant == 1.0, 1.0, torque_constant * gear_ratio))
+    """Joint-side torque per ampere ``(n,)`` [N m/A]; 1 where no torque constant is known, which 0 says."""
+    return _frozen(np.where(torque_constant == 0.0, 1.0, torque_constant * gear_ratio))
 
 
 @dataclass(frozen=True, repr=False)

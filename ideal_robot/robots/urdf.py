@@ -193,7 +193,7 @@ class Joints(_Table):
 
     gear_ratio: Size | list[Size] = 1.0
     rotor_inertia: NoneOrSize | list[NoneOrSize] = 0.0
-    torque_constant: Size | list[Size] = 1.0
+    torque_constant: NoneOrSize | list[NoneOrSize] = 0.0
     a_max: Size | list[Size] = float("inf")
     home: Number | list[Number] = 0.0
 

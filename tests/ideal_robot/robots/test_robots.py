@@ -84,6 +84,14 @@ def test_drive_data_that_cannot_be_is_refused_with_its_field(text: str, field: s
         assert str(refused.value.field).startswith(field)
 
 
+@pytest.mark.parametrize(("given", "gain"), [("torque_constant = 1.0", 50.0), ("torque_constant = 0", 1.0), ("", 1.0)])
+def test_a_torque_constant_of_one_is_known_and_none_is_not(given: str, gain: float, tmp_path: Path) -> None:
+    (tmp_path / "one.urdf").write_text(URDF)
+    (tmp_path / "one.toml").write_text(f"[joints]\ngear_ratio = 50.0\n{given}")
+    robot = Robot.load(tmp_path / "one.urdf")
+    assert (robot.drive_gain.tolist(), robot.knows_drive_gains) == ([gain], gain != 1.0)
+
+
 def test_meshes_and_textures_are_left_out_of_what_viewers_get() -> None:
     mesh = '<visual><geometry><mesh filename="/etc/passwd"/></geometry></visual>'
     box = '<visual><geometry><box size="1 1 1"/></geometry><material><texture filename="/x"/></material></visual>'
