@@ -130,7 +130,7 @@ class CommandGovernor:
     """
 
     def __init__(self, robot: Robot, q: Array, *, t_ipo: float | None = None, j_max: Array | None = None) -> None:
-        self._T = robot.t_ipo if t_ipo is None else t_ipo
+        self._T, self._units = robot.t_ipo if t_ipo is None else t_ipo, robot.units("rad")
         low, high = np.array(robot.q_min, dtype=float), np.array(robot.q_max, dtype=float)
         V, A = np.array(robot.v_max, dtype=float), ACCELERATION * np.array(robot.a_max, dtype=float)
         jerk = 2.0 * A / self._T if j_max is None else np.asarray(j_max, dtype=float)
@@ -159,8 +159,8 @@ class CommandGovernor:
         off = np.abs(near - q_c) > _ROUNDING * (1.0 + np.abs(q_c))
         if off.any():
             j = int(np.argmax(off))
-            raise LimitError(j + 1, f"position at {start:.3f} s after which the arm can still be braked [rad]",
-                             float(q_c[j]), float(near[j]), "slow down before the limit")
+            raise LimitError(j + 1, f"position at {start:.3f} s after which the arm can still be braked "
+                             f"[{self._units[j]}]", float(q_c[j]), float(near[j]), "slow down before the limit")
 
     def passed(self, q_c: Array) -> None:
         """Remembers a command ``(n,)`` that was handed over as it is, having been checked elsewhere."""
@@ -235,10 +235,10 @@ def check_limits(q: Array, arm: Robot, t_ipo: float, *, start: float = 0.0) -> N
     # A linear interpolator's acceleration is what speed changes over a cycle; twice the limit is what a
     # controller's own monitoring lets pass before it trips.
     bend = np.diff(speed, axis=0) / t_ipo
-    checks = (("position [rad]", q, arm.q_min, arm.q_max, "move the path"),
-              ("velocity [rad/s]", speed, -arm.v_max, arm.v_max, "move slower"),
-              ("acceleration [rad/s²]", bend, -2 * arm.a_max, 2 * arm.a_max, "move slower or round corners"))
-    for quantity, values, low, high, remedy in checks:
+    checks = (("position", "rad", q, arm.q_min, arm.q_max, "move the path"),
+              ("velocity", "rad/s", speed, -arm.v_max, arm.v_max, "move slower"),
+              ("acceleration", "rad/s²", bend, -2 * arm.a_max, 2 * arm.a_max, "move slower or round corners"))
+    for quantity, unit, values, low, high, remedy in checks:
         if len(values) == 0:
             continue
         # NaN is within no limits.
@@ -247,7 +247,8 @@ def check_limits(q: Array, arm: Robot, t_ipo: float, *, start: float = 0.0) -> N
             row, joint = (int(index) for index in outside[0])
             value = float(values[row, joint])
             limit = float(high[joint] if value > high[joint] else low[joint])
-            raise LimitError(joint + 1, f"{quantity} at {start + row * t_ipo:.3f} s", value, limit, remedy)
+            raise LimitError(joint + 1, f"{quantity} [{arm.units(unit)[joint]}] at {start + row * t_ipo:.3f} s", value,
+                             limit, remedy)
 
 
 def require_within_limits(q_d: Array, arm: Robot, *, start: float = 0.0, file: str | Path | None = None,

@@ -15,7 +15,7 @@ from ideal_robot.errors import IdealRobotError, InputError, LimitError
 from ideal_robot.execution.command_governor import CommandGovernor, check_limits, stopping_rows, stops_at_once
 from ideal_robot.feedforward.base import Feedforward, tried
 from ideal_robot.progress import Progress, silent
-from ideal_robot.results import Figure, Summarised, listed, over_time, plain
+from ideal_robot.results import Figure, Summarised, listed, one_unit, over_time, plain
 from ideal_robot.robots.interface import RobotInterface, RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
@@ -42,6 +42,7 @@ class PlayResult(Summarised):
         state: the feedforward's last state.
         failure: why the path was not played to its end, or None.
         error: what the driver raised, or None.
+        units: of a thousandth of each joint's position, mrad or mm ``(n,)``; empty where no robot was given.
     """
 
     recording: Recording
@@ -50,6 +51,7 @@ class PlayResult(Summarised):
     state: Any = field(repr=False)
     failure: str | None = None
     error: IdealRobotError | None = field(default=None, repr=False)
+    units: tuple[str, ...] = ()
 
     @property
     def rms_error(self) -> Array:
@@ -59,20 +61,23 @@ class PlayResult(Summarised):
 
     def summary(self) -> list[tuple[str, str]]:
         """How much was played, and how well."""
+        unit = one_unit(self.units) or "mrad or mm"
         return [("play", f"{len(self.q_c)} cycles, {self.failure or 'played to its end'}"),
-                ("rms of desired minus motor position", listed(1e3 * self.rms_error, "mrad or mm")),
+                ("rms of desired minus motor position", listed(1e3 * self.rms_error, unit)),
                 ("median computing time", f"{1e3 * float(np.median(self.compute_times)):.3g} ms")]
 
     def plot(self) -> Figure:
         """Desired position minus motor angle, joint by joint."""
         off = 1e3 * (self.recording.joints("q_d") - self.recording.joints("q"))
-        return over_time(self.recording.t, [(f"joint {j + 1} [mrad or mm]", [("desired minus motor", off[:, j])])
-                                            for j in range(off.shape[1])], "error of the motor positions")
+        units = self.units or ("mrad or mm",) * off.shape[1]
+        return over_time(self.recording.t, [(f"joint {j + 1} [{unit}]", [("desired minus motor", off[:, j])])
+                                            for j, unit in enumerate(units)], "error of the motor positions")
 
     def to_dict(self) -> dict[str, Any]:
-        """Key figures as plain values."""
+        """Key figures as plain values; what is called mrad is of each joint in the unit of ``units``."""
         return plain({
-            "cycles": len(self.q_c), "failure": self.failure, "motor_rms_error_mrad": 1e3 * self.rms_error,
+            "cycles": len(self.q_c), "failure": self.failure, "units": self.units,
+            "motor_rms_error_mrad": 1e3 * self.rms_error,
             "compute_time_ms": {"median": 1e3 * float(np.median(self.compute_times)),
                                 "max": 1e3 * float(np.max(self.compute_times))},
             "recording_hash": self.recording.hash})
@@ -223,12 +228,13 @@ class _Player:
         tau = np.array([state.tau for state in states]).reshape(-1, n)
         if np.isfinite(tau).all():
             columns["tau"] = tau
-        named = {} if self.robot is None else {"robot": self.robot.name}
+        named, units = ({}, ()) if self.robot is None else ({"robot": self.robot.name}, self.robot.units("mrad"))
         recording = Recording.from_arrays(
             np.array([state.t for state in states]), source="play",
             meta={**named, "cycle_time": T, "source": "play",
                   "units": {"t": "s", "q_d": "rad", "q_c": "rad", "q": "rad", "tau": "N m"}, **meta}, **columns)
-        return PlayResult(recording, np.array(self.q_c), np.array(self.times), self.commands.state, failure, error)
+        return PlayResult(recording, np.array(self.q_c), np.array(self.times), self.commands.state, failure, error,
+                          units)
 
 
 def _checked(q_d: Array, robot: Robot | None) -> Array:

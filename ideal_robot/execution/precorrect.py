@@ -195,11 +195,11 @@ class PrecorrectedPath(Summarised):
                                   for j, unit in enumerate(self.units)], f"expected error, {self.method}")
 
     def to_dict(self) -> dict[str, Any]:
-        """Key figures as plain values; what is called mrad is mm of joints that slide."""
+        """Key figures as plain values; what is called mrad is of each joint in the unit of ``units``."""
         after, before = (1e3 * rms for rms in self.expected_rms)
         return plain({
             "method": self.method, "robot": self.robot_name, "cycles": len(self.t), "duration_s": float(self.t[-1]),
-            "largest_correction_mrad": 1e3 * np.max(np.abs(self.q_c - self.q_d), axis=0),
+            "units": self.units, "largest_correction_mrad": 1e3 * np.max(np.abs(self.q_c - self.q_d), axis=0),
             "expected_rms_error_mrad": {"corrected": after, "uncorrected": before, **(
                 {} if self.reach is None else {"corrected_from": 1e3 * self.reach.min(axis=0),
                                                "corrected_to": 1e3 * self.reach.max(axis=0)})},

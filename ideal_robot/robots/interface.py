@@ -68,12 +68,13 @@ def checked_command(robot: Robot, q_c: Array, before: Array, t_ipo: float) -> Ar
     if outside.any():
         j = int(np.argmax(outside))
         limit = robot.q_min[j] if q[j] < robot.q_min[j] else robot.q_max[j]
-        raise LimitError(j + 1, "commanded angle [rad]", q[j], limit, "command angles within the joint limits")
+        raise LimitError(j + 1, f"commanded position [{robot.units('rad')[j]}]", q[j], limit,
+                         "command positions within the joint limits")
     speed = np.abs(q - before) / t_ipo
     fast = speed > 2.0 * robot.v_max
     if fast.any():
         j = int(np.argmax(fast))
-        raise LimitError(j + 1, "commanded velocity [rad/s]", speed[j], 2.0 * robot.v_max[j],
+        raise LimitError(j + 1, f"commanded velocity [{robot.units('rad/s')[j]}]", speed[j], 2.0 * robot.v_max[j],
                          "hand over a path that starts where the arm is and keeps the velocity limits")
     return q
 

@@ -124,7 +124,8 @@ def joint_path(scene: PathScene, robot: Robot, t_ipo: float) -> JointPath:
 def _check_speed(q: Array, robot: Robot, t_ipo: float) -> None:
     speed = np.max(np.abs(np.diff(q, axis=0)), axis=0) / t_ipo
     for i in np.flatnonzero(speed > robot.v_max):
-        error = LimitError(int(i) + 1, "velocity [rad/s]", float(speed[i]), float(robot.v_max[i]), "move slower")
+        error = LimitError(int(i) + 1, f"velocity [{robot.units('rad/s')[i]}]", float(speed[i]), float(robot.v_max[i]),
+                           "move slower")
         raise InputError(str(error), field="speed")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,6 +24,9 @@ from ideal_robot.execution.command_governor import (
 )
 from ideal_robot.execution.precorrect import path_at_cycles, precorrect
 from ideal_robot.feedforward.base import PassThrough
+from ideal_robot.robots.interface import checked_command
+from ideal_robot.robots.robot import Robot
+from tests.arms import urdf, written
 from tests.ideal_robot.execution.test_play import MODEL, ROBOT, Follower, path
 
 T = ROBOT.t_ipo
@@ -123,6 +127,23 @@ def test_a_command_without_room_to_brake_is_refused_and_the_one_before_was_not()
     # Of the way v²/2a a cycle or two are left out by rounding to cycles.
     assert room < v**2 / (2.0 * a) < room + 2.5 * v * T
     assert caught.value.limit < caught.value.value
+
+
+def test_limits_of_a_joint_that_slides_are_said_in_metres(tmp_path: Path) -> None:
+    limit = 'lower="-2.9" upper="2.9" effort="0" velocity="1"'
+    arm = Robot.load(written(tmp_path, urdf(limit=limit, kind="prismatic")))
+    rest = np.zeros(6)
+
+    def said(joint: int, size: float, check: Callable[[Array], object]) -> str:
+        with pytest.raises(LimitError) as caught:
+            check(size * np.eye(6)[joint])
+        return caught.value.quantity
+
+    for joint, unit in ((0, "m"), (1, "rad")):
+        for size, end in ((3.0, "]"), (2.5, "/s]")):
+            assert f"[{unit}{end}" in said(joint, size, lambda q: check_limits(np.vstack([rest, q]), arm, T))
+            assert f"[{unit}{end}" in said(joint, size, lambda q: checked_command(arm, q, rest, T))
+        assert f"[{unit}]" in said(joint, 2.5, CommandGovernor(arm, rest).require_room)
 
 
 def test_without_a_time_the_first_command_is_that_of_the_begin() -> None:
@@ -258,6 +279,7 @@ def test_computing_times_are_those_of_the_computing() -> None:
     played = ir.play(Follower(), PassThrough(T), path(), robot=ROBOT)
     assert played.compute_times.min() > 0.0
     assert played.compute_times.sum() < time.perf_counter() - begun
+    assert played.to_dict()["units"] == ["mrad"] * 6
     told = played.to_dict()["compute_time_ms"]
     assert told["median"] <= told["max"] == pytest.approx(1e3 * played.compute_times.max())
 

@@ -310,7 +310,7 @@ def test_what_cannot_be_commanded_is_refused_and_nothing_moves(interface: RobotI
     for bad in (np.zeros(5), np.full(6, np.nan)):
         with pytest.raises(InputError, match=r"q_c.*6 finite"):
             interface.cycle(bad)
-    with pytest.raises(LimitError, match=r"joint 2.*angle"):
+    with pytest.raises(LimitError, match=r"joint 2.*position"):
         interface.cycle(np.where(np.arange(6) == 1, ROBOT.q_max + 0.01, ROBOT.home))
     with pytest.raises(LimitError, match=r"joint 4.*velocity"):
         interface.cycle(ROBOT.home + np.array([0, 0, 0, 1.0, 0, 0]))
