@@ -84,11 +84,11 @@ def __getattr__(name: str) -> Any:
     if name not in _PLACES:
         raise AttributeError(f"module 'ideal_robot' has no attribute {name!r}")
     module, _, attribute = _PLACES[name].partition(":")
-    found: Any = import_module(f"ideal_robot.{module}")
+    value: Any = import_module(f"ideal_robot.{module}")
     if attribute:
-        found = getattr(found, attribute)
-    globals()[name] = found
-    return found
+        value = getattr(value, attribute)
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:

@@ -32,8 +32,8 @@ def eased_way(start: Array, end: Array, limits: tuple[Array, Array], T: float) -
         limits: of speed and acceleration ``(n,)`` each.
         T: cycle [s].
     """
-    way, (v, a) = np.abs(end - start), limits
-    duration = max(float(np.max(1.875 * way / v)), float(np.sqrt(np.max(5.774 * way / a))), T)
+    distance, (v, a) = np.abs(end - start), limits
+    duration = max(float(np.max(1.875 * distance / v)), float(np.sqrt(np.max(5.774 * distance / a))), T)
     count = int(np.ceil(duration / T))
     return start + eased(np.arange(1, count + 1)[:, None] / count) * (end - start)
 

@@ -207,11 +207,11 @@ def _short(error: BaseException) -> str:
 def kept_words() -> Iterator[IO[bytes]]:
     """Yields the file that gets what is written to standard error, below Python, while the block runs."""
     sys.stderr.flush()
-    with tempfile.TemporaryFile() as said:
+    with tempfile.TemporaryFile() as stream:
         before = os.dup(2)
-        os.dup2(said.fileno(), 2)
+        os.dup2(stream.fileno(), 2)
         try:
-            yield said
+            yield stream
         finally:
             os.dup2(before, 2)
             os.close(before)

@@ -29,8 +29,8 @@ def jit(**options: Any) -> Callable[[_Function], _Function]:
     def compiled(function: _Function) -> _Function:
         dispatcher = numba.njit(**options)(function)
         dispatcher._cache = _KeptCode(function)
-        kept: _Function = dispatcher
-        return kept
+        compiled: _Function = dispatcher
+        return compiled
 
     return compiled
 

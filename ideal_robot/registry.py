@@ -63,11 +63,11 @@ class Registry(Generic[T]):
         if name not in self._known:
             raise InputError(f"expected one of {', '.join(self._known)}", field=self.seam, value=name)
         try:
-            found = self._known[name] = imported(self._known[name])
+            implementation = self._known[name] = imported(self._known[name])
         except (AttributeError, ImportError) as error:
             raise InputError(f"cannot be imported ({error}); mend the entry point, or uninstall the package that has "
                              "it", field=self.seam, value=f"{name} = {self._known[name]}") from error
-        return found
+        return implementation
 
     def __iter__(self) -> Iterator[tuple[str, T]]:
         return ((name, self.get(name)) for name in self.names())

@@ -45,11 +45,11 @@ def in_lines(name: str, head: str, figures: Sequence[str]) -> str:
         head: what it is, behind the name.
         figures: each with its label and unit, the important first.
     """
-    told = f"{name}({_cut(head)})"
+    title = f"{name}({_cut(head)})"
     line = "; ".join(" ".join(figure.split()) for figure in figures)
     if len(line) > _WIDTH:
         line = (line[:_WIDTH].rpartition("; ")[0] or _cut(line)) + "; …"
-    return told + (f"\n  {line}" if line else "")
+    return title + (f"\n  {line}" if line else "")
 
 
 def _cut(text: str) -> str:
@@ -116,10 +116,10 @@ def plain(value: Any, digits: int | None = None) -> Any:
 
 def flat(content: dict[str, Any], before: str = "") -> dict[str, Any]:
     """Values by dotted name, whether a name stands in quotes or as TOML's own dotted key."""
-    found: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     for key, value in content.items():
-        found |= flat(value, f"{before}{key}.") if isinstance(value, dict) else {f"{before}{key}": value}
-    return found
+        result |= flat(value, f"{before}{key}.") if isinstance(value, dict) else {f"{before}{key}": value}
+    return result
 
 
 # Pictures of results; the one file of this package that imports matplotlib, when a picture is asked for.

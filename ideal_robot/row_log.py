@@ -152,10 +152,10 @@ class RowLog:
 
     def column(self, i: int) -> Array:
         """Value ``i`` of all rows ``(N,)``, a copy."""
-        found = np.empty(self.rows)
+        values = np.empty(self.rows)
         for first, rows in self.blocks():
-            found[first : first + len(rows)] = rows[:, i]
-        return found
+            values[first : first + len(rows)] = rows[:, i]
+        return values
 
     def blocks(self) -> Iterator[tuple[int, Array]]:
         """All rows in blocks, copied: number of the first one, and the rows."""
@@ -222,8 +222,8 @@ class RowLog:
         whole = np.empty((self.rows, self._width))
         for first, rows in self.blocks():
             whole[first : first + len(rows)] = rows
-        found = whole[:, 0] if self._numbers else whole
-        return found if dtype is None else found.astype(dtype, copy=False)
+        values = whole[:, 0] if self._numbers else whole
+        return values if dtype is None else values.astype(dtype, copy=False)
 
     def __reduce__(self) -> Any:
         return _made_of, (np.asarray(self),)
@@ -231,10 +231,10 @@ class RowLog:
 
 def _write(descriptor: int, rows: Array, place: int) -> None:
     """Writes rows at a place of a file; a full disk may take a part of them before it says so."""
-    left = np.ascontiguousarray(rows).data.cast("B")
-    while left:
-        count = os.pwrite(descriptor, left, place)
-        left, place = left[count:], place + count
+    remaining = np.ascontiguousarray(rows).data.cast("B")
+    while remaining:
+        count = os.pwrite(descriptor, remaining, place)
+        remaining, place = remaining[count:], place + count
 
 
 def _made_of(values: Array) -> RowLog:

@@ -71,14 +71,14 @@ def whole_files(*paths: str | Path | None) -> Iterator[list[Any]]:
     """
     places = [None if path is None else Path(path) for path in paths]
     moves: list[tuple[Path, Path]] = []
-    made: list[Path] = []
+    folders: list[Path] = []
     try:
         partials = []
         for place in places:
             if place is not None:
                 if is_device(place):
                     raise OutputError(f"{place}: is a device or a pipe; expected the name of a file")
-                made += make_folder(place.parent)
+                folders += make_folder(place.parent)
                 # pandas takes a leading ~ for a home.
                 moves.append((partial_name(place).absolute(), place))
             partials.append(None if place is None else moves[-1][0])
@@ -102,7 +102,7 @@ def whole_files(*paths: str | Path | None) -> Iterator[list[Any]]:
         for partial, _ in moves:
             with suppress(OSError):  # a disk that has become read-only, of which is told already
                 partial.unlink(missing_ok=True)
-        remove_empty(made)
+        remove_empty(folders)
 
 
 def write_text(path: str | Path, text: str) -> Path:
@@ -134,7 +134,7 @@ def partial_name(path: Path) -> Path:
 
 def make_folder(folder: Path) -> list[Path]:
     """Makes a folder where it is missing; returns what was made, it and its missing parents, the innermost first."""
-    missing = [one for one in (folder, *folder.parents) if not one.exists()]
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     return missing
 

@@ -171,8 +171,8 @@ def _independent(W: Array, columns: Sequence[int]) -> list[int]:
     if rest.shape[1]:
         R, order = linalg.qr(rest, mode="r", pivoting=True)
         own = np.abs(np.diag(R[: rest.shape[1]]))
-        others = np.flatnonzero(~clear)
-        added = [int(others[k]) for k, size in zip(order, own, strict=True) if size > _TOLERANCE]
+        unclear = np.flatnonzero(~clear)
+        added = [int(unclear[k]) for k, size in zip(order, own, strict=True) if size > _TOLERANCE]
     return [columns[i] for i in sorted([*map(int, np.flatnonzero(clear)), *added])]
 
 

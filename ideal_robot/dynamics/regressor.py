@@ -106,9 +106,9 @@ def fill_columns(chain: Chain, q: Array, qd: Array, qdd: Array, place: Array, re
             for j in range(i + 1):
                 _link_columns(z, v, j, w, wd, a, row)
                 for c in range(10):
-                    at = place[10 * i + c]
-                    if at >= 0:
-                        result[j, at, k] = row[c]
+                    column = place[10 * i + c]
+                    if column >= 0:
+                        result[j, column, k] = row[c]
 
 
 LINK_PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")

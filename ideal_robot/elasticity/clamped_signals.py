@@ -158,12 +158,12 @@ def synchronise(t: Array, q_m: Array, t_sensor: Array, sensed: Array, *, largest
     motions = motions / np.max(np.abs(motions), axis=0)
 
     def unexplained(offset: float, drift: float) -> float:
-        at = offset + (1 + drift) * t_thin
-        inside = (at >= t[0]) & (at <= t[-1])
-        if np.count_nonzero(inside) < 0.5 * len(at):
+        times = offset + (1 + drift) * t_thin
+        inside = (times >= t[0]) & (times <= t[-1])
+        if np.count_nonzero(inside) < 0.5 * len(times):
             return float("inf")
-        index = np.clip(np.searchsorted(t, at[inside]), 1, len(t) - 1)
-        share = ((at[inside] - t[index - 1]) / (t[index] - t[index - 1]))[:, None]
+        index = np.clip(np.searchsorted(t, times[inside]), 1, len(t) - 1)
+        share = ((times[inside] - t[index - 1]) / (t[index] - t[index - 1]))[:, None]
         W = (1 - share) * motions[index - 1] + share * motions[index]
         W, y = W - W.mean(axis=0), wrench[inside] - wrench[inside].mean(axis=0)
         # Principal motions are nearly orthogonal: the normal equations lose no digits that matter here.

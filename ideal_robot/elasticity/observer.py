@@ -61,9 +61,9 @@ class ArmObserver:
         stiffness = stiffness_with(known, changes)
         self._elastic = np.isfinite(stiffness)
         self._k = np.where(self._elastic, stiffness, 0.0)
-        given = np.zeros(model.n) if model.damping is None else np.array(model.damping)
+        identified = np.zeros(model.n) if model.damping is None else np.array(model.damping)
         inertia = np.diag(pin.crba(self._dynamics, self._data, pin.neutral(self._dynamics)))
-        damping = np.maximum(given, 2 * LEAST_DAMPING * np.sqrt(self._k * inertia)) * self._elastic
+        damping = np.maximum(identified, 2 * LEAST_DAMPING * np.sqrt(self._k * inertia)) * self._elastic
         steps = max(1, round(T / SUBSTEP))
         self._leave_followed((T / steps) ** 2 * self._k + 2 * T / steps * damping)
         self._rigid = not self._elastic.any()

@@ -181,18 +181,18 @@ def joint_loads(signals: Sequence[ClampedSignals], robot: Robot, method: Method,
         joint: from 1.
     """
     loads = []
-    for one in signals:
-        tau, use = joint_torque(one, robot, method)
+    for signal in signals:
+        tau, use = joint_torque(signal, robot, method)
         if np.count_nonzero(use) < 10:
             continue
         spans = np.ptp(tau[use], axis=0) / (robot.tau_max if np.all(np.isfinite(robot.tau_max)) else 1.0)
         # Also where the torque does not vary at all, as with a wrench that does not reach the joint.
         if spans[joint - 1] <= LOADED_SHARE * np.max(spans):
             continue
-        if np.corrcoef(tau[use, joint - 1], one.q_m[use, joint - 1])[0, 1] < LEAST_CORRELATION:
+        if np.corrcoef(tau[use, joint - 1], signal.q_m[use, joint - 1])[0, 1] < LEAST_CORRELATION:
             continue
-        loads.append(JointLoad(one.source, one.q_m[use, joint - 1], tau[use, joint - 1],
-                               condition_number(robot, one.q_0)))
+        loads.append(JointLoad(signal.source, signal.q_m[use, joint - 1], tau[use, joint - 1],
+                               condition_number(robot, signal.q_0)))
     return loads
 
 
@@ -299,20 +299,20 @@ def _postures(recording: Recording, robot: Robot) -> list[tuple[Array, Array]]:
     q, mass = recording.joints("q"), recording.columns["payload"]
     poses = np.column_stack([recording.columns[name] for name in POSE])
     posture = np.cumsum(np.concatenate([[False], np.max(np.abs(np.diff(q, axis=0)), axis=1) > 1e-3]))
-    found = []
+    pairs = []
     for number in range(int(posture[-1]) + 1):
-        at = posture == number
-        levels = np.unique(mass[at])
+        rows = posture == number
+        levels = np.unique(mass[rows])
         if len(levels) < 2:
             raise InputError("a posture needs at least two different payloads", file=recording.source, field="payload",
                              value=float(levels[0]))
-        jacobian = flange_jacobian(robot, q[at][0])
-        means = [_mean_pose(poses[at & (mass == level)]) for level in levels]
+        jacobian = flange_jacobian(robot, q[rows][0])
+        means = [_mean_pose(poses[rows & (mass == level)]) for level in levels]
         for level, pose in zip(levels[1:], means[1:], strict=True):
             force = means[0].rotation.T @ np.array([0.0, 0.0, -(level - levels[0]) * G])
             wrench = np.concatenate([force, np.cross(lever, force)])
-            found.append((jacobian * (jacobian.T @ wrench), np.array(pin.log6(means[0].inverse() * pose).vector)))
-    return found
+            pairs.append((jacobian * (jacobian.T @ wrench), np.array(pin.log6(means[0].inverse() * pose).vector)))
+    return pairs
 
 
 def _mean_pose(poses: Array) -> pin.SE3:

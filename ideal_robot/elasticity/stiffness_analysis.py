@@ -50,7 +50,7 @@ def without_clamp_give(signals: Sequence[ClampedSignals], robot: Robot) -> tuple
     if n != 6:
         raise InputError("the give of clamp and links is told apart from that of six joints only; leave --clamp out",
                          field="robot", value=f"{robot.name}, {n} joints")
-    blocks = [_block(one, robot) for one in signals]
+    blocks = [_block(signal, robot) for signal in signals]
     weight = np.ones(n)
     for _ in range(3):
         W = np.vstack([(rows * weight[None, :, None]).reshape(-1, rows.shape[2]) for rows, _ in blocks])
@@ -61,13 +61,13 @@ def without_clamp_give(signals: Sequence[ClampedSignals], robot: Robot) -> tuple
         # Joints whose angles the model explains worse count less from the second pass on.
         weight = 1 / np.maximum(np.std(residual, axis=0), 1e-12)
     corrected = []
-    for one in signals:
-        assert one.wrench is not None
-        compliance = np.tensordot(chi[n:], compliance_shapes(robot, one.q_0), axes=1)
-        arm_motion = np.linalg.solve(flange_jacobian(robot, one.q_0), compliance @ one.wrench.T).T
+    for signal in signals:
+        assert signal.wrench is not None
+        compliance = np.tensordot(chi[n:], compliance_shapes(robot, signal.q_0), axes=1)
+        arm_motion = np.linalg.solve(flange_jacobian(robot, signal.q_0), compliance @ signal.wrench.T).T
         known = np.all(np.isfinite(arm_motion), axis=1)
-        standing = one.q_m - np.where(known[:, None], arm_motion, 0.0)
-        corrected.append(replace(one, q_m=standing, clamped=one.clamped & known))
+        standing = signal.q_m - np.where(known[:, None], arm_motion, 0.0)
+        corrected.append(replace(signal, q_m=standing, clamped=signal.clamped & known))
     return tuple(corrected)
 
 
@@ -127,7 +127,7 @@ class StiffnessAnalysis(Summarised):
 
     def by(self, method: str) -> dict[int, JointStiffness]:
         """Joint (from 1) → result of one method."""
-        return {one.joint: one for one in self.joints if one.method == method}
+        return {entry.joint: entry for entry in self.joints if entry.method == method}
 
     def differences(self) -> list[dict[str, Any]]:
         """[J] table 7: how far the motor method is from the wrench method, joint by joint [%]."""
@@ -140,13 +140,13 @@ class StiffnessAnalysis(Summarised):
     def summary(self) -> list[tuple[str, str]]:
         """Stiffness of each joint by each method."""
         return [("arm", f"{self.robot.name!r}: {len(self.signals)} clamped recordings, {len(self.warnings)} warnings"),
-                *((f"joint {one.joint}, {one.method}", f"{one.stiffness:.4g} N m/rad ± {one.std_percent:.2g} %")
-                  for one in self.joints)]
+                *((f"joint {entry.joint}, {entry.method}", f"{entry.stiffness:.4g} N m/rad ± {entry.std_percent:.2g} %")
+                  for entry in self.joints)]
 
     def plot(self) -> Figure:
         """Stiffnesses with their 95 % intervals."""
-        return with_intervals([(f"joint {one.joint}, {one.method}", one.stiffness, *one.interval)
-                               for one in self.joints], "stiffness [N m/rad]", f"stiffness of {self.robot.name}")
+        return with_intervals([(f"joint {entry.joint}, {entry.method}", entry.stiffness, *entry.interval)
+                               for entry in self.joints], "stiffness [N m/rad]", f"stiffness of {self.robot.name}")
 
     def to_dict(self) -> dict[str, Any]:
         """The figures as plain values."""
@@ -154,17 +154,17 @@ class StiffnessAnalysis(Summarised):
             "robot": self.robot.name,
             "urdf": self.robot.urdf,
             "joints": [
-                {"joint": one.joint, "method": one.method, "stiffness": one.stiffness, "offset": one.offset,
-                 "std_percent": one.std_percent, "offset_std_percent": one.offset_std_percent,
-                 "relative_error_percent": one.relative_error_percent, "interval_95": list(one.interval),
-                 "condition": one.condition, "recordings": list(one.recordings)}
-                for one in self.joints],
+                {"joint": entry.joint, "method": entry.method, "stiffness": entry.stiffness, "offset": entry.offset,
+                 "std_percent": entry.std_percent, "offset_std_percent": entry.offset_std_percent,
+                 "relative_error_percent": entry.relative_error_percent, "interval_95": list(entry.interval),
+                 "condition": entry.condition, "recordings": list(entry.recordings)}
+                for entry in self.joints],
             "differences": self.differences(),
             "clamp_estimated": self.clamp_estimated,
             "recordings": [
-                {"source": one.source, "q_0": one.q_0, "measured": list(one.measured),
-                 "clock_offset": one.clock.offset, "clock_drift": one.clock.drift,
-                 "condition": condition_number(self.robot, one.q_0)} for one in self.signals],
+                {"source": signal.source, "q_0": signal.q_0, "measured": list(signal.measured),
+                 "clock_offset": signal.clock.offset, "clock_drift": signal.clock.drift,
+                 "condition": condition_number(self.robot, signal.q_0)} for signal in self.signals],
             "warnings": self.warnings,
         })
 
@@ -191,29 +191,29 @@ def analyse_stiffness(recordings: Recording | Sequence[Recording], robot: Robot,
         if recording.n != robot.n:
             raise InputError(f"recording has {recording.n} joints, the robot {robot.n}", file=recording.source,
                              field="q_i")
-    hung = [one for one in recordings if "payload" in one.columns]
-    pushed, warnings = _plausible([one for one in recordings if "payload" not in one.columns])
-    signals = tuple(clamped_signals(one, robot) for one in pushed)
+    hung = [recording for recording in recordings if "payload" in recording.columns]
+    pushed, warnings = _plausible([recording for recording in recordings if "payload" not in recording.columns])
+    signals = tuple(clamped_signals(recording, robot) for recording in pushed)
     for recording in (*pushed, *hung):
         require_joint_units(recording.joints("q"), robot, file=recording.source)
-    wanted = [one for one in CLAMPED_METHODS if method in (one, "both")]
+    methods = [name for name in CLAMPED_METHODS if method in (name, "both")]
     if method == "both":
         # Both where both are recorded: a robot without a force sensor still gets its stiffnesses.
-        wanted = [one for one in wanted
-                  if all((had.tau if one == "motor" else had.wrench) is not None for had in signals)]
+        methods = [name for name in methods
+                   if all((had.tau if name == "motor" else had.wrench) is not None for had in signals)]
     if clamp is None:
         clamp = robot.n == 6 and len(signals) > 1 and all(len(signal.measured) == 6 for signal in signals)
-    if "motor" in wanted and not robot.knows_drive_gains and not all(one.has("tau") for one in pushed):
+    if "motor" in methods and not robot.knows_drive_gains and not all(recording.has("tau") for recording in pushed):
         warnings.append(robot.unknown_drive_gain)
     joints: list[JointStiffness] = []
-    if signals and not wanted:
+    if signals and not methods:
         raise InputError("the recordings share no method: some lack currents, others the wrench", field="recordings")
     clamp = clamp and bool(signals)
     standing = without_clamp_give(signals, robot) if clamp else signals
     # Told apart, the give of clamp and links leaves a third of the uncertainty.
     tolerances = Tolerances(drive_gain=drive_gain, model=0.01 if clamp else Tolerances.model)
-    for one in wanted if signals else []:
-        joints.extend(identify_stiffness(standing, robot, one, tolerances))
+    for name in methods if signals else []:
+        joints.extend(identify_stiffness(standing, robot, name, tolerances))
     if hung:
         joints.extend(identify_from_payloads(hung, robot))
     return StiffnessAnalysis(robot, tuple(joints), standing, bool(clamp),
@@ -223,32 +223,32 @@ def analyse_stiffness(recordings: Recording | Sequence[Recording], robot: Robot,
 def _plausible(recordings: Sequence[Recording]) -> tuple[list[Recording], list[str]]:
     """The clamped recordings without samples that cannot be, and warnings."""
     usable, warnings = [], []
-    for one in recordings:
-        joints = range(1, one.n + 1)
-        driven = [f"{key}_{i}" for key in ("current", "tau") for i in joints if one.has(key)]
-        one, found = plausible(one, [f"q_{i}" for i in joints], driven)
-        usable.append(one)
-        warnings += [f"{one.source}: {text}" for text in found]
+    for recording in recordings:
+        joints = range(1, recording.n + 1)
+        driven = [f"{key}_{i}" for key in ("current", "tau") for i in joints if recording.has(key)]
+        recording, texts = plausible(recording, [f"q_{i}" for i in joints], driven)
+        usable.append(recording)
+        warnings += [f"{recording.source}: {text}" for text in texts]
     return usable, warnings
 
 
 def _warnings(signals: Sequence[ClampedSignals], robot: Robot, joints: Sequence[JointStiffness]) -> tuple[str, ...]:
-    found = []
-    for one in signals:
-        condition = condition_number(robot, one.q_0)
+    texts = []
+    for signal in signals:
+        condition = condition_number(robot, signal.q_0)
         if condition > WORST_CONDITION:
-            found.append(f"{one.source}: the Jacobian's condition number is {condition:.0f}; joint torques from the "
+            texts.append(f"{signal.source}: the Jacobian's condition number is {condition:.0f}; joint torques from the "
                          "wrench are unreliable there, clamp in another configuration")
-        if 0 < len(one.measured) < 6:
-            found.append(f"{one.source}: only {', '.join(one.measured)} measured, the rest counts as zero")
-    motor, wrench = ({one.joint: one for one in joints if one.method == method} for method in CLAMPED_METHODS)
+        if 0 < len(signal.measured) < 6:
+            texts.append(f"{signal.source}: only {', '.join(signal.measured)} measured, the rest counts as zero")
+    motor, wrench = ({entry.joint: entry for entry in joints if entry.method == method} for method in CLAMPED_METHODS)
     for joint in sorted(set(motor) & set(wrench)):
         own, other = motor[joint], wrench[joint]
         if max(own.interval[0], other.interval[0]) > min(own.interval[1], other.interval[1]):
-            found.append(f"methods-disagree: joint {joint}: {own.stiffness:.3g} N m/rad by motor, "
+            texts.append(f"methods-disagree: joint {joint}: {own.stiffness:.3g} N m/rad by motor, "
                          f"{other.stiffness:.3g} by wrench, and the 95 % intervals do not meet; check the units of "
                          "currents or torques [A, N m] and of the wrench [N, N m], and the drive gains")
-    missing = sorted(set(range(1, robot.n + 1)) - {one.joint for one in joints})
+    missing = sorted(set(range(1, robot.n + 1)) - {entry.joint for entry in joints})
     if missing:
-        found.append(f"not loaded, so not identified: joint {', '.join(map(str, missing))}")
-    return tuple(found)
+        texts.append(f"not loaded, so not identified: joint {', '.join(map(str, missing))}")
+    return tuple(texts)

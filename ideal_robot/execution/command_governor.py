@@ -91,8 +91,8 @@ def _governed(q: Array, last: Array, T: float, bounds: _Bounds) -> Array:
         speed = v + wanted * T
         if _can_rest(p + speed * T, speed, wanted, T, bounds, j):
             # Within rounding of what was asked for it is what was asked for.
-            at = p + speed * T
-            result[j] = q[j] if abs(at - q[j]) <= _SLACK * (1.0 + abs(q[j])) * 1e-3 else at
+            position = p + speed * T
+            result[j] = q[j] if abs(position - q[j]) <= _SLACK * (1.0 + abs(q[j])) * 1e-3 else position
             continue
         for _ in range(_HALVINGS):
             middle = 0.5 * (good + bad)

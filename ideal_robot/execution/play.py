@@ -190,7 +190,7 @@ class _Player:
         """Cycle by cycle; what the arm reports goes to the feedforward before its next command."""
         begun = time.perf_counter()
         for q_d, q_c in rows:
-            taken = time.perf_counter() - begun
+            seconds = time.perf_counter() - begun
             measured = self.driver.cycle(q_c)
             begun = time.perf_counter()
             for what, values in (("q", measured.q), ("tau", measured.tau)):
@@ -199,7 +199,7 @@ class _Player:
                                      f"shape {np.shape(q_c)}, NaN where it is not measured", field="driver",
                                      value=np.shape(values))
             self.commands.state = self.commands.feedforward.observe(self.commands.state, measured)
-            self.times.append(taken + time.perf_counter() - begun)
+            self.times.append(seconds + time.perf_counter() - begun)
             self.q_d.append(q_d)
             self.q_c.append(q_c)
             self.measured.append(measured)

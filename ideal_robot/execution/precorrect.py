@@ -252,14 +252,14 @@ def precorrect(t: Array, q_d: Array, model: Model, robot: Robot, method: str = "
 def _not_checked(robot: Robot) -> tuple[str, ...]:
     """A warning for each quantity that has no limit in some joints, and where it is given."""
     file = robot.urdf.with_suffix(".toml").name
-    found = []
+    texts = []
     for quantity, limit, place in (
             ("speed", robot.v_max, f"velocity of the joints' <limit> in {robot.urdf.name}"),
             ("acceleration", robot.a_max, f"a_max [rad/s², m/s²] of [joints] in {file}, beside the URDF")):
         if (unknown := np.flatnonzero(~np.isfinite(limit)) + 1).size:
-            found.append(f"unknown-limit: the {quantity} of joint {', '.join(map(str, unknown))} was not checked, its "
+            texts.append(f"unknown-limit: the {quantity} of joint {', '.join(map(str, unknown))} was not checked, its "
                          f"limit is not known; give {place}")
-    return tuple(found)
+    return tuple(texts)
 
 
 def _reach(model: Model, robot: Robot, delay: int, q_c: Array, wanted: Array) -> Array | None:
@@ -267,10 +267,10 @@ def _reach(model: Model, robot: Robot, delay: int, q_c: Array, wanted: Array) ->
     controller = model.controller
     if controller is None or not controller.spread:
         return None
-    mean, rng, found = Cascade.of(controller), np.random.default_rng(DRAWS), []
+    mean, rng, errors = Cascade.of(controller), np.random.default_rng(DRAWS), []
     for _ in range(DRAWS):
         drawn = mean.drawn(controller.spread, rng).controller(controller.t_cycle, {})
         drawn = dataclasses.replace(drawn, delay=controller.delay)
         loop = loop_model(dataclasses.replace(model, controller=drawn), robot, delay=delay)
-        found.append(np.sqrt(np.mean((wanted - simulate(loop, q_c).q_a[:-1]) ** 2, axis=0)))
-    return np.array(found)
+        errors.append(np.sqrt(np.mean((wanted - simulate(loop, q_c).q_a[:-1]) ** 2, axis=0)))
+    return np.array(errors)

@@ -79,8 +79,8 @@ def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
     std = np.broadcast_to(np.sqrt(noise_variance(dry, s.factor * s.dt, model.noise_std)), slides.shape)[slides]
     arm = _behind_gears(s, model, turned * dry)
     bend = model.rigid_body(*arm) - model.rigid_body(s.q, s.qd, s.qdd)
-    left = [s.decimate(s.tau - bend - one.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0]))[slides] / std
-            for one in (model, bare)]
+    residuals = [s.decimate(s.tau - bend - variant.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0]))[slides] / std
+                 for variant in (model, bare)]
     n, root, own = model.n, _root(model, dry, robot), _own_root(model)
     # A wave is as large as the model's, at any angle.
     size = np.repeat([np.linalg.norm(effect.coefficients) / np.sqrt(2.0) for effect in ripple], 2)
@@ -88,10 +88,10 @@ def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
     bodies = counts @ root
     friction = s.decimate(_friction(s, turned, dry, robot))[slides] / std[:, None]
     waves = s.decimate(_waves(s, ripple))[slides] / std[:, None] * size
-    other = solved(np.hstack([bodies, friction, waves]), left[1])
+    other = solved(np.hstack([bodies, friction, waves]), residuals[1])
     # The very arm: what its model leaves open, an offset, friction and a heavier tool explain what is left.
     very = solved(np.column_stack([counts[:, model.base.independent] @ own, bodies[:, 11 * n : 12 * n], bodies[:, -1],
-                                   friction]), left[0])
+                                   friction]), residuals[0])
     try:
         if very.evidence >= other.evidence:
             return _with_bodies(model, own, very, np.array(model.consistent))

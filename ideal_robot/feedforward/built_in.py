@@ -104,8 +104,8 @@ def _model_learned(setting: Setting) -> Feedforward:
 
 def _learned(step: int) -> Method:
     def make(setting: Setting) -> Feedforward:
-        kept = setting.plays().learned(setting.path(), setting.loop(), setting.progress).kept
-        return Playback(kept[min(step, len(kept) - 1)], setting.robot.t_ipo)
+        commands = setting.plays().learned(setting.path(), setting.loop(), setting.progress).kept
+        return Playback(commands[min(step, len(commands) - 1)], setting.robot.t_ipo)
 
     return Method(make, f"learning on the arm, after {step} of {ITERATIONS} steps ([G] (10), (11))", Needs.PLAYS)
 

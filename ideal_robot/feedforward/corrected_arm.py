@@ -68,9 +68,9 @@ class CorrectedArm:
                 J = pin.computeFrameJacobian(self._model, self._data, row, tool, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
                 J = np.asarray(J).reshape(6, -1)
                 pin.updateFramePlacement(self._model, self._data, tool)
-                here = self._data.oMf[tool]
-                turn = pin.log3(wanted.rotation @ here.rotation.T)
-                error = np.concatenate([wanted.translation - here.translation, _TURN * turn])
+                place = self._data.oMf[tool]
+                turn = pin.log3(wanted.rotation @ place.rotation.T)
+                error = np.concatenate([wanted.translation - place.translation, _TURN * turn])
                 J = np.vstack([J[:3], _TURN * J[3:]])
                 if not full:
                     error, J = error[:3], J[:3]

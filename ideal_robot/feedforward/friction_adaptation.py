@@ -198,11 +198,11 @@ class FrictionAdaptation:
         return FrictionFactors(*state[:-3], waiting, state.cycle + 1, measured.t)
 
     def _with_window(self, state: FrictionFactors, measured: Array, t: float) -> FrictionFactors:
-        x, covariance, used, window = (one.copy() for one in (state.x, state.covariance, state.used, state.window))
+        x, covariance, used, window = (array.copy() for array in (state.x, state.covariance, state.used, state.window))
         values, mass, friction = state.values, state.mass, state.friction
         further = self._further(window, state.rows, measured) if self.loop.terms else self._still
-        rows, told = _told(self._known, self._drive, (window, state.rows, measured), further, (x, covariance, used))
-        if told:
+        rows, informed = _told(self._known, self._drive, (window, state.rows, measured), further, (x, covariance, used))
+        if informed:
             values, mass, friction = _applied(self._known, x)
         return FrictionFactors(x, covariance, values, mass, friction, used, window, rows, (), state.cycle + 1, t)
 
@@ -210,10 +210,10 @@ class FrictionAdaptation:
         """Torque of further effects in the middle of the window that measurements make ``(n,)`` [N m]."""
         loop, window = self.loop, window.copy()
         noted(window, rows, measured, self._drive)
-        seen = smoothed(window, self._drive)
-        rigid = inverse_dynamics(loop.chain, seen.q, seen.v, seen.a)
-        sliding = np.sign(seen.motor_v)
-        return np.asarray(further_torque(loop, np.zeros(1), seen.q, seen.v, seen.motor_a, rigid, sliding)[0])
+        motion = smoothed(window, self._drive)
+        rigid = inverse_dynamics(loop.chain, motion.q, motion.v, motion.a)
+        sliding = np.sign(motion.motor_v)
+        return np.asarray(further_torque(loop, np.zeros(1), motion.q, motion.v, motion.motor_a, rigid, sliding)[0])
 
 
 @jit()
@@ -225,32 +225,32 @@ def _told(known: _Known, drive: Drive, measured: tuple[Array, int, Array], furth
     ``FrictionFactors``, are written to; ``further (n,)`` [N m] is the torque of further effects in the window's middle.
     """
     window, (x, covariance, used) = measured[0], state
-    rows, told = noted(window, measured[1], measured[2], drive), False
+    rows, informed = noted(window, measured[1], measured[2], drive), False
     if rows < CYCLES:
-        return rows, told
-    seen, n = smoothed(window, drive), window.shape[2]
-    speed = seen.motor_v[0]
+        return rows, informed
+    motion, n = smoothed(window, drive), window.shape[2]
+    speed = motion.motor_v[0]
     for i in range(n):
-        if abs(speed[i]) > known.v_max[1, i] or abs(window[0, CYCLES // 2, i] - seen.q[0, i]) > _LAG:
-            return rows, told
+        if abs(speed[i]) > known.v_max[1, i] or abs(window[0, CYCLES // 2, i] - motion.q[0, i]) > _LAG:
+            return rows, informed
     R, p, torques = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((3, n))
-    joint_frames(known.chain, seen.q[0], R, p)
-    torque_at(known.chain, R, p, seen.v[0], seen.a[0], 1.0, torques[0])
-    torque_at(known.chain, R, p, seen.v[0], np.zeros(n), 1.0, torques[1])
-    torque_at(point_mass(known.chain, known.place), R, p, seen.v[0], seen.a[0], 1.0, torques[2])
+    joint_frames(known.chain, motion.q[0], R, p)
+    torque_at(known.chain, R, p, motion.v[0], motion.a[0], 1.0, torques[0])
+    torque_at(known.chain, R, p, motion.v[0], np.zeros(n), 1.0, torques[1])
+    torque_at(point_mass(known.chain, known.place), R, p, motion.v[0], motion.a[0], 1.0, torques[2])
     h, own = np.zeros(len(x)), 0
     aged(x, covariance, known.left)
     for i in range(n):
-        if abs(speed[i]) < SLOWEST * known.v_max[0, i] or seen.z[0, i] * np.sign(speed[i]) < SLIDES:
+        if abs(speed[i]) < SLOWEST * known.v_max[0, i] or motion.z[0, i] * np.sign(speed[i]) < SLIDES:
             continue
         h[own : own + _OWN] = 0.0
         own = i * _OWN
-        left, accelerating = _row(known, seen, torques, i, h)
+        residual, accelerating = _row(known, motion, torques, i, h)
         variance = known.variance[i] + (_ACCELERATING * accelerating) ** 2
-        if counted(x, covariance, h, left - further[i] / known.gain[i], variance):
+        if counted(x, covariance, h, residual - further[i] / known.gain[i], variance):
             used[i] += 1.0
-            told = True
-    return rows, told
+            informed = True
+    return rows, informed
 
 
 @jit()

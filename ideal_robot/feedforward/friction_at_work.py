@@ -73,9 +73,9 @@ def friction_at_work(recording: Recording, loop: LoopModel) -> FrictionAtWork:
     if not np.isfinite(s.tau).all():
         raise InputError("friction is found from torques; they are missing", file=recording.source, field="tau_i")
     rigid = inverse_dynamics(loop.chain, s.q, s.qd, s.qdd)
-    left = _left(loop, s, rigid)
-    found = [_of_joint(loop, s, rigid[:, j], left[:, j], j) for j in range(loop.n)]
-    return FrictionAtWork(np.array([values for values, _ in found]), np.array([bend for _, bend in found]))
+    residual = _left(loop, s, rigid)
+    fits = [_of_joint(loop, s, rigid[:, j], residual[:, j], j) for j in range(loop.n)]
+    return FrictionAtWork(np.array([values for values, _ in fits]), np.array([bend for _, bend in fits]))
 
 
 def _left(loop: LoopModel, s: FilteredSignals, rigid: Array) -> Array:

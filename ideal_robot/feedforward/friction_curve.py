@@ -216,11 +216,11 @@ def _cycle(known: _Known, v_before: Array, plan: tuple[Array, Array, Array], err
         h[TERMS] = WEIGHT
         for j in range(n):
             h[TERMS + 1 + j] = known.unit[i, j] / known.dry[i] * (v[j] - v_before[j]) / T
-        left = torque / known.dry[i]
+        observed = torque / known.dry[i]
         for k in range(p):
-            left += h[k] * used[i, k] if k != TERMS else 0.0
+            observed += h[k] * used[i, k] if k != TERMS else 0.0
             together[i, k] += h[k]
-        together[i, p] += left
+        together[i, p] += observed
         together[i, p + 1] += 1.0
 
 

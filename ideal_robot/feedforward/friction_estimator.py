@@ -192,7 +192,7 @@ def counted(x: Array, covariance: Array, h: Array, left: float, variance: float)
         h: what the parameters count ``(p,)``.
         left, variance: what the model left, and the variance of its noise.
     """
-    expected, missed, spread, said = variance, left, variance, np.zeros(len(h))
+    expected, missed, spread, gain = variance, left, variance, np.zeros(len(h))
     for a in range(len(h)):
         expected += h[a] * h[a]
     if not left * left < FAR * FAR * expected:
@@ -201,13 +201,13 @@ def counted(x: Array, covariance: Array, h: Array, left: float, variance: float)
         if h[b] != 0.0:  # a joint's own parameters and the common ones: few of all
             missed -= h[b] * x[b]
             for a in range(len(h)):
-                said[a] += covariance[b, a] * h[b]
+                gain[a] += covariance[b, a] * h[b]
     for a in range(len(h)):
-        spread += h[a] * said[a]
+        spread += h[a] * gain[a]
     for a in range(len(h)):
-        x[a] = min(max(x[a] + said[a] * missed / spread, -FAR), FAR)
+        x[a] = min(max(x[a] + gain[a] * missed / spread, -FAR), FAR)
         for b in range(len(h)):
-            covariance[a, b] -= said[a] * said[b] / spread
+            covariance[a, b] -= gain[a] * gain[b] / spread
     return True
 
 
@@ -218,10 +218,10 @@ def remembered(x: Array, covariance: Array, places: Array) -> tuple[Array, Array
         x, covariance: parameters ``(n, p)`` and ``(n, p, p)``.
         places: of the parameters that are kept ``(k,)``.
     """
-    kept, uncertain = np.zeros_like(x), np.tile(np.eye(x.shape[1]), (len(x), 1, 1))
-    kept[:, places] = x[:, places]
+    values, uncertain = np.zeros_like(x), np.tile(np.eye(x.shape[1]), (len(x), 1, 1))
+    values[:, places] = x[:, places]
     uncertain[:, places[:, None], places] = covariance[:, places[:, None], places]
-    return kept, uncertain
+    return values, uncertain
 
 
 FRICTION = ("friction_torque", "friction_load", "friction_driven")

@@ -207,9 +207,9 @@ class IdealRobot(Feedforward):
         """Takes the deflection at the start up smoothly, from nothing to all, in the motors' motion ``(N, n)``."""
         begun = (state.cycle * self.t_ipo + self._t_fine) / SETTLE
         if begun[0] < 1.0:
-            left = 1.0 - np.minimum(begun, 1.0)[:, None]
-            q_m -= state.sag * left**3 * (10.0 - 15.0 * left + 6.0 * left**2)
-            v_m += state.sag * 30.0 * left**2 * (1.0 - left) ** 2 / SETTLE
+            remaining = 1.0 - np.minimum(begun, 1.0)[:, None]
+            q_m -= state.sag * remaining**3 * (10.0 - 15.0 * remaining + 6.0 * remaining**2)
+            v_m += state.sag * 30.0 * remaining**2 * (1.0 - remaining) ** 2 / SETTLE
 
     def _load(self, q: Array, qd: Array, qdd: Array, carried: Carried | None) -> tuple[Array, Array | None]:
         """Torques of the model's bodies and of what is carried beyond them, each ``(N, n)`` [N m]."""
@@ -229,8 +229,8 @@ class IdealRobot(Feedforward):
     def _external(self, tau_ext_d: Array) -> Array:
         """The contact torque on the torque grid, linear in between and constant beyond the horizon."""
         t = np.arange(len(tau_ext_d)) * self.t_ipo
-        at = self.t_ipo * (self.loop.delay - 2 + 0.5 * np.arange(2 * (_CYCLES + 4) + 1))
-        return interpolated(at, t, tau_ext_d)
+        grid = self.t_ipo * (self.loop.delay - 2 + 0.5 * np.arange(2 * (_CYCLES + 4) + 1))
+        return interpolated(grid, t, tau_ext_d)
 
 
 class _Operators:

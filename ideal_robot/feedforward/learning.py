@@ -106,7 +106,7 @@ def learn(play: Callable[[Array], Array], q_c: Array, law: LearningLaw, *, itera
 
     best = np.array(q_c)
     error = play(best)
-    history, kept = [criterion(error)], [best]
+    history, paths = [criterion(error)], [best]
     lowest, gain, stopped = history[0], 1.0, None
     if not np.isfinite(lowest):
         return Learned(best, (float("inf"),), (best,), "the first play has no finite error")
@@ -120,11 +120,11 @@ def learn(play: Callable[[Array], Array], q_c: Array, law: LearningLaw, *, itera
             gain = min(1.0, 1.5 * gain)
         else:
             gain *= 0.5
-        kept.append(best)
+        paths.append(best)
         if gain < _SMALLEST_STEP:
             stopped = "smaller steps do not help any more; the best commands are kept"
             break
-    return Learned(best, tuple(history), tuple(kept), stopped)
+    return Learned(best, tuple(history), tuple(paths), stopped)
 
 
 def learn_on_model(loop: LoopModel, q_d: Array, q_c: Array | None = None) -> Learned:

@@ -172,8 +172,8 @@ class Precorrection(Feedforward):
             load = load - tau_ext_d[min(self.n_d - _AFTER - 1, len(tau_ext_d) - 1)]
         # The deflection at the start is taken up smoothly: a jump would leave friction where no one knows.
         begun = (state.cycle + np.array([[-1.0], [0.0], [1.0]])) * T / SETTLE
-        left = 1.0 - np.clip(begun, 0.0, 1.0)
-        motor = self._motor(arm, speed, load) - state.sag * left**3 * (10.0 - 15.0 * left + 6.0 * left**2)
+        rest = 1.0 - np.clip(begun, 0.0, 1.0)
+        motor = self._motor(arm, speed, load) - state.sag * rest**3 * (10.0 - 15.0 * rest + 6.0 * rest**2)
         qd, qdd = (motor[2] - motor[0]) / (2 * T), (motor[2] - 2 * motor[1] + motor[0]) / T**2
         bent = self._bent(state, motor[1], qd, load[1])
         tau = self._torque(state.cycle * T + self._lead, motor[1], qd, qdd, load[1], bent)
@@ -209,8 +209,8 @@ class Precorrection(Feedforward):
         step, loop, T = motor - state.motor, self._loop, self.t_ipo
         sliding = self._friction(qd, load)
         at_once = np.where(np.abs(qd) < _STILL, 0.0, np.sign(qd)) * sliding / loop.friction_dry
-        return np.array([bristles(before, way / T, T, most, dry, bend) if bend > 0.0 else jump
-                         for before, way, most, dry, bend, jump in
+        return np.array([bristles(before, move / T, T, most, dry, bend) if bend > 0.0 else jump
+                         for before, move, most, dry, bend, jump in
                          zip(state.bent, step, sliding, loop.friction_dry, loop.friction_bend, at_once, strict=True)])
 
     def _friction(self, qd: Array, load: Array) -> Array:

@@ -39,8 +39,8 @@ def methods(needs: Needs = Needs.PLAYS) -> tuple[str, ...]:
 
 def method(key: str) -> Method:
     """What a key stands for; raises InputError, which lists the methods there are, where it is none of them."""
-    found = _REGISTRY.get(key)
-    return found if isinstance(found, Method) else _described(found)
+    entry = _REGISTRY.get(key)
+    return entry if isinstance(entry, Method) else _described(entry)
 
 
 def register(key: str, factory: Factory | Method, *, description: str = "", needs: Needs = Needs.MODEL) -> None:

@@ -112,8 +112,8 @@ def turned(z: float, step: float, bend: float) -> float:
     """
     if step == 0.0:
         return z
-    left = np.exp(-abs(step) / bend) if bend > 0.0 else 0.0
-    return np.sign(step) + (z - np.sign(step)) * left
+    decay = np.exp(-abs(step) / bend) if bend > 0.0 else 0.0
+    return np.sign(step) + (z - np.sign(step)) * decay
 
 
 @jit()

@@ -279,8 +279,8 @@ def _preview_weights(g: Array, n_d: int, corner: float) -> Array:
     # Constant velocity and constant acceleration shall pass without error: first and second moment of the whole.
     for order in (1, 2):
         moment = lags.astype(float) ** order / 10.0**order
-        row, left = moment @ (series - direct[:, None]), -moment @ direct
-        estimate.update(row[None], np.array([left]), 1e-3 * _REGULARISATION)
+        row, target = moment @ (series - direct[:, None]), -moment @ direct
+        estimate.update(row[None], np.array([target]), 1e-3 * _REGULARISATION)
     estimate.update(np.eye(count), np.zeros(count), 1.0)
     weights = estimate.solve()
     weights[_PAST] = 0.0

@@ -50,27 +50,27 @@ def checked(recordings: Sequence[Recording], robot: Robot, *, commands: bool = F
     """
     result, warnings = [], []
     for recording in recordings:
-        recording, found = _checked(recording, robot)
+        recording, texts = _checked(recording, robot)
         if commands:
             recording, more = _with_commands(recording, robot)
-            found += more
+            texts += more
         result.append(recording)
-        warnings += [f"{text} [{recording.source}]" for text in found]
+        warnings += [f"{text} [{recording.source}]" for text in texts]
     return result, warnings
 
 
 def require_distinct(recordings: Sequence[Recording]) -> None:
     """Raises InputError where two recordings are the same one: it would count twice, or judge what it has found."""
     known: dict[str, Recording] = {}
-    for one in recordings:
-        if (other := known.setdefault(one.hash, one)) is not one:
+    for recording in recordings:
+        if (other := known.setdefault(recording.hash, recording)) is not recording:
             raise InputError(f"holds the same samples as {other.source}; give each recording once, and another one to "
-                             "validate with", file=one.source, field="recording")
+                             "validate with", file=recording.source, field="recording")
 
 
 def require_motion(recordings: Sequence[Recording]) -> None:
     """Raises InputError where no joint moves in any of the recordings."""
-    if recordings and all((np.ptp(one.joints("q"), axis=0) < STILL).all() for one in recordings):
+    if recordings and all((np.ptp(recording.joints("q"), axis=0) < STILL).all() for recording in recordings):
         raise InputError(f"no joint moves (none by {STILL:g} rad or m); record a motion, e.g. that of "
                          "plan-identification", file=recordings[0].source, field="q_i")
 
@@ -90,10 +90,10 @@ def _require_all_joints(recording: Recording, robot: Robot) -> None:
 def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
     source, n, warnings = recording.source, robot.n, []
     _require_all_joints(recording, robot)
-    said = recording.meta.get("robot")
-    if said in SHIPPED and robot.name in SHIPPED and said != robot.name:
-        raise InputError(f"the recording is of {said}, not of {robot.name}; give --robot {said}", file=source,
-                         field="robot", value=said)
+    arm = recording.meta.get("robot")
+    if arm in SHIPPED and robot.name in SHIPPED and arm != robot.name:
+        raise InputError(f"the recording is of {arm}, not of {robot.name}; give --robot {arm}", file=source,
+                         field="robot", value=arm)
     recording = _in_robot_order(recording, robot)
     if not recording.has("tau"):
         recording, text = _with_torque(recording, robot)
@@ -147,17 +147,17 @@ def _with_commands(recording: Recording, robot: Robot) -> tuple[Recording, list[
              if share > MOST_LEFT_OUT]
     if missing or empty:
         why = "; ".join([f"{name} is missing" for name in missing] + empty)
-        others = {name: values for name, values in recording.columns.items() if name not in names}
-        return replace(recording, columns=others), [f"no-controller: {why}; {names[0]} to {names[-1]} are needed"]
+        columns = {name: values for name, values in recording.columns.items() if name not in names}
+        return replace(recording, columns=columns), [f"no-controller: {why}; {names[0]} to {names[-1]} are needed"]
     recording, warnings = only_numbers(recording, names)
     q_c = recording.joints("q_c")
     require_joint_units(np.quantile(q_c, _NEARLY_ALL, axis=0), robot, file=recording.source, column="q_c")
     recording, spikes = without_spikes(recording, names)
     warnings += spikes
     q_c, q = recording.joints("q_c"), recording.joints("q")
-    left, motion = np.std(q_c - q, axis=0), np.std(q, axis=0)
-    for j in np.flatnonzero((left > motion) & (np.ptp(q, axis=0) > STILL) & (np.ptp(q_c, axis=0) > STILL)):
-        raise InputError(f"the joint does not follow this command: they differ by {left[j]:.3g} (standard deviation), "
+    error, motion = np.std(q_c - q, axis=0), np.std(q, axis=0)
+    for j in np.flatnonzero((error > motion) & (np.ptp(q, axis=0) > STILL) & (np.ptp(q_c, axis=0) > STILL)):
+        raise InputError(f"the joint does not follow this command: they differ by {error[j]:.3g} (standard deviation), "
                          f"q_{j + 1} moves by {motion[j]:.3g}; is it another joint's, or in another unit?",
                          file=recording.source, field=names[j])
     return recording, warnings
@@ -165,15 +165,15 @@ def _with_commands(recording: Recording, robot: Robot) -> tuple[Recording, list[
 
 def _in_robot_order(recording: Recording, robot: Robot) -> Recording:
     """Columns renumbered where the recording names its joints (bags do, often in alphabetical order)."""
-    told, wanted = recording.meta.get("joints"), list(robot.pinocchio.names)[1:]
-    if not isinstance(told, list) or told == wanted:
+    recorded, wanted = recording.meta.get("joints"), list(robot.pinocchio.names)[1:]
+    if not isinstance(recorded, list) or recorded == wanted:
         return recording
-    names = [str(name) for name in told]
+    names = [str(name) for name in recorded]
     # Names that are numbers and nothing else count from the base.
-    for given, own in ((names, wanted), (_bare(names), _bare(wanted)),
-                       (_bare(names), [str(i + 1) for i in range(robot.n)])):
-        if sorted(given) == sorted(own):
-            order = [given.index(name) for name in own]
+    for labels, own in ((names, wanted), (_bare(names), _bare(wanted)),
+                        (_bare(names), [str(i + 1) for i in range(robot.n)])):
+        if sorted(labels) == sorted(own):
+            order = [labels.index(name) for name in own]
             break
     else:
         raise InputError(f"the recording is of the joints {', '.join(names)}; those of {robot.name} are "

@@ -69,11 +69,11 @@ def identify_controller(recordings: Sequence[Recording], t_cycle: float,
     """
     _require_signals(recordings, without_integrator)
     n = recordings[0].n
-    each = [found for recording in recordings if (found := _stretches(recording, t_cycle))]
-    if not each:
+    by_recording = [parts for recording in recordings if (parts := _stretches(recording, t_cycle))]
+    if not by_recording:
         raise InputError(f"too short: three cycles of {1e3 * t_cycle:g} ms without a gap are needed",
                          file=recordings[0].source, field="t")
-    stretches = [stretch for found in each for stretch in found]
+    stretches = [stretch for parts in by_recording for stretch in parts]
     pd_stretches = [stretch for recording in without_integrator for stretch in _stretches(recording, t_cycle)]
     delay, delay_std = _command_delay(stretches, t_cycle)
     best, less, more = (_gains(stretches, pd_stretches, t_cycle, d)
@@ -84,7 +84,7 @@ def identify_controller(recordings: Sequence[Recording], t_cycle: float,
     spread = {name: std[i].tolist() for i, name in enumerate(("k_p", "k_d", "k_1", "k_2", "k_i"))}
     model = ControllerModel(t_cycle, k_p=gains[0], k_d=gains[1], k_1=gains[2], k_2=gains[3], k_i=k_i,
                             filter_time=np.zeros(n), delay=delay, std=spread)
-    longest = max(each[0], key=lambda stretch: len(stretch[0].t))
+    longest = max(by_recording[0], key=lambda stretch: len(stretch[0].t))
     shown = _series(longest, t_cycle, delay)[0]
     direct, drifting = _direct(longest, t_cycle, gains)
     count = min(len(shown.t), len(drifting))
@@ -140,22 +140,22 @@ def _command_delay(stretches: Sequence[tuple[Recording, bool]], t_cycle: float) 
         """Squared errors over the torque's squares, and over how many samples that tell news ``(n,)`` each."""
         series = [_series(stretch, t_cycle, delay, offsets=False)[0] for stretch in stretches]
         joints = [_Joint(series, j) for j in range(stretches[0][0].n)]
-        left = np.array([min(_simulation(joint, k, None).error_percent ** 2 for k in np.geomspace(0.02, 0.8, 8))
-                         for joint in joints])
-        return left, np.array([joint.news for joint in joints])
+        errors = np.array([min(_simulation(joint, k, None).error_percent ** 2 for k in np.geomspace(0.02, 0.8, 8))
+                           for joint in joints])
+        return errors, np.array([joint.news for joint in joints])
 
     def cost(delay: float) -> float:
         return float(np.sum(squares(delay)[0]))
 
     grid = np.linspace(0.0, 0.75 * t_cycle, 7)
     i = int(np.argmin([cost(d) for d in grid]))
-    found = optimize.minimize_scalar(cost, bounds=(grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]),
-                                     method="bounded", options={"xatol": 0.01 * t_cycle})
-    delay, h = float(found.x), 0.1 * t_cycle
-    (left, news), (more, _), (less, _) = (squares(d) for d in (delay, delay + h, delay - h))
-    curvature = np.maximum((more - 2.0 * left + less) / h**2, 0.0)
+    optimum = optimize.minimize_scalar(cost, bounds=(grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]),
+                                       method="bounded", options={"xatol": 0.01 * t_cycle})
+    delay, h = float(optimum.x), 0.1 * t_cycle
+    (least, news), (more, _), (less, _) = (squares(d) for d in (delay, delay + h, delay - h))
+    curvature = np.maximum((more - 2.0 * least + less) / h**2, 0.0)
     # The slope of a sum of squares has the variance 2 σ² times its curvature.
-    spread = np.sqrt(np.sum(2.0 * left / news * curvature)) / max(float(np.sum(curvature)), 1e-300)
+    spread = np.sqrt(np.sum(2.0 * least / news * curvature)) / max(float(np.sum(curvature)), 1e-300)
     return delay, min(float(spread), t_cycle)
 
 
@@ -265,13 +265,13 @@ def _integral_gain(joint: _Joint, fixed: Array | None) -> tuple[float, float]:
     costs = [_simulation(joint, k, fixed).cost for k in grid]
     i = int(np.argmin(costs))
     low, high = grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]
-    found = optimize.minimize_scalar(lambda k: _simulation(joint, k, fixed).cost, bounds=(low, high), method="bounded",
-                                     options={"xatol": 1e-5 * high})
-    k = float(found.x)
+    best = optimize.minimize_scalar(lambda k: _simulation(joint, k, fixed).cost, bounds=(low, high), method="bounded",
+                                    options={"xatol": 1e-5 * high})
+    k = float(best.x)
     h = 0.05 * k
     up, down = (_simulation(joint, k + s * h, fixed).cost for s in (1.0, -1.0))
-    curvature = max((up - 2.0 * found.fun + down) / h**2, 1e-300)
-    return k, float(np.sqrt(2.0 * found.fun / joint.news / curvature))
+    curvature = max((up - 2.0 * best.fun + down) / h**2, 1e-300)
+    return k, float(np.sqrt(2.0 * best.fun / joint.news / curvature))
 
 
 def _slope(joint: _Joint, k_i: float) -> Array:

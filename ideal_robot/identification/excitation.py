@@ -269,10 +269,10 @@ class MotionSpace:
             gain = ratio * shrink
             room_low = self.reach_low + gain * extent
             room_high = np.maximum(self.reach_high - gain * extent, room_low)
-            at = (rng.uniform(room_low, room_high) if centre is None
-                  else np.clip(centre + gain * middle, room_low, room_high))
+            place = (rng.uniform(room_low, room_high) if centre is None
+                     else np.clip(centre + gain * middle, room_low, room_high))
             # ``centre`` is where the cosines and sines turn about; the extremes lie about it unevenly.
-            candidate = FourierMotion(at - gain * middle, a * gain, b * gain, self.period, np.inf)
+            candidate = FourierMotion(place - gain * middle, a * gain, b * gain, self.period, np.inf)
             q, qd, qdd = candidate.at(self.t)
             reason = obstacle(self.robot, q, self.workspace) or self._too_weak(q, qd, qdd)
             if reason is None:
@@ -337,9 +337,9 @@ def approach(start: Array, goal: Array, t_ipo: float, v_max: Array, a_max: Array
         t_ipo: interpolation cycle [s].
         v_max, a_max: limits ``(n,)`` [rad/s, rad/s²].
     """
-    way = np.abs(goal - start)
+    distance = np.abs(goal - start)
     # Largest velocity and acceleration of 10 s³ - 15 s⁴ + 6 s⁵ are 1.875 and 5.77.
-    duration = max(np.max(1.875 * way / (0.5 * v_max)), np.max(np.sqrt(5.78 * way / (0.5 * a_max))), t_ipo)
+    duration = max(np.max(1.875 * distance / (0.5 * v_max)), np.max(np.sqrt(5.78 * distance / (0.5 * a_max))), t_ipo)
     if not duration <= LONGEST_APPROACH:
         raise InputError(f"the way to where the motion begins would take {duration:.3g} s by the limits of velocity "
                          "and acceleration; check them", field="limits")

@@ -213,17 +213,17 @@ class FrictionChoice:
             shape = tuple(float(v) for v in 10.0 ** np.clip(x, low, high))
             return projection.error(self.columns(joint, option, shape), option.braking)
 
-        at = np.log10([known.get(name, start) for name, start in zip(names, self._start(option), strict=True)])
+        log = np.log10([known.get(name, start) for name, start in zip(names, self._start(option), strict=True)])
         for i, name in enumerate(names):
             if name not in known:
-                at = min((np.where(np.arange(len(at)) == i, x, at) for x in np.linspace(low[i], high[i], 10)[1:-1]),
-                         key=error)
-        free = len(at) if polish else sum(name not in known for name in names)
+                log = min((np.where(np.arange(len(log)) == i, x, log) for x in np.linspace(low[i], high[i], 10)[1:-1]),
+                          key=error)
+        free = len(log) if polish else sum(name not in known for name in names)
         if free:
-            found = optimize.minimize(error, at, method="Nelder-Mead", bounds=list(zip(low, high, strict=True)),
-                                      options={"xatol": 0.03, "fatol": 1e-5, "maxfev": 12 * free})
-            at = found.x
-        shape = tuple(float(v) for v in 10.0 ** np.clip(at, low, high))
+            optimum = optimize.minimize(error, log, method="Nelder-Mead", bounds=list(zip(low, high, strict=True)),
+                                        options={"xatol": 0.03, "fatol": 1e-5, "maxfev": 12 * free})
+            log = optimum.x
+        shape = tuple(float(v) for v in 10.0 ** np.clip(log, low, high))
         for name, value in zip(names, shape, strict=True):
             known.setdefault(name, value)
         return shape
@@ -235,24 +235,24 @@ class FrictionChoice:
 
     def _projection(self, chosen: Sequence[tuple[Candidate, tuple[float, ...]]], joint: int) -> FrictionProjection:
         """Everything but this joint's friction, as normal equations of each fold."""
-        others = [(j, self.columns(j, *chosen[j])) for j in range(self._y.shape[1]) if j != joint]
+        other_columns = [(j, self.columns(j, *chosen[j])) for j in range(self._y.shape[1]) if j != joint]
         b = self._rigid.shape[2]
-        total = b + sum(columns.shape[1] for _, columns in others)
+        total = b + sum(columns.shape[1] for _, columns in other_columns)
         known = np.zeros((total, total))
         known[:b, :b] = self._information
         folds = []
         for rows, own in zip(self._folds, self._equations, strict=True):
             full, side = np.zeros((total, total)), np.zeros(total)
             full[:b, :b], side[:b] = own.gram, own.side
-            at = b
-            for j, columns in others:
+            column = b
+            for j, columns in other_columns:
                 F = columns[rows]
-                span = slice(at, at + F.shape[1])
+                span = slice(column, column + F.shape[1])
                 full[span, span] = F.T @ F
                 full[:b, span] = self._rigid[rows, j].T @ F
                 full[span, :b] = full[:b, span].T
                 side[span] = F.T @ self._y[rows, j]
-                at = span.stop
+                column = span.stop
             folds.append(FoldEquations(full, side, own.square))
         return FrictionProjection(folds, self._folds, known, self._rigid[:, joint], self._y[:, joint])
 
@@ -317,10 +317,10 @@ def fit_warm_up(law: type[FrictionModel], qd: Array, tau: Array, temperature: Ar
         c = np.asarray(np.linalg.lstsq(scaled, tau, rcond=None)[0])
         return c, tau - scaled @ c
 
-    found = optimize.least_squares(lambda x: solved(float(x[0]))[1], [0.2])
-    alpha = float(found.x[0])
-    (c, left), constant = solved(alpha), solved(0.0)[1]
-    sigma2 = float(left @ left) / max(1, len(tau) - len(c) - 1)
-    std = float(np.sqrt(np.linalg.pinv(found.jac.T @ found.jac)[0, 0] * sigma2))
-    return WarmUp(law(c[:, None]), alpha, std, reference, float(np.sqrt(np.mean(left**2))),
+    fit = optimize.least_squares(lambda x: solved(float(x[0]))[1], [0.2])
+    alpha = float(fit.x[0])
+    (c, residual), constant = solved(alpha), solved(0.0)[1]
+    sigma2 = float(residual @ residual) / max(1, len(tau) - len(c) - 1)
+    std = float(np.sqrt(np.linalg.pinv(fit.jac.T @ fit.jac)[0, 0] * sigma2))
+    return WarmUp(law(c[:, None]), alpha, std, reference, float(np.sqrt(np.mean(residual**2))),
                   float(np.sqrt(np.mean(constant**2))))

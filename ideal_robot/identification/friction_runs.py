@@ -80,9 +80,9 @@ def _fitted(law: type[FrictionModel], qd: Array, tau: Array) -> FrictionModel:
         return with_shape(np.empty(0))[0]
     low, high = np.log(np.array(law.shape_bounds)).T
     starts = [low + share * (high - low) for share in (0.1, 0.3, 0.5, 0.7, 0.9)]
-    found = [optimize.minimize(lambda x: with_shape(np.exp(x))[1], start, method="Nelder-Mead",
-                               bounds=list(zip(low, high, strict=True))) for start in starts]
-    return with_shape(np.exp(min(found, key=lambda result: result.fun).x))[0]
+    optima = [optimize.minimize(lambda x: with_shape(np.exp(x))[1], start, method="Nelder-Mead",
+                                bounds=list(zip(low, high, strict=True))) for start in starts]
+    return with_shape(np.exp(min(optima, key=lambda result: result.fun).x))[0]
 
 
 def _held_out(law: type[FrictionModel], qd: Array, tau: Array) -> float:
@@ -192,8 +192,8 @@ class FrictionProjection:
                  y: Array) -> None:
         felt = own.any(axis=0)
         self._own, self._y, self._rows = np.ascontiguousarray(own[:, felt].T), np.ascontiguousarray(y), rows
-        here = np.flatnonzero(felt)
-        order = np.concatenate([np.setdiff1d(np.arange(len(known)), here), here])
+        places = np.flatnonzero(felt)
+        order = np.concatenate([np.setdiff1d(np.arange(len(known)), places), places])
         self._folds = [FoldEquations(fold.gram[np.ix_(order, order)], fold.side[order], fold.square) for fold in folds]
         self._known = known[np.ix_(order, order)]
 
@@ -229,10 +229,10 @@ class FrictionProjection:
         """Standard deviation of the joint's residual on folds that the fit has not seen."""
         F, _ = _scaled(F)
         every, total = self._moments(F, slice(None)), 0.0
-        for rows, others in zip(self._rows, self._without, strict=True):
-            p, own, _ = others.solved(every.less(self._moments(F, rows)), bounded)
-            left = self._y[rows] - own @ self._own[:, rows] - F[rows] @ p
-            total += float(left @ left)
+        for rows, eliminated in zip(self._rows, self._without, strict=True):
+            p, own, _ = eliminated.solved(every.less(self._moments(F, rows)), bounded)
+            residual = self._y[rows] - own @ self._own[:, rows] - F[rows] @ p
+            total += float(residual @ residual)
         return float(np.sqrt(total / len(self._y)))
 
 
@@ -274,9 +274,9 @@ def fit_ripple(recordings: Sequence[Recording], model: Model, robot: Robot) -> t
     """
     model.require_arm(robot)
     parts = [_residual(recording, model) for recording in recordings]
-    found = (_ripples(parts, i, order, float(robot.gear_ratio[i]), robot.units("N m")[i])
-             for i in range(model.n) if robot.gear_ratio[i] > 1.0 for order in _ORDERS)
-    return tuple(effect for effect in found if effect is not None)
+    ripples = (_ripples(parts, i, order, float(robot.gear_ratio[i]), robot.units("N m")[i])
+               for i in range(model.n) if robot.gear_ratio[i] > 1.0 for order in _ORDERS)
+    return tuple(effect for effect in ripples if effect is not None)
 
 
 def _residual(recording: Recording, model: Model) -> tuple[Array, Array, Array]:
@@ -285,21 +285,21 @@ def _residual(recording: Recording, model: Model) -> tuple[Array, Array, Array]:
     low_pass = butter(4, min(0.9, 2 * _CUTOFF * cycle))
     q, tau = (np.asarray(filtfilt(*low_pass, recording.joints(name), axis=0)) for name in ("q", "tau"))
     qd = np.gradient(q, cycle, axis=0)
-    left = tau - model.inverse_dynamics(q, qd, np.gradient(qd, cycle, axis=0), t=recording.t - recording.t[0])
+    residual = tau - model.inverse_dynamics(q, qd, np.gradient(qd, cycle, axis=0), t=recording.t - recording.t[0])
     inner = slice(_EDGE, -_EDGE)
-    return q[inner], qd[inner], left[inner]
+    return q[inner], qd[inner], residual[inner]
 
 
 def _ripples(parts: Sequence[tuple[Array, Array, Array]], i: int, order: int, ratio: float, unit: str
              ) -> FittedEffect | None:
     k = order * ratio
     rows, values = [], []
-    for q, qd, left in parts:
+    for q, qd, residual in parts:
         frequency = k * np.abs(qd[:, i]) / (2 * np.pi)
         slow = (frequency > _FREQUENCY[0]) & (frequency < _FREQUENCY[1])
         v = qd[slow, i]
         rows.append(np.column_stack([np.cos(k * q[slow, i]), np.sin(k * q[slow, i]), np.sign(v), v, np.ones(len(v))]))
-        values.append(left[slow, i])
+        values.append(residual[slow, i])
     H, y = np.concatenate(rows), np.concatenate(values)
     if len(y) < 500:
         return None

@@ -36,16 +36,16 @@ def measured_geometry(recordings: Sequence[Recording], robot: Robot, usual: tupl
     """
     width = np.concatenate([np.full(6, np.inf), np.tile(np.repeat(usual, 3), robot.n)])
     qa, pose = (np.concatenate(parts) for parts in zip(*map(_postures, recordings), strict=True))
-    measured = [pin.XYZQUATToSE3(one) for one in pose]
+    measured = [pin.XYZQUATToSE3(row) for row in pose]
     device, noise = measured[0] * robot.fk()(qa[0]).inverse(), np.array(usual)
     for _ in range(_PASSES):
-        W, y = _equations(qa, [device.inverse() * one for one in measured], robot)
+        W, y = _equations(qa, [device.inverse() * frame for frame in measured], robot)
         scale = 1.0 / np.repeat(noise, 3)
         A = np.concatenate([(W * scale[:, None]).reshape(-1, W.shape[2]), np.diag(1.0 / width)])
-        found = np.linalg.lstsq(A, np.concatenate([(y * scale).ravel(), np.zeros(len(width))]), rcond=None)[0]
-        noise = np.sqrt(np.mean(((y - W @ found) ** 2).reshape(-1, 2, 3), axis=(0, 2)))
-        device = device * pin.SE3(pin.exp3(found[3:6]), found[:3])
-    return np.asarray(found[6:].reshape(robot.n, 6))
+        solution = np.linalg.lstsq(A, np.concatenate([(y * scale).ravel(), np.zeros(len(width))]), rcond=None)[0]
+        noise = np.sqrt(np.mean(((y - W @ solution) ** 2).reshape(-1, 2, 3), axis=(0, 2)))
+        device = device * pin.SE3(pin.exp3(solution[3:6]), solution[:3])
+    return np.asarray(solution[6:].reshape(robot.n, 6))
 
 
 def _postures(recording: Recording) -> tuple[Array, Array]:

@@ -126,9 +126,9 @@ def identify(recordings: Sequence[Recording], robot: Robot, *, validation: Seque
     amperes = any(text.startswith("unknown-drive-gain") for text in warnings)
     live = []
     for recording in usable:
-        alive, found = without_dead_channels(recording)
+        alive, findings = without_dead_channels(recording)
         live.append(on_its_clock(alive))
-        warnings += [f"{finding.warning} [{recording.source}]" for finding in found]
+        warnings += [f"{finding.warning} [{recording.source}]" for finding in findings]
     base = base_parameters(robot.pinocchio)
     filters = None if cutoff is not None else chosen_filters(live, robot, amperes=amperes, base=base)
     if filters is not None:
@@ -138,9 +138,9 @@ def identify(recordings: Sequence[Recording], robot: Robot, *, validation: Seque
     prior = prior_of(robot, base, signals, amperes=amperes)
     budgets = [error_budget(r, s) for r, s in zip(usable, signals, strict=True)]
     fit = JointProblem(robot, base, prior, signals, budgets).fit(friction)
-    kept = {"cutoff": signals[0].cutoff, "cutoff_decimation": signals[0].cutoff_decimation,
-            **(_described(filters) if filters is not None else {})}
-    model = _model_of(fit, robot, base, usable, kept, budgets)
+    settings = {"cutoff": signals[0].cutoff, "cutoff_decimation": signals[0].cutoff_decimation,
+                **(_described(filters) if filters is not None else {})}
+    model = _model_of(fit, robot, base, usable, settings, budgets)
     warnings += excitation_warnings(model, fit.solution, fit.wrong_sign)
     estimation = tuple(model.predict(r) for r in usable)
     held_out = tuple(model.predict(r) for r in unseen)
@@ -185,9 +185,9 @@ def with_errors(model: Model, estimation: Sequence[Prediction], held_out: Sequen
 
 def without_dead_channels(recording: Recording) -> tuple[Recording, tuple[ChannelFinding, ...]]:
     """The recording with NaN for torques that do not measure their joint, and what was found about all channels."""
-    found = channel_findings(recording)
-    dead = {f"tau_{j + 1}": np.full(len(recording.t), np.nan) for j in dead_joints(found)}
-    return (replace(recording, columns={**recording.columns, **dead}) if dead else recording), found
+    findings = channel_findings(recording)
+    dead = {f"tau_{j + 1}": np.full(len(recording.t), np.nan) for j in dead_joints(findings)}
+    return (replace(recording, columns={**recording.columns, **dead}) if dead else recording), findings
 
 
 def _described(filters: CutoffChoice) -> dict[str, Any]:

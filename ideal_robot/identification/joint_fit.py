@@ -119,9 +119,9 @@ class JointProblem:
             barred |= vague
         noise = np.maximum(solution.noise_std, 1e-12)
         weight = np.mean(noise**2 / (noise**2 + variance), axis=0)
-        kept = len(self._y) / sum(len(s.keep) for s in self._signals)
+        share = len(self._y) / sum(len(s.keep) for s in self._signals)
         live = ~np.isnan(self._y).all(axis=0)
-        return JointFit(solution, friction, consistency, tuple(scores), np.where(live, kept * weight, 0.0),
+        return JointFit(solution, friction, consistency, tuple(scores), np.where(live, share * weight, 0.0),
                         self._wrong_sign(rough))
 
     def _rough(self, *, correlated: bool = False) -> Solution:

@@ -78,7 +78,7 @@ class Program:
             robot: whose limits count.
         """
         v_max, a_max = finite_limits(robot)
-        here, parts = np.asarray(start, dtype=float), []
+        position, parts = np.asarray(start, dtype=float), []
         pause = round(0.25 / t_ipo)
         for move in self.moves:
             centre = self.points[move.point]
@@ -86,16 +86,16 @@ class Program:
             low, high = centre.copy(), centre.copy()
             low[axis] -= move.amplitude
             high[axis] += move.amplitude
-            if np.any(np.abs(here - low) > 1e-9):
-                parts += [approach(here, low, t_ipo, v_max, a_max), np.repeat(low[None], pause, axis=0)]
-            there = trapezoid(2.0 * move.amplitude, move.velocity, move.acceleration, t_ipo)
+            if np.any(np.abs(position - low) > 1e-9):
+                parts += [approach(position, low, t_ipo, v_max, a_max), np.repeat(low[None], pause, axis=0)]
+            travel = trapezoid(2.0 * move.amplitude, move.velocity, move.acceleration, t_ipo)
             for _ in range(move.repeats):
                 for begin, sign in ((low, 1.0), (high, -1.0)):
-                    leg = np.repeat(begin[None], len(there), axis=0)
-                    leg[:, axis] += sign * there
+                    leg = np.repeat(begin[None], len(travel), axis=0)
+                    leg[:, axis] += sign * travel
                     parts.append(leg)
             parts.append(np.repeat(low[None], pause, axis=0))
-            here = low
+            position = low
         return np.concatenate(parts)
 
 
@@ -112,8 +112,8 @@ def trapezoid(way: float, velocity: float, acceleration: float, t_ipo: float) ->
     t = np.minimum(np.arange(1, int(np.ceil(total / t_ipo)) + 1) * t_ipo, total)
     up = 0.5 * acceleration * np.minimum(t, t_up) ** 2
     even = v * np.clip(t - t_up, 0.0, total - 2.0 * t_up)
-    left = np.maximum(t - (total - t_up), 0.0)
-    return np.asarray(up + even + v * left - 0.5 * acceleration * left**2)
+    braking = np.maximum(t - (total - t_up), 0.0)
+    return np.asarray(up + even + v * braking - 0.5 * acceleration * braking**2)
 
 
 def finite_limits(robot: Robot) -> tuple[Array, Array]:
@@ -182,8 +182,8 @@ def plan_two_step(robot: Robot, rng: np.random.Generator, *, points: int = 10, c
              for k in range(len(chosen)) for i in range(n)
              for purpose, speed, rise, repeats in (("gravity", 0.06, 0.3, 1), ("inertia", 0.5, 0.5, 3))]
     for i in range(n):
-        moves += [Move(0, i + 1, "friction", float(way), float(v), float(0.5 * a_max[i]), 1)
-                  for way, v in zip(reach[:, i], speeds[:, i], strict=True)]
+        moves += [Move(0, i + 1, "friction", float(distance), float(v), float(0.5 * a_max[i]), 1)
+                  for distance, v in zip(reach[:, i], speeds[:, i], strict=True)]
     return Program(postures[chosen], tuple(moves))
 
 
@@ -196,19 +196,19 @@ def _telling(robot: Robot, postures: Array, count: int, room: Workspace, amplitu
     rows = observation_rows(robot, base, postures)
     size = np.linalg.norm(rows.reshape(-1, rows.shape[2]), axis=0)
     rows = rows / np.where(size > 0, size, 1.0)
-    told = rows.transpose(0, 2, 1) @ rows
+    gram = rows.transpose(0, 2, 1) @ rows
     information = 1e-6 * np.eye(rows.shape[2])
     chosen: list[int] = []
     for _ in range(min(count, len(postures))):
-        left = [i for i in range(len(rows)) if i not in chosen]
-        gains = np.linalg.slogdet(information + told[left])[1]
-        here = postures[chosen[-1]] if chosen else robot.home
-        best = next((left[k] for k in np.argsort(gains, kind="stable")[::-1]
-                     if _reached(robot, here, postures[left[k]], amplitude, room)), None)
+        remaining = [i for i in range(len(rows)) if i not in chosen]
+        gains = np.linalg.slogdet(information + gram[remaining])[1]
+        last = postures[chosen[-1]] if chosen else robot.home
+        best = next((remaining[k] for k in np.argsort(gains, kind="stable")[::-1]
+                     if _reached(robot, last, postures[remaining[k]], amplitude, room)), None)
         if best is None:
             break
         chosen.append(best)
-        information += told[best]
+        information += gram[best]
     if len(chosen) < 2:
         raise InputError("no way between operating points keeps off the arm itself, floor and column, and what stands "
                          "in the cell; give another [joints] home to begin from", field="workspace")
@@ -217,8 +217,8 @@ def _telling(robot: Robot, postures: Array, count: int, room: Workspace, amplitu
 
 def _reached(robot: Robot, here: Array, there: Array, amplitude: Array, room: Workspace) -> bool:
     """Whether the straight way of the joints to a posture ``(n,)`` [rad], and the moves about it, stay in the room."""
-    way = here + np.linspace(0.0, 1.0, _ON_A_WAY)[:, None] * (there - here)
-    return (bool(clear_of_obstacles(robot, np.vstack([way, _turns(there, amplitude)]), room).all())
+    path = here + np.linspace(0.0, 1.0, _ON_A_WAY)[:, None] * (there - here)
+    return (bool(clear_of_obstacles(robot, np.vstack([path, _turns(there, amplitude)]), room).all())
             and (room.cell is None or room.cell.touch_between(here, there) is None))
 
 
@@ -253,15 +253,15 @@ def _postures(robot: Robot, rng: np.random.Generator, count: int, amplitude: Arr
     room = 4.0 * amplitude
     low = np.maximum(robot.q_min + room, -np.pi)
     high = np.minimum(robot.q_max - room, np.pi)
-    found: list[Array] = []
-    left = 40 * count
-    while len(found) < count and left > 0:
-        q = rng.uniform(low, high, (min(count - len(found), left), robot.n))
-        left -= len(q)
+    postures: list[Array] = []
+    tries = 40 * count
+    while len(postures) < count and tries > 0:
+        q = rng.uniform(low, high, (min(count - len(postures), tries), robot.n))
+        tries -= len(q)
         around = np.stack([q, q + amplitude, q - amplitude], axis=1)
         clear = clear_of_obstacles(robot, around.reshape(-1, robot.n), workspace).reshape(-1, 3).all(axis=1)
-        found += [three[0] for three in around[clear]
-                  if workspace.cell is None or workspace.cell.first_touch(three) is None]
-    if len(found) < 2:
+        postures += [three[0] for three in around[clear]
+                     if workspace.cell is None or workspace.cell.first_touch(three) is None]
+    if len(postures) < 2:
         raise InputError("no operating points within limits and workspace; relax the workspace", field="workspace")
-    return np.array(found)
+    return np.array(postures)

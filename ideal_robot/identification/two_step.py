@@ -58,13 +58,13 @@ def constant_stretches(s: FilteredSignals, joint: int, start: int, stop: int) ->
     """
     qd, qdd = s.qd[start:stop, joint], s.qdd[start:stop, joint]
     margin = int(np.ceil(0.5 / s.cutoff / s.dt))
-    found = []
+    stretches = []
     # Steady: at this acceleration the velocity would take more than a second to change by its own size.
     steady = np.abs(qdd) < np.abs(qd)
     for a, b in runs(steady.astype(int)):
         if steady[a] and b - a > 2 * margin + 5 and np.ptp(qd[a + margin: b - margin]) < 0.1 * abs(np.mean(qd[a:b])):
-            found.append((start + a + margin, start + b - margin))
-    return found
+            stretches.append((start + a + margin, start + b - margin))
+    return stretches
 
 
 def rows_of(s: FilteredSignals, robot: Robot, base: BaseParameters, index: np.ndarray,
@@ -82,7 +82,7 @@ def rows_of(s: FilteredSignals, robot: Robot, base: BaseParameters, index: np.nd
 
 def gravity_measurements(s: FilteredSignals, robot: Robot, base: BaseParameters) -> list[Measurement]:
     """See ``inertia_measurements``. Mean of forward and backward torques, of each two stretches of the same speed."""
-    found = []
+    measurements = []
     for j in range(robot.n):
         for start, stop in alone(s, j):
             stretches = constant_stretches(s, j, start, stop)
@@ -95,8 +95,8 @@ def gravity_measurements(s: FilteredSignals, robot: Robot, base: BaseParameters)
                 if not match:
                     continue
                 used |= {i, match[0]}
-                found.append(_both_directions(s, robot, base, j, stretches[i], stretches[match[0]]))
-    return found
+                measurements.append(_both_directions(s, robot, base, j, stretches[i], stretches[match[0]]))
+    return measurements
 
 
 def _both_directions(s: FilteredSignals, robot: Robot, base: BaseParameters, joint: int, first: tuple[int, int],
@@ -127,7 +127,7 @@ def inertia_measurements(s: FilteredSignals, robot: Robot, base: BaseParameters,
         robot, base: the arm, and base parameters of the rigid body.
         p_g: values of the base parameters from the gravity measurements ``(b,)``.
     """
-    found = []
+    measurements = []
     smooth = lowpass(s.tau, s.dt, s.cutoff)
     for j in range(robot.n):
         strongest = float(np.max(np.abs(s.qdd[:, j])))
@@ -147,9 +147,9 @@ def inertia_measurements(s: FilteredSignals, robot: Robot, base: BaseParameters,
             sigma2 = float(np.sum((y - W @ p) ** 2)) / max(1, len(y) - 4)
             std = float(np.sqrt(np.linalg.pinv(W.T @ W)[0, 0] * sigma2))
             weight = qdd**2 / np.sum(qdd**2)
-            found.append(Measurement(j, "inertia", s.q[index].mean(axis=0), weight @ moment, float(p[0]),
-                                     max(std, 1e-3 * abs(float(p[0])), 1e-9)))
-    return found
+            measurements.append(Measurement(j, "inertia", s.q[index].mean(axis=0), weight @ moment, float(p[0]),
+                                            max(std, 1e-3 * abs(float(p[0])), 1e-9)))
+    return measurements
 
 
 _CUTOFF = 15.0
@@ -237,14 +237,14 @@ def _joined(covariance: Array, fits: Sequence[FrictionFit], laws: Sequence[Frict
     b, c = len(covariance), sum(len(law.coefficients) for law in laws)
     joined = np.zeros((b + c + sum(len(law.shape) for law in laws),) * 2)
     joined[:b, :b] = covariance
-    at, at_shape = b, b + c
+    column, shape_column = b, b + c
     for fit, law in zip(fits, laws, strict=True):
         m, s = len(law.coefficients), len(law.shape)
-        rows = [*range(at, at + m), *range(at_shape, at_shape + s - 1)]
+        rows = [*range(column, column + m), *range(shape_column, shape_column + s - 1)]
         joined[np.ix_(rows, rows)] = fit.covariance
         # The presliding distance comes last, off a grid whose steps are wider than what it is known to.
-        joined[at_shape + s - 1, at_shape + s - 1] = (0.5 * law.shape[-1, 0]) ** 2
-        at, at_shape = at + m, at_shape + s
+        joined[shape_column + s - 1, shape_column + s - 1] = (0.5 * law.shape[-1, 0]) ** 2
+        column, shape_column = column + m, shape_column + s
     return joined
 
 
@@ -280,9 +280,9 @@ def _weighted(measurements: Sequence[Measurement], start: Array, prior: Array,
         # Parameters that the measurements, not the prior, decide use up degrees of freedom.
         used = float(np.trace(covariance @ W.T @ W))
         for kind in np.unique(kinds):
-            here = kinds == kind
-            freedom = max(1.0, here.sum() * (1.0 - used / len(z)))
-            std[here] *= max(1.0, float(np.sqrt(np.sum(residual[here] ** 2) / freedom)))
+            mask = kinds == kind
+            freedom = max(1.0, mask.sum() * (1.0 - used / len(z)))
+            std[mask] *= max(1.0, float(np.sqrt(np.sum(residual[mask] ** 2) / freedom)))
     unexcited = np.diag(covariance) > 0.9 * np.diag(prior)
     return start + step, covariance, residual, unexcited
 

@@ -72,10 +72,10 @@ def joint_verdicts(model: Model, result: Identification, robot: Robot) -> tuple[
     moved = np.ptp(q, axis=0) >= STILL
     counted = np.asarray(model.provenance.get("samples_counted_percent", np.full(model.n, 100.0)))
     # Of a torque that never changes nothing is known.
-    left = [np.nan_to_num(joined(one).residual_std_percent, nan=np.inf, posinf=np.inf)
-            for one in (result.estimation, result.validation) if one]
+    residual = [np.nan_to_num(joined(predictions).residual_std_percent, nan=np.inf, posinf=np.inf)
+                for predictions in (result.estimation, result.validation) if predictions]
     open_ = _uncertain(model, result, robot)
-    return tuple(_verdict(j, left[0][j], left[-1][j], {name: share[j] for name, share in open_.items()},
+    return tuple(_verdict(j, residual[0][j], residual[-1][j], {name: share[j] for name, share in open_.items()},
                           "it does not move" if not moved[j] else
                           "its torque channel does not measure it" if counted[j] == 0.0 else "")
                  for j in range(model.n))
@@ -92,13 +92,13 @@ def _uncertain(model: Model, result: Identification, robot: Robot) -> dict[str, 
     columns = sensitivity(model.kinematics, model.base, model.friction, q, qd, qdd, load)
     torque = np.sqrt(np.mean(model.inverse_dynamics(q, qd, qdd) ** 2, axis=0))
     kinds = np.array([_kind(name, model) for name in [p.name for p in model.parameters]])
-    found = {}
+    shares = {}
     for kind in ("all", *_TELLS):
         mine = np.ones(len(kinds), dtype=bool) if kind == "all" else kinds == kind
         part = columns[:, :, mine]
         power = np.einsum("knp,pr,knr->n", part, model.covariance[np.ix_(mine, mine)], part, optimize=True) / _STATES
-        found[kind] = 100.0 * np.sqrt(np.maximum(power, 0.0)) / np.maximum(torque, 1e-12)
-    return found
+        shares[kind] = 100.0 * np.sqrt(np.maximum(power, 0.0)) / np.maximum(torque, 1e-12)
+    return shares
 
 
 def _reached(result: Identification) -> tuple[Array, Array]:
@@ -121,15 +121,15 @@ def _kind(name: str, model: Model) -> str:
 
 def _verdict(j: int, own: float, unseen: float, uncertain: dict[str, float], broken: str) -> JointVerdict:
     """The verdict for joint ``j``, of what is left and what is uncertain [%], and what is wrong with its recording."""
-    left, wide = max(own, unseen), uncertain["all"]
+    residual, wide = max(own, unseen), uncertain["all"]
     moves = _TELLS[max(_TELLS, key=lambda kind: uncertain[kind])].format(j=j + 1)
-    values = (float(left), float(wide))
+    values = (float(residual), float(wide))
     if broken:
         return JointVerdict(j + 1, UNUSABLE, *values, broken, _TELLS["friction"].format(j=j + 1)
                             if "move" in broken else "")
-    if left > GOOD:
-        verdict = UNUSABLE if left > POOR else WEAK
-        share = f"{left:.0f} % of its torque is left" if np.isfinite(left) else "its torque never changes"
+    if residual > GOOD:
+        verdict = UNUSABLE if residual > POOR else WEAK
+        share = f"{residual:.0f} % of its torque is left" if np.isfinite(residual) else "its torque never changes"
         if unseen > 2.0**0.5 * own:
             return JointVerdict(j + 1, verdict, *values, f"{share} in what was not fitted, {own:.0f} % in what was",
                                 f"the validation's motion, among those that are fitted; {moves}")

@@ -121,18 +121,18 @@ def _bounded(value: Array, inverse: Array, start: Array, bounded: np.ndarray, un
     With the free solution and its covariance C known, the bounded one is a small problem: the multipliers of the active
     bounds ``λ ≥ 0`` minimise ``½ λᵀ C_bb λ + λᵀ (start + value)_b``, and the parameters move by ``C λ``.
     """
-    here = np.flatnonzero(bounded & ~unexcited & (np.diag(inverse) > 0))
+    places = np.flatnonzero(bounded & ~unexcited & (np.diag(inverse) > 0))
     none = np.zeros(len(value), dtype=bool)
-    if not len(here) or np.all(value[here] + start[here] >= 0.0):
+    if not len(places) or np.all(value[places] + start[places] >= 0.0):
         return value, inverse, none
-    C = inverse[np.ix_(here, here)]
+    C = inverse[np.ix_(places, places)]
     scale = 1.0 / np.sqrt(np.diag(C))
-    correlation = C * np.outer(scale, scale) + 1e-12 * np.eye(len(here))
+    correlation = C * np.outer(scale, scale) + 1e-12 * np.eye(len(places))
     root = np.linalg.cholesky(correlation).T
-    z = (value + start)[here] * scale
+    z = (value + start)[places] * scale
     multipliers = optimize.nnls(root, np.linalg.solve(root.T, -z))[0]
-    value = value + inverse[:, here] @ (multipliers * scale)
-    active = here[multipliers > 0]
+    value = value + inverse[:, places] @ (multipliers * scale)
+    active = places[multipliers > 0]
     value[active] = -start[active]
     # What is held at its bound has no variance, and the others none that comes from it.
     gain = inverse[:, active] @ np.linalg.pinv(inverse[np.ix_(active, active)], hermitian=True)
@@ -181,23 +181,23 @@ def _solve(rows: Array, root: Array) -> tuple[Array, Array, tuple[float, float],
     W, y = rows[:, :-1], rows[:, -1:]
     P = W.shape[1]
     size = np.linalg.norm(W, axis=0)
-    seen = size > 1e-10 * size.max()
+    excited = size > 1e-10 * size.max()
     # R of the QR decomposition has the singular values of W but only P rows.
-    joined = _triangular(np.hstack([W[:, seen] / size[seen], y]))
-    R, rhs = joined[: seen.sum(), :-1], joined[: seen.sum(), -1]
-    raw = np.linalg.svd(R * size[seen], compute_uv=False)
+    joined = _triangular(np.hstack([W[:, excited] / size[excited], y]))
+    R, rhs = joined[: excited.sum(), :-1], joined[: excited.sum(), -1]
+    raw = np.linalg.svd(R * size[excited], compute_uv=False)
     _, data, directions = np.linalg.svd(R)
-    u, s, vt = np.linalg.svd(np.vstack([R, root[:, seen] / size[seen]]), full_matrices=False)
+    u, s, vt = np.linalg.svd(np.vstack([R, root[:, excited] / size[excited]]), full_matrices=False)
     strong = s > _RANK * s[0]
     inverse_s = np.where(strong, 1.0 / np.where(strong, s, 1.0), 0.0)
     value = np.zeros(P)
-    value[seen] = (vt.T @ (inverse_s * (u.T @ np.concatenate([rhs, np.zeros(len(root))])))) / size[seen]
+    value[excited] = (vt.T @ (inverse_s * (u.T @ np.concatenate([rhs, np.zeros(len(root))])))) / size[excited]
     inverse = np.zeros((P, P))
-    scaled = (vt.T * inverse_s**2) @ vt / np.outer(size[seen], size[seen])
-    inverse[np.ix_(seen, seen)] = scaled
+    scaled = (vt.T * inverse_s**2) @ vt / np.outer(size[excited], size[excited])
+    inverse[np.ix_(excited, excited)] = scaled
     # A parameter with a visible share of a direction that the data leave open cannot be told.
-    unexcited = ~seen
-    unexcited[np.flatnonzero(seen)[np.sum(directions[data <= _RANK * data[0]] ** 2, axis=0) > 1e-3]] = True
+    unexcited = ~excited
+    unexcited[np.flatnonzero(excited)[np.sum(directions[data <= _RANK * data[0]] ** 2, axis=0) > 1e-3]] = True
     return value, inverse, (float(raw[0] / max(raw[-1], 1e-300)), float(data[0] / max(data[-1], 1e-300))), unexcited
 
 
@@ -278,8 +278,8 @@ def _jackknife(W: Array, residual: Array, inverse: Array, blocks: Sequence[np.nd
     for rows in blocks:
         A = W[rows].reshape(-1, W.shape[2])
         # Without these rows the normal equations lose AᵀA and Aᵀe: the estimate moves by minus what they had added.
-        left = information - A.T @ A
-        steps.append(-np.linalg.pinv(left, rcond=1e-12, hermitian=True) @ (A.T @ residual[rows].reshape(-1)))
+        remaining = information - A.T @ A
+        steps.append(-np.linalg.pinv(remaining, rcond=1e-12, hermitian=True) @ (A.T @ residual[rows].reshape(-1)))
     deviation = np.array(steps) - np.mean(steps, axis=0)
     return np.asarray((len(blocks) - 1) / len(blocks) * deviation.T @ deviation)
 
@@ -332,8 +332,8 @@ def prior_of(robot: Robot, base: BaseParameters, signals: Sequence[FilteredSigna
     nominal = np.concatenate([link_parameters(robot.pinocchio), robot.rotor_inertia, np.zeros(n)])
     unit = _gain(robot, signals) if amperes else 1.0
     scale = unit * parameter_scales(nominal, n)
-    at = slice(10 * n, 11 * n)
-    scale[at] = np.maximum(scale[at], torque / np.maximum(np.std(acceleration, axis=0), 1e-6))
+    rotors = slice(10 * n, 11 * n)
+    scale[rotors] = np.maximum(scale[rotors], torque / np.maximum(np.std(acceleration, axis=0), 1e-6))
     weight = unit * G * np.cumsum(nominal[: 10 * n : 10][::-1])[::-1]
     scale[11 * n :] = np.where(robot.prismatic, np.maximum(weight, torque), _OFFSET * torque)
     covariance = (base.grouping * scale**2) @ base.grouping.T

@@ -76,7 +76,7 @@ class IdentificationResult(Summarised):
         """What was identified, how well, and what is missing."""
         errors = listed(joined(self.result.estimation).residual_std_percent, "%")
         return [("model", f"{self.model.robot_name!r}: std(residual)/std(torque) {errors} by joint"),
-                ("verdicts", ", ".join(f"{one.joint} {one.verdict}" for one in self.verdicts)),
+                ("verdicts", ", ".join(f"{verdict.joint} {verdict.verdict}" for verdict in self.verdicts)),
                 ("warnings", str(len(self.warnings))),
                 ("not in the recordings", ", ".join(text.partition(":")[0] for text in self.missing) or "nothing")]
 
@@ -94,8 +94,8 @@ class IdentificationResult(Summarised):
         return plain({
             "robot": {"name": model.robot_name, "urdf_hash": model.urdf_hash, "joints": model.n},
             "method": model.provenance["method"],
-            "verdicts": [one.to_dict() for one in self.verdicts],
-            "parameters": [one.to_dict() for one in model.parameters],
+            "verdicts": [verdict.to_dict() for verdict in self.verdicts],
+            "parameters": [parameter.to_dict() for parameter in model.parameters],
             **{name: {"estimation": getattr(joined(self.result.estimation), name),
                       "validation": getattr(joined(self.result.validation), name) if self.validation else []}
                for name in ("relative_error_percent", "residual_std_percent")},
@@ -154,8 +154,8 @@ def identify_model(recordings: Recording | Sequence[Recording], robot: Robot, *,
         raise InputError(f"expected one of {', '.join(METHODS)}", field="method", value=method)
     expect(robot, Robot, "robot", "load one by Robot.load")
     recordings, validation, without_integrator = (
-        recordings_of(given, name) for given, name in ((recordings, "recordings"), (validation, "validation"),
-                                                       (without_integrator, "without_integrator")))
+        recordings_of(runs, name) for runs, name in ((recordings, "recordings"), (validation, "validation"),
+                                                     (without_integrator, "without_integrator")))
     (recordings, shortened), (validation, _) = stretches(recordings), stretches(validation)
     pd_only, of_pd = checked(without_integrator, robot, commands=True)
     steps = Steps(progress, SHARES_WITH_CASCADE if cascade else SHARES)
@@ -184,11 +184,11 @@ def with_given_controller(analysis: IdentificationResult, wanted: str | Path, ro
         analysis, robot: what the recordings tell, and the arm.
         wanted: see ``ideal_robot.model.cascade.given_controller``, which raises InputError.
     """
-    given = given_controller(wanted, analysis.model.dynamics, robot)
+    controller = given_controller(wanted, analysis.model.dynamics, robot)
     if analysis.model.controller is not None:
         return dataclasses.replace(analysis, warnings=(*analysis.warnings, "controller-given: the recordings tell the "
                                                        "controller; --controller was not needed"))
-    model = dataclasses.replace(analysis.model, controller=given)
+    model = dataclasses.replace(analysis.model, controller=controller)
     missing = tuple("linear loop: commands are needed; the controller is a given one" if text.startswith("controller")
                     else text for text in analysis.missing)
     return dataclasses.replace(analysis, model=model, missing=missing)
@@ -231,13 +231,13 @@ def _warm_up(model: Model, result: Identification) -> tuple[WarmUp | None, ...]:
     speed, torque, _, temperature = friction_points(model, result)
     if temperature is None:
         return ()
-    found: list[WarmUp | None] = []
+    warm_ups: list[WarmUp | None] = []
     for j in range(model.n):
         sliding = np.abs(speed[:, j]) > 0.05 * np.max(np.abs(speed[:, j]))
         warmed = np.ptp(temperature[sliding, j]) >= _WARMTH if sliding.sum() > 50 else False
-        found.append(fit_warm_up(CubeRoot, speed[sliding, j], torque[sliding, j], temperature[sliding, j])
-                     if warmed else None)
-    return tuple(found)
+        warm_ups.append(fit_warm_up(CubeRoot, speed[sliding, j], torque[sliding, j], temperature[sliding, j])
+                        if warmed else None)
+    return tuple(warm_ups)
 
 
 def _missing_of_the_loop(controller: ControllerIdentification | None, loop: LinearLoopFit | None,
@@ -247,7 +247,7 @@ def _missing_of_the_loop(controller: ControllerIdentification | None, loop: Line
         return [f"controller, linear loop: commands q_c_1 to q_c_{robot.n} are needed; without a controller the model "
                 "cannot correct a path"]
     return [f"{what}: the commands do not determine it, see the warning no-{what.replace(' ', '-')}"
-            for what, told in (("controller", controller), ("linear loop", loop)) if told is None]
+            for what, fit in (("controller", controller), ("linear loop", loop)) if fit is None]
 
 
 def _with_stiffness(model: Model, recordings: Sequence[Recording]) -> tuple[Model, list[str]]:
@@ -276,12 +276,12 @@ def _with_controller(recordings: Sequence[Recording], without_integrator: Sequen
     if not recordings:
         return None, model
     try:
-        found = identify_controller(recordings, robot.t_ipo, without_integrator)
-        require_controller(found.model, robot.n, recordings[0].source)
+        result = identify_controller(recordings, robot.t_ipo, without_integrator)
+        require_controller(result.model, robot.n, recordings[0].source)
     except InputError as error:
         warnings.append(f"no-controller: {error}")
         return None, model
-    controller = found.model
+    controller = result.model
     if cascade:
         try:
             cascades = fit_controller(recordings[0], robot).controller
@@ -290,4 +290,4 @@ def _with_controller(recordings: Sequence[Recording], without_integrator: Sequen
         except InputError as error:
             warnings.append(f"controller-at-interpolation-cycle: the model has the controller at {1e3 * robot.t_ipo:g} "
                             f"ms only; {error}")
-    return found, dataclasses.replace(model, controller=controller)
+    return result, dataclasses.replace(model, controller=controller)

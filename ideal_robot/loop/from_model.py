@@ -108,8 +108,8 @@ def with_effects(loop: LoopModel, effects: tuple[FittedEffect, ...]) -> LoopMode
 
 
 def _joined(rows: list[Array], n: int) -> Array:
-    kept = [row for row in rows if len(row)]
-    return np.concatenate(kept) if kept else np.zeros((0, 3, n))
+    parts = [row for row in rows if len(row)]
+    return np.concatenate(parts) if parts else np.zeros((0, 3, n))
 
 
 def _curve(effect: FittedEffect, speeds: Array) -> Array:

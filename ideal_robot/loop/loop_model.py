@@ -166,8 +166,8 @@ class LoopModel:
         Copies that may be written: numba compiles anew for every field that is read-only or is not.
         """
         limit = np.where(np.isfinite(self.tau_max), self.tau_max, 1e12)
-        given = {"stiffness": stiffness, "damping": damping, "tau_max": limit}
-        return Drives(**{name: np.array(given.get(name, getattr(self, name)), order="C") for name in Drives._fields})
+        changed = {"stiffness": stiffness, "damping": damping, "tau_max": limit}
+        return Drives(**{name: np.array(changed.get(name, getattr(self, name)), order="C") for name in Drives._fields})
 
     def replace(self, **changes: Any) -> LoopModel:
         """A copy with some fields changed."""

@@ -90,10 +90,10 @@ def simulate(loop: LoopModel, q_c: Array, *, tau_ext: Array | None = None) -> Lo
     # Rigid gears are played as gears whose own oscillation (80 Hz, well damped) nobody sees at the arm. Behind a rigid
     # gear it does not matter who has the inertia: a link much lighter than its rotor gets a share of it, else it would
     # sag; a rotor much lighter than its link must stand the gear at this step.
-    given = np.where(~elastic & (np.diag(M) < 0.1 * loop.rotor_inertia), 0.1 * loop.rotor_inertia, 0.0)
-    loop = loop.replace(chain=loop.chain._replace(armature=loop.chain.armature + given),
-                        rotor_inertia=loop.rotor_inertia - given)
-    link = np.diag(M) + given
+    added = np.where(~elastic & (np.diag(M) < 0.1 * loop.rotor_inertia), 0.1 * loop.rotor_inertia, 0.0)
+    loop = loop.replace(chain=loop.chain._replace(armature=loop.chain.armature + added),
+                        rotor_inertia=loop.rotor_inertia - added)
+    link = np.diag(M) + added
     held = np.minimum((2 * np.pi * 80) ** 2 * link, loop.rotor_inertia / loop.t_velocity**2)
     stiffness = np.where(elastic, loop.stiffness, held)
     damping = np.where(elastic, loop.damping, np.minimum(2 * 0.5 * np.sqrt(held * link),

@@ -62,10 +62,10 @@ class Cascade:
         Each joint moves an ``inertia (n,)`` [kg m², or kg], its rotor's included; over ``t_position`` [s], the position
         loop's cycle, velocity is measured and commands are smoothed.
         """
-        one = np.ones_like(inertia)
+        ones = np.ones_like(inertia)
         bandwidth = VELOCITY_OVER_POSITION * POSITION_GAIN
-        return cls(POSITION_GAIN * one, FEEDFORWARD * one, bandwidth * inertia, SYMMETRIC / bandwidth * one,
-                   0.5 * t_position * one, 0.5 * t_position * one)
+        return cls(POSITION_GAIN * ones, FEEDFORWARD * ones, bandwidth * inertia, SYMMETRIC / bandwidth * ones,
+                   0.5 * t_position * ones, 0.5 * t_position * ones)
 
     @classmethod
     def of(cls, controller: ControllerModel) -> Cascade:

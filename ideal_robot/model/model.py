@@ -241,14 +241,14 @@ class Model(Summarised):
     def require_arm(self, robot: Robot, *, file: Path | str | None = None) -> None:
         """Raises InputError for a robot that this is no model of: other joints, or joints at other places."""
         mine, own = self.kinematics.jointPlacements, robot.pinocchio.jointPlacements
-        found = ""
+        reason = ""
         if self.n != robot.n:
-            found = f"the model of {self.robot_name} has {self.n} joints, the robot {robot.name} has {robot.n}"
+            reason = f"the model of {self.robot_name} has {self.n} joints, the robot {robot.name} has {robot.n}"
         elif elsewhere := [j for j in range(1, robot.n + 1)
                            if not np.allclose(mine[j].homogeneous, own[j].homogeneous, atol=_SAME_PLACE)]:
-            found = f"joint {elsewhere[0]} of the model of {self.robot_name} sits elsewhere than that of {robot.name}"
-        if found:
-            raise InputError(f"{found}; give the model that was identified for this arm", file=file, field="model",
+            reason = f"joint {elsewhere[0]} of the model of {self.robot_name} sits elsewhere than that of {robot.name}"
+        if reason:
+            raise InputError(f"{reason}; give the model that was identified for this arm", file=file, field="model",
                              value=self.robot_name)
 
     def to_dict(self) -> dict[str, Any]:
@@ -256,7 +256,7 @@ class Model(Summarised):
         return plain({
             "schema": SCHEMA,
             "robot": {"name": self.robot_name, "urdf_hash": self.urdf_hash, "joints": self.n, "urdf": self.urdf},
-            "parameters": [one.to_dict() for one in self.parameters],
+            "parameters": [parameter.to_dict() for parameter in self.parameters],
             "base": {
                 "full_names": self.base.full_names, "full_units": self.base.full_units,
                 "independent": self.base.independent, "gravitational": self.base.gravitational,

@@ -73,12 +73,12 @@ def urdf_with_inertials(urdf: str, kinematics: pin.Model, parameters: Array) -> 
 
 
 def _fixed_to(link: str | None, joints: list[ET.Element]) -> list[str | None]:
-    found: list[str | None] = []
+    links: list[str | None] = []
     for joint in joints:
         parent, child = joint.find("parent"), joint.find("child")
         if joint.get("type") == "fixed" and parent is not None and child is not None and parent.get("link") == link:
-            found += [child.get("link"), *_fixed_to(child.get("link"), joints)]
-    return found
+            links += [child.get("link"), *_fixed_to(child.get("link"), joints)]
+    return links
 
 
 def _remove_inertial(link: ET.Element) -> None:

@@ -223,5 +223,5 @@ class Prediction(Summarised):
 
 def joined(predictions: Sequence[Prediction]) -> Prediction:
     """Predictions of several recordings one behind the other."""
-    return Prediction(*(np.concatenate([getattr(one, entry.name) for one in predictions])
+    return Prediction(*(np.concatenate([getattr(prediction, entry.name) for prediction in predictions])
                         for entry in fields(Prediction)))

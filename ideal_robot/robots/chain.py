@@ -69,11 +69,11 @@ def serial_arm(text: str, file: str | Path | None = None, tool: str | None = Non
     while chain and tool not in joints and (not drives(chain[-1]) or (
             chain[-1].get("name") in followed and any(map(drives, chain[:-1])))):
         chain.pop()
-    at = _tool_link(tree, [_link(joint, "child") for joint in chain]) if tool not in joints else tool
+    link = _tool_link(tree, [_link(joint, "child") for joint in chain]) if tool not in joints else tool
     changed = _held(joints, {id(joint) for joint in chain}) + _limited(chain)
     if tool not in joints:
-        at = _facing_away(root, tree, chain, at, changed)
-    return SerialArm(ET.tostring(root, encoding="unicode") if changed else text, at, tuple(changed))
+        link = _facing_away(root, tree, chain, link, changed)
+    return SerialArm(ET.tostring(root, encoding="unicode") if changed else text, link, tuple(changed))
 
 
 class _Tree:
@@ -92,10 +92,10 @@ class _Tree:
 
     def _measure(self) -> bool:
         """Moving joints on the longest way from each link outwards; whether every link is reached."""
-        order, at = [self.root], 0
-        while at < len(order):
-            order.extend(self.children.get(order[at], ()))
-            at += 1
+        order, index = [self.root], 0
+        while index < len(order):
+            order.extend(self.children.get(order[index], ()))
+            index += 1
         for link in reversed(order):
             self._depth[link] = max((self._own(child) + self._depth[child] for child in self.children.get(link, ())),
                                     default=0)
@@ -121,20 +121,20 @@ class _Tree:
 
     def path(self, link: str) -> list[ET.Element]:
         """Joints from the root to a link, in order."""
-        found = []
+        joints = []
         while link in self.joints:
-            found.append(self.joints[link])
+            joints.append(self.joints[link])
             link = _link(self.joints[link], "parent")
-        return found[::-1]
+        return joints[::-1]
 
     def fixed_beyond(self, link: str) -> list[str]:
         """The link and those that are rigidly fixed to it, the nearest first."""
-        found, at = [link], 0
-        while at < len(found):
-            found.extend(child for child in self.children.get(found[at], ())
+        links, index = [link], 0
+        while index < len(links):
+            links.extend(child for child in self.children.get(links[index], ())
                          if self.joints[child].get("type") == "fixed")
-            at += 1
-        return found
+            index += 1
+        return links
 
 
 def drives(joint: ET.Element) -> bool:
@@ -227,19 +227,19 @@ def _held(joints: dict[str, ET.Element], chain: set[int]) -> list[str]:
 def _hold(joint: ET.Element) -> None:
     """Fixes a joint at zero, or at the limit next to it."""
     limit, origin = joint.find("limit"), joint.find("origin")
-    at = 0.0
+    position = 0.0
     if limit is not None and joint.get("type") != "continuous":
-        at = min(max(0.0, float(limit.get("lower", 0.0))), float(limit.get("upper", 0.0)))
-    if at != 0.0:
+        position = min(max(0.0, float(limit.get("lower", 0.0))), float(limit.get("upper", 0.0)))
+    if position != 0.0:
         direction = _axis(joint)
         if origin is None:
             origin = ET.SubElement(joint, "origin")
         xyz, rpy = (np.array([float(v) for v in origin.get(key, "0 0 0").split()]) for key in ("xyz", "rpy"))
         rotation = pin.rpy.rpyToMatrix(rpy)
         if joint.get("type") == "prismatic":
-            xyz = xyz + rotation @ (at * direction)
+            xyz = xyz + rotation @ (position * direction)
         else:
-            rpy = pin.rpy.matrixToRpy(rotation @ pin.exp3(at * direction))
+            rpy = pin.rpy.matrixToRpy(rotation @ pin.exp3(position * direction))
         origin.set("xyz", " ".join(f"{v:.12g}" for v in xyz))
         origin.set("rpy", " ".join(f"{v:.12g}" for v in rpy))
     for name in ("mimic", "limit", "axis"):

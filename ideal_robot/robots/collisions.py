@@ -85,9 +85,9 @@ class Shapes:
         self._radius = THICK * reach(robot)
         self._geometry = pin.GeometryModel()
         links = self._links()
-        for (i, one), (j, other) in combinations(links, 2):
+        for (i, shape), (j, other) in combinations(links, 2):
             if j - i > NEIGHBOURS:
-                self._geometry.addCollisionPair(pin.CollisionPair(one, other))
+                self._geometry.addCollisionPair(pin.CollisionPair(shape, other))
         self._planes(links, surface, size)
         self._drop_neighbours()
         for box in boxes:
@@ -116,11 +116,11 @@ class Shapes:
     def _links(self) -> list[tuple[int, int]]:
         """Adds the links' shapes; joint that carries each, and its number."""
         model = self._robot.pinocchio
-        found = pin.buildGeomFromUrdfString(model, without_meshes(self._robot.description),
-                                            pin.GeometryType.COLLISION).geometryObjects
-        shaped = {item.parentJoint for item in found}
+        objects = pin.buildGeomFromUrdfString(model, without_meshes(self._robot.description),
+                                              pin.GeometryType.COLLISION).geometryObjects
+        shaped = {item.parentJoint for item in objects}
         links = [(int(item.parentJoint), self._add(f"link {item.parentJoint}", item.parentJoint, item.placement,
-                                                   item.geometry)) for item in found]
+                                                   item.geometry)) for item in objects]
         ends = [*(model.jointPlacements[j].translation for j in range(1, model.njoints)), self._robot.tool_place]
         for joint, end in enumerate(ends):
             length = float(np.linalg.norm(end))

@@ -145,8 +145,8 @@ class FollowingWatch:
         self._count += 1
         recent = self._commanded[(row - np.arange(self._window)) % len(self._commanded)]
         low, high = recent.min(axis=0), recent.max(axis=0)
-        at = measured - self.rest
-        beyond = np.maximum(low - at, at - high) - self.tolerance - _SHARE * (high - low)
+        offset = measured - self.rest
+        beyond = np.maximum(low - offset, offset - high) - self.tolerance - _SHARE * (high - low)
         self._outside = self._outside + 1 if (beyond > 0).any() else 0
         return self._cause(int(np.argmax(beyond))) if self._outside >= _PATIENCE else None
 
@@ -168,12 +168,12 @@ class FollowingWatch:
         order = (self._count + np.arange(len(self._commanded))) % len(self._commanded)
         commanded, measured = self._commanded[order], self._measured[order]
         total = self._sum[order, joint]
-        told, moved = commanded[:, joint] - commanded[0, joint], measured[:, joint] - measured[0, joint]
-        beside = np.degrees(moved[-1] - told[-1] + measured[0, joint] - self.rest[joint] - commanded[0, joint])
+        command, moved = commanded[:, joint] - commanded[0, joint], measured[:, joint] - measured[0, joint]
+        beside = np.degrees(moved[-1] - command[-1] + measured[0, joint] - self.rest[joint] - commanded[0, joint])
         says = f"joint {joint + 1} is {abs(beside):.2f}° off its command"
-        if np.ptp(moved) < 0.1 * np.ptp(told):
+        if np.ptp(moved) < 0.1 * np.ptp(command):
             still = np.ptp(measured, axis=0) < 0.1 * np.ptp(commanded, axis=0)
-            if self._relative and _left(moved, np.gradient(told)) < _EXPLAINS:
+            if self._relative and _left(moved, np.gradient(command)) < _EXPLAINS:
                 return f"{says}: the controller takes increments as absolute corrections (--absolute)"
             if still[np.ptp(commanded, axis=0) > TOLERANCE].all():
                 return (f"{says}: the arm does not move; check the tag of the corrections (--tag, --rsi-config), the "
@@ -182,7 +182,7 @@ class FollowingWatch:
         if not self._relative and _left(moved, total - total[0]) <= _SURE:
             self.adds_up = True
             return f"{says}: {_ADDS_UP}"
-        if _left(moved, -told) <= _EXPLAINS:
+        if _left(moved, -command) <= _EXPLAINS:
             return f"{says}: it turns against it; check axis_sign in the robot's data"
         return f"{says} and does not follow it; check model, cycle, load and what stands in the way"
 
@@ -258,8 +258,8 @@ class CatchUp:
     def next(self, wanted: Array) -> Array:
         """Offset of the coming command ``(n,)`` [rad], for the speed wanted ``(n,)`` [rad a cycle]."""
         if self.active:
-            speed, asked = np.abs(wanted), np.abs(wanted - self._wanted)
-            room = np.clip(self._most - asked, 0.25 * self._most, 0.5 * self._most)
+            speed, change = np.abs(wanted), np.abs(wanted - self._wanted)
+            room = np.clip(self._most - change, 0.25 * self._most, 0.5 * self._most)
             faster = np.maximum(np.minimum(_FASTER * speed, self._fastest - speed), _CREEP * self._fastest)
             offset, drift, bend = self._state
             # A speed that the offset has already is kept, too, where it has it.
@@ -280,17 +280,17 @@ class CatchUp:
         low, high = limits[:, :, None] * (1.0 + 1e-9)
         count = self._left or 3
         while count < len(self._plans):
-            way = self._plans[count] @ self._state
+            move = self._plans[count] @ self._state
             # In less than three cycles a plan only ends.
-            if count < 3 or ((low <= way) & (way <= high)).all():
+            if count < 3 or ((low <= move) & (move <= high)).all():
                 self._left = count
-                return np.asarray(way[0, 0])
+                return np.asarray(move[0, 0])
             count = math.ceil(_LONGER * count)
         self._left, plan = len(self._plans) - 1, self._plans[-1]
-        rest, way = plan[..., 1:] @ self._state[1:], plan[..., :1] * self._state[0]
+        rest, move = plan[..., 1:] @ self._state[1:], plan[..., :1] * self._state[0]
         with np.errstate(divide="ignore", invalid="ignore"):
-            shares = np.where(way > 0.0, (high - rest) / way, np.where(way < 0.0, (low - rest) / way, np.inf))
-        change = rest[0, 0] + np.clip(np.min(shares), 0.0, 1.0) * way[0, 0]
+            shares = np.where(move > 0.0, (high - rest) / move, np.where(move < 0.0, (low - rest) / move, np.inf))
+        change = rest[0, 0] + np.clip(np.min(shares), 0.0, 1.0) * move[0, 0]
         return np.asarray(change / max(float(np.max(np.abs(change) / self._jerk)), 1.0))
 
 

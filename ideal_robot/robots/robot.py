@@ -333,8 +333,8 @@ def spread_postures(q_min: Array, q_max: Array, count: int = 128) -> Array:
 
 def _radical_inverse(count: int, base: int) -> Array:
     """The numbers from 0 on, their digits in a base written behind the point ``(count,)``."""
-    left, digit, found = np.arange(count), 1.0 / base, np.zeros(count)
-    while left.any():
-        found += (left % base) * digit
-        left, digit = left // base, digit / base
-    return found
+    remaining, digit, numbers = np.arange(count), 1.0 / base, np.zeros(count)
+    while remaining.any():
+        numbers += (remaining % base) * digit
+        remaining, digit = remaining // base, digit / base
+    return numbers

@@ -59,23 +59,23 @@ def of_its_size(robot: Robot) -> Robot:
     """
     if robot.name in SHIPPED or robot.n < FEWEST:
         return robot
-    told: list[str] = []
-    with_mass = _with_masses(robot, told)
-    v_max = _speeds(with_mass, told)
+    assumed: list[str] = []
+    with_mass = _with_masses(robot, assumed)
+    v_max = _speeds(with_mass, assumed)
     with_speed = replace(with_mass, v_max=_frozen(v_max))
-    tau_max = _efforts(with_speed, told)
-    return replace(with_speed, tau_max=_frozen(tau_max), assumed=(*robot.assumed, *told))
+    tau_max = _efforts(with_speed, assumed)
+    return replace(with_speed, tau_max=_frozen(tau_max), assumed=(*robot.assumed, *assumed))
 
 
 def reach(robot: Robot) -> float:
     """Largest distance of the tool from the second joint, or from the only one, over the arm's range [m]."""
     model, data, pivot = robot.pinocchio, robot.pinocchio.createData(), min(2, robot.n)
-    found = REACH[0]
+    largest = REACH[0]
     for q in spread_postures(robot.q_min, robot.q_max):
         pin.framesForwardKinematics(model, data, q)
         away = data.oMf[robot.tool_id].translation - data.oMi[pivot].translation
-        found = max(found, float(np.linalg.norm(away)))
-    return found
+        largest = max(largest, float(np.linalg.norm(away)))
+    return largest
 
 
 def reach_at_home(robot: Robot) -> float:

@@ -154,12 +154,12 @@ def _check_numbers(element: ET.Element, file: str | Path | None) -> None:
 
 def _built(text: str, file: str | Path | None) -> pin.Model:
     """Pinocchio's model; what its URDF library writes to standard error meanwhile goes into our one line."""
-    with kept_words() as said:
+    with kept_words() as stream:
         try:
             return pin.buildModelFromXML(text)
         except Exception as error:  # the binding raises whatever the library leads to
-            said.seek(0)
-            reason = re.search(r"Error:\s*([^\n]*)", said.read().decode(errors="replace"))
+            stream.seek(0)
+            reason = re.search(r"Error:\s*([^\n]*)", stream.read().decode(errors="replace"))
             shown = reason.group(1) if reason else " ".join(str(error).split())
             raise InputError(f"not a readable URDF ({shown[:200]})", file=file) from error
 
@@ -220,8 +220,8 @@ class DriveData(_Table):
         Args:
             key, n, file: of the table, the number of joints, and for the message.
         """
-        given = getattr(self.joints, key)
-        array = np.full(n, float(given)) if isinstance(given, (int, float)) else np.array(given, dtype=float)
+        value = getattr(self.joints, key)
+        array = np.full(n, float(value)) if isinstance(value, (int, float)) else np.array(value, dtype=float)
         if array.shape != (n,):
             raise InputError(f"expected {n} numbers, one per joint, got {len(array)}", file=file,
                              field=f"joints.{key}")
@@ -240,7 +240,7 @@ def read_drive_data(path: Path | None) -> tuple[DriveData, dict[str, Any]]:
         return DriveData(**values), values
     except pydantic.ValidationError as error:
         # One number or a list: what is wrong with a list's number lies deepest.
-        first = max(error.errors(), key=lambda one: len(one["loc"]))
+        first = max(error.errors(), key=lambda entry: len(entry["loc"]))
         key = ".".join(part for part in first["loc"] if isinstance(part, str) and "[" not in part)
         shown = first.get("input")
         raise InputError(first["msg"].removeprefix("Value error, "), file=path,

@@ -177,11 +177,11 @@ class LinkCounts:
     @property
     def others(self) -> str:
         """What else came, for a message; empty where nothing did."""
-        said = f"; the last of {self.refused} refused packets: {self.last_refused}" if self.refused else ""
+        text = f"; the last of {self.refused} refused packets: {self.last_refused}" if self.refused else ""
         if not self.foreign:
-            return said
+            return text
         second = f" ({self.second} sound: a second controller; name yours with --controller)" if self.second else ""
-        return f"{said}; {self.foreign} packets from other senders, the last from {self.last_foreign}{second}"
+        return f"{text}; {self.foreign} packets from other senders, the last from {self.last_foreign}{second}"
 
     def refuse(self, reason: str) -> None:
         """Counts a packet that is not answered."""
@@ -230,8 +230,8 @@ class PacketLink:
 
     def next(self, deadline: Deadline) -> RobMessage:
         """The next message before the deadline; raises RsiError where none came, or the system closed the port."""
-        while (left := deadline.left) > 0.0:
-            self._socket.settimeout(left)
+        while (seconds := deadline.left) > 0.0:
+            self._socket.settimeout(seconds)
             try:
                 message = self._read()
             except TimeoutError:
@@ -333,8 +333,8 @@ class PacketLink:
         wire = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             # Only between these two lines may the port have a second owner, which is this program.
-            for each in (self._door, wire):
-                each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            for owner in (self._door, wire):
+                owner.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             wire.bind((host, port))
             wire.connect(peer)
         except OSError:

@@ -88,7 +88,7 @@ class RsiFormat:
             group, _, axis = element.get("TAG", "").partition(".")
             received.setdefault(group, {})[axis] = element.get("HOLDON", "1")
         axes = [f"A{i + 1}" for i in range(n)]
-        groups = [group for group, found in received.items() if all(axis in found for axis in axes)]
+        groups = [group for group, attributes in received.items() if all(axis in attributes for axis in axes)]
         if correction is not None:
             groups = [group for group in groups if group == correction]
         if len(groups) != 1:
@@ -180,29 +180,29 @@ def parse_rob(packet: bytes, n: int) -> RobMessage:
     text = packet.rstrip(b"\0 \t\r\n").decode("latin-1")
     if "\0" in text or "<![" in text or "<!D" in text or "<!E" in text:
         raise PacketError("packet holds a declaration, an entity or a zero byte")
-    found, ignored = _elements(text), []
+    elements, ignored = _elements(text), []
 
     def optional(tag: str) -> Array | None:
         try:
-            return _axes(found, tag, n)
+            return _axes(elements, tag, n)
         except PacketError:
             ignored.append(tag)
             return None
 
-    actual = _axes(found, "AIPos", n)
+    actual = _axes(elements, "AIPos", n)
     if actual is None:
         raise PacketError("AIPos is missing; add DEF_AIPos to what the controller sends")
-    ipoc = _only(found, "IPOC")
+    ipoc = _only(elements, "IPOC")
     if ipoc is None:
         raise PacketError("IPOC is missing")
     if _WHOLE.fullmatch(ipoc[1].strip(_BLANKS)) is None:
         raise PacketError(f"IPOC is no whole number ({ipoc[1][:40]!a})")
     setpoint, current = optional("ASPos"), optional("MACur")
     late = None
-    if "Delay" in found:
-        named = {name: double or single for name, double, single in _ATTRIBUTE.findall(found["Delay"][0][0])}
+    if "Delay" in elements:
+        named = {name: double or single for name, double, single in _ATTRIBUTE.findall(elements["Delay"][0][0])}
         counted = _LATE.fullmatch(named.get("D", "").strip(_BLANKS))
-        if counted is None or len(found["Delay"]) > 1:
+        if counted is None or len(elements["Delay"]) > 1:
             ignored.append("Delay")
         else:
             late = int(counted[1])
@@ -223,13 +223,13 @@ def format_sen(correction: Array, ipoc: int, form: RsiFormat) -> bytes:
 
 def _elements(text: str) -> dict[str, list[_Element]]:
     """The elements directly below ``<Rob>`` by name; PacketError if not well-formed, too deep, of another root."""
-    found: dict[str, list[_Element]] = {}
+    elements: dict[str, list[_Element]] = {}
     open_tags: list[str] = []
-    at, attributes, inside, closed = 0, "", 0, False
-    while (start := text.find("<", at)) >= 0:
-        if (tag := _TAG.match(text, start)) is None or (not open_tags and text[at:start].strip(_BLANKS)):
+    position, attributes, inside, closed = 0, "", 0, False
+    while (start := text.find("<", position)) >= 0:
+        if (tag := _TAG.match(text, start)) is None or (not open_tags and text[position:start].strip(_BLANKS)):
             raise PacketError(f"packet is not XML (character {start})")
-        at, name = tag.end(), tag["name"]
+        position, name = tag.end(), tag["name"]
         if name is None:
             continue
         if not open_tags and (closed or name != "Rob" or tag["end"]):
@@ -239,21 +239,21 @@ def _elements(text: str) -> dict[str, list[_Element]]:
             if open_tags.pop() != name or tag["attributes"] or tag["empty"]:
                 raise PacketError(f"packet is not XML ({name[:40]!a} closes another element)")
             if len(open_tags) == 1:
-                found.setdefault(name, []).append((attributes, text[inside:start]))
+                elements.setdefault(name, []).append((attributes, text[inside:start]))
             closed = not open_tags
         elif tag["empty"]:
             if len(open_tags) == 1:
-                found.setdefault(name, []).append((tag["attributes"], ""))
+                elements.setdefault(name, []).append((tag["attributes"], ""))
             closed = not open_tags
         else:
             open_tags.append(name)
             if len(open_tags) == 2:
-                attributes, inside = tag["attributes"], at
+                attributes, inside = tag["attributes"], position
             if len(open_tags) > _DEPTH:
                 raise PacketError(f"packet is nested more than {_DEPTH} levels deep")
-    if open_tags or not closed or text[at:].strip(_BLANKS):
+    if open_tags or not closed or text[position:].strip(_BLANKS):
         raise PacketError("packet is not XML (it ends before </Rob>, or goes on after it)")
-    return found
+    return elements
 
 
 def _only(found: dict[str, list[_Element]], tag: str) -> _Element | None:

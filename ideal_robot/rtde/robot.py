@@ -174,8 +174,8 @@ class RtdeRobot(LinkedRobot):
         if stopped:
             raise RtdeError(f"the controller has stopped the arm: {', '.join(stopped)}"
                             + (f"; it says: {self._connection.texts[-1]}" if self._connection.texts else ""))
-        told = [data[name] for name in ("timestamp", "actual_q", "target_q", "actual_current")]
-        if not (np.abs(np.concatenate(told)) < _LARGEST).all():
+        values = [data[name] for name in ("timestamp", "actual_q", "target_q", "actual_current")]
+        if not (np.abs(np.concatenate(values)) < _LARGEST).all():
             raise RtdeError("the controller tells times, positions or currents that cannot be")
         return data
 

@@ -96,8 +96,8 @@ class Recipe:
         Raises RtdeError for a field that is not known or not free, another type or number of fields.
         """
         types = answer[1:].decode("ascii", "replace").split(",")
-        refused = [f"{name}: {_REFUSALS.get(told, f'{fields[name]} is expected, the controller says {told[:20]!a}')}"
-                   for name, told in zip(fields, types, strict=False) if told != fields[name]]
+        refused = [f"{name}: {_REFUSALS.get(reply, f'{fields[name]} is expected, the controller says {reply[:20]!a}')}"
+                   for name, reply in zip(fields, types, strict=False) if reply != fields[name]]
         if len(types) != len(fields) or not answer or (answer[0] == 0 and not refused):
             raise RtdeError(f"the controller's answer to the fields {', '.join(fields)} cannot be used "
                             f"({answer[:80]!a})")
@@ -171,8 +171,8 @@ class RtdeConnection:
 
     def outputs(self, fields: Mapping[str, str], frequency: float) -> Recipe:
         """What the controller is to send, names and types, so often a second; raises as ``Recipe.agreed``."""
-        asked = struct.pack(">d", frequency) + ",".join(fields).encode()
-        return Recipe.agreed(fields, self._asked(Kind.OUTPUTS, asked))
+        request = struct.pack(">d", frequency) + ",".join(fields).encode()
+        return Recipe.agreed(fields, self._asked(Kind.OUTPUTS, request))
 
     def inputs(self, fields: Mapping[str, str]) -> Recipe:
         """What we are to send, names and types; raises as ``Recipe.agreed``."""
@@ -221,15 +221,15 @@ class RtdeConnection:
     def _answer(self, kind: Kind) -> bytes:
         deadline = Deadline.within(self._timeout)
         while True:
-            found, payload = self._package(deadline)
-            if found == kind:
+            received, payload = self._package(deadline)
+            if received == kind:
                 return payload
 
     def _package(self, deadline: Deadline) -> tuple[int, bytes]:
         """Kind and payload of the next package; RtdeError: none before the deadline, or a broken connection."""
         while not deadline.passed:
-            if (found := self._next(deadline.left)) is not None:
-                return found
+            if (received := self._next(deadline.left)) is not None:
+                return received
         raise RtdeError(f"nothing that was waited for from the controller within {deadline.seconds:.3g} s"
                         + self._last_text())
 
@@ -239,7 +239,7 @@ class RtdeConnection:
 
     def _next(self, seconds: float) -> tuple[int, bytes] | None:
         """The next package; None if it is not whole after one more piece of the stream, or none came in time."""
-        if (found := self._reader.next()) is None:
+        if (received := self._reader.next()) is None:
             self._socket.settimeout(seconds)
             try:
                 piece = self._socket.recv(4096)
@@ -250,10 +250,10 @@ class RtdeConnection:
             if not piece:
                 raise RtdeError("the controller has closed the connection" + self._last_text())
             self._reader.feed(piece)
-            found = self._reader.next()
-        if found is not None and found[0] == Kind.TEXT:
-            self.texts = [*self.texts, said(found[1])][-10:]
-        return found
+            received = self._reader.next()
+        if received is not None and received[0] == Kind.TEXT:
+            self.texts = [*self.texts, said(received[1])][-10:]
+        return received
 
     def _last_text(self) -> str:
         return f"; it says: {self.texts[-1]}" if self.texts else ""

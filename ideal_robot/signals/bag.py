@@ -56,14 +56,14 @@ def read_joint_states(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
     try:
         if path.is_dir() and (path / _WORDS).is_file():
             BAG_WORDS.check((path / _WORDS).stat().st_size, path / _WORDS)
-        for file in [one for one in path.iterdir() if one.is_file()] if path.is_dir() else [path]:
+        for file in [entry for entry in path.iterdir() if entry.is_file()] if path.is_dir() else [path]:
             _check_unfolding(file)
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
             connections = [c for c in reader.connections if c.msgtype == _TYPE]
             topics = sorted({c.topic for c in connections})
             if not topics:
-                found = ", ".join(sorted({c.msgtype for c in reader.connections})) or "nothing"
-                raise InputError(f"no {_TYPE} messages; the bag holds {found}", file=path)
+                types = ", ".join(sorted({c.msgtype for c in reader.connections})) or "nothing"
+                raise InputError(f"no {_TYPE} messages; the bag holds {types}", file=path)
             topic = "/joint_states" if "/joint_states" in topics else topics[0]
             if len(topics) > 1 and topic != "/joint_states":
                 raise InputError(f"several topics of joint states ({', '.join(topics)}) and none is /joint_states",
@@ -99,11 +99,11 @@ def _columns(messages: Iterator[tuple[int, Any]], path: Path, topic: str) -> tup
         headed.append(message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec)
         TABLE_VALUES.check(len(logged) * (1 + len(keys) * len(names)), path, "cut it into pieces")
         for (_, attribute), column in zip(keys, values, strict=True):
-            given = getattr(message, attribute)
-            if len(given) != len(names) or set(message.name) != set(names):
+            numbers = getattr(message, attribute)
+            if len(numbers) != len(names) or set(message.name) != set(names):
                 raise InputError(f"message {len(logged)} on {topic} names other joints than the first "
                                  f"({', '.join(message.name)[:200]})", file=path, field=attribute)
-            row = dict(zip((order[name] for name in message.name), given, strict=True))
+            row = dict(zip((order[name] for name in message.name), numbers, strict=True))
             column.extend(row[i] for i in range(len(names)))
     stamps = np.array(headed if any(headed) else logged)
     columns: dict[str, Array] = {"t": (stamps - stamps[0]) * 1e-9}
@@ -150,9 +150,9 @@ def _in_mcap(file: Path) -> Iterator[int]:
                 chunks[begin - 9] = compression, records
                 yield from _in_records(_unpacked(_read(stream, records), compression))
             elif kind == _CHUNK_INDEX:
-                at = struct.unpack_from("<Q", stream.read(32), 16)[0]
+                start = struct.unpack_from("<Q", stream.read(32), 16)[0]
                 stream.seek(struct.unpack("<I", stream.read(4))[0] + 8, 1)
-                if chunks.pop(at, None) != (_word(stream), struct.unpack("<Q", stream.read(8))[0]):
+                if chunks.pop(start, None) != (_word(stream), struct.unpack("<Q", stream.read(8))[0]):
                     raise ValueError("its index names a chunk that is not there, or one twice")
             stream.seek(begin + length)
     if summary:
@@ -165,14 +165,14 @@ def _in_records(pieces: Iterable[bytes]) -> Iterator[int]:
     for piece in pieces:
         yield len(piece)
         waiting += piece
-        at = skipped
-        while at + 9 <= len(waiting):
-            kind, length = struct.unpack_from("<BQ", waiting, at)
+        offset = skipped
+        while offset + 9 <= len(waiting):
+            kind, length = struct.unpack_from("<BQ", waiting, offset)
             if length < _IN_CHUNK.get(kind, 1 << 64):
                 raise ValueError(f"a record of kind {kind} and {length} bytes in a chunk")
-            at += 9 + length
-        skipped = max(at - len(waiting), 0)
-        waiting = waiting[at:]
+            offset += 9 + length
+        skipped = max(offset - len(waiting), 0)
+        waiting = waiting[offset:]
 
 
 def _in_bag(file: Path) -> Iterator[int]:
@@ -196,10 +196,10 @@ def _in_db3(file: Path) -> Iterator[int]:
     """Bytes of the messages of an SQLite bag; a view or a computed column could tell any number."""
     with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as base:
         names = ("topics", "messages", "message_definitions", "schema", "metadata")
-        found = base.execute("SELECT name, type, sql FROM sqlite_master WHERE lower(name) IN (?, ?, ?, ?, ?)", names)
-        for name, kind, made in found.fetchall():
+        tables = base.execute("SELECT name, type, sql FROM sqlite_master WHERE lower(name) IN (?, ?, ?, ?, ?)", names)
+        for name, kind, sql in tables.fetchall():
             columns = base.execute(f"PRAGMA table_xinfo({name})").fetchall()
-            if kind != "table" or not made.upper().startswith("CREATE TABLE") or any(one[6] for one in columns):
+            if kind != "table" or not sql.upper().startswith("CREATE TABLE") or any(column[6] for column in columns):
                 raise ValueError(f"{name} is computed, not stored")
         packed = "CASE WHEN substr(data, 1, 4) = x'28b52ffd' THEN data END"
         for length, message in base.execute(f"SELECT length(data), {packed} FROM messages"):

@@ -57,7 +57,7 @@ class ChannelFinding:
 
 def channel_findings(recording: Recording) -> tuple[ChannelFinding, ...]:
     """What is to be said about the stamps, positions and torques of a recording with ``t``, ``q_i`` and ``tau_i``."""
-    found = [*_stamps(recording)]
+    notes = [*_stamps(recording)]
     tau, q = recording.joints("tau"), recording.joints("q")
     grid, _ = uniform_time(recording)
     rate = 1.0 / float(grid[1] - grid[0])
@@ -66,26 +66,26 @@ def channel_findings(recording: Recording) -> tuple[ChannelFinding, ...]:
         name, values = f"tau_{j + 1}", tau[:, j]
         zeros = float(np.mean(values == 0.0))
         if zeros > _ZEROS:
-            found.append(ChannelFinding(DEAD, name, j, f"{name} is exactly zero in {100 * zeros:.0f} % of the samples; "
+            notes.append(ChannelFinding(DEAD, name, j, f"{name} is exactly zero in {100 * zeros:.0f} % of the samples; "
                                         f"joint {j + 1} is left out, its friction and rotor stay unknown"))
             continue
         step = lattice(values)
         if step > _COARSE * np.std(values):
-            found.append(ChannelFinding(STEPPED, name, j, f"{name} comes in steps of {step:.3g}, "
+            notes.append(ChannelFinding(STEPPED, name, j, f"{name} comes in steps of {step:.3g}, "
                                         f"{100 * step / np.std(values):.0f} % of its standard deviation"))
         clipped = at_limits(values, step)
         if clipped > _AT_LIMIT:
-            found.append(ChannelFinding(CLIPPED, name, j, f"{name} stands at its extreme value in {100 * clipped:.1f} "
+            notes.append(ChannelFinding(CLIPPED, name, j, f"{name} stands at its extreme value in {100 * clipped:.1f} "
                                         "% of the samples; the drive was at its limit, a slower motion avoids it"))
         edge = edges[j]
         if edge is not None:
-            found.append(ChannelFinding(FILTERED, name, j, f"{name} was filtered before it was logged: it holds "
+            notes.append(ChannelFinding(FILTERED, name, j, f"{name} was filtered before it was logged: it holds "
                                         f"nothing above {edge:.2g} Hz; its lag would be taken for friction"))
         step = lattice(q[:, j])
         if step > _COARSE_POSITION:
-            found.append(ChannelFinding(STEPPED, f"q_{j + 1}", j, f"q_{j + 1} comes in steps of {step:.3g}; velocity "
+            notes.append(ChannelFinding(STEPPED, f"q_{j + 1}", j, f"q_{j + 1} comes in steps of {step:.3g}; velocity "
                                         "and acceleration are as good as the position filter makes them"))
-    return tuple(found)
+    return tuple(notes)
 
 
 def dead_joints(findings: tuple[ChannelFinding, ...]) -> list[int]:
@@ -141,12 +141,12 @@ def filtered_above(values: Array, rate: float) -> list[float | None]:
     """
     f, spectra = signal.welch(np.ascontiguousarray(values.T), fs=rate, window="blackmanharris",
                               nperseg=min(len(values), 1024))
-    found: list[float | None] = []
+    edges: list[float | None] = []
     for power in spectra:
         largest = float(np.max(power[1:]))
         nothing = 0.0 < largest < np.inf and np.median(power[f > 0.35 * rate]) <= _SILENT * largest
-        found.append(float(f[np.flatnonzero(power > 1e-8 * largest)[-1]]) if nothing else None)
-    return found
+        edges.append(float(f[np.flatnonzero(power > 1e-8 * largest)[-1]]) if nothing else None)
+    return edges
 
 
 def _stamps(recording: Recording) -> list[ChannelFinding]:
@@ -218,15 +218,15 @@ def runs(label: np.ndarray) -> list[tuple[int, int]]:
 def alone(s: FilteredSignals, joint: int) -> list[tuple[int, int]]:
     """Ranges in which only this joint moves, from its first to its last motion between those of other joints."""
     moves = moving(s)
-    others = np.any(np.delete(moves, joint, axis=1), axis=1) if moves.shape[1] > 1 else np.zeros(len(s.t), dtype=bool)
-    found = []
-    for start, stop in runs(others.astype(int)):
-        if others[start]:
+    busy = np.any(np.delete(moves, joint, axis=1), axis=1) if moves.shape[1] > 1 else np.zeros(len(s.t), dtype=bool)
+    ranges = []
+    for start, stop in runs(busy.astype(int)):
+        if busy[start]:
             continue
         own = np.flatnonzero(moves[start:stop, joint])
         if len(own):
-            found.append((start + int(own[0]), start + int(own[-1]) + 1))
-    return found
+            ranges.append((start + int(own[0]), start + int(own[-1]) + 1))
+    return ranges
 
 
 def _near_reversal(qd: Array, moves: np.ndarray, width: int) -> np.ndarray:

@@ -108,9 +108,9 @@ def choose_cutoff(recordings: Sequence[Recording], columns: Columns, *, start: A
     even = [evenly_sampled(r, columns=False) for r in parts]
     usable = [c for c in CANDIDATES if c <= min(0.2 * rate, _BEYOND * band)] or [0.2 * rate]
     # Where a recording is too short for the slowest filters, quicker ones are left; for none, the last says so.
-    usable = [c for c in usable if all(one.long_enough(c) for one in even)] or usable[-1:]
+    usable = [c for c in usable if all(signals.long_enough(c) for signals in even)] or usable[-1:]
     errors: dict[float, float] = {}
-    under = [_Judged(one, columns, band, usable[0]) for one in even]
+    under = [_Judged(signals, columns, band, usable[0]) for signals in even]
     for cutoff in usable:
         moved = [recording.moved(cutoff) for recording in under]
         held = np.any([not_zero(m.elements) for m in moved], axis=0)
@@ -151,10 +151,10 @@ def _step(recording: Recording) -> float:
 
 
 def _first(recording: Recording, seconds: float) -> Recording:
-    here = recording.t <= recording.t[0] + seconds
-    if here.all():
+    mask = recording.t <= recording.t[0] + seconds
+    if mask.all():
         return recording
-    return replace(recording, columns={name: np.ascontiguousarray(values[here])
+    return replace(recording, columns={name: np.ascontiguousarray(values[mask])
                                        for name, values in recording.columns.items()})
 
 
@@ -186,8 +186,8 @@ class _Judged:
         # Clear of the ends and of holes for the slowest filter.
         edge = 1.0 / min(band, slowest)
         times = np.arange(t[0] + edge, t[-1] - edge, 0.25 / band)
-        for at in t[self._even.hole]:
-            times = times[np.abs(times - at) > edge]
+        for instant in t[self._even.hole]:
+            times = times[np.abs(times - instant) > edge]
         self._place, self._when = (times - t[0]) / step, (times - t[0]) / (t[-1] - t[0])
         reach = min(len(t) - 1, round(_REMEMBERED / (band * step)))
         self._kernel = lowpass(np.eye(1, 2 * reach + 1, reach)[0], step, band)
@@ -203,8 +203,8 @@ class _Judged:
     def rows(self, moved: _Moved, held: np.ndarray) -> tuple[_Rows, _Rows]:
         """Rows to fit, below half the cut-off, and rows to judge, below the band, of the elements ``held (n P,)``."""
         s, stride, W = moved.signals, moved.stride, moved.elements[held].T
-        kept = np.flatnonzero(s.keep) * s.factor
-        fitted = filtered_at(W, kept / stride, decimation_taps(s.factor), fine=stride)
+        places = np.flatnonzero(s.keep) * s.factor
+        fitted = filtered_at(W, places / stride, decimation_taps(s.factor), fine=stride)
         fit = _Rows(fitted.T, s.decimate(s.tau), (s.t_decimated - s.t[0]) / (s.t[-1] - s.t[0]))
         return fit, _Rows(self._below(W, stride).T, self._y, self._when)
 
@@ -219,9 +219,9 @@ def thinned(s: FilteredSignals, stride: int) -> FilteredSignals:
         return s
     stride = min(stride, s.factor)
     factor = max(1, s.factor // stride)
-    kept = np.interp(s.t[:: stride][:: factor], s.t[:: s.factor], s.keep.astype(float)) > 0.999
+    keep = np.interp(s.t[:: stride][:: factor], s.t[:: s.factor], s.keep.astype(float)) > 0.999
     return replace(s, t=s.t[::stride], q=s.q[::stride], qd=s.qd[::stride], qdd=s.qdd[::stride],
-                   tau=decimated(s.tau, stride), factor=factor, keep=kept, columns={})
+                   tau=decimated(s.tau, stride), factor=factor, keep=keep, columns={})
 
 
 def _held_out(fits: Sequence[_Rows], judged: Sequence[_Rows], held: np.ndarray, start: Array,
@@ -251,9 +251,9 @@ def _held_out(fits: Sequence[_Rows], judged: Sequence[_Rows], held: np.ndarray, 
                            1e-9 * np.maximum(np.std(y[:, live], axis=0), 1e-12))
     error = np.empty_like(judged_rest)
     for k in range(_FOLDS):
-        here, others = judged_block[k], np.arange(_FOLDS) != k
-        p = _solved(A[others].sum(axis=0) + information, b[others].sum(axis=0))
-        error[here] = judged_rest[here] - _times(judged_W[:, here], joints, p)
+        rows, training = judged_block[k], np.arange(_FOLDS) != k
+        p = _solved(A[training].sum(axis=0) + information, b[training].sum(axis=0))
+        error[rows] = judged_rest[rows] - _times(judged_W[:, rows], joints, p)
     ratio = np.sqrt(np.mean(error**2, axis=0)) / np.std(judged_y[:, live], axis=0)
     return float(np.exp(np.mean(np.log(np.maximum(ratio, 1e-9)))))
 

@@ -46,8 +46,8 @@ def error_budget(recording: Recording, s: FilteredSignals) -> ErrorBudget:
     step = np.array([lattice(q[:, j]) for j in range(q.shape[1])])
     noise = np.maximum(_white_level(resampled(t, q, s.t, smooth=True), s.dt), step / np.sqrt(12.0))
     # The clock behind the stamps is known from many of them.
-    left = jitter / np.sqrt(WINDOW)
-    position = np.sqrt(noise**2 + (left * s.qd[:: s.factor][s.keep]) ** 2)
+    remaining = jitter / np.sqrt(WINDOW)
+    position = np.sqrt(noise**2 + (remaining * s.qd[:: s.factor][s.keep]) ** 2)
     first, second = _gains(s)
     return ErrorBudget(step, noise, jitter, first * position, second * position)
 
@@ -111,15 +111,15 @@ def sampling_instants(t: Array, q: Array) -> tuple[Array, float]:
     dt = float(np.median(np.diff(t)))
     if 0.2 / dt < _MOTION:
         return t, 0.0
-    seen = _Products(*_fast_part(t, t, q, dt))
-    if _foretold(seen) < _SHARE or _smoothness(_common(seen)) > _SMOOTH:
+    products = _Products(*_fast_part(t, t, q, dt))
+    if _foretold(products) < _SHARE or _smoothness(_common(products)) > _SMOOTH:
         return t, 0.0
     late = np.zeros(len(t))
     for _ in range(_ROUNDS):
-        late = np.clip(late + _common(seen), -_FARTHEST * dt, _FARTHEST * dt)
+        late = np.clip(late + _common(products), -_FARTHEST * dt, _FARTHEST * dt)
         if np.any(np.diff(t + late) <= 0.0):
             return t, 0.0
-        seen = _Products(*_fast_part(t + late, t, q, dt))
+        products = _Products(*_fast_part(t + late, t, q, dt))
     return t + late, float(np.std(late))
 
 
@@ -158,10 +158,10 @@ class _Products:
 
     def precision(self, late: Array | None = None) -> Array:
         """1/σ² of what is left of each joint's fast part ``(n,)`` with samples late by ``late (N,)``."""
-        left = self._size
+        squares = self._size
         if late is not None:
-            left = left - (2.0 * late @ self.product - late**2 @ self.squared) / len(late)
-        return np.asarray(1.0 / np.maximum(left, 1e-18))
+            squares = squares - (2.0 * late @ self.product - late**2 @ self.squared) / len(late)
+        return np.asarray(1.0 / np.maximum(squares, 1e-18))
 
 
 def _common(of: _Products, without: int | None = None) -> Array:
@@ -175,10 +175,10 @@ def _common(of: _Products, without: int | None = None) -> Array:
             weights[without] = 0.0
         gain, raw = of.squared @ weights, of.product @ weights
         # The clock's own scatter, as what the samples say less what their noise makes of it.
-        told = gain > np.median(gain)
-        if not told.any():
+        strong = gain > np.median(gain)
+        if not strong.any():
             return np.zeros(len(gain))
-        variance = max(float(np.mean((raw[told] / gain[told]) ** 2 - 1.0 / gain[told])), 1e-18)
+        variance = max(float(np.mean((raw[strong] / gain[strong]) ** 2 - 1.0 / gain[strong])), 1e-18)
         late = raw / (gain + 1.0 / variance)
         weights = of.precision(late)
     return np.asarray(late)
@@ -193,7 +193,7 @@ def _foretold(of: _Products) -> float:
     """Share of the squares of the joints' fast parts that the other joints' foretell, in the median over joints."""
     shares = []
     for j in range(of.fast.shape[1]):
-        made, own = _common(of, j) * of.speed[:, j], of.fast[:, j]
-        shares.append(float(made @ own) ** 2 / max(float(made @ made) * float(own @ own), 1e-300)
-                      if made @ own > 0.0 else 0.0)
+        foretold, own = _common(of, j) * of.speed[:, j], of.fast[:, j]
+        shares.append(float(foretold @ own) ** 2 / max(float(foretold @ foretold) * float(own @ own), 1e-300)
+                      if foretold @ own > 0.0 else 0.0)
     return float(np.median(shares))

@@ -78,9 +78,9 @@ def _write(recording: Recording, folder: Path, *, mcap: bool) -> Path:
         for topic, kind, message in _topics(recording, store):
             connection = writer.add_connection(topic, kind, typestore=store)
             for k, stamp in enumerate(stamps):
-                made = message(k, int(stamp))
-                if made is not None:
-                    writer.write(connection, int(stamp), store.serialize_cdr(made, kind))
+                content = message(k, int(stamp))
+                if content is not None:
+                    writer.write(connection, int(stamp), store.serialize_cdr(content, kind))
     return folder
 
 
@@ -88,8 +88,8 @@ def _topics(recording: Recording, store: Any) -> Iterator[tuple[str, str, Callab
     """Topic, message type and the maker of message k."""
     types = store.types
     Time, Header = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
-    told = recording.meta.get("joints")
-    names = [str(name) for name in told] if isinstance(told, (list, tuple)) else []
+    listed = recording.meta.get("joints")
+    names = [str(name) for name in listed] if isinstance(listed, (list, tuple)) else []
     if len(names) != recording.n:
         names = [f"joint_{i + 1}" for i in range(recording.n)]
 
@@ -151,10 +151,10 @@ def write_rerun(recording: Recording, path: Path) -> Path:
         stream.send_columns(entity, times, rr.Scalars.columns(scalars=values))
     if all(axis in recording.columns for axis in "xyz"):
         place = np.column_stack([recording.columns[axis] for axis in "xyz"])
-        there = np.isfinite(place).all(axis=1)
-        stream.log("tool/path", rr.LineStrips3D([place[there]]), static=True)
-        stream.send_columns("tool/now", [rr.TimeColumn("time", duration=recording.t[there])],
-                            rr.Points3D.columns(positions=place[there]))
+        finite = np.isfinite(place).all(axis=1)
+        stream.log("tool/path", rr.LineStrips3D([place[finite]]), static=True)
+        stream.send_columns("tool/now", [rr.TimeColumn("time", duration=recording.t[finite])],
+                            rr.Points3D.columns(positions=place[finite]))
     stream.flush()
     stream.disconnect()
     partial.replace(path)

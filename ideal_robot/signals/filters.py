@@ -80,13 +80,13 @@ def filtered_at(values: Array, place: Array, kernel: Array, *, fine: int = 1, od
     out = np.empty((len(used), len(place)))
     known: dict[tuple[int, int], tuple[int, Array]] = {}
     for start in range(0, len(place), _BLOCK):
-        at = place[start: start + _BLOCK]
-        floor = int(np.floor(at[0]))
+        block = place[start: start + _BLOCK]
+        floor = int(np.floor(block[0]))
         # Evenly spaced outputs have the same weights again and again.
-        even = len(at) == _BLOCK and np.ptp(np.diff(at)) < _SAME
-        key = round((at[0] - floor) / _SAME), round((at[1] - at[0]) / _SAME) if even else -start
+        even = len(block) == _BLOCK and np.ptp(np.diff(block)) < _SAME
+        key = round((block[0] - floor) / _SAME), round((block[1] - block[0]) / _SAME) if even else -start
         if key not in known:
-            known[key] = _weights(at - floor, kernel, fine)
+            known[key] = _weights(block - floor, kernel, fine)
         before, weight = known[key]
         first = floor + before
         last = first + len(weight)
@@ -120,10 +120,10 @@ def _weights(at: Array, kernel: Array, fine: int) -> tuple[int, Array]:
 
 def not_zero(rows: Array) -> np.ndarray:
     """Mask of the rows ``(m, N)`` that are not zero throughout: most show it in their middle."""
-    found = np.asarray(rows[:, rows.shape[1] // 2] != 0.0)
-    for k in np.flatnonzero(~found):
-        found[k] = rows[k].any()
-    return found
+    mask = np.asarray(rows[:, rows.shape[1] // 2] != 0.0)
+    for k in np.flatnonzero(~mask):
+        mask[k] = rows[k].any()
+    return mask
 
 
 def _folded(weight: Array, first: int, count: int) -> Array:

@@ -152,17 +152,17 @@ def without_spikes(recording: Recording, positions: Sequence[str], torques: Sequ
         recording: with numbers in all of these columns.
         positions, torques: columns of joint positions or commands [rad, m], and of torques, currents or forces.
     """
-    found = {name: _position_spikes(recording.columns[name], recording.t) for name in positions}
-    found |= {name: _torque_spikes(recording.columns[name]) for name in torques}
+    spikes = {name: _position_spikes(recording.columns[name], recording.t) for name in positions}
+    spikes |= {name: _torque_spikes(recording.columns[name]) for name in torques}
     warnings, bad = [], np.zeros(len(recording.t), dtype=bool)
-    for name, here in found.items():
-        if here.any():
-            first = int(np.argmax(here))
-            warnings.append(f"spike: {np.count_nonzero(here)} samples of {name} that cannot be are left out (first at "
+    for name, mask in spikes.items():
+        if mask.any():
+            first = int(np.argmax(mask))
+            warnings.append(f"spike: {np.count_nonzero(mask)} samples of {name} that cannot be are left out (first at "
                             f"t = {recording.t[first]:.6g} s: {recording.columns[name][first]:.4g})")
-            bad |= here
+            bad |= mask
     if bad.any():
-        worst = max(found, key=lambda name: np.count_nonzero(found[name]))
+        worst = max(spikes, key=lambda name: np.count_nonzero(spikes[name]))
         recording = _without(recording, bad, worst, "are spikes")
     return recording, warnings
 
@@ -210,10 +210,10 @@ def only_numbers(recording: Recording, needed: Sequence[str]) -> tuple[Recording
     bad = np.zeros(len(recording.t), dtype=bool)
     worst = ""
     for name in needed:
-        here = ~np.isfinite(recording.columns[name])
-        if here.any() and not worst:
+        mask = ~np.isfinite(recording.columns[name])
+        if mask.any() and not worst:
             worst = name
-        bad |= here
+        bad |= mask
     if not bad.any():
         return recording, []
     return (_without(recording, bad, worst, "are not numbers (NaN)"),
@@ -258,18 +258,18 @@ def _moving_channels(recording: Recording, positions: Sequence[str], torques: Se
     bad, warnings = np.zeros(len(recording.t), dtype=bool), []
     for name in torques:
         position = f"q_{name.rsplit('_', 1)[-1]}"
-        here = (_standing(recording.columns[name], recording.columns[position], recording.t)
+        mask = (_standing(recording.columns[name], recording.columns[position], recording.t)
                 if position in positions else np.zeros(len(recording.t), dtype=bool))
-        if not here.any():
+        if not mask.any():
             continue
-        first, lasts = int(np.argmax(here)), float(np.sum(np.diff(recording.t)[here[1:]]))
+        first, lasts = int(np.argmax(mask)), float(np.sum(np.diff(recording.t)[mask[1:]]))
         value = recording.columns[name][first]
-        said = f"stands at {value:.6g} for {lasts:.3g} s from t = {recording.t[first]:.6g} s on"
-        if here.mean() > MOST_LEFT_OUT:
-            raise InputError(f"{said}, while its joint moves; cut the recording there, or leave it out",
+        text = f"stands at {value:.6g} for {lasts:.3g} s from t = {recording.t[first]:.6g} s on"
+        if mask.mean() > MOST_LEFT_OUT:
+            raise InputError(f"{text}, while its joint moves; cut the recording there, or leave it out",
                              file=recording.source, field=name)
-        warnings.append(f"stuck: {name} {said}, while its joint moves; these samples are left out")
-        bad |= here
+        warnings.append(f"stuck: {name} {text}, while its joint moves; these samples are left out")
+        bad |= mask
     return (_without(recording, bad, "tau", "stand still") if bad.any() else recording), warnings
 
 
@@ -281,11 +281,11 @@ def _standing(tau: Array, q: Array, t: Array) -> NDArray[np.bool_]:
     standing = np.zeros(len(tau), dtype=bool)
     if not np.any(lasts >= _STANDS):
         return standing
-    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q)))])
+    travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q)))])
     # At its largest value a torque is cut off by its drive.
     shorter = lasts[lasts < lasts.max()]
     usual = float(np.quantile(shorter, 0.99)) if len(shorter) else np.inf
-    long = ((lasts >= max(_STANDS, _COARSE * usual)) & (way[ends] - way[begins] >= _MOVES)
+    long = ((lasts >= max(_STANDS, _COARSE * usual)) & (travel[ends] - travel[begins] >= _MOVES)
             & (np.abs(tau[begins]) < np.max(np.abs(tau))))
     for begin, end in zip(begins[long], ends[long], strict=True):
         standing[begin : end + 1] = True

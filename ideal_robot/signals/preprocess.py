@@ -98,10 +98,10 @@ class FilteredSignals:
     def temperature(self) -> Array | None:
         """Gear temperatures ``(N, n)`` [°C]; zero throughout for a joint without, None where no joint has one."""
         known = [self.columns.get(f"temp_{j + 1}") for j in range(self.q.shape[1])]
-        kept = [values if values is not None and np.all(np.isfinite(values)) else None for values in known]
-        if all(values is None for values in kept):
+        usable = [values if values is not None and np.all(np.isfinite(values)) else None for values in known]
+        if all(values is None for values in usable):
             return None
-        return np.column_stack([np.zeros(len(self.t)) if values is None else values for values in kept])
+        return np.column_stack([np.zeros(len(self.t)) if values is None else values for values in usable])
 
     @property
     def t_decimated(self) -> Array:
@@ -180,9 +180,9 @@ def evenly_sampled(recording: Recording, *, columns: bool = True) -> EvenSignals
     q = resampled(recording.t, recording.joints("q"), t, smooth=True)
     tau = (resampled(recording.t, recording.joints("tau"), t) if recording.has("tau") else np.full_like(q, np.nan))
     names = [name for name in recording.columns if name != "t" and columns]
-    others = (resampled(recording.t, np.array([recording.columns[name] for name in names]).T, t) if names
+    values = (resampled(recording.t, np.array([recording.columns[name] for name in names]).T, t) if names
               else np.empty((0, 0)))
-    return EvenSignals(t, hole, q, tau, recording.source, dict(zip(names, others.T, strict=True)))
+    return EvenSignals(t, hole, q, tau, recording.source, dict(zip(names, values.T, strict=True)))
 
 
 def preprocess(recording: Recording, *, cutoff: float | None = None,
@@ -213,18 +213,18 @@ def gap_free(recording: Recording, prefixes: Sequence[str], fewest: int) -> list
     t, steps = recording.t, np.diff(recording.t)
     # Lost rows do not lengthen the cycle.
     cycle = float(np.mean(steps[steps < 1.5 * np.median(steps)])) if len(steps) else 1.0
-    found = []
+    stretches = []
     for begin, end in pairwise([0, *(np.flatnonzero(steps > _GAP * cycle) + 1), len(t)]):
-        here = t[begin:end]
-        grid = np.linspace(here[0], here[-1], round((here[-1] - here[0]) / cycle) + 1)
+        times = t[begin:end]
+        grid = np.linspace(times[0], times[-1], round((times[-1] - times[0]) / cycle) + 1)
         if len(grid) < fewest:
             continue
         if len(grid) == len(t) and np.allclose(t, grid, atol=1e-3 * cycle, rtol=0.0):
             return [recording]
-        found.append(Recording.from_arrays(grid, meta=recording.meta, source=recording.source, **{
-            prefix: resampled(here, recording.joints(prefix, slice(begin, end)), grid, smooth=prefix != "tau")
+        stretches.append(Recording.from_arrays(grid, meta=recording.meta, source=recording.source, **{
+            prefix: resampled(times, recording.joints(prefix, slice(begin, end)), grid, smooth=prefix != "tau")
             for prefix in prefixes}))
-    return found
+    return stretches
 
 
 def uniform_time(recording: Recording) -> tuple[Array, np.ndarray]:

@@ -127,9 +127,9 @@ class Recording(Summarised):
                 raise InputError(f"column is missing; {prefix}_1 to {prefix}_{self.n} are needed", file=self.source,
                                  field=f"{prefix}_{i + 1}")
         columns = [self.columns[f"{prefix}_{i + 1}"] for i in range(self.n)]
-        found = np.column_stack([column[rows] for column in columns])
+        values = np.column_stack([column[rows] for column in columns])
         let_go(*columns)
-        return found
+        return values
 
     @property
     def hash(self) -> str:
@@ -161,8 +161,8 @@ class Recording(Summarised):
         ['q_1', 'q_2', 't', 'tau_1', 'tau_2']
         """
         named: dict[str, Array] = {"t": np.array(t, dtype=float)}
-        for name, given in columns.items():
-            values = np.array(given, dtype=float)
+        for name, column in columns.items():
+            values = np.array(column, dtype=float)
             if values.ndim == 1:
                 named[f"{name}_1" if name in OF_JOINTS else name] = values
             elif values.ndim == 2:
@@ -234,10 +234,10 @@ class Recording(Summarised):
         """
         path = Path(path)
         try:
-            there = path.is_file() or path.is_dir()
+            exists = path.is_file() or path.is_dir()
         except OSError:  # e.g. a name that is too long
-            there = False
-        if not there:
+            exists = False
+        if not exists:
             raise InputError("no such recording", file=path)
         if path.is_dir() or path.suffix in SUFFIXES:
             columns, meta = read_joint_states(path)
@@ -257,8 +257,8 @@ def _without_words(meta: dict[str, Any], words: Sequence[str], source: str) -> d
     for name in filter(is_known_column, words):
         raise InputError("column is not numeric" + ("; seconds are expected" if name == "t" else ""), file=source,
                          field=name)
-    told = {key: value for key, value in meta.items() if key != "left_out"}
-    return {**told, "left_out": list(words)} if words else told
+    bare = {key: value for key, value in meta.items() if key != "left_out"}
+    return {**bare, "left_out": list(words)} if words else bare
 
 
 def _column(values: Array) -> Any:
@@ -304,8 +304,8 @@ def recordings_of(given: Recording | Sequence[Recording], field: str) -> tuple[R
         raise InputError("expected a recording or a list of them; make one of a DataFrame by Recording.from_frame, "
                          "of arrays by Recording.from_arrays, of a file by Recording.read", field=field,
                          value=type(given).__name__)
-    for i, one in enumerate(given):
-        expect(one, Recording, f"{field}[{i}]", "make one by Recording.from_frame, from_arrays or read")
+    for i, entry in enumerate(given):
+        expect(entry, Recording, f"{field}[{i}]", "make one by Recording.from_frame, from_arrays or read")
     return tuple(given)
 
 

@@ -84,17 +84,17 @@ FEWEST = 5_000
 
 def stretches(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], list[str]]:
     """The recordings, or of more than ``MOST`` samples stretches of each, and a warning that says so."""
-    total = sum(len(one.t) for one in recordings)
+    total = sum(len(recording.t) for recording in recordings)
     if total <= MOST:
         return tuple(recordings), []
-    found, used = [], 0
-    for one in recordings:
-        share = max(MOST * len(one.t) // total, min(FEWEST, len(one.t)))
+    parts, used = [], 0
+    for recording in recordings:
+        share = max(MOST * len(recording.t) // total, min(FEWEST, len(recording.t)))
         rows = min(STRETCH, share)
-        starts = np.linspace(0, len(one.t) - rows, share // max(rows, 1)).astype(int)
-        found += [_part(one, int(start), rows) for start in starts]
+        starts = np.linspace(0, len(recording.t) - rows, share // max(rows, 1)).astype(int)
+        parts += [_part(recording, int(start), rows) for start in starts]
         used += rows * len(starts)
-    return tuple(found), [f"long-recording: of {total} samples {used} are used, in {len(found)} stretches spread "
+    return tuple(parts), [f"long-recording: of {total} samples {used} are used, in {len(parts)} stretches spread "
                           "evenly; give shorter recordings to choose which"]
 
 
