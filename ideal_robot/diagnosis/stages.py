@@ -73,18 +73,18 @@ def _in_position_band(case: Case, found: Findings) -> tuple[Regression, Regressi
     return in_position_band(found.problem.regression, case.recording), validation
 
 
-def _diagnosed(case: Case, made: Regression, validation: Regression | None) -> Settled:
+def _diagnosed(case: Case, regression: Regression, validation: Regression | None) -> Settled:
     """The search in one regression; of a sensor nothing is learned, and what is reported as before is refitted."""
-    effects = [effect for effect in library() if effect.domain == made.domain]
-    sensor, only = made.domain == SENSOR, case.only
-    if made.domain == TCP_POSITION and made.absent:
+    effects = [effect for effect in library() if effect.domain == regression.domain]
+    sensor, only = regression.domain == SENSOR, case.only
+    if regression.domain == TCP_POSITION and regression.absent:
         # Two axes of three do not tell a length of the arm from an angle, nor a curve from either; play is one over
         # the load.
         only = tuple((e.name, j) for e in effects if not isinstance(e, GeometryChange) and e.name != Backlash.name
                      for j in range(case.robot.n + 1) if only is None or (e.name, j) in only)
     if sensor:
         only = tuple((e.name, 0) for e in effects if only is None or (e.name, 0) in only)
-    problem = Problem.of(made, held_out=validation is None)
+    problem = Problem.of(regression, held_out=validation is None)
     choices = Search(problem, effects, case.options.finer(), absorbed=True, only=only).run()
     choices = with_equivalents(problem, choices)
     final = problem.on_all_blocks().fit(choices, uncertainty=True)

@@ -71,18 +71,18 @@ def without_clamp_give(signals: Sequence[ClampedSignals], robot: Robot) -> tuple
     return tuple(corrected)
 
 
-def _block(one: ClampedSignals, robot: Robot) -> tuple[Array, Array]:
+def _block(signal: ClampedSignals, robot: Robot) -> tuple[Array, Array]:
     """Regressor ``(N, n, 2 n + 2)`` and motor angles ``(N, n)``, the means taken away from each."""
-    if len(one.measured) < 6:
-        raise InputError("all six wrench components are needed to tell clamp and gears apart", file=one.source,
+    if len(signal.measured) < 6:
+        raise InputError("all six wrench components are needed to tell clamp and gears apart", file=signal.source,
                          field="fx fy fz mx my mz")
-    tau, use = joint_torque(one, robot, "wrench")
+    tau, use = joint_torque(signal, robot, "wrench")
     if np.count_nonzero(use) < 10:
-        raise InputError("fewer than 10 samples under load", file=one.source)
-    assert one.wrench is not None
-    wrench, q_m = one.wrench[use], one.q_m[use]
-    jacobian = flange_jacobian(robot, one.q_0)
-    shapes = compliance_shapes(robot, one.q_0)
+        raise InputError("fewer than 10 samples under load", file=signal.source)
+    assert signal.wrench is not None
+    wrench, q_m = signal.wrench[use], signal.q_m[use]
+    jacobian = flange_jacobian(robot, signal.q_0)
+    shapes = compliance_shapes(robot, signal.q_0)
     rows = np.zeros((len(q_m), robot.n, robot.n + len(shapes)))
     rows[:, range(robot.n), range(robot.n)] = tau[use]
     for column, shape in enumerate(shapes):

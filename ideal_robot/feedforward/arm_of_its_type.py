@@ -104,19 +104,19 @@ def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
         return model
 
 
-def _with_bodies(model: Model, root: Array, found: Solved, nearby: Array) -> Model:
+def _with_bodies(model: Model, root: Array, solution: Solved, nearby: Array) -> Model:
     """The model with base parameters by ``found``, whose first ones count ``root``; IdealRobotError if none can be."""
     some = slice(root.shape[1])
-    values = model.base_values + root @ found.x[some]
-    full = consistent_parameters(model.base, values, root @ found.covariance[some, some] @ root.T, nearby).full
+    values = model.base_values + root @ solution.x[some]
+    full = consistent_parameters(model.base, values, root @ solution.covariance[some, some] @ root.T, nearby).full
     return replace(model, base_values=values, consistent=full)
 
 
-def _nearby(model: Model, found: Array, heavier: Array) -> Array:
+def _nearby(model: Model, change: Array, heavier: Array) -> Array:
     """Possible full parameters ``(12 n,)`` for what no motion tells, e.g. how a rotor and a link share an inertia."""
     n, full = model.n, np.array(model.consistent)
     full[: 10 * n] *= np.repeat(np.maximum(1.0 + LINK * heavier, 0.1), 10)
-    full[10 * n :] += found[10 * n :]
+    full[10 * n :] += change[10 * n :]
     full[10 * n : 11 * n] = np.maximum(full[10 * n : 11 * n], 0.0)
     return full
 

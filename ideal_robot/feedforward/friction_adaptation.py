@@ -254,15 +254,15 @@ def _told(known: _Known, drive: Drive, measured: tuple[Array, int, Array], furth
 
 
 @jit()
-def _row(known: _Known, seen: Smoothed, torques: Array, i: int, h: Array) -> tuple[float, float]:
+def _row(known: _Known, motion: Smoothed, torques: Array, i: int, h: Array) -> tuple[float, float]:
     """What the model leaves of joint ``i``'s torque, and its torque for acceleration [N m].
 
     What the joint's parameters count is written to ``h (p,)``; ``torques (3, n)`` [N m] are of the rigid body, of it
     without acceleration, and of 1 kg at the tool.
     """
-    v, speed, z, dry = seen.motor_v[0, i], abs(seen.motor_v[0, i]), seen.z[0, i], known.dry[i]
+    v, speed, z, dry = motion.motor_v[0, i], abs(motion.motor_v[0, i]), motion.z[0, i], known.dry[i]
     table, per_load, per_driven = known.friction
-    accelerating = torques[0, i] - torques[1, i] + known.rotor_inertia[i] * seen.motor_a[0, i]
+    accelerating = torques[0, i] - torques[1, i] + known.rotor_inertia[i] * motion.motor_a[0, i]
     by_load = friction_of_load(per_load[i], per_driven[i], torques[0, i], v)
     sliding = between(speed, known.friction_velocity[:, i], table[0 if v > 0.0 else 1, :, i]) + by_load
     own, common = h[i * _OWN :], h[len(h) - _COMMON :]
@@ -270,11 +270,11 @@ def _row(known: _Known, seen: Smoothed, torques: Array, i: int, h: Array) -> tup
     own[0] += by_load / dry
     for k in range(TERMS):
         own[k] *= z * dry
-    own[TERMS], common[2] = known.apparent[i] * seen.motor_a[0, i], known.mass * torques[2, i]
+    own[TERMS], common[2] = known.apparent[i] * motion.motor_a[0, i], known.mass * torques[2, i]
     for k in range(2):
         common[k] = SHARED[k] * own[k]
         own[k] *= OWN[k]
-    return seen.tau[0, i] - torques[1, i] - accelerating - known.offset[i] - z * sliding, accelerating
+    return motion.tau[0, i] - torques[1, i] - accelerating - known.offset[i] - z * sliding, accelerating
 
 
 @jit()

@@ -85,7 +85,7 @@ def _left(loop: LoopModel, s: FilteredSignals, rigid: Array) -> Array:
     return s.decimate((s.tau - further) / loop.gain - rigid - loop.rotor_inertia * s.qdd - loop.offset - ripple)
 
 
-def _of_joint(loop: LoopModel, s: FilteredSignals, load: Array, left: Array, j: int) -> tuple[Array, float]:
+def _of_joint(loop: LoopModel, s: FilteredSignals, load: Array, residual: Array, j: int) -> tuple[Array, float]:
     """Values of friction's terms ``(TERMS,)`` of joint ``j`` and factor on the angle over which friction turns."""
     q, v = s.q[:, [j]], s.qd[:, j]
     dry = dry_friction(loop)[j]
@@ -103,7 +103,7 @@ def _of_joint(loop: LoopModel, s: FilteredSignals, load: Array, left: Array, j: 
     for tried in BENDS if bend > 0.0 else (1.0,):
         z = sliding_direction(q, s.qd[:, [j]], np.array([tried * bend]))[:, 0] if bend > 0.0 else np.sign(v)
         columns = s.decimate(np.column_stack([z[:, None] * terms, weight])) / std
-        solution = solved(columns, (left - s.decimate(z * friction)) / std)
+        solution = solved(columns, (residual - s.decimate(z * friction)) / std)
         evidence = solution.evidence - 0.5 * (np.log(tried) / BELIEVED) ** 2
         if evidence > best:
             best, values, factor = evidence, np.clip(solution.x[:TERMS], -FAR, FAR), tried

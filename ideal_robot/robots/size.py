@@ -59,12 +59,12 @@ def of_its_size(robot: Robot) -> Robot:
     """
     if robot.name in SHIPPED or robot.n < FEWEST:
         return robot
-    assumed: list[str] = []
-    with_mass = _with_masses(robot, assumed)
-    v_max = _speeds(with_mass, assumed)
+    notes: list[str] = []
+    with_mass = _with_masses(robot, notes)
+    v_max = _speeds(with_mass, notes)
     with_speed = replace(with_mass, v_max=_frozen(v_max))
-    tau_max = _efforts(with_speed, assumed)
-    return replace(with_speed, tau_max=_frozen(tau_max), assumed=(*robot.assumed, *assumed))
+    tau_max = _efforts(with_speed, notes)
+    return replace(with_speed, tau_max=_frozen(tau_max), assumed=(*robot.assumed, *notes))
 
 
 def reach(robot: Robot) -> float:
@@ -96,20 +96,20 @@ def _ways(robot: Robot) -> Array:
 
 # Masses
 
-def _with_masses(robot: Robot, told: list[str]) -> Robot:
+def _with_masses(robot: Robot, notes: list[str]) -> Robot:
     size = reach(robot)
     usual = class_of(MASS, size)
     bodies = list(robot.pinocchio.inertias)[1:]
     total = sum(body.mass for body in bodies)
     faulty = np.array([not _possible(body, size, usual) for body in bodies])
     if not usual / ABSURD_MASS <= total <= usual * ABSURD_MASS:
-        told.append(f"the links weigh {total:.3g} kg in the URDF: {usual:.3g} kg are taken, as arms of {size:.2g} m "
-                    "have")
+        notes.append(f"the links weigh {total:.3g} kg in the URDF: {usual:.3g} kg are taken, as arms of {size:.2g} m "
+                     "have")
         faulty[:] = True
     elif faulty.any():
         names = ", ".join(robot.pinocchio.names[int(j) + 1] for j in np.flatnonzero(faulty))
-        told.append(f"no arm's masses or moments of inertia behind {names} in the URDF: those of a link of an arm of "
-                    f"{size:.2g} m are taken")
+        notes.append(f"no arm's masses or moments of inertia behind {names} in the URDF: those of a link of an arm of "
+                     f"{size:.2g} m are taken")
     if not faulty.any():
         return robot
     weights = (np.linalg.norm(_ways(robot), axis=1) + 0.15 * size) * TAPER ** np.arange(robot.n)
@@ -163,25 +163,25 @@ def _cylinder(way: Array, mass: float, radius: float) -> ET.Element:
 
 # Speeds and efforts
 
-def _speeds(robot: Robot, told: list[str]) -> Array:
+def _speeds(robot: Robot, notes: list[str]) -> Array:
     size = reach(robot)
     usual = np.where(np.arange(robot.n) < robot.n - 3, class_of(BASE_SPEED, size), class_of(WRIST_SPEED, size))
     usual = np.where(robot.prismatic, SLIDING_SPEED, usual)
     missing = ~(np.isfinite(robot.v_max) & (robot.v_max < ABSURD_SPEED * usual))
     if missing.any():
-        told.append(f"no arm's speed limit of {_joints(missing)} in the URDF: {listed(usual[missing])} rad/s or m/s "
-                    "are taken, as arms of that size have")
+        notes.append(f"no arm's speed limit of {_joints(missing)} in the URDF: {listed(usual[missing])} rad/s or m/s "
+                     "are taken, as arms of that size have")
     return np.where(missing, usual, robot.v_max)
 
 
-def _efforts(robot: Robot, told: list[str]) -> Array:
+def _efforts(robot: Robot, notes: list[str]) -> Array:
     gravity, inertia = loads(robot)
     usual = LIFTS * gravity + inertia * robot.v_max / RISE
     usual = np.maximum(usual, WEAKEST * usual[~robot.prismatic].max(initial=0.0))
     missing = ~(np.isfinite(robot.tau_max) & (robot.tau_max > HOLDS * gravity))
     if missing.any():
-        told.append(f"no effort of {_joints(missing)} in the URDF that could hold the arm: {listed(usual[missing])} "
-                    "N m or N are taken, for its masses and speeds")
+        notes.append(f"no effort of {_joints(missing)} in the URDF that could hold the arm: {listed(usual[missing])} "
+                     "N m or N are taken, for its masses and speeds")
     return np.where(missing, usual, robot.tau_max)
 
 

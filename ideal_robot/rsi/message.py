@@ -256,15 +256,15 @@ def _elements(text: str) -> dict[str, list[_Element]]:
     return elements
 
 
-def _only(found: dict[str, list[_Element]], tag: str) -> _Element | None:
-    elements = found.get(tag, [])
+def _only(by_name: dict[str, list[_Element]], tag: str) -> _Element | None:
+    elements = by_name.get(tag, [])
     if len(elements) > 1:
         raise PacketError(f"{tag} stands there {len(elements)} times")
     return elements[0] if elements else None
 
 
-def _axes(found: dict[str, list[_Element]], tag: str, n: int) -> Array | None:
-    element = _only(found, tag)
+def _axes(elements: dict[str, list[_Element]], tag: str, n: int) -> Array | None:
+    element = _only(elements, tag)
     if element is None:
         return None
     pairs = _ATTRIBUTE.findall(element[0])

@@ -80,10 +80,10 @@ def tool_regression(recording: Recording, robot: Robot, torque: Regression,
                      signals=replace(torque.signals, q=q, load=load, frames=frames))
 
 
-def _measured(torque: Regression, y: Array, there: np.ndarray, **own: Any) -> Regression:
-    """The regression of ``y (N, c)`` along the same motion; channels that are not ``there (c,)`` are absent."""
-    return replace(torque, y=y, measured=y - y.mean(axis=0), use=np.tile(there, (len(y), 1)),
-                   noise_floor=noise_floor(y), absent=frozenset(np.flatnonzero(~there).tolist()), **own)
+def _measured(torque: Regression, y: Array, measured: np.ndarray, **own: Any) -> Regression:
+    """The regression of ``y (N, c)`` along the same motion; channels that are not ``measured (c,)`` are absent."""
+    return replace(torque, y=y, measured=y - y.mean(axis=0), use=np.tile(measured, (len(y), 1)),
+                   noise_floor=noise_floor(y), absent=frozenset(np.flatnonzero(~measured).tolist()), **own)
 
 
 def measured_axes(recording: Recording) -> np.ndarray:

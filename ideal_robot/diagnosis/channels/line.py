@@ -77,10 +77,10 @@ class _SeenPoints:
 def line_regression(recording: Recording, robot: Robot, torque: Regression,
                     stiffness: Array | None) -> Regression | None:
     """See ``position_regressions``. Of a camera's ``cam_t`` and ``line_x_i line_y_i line_z_i``; None for too few."""
-    seen = _seen(recording)
-    if seen is None:
+    fields = _seen(recording)
+    if fields is None:
         return None
-    stamps, number, points = seen
+    stamps, number, points = fields
     begin, grid = float(recording.t[0]), torque.filtered.t
     angles = arm_angles(recording, torque, stiffness)
     rotation, place, twist = tool_motion(robot, *_smooth(grid, angles, stamps))

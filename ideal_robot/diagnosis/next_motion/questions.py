@@ -200,13 +200,13 @@ def undecided_joints(problem: Problem, robot: Robot, joints: Sequence[int]) -> l
     return pairs
 
 
-def _thetas_of(candidate: Candidate, made: Regression) -> tuple[tuple[float, ...], ...]:
+def _thetas_of(candidate: Candidate, regression: Regression) -> tuple[tuple[float, ...], ...]:
     """Values of theta a cause may take as a rival: the fitted one, about it, and where searches start."""
     effect, theta = candidate.effect, candidate.theta
     if not theta or effect.scanned:
         return (theta,)
-    bounds = effect.bounds(made.signals, candidate.joint)
+    bounds = effect.bounds(regression.signals, candidate.joint)
     # Without bounds theta is a choice, such as that of a partner axis, and not a number.
     near = [tuple(f * v for v in theta) for f in (0.5, 0.7, 1.4, 2.0)] if len(bounds) == len(theta) else []
     inside = [trial for trial in near if all(low <= v <= high for v, (low, high) in zip(trial, bounds, strict=True))]
-    return tuple(dict.fromkeys([theta, *inside, *effect.starts(made.signals, candidate.joint)]))
+    return tuple(dict.fromkeys([theta, *inside, *effect.starts(regression.signals, candidate.joint)]))

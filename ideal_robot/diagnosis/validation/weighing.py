@@ -86,19 +86,19 @@ class _Weighing:
                         f"joint {own.joint}" if own.joint else self.model.problem.regression.domain.whole,
                         tuple(sorted(sets, key=lambda s: s.nats)), self._band(misfit[next_best]), when, share)
 
-    def _weighed(self, left: Array, other: Candidate | None) -> Weighed:
+    def _weighed(self, misfit: Array, other: Candidate | None) -> Weighed:
         blocks = self.model.problem.blocks
-        gain = np.add.reduceat((left**2 - self.best**2).sum(axis=1), blocks.edges[:-1])[blocks.selecting]
+        gain = np.add.reduceat((misfit**2 - self.best**2).sum(axis=1), blocks.edges[:-1])[blocks.selecting]
         return Weighed("" if other is None else _name(other.effect), 0 if other is None else other.joint,
                        float(gain.sum()), float(np.std(gain, ddof=1) * np.sqrt(len(gain))),
                        other is not None and other.effect.learned)
 
-    def _band(self, left: Array) -> tuple[float, float]:
+    def _band(self, misfit: Array) -> tuple[float, float]:
         """The fewest adjoining octaves that hold half of the difference [Hz]."""
-        f = np.fft.rfftfreq(len(left), self.model.problem.regression.step)
+        f = np.fft.rfftfreq(len(misfit), self.model.problem.regression.step)
         octaves = np.exp2(np.arange(np.ceil(np.log2(f[1])), np.log2(f[-1])))
         edges = [0.0, *octaves.tolist(), np.inf]
-        power = (np.abs(np.fft.rfft(left, axis=0)) ** 2 - np.abs(np.fft.rfft(self.best, axis=0)) ** 2).sum(axis=1)
+        power = (np.abs(np.fft.rfft(misfit, axis=0)) ** 2 - np.abs(np.fft.rfft(self.best, axis=0)) ** 2).sum(axis=1)
         parts = np.array([power[(f >= low) & (f < high)].sum() for low, high in pairwise(edges)])
         parts = parts / (parts.sum() or 1.0)
         spans = [(b - a, -parts[a:b].sum(), a, b) for a in range(len(parts)) for b in range(a + 1, len(parts) + 1)
@@ -106,9 +106,9 @@ class _Weighing:
         _, _, a, b = min(spans)
         return edges[a], edges[b]
 
-    def _when(self, left: Array) -> tuple[str, float]:
+    def _when(self, misfit: Array) -> tuple[str, float]:
         """The quarter of the time in which most of the difference lies, in words, and its share."""
-        gain = left**2 - self.best**2
+        gain = misfit**2 - self.best**2
         regression, s = self.model.problem.regression, self.scoring.at_rows
         channel = int(np.argmax(gain.sum(axis=0)))
         joint = self.choice.joint or (channel + 1 if regression.domain in (MOTOR_TORQUE, ARM_POSITION) else 0)
