@@ -21,7 +21,8 @@ from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.preprocess import FilteredSignals, lowpass, preprocess
+from ideal_robot.signals.filters import lowpass
+from ideal_robot.signals.preprocess import FilteredSignals, preprocess
 from ideal_robot.signals.recording import Recording
 from scenes.arms import arm_of
 from scenes.commands.common import numbers, whole_numbers

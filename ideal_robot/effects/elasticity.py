@@ -12,7 +12,7 @@ from ideal_robot.effects.base import ARM_POSITION, MOTOR_TORQUE, TCP_POSITION, D
 from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import LEVER, Signals
 from ideal_robot.jit import jit
-from ideal_robot.signals.preprocess import lowpass
+from ideal_robot.signals.filters import lowpass
 
 _HERTZ = (5.0, 6.0, 7.0, 8.2, 9.6, 11.2, 13.0)
 """Resonances behind a motor that stands [Hz] that are looked for: above the band of torques the gear bends as its load

@@ -11,7 +11,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.jit import jit
-from ideal_robot.signals.preprocess import lowpass
+from ideal_robot.signals.filters import lowpass
 
 RigidBody = Callable[[Array, Array, Array], Array]
 """Rigid-body torque ``(N, n)`` of ``q, qd, qdd`` ``(N, n)`` each, without friction and rotors."""

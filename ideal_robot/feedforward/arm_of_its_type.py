@@ -45,7 +45,8 @@ from ideal_robot.feedforward.friction_estimator import (
 from ideal_robot.loop.loop_model import largest_speeds
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.preprocess import FilteredSignals, lowpass, preprocess
+from ideal_robot.signals.filters import lowpass
+from ideal_robot.signals.preprocess import FilteredSignals, preprocess
 from ideal_robot.signals.recording import Recording
 
 RIPPLE = "torque_ripple"

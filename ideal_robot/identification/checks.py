@@ -15,7 +15,6 @@ from ideal_robot.identification.weighted_least_squares import Solution
 from ideal_robot.model.model import Model
 from ideal_robot.robots import SHIPPED
 from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.error_budget import at_sampling_instants
 from ideal_robot.signals.plausible import (
     MOST_LEFT_OUT,
     only_numbers,
@@ -25,6 +24,7 @@ from ideal_robot.signals.plausible import (
     without_spikes,
 )
 from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.sampling import at_sampling_instants
 
 _MINIMUM_DURATION = 1.0
 STILL = 1e-3

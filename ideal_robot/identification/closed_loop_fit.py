@@ -27,8 +27,8 @@ from ideal_robot.errors import InputError
 from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.preprocess import gap_free
 from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.sampling import gap_free
 
 _ORDER = 2
 """Stages of the command low-pass that are fitted; a single one comes out as two shorter ones just as well."""

@@ -19,8 +19,8 @@ from ideal_robot.errors import InputError
 from ideal_robot.identification.closed_loop_fit import commanded, in_cycle, require_changes, require_loop
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.results import Summarised, listed
-from ideal_robot.signals.preprocess import gap_free
 from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.sampling import gap_free
 
 _K_I_RANGE = (1e-4, 2.0)
 """Cycle over reset time: those tried reach from half a cycle to ten thousand."""

@@ -26,7 +26,8 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.channels import ChannelFinding, channel_findings, dead_joints
 from ideal_robot.signals.cutoff import CutoffChoice, choose_cutoff
 from ideal_robot.signals.error_budget import ErrorBudget, error_budget
-from ideal_robot.signals.preprocess import FilteredSignals, decimated, evenly_sampled
+from ideal_robot.signals.filters import decimated
+from ideal_robot.signals.preprocess import FilteredSignals, evenly_sampled
 from ideal_robot.signals.recording import Recording
 from ideal_robot.signals.sampling import on_its_clock
 

@@ -18,8 +18,10 @@ from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import coefficient_columns, shape_columns
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.error_budget import ErrorBudget
-from ideal_robot.signals.preprocess import FilteredSignals, lowpass, preprocess, resampled
+from ideal_robot.signals.filters import lowpass
+from ideal_robot.signals.preprocess import FilteredSignals, preprocess
 from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.sampling import resampled
 
 
 def regions_of_motion(q: Array, qd: Array) -> list[np.ndarray]:

@@ -25,7 +25,8 @@ from ideal_robot.identification.weighted_least_squares import Solution
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.channels import alone, runs
-from ideal_robot.signals.preprocess import FilteredSignals, lowpass, preprocess
+from ideal_robot.signals.filters import lowpass
+from ideal_robot.signals.preprocess import FilteredSignals, preprocess
 from ideal_robot.signals.recording import Recording
 
 

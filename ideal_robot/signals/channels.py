@@ -13,9 +13,9 @@ import numpy as np
 from scipy import signal
 
 from ideal_robot.arrays import Array
-from ideal_robot.signals.preprocess import FilteredSignals, resampled, uniform_time
+from ideal_robot.signals.preprocess import FilteredSignals
 from ideal_robot.signals.recording import Recording
-from ideal_robot.signals.sampling import regular_stamps
+from ideal_robot.signals.sampling import regular_stamps, resampled, uniform_time
 
 DEAD, STEPPED, CLIPPED, FILTERED, IRREGULAR = "dead", "stepped", "clipped", "filtered", "irregular-stamps"
 

@@ -15,18 +15,10 @@ import numpy as np
 from scipy import linalg, signal
 
 from ideal_robot.arrays import Array
-from ideal_robot.signals.filters import filtered_at, not_zero
-from ideal_robot.signals.preprocess import (
-    EvenSignals,
-    FilteredSignals,
-    decimated,
-    decimation_taps,
-    evenly_sampled,
-    lowpass,
-    resampled,
-    uniform_time,
-)
+from ideal_robot.signals.filters import decimated, decimation_taps, filtered_at, lowpass, not_zero
+from ideal_robot.signals.preprocess import EvenSignals, FilteredSignals, evenly_sampled
 from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.sampling import resampled, uniform_time
 
 CANDIDATES = (4.0, 5.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 50.0, 80.0)
 """Cut-offs that are tried [Hz]; those above a fifth of the sampling rate, or far above the band of judgement, are

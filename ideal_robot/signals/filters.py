@@ -1,12 +1,85 @@
-"""Linear filters: forwards and backwards over whole columns, and at few instants."""
+"""Linear filters: the low-pass of positions and the decimation of torques, and what carries them out."""
 
 from __future__ import annotations
+
+from functools import cache
 
 import numpy as np
 import scipy  # its signal is large, and loaded where it is used
 
 from ideal_robot.arrays import Array
 from ideal_robot.jit import jit
+
+ORDER = 4
+"""Order of the Butterworth filter; run forwards and backwards it acts as twice that."""
+
+
+def lowpass(values: Array, dt: float, cutoff: float) -> Array:
+    """Zero-phase Butterworth low-pass along the first axis.
+
+    Args:
+        values, dt: ``(N, …)``, evenly spaced in time, and the time step [s].
+        cutoff: [Hz].
+    """
+    sos = _sections(2.0 * cutoff * dt)
+    # Padding as long as the filter remembers; the default is too short for low cut-offs.
+    pad = min(len(values) - 1, int(np.ceil(1.5 / (cutoff * dt))) + 3 * (ORDER + 1))
+    values = np.asarray(values, dtype=float)
+    return forwards_and_backwards(sos, values.reshape(len(values), -1), pad).reshape(values.shape)
+
+
+@cache
+def _sections(share: float) -> Array:
+    """The low-pass in sections of second order; ``share`` is its cut-off over half the sampling rate."""
+    return np.asarray(scipy.signal.butter(ORDER, share, output="sos"))
+
+
+def decimated(values: Array, factor: int) -> Array:
+    """Every ``factor``-th sample of the zero-phase FIR-filtered values ``(N, …)``."""
+    if factor == 1:
+        return np.asarray(values, dtype=float)
+    live, rows = decimated_columns(values, factor)
+    result = np.zeros((rows.shape[1], len(live)))
+    result[:, live] = rows.T
+    return result.reshape(len(result), *np.shape(values)[1:])
+
+
+def decimated_columns(values: Array, factor: int) -> tuple[np.ndarray, Array]:
+    """Which columns of ``values (N, …)`` are not zero throughout ``(m,)``, and these decimated ``(r, M)``.
+
+    Zeros, most of what acts on one joint and half of a regressor, stay what they are without being filtered.
+    """
+    columns = np.asarray(values, dtype=float).reshape(len(values), -1).T
+    live = not_zero(columns)
+    rows = np.ascontiguousarray(columns[live])
+    return live, rows if factor == 1 else np.asarray(_thinned_out(rows, decimation_taps(factor), factor))
+
+
+# Sums in any order: the compiler takes several products at a time.
+@jit(fastmath={"reassoc", "contract"})
+def _thinned_out(rows: Array, taps: Array, factor: int) -> Array:
+    """``y_m = Σ_j h_j x_{mf - 10f + j}`` of rows ``(r, N)``, zero beyond their ends, as scipy's ``resample_poly``."""
+    N, reach = rows.shape[1], len(taps) // 2
+    count = -(-N // factor)
+    out = np.empty((len(rows), count))
+    for r in range(len(rows)):
+        for m in range(count):
+            start = m * factor - reach
+            first = max(0, -start)
+            weights = taps[first : min(len(taps), N - start)]
+            x = rows[r, start + first : start + first + len(weights)]
+            total = 0.0
+            for j in range(len(weights)):
+                total += weights[j] * x[j]
+            out[r, m] = total
+    return out
+
+
+@cache
+def decimation_taps(factor: int) -> Array:
+    """Hamming-windowed low-pass with half power at the new half sampling rate: what ``scipy.signal.decimate`` uses."""
+    return np.asarray(scipy.signal.firwin(20 * factor + 1, 1.0 / factor, window="hamming"))
+
 
 # A recursive filter run forwards and backwards over many columns at once, as ``scipy.signal.sosfiltfilt`` has it.
 #

@@ -8,31 +8,23 @@ the model does not claim to explain. Both cut-offs are chosen from the data unle
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache
-from itertools import pairwise
 
 import numpy as np
 import scipy
 
-from ideal_robot.arrays import Array, interpolated
+from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.jit import jit
-from ideal_robot.signals.filters import filtered_at, forwards_and_backwards, not_zero
+from ideal_robot.signals.filters import decimated, decimation_taps, filtered_at, lowpass
 from ideal_robot.signals.recording import Recording
-from ideal_robot.signals.sampling import on_its_clock
-
-ORDER = 4
-"""Order of the Butterworth filter; run forwards and backwards it acts as twice that."""
+from ideal_robot.signals.sampling import on_its_clock, resampled, uniform_time
 
 _FINE = 10.0
 """Samples a period of the cut-off that are enough for motion below it."""
 _MINIMUM_SAMPLES = 100  # ten times what has to be left
 _FEWEST = 10
 """Samples that have to be left after filtering and decimation."""
-_GAP = 5.0
-"""A pause longer than this many sampling steps is a hole; nothing near it is trusted."""
 
 
 @dataclass(frozen=True)
@@ -197,131 +189,6 @@ def preprocess(recording: Recording, *, cutoff: float | None = None,
         cutoff_decimation: half-power frequency of the decimation filter [Hz]; half of ``cutoff`` if None.
     """
     return evenly_sampled(recording).filtered(cutoff, cutoff_decimation)
-
-
-def gap_free(recording: Recording, prefixes: Sequence[str], fewest: int) -> list[Recording]:
-    """The stretches between a recording's gaps, each at even instants; the recording itself where it is even already.
-
-    A gap is what is a hole to ``uniform_time``; fewer lost rows are filled in from those around them. Raises InputError
-    where a column is missing.
-
-    Args:
-        recording, prefixes: with ``t`` and ``q_i``, time increasing; the quantities of the joints that are needed.
-        fewest: samples without which a stretch is of no use and left out, at least two.
-    """
-    recording = on_its_clock(recording)
-    t, steps = recording.t, np.diff(recording.t)
-    # Lost rows do not lengthen the cycle.
-    cycle = float(np.mean(steps[steps < 1.5 * np.median(steps)])) if len(steps) else 1.0
-    stretches = []
-    for begin, end in pairwise([0, *(np.flatnonzero(steps > _GAP * cycle) + 1), len(t)]):
-        times = t[begin:end]
-        grid = np.linspace(times[0], times[-1], round((times[-1] - times[0]) / cycle) + 1)
-        if len(grid) < fewest:
-            continue
-        if len(grid) == len(t) and np.allclose(t, grid, atol=1e-3 * cycle, rtol=0.0):
-            return [recording]
-        stretches.append(Recording.from_arrays(grid, meta=recording.meta, source=recording.source, **{
-            prefix: resampled(times, recording.joints(prefix, slice(begin, end)), grid, smooth=prefix != "tau")
-            for prefix in prefixes}))
-    return stretches
-
-
-def uniform_time(recording: Recording) -> tuple[Array, np.ndarray]:
-    """A uniform time grid at the recording's median step, and a mask of grid points that lie in holes."""
-    t = recording.t
-    steps = np.diff(t)
-    if len(steps) == 0 or np.any(steps <= 0):
-        raise InputError("time must increase from sample to sample", file=recording.source, field="t")
-    # The mean of the ordinary steps, not the median, so that jittering stamps do not stretch the grid.
-    dt = float(np.mean(steps[steps < _GAP * np.median(steps)]))
-    count = int(np.floor((t[-1] - t[0]) / dt + 1e-6)) + 1
-    grid = t[0] + dt * np.arange(count)
-    hole = np.zeros(count, dtype=bool)
-    for k in np.flatnonzero(steps > _GAP * dt):
-        hole |= (grid > t[k]) & (grid < t[k + 1])
-    return grid, hole
-
-
-def resampled(t: Array, values: Array, grid: Array, smooth: bool = False) -> Array:
-    """Values at the grid's times ``(M, m)``; smooth ones by cubic splines, noisy ones linearly.
-
-    Args:
-        t, values: times ``(N,)`` [s] and values ``(N, m)``.
-        grid, smooth: times asked for ``(M,)`` [s], and whether the values are free of noise.
-    """
-    if len(t) == len(grid) and np.allclose(t, grid, atol=1e-3 * (grid[1] - grid[0]), rtol=0.0):
-        return np.array(values, dtype=float)
-    if smooth:
-        return np.asarray(scipy.interpolate.CubicSpline(t, values, axis=0)(grid))
-    return interpolated(grid, t, values)
-
-
-def lowpass(values: Array, dt: float, cutoff: float) -> Array:
-    """Zero-phase Butterworth low-pass along the first axis.
-
-    Args:
-        values, dt: ``(N, …)``, evenly spaced in time, and the time step [s].
-        cutoff: [Hz].
-    """
-    sos = _sections(2.0 * cutoff * dt)
-    # Padding as long as the filter remembers; the default is too short for low cut-offs.
-    pad = min(len(values) - 1, int(np.ceil(1.5 / (cutoff * dt))) + 3 * (ORDER + 1))
-    values = np.asarray(values, dtype=float)
-    return forwards_and_backwards(sos, values.reshape(len(values), -1), pad).reshape(values.shape)
-
-
-@cache
-def _sections(share: float) -> Array:
-    """The low-pass in sections of second order; ``share`` is its cut-off over half the sampling rate."""
-    return np.asarray(scipy.signal.butter(ORDER, share, output="sos"))
-
-
-def decimated(values: Array, factor: int) -> Array:
-    """Every ``factor``-th sample of the zero-phase FIR-filtered values ``(N, …)``."""
-    if factor == 1:
-        return np.asarray(values, dtype=float)
-    live, rows = decimated_columns(values, factor)
-    result = np.zeros((rows.shape[1], len(live)))
-    result[:, live] = rows.T
-    return result.reshape(len(result), *np.shape(values)[1:])
-
-
-def decimated_columns(values: Array, factor: int) -> tuple[np.ndarray, Array]:
-    """Which columns of ``values (N, …)`` are not zero throughout ``(m,)``, and these decimated ``(r, M)``.
-
-    Zeros, most of what acts on one joint and half of a regressor, stay what they are without being filtered.
-    """
-    columns = np.asarray(values, dtype=float).reshape(len(values), -1).T
-    live = not_zero(columns)
-    rows = np.ascontiguousarray(columns[live])
-    return live, rows if factor == 1 else np.asarray(_thinned_out(rows, decimation_taps(factor), factor))
-
-
-# Sums in any order: the compiler takes several products at a time.
-@jit(fastmath={"reassoc", "contract"})
-def _thinned_out(rows: Array, taps: Array, factor: int) -> Array:
-    """``y_m = Σ_j h_j x_{mf - 10f + j}`` of rows ``(r, N)``, zero beyond their ends, as scipy's ``resample_poly``."""
-    N, reach = rows.shape[1], len(taps) // 2
-    count = -(-N // factor)
-    out = np.empty((len(rows), count))
-    for r in range(len(rows)):
-        for m in range(count):
-            start = m * factor - reach
-            first = max(0, -start)
-            weights = taps[first : min(len(taps), N - start)]
-            x = rows[r, start + first : start + first + len(weights)]
-            total = 0.0
-            for j in range(len(weights)):
-                total += weights[j] * x[j]
-            out[r, m] = total
-    return out
-
-
-@cache
-def decimation_taps(factor: int) -> Array:
-    """Hamming-windowed low-pass with half power at the new half sampling rate: what ``scipy.signal.decimate`` uses."""
-    return np.asarray(scipy.signal.firwin(20 * factor + 1, 1.0 / factor, window="hamming"))
 
 
 def chosen_cutoff(q: Array, dt: float) -> float:

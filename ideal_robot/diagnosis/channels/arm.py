@@ -15,8 +15,8 @@ from ideal_robot.diagnosis.statistics.problem import Candidate
 from ideal_robot.effects import ARM_POSITION, TCP_POSITION, Frames
 from ideal_robot.effects.loads import AngleLaw
 from ideal_robot.robots.robot import Robot, common_normals
-from ideal_robot.signals.preprocess import resampled
 from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.sampling import resampled
 
 
 def position_regressions(recording: Recording, robot: Robot, torque: Regression,

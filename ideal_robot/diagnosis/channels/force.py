@@ -27,8 +27,10 @@ from ideal_robot.effects import SENSOR
 from ideal_robot.effects.fitted import spline_basis
 from ideal_robot.effects.force import ASSUMED_GIVE, CONTACT_FORCE, MOMENTS
 from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.preprocess import FilteredSignals, lowpass, resampled
+from ideal_robot.signals.filters import lowpass
+from ideal_robot.signals.preprocess import FilteredSignals
 from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.sampling import resampled
 
 
 def force_regressions(recording: Recording, validate: Recording | None, robot: Robot, torque: Regression,

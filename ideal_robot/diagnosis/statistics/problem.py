@@ -26,7 +26,7 @@ from ideal_robot.friction import PerJointFriction
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import friction_places, parameter_vector
 from ideal_robot.robots.robot import sliding_unit
-from ideal_robot.signals.preprocess import decimated_columns
+from ideal_robot.signals.filters import decimated_columns
 
 
 @dataclass(frozen=True)

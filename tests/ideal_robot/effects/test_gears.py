@@ -22,7 +22,7 @@ from ideal_robot.effects.registry import find
 from ideal_robot.effects.signals import RigidDerivatives
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.preprocess import lowpass
+from ideal_robot.signals.filters import lowpass
 from ideal_robot.signals.recording import Recording
 from studies.strangers.arm import robot_of
 from studies.strangers.score import score

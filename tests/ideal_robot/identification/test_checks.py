@@ -15,7 +15,8 @@ from ideal_robot.identification.checks import checked, require_motion
 from ideal_robot.identification.idim import identify
 from ideal_robot.identification.whole_model import identify_model
 from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.preprocess import lowpass, preprocess
+from ideal_robot.signals.filters import lowpass
+from ideal_robot.signals.preprocess import preprocess
 from ideal_robot.signals.recording import Recording
 from tests.ideal_robot.identification.test_excitation import base, record, robot, truth
 from tests.sources import DATA

@@ -11,15 +11,8 @@ from ideal_robot.errors import InputError
 from ideal_robot.signals.channels import alone, segments
 from ideal_robot.signals.cutoff import CutoffChoice, choose_cutoff
 from ideal_robot.signals.error_budget import error_budget
-from ideal_robot.signals.filters import filtered_at, forwards_and_backwards
-from ideal_robot.signals.preprocess import (
-    FilteredSignals,
-    chosen_cutoff,
-    decimated,
-    decimation_taps,
-    lowpass,
-    preprocess,
-)
+from ideal_robot.signals.filters import decimated, decimation_taps, filtered_at, forwards_and_backwards, lowpass
+from ideal_robot.signals.preprocess import FilteredSignals, chosen_cutoff, preprocess
 from ideal_robot.signals.recording import Recording
 
 

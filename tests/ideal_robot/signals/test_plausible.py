@@ -12,10 +12,9 @@ from ideal_robot.errors import InputError
 from ideal_robot.identification.checks import checked
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.channels import channel_findings, dead_joints, filtered_above, lattice
-from ideal_robot.signals.error_budget import sampling_instants
 from ideal_robot.signals.plausible import plausible
 from ideal_robot.signals.recording import Recording
-from ideal_robot.signals.sampling import regular_stamps
+from ideal_robot.signals.sampling import regular_stamps, sampling_instants
 from tests.sources import DATA
 
 

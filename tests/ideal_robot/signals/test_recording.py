@@ -18,9 +18,8 @@ from ideal_robot.signals import sampling as module
 from ideal_robot.signals import table_file
 from ideal_robot.signals.export import write_mcap, write_rosbag2
 from ideal_robot.signals.plausible import text_columns
-from ideal_robot.signals.preprocess import uniform_time
 from ideal_robot.signals.recording import WRITTEN_ROWS, Recording
-from ideal_robot.signals.sampling import shortened, stretches
+from ideal_robot.signals.sampling import shortened, stretches, uniform_time
 
 
 @pytest.fixture
