@@ -31,8 +31,8 @@ Places = dict[str, tuple[float, float]]
 
 def rooms(folder: str) -> list[str]:
     """Packages inside a folder, which are its rooms; the folder itself if it has none."""
-    found = sorted(path.parent.name for path in (ROOT / folder).glob("*/__init__.py"))
-    return [f"{folder}.{name}" for name in found] or [folder]
+    packages = sorted(path.parent.name for path in (ROOT / folder).glob("*/__init__.py"))
+    return [f"{folder}.{name}" for name in packages] or [folder]
 
 
 def room_of(module: str, known: set[str]) -> str | None:
@@ -132,9 +132,9 @@ def _arranged(graph: Graph) -> tuple[list[list[str]], dict[tuple[str, str], list
             ways[name, other] = [name, *bends.values(), other]
     beside: Graph = {name: set() for row in rows for name in row}
     for way in ways.values():
-        for one, other in itertools.pairwise(way):
-            beside[one].add(other)
-            beside[other].add(one)
+        for upper, lower in itertools.pairwise(way):
+            beside[upper].add(lower)
+            beside[lower].add(upper)
     for sweep in range(24):
         order = range(1, len(rows)) if sweep % 2 == 0 else range(len(rows) - 2, -1, -1)
         for layer in order:

@@ -53,10 +53,10 @@ def _played(path: Path, added: str, longest: float) -> nbformat.NotebookNode:
 
 def outputs_of(path: Path) -> nbformat.NotebookNode | None:
     """The notebook as it was played last; None where it was not, or has another text since."""
-    kept = PLAYED / path.name
-    if not kept.is_file():
+    record = PLAYED / path.name
+    if not record.is_file():
         return None
-    book = nbformat.read(kept, as_version=4)
+    book = nbformat.read(record, as_version=4)
     return book if book.metadata.get("text") == text_of(path) else None
 
 

@@ -70,7 +70,7 @@ class Published:
 def published(table: Path = ROOT / "docs" / "numbers.toml", root: Path = ROOT) -> list[Published]:
     """All numbers of the table, read from their pages; ValueError with the entry that a page does not have."""
     entries = tomllib.loads(table.read_text(encoding="utf-8"))
-    return [one for entry in entries["entry"] for one in _numbers(entry, root)]
+    return [number for entry in entries["entry"] for number in _numbers(entry, root)]
 
 
 def _numbers(entry: dict[str, Any], root: Path) -> Iterator[Published]:
@@ -81,14 +81,14 @@ def _numbers(entry: dict[str, Any], root: Path) -> Iterator[Published]:
         yield from _whole_table(entry, page, shared)
         return
     # A regular expression for what is printed begins with ~ from here on.
-    values = entry["values"] if "values" in entry else [f"~{one}" for one in entry["printed"]]
+    values = entry["values"] if "values" in entry else [f"~{pattern}" for pattern in entry["printed"]]
     factors = entry.get("factors", [1.0] * len(values))
     for label, key, text in _places(entry, page):
-        found = _NUMBER.findall(text)
-        if len(found) < len(values):
-            raise ValueError(f"{entry['page']}: {label!r} has {len(found)} numbers of {len(values)}")
+        numbers = _NUMBER.findall(text)
+        if len(numbers) < len(values):
+            raise ValueError(f"{entry['page']}: {label!r} has {len(numbers)} numbers of {len(values)}")
         for i, (value, factor) in enumerate(zip(values, factors, strict=True)):
-            yield Published(what=f"{label} ({i + 1})" if len(values) > 1 else label, text=found[i],
+            yield Published(what=f"{label} ({i + 1})" if len(values) > 1 else label, text=numbers[i],
                             value=value.replace("{row}", key), factor=factor, **shared)
 
 
@@ -127,10 +127,10 @@ def _table(text: str, header: str, where: str) -> list[tuple[str, list[str]]]:
 def _places(entry: dict[str, Any], page: str) -> Iterator[tuple[str, str, str]]:
     """Label, key of the row and the text with the numbers: cells of a table, or a sentence's groups."""
     if "sentence" in entry:
-        found = re.search(entry["sentence"], page)
-        if found is None:
+        match = re.search(entry["sentence"], page)
+        if match is None:
             raise ValueError(f"{entry['page']}: there is no {entry['sentence']!r}")
-        yield entry["sentence"][:40], "", " ".join(found.groups())
+        yield entry["sentence"][:40], "", " ".join(match.groups())
         return
     rows = dict(_table(page, entry["header"], entry["page"]))
     for begin, key in entry["rows"].items():
@@ -151,8 +151,8 @@ def value_of(content: Any, path: str) -> float:
     if path.startswith("|"):
         header, title, column, place = path[1:].rsplit("|", 3)
         cells = dict(_table(content["printed"], header, "what is printed")).get(title, [])
-        found = _NUMBER.findall(cells[int(column)]) if int(column) < len(cells) else []
-        return float(found[int(place)].replace("−", "-")) if int(place) < len(found) else float("nan")
+        texts = _NUMBER.findall(cells[int(column)]) if int(column) < len(cells) else []
+        return float(texts[int(place)].replace("−", "-")) if int(place) < len(texts) else float("nan")
     if path.startswith("~"):
         match = re.search(path[1:], content["printed"])
         if match is None:
@@ -165,7 +165,7 @@ def value_of(content: Any, path: str) -> float:
         values = [deeper for value in values for deeper in _deeper(value, name)]
         if chosen:
             key, _, wanted = chosen.rstrip("]").partition("=")
-            values = [one for value in values for one in value if str(one.get(key)) == wanted]
+            values = [entry for value in values for entry in value if str(entry.get(key)) == wanted]
     numbers = [float("nan") if value is None else float(value) for value in values]
     if reduced and numbers:
         return {"max": max, "min": min, "mean": lambda x: sum(x) / len(x)}[reduced[1]](numbers)
@@ -189,42 +189,42 @@ def made(command: str, folder: Path) -> dict[str, Any] | None:
         return None
     content: dict[str, Any] = {}
     answer = folder / "answer.json"
-    for one in command.split(" && "):
+    for step in command.split(" && "):
         answer.unlink(missing_ok=True)
-        words = shlex.split(one.replace("{data}", str(DATA)))
+        words = shlex.split(step.replace("{data}", str(DATA)))
         prints = words[0] == "python"
         words = words[1:] if prints else ["-m", "scenes.cli", *words, "--json", str(answer)]
         done = subprocess.run([sys.executable, *words], cwd=folder, capture_output=True, text=True,
                               check=False, env={**os.environ, "PYTHONPATH": str(ROOT)})
         if done.returncode != 0 or not (prints or answer.is_file()):
-            raise RuntimeError(f"{typed(one)}: {done.stderr.strip()[-500:]}")
+            raise RuntimeError(f"{typed(step)}: {done.stderr.strip()[-500:]}")
         content = {"printed": done.stdout} if prints else json.loads(answer.read_text(encoding="utf-8"))
     return content
 
 
 def typed(command: str) -> str:
     """A command as a person types it."""
-    return " && ".join(one if one.startswith("python ") else f"ideal-robot {one}" for one in command.split(" && "))
+    return " && ".join(step if step.startswith("python ") else f"ideal-robot {step}" for step in command.split(" && "))
 
 
 def compare(numbers: Sequence[Published]) -> Iterator[tuple[Published, float | None, str]]:
     """Each number with the one made anew (None where it could not be made) and a word: same, differs, not made."""
-    for command in dict.fromkeys(one.command for one in numbers):
+    for command in dict.fromkeys(number.command for number in numbers):
         print(f"{typed(command)} …", file=sys.stderr, flush=True)
-        mine = [one for one in numbers if one.command == command]
+        mine = [number for number in numbers if number.command == command]
         with tempfile.TemporaryDirectory() as folder:
             try:
                 content = made(command, Path(folder))
             except RuntimeError as error:
                 print(error, file=sys.stderr)
-                yield from ((one, None, "failed") for one in mine)
+                yield from ((number, None, "failed") for number in mine)
                 continue
-        for one in mine:
+        for number in mine:
             if content is None:
-                yield one, None, "not made: measured data are missing"
+                yield number, None, "not made: measured data are missing"
                 continue
-            found = one.factor * value_of(content, one.value)
-            yield one, found, "same" if one.holds(found) else "DIFFERS"
+            value = number.factor * value_of(content, number.value)
+            yield number, value, "same" if number.holds(value) else "DIFFERS"
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -233,17 +233,17 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--list", action="store_true", help="say which numbers there are, run nothing")
     parser.add_argument("--quick", action="store_true", help="only commands that take less than a minute")
     parser.add_argument("--only", default="", help="only commands and pages with this word")
-    asked = parser.parse_args(words)
-    numbers = [one for one in published() if (one.quick or not asked.quick)
-               and (asked.only in one.command or asked.only in one.page)]
-    if asked.list:
-        for one in numbers:
-            print(f"{one.page}: {one.what}: {one.text}  ({typed(one.command)})")
+    arguments = parser.parse_args(words)
+    numbers = [number for number in published() if (number.quick or not arguments.quick)
+               and (arguments.only in number.command or arguments.only in number.page)]
+    if arguments.list:
+        for number in numbers:
+            print(f"{number.page}: {number.what}: {number.text}  ({typed(number.command)})")
         return 0
     wrong = 0
-    for one, found, word in compare(numbers):
-        print(f"{word:8} {one.page}: {one.what}: published {one.text}, now "
-              + ("–" if found is None else f"{found:.4g}") + f"  ({typed(one.command)})", flush=True)
+    for number, value, word in compare(numbers):
+        print(f"{word:8} {number.page}: {number.what}: published {number.text}, now "
+              + ("–" if value is None else f"{value:.4g}") + f"  ({typed(number.command)})", flush=True)
         wrong += word in ("DIFFERS", "failed")
     print(f"{len(numbers)} numbers, {wrong} differ")
     return int(wrong > 0)

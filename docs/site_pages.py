@@ -43,7 +43,7 @@ class NamedTogether(griffe.Extension):
     def on_object(self, *, obj: griffe.Object, **kept: Any) -> None:
         """Parts the names by spaces that are not taken for one."""
         if obj.docstring is not None:
-            obj.docstring.value = _TOGETHER.sub(lambda found: found[0].replace(", ", ",\N{NO-BREAK SPACE}"),
+            obj.docstring.value = _TOGETHER.sub(lambda match: match[0].replace(", ", ",\N{NO-BREAK SPACE}"),
                                                 obj.docstring.value)
 
 
@@ -84,15 +84,15 @@ def doors() -> str:
 
 def rooms() -> dict[str, list[str]]:
     """Rooms of all packages, and the public modules in each."""
-    found: dict[str, list[str]] = {}
+    by_room: dict[str, list[str]] = {}
     for package in PACKAGES:
         for folder in sorted({path.parent for path in (ROOT / package).rglob("*.py")}):
             room = ".".join(folder.relative_to(ROOT).parts)
             modules = [f"{room}.{path.stem}" for path in sorted(folder.glob("*.py")) if not path.stem.startswith("_")]
             if modules and room != "scenes.commands":
-                found[room] = modules
+                by_room[room] = modules
     chosen = os.environ.get("SITE_ROOMS")
-    return found if chosen is None else {room: found[room] for room in chosen.split(",")}
+    return by_room if chosen is None else {room: by_room[room] for room in chosen.split(",")}
 
 
 # Pages of the site made of the notebooks, with the outputs that ``docs/execute_notebooks.py`` keeps.

@@ -68,8 +68,8 @@ def function_of(name: str) -> str:
 def first_line(name: str) -> str:
     """First line of a study's docstring, without importing the study."""
     tree = ast.parse((Path(__file__).parent / f"{STUDIES[name]}.py").read_text(encoding="utf-8"))
-    found = next(node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == function_of(name))
-    return (ast.get_docstring(found) or "").partition("\n")[0]
+    function = next(node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == function_of(name))
+    return (ast.get_docstring(function) or "").partition("\n")[0]
 
 
 def main(words: list[str] | None = None) -> None:

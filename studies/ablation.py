@@ -103,8 +103,8 @@ RULES = (*FLAGS, *OPTIONS, *(step.name for step in STEPS))
 def _described(kind: type) -> dict[str, str]:
     """Meaning of each attribute, from a class's docstring."""
     text = (kind.__doc__ or "").partition("Attributes:")[2]
-    found = re.findall(r"^        (\w+): (.*(?:\n            .*)*)", text, re.M)
-    return {name: re.split(r"[;:.](?: |$)", re.sub(r"\s+", " ", words))[0] for name, words in found}
+    attributes = re.findall(r"^        (\w+): (.*(?:\n            .*)*)", text, re.M)
+    return {name: re.split(r"[;:.](?: |$)", re.sub(r"\s+", " ", words))[0] for name, words in attributes}
 
 
 def meaning(rule: str) -> str:
@@ -225,16 +225,16 @@ def _noting_sizes(original: Any, active: set[str]) -> Any:
 @contextmanager
 def _kept_columns(signals: Any) -> Iterator[None]:
     """Columns of candidates about the prepared regression, computed once for all rules."""
-    original, kept = Problem.columns, {}
+    original, cached = Problem.columns, {}
 
     def columns(problem: Problem, candidate: Any) -> Any:
         alike = candidate.effect.learned or isinstance(candidate.effect, GravitySpring)
         if problem.regression.signals is not signals or alike:
             return original(problem, candidate)
         key = problem.band, candidate.key
-        if key not in kept:
-            kept[key] = original(problem, candidate)
-        return kept[key]
+        if key not in cached:
+            cached[key] = original(problem, candidate)
+        return cached[key]
 
     with altered(Problem, "columns", columns):
         yield
@@ -249,9 +249,9 @@ def said(case: Case, found: Findings) -> SimpleNamespace:
     """What is named after a search about a prepared regression; what is left above the noise is not looked at."""
     for stage in _STAGES:
         found = stage(case, found)
-    said = [SimpleNamespace(fitted=fitted_effect(c, domain.final, k, domain.reported.prismatic))
+    fits = [SimpleNamespace(fitted=fitted_effect(c, domain.final, k, domain.reported.prismatic))
             for domain in found.domains for k, c in enumerate(domain.choices)]
-    named, unknown = ([one for one in said if one.fitted.effect.learned is learned] for learned in (False, True))
+    named, unknown = ([fit for fit in fits if fit.fitted.effect.learned is learned] for learned in (False, True))
     return SimpleNamespace(verdict="unknown" if unknown else "effects" if named else "none", effects=named,
                            unknown=unknown)
 
@@ -265,15 +265,15 @@ def _played(trial: Trial) -> Iterator[tuple[str, Score]]:
         def case(rule: str) -> Case:
             return Case(recording, robot, model, None, _options(rule), silent, True, None)
 
-        found = stages.baseline(case(""), stages.prepared(case(""), ()))
-        with _kept_columns(found.problem.regression.signals):
+        state = stages.baseline(case(""), stages.prepared(case(""), ()))
+        with _kept_columns(state.problem.regression.signals):
             with watched() as active:
-                yield "", score(trial, said(case(""), found))
+                yield "", score(trial, said(case(""), state))
             for rule in RULES:
                 if rule in active:
                     try:
                         with without(rule):
-                            yield rule, score(trial, said(case(rule), found))
+                            yield rule, score(trial, said(case(rule), state))
                     except (IdealRobotError, ArithmeticError, ValueError):
                         yield rule, score(trial, GAVE_UP)
 
@@ -288,9 +288,9 @@ def ablation(seeds: str = "993100-993123", sizes: str = "3,10", lines: Path = Pa
 
     def play(seed: int) -> dict[str, dict[str, Any]]:
         trial = draw_trial(seed, None, None, (least, most), (15.0, 25.0))
-        return {rule: one.to_dict() for rule, one in _played(trial)}
+        return {rule: result.to_dict() for rule, result in _played(trial)}
 
-    _table([{rule: Score.from_dict(one) for rule, one in scores.items()}
+    _table([{rule: Score.from_dict(entry) for rule, entry in scores.items()}
             for scores in kept(lines, whole_numbers(seeds, "--seeds"), play)])
 
 
@@ -298,17 +298,17 @@ def _table(played: list[dict[str, Score]]) -> None:
     """What the trials say of each rule."""
     head("rule", "means", "acted in", "changed", "right", "false names", "empty left alone",
          "intervals that hold")
-    whole = [one[""] for one in played]
+    whole = [trial[""] for trial in played]
     empty = [k for k, s in enumerate(whole) if s.kind == "none"]
     row("with all", f"{len(whole)} recordings, {len(empty)} of them empty", "", "", sum(s.right for s in whole),
         sum(len(s.false) for s in whole), sum(whole[k].right for k in empty),
         f"{sum(map(_held, whole))} of {sum(len(s.covered) for s in whole)}")
     for rule in RULES:
-        other = [one.get(rule, one[""]) for one in played]
+        other = [trial.get(rule, trial[""]) for trial in played]
         changed = sum((a.named, a.unknown) != (b.named, b.unknown) for a, b in zip(whole, other, strict=True))
         right, false, held = (np.array([f(b) - f(a) for a, b in zip(whole, other, strict=True)], dtype=float)
                               for f in (lambda s: s.right, lambda s: len(s.false), _held))
-        row(f"`{rule}`", meaning(rule), sum(rule in one for one in played), changed, _summed(right), _summed(false),
+        row(f"`{rule}`", meaning(rule), sum(rule in trial for trial in played), changed, _summed(right), _summed(false),
             _summed(right[empty]), _summed(held))
 
 
@@ -335,15 +335,15 @@ def rules() -> None:
     for name in flags:
         row(f"`{name}`", ", ".join(kind.__name__ for kind in _setters(name)), _described(Effect)[name])
     head("option", "value", "means")
-    for one in fields(Options):
-        row(f"`{one.name}`", one.default, _described(Options)[one.name])
+    for option in fields(Options):
+        row(f"`{option.name}`", option.default, _described(Options)[option.name])
     root = Path(ideal_robot.__file__).parent
-    found = {file: _numbers(file) for file in sorted((root / "diagnosis").rglob("*.py"))}
+    by_file = {file: _numbers(file) for file in sorted((root / "diagnosis").rglob("*.py"))}
     head("file", "lines", "module-level numbers")
-    for file, names in found.items():
+    for file, names in by_file.items():
         row(f"`{file.relative_to(root)}`", len(file.read_text(encoding="utf-8").splitlines()), ", ".join(names))
     row(f"{len(flags)} flags, {len(fields(Options))} options",
-        sum(len(file.read_text(encoding="utf-8").splitlines()) for file in found), sum(map(len, found.values())))
+        sum(len(file.read_text(encoding="utf-8").splitlines()) for file in by_file), sum(map(len, by_file.values())))
 
 
 def _numbers(file: Path) -> list[str]:

@@ -65,22 +65,22 @@ def arms(lines: Path, individuals: str = "1-10", seeds: str = "1-3", speeds: str
     Answers go to the file LINES as they come; started again with the same file, the study goes on where it was. An
     arm's model takes 20 s of processor time (kept in the user's cache folder), a run 3 s.
     """
-    every, wanted, velocities = _whole(individuals), _whole(seeds), numbers(speeds, "--speeds")
+    every, draws, velocities = _whole(individuals), _whole(seeds), numbers(speeds, "--speeds")
     file, answers = SweepFile(lines, resume=lines.exists()), list[dict[str, Any]]()
     for individual in every:
         # Arm by arm, so that what is finished early is a whole row; two processes would identify one arm twice.
-        work = jobs(["line"], speeds=velocities, seeds=wanted, individuals=[individual], methods=[method])
+        work = jobs(["line"], speeds=velocities, seeds=draws, individuals=[individual], methods=[method])
         answers += [*sweep(work[:1], processes=1, file=file), *sweep(work[1:], processes=processes, file=file)]
-    head("individual", *(f"{v:g} m/s, seed {s}" for v in velocities for s in wanted))
+    head("individual", *(f"{v:g} m/s, seed {s}" for v in velocities for s in draws))
     for individual in every:
-        own = {(one["speed_m_s"], one["seed"]): one for one in answers if one["individual"] == individual}
-        row(individual, *(_cell(own[v, s]) for v in velocities for s in wanted))
+        own = {(entry["speed_m_s"], entry["seed"]): entry for entry in answers if entry["individual"] == individual}
+        row(individual, *(_cell(own[v, s]) for v in velocities for s in draws))
     print()
     head("m/s", "runs", "mean of the means", "worst run's mean", "largest 95 %", "largest", "failed", "wanted")
     for v in velocities:
-        runs = [one for one in answers if one["speed_m_s"] == v]
-        whole = [one["control_error_mm"] for one in runs if not one["failure"]]
-        mean, p95, most = (np.array([one[key] for one in whole] or [np.nan]) for key in ("mean", "p95", "max"))
+        runs = [entry for entry in answers if entry["speed_m_s"] == v]
+        whole = [entry["control_error_mm"] for entry in runs if not entry["failure"]]
+        mean, p95, most = (np.array([error[key] for error in whole] or [np.nan]) for key in ("mean", "p95", "max"))
         row(f"{v:g}", len(runs), *(f"{x:.3f}" for x in (mean.mean(), mean.max(), p95.max(), most.max())),
             len(runs) - len(whole), ", ".join(f"{key} ≤ {bound:g}" for key, bound in WANTED.get(v, {}).items()))
 
@@ -90,18 +90,18 @@ def arms_models(individuals: str = "1-10", seeds: str = "1-3") -> None:
 
     A constant beside the line is the sensing's, not the arm's: what is left without each run's own stands apart.
     """
-    every, wanted = _whole(individuals), _whole(seeds)
+    every, draws = _whole(individuals), _whole(seeds)
     head("individual", "own, `ideal`", "own, `adapted`", "stranger's, `ideal`", "stranger's, `adapted`")
-    found = np.empty((4, len(every), 4, len(wanted)))
+    errors = np.empty((4, len(every), 4, len(draws)))
     for i, individual in enumerate(every):
         scene, other = (chosen(scene_of(LineScene, "line"), individual=which)
                         for which in (individual, individual % 10 + 1))
         for whose, columns in ((scene, slice(0, 2)), (other, slice(2, 4))):
-            found[:, i, columns] = _played(scene.changed(model=_model(whose)), wanted)
-        row(individual, *_mm(found[0, i].mean(axis=1)))
-    for title, values in (("mean", found[0].mean(axis=(0, 2))), ("worst run's mean", found[0].max(axis=(0, 2))),
-                          ("worst run's 95 %", found[1].max(axis=(0, 2))),
-                          ("mean without each run's constant", found[2].mean(axis=(0, 2)))):
+            errors[:, i, columns] = _played(scene.changed(model=_model(whose)), draws)
+        row(individual, *_mm(errors[0, i].mean(axis=1)))
+    for title, values in (("mean", errors[0].mean(axis=(0, 2))), ("worst run's mean", errors[0].max(axis=(0, 2))),
+                          ("worst run's 95 %", errors[1].max(axis=(0, 2))),
+                          ("mean without each run's constant", errors[2].mean(axis=(0, 2)))):
         row(title, *_mm(values))
 
 
@@ -156,10 +156,10 @@ def knew(seeds: int = 2, individual: int = 1) -> None:
     for name, change in CHANGES.items():
         changed = line.changed(**change)
         # A knock that is over before calibration is a camera mounted otherwise: the same as none.
-        told = changed.changed(model=OWN, camera={"knock_deg": 0.0})
+        informed = changed.changed(model=OWN, camera={"knock_deg": 0.0})
         known, learned, fixed = (
             [_error(scene, seed, method)[0] for seed in range(1, seeds + 1)]
-            for scene, method in ((told, IDEAL), (changed.changed(model=before), ADAPTED),
+            for scene, method in ((informed, IDEAL), (changed.changed(model=before), ADAPTED),
                                   (changed.changed(model=before), IDEAL)))
         row(name, listed(1e3 * np.array(known)), listed(1e3 * np.array(learned)),
             f"{np.mean(learned) / np.mean(known):.2f}", listed(1e3 * np.array(fixed)))
@@ -181,17 +181,17 @@ def urdfs(folder: Path, seed: int = 1) -> None:
 
 def _followed(urdf: Path, seed: int) -> list[object]:
     """Joints, speed [m/s], errors with and without correction [mm] and what was assumed of an arm by its URDF."""
-    wanted = scene_of(LineScene, "line").changed(robot=str(urdf), model=OWN)
-    text = scene_text((library() / "line.toml").read_text(encoding="utf-8"), str(urdf.resolve()), place_line(wanted))
-    with temporary_folder() as kept:
-        file = Path(kept) / f"{urdf.stem}.toml"
+    template = scene_of(LineScene, "line").changed(robot=str(urdf), model=OWN)
+    text = scene_text((library() / "line.toml").read_text(encoding="utf-8"), str(urdf.resolve()), place_line(template))
+    with temporary_folder() as folder:
+        file = Path(folder) / f"{urdf.stem}.toml"
         file.write_text(text, encoding="utf-8")
         scene = load_scene(str(file))
         assert isinstance(scene, LineScene)
         results = [run(scene.changed(seed=seed), method=method) for method in (ADAPTED, NONE)]
     errors = [result.control_error for result in results]
-    told = " ".join(scene.arm.assumed)
-    assumed = ", ".join(name for name, says in ASSUMED.items() if says in told) or "nothing"
+    assumptions = " ".join(scene.arm.assumed)
+    assumed = ", ".join(name for name, says in ASSUMED.items() if says in assumptions) or "nothing"
     failure = " ".join(f"{result.failure}" for result in results if result.failure)
     return [scene.arm.n, f"{scene.speed:g}", *_mm([errors[0].mean, errors[0].p95, errors[1].mean]),
             f"{errors[1].mean / errors[0].mean:.0f}", failure or assumed]

@@ -56,15 +56,15 @@ def fuzz(count: int = 1000, first: int = 0, kinds: str = ",".join(MAKERS), minut
             if time.monotonic() - start > 60.0 * minutes:
                 break
             case = drawn(seed, Path(folder), tuple(kinds.split(",")))
-            one = play(case)
+            outcome = play(case)
             counts[case.name] += 1
-            codes[case.name, one.code] += 1
-            longest, largest = max(longest, one.seconds), max(largest, one.peak)
+            codes[case.name, outcome.code] += 1
+            longest, largest = max(longest, outcome.seconds), max(largest, outcome.peak)
             if show:
-                print(case.words, one.code, f"{one.seconds:.2f} s", one.err, sep="\n")
-            if one.broken is not None:
+                print(case.words, outcome.code, f"{outcome.seconds:.2f} s", outcome.err, sep="\n")
+            if outcome.broken is not None:
                 broken += 1
-                print(f"seed {seed}: {case.name}: {one.broken}", flush=True)
+                print(f"seed {seed}: {case.name}: {outcome.broken}", flush=True)
             if counts.total() % EACH == 0:
                 print(told(), flush=True)
     for name, number in sorted(counts.items()):
@@ -198,9 +198,9 @@ def _sweep_verb(folder: Path) -> Verb:
             if line.endswith(b"\n"):
                 json.loads(line)
         json.loads((where / "j.json").read_text())
-        left = raw.count(b"\n")
+        answers = raw.count(b"\n")
         _finished(where, words("new"))
-        kind = "old" if left == 0 else "new" if left == len(whole) else f"{left} answers"
+        kind = "old" if answers == 0 else "new" if answers == len(whole) else f"{answers} answers"
         kind = kind if figures(where) == whole else "mixed"
         (where / "l.jsonl").unlink()
         return kind

@@ -58,9 +58,9 @@ def _clean(rng: np.random.Generator) -> DrawnLine:
 
 def _clutter(rng: np.random.Generator) -> tuple[Feature, ...]:
     """Every 0.2 m a crossing line, a parallel piece, a scratch, glare, a shade and a gap."""
-    found = []
+    features = []
     for start in np.arange(0.0, 1.0, 0.2):
-        found += [
+        features += [
             Feature("crossing", start + 0.10, length=0.1, angle=rng.uniform(0.4, 2.7)),
             Feature("parallel", start + 0.18, length=0.04, offset=rng.choice([-1, 1]) * rng.uniform(0.008, 0.015)),
             Feature("scratch", start + 0.05, offset=rng.uniform(-0.01, 0.01), angle=rng.uniform(-1, 1), width=0.001,
@@ -69,25 +69,25 @@ def _clutter(rng: np.random.Generator) -> tuple[Feature, ...]:
             Feature("shade", start + 0.22, length=0.06),
             Feature("gap", start + 0.15, length=0.02),
         ]  # fmt: skip
-    return tuple(f for f in found if f.at < 0.98)
+    return tuple(f for f in features if f.at < 0.98)
 
 
 def _shadows(rng: np.random.Generator) -> tuple[Feature, ...]:
     """Broad dark strokes with the line's own soft edge, across the line and along it, every 0.2 m."""
-    return tuple(Feature("scratch", at, length=0.3, width=rng.uniform(0.01, 0.05), gray=rng.uniform(90.0, 150.0),
+    return tuple(Feature("scratch", start, length=0.3, width=rng.uniform(0.01, 0.05), gray=rng.uniform(90.0, 150.0),
                          angle=rng.uniform(0.0, np.pi), offset=rng.uniform(-0.02, 0.02))
-                 for at in np.arange(0.1, 1.0, 0.2))
+                 for start in np.arange(0.1, 1.0, 0.2))
 
 
 def _worn(line: DrawnLine, rng: np.random.Generator) -> DrawnLine:
     """Width ±20 %, ink that has lost up to half of its contrast."""
-    wide, pale = (np.sin(2.0 * np.pi * line.s / 0.15 + one) for one in rng.uniform(0.0, 2.0 * np.pi, 2))
+    wide, pale = (np.sin(2.0 * np.pi * line.s / 0.15 + phase) for phase in rng.uniform(0.0, 2.0 * np.pi, 2))
     return replace(line, widths=line.width * (1.0 + 0.2 * wide),
                    grays=line.gray + 0.25 * (1.0 + pale) * (line.background - line.gray))
 
 
 def _with_features(*kinds: str) -> Drawn:
-    return lambda rng: _sine(tuple(one for one in _clutter(rng) if one.kind in kinds))
+    return lambda rng: _sine(tuple(feature for feature in _clutter(rng) if feature.kind in kinds))
 
 
 def _on(kind: str, drawn: Drawn) -> Drawn:
@@ -177,20 +177,20 @@ def _fields(case: Case, count: int, seed: int = 1) -> Iterator[tuple[dict[str, A
                     return _over(line, s + case.speed * (at - t), aside, radians(turn))
 
                 points, tangents = line.at(s + AHEAD)
-                off, told = rng.uniform(-1e-3, 1e-3) * np.cross(UP, tangents), pose_at(t + case.late)
-                prediction = PredictedLine.from_base(points + off, tangents, UP, told, 0.001)
+                off, reported = rng.uniform(-1e-3, 1e-3) * np.cross(UP, tangents), pose_at(t + case.late)
+                prediction = PredictedLine.from_base(points + off, tangents, UP, reported, 0.001)
                 begin = time.thread_time()
                 windows = search_windows(believed, prediction)
                 middle = time.thread_time()
-                taken = camera.windows(t, pose_at, windows)
+                picture = camera.windows(t, pose_at, windows)
                 rendered = time.thread_time()
                 errors: dict[str, Array | None] = {}
                 detected = 0.0
                 for name, detector in detectors.items():
-                    seen = detector.detect(taken, believed, prediction, settings)
+                    sensed = detector.detect(picture, believed, prediction, settings)
                     detected = detected or time.thread_time() - rendered + middle - begin
-                    on_line = seen.points_tcp[seen.used] @ told.rotation.T + told.translation
-                    errors[name] = line.distance(on_line) if seen.seen else None
+                    on_line = sensed.points_tcp[sensed.used] @ reported.rotation.T + reported.translation
+                    errors[name] = line.distance(on_line) if sensed.seen else None
                 yield errors, rendered - middle, detected
 
 
@@ -198,14 +198,14 @@ def camera(fields: int = 200) -> None:
     """Error of line points under single disturbances, and the time that a field takes."""
     head("disturbance", "mean", "95 %", "max")
     for case in CASES:
-        found = [errors["edge_pairs"] for errors, *_ in list(_fields(case, fields + WARMING))[WARMING:]]
-        e = 1e6 * np.concatenate([one for one in found if one is not None])
+        hits = [errors["edge_pairs"] for errors, *_ in list(_fields(case, fields + WARMING))[WARMING:]]
+        e = 1e6 * np.concatenate([error for error in hits if error is not None])
         row(case.name, f"{e.mean():.0f}", f"{np.percentile(e, 95):.0f}", f"{e.max():.0f}")
         if case.drawn is not _clean:
-            said = (f"\nOf the crossings and scratches {len(e) / fields:.1f} of 5 points are used per field, "
-                    f"{100 * np.mean([one is not None for one in found]):.1f} % of the fields are seen, the largest "
+            text = (f"\nOf the crossings and scratches {len(e) / fields:.1f} of 5 points are used per field, "
+                    f"{100 * np.mean([error is not None for error in hits]):.1f} % of the fields are seen, the largest "
                     f"error of a point is {1e-3 * e.max():.2f} mm.\n")
-    print(said)
+    print(text)
     head("", "ms")
     default = CameraSettings()
     for name, settings, model in (
@@ -213,7 +213,7 @@ def camera(fields: int = 200) -> None:
             ("the same, one picture", replace(default, sub_exposures=1), C320),
             ("the same, 4×4 samples", replace(default, supersampling=4), C320),
             ("the same, at 640×480", default, C640)):
-        times = [one[1:] for one in list(_fields(Case(name, _clean, settings, model, speed=0.7), fields + WARMING))]
+        times = [timed[1:] for timed in list(_fields(Case(name, _clean, settings, model, speed=0.7), fields + WARMING))]
         rendering, detecting = 1e3 * np.median(times[WARMING:], axis=0)
         row(name, f"{rendering:.2f}")
         if settings is default and model is C320:
@@ -246,9 +246,9 @@ def calibration(seeds: int = 10, scenes: int = 3) -> None:
     print()
     head("scene", "before", "after, deflection from the model", "after, deflection ignored")
     for name in ("line", "gap", "corner"):
-        found = np.array([[_calibrated_in(name, seed, deflected) for deflected in (True, False)]
-                          for seed in range(1, scenes + 1)]).mean(axis=0)
-        row(f"`{name}`", f"{found[0, 0]:.1f} mm", *(f"{one:.3f} mm" for one in found[:, 1]))
+        errors = np.array([[_calibrated_in(name, seed, deflected) for deflected in (True, False)]
+                           for seed in range(1, scenes + 1)]).mean(axis=0)
+        row(f"`{name}`", f"{errors[0, 0]:.1f} mm", *(f"{error:.3f} mm" for error in errors[:, 1]))
 
 
 def _calibrated(seed: int, spread: float) -> tuple[float, float]:
@@ -257,19 +257,19 @@ def _calibrated(seed: int, spread: float) -> tuple[float, float]:
                              focal=0.003, principal_point=1.0, distortion=0.01)
     line, rng, believed = _sine(amplitude=0.03), np.random.default_rng(seed), C320
     true = believed.perturbed(**error.signed(rng))
-    seen = []
+    observations = []
     with RenderedCamera(true, line, CameraSettings(), rng) as eye:
         centre, tangent = (a[0] for a in line.at(np.array([0.5 * line.length])))
         for i, pose in enumerate(calibration_poses(centre, tangent, UP, 0.065)):
             s = line.nearest(pose.act(np.array([[0.065], [0.0], [0.0]])).T).s
             points, tangents = line.at(s + np.linspace(-0.07, 0.07, 9))
             prediction = PredictedLine.from_base(points + np.array([0.004, 0.006, 0.0]), tangents, UP, pose, 0.006)
-            found = detect_line(eye.windows(0.005 + 0.02 * i, lambda t, pose=pose: pose,  # type: ignore[misc]
-                                            search_windows(believed, prediction)), believed, prediction)
-            told = pose * pin.SE3(pin.exp3(spread * rng.standard_normal(3)), spread * rng.standard_normal(3))
-            if found.seen:
-                seen.append(Observation(told, found.pixels[found.used], found.sigma[found.used]))
-    result = calibrate(believed, seen, line.points + np.array([0.004, 0.006, 0.0]), UP)
+            sensed = detect_line(eye.windows(0.005 + 0.02 * i, lambda t, pose=pose: pose,  # type: ignore[misc]
+                                             search_windows(believed, prediction)), believed, prediction)
+            reported = pose * pin.SE3(pin.exp3(spread * rng.standard_normal(3)), spread * rng.standard_normal(3))
+            if sensed.seen:
+                observations.append(Observation(reported, sensed.pixels[sensed.used], sensed.sigma[sensed.used]))
+    result = calibrate(believed, observations, line.points + np.array([0.004, 0.006, 0.0]), UP)
     return _aside(believed, true), _aside(result, true)
 
 
@@ -293,12 +293,12 @@ def detectors(fields: int = 300, many: int = 10_000, seeds: str = "1") -> None:
     head("disturbance", "detector", "mean µm", "95 % µm", "max µm", "refused %", "points > 0.2 mm, %", "points > 1 mm")
     single = [(case, fields, 1) for case in SINGLE] if fields else []
     for case, count, seed in [*single, *((TOGETHER, many, seed) for seed in whole_numbers(seeds, "--seeds") if many)]:
-        found = [errors for errors, *_ in _fields(case, count, seed)]
+        by_field = [errors for errors, *_ in _fields(case, count, seed)]
         which = f"{case.name}, {count} fields" + (f", seed {seed}" if case is TOGETHER else "")
-        for name in found[0]:
-            every = [one[name] for one in found]
-            e = 1e6 * np.concatenate([np.empty(0), *(one for one in every if one is not None)])
+        for name in by_field[0]:
+            every = [errors[name] for errors in by_field]
+            e = 1e6 * np.concatenate([np.empty(0), *(error for error in every if error is not None)])
             e = e if len(e) else np.array([np.nan])
             row(which, f"`{name}`", f"{e.mean():.0f}", f"{np.percentile(e, 95):.0f}", f"{e.max():.0f}",
-                f"{100 * sum(one is None for one in every) / count:.1f}", f"{100 * np.mean(e > 200):.2f}",
+                f"{100 * sum(error is None for error in every) / count:.1f}", f"{100 * np.mean(e > 200):.2f}",
                 int(np.sum(e > 1000)))

@@ -202,20 +202,20 @@ def _with_misfit(rng: np.random.Generator, kind: str, scene: PathScene, cell: Pa
 
 def _table(lines: list[dict[str, Any]]) -> str:
     """What the closings say, as Markdown."""
-    played = [one for one in lines if "failed" not in one]
+    played = [closing for closing in lines if "failed" not in closing]
     if not played:
         raise InputError("no closing has been played yet", field="FILES")
-    errors = np.array([[one["error_mm"][name] for name in ("before", "after", "oracle")] for one in played])
+    errors = np.array([[closing["error_mm"][name] for name in ("before", "after", "oracle")] for closing in played])
     # An oracle that makes the path worse is the arm as it was.
     errors[:, 2] = np.minimum(errors[:, 2], errors[:, 0])
     groups = {"all": np.ones(len(played), dtype=bool)}
     for key, values in (("measured", ("motor", "tcp")), ("scene", ("path", "line")),
                         ("kind", ("none", "outside", "library"))):
-        groups |= {value: np.array([one[key] == value for one in played]) for value in values}
+        groups |= {value: np.array([closing[key] == value for closing in played]) for value in values}
     rows = ["| what | " + " | ".join(groups) + " |", "| --- |" + " --- |" * len(groups)]
     worse = errors[:, 1] > errors[:, 0] + np.maximum(WORSE_SHARE * errors[:, 0], WORSE_LEAST)
     ratio = errors[:, 1] / errors[:, 2]
-    taken = np.array([any(step["taken"] for step in one["steps"]) for one in played])
+    taken = np.array([any(step["taken"] for step in closing["steps"]) for closing in played])
 
     def row(name: str, cell: Any) -> None:
         rows.append(f"| {name} | " + " | ".join(cell(g) if g.any() else "" for g in groups.values()) + " |")
@@ -357,12 +357,12 @@ def with_true_friction(loop: LoopModel, robot: Robot, world: World, joints: list
     speeds = np.maximum(loop.friction_velocity, 1e-9)
     warm = world.per_joint("start_temperature", n) if temperature is None else temperature
     sides = [sign * steady_friction(world, n, sign * speeds, temperature=warm) / gain for sign in (1.0, -1.0)]
-    at = np.isin(np.arange(n) + 1, joints)
+    mask = np.isin(np.arange(n) + 1, joints)
     dry = np.exp(-world.dry_temperature * (warm - world.reference_temperature))
     load = dry * world.per_joint("coulomb", n) * world.per_joint("load_friction", n) / robot.tau_max
-    return loop.replace(friction_torque=np.where(at, np.stack(sides), loop.friction_torque),
-                        friction_load=np.where(at, load, loop.friction_load),
-                        friction_bend=np.where(at, world.per_joint("presliding", n), loop.friction_bend))
+    return loop.replace(friction_torque=np.where(mask, np.stack(sides), loop.friction_torque),
+                        friction_load=np.where(mask, load, loop.friction_load),
+                        friction_bend=np.where(mask, world.per_joint("presliding", n), loop.friction_bend))
 
 
 def true_friction(scene: str = "close_stribeck", world: str = "{}") -> None:

@@ -141,8 +141,8 @@ def _figure(play: str) -> float:
     if play == "identify":
         _verb("identify", "plan/recording.parquet", "--robot", "kr6", "--validate", "other/recording.parquet",
               "--json", "found.json")
-        found = json.loads(Path("found.json").read_text(encoding="utf-8"))
-        return float(np.mean([one["left_percent"] for one in found["verdicts"]]))
+        answer = json.loads(Path("found.json").read_text(encoding="utf-8"))
+        return float(np.mean([verdict["left_percent"] for verdict in answer["verdicts"]]))
     scene, changes = PLAYS[play]
     scenes = importlib.import_module("scenes")
     result = scenes.run_scene(scenes.load_scene(scene), **changes)
@@ -162,15 +162,15 @@ def _played(root: Path, plays: tuple[str, ...]) -> dict[str, float]:
 
     def job() -> int:
         ours_of(root)
-        found: dict[str, float] = {}
+        figures: dict[str, float] = {}
         for play in plays:
-            found[play] = _figure(play)
-            answer.write_text(json.dumps(found), encoding="utf-8")
+            figures[play] = _figure(play)
+            answer.write_text(json.dumps(figures), encoding="utf-8")
         return 0
 
     in_child(job, SECONDS)
-    found = json.loads(answer.read_text(encoding="utf-8")) if answer.is_file() else {}
-    return {play: value for play, value in found.items() if np.isfinite(value)}
+    figures = json.loads(answer.read_text(encoding="utf-8")) if answer.is_file() else {}
+    return {play: value for play, value in figures.items() if np.isfinite(value)}
 
 
 _copy: Copy
@@ -205,8 +205,8 @@ def constants(limit: float = 10.0, only: str = "") -> None:
     Numbers of files alone whose names have one of the texts of ``--only``, separated by commas.
     """
     files = [str(path.relative_to(ROOT)) for path in sorted(ROOT.rglob("*.py"))]
-    found = [number for file in files if jobs_of(file) and any(text in file for text in only.split(","))
-             for number in numbers_of(ROOT, file)]
+    numbers = [number for file in files if jobs_of(file) and any(text in file for text in only.split(","))
+               for number in numbers_of(ROOT, file)]
     counts: dict[str, list[bool]] = {}
     with tempfile.TemporaryDirectory() as folder:
         with contextlib.redirect_stdout(io.StringIO()):
@@ -214,8 +214,8 @@ def constants(limit: float = 10.0, only: str = "") -> None:
         with ProcessPoolExecutor(os.cpu_count(), initializer=_begin, initargs=(folder,)) as pool:
             base = pool.submit(_as_it_is).result()
             head("file", "number", "value", "halved", "doubled")
-            trials = [[pool.submit(_trial, number, factor) for factor in (0.5, 2.0)] for number in found]
-            for number, pair in zip(found, trials, strict=True):
+            trials = [[pool.submit(_trial, number, factor) for factor in (0.5, 2.0)] for number in numbers]
+            for number, pair in zip(numbers, trials, strict=True):
                 changes = [_changes(base, trial.result(), jobs_of(number.file)) for trial in pair]
                 matters = any(abs(value) > limit for change in changes for value in change.values())
                 counts.setdefault(str(Path(number.file).parent), []).append(matters)

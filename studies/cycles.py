@@ -119,21 +119,21 @@ def line_cycles(runs: int = 5, world: str = "", tool_mm: float = 0.0, seed: int 
         run(scene, method=ADAPTED, shared=cell)
         played: dict[str, list[tuple[float, Array, Any]]] = {IDEAL: [], ADAPTED: []}
         for _ in range(runs):
-            for method, found in played.items():
+            for method, figures in played.items():
                 _TimedTask.cycles.clear()
                 begun = time.process_time()
                 result = run(scene, method=method, shared=cell)
                 factor = result.timing.simulated / (time.process_time() - begun)
-                found.append((factor, 1e3 * np.array(_TimedTask.cycles), result.timing.with_field))
+                figures.append((factor, 1e3 * np.array(_TimedTask.cycles), result.timing.with_field))
         camera = cell.camera
     shown = len(camera.arm.bodies) if isinstance(camera, BulletCamera) and camera.arm is not None else 0
     head("", "real-time factor", "a cycle with a new field", "one without")
-    for method, found in played.items():
-        factors, busy, fields = zip(*found, strict=True)
+    for method, figures in played.items():
+        factors, busy, fields = zip(*figures, strict=True)
         times, with_field = np.concatenate(busy), np.concatenate(fields)
         kinds = [times[with_field], times[~with_field]]
-        row(f"`{method}`", f"{np.median(factors):.1f}", *(f"{np.median(one):.2f} ms" for one in kinds))
-        row("99 %", "", *(f"{np.quantile(one, 0.99):.2f} ms" for one in kinds))
+        row(f"`{method}`", f"{np.median(factors):.1f}", *(f"{np.median(kind):.2f} ms" for kind in kinds))
+        row("99 %", "", *(f"{np.quantile(kind, 0.99):.2f} ms" for kind in kinds))
     print(f"\nmean error {1e3 * result.control_error.mean:.3f} mm, fields used {result.fields_used} of "
           f"{result.fields_seen}; shapes of the arm that came into view: {shown}")
 

@@ -103,24 +103,24 @@ def by_name(scores: Sequence[Score]) -> list[Score]:
 
     The shares of all names are those of one Beta distribution, the likeliest (empirical Bayes, Robbins 1956).
     """
-    said = [[(name, (name, joint) not in s.false) for name, joint in s.said] for s in scores]
-    every = Counter(one for each in said for one in each)
+    claims = [[(name, (name, joint) not in s.false) for name, joint in s.said] for s in scores]
+    every = Counter(claim for each in claims for claim in each)
 
     def probabilities(own: list[tuple[str, bool]]) -> Iterator[tuple[float, bool]]:
-        others = every - Counter(own)
-        counts = {name: np.array([others[name, True], others[name, False]]) for name, _ in every}
+        elsewhere = every - Counter(own)
+        counts = {name: np.array([elsewhere[name, True], elsewhere[name, False]]) for name, _ in every}
 
         def unlikely(x: np.ndarray) -> float:
             prior = np.exp(x)
             return float(sum(betaln(*prior) - betaln(*(prior + each)) for each in counts.values()))
 
         prior = np.exp(minimize(unlikely, np.zeros(2), method="Nelder-Mead").x)
-        for name, there in own:
+        for name, true in own:
             right, wrong = prior + counts[name]
-            yield float(right / (right + wrong)), there
+            yield float(right / (right + wrong)), true
 
     return [replace(s, probabilities=tuple(probabilities(own)) if own else ())
-            for s, own in zip(scores, said, strict=True)]
+            for s, own in zip(scores, claims, strict=True)]
 
 
 def _family(cause: str) -> str:
@@ -160,11 +160,11 @@ def _play(seed: int, *, draw: Callable[[int], Trial], scale: float = 1.0, explai
             model = known_before(trial, robot)
             start = time.process_time()
             options = Options(smallest=scale * Options.smallest, smallest_learned=scale * Options.smallest_learned)
-            found = diagnose(trial.recording, robot, model=model, options=options, explain=explain)
+            diagnosis = diagnose(trial.recording, robot, model=model, options=options, explain=explain)
         except (IdealRobotError, ArithmeticError, ValueError) as error:
             print(f"{seed}: {error}", flush=True)
             return score(trial, GAVE_UP)
-        return score(trial, found, time.process_time() - start)
+        return score(trial, diagnosis, time.process_time() - start)
 
 
 def known_before(trial: Trial, robot: Robot) -> Model | None:
@@ -174,17 +174,17 @@ def known_before(trial: Trial, robot: Robot) -> Model | None:
     if trial.kind == "known":
         return identify([trial.reference], robot).model
     # A lag of all torques belongs to the recording; left in the parameters it would turn inertia into friction.
-    found = diagnose(trial.reference, robot, only=(("common_delay", 0),)).model
-    return None if found is None else replace(found, effects=())
+    healthy = diagnose(trial.reference, robot, only=(("common_delay", 0),)).model
+    return None if healthy is None else replace(healthy, effects=())
 
 
 def _line(s: Score) -> str:
     """One trial for people."""
     causes = ", ".join(f"{name} {joint} ×{size:.1f}" for name, joint, size in s.causes) or "nothing"
-    said = ", ".join([*(f"{name} {joint}" for name, joint in s.named), *(f"unknown {j}" for j in s.unknown)])
+    named = ", ".join([*(f"{name} {joint}" for name, joint in s.named), *(f"unknown {j}" for j in s.unknown)])
     return (f"{'ok ' if s.right else 'BAD'} {s.seed} {s.engine:10s} {s.kind:7s} {s.arm:13s} {s.motion:7s} "
             f"{s.logger:12s} {s.controller:15s} {s.friction:10s} {s.gears:7s} {s.seconds:5.1f} s  true: {causes}  "
-            f"said: {s.verdict} {said}")
+            f"said: {s.verdict} {named}")
 
 
 def sensors(channel: str, seeds: str) -> None:
@@ -193,7 +193,7 @@ def sensors(channel: str, seeds: str) -> None:
     SEEDS as 6000-6069. Right: named at its joint, or of a group that the data do not separate; of nothing, nothing
     named. Beside tcp the motor torque is diagnosed too; of force and line the sensor alone counts.
     """
-    said: dict[str, Counter[str]] = defaultdict(Counter)
+    answers: dict[str, Counter[str]] = defaultdict(Counter)
     right, alone = Counter[str](), Counter[str]()
     for seed in whole_numbers(seeds, "SEEDS"):
         truth, groups = (_line_groups if channel == "line" else _arm_groups)(channel, seed)
@@ -201,12 +201,12 @@ def sensors(channel: str, seeds: str) -> None:
         hits = [truth in group for group in groups]
         right[name] += any(hits) if truth else not groups
         alone[name] += len(groups) == sum(hits) and (truth is None or any(hits))
-        said[name][" + ".join(f"{group[0][0]} {group[0][1]}" for group in groups) or "nothing"] += 1
+        answers[name][" + ".join(f"{group[0][0]} {group[0][1]}" for group in groups) or "nothing"] += 1
     head(f"drawn, {channel}", "trials", "right", "and nothing else", "said where not")
-    for name, each in sorted(said.items()):
+    for name, each in sorted(answers.items()):
         other = [words for words in each if words.partition(" ")[0] != name and (name != "none" or words != "nothing")]
         row(f"`{name}`" if name != "none" else name, each.total(), right[name], alone[name], "; ".join(other))
-    row("all", sum(each.total() for each in said.values()), right.total(), alone.total(), "")
+    row("all", sum(each.total() for each in answers.values()), right.total(), alone.total(), "")
 
 
 Group = list[tuple[str, int]]
@@ -217,22 +217,22 @@ def _arm_groups(channel: str, seed: int) -> tuple[tuple[str, int] | None, list[G
     """Truth of a seed, and what is said of it."""
     trial = (draw_force_trial if channel == "force" else draw_tcp_trial)(seed)
     with robot_of(trial.urdf) as robot:
-        found = diagnose(trial.recording, robot)
+        diagnosis = diagnose(trial.recording, robot)
     groups = []
-    for e in found.effects:
+    for e in diagnosis.effects:
         # Contact also shows in motor torques, of which trials of a force sensor do not ask.
         if channel == "tcp" or e.fitted.domain == SENSOR:
             rivals = [rival.partition(" of joint ") for rival in e.indistinguishable_from]
             groups.append([(e.fitted.name, e.fitted.joint),
                            *((name, int(joint) if joint else e.fitted.joint) for name, _, joint in rivals)])
-    return trial.truth, [*groups, *([("unknown", u.fitted.joint)] for u in found.unknown if channel == "tcp")]
+    return trial.truth, [*groups, *([("unknown", u.fitted.joint)] for u in diagnosis.unknown if channel == "tcp")]
 
 
 def _line_groups(channel: str, seed: int) -> tuple[tuple[str, int] | None, list[Group]]:
     """The same of a camera over a line."""
     kind, _, recording = draw_line_trial(seed)
     with robot_of(gantry()) as robot:
-        found = [e for e in diagnose(recording, robot).effects if e.fitted.channel == channel]
+        named = [e for e in diagnose(recording, robot).effects if e.fitted.channel == channel]
     assert kind in KINDS
     return (None if kind == "none" else (kind, 0)), [[(e.fitted.name, 0), *((name, 0) for name in
-                                                                              e.indistinguishable_from)] for e in found]
+                                                                              e.indistinguishable_from)] for e in named]

@@ -72,7 +72,7 @@ def _told(run: SimpleNamespace) -> str:
     """What became of a run, in a cell of the table."""
     if run.failure is None:
         return f"{run.force:.0f} N, goes on"
-    noticed = next((sign for said, sign in _NOTICED.items() if said in run.failure), run.failure[:60])
+    noticed = next((sign for words, sign in _NOTICED.items() if words in run.failure), run.failure[:60])
     return f"{noticed}: {run.force:.0f} N, {run.after:.1f} s, {1e3 * run.moved:.0f} mm"
 
 
@@ -157,5 +157,5 @@ class _Standing:
 
 def _said(failure: str | None) -> str:
     """The cause without the instant."""
-    told = failure or "the job is done"
-    return (told.partition(" s: ")[2] or told)[:110]
+    cause = failure or "the job is done"
+    return (cause.partition(" s: ")[2] or cause)[:110]

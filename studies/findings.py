@@ -57,8 +57,8 @@ def standing_clock(folder: Path) -> Iterator[Replay]:
     """RTDE whose time stamps do not go on."""
     begun = time.monotonic()
     with connected(timeout=0.02, patience=5.0, clock_stands=30) as (link, _):
-        said = _said(lambda: until(link))
-    yield "time stamps stand still", f"{said} ({time.monotonic() - begun:.0f} s)", "do not go on" in said
+        message = _said(lambda: until(link))
+    yield "time stamps stand still", f"{message} ({time.monotonic() - begun:.0f} s)", "do not go on" in message
 
 
 def dead_scheduler(folder: Path) -> Iterator[Replay]:
@@ -66,7 +66,7 @@ def dead_scheduler(folder: Path) -> Iterator[Replay]:
     with mock.patch.object(workers, "PATIENCE", 20.0):
         rows, lines = swept_until_the_scheduler_dies(folder)
     kept = len(lines.read_text().splitlines())
-    lost = sum("not_played" in one for one in rows)
+    lost = sum("not_played" in entry for entry in rows)
     yield "killed after the first of three runs", f"{kept} answer kept, {lost} not played", (kept, lost) == (1, 2)
 
 
@@ -96,13 +96,13 @@ def compiled_code(folder: Path) -> Iterator[Replay]:
         test_jit.loaded(source).doubled(3)
         for index in (*(folder / "__pycache__").glob("*.nbi"), *test_jit.kept(source)):
             index.write_bytes(index.read_bytes()[:20])
-        found = test_jit.loaded(source).doubled(5)
-        yield "index and code cut off", f"compiled again, 2 × 5 = {found}", found == 10
+        doubled = test_jit.loaded(source).doubled(5)
+        yield "index and code cut off", f"compiled again, 2 × 5 = {doubled}", doubled == 10
         with mock.patch.object(IndexDataCacheFile, "_open_for_write", test_jit.refuse), mock.patch(
                 "tempfile.TemporaryFile", test_jit.refuse):
             module = test_jit.loaded(source)
-            found, hits = module.doubled(4), test_jit.hits(module)
-        yield "nothing can be written", f"2 × 4 = {found} with the code that is there: {hits} hit", found == 8
+            doubled, hits = module.doubled(4), test_jit.hits(module)
+        yield "nothing can be written", f"2 × 4 = {doubled} with the code that is there: {hits} hit", doubled == 8
 
 
 def unfolding_files(folder: Path) -> Iterator[Replay]:
@@ -121,17 +121,17 @@ def unfolding_files(folder: Path) -> Iterator[Replay]:
 
 def other_clients(folder: Path) -> Iterator[Replay]:
     """RTDE as others speak it."""
-    said = {"garbage": b"\0\0V", "a rate that is none": clients.package("O", struct.pack(">d", np.nan) + b"timestamp"),
-            "9,000 fields": clients.package("O", struct.pack(">d", 125.0) + ",".join(map(str, range(9000))).encode()),
-            "registers cut off": clients.AGREED + clients.package("U", b"\1" + bytes(20)),
-            "another recipe": clients.AGREED + clients.command(*ROBOT.home, recipe=2)}
+    texts = {"garbage": b"\0\0V", "a rate that is none": clients.package("O", struct.pack(">d", np.nan) + b"timestamp"),
+             "9,000 fields": clients.package("O", struct.pack(">d", 125.0) + ",".join(map(str, range(9000))).encode()),
+             "registers cut off": clients.AGREED + clients.package("U", b"\1" + bytes(20)),
+             "another recipe": clients.AGREED + clients.command(*ROBOT.home, recipe=2)}
     with clients.served() as (cell, _):
-        gone = [clients.ended(cell.address, one) for one in said.values()]
+        gone = [clients.ended(cell.address, text) for text in texts.values()]
         with RtdeRobot(ROBOT, *cell.address[:1], port=cell.address[1], timeout=5.0) as robot:
             robot.connect(5.0)
             for k in range(8):
                 robot.cycle(ROBOT.home + 0.001 * k)
-    yield f"malformed clients: {', '.join(said)}", f"{sum(gone)} of {len(gone)} let go, the next is served", all(gone)
+    yield f"malformed clients: {', '.join(texts)}", f"{sum(gone)} of {len(gone)} let go, the next is served", all(gone)
     with clients.served() as (cell, sessions), clients.socket.create_connection(cell.address, 10.0) as client:
         client.sendall(clients.AGREED + clients.command(*(ROBOT.home + 1e-4)))
         while cell.arm.t == 0.0:
@@ -206,10 +206,10 @@ def _verb(tried: str, words: str, folder: Path, files: dict[str, bytes], sound: 
         files: that are not.
         sound: names of those that are.
     """
-    one = play(Case(tried, words.split(), {**files, **{name: originals.sound(name, folder) for name in sound}}))
-    said = " ".join(one.err.split())[:200]
-    return (tried, f"exit code {one.code}, {one.seconds:.1f} s, {one.peak / 1e9:.2f} GB: {said}",
-            one.broken is None and (one.code == 2 or bool(said)))
+    outcome = play(Case(tried, words.split(), {**files, **{name: originals.sound(name, folder) for name in sound}}))
+    message = " ".join(outcome.err.split())[:200]
+    return (tried, f"exit code {outcome.code}, {outcome.seconds:.1f} s, {outcome.peak / 1e9:.2f} GB: {message}",
+            outcome.broken is None and (outcome.code == 2 or bool(message)))
 
 
 def _said(work: Callable[[], object]) -> str:

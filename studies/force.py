@@ -51,16 +51,16 @@ def force(stiffness: str = "2,5,10,20,50", seeds: str = "1,2", direct: bool = Fa
     Wanted: RMS at most 1 N and a quarter of direct feedback's, never above 40 N. Direct feedback has the best gains
     that a search in the same cell finds, and no emergency stop.
     """
-    wanted = whole_numbers(seeds, "--seeds")
-    scenes = {f"{k:g} N/mm": [contact_scene(k, seed) for seed in wanted] for k in numbers(stiffness, "--stiffness")}
-    glue = {"`glue`, 4 N/mm": [scene_of(ForceScene, "glue").changed(seed=seed) for seed in wanted]}
+    draws = whole_numbers(seeds, "--seeds")
+    scenes = {f"{k:g} N/mm": [contact_scene(k, seed) for seed in draws] for k in numbers(stiffness, "--stiffness")}
+    glue = {"`glue`, 4 N/mm": [scene_of(ForceScene, "glue").changed(seed=seed) for seed in draws]}
     ideal: dict[str, float] = {}
-    head("contact", *(f"RMS N, seed {seed}" for seed in wanted), *(f"largest N, seed {seed}" for seed in wanted))
+    head("contact", *(f"RMS N, seed {seed}" for seed in draws), *(f"largest N, seed {seed}" for seed in draws))
     for name, each in (scenes | glue).items():
         runs = [run(scene, method=IDEAL) for scene in each]
         ideal[name] = runs[0].figures.rms
         title = f"{name}, μ = {each[0].tip.friction:.2f}" if name in scenes else name
-        row(title, *(_figure(one, "rms", 2) for one in runs), *(_figure(one, "largest", 1) for one in runs))
+        row(title, *(_figure(result, "rms", 2) for result in runs), *(_figure(result, "largest", 1) for result in runs))
     if direct:
         print()
         head("contact", "direct feedback, RMS N", "largest N", "least N", "ours, of it")
@@ -178,7 +178,7 @@ class _Parts:
 
     def cells(self) -> list[str]:
         differences = (self.right - self.planned, self.planned - self.tip, self.believed - self.tip)
-        return [*(f"{1e6 * np.sqrt(np.mean(one**2)):.0f}" for one in differences), f"{self.rms:.2f}",
+        return [*(f"{1e6 * np.sqrt(np.mean(difference**2)):.0f}" for difference in differences), f"{self.rms:.2f}",
                 f"{self.at_speed:.2f}"]
 
 
@@ -203,10 +203,10 @@ def _taken_apart(cell: Cell, task: _Watched, scene: ForceScene, history: dict[st
     def height(q: Array, s: float) -> float:
         return float(reference.project(fk(q).translation[None], s, span=0.06)[2][0])
 
-    rows = [one for one in task.rows if one[0] in task.believed]
-    t, s, planned = (np.array([one[i] for one in rows]) for i in range(3))
-    tip = np.array([height(q_a, at) for _, at, _, q_a in rows])
-    believed = np.array([height(task.believed[at], place) for at, place, _, _ in rows])
+    rows = [cycle for cycle in task.rows if cycle[0] in task.believed]
+    t, s, planned = (np.array([cycle[i] for cycle in rows]) for i in range(3))
+    tip = np.array([height(q_a, place) for _, place, _, q_a in rows])
+    believed = np.array([height(task.believed[instant], place) for instant, place, _, _ in rows])
     wrong = np.interp(t, history["t"], history["normal"]) - scene.force
     travel = (history["t"] >= t[0]) & (history["t"] <= t[-1])
     rms = float(np.sqrt(np.mean((history["normal"][travel] - scene.force) ** 2)))
@@ -272,7 +272,7 @@ def stability(figure: Path | None = None) -> None:
     for (quantity, estimated), runs in curves.items():
         low, high = bounds(runs)
         row(quantity, "yes" if estimated else "no", f"{low:g} to {high:g}",
-            "; ".join(f"{one.ratio:g}: {one.reason.partition(';')[0] or f'{one.error:.2f}'}" for one in runs))
+            "; ".join(f"{trial.ratio:g}: {trial.reason.partition(';')[0] or f'{trial.error:.2f}'}" for trial in runs))
     if figure is not None:
         _drawn(curves).savefig(figure, dpi=90)
 
@@ -294,9 +294,9 @@ def curve(quantity: str, estimated: bool, ratios: Sequence[float]) -> list[Stabi
 
 def bounds(runs: Sequence[StabilityRun]) -> tuple[float, float]:
     """Smallest and largest ratio of the stable range around 1."""
-    unstable = [one.ratio for one in runs if not one.stable]
+    unstable = [trial.ratio for trial in runs if not trial.stable]
     below, above = max((r for r in unstable if r < 1), default=0.0), min((r for r in unstable if r > 1), default=np.inf)
-    inside = [1.0, *(one.ratio for one in runs if below < one.ratio < above)]
+    inside = [1.0, *(trial.ratio for trial in runs if below < trial.ratio < above)]
     return min(inside), max(inside)
 
 
@@ -305,14 +305,14 @@ def _drawn(curves: dict[tuple[str, bool], list[StabilityRun]]) -> Figure:
     figure = Figure(figsize=(9, 3.8), layout="constrained")
     for axis, quantity in zip(figure.subplots(1, 2), RATIOS, strict=True):
         both = (*curves[quantity, False], *curves[quantity, True])
-        top = 4 * max((one.error for one in both if one.stable), default=1.0)
+        top = 4 * max((trial.error for trial in both if trial.stable), default=1.0)
         for estimated, colour in ((False, "#1f5fa8"), (True, "#e06000")):
             points = curves[quantity, estimated]
-            shown = [min(one.error, top) if np.isfinite(one.error) else top for one in points]
-            axis.plot([one.ratio for one in points], shown, color=colour, lw=0.8,
+            shown = [min(trial.error, top) if np.isfinite(trial.error) else top for trial in points]
+            axis.plot([trial.ratio for trial in points], shown, color=colour, lw=0.8,
                       label="estimated on the way" if estimated else "taken as assumed")
-            for one, value in zip(points, shown, strict=True):
-                axis.plot(one.ratio, value, "o" if one.stable else "x", color=colour)
+            for trial, value in zip(points, shown, strict=True):
+                axis.plot(trial.ratio, value, "o" if trial.stable else "x", color=colour)
         axis.set_xscale("log")
         axis.set_xticks([0.25, 0.5, 1.0, 2.0, 4.0], ["1/4", "1/2", "1", "2", "4"])
         axis.minorticks_off()
@@ -359,10 +359,10 @@ def drawn(kind: str, rng: np.random.Generator) -> Array:
 
 def as_waves(height: Array) -> list[dict[str, float]]:
     """Waves of a surface's table whose sum has these heights over ``PERIOD``."""
-    found = np.fft.rfft(height) / len(height) * 2
-    return [{"amplitude_mm": 1e3 * abs(found[k]), "wavelength_mm": 1e3 * PERIOD / k,
-             "phase_deg": float(np.degrees(np.angle(found[k]) + np.pi / 2))}
-            for k in range(1, round(PERIOD / FINEST)) if abs(found[k]) > 1e-8]
+    spectrum = np.fft.rfft(height) / len(height) * 2
+    return [{"amplitude_mm": 1e3 * abs(spectrum[k]), "wavelength_mm": 1e3 * PERIOD / k,
+             "phase_deg": float(np.degrees(np.angle(spectrum[k]) + np.pi / 2))}
+            for k in range(1, round(PERIOD / FINEST)) if abs(spectrum[k]) > 1e-8]
 
 
 def surface_shapes(seeds: str = "1,2,3", kinds: str = "bumps,steps,waves") -> None:
@@ -371,12 +371,12 @@ def surface_shapes(seeds: str = "1,2,3", kinds: str = "bumps,steps,waves") -> No
     The surface is displaced and tilted as in the scene. Bumps are 1 to 3 mm high and 25 to 50 mm wide (σ), steps 0.5 to
     2 mm high over 20 to 40 mm, waves random with a slope of 0.06 RMS down to 80 mm.
     """
-    scene, wanted = scene_of(ForceScene, "force_wave"), whole_numbers(seeds, "--seeds")
-    head("surface", *(f"RMS N, seed {seed}" for seed in wanted), *(f"least, largest N, seed {seed}" for seed in wanted))
+    scene, draws = scene_of(ForceScene, "force_wave"), whole_numbers(seeds, "--seeds")
+    head("surface", *(f"RMS N, seed {seed}" for seed in draws), *(f"least, largest N, seed {seed}" for seed in draws))
     for kind in kinds.split(","):
         runs: list[Any] = []
-        for seed in wanted:
+        for seed in draws:
             waves = as_waves(drawn(kind, np.random.default_rng(1000 + seed)))
             runs.append(run(scene.changed(seed=seed, gains=None, surface={"wave": waves}), method=IDEAL))
-        row(kind, *(f"{one.figures.rms:.2f}{', ' + one.failure if one.failure else ''}" for one in runs),
-            *(f"{one.figures.least:.1f}, {one.figures.largest:.1f}" for one in runs))
+        row(kind, *(f"{result.figures.rms:.2f}{', ' + result.failure if result.failure else ''}" for result in runs),
+            *(f"{result.figures.least:.1f}, {result.figures.largest:.1f}" for result in runs))

@@ -58,8 +58,8 @@ class TextbookFilter:
         PHT = np.dot(self.P, H.T)
         K = np.dot(PHT, np.linalg.inv(np.dot(H, PHT) + R))
         self.x = self.x + np.dot(K, innovation)
-        left = self._unit - np.dot(K, H)
-        self.P = np.dot(np.dot(left, self.P), left.T) + np.dot(np.dot(K, R), K.T)
+        remainder = self._unit - np.dot(K, H)
+        self.P = np.dot(np.dot(remainder, self.P), remainder.T) + np.dot(np.dot(K, R), K.T)
 
     rts_smoother = KalmanFilter.rts_smoother
 
@@ -90,20 +90,20 @@ class Taken:
 def recorded() -> Iterator[list[Taken]]:
     """Writes down what every filter is given meanwhile."""
     every: list[Taken] = []
-    kept: dict[int, Taken] = {}
+    by_filter: dict[int, Taken] = {}
     inner = DeviationFilter.__init__, DeviationFilter.travel, DeviationFilter.take
 
     def make(self: DeviationFilter, *arguments: Any, **named: Any) -> None:
-        kept[id(self)] = Taken((copy.deepcopy(arguments), dict(named)))
-        every.append(kept[id(self)])
+        by_filter[id(self)] = Taken((copy.deepcopy(arguments), dict(named)))
+        every.append(by_filter[id(self)])
         inner[0](self, *arguments, **named)
 
     def travel(self: DeviationFilter, s: float) -> None:
-        kept[id(self)].calls.append(("travel", s))
+        by_filter[id(self)].calls.append(("travel", s))
         inner[1](self, s)
 
     def take(self: DeviationFilter, measurement: Measurement) -> Fused:
-        kept[id(self)].calls.append(("update", measurement))
+        by_filter[id(self)].calls.append(("update", measurement))
         return inner[2](self, measurement)
 
     with (patch.object(DeviationFilter, "__init__", make), patch.object(DeviationFilter, "travel", travel),
@@ -133,7 +133,7 @@ def replayed(taken: Taken, kind: type) -> Replayed:
             begun = time.perf_counter()
             fused = filter_.update(argument)
             used += time.perf_counter() - begun
-            decisions.append((tuple(bool(one) for one in fused.used), fused.reason))
+            decisions.append((tuple(bool(flag) for flag in fused.used), fused.reason))
             maps.append(filter_.mean(np.array([s, s + 0.05])).ravel())
     return Replayed(decisions, np.array(maps), used / max(len(decisions), 1))
 
@@ -141,13 +141,13 @@ def replayed(taken: Taken, kind: type) -> Replayed:
 def shipped() -> dict[str, Scene]:
     """The scenes whose measurements are compared, with what knocks a camera and what breaks a map."""
     line = scene_of(LineScene, "line")
-    found: dict[str, Scene] = {f"`{name}`": load_scene(name) for name in
-                               ("line", "straight", "corner", "gap", "cluttered", "svg", "force_wave", "glue")}
-    found["`line`, another arm"] = line.changed(seed=2)
-    found["`line`, 1.5 m/s"] = line.changed(speed=1.5)
-    found["`line`, camera knocked by 0.5°"] = line.changed(camera={"knock_deg": 0.5})
-    found["`line`, on the bench, knocked by 2°"] = line.changed(world="bench", camera={"knock_deg": 2.0})
-    return found
+    scenes: dict[str, Scene] = {f"`{name}`": load_scene(name) for name in
+                                ("line", "straight", "corner", "gap", "cluttered", "svg", "force_wave", "glue")}
+    scenes["`line`, another arm"] = line.changed(seed=2)
+    scenes["`line`, 1.5 m/s"] = line.changed(speed=1.5)
+    scenes["`line`, camera knocked by 0.5°"] = line.changed(camera={"knock_deg": 0.5})
+    scenes["`line`, on the bench, knocked by 2°"] = line.changed(world="bench", camera={"knock_deg": 2.0})
+    return scenes
 
 
 def _error(result: Any) -> float:
@@ -167,7 +167,7 @@ def fusion() -> None:
             now = run(scene, method=IDEAL)
         with patch.object(fusing, "KalmanFilter", TextbookFilter):
             before = run(scene, method=IDEAL)
-        taken = max(every, key=lambda one: len(one.calls))
+        taken = max(every, key=lambda record: len(record.calls))
         library, textbook = replayed(taken, KalmanFilter), replayed(taken, TextbookFilter)
         reasons = [reason for _, reason in library.decisions]
         row(name, len(reasons), sum(any(used) for used, _ in library.decisions),
@@ -197,13 +197,13 @@ def fusion_cost(repeats: int = 5) -> None:
     """What the library costs: memory and start of the process that leads an arm, an update, a cycle of `line`."""
     lines: dict[str, list[list[float]]] = {"before": [], "library": []}
     for _ in range(repeats):
-        for which, found in lines.items():
+        for which, figures in lines.items():
             done = subprocess.run([sys.executable, "-c", PROBE, which], capture_output=True, text=True, check=True)
-            found.append([float(one) for one in done.stdout.split()])
+            figures.append([float(number) for number in done.stdout.split()])
     scene = scene_of(LineScene, "line").changed(world="bench")
     with recorded() as every:
         run_line(scene)
-    taken = max(every, key=lambda one: len(one.calls))
+    taken = max(every, key=lambda record: len(record.calls))
     kinds = {"before": TextbookFilter, "library": KalmanFilter}
     for _ in range(repeats):
         for which, kind in kinds.items():
@@ -212,9 +212,9 @@ def fusion_cost(repeats: int = 5) -> None:
             lines[which].append([1e6 * replayed(taken, kind).seconds, timing["median_with_field"], timing["p99"]])
     head("filter", "memory of the process [MiB]", "processor time of its start [s]", "an update with its gates [µs]",
          "a cycle with a field, median [ms]", "of all cycles, p99 [ms]")
-    for which, found in lines.items():
-        process, cycles = found[:repeats], found[repeats:]
-        middle = [statistics.median(one) for part in (process, cycles) for one in zip(*part, strict=True)]
+    for which, figures in lines.items():
+        process, cycles = figures[:repeats], figures[repeats:]
+        middle = [statistics.median(column) for part in (process, cycles) for column in zip(*part, strict=True)]
         row(which, f"{middle[0]:.0f}", f"{middle[1]:.2f}", f"{middle[2]:.0f}", f"{middle[3]:.2f}", f"{middle[4]:.2f}")
 
 
@@ -225,13 +225,13 @@ SWITCH = 0.01
 def _bank(taken: Taken, kind: str) -> tuple[list[float], Array, float]:
     """Recorded measurements in a bank of two: sensor as it was, and its errors drawn anew at each measurement."""
     filter_ = taken.fresh()
-    at, sigmas = filter_._bias_at["camera"], np.square(filter_._moved["camera"])
+    entries, sigmas = filter_._bias_at["camera"], np.square(filter_._moved["camera"])
     members = [filter_._fresh().kf for _ in range(2)]
     size, p, used, off = filter_._size, [], 0.0, []
     for member in members:
         member.Q = np.zeros((size, size))
-    members[1].F[at, at] = 0.0
-    members[1].Q[at, at] = np.diag(sigmas)
+    members[1].F[entries, entries] = 0.0
+    members[1].Q[entries, entries] = np.diag(sigmas)
     switch = np.array([[1.0 - SWITCH, SWITCH], [1.0 - SWITCH, SWITCH]])
     bank = (IMMEstimator(members, (1.0 - SWITCH, SWITCH), switch) if kind == "IMM"
             else MMAEFilterBank(members, [1.0 - SWITCH, SWITCH], dim_x=size))
@@ -272,14 +272,14 @@ def fusion_banks() -> None:
     for name in ("`line`", "`cluttered`", "`line`, camera knocked by 0.5°"):
         with recorded() as every:
             run(shipped()[name], method=IDEAL)
-        taken = max(every, key=lambda one: len(one.calls))
+        taken = max(every, key=lambda record: len(record.calls))
         replayed(taken, KalmanFilter)  # compiles
         ours = replayed(taken, KalmanFilter)
         row(name, "gates and hypotheses", sum(reason == "sensor moved" for _, reason in ours.decisions),
             sum(not any(used) for used, _ in ours.decisions), "", f"{1e6 * ours.seconds:.0f}")
         for kind in ("IMM", "MMAE"):
             p, off, seconds = _bank(taken, kind)
-            row("", kind, sum(one > 0.5 for one in p), 0, f"{1e6 * np.median(off):.0f}, {1e6 * off.max():.0f}",
+            row("", kind, sum(share > 0.5 for share in p), 0, f"{1e6 * np.median(off):.0f}, {1e6 * off.max():.0f}",
                 f"{1e6 * seconds:.0f}")
 
 
@@ -293,18 +293,18 @@ def forecast_errors(speed: float = 0.2, stiffness: str = "2,5,10,20,50", ms: str
     noise, surface = scene.sensor.noise[0], true_surface(scene.surface)
     t = np.arange(0.0, (scene.line.length or 0.0) / speed, 1.0 / scene.sensor.rate)
     along = np.array([0.0, 1.0])
-    head("contact", *(f"{1e3 * one:g} ms" for one in ahead))
+    head("contact", *(f"{1e3 * lead:g} ms" for lead in ahead))
     for k in numbers(stiffness, "--stiffness"):
         wrong = []
         for seed in whole_numbers(seeds, "--seeds"):
             bank, sigma = surface_filter((1e-6, 1e-6, 1e-6)), noise / (1e3 * k)
             felt = surface.height(speed * t, 0.0) + sigma * np.random.default_rng(seed).standard_normal(len(t))
-            for at, z in zip(t, felt, strict=True):
-                s = speed * np.array([at])
-                bank.update(Measurement(at, s, np.array([z]), np.array([[sigma**2]]), along[None], "force",
+            for instant, z in zip(t, felt, strict=True):
+                s = speed * np.array([instant])
+                bank.update(Measurement(instant, s, np.array([z]), np.array([[sigma**2]]), along[None], "force",
                                         at=float(s[0])))
                 # Of the first tenth of a second a forecast knows next to nothing.
-                if at > 0.1:
-                    places = speed * (at + ahead)
+                if instant > 0.1:
+                    places = speed * (instant + ahead)
                     wrong.append(bank.mean(places)[:, 1] - surface.height(places, 0.0))
-        row(f"{k:g} N/mm", *(f"{one:.2f}" for one in 1e3 * k * np.sqrt(np.mean(np.square(wrong), axis=0))))
+        row(f"{k:g} N/mm", *(f"{rms:.2f}" for rms in 1e3 * k * np.sqrt(np.mean(np.square(wrong), axis=0))))

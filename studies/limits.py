@@ -83,10 +83,10 @@ class Shares:
         a = np.diff(v, axis=0) / T
         jerk = np.diff(a, axis=0) / T
         limit = ACCELERATION * robot.a_max
-        found = [np.abs(commands - middle) / half, np.abs(v) / robot.v_max, np.abs(a) / limit,
-                 np.abs(jerk) / (2.0 * limit / T)]
+        shares = [np.abs(commands - middle) / half, np.abs(v) / robot.v_max, np.abs(a) / limit,
+                  np.abs(jerk) / (2.0 * limit / T)]
         # NaN must not hide: it counts as infinite.
-        self.worst = np.maximum(self.worst, [np.max(np.nan_to_num(share, nan=np.inf), initial=0.0) for share in found])
+        self.worst = np.maximum(self.worst, [np.max(np.nan_to_num(share, nan=np.inf), initial=0.0) for share in shares])
         self.cycles += len(commands) - 3
 
 
@@ -188,8 +188,8 @@ class _Wire:
         assert self.link is not None
         self._ipoc += self._step
         self.arrived += 1e-3 * self._step
-        at = self.link.axes.angles(self.commands[-1])
-        return RobMessage(self._ipoc, at, at, np.zeros(len(at)), 0)
+        angles = self.link.axes.angles(self.commands[-1])
+        return RobMessage(self._ipoc, angles, angles, np.zeros(len(angles)), 0)
 
     def newest(self, message: RobMessage, stamps: Stamps, most: int = 0) -> tuple[RobMessage, int]:
         return message, 0
@@ -231,8 +231,8 @@ def _path(kind: str, robot: Robot, rng: np.random.Generator) -> Array:
     q_d = robot.home + np.cumsum(np.clip(smooth, -robot.v_max, robot.v_max), axis=0) * T
     q_d[0] = robot.home
     if kind == "jumps":
-        at = int(rng.integers(1, rows))
-        q_d[at:] += rng.normal(size=robot.n) * 10.0 ** rng.uniform(-4.0, 0.0)
+        start = int(rng.integers(1, rows))
+        q_d[start:] += rng.normal(size=robot.n) * 10.0 ** rng.uniform(-4.0, 0.0)
     if kind != "ends":
         q_d = np.vstack([q_d, np.tile(q_d[-1], (3, 1))])
     return np.asarray(q_d)
@@ -284,11 +284,11 @@ def _over_memory(robot: Robot, relative: bool) -> RsiRobot:
 
 def _stopping(send: Callable[[Array], None], server: RsiServer, cycle: int) -> Callable[[Array], None]:
     """``send`` that asks the server to stop after so many cycles."""
-    left = [cycle]
+    remaining = [cycle]
 
     def stopped(q_c: Array) -> None:
-        left[0] -= 1
-        if left[0] == 0:
+        remaining[0] -= 1
+        if remaining[0] == 0:
             server.stop("asked for")
         send(q_c)
 
@@ -315,7 +315,7 @@ def limits(cycles: int = 1_000_000, robot: str = "kr6") -> None:
         law = feedforward(key, model, arm, n_d=ROWS)
         for loop, through in LOOPS.items():
             shares = [through(law, arm, kind, each) for kind in INPUTS]
-            most, count = np.max([one.worst for one in shares], axis=0), sum(one.cycles for one in shares)
+            most, count = np.max([share.worst for share in shares], axis=0), sum(share.cycles for share in shares)
             row(key, loop, count, *(f"{value:.6f}" for value in most))
             worst, total = np.maximum(worst, most), total + count
     passed = bool(np.any(worst > ROUNDING))

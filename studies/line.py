@@ -57,18 +57,18 @@ def _picture(runs: dict[tuple[str, str], LineResult]) -> Figure:
     axes = figure.subplots(2, 1, sharex=True, height_ratios=(2, 3))
     for (title, colour), result in runs.items():
         error = result.control_error
-        for one in axes:
-            one.plot(error.s, 1e3 * error.lateral, color=colour, lw=1.1,
-                     label=f"{title.partition(':')[0].replace('`', '')}: {1e3 * error.mean:.2f} mm")
+        for axis in axes:
+            axis.plot(error.s, 1e3 * error.lateral, color=colour, lw=1.1,
+                      label=f"{title.partition(':')[0].replace('`', '')}: {1e3 * error.mean:.2f} mm")
     axes[0].set_title("Distance of the tool from the drawn line, and its mean", loc="left", fontsize=10)
     axes[0].set_ylabel("mm")
     axes[1].set_ylabel("the same, enlarged [mm]")
     axes[1].set_ylim(-1.2, 1.2)
     axes[1].set_xlabel("way along the line [m]")
-    for one in axes:
-        one.axhline(0.0, color="#1c2430", lw=0.5)
-        one.spines[["top", "right"]].set_visible(False)
-    ends = np.concatenate([one.control_error.s[[0, -1]] for one in runs.values() if len(one.control_error.s)])
+    for axis in axes:
+        axis.axhline(0.0, color="#1c2430", lw=0.5)
+        axis.spines[["top", "right"]].set_visible(False)
+    ends = np.concatenate([result.control_error.s[[0, -1]] for result in runs.values() if len(result.control_error.s)])
     axes[1].set_xlim(float(ends.min()), float(ends.max()))
     axes[0].legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.0))
     return figure
@@ -130,10 +130,10 @@ def causes(seeds: int = 3, individual: int | None = None) -> None:
     scenes = {name: line.changed(**change) for name, change in changes.items()} | {"all (`workshop`)": workshop}
     for name, scene in scenes.items():
         runs = [run(chosen(scene, seed=seed, individual=individual)) for seed in range(1, seeds + 1)]
-        row(name, listed(map(_mean, runs)), f"{1e3 * np.max([one.control_error.max for one in runs]):.2f}",
-            min(one.fields_used for one in runs),
-            listed(1e3 * float(np.mean(one.control_error.lateral)) for one in runs),
-            listed((1e3 * _height(one) for one in runs), 2))
+        row(name, listed(map(_mean, runs)), f"{1e3 * np.max([result.control_error.max for result in runs]):.2f}",
+            min(result.fields_used for result in runs),
+            listed(1e3 * float(np.mean(result.control_error.lateral)) for result in runs),
+            listed((1e3 * _height(result) for result in runs), 2))
 
 
 def _height(result: LineResult) -> float:
@@ -171,11 +171,11 @@ def line_shapes(sizes: str = "10,25,50", seeds: str = "1-20") -> None:
 
     The line is displaced and turned as in the scene besides. On seeds 1 to 20 nothing was chosen.
     """
-    scene, wanted = scene_of(LineScene, "line"), whole_numbers(seeds, "--seeds")
+    scene, draws = scene_of(LineScene, "line"), whole_numbers(seeds, "--seeds")
     head("farthest from the reference mm", "runs", "mean mm", "worst run's mean", "largest", "steepest °", "stopped")
     for size in whole_numbers(sizes, "--sizes"):
         runs, steepest = [], 0.0
-        for seed in wanted:
+        for seed in draws:
             points = freehand(1e-3 * size, np.random.default_rng(10_000 * size + seed))
             steepest = max(steepest, float(np.abs(np.diff(points, axis=0) @ [0.0, 1.0]).max()) / (LENGTH / 600))
             runs.append(run(scene.changed(seed=seed, line={"formula": None, "length": None, "points": points},

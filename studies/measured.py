@@ -165,14 +165,14 @@ def _learned_on_the_way(model: Model, loop: LoopModel, adaptation: FrictionAdapt
     moved = [np.array([np.interp(times, s.t, column) for column in values.T]).T
              for values in (s.q, s.qd, s.qdd, model.friction.turned(s.q, s.qd))]
     more, state = np.zeros_like(q), adaptation.init()
-    for k, (at, v, a, turned) in enumerate(zip(*moved, strict=True)):
+    for k, (angles, v, a, turned) in enumerate(zip(*moved, strict=True)):
         friction = state.friction[0] - loop.friction_torque
         more[k] = [z * np.interp(abs(speed), loop.friction_velocity[:, i], friction[int(speed < 0.0), :, i])
                    for i, (z, speed) in enumerate(zip(turned, v, strict=True))]
         carried = adaptation.carried(state)
         if carried is not None:
             kilogram = point_mass(loop.chain, carried.place)
-            more[k] += carried.mass * inverse_dynamics(kilogram, at[None], v[None], a[None])[0]
+            more[k] += carried.mass * inverse_dynamics(kilogram, angles[None], v[None], a[None])[0]
         state = adaptation.update(state, RobotState(float(times[k]), q[k], tau[k]))
     return np.array([np.interp(s.t, times, column) for column in more.T]).T
 
@@ -210,9 +210,9 @@ def twin_arms(arms: str = "1-3", draws: int = DRAWS) -> None:
         _, recordings = identified_model(scene.robot, world=world)
         robot = arm_of(scene.robot)
         twin = twin_of(identify_model(recordings, robot), robot, scene.robot)
-        found = np.array([_line_error(scene.changed(seed=seed, world={**twin.table, "individual": seed}))
-                          for seed in seeds])
-        predicted, low, high = float(np.mean(found[:, 0])), float(found[:, 1].min()), float(found[:, 1].max())
+        errors = np.array([_line_error(scene.changed(seed=seed, world={**twin.table, "individual": seed}))
+                           for seed in seeds])
+        predicted, low, high = float(np.mean(errors[:, 0])), float(errors[:, 1].min()), float(errors[:, 1].max())
         row(str(number), f"{mean:.3f}", f"{predicted:.3f}", f"{100.0 * (predicted / mean - 1.0):+.0f}", f"{worst:.3f}",
             f"{low:.3f}", f"{high:.3f}", "yes" if low <= worst <= high else "no")
 

@@ -80,11 +80,11 @@ def mutants_of(root: Path, file: str) -> list[Mutant]:
     """
     source = (root / file).read_bytes()
     counts: Counter[str] = Counter()
-    found = []
+    mutants = []
     for mutant in _Sites(file, source).faults(ast.parse(source), "", True):
-        found.append(replace(mutant, number=counts[mutant.key]))
+        mutants.append(replace(mutant, number=counts[mutant.key]))
         counts[mutant.key] += 1
-    return found
+    return mutants
 
 
 class _Sites:

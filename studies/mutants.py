@@ -68,11 +68,11 @@ class _Order:
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
         if self.known:
-            kept, total = [], 0.0
+            selected, total = [], 0.0
             for item in sorted(items, key=self._place):
                 total += self.known.get(item.nodeid, BUDGET)
-                kept += [item] if total <= BUDGET else []
-            items[:] = kept
+                selected += [item] if total <= BUDGET else []
+            items[:] = selected
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
@@ -129,13 +129,13 @@ def ours_of(root: Path) -> None:
 @cache
 def _imports(file: Path) -> frozenset[str]:
     """Modules of ours that a file names in its imports, as paths without ending."""
-    found = set()
+    modules = set()
     for node in ast.walk(ast.parse(file.read_bytes())):
         if isinstance(node, ast.ImportFrom) and node.module:
-            found |= {node.module, *(f"{node.module}.{name.name}" for name in node.names)}
+            modules |= {node.module, *(f"{node.module}.{name.name}" for name in node.names)}
         elif isinstance(node, ast.Import):
-            found |= {name.name for name in node.names}
-    return frozenset(name.replace(".", "/") for name in found)
+            modules |= {name.name for name in node.names}
+    return frozenset(name.replace(".", "/") for name in modules)
 
 
 def tests_of(file: str) -> list[str]:
@@ -156,11 +156,11 @@ def compiled_with(file: str) -> tuple[str, ...]:
         if "@jit(" in path.read_text(encoding="utf-8"):
             for used in _imports(path) & texts.keys():
                 users[used].add(name)
-    found, open_ = set(), {file.removesuffix(".py")}
+    modules, open_ = set(), {file.removesuffix(".py")}
     while open_:
-        found |= open_
-        open_ = {user for name in open_ for user in users[name]} - found
-    return tuple(sorted(found))
+        modules |= open_
+        open_ = {user for name in open_ for user in users[name]} - modules
+    return tuple(sorted(modules))
 
 
 def one_stamp() -> None:
@@ -196,8 +196,8 @@ class Copy:
         """The copy with a changed file, without the code that was compiled from it."""
         file = self.root / name
         source = file.read_bytes()
-        kept = {path: path.read_bytes() for path in self._code(name)} if compiled else {}
-        for path in (*kept, *file.parent.glob(f"__pycache__/{file.stem}.*.pyc")):
+        saved = {path: path.read_bytes() for path in self._code(name)} if compiled else {}
+        for path in (*saved, *file.parent.glob(f"__pycache__/{file.stem}.*.pyc")):
             path.unlink()
         try:
             file.write_bytes(change(source))
@@ -207,7 +207,7 @@ class Copy:
             if compiled:
                 for path in self._code(name):
                     path.unlink()
-                for path, code in kept.items():
+                for path, code in saved.items():
                     path.write_bytes(code)
 
 
@@ -220,9 +220,9 @@ def drawn(package: str, each: int, seed: int) -> list[Mutant]:
     folders = PACKAGES[package] or sorted({place.partition(":")[0] for place in LIMITS})
     files = [str(path.relative_to(ROOT)) for folder in folders
              for path in (sorted((ROOT / folder).rglob("*.py")) if (ROOT / folder).is_dir() else [ROOT / folder])]
-    found = [mutant for file in files for mutant in mutants_of(ROOT, file)
-             if package != "limits" or _is_limit(mutant)]
-    return sorted(found, key=lambda mutant: mutant.rank(seed))[:each]
+    faults = [mutant for file in files for mutant in mutants_of(ROOT, file)
+              if package != "limits" or _is_limit(mutant)]
+    return sorted(faults, key=lambda mutant: mutant.rank(seed))[:each]
 
 
 def interval(killed: int, of: int) -> tuple[float, float]:
@@ -236,10 +236,10 @@ def _baseline(copy: Copy, tests: Iterable[str]) -> dict[str, float]:
     """What each test takes without a fault [s]; compiles on the way."""
     known: dict[str, float] = {}
     for test in sorted(tests):
-        kept = copy.root / "taken.json"
-        if (code := _play(copy.root, [test], _Order({}, ""), 1200.0, kept)) not in (0, 5):
+        file = copy.root / "taken.json"
+        if (code := _play(copy.root, [test], _Order({}, ""), 1200.0, file)) not in (0, 5):
             raise SystemExit(f"{test} fails without a fault (exit code {code})")
-        known |= json.loads(kept.read_text(encoding="utf-8"))
+        known |= json.loads(file.read_text(encoding="utf-8"))
     return known
 
 
@@ -251,20 +251,20 @@ def mutants(packages: str = DRAWN, seed: int = 1, only: str = "") -> None:
     ``studies/equivalent_mutants.toml`` and are drawn but not counted.
     """
     equal = tomllib.loads(EQUIVALENT.read_text(encoding="utf-8"))["equivalent"]
-    asked = [word.partition(":") for word in packages.split(",")]
-    if wrong := [package for package, _, each in asked if package not in PACKAGES or not each.isdecimal()]:
+    requested = [word.partition(":") for word in packages.split(",")]
+    if wrong := [package for package, _, each in requested if package not in PACKAGES or not each.isdecimal()]:
         raise InputError(f"expected NAME:COUNT of {', '.join(PACKAGES)}", field="packages", value=wrong[0])
-    chosen = {package: [m for m in drawn(package, int(each), seed) if only in m.key] for package, _, each in asked}
-    tests = {m.file: tests_of(m.file) for found in chosen.values() for m in found}
+    chosen = {package: [m for m in drawn(package, int(each), seed) if only in m.key] for package, _, each in requested}
+    tests = {m.file: tests_of(m.file) for faults in chosen.values() for m in faults}
     one_stamp()
     results: dict[str, list[bool]] = {}
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         copy = Copy(Path(folder))
-        known = _baseline(copy, {test for found in tests.values() for test in found})
+        known = _baseline(copy, {test for names in tests.values() for test in names})
         print(f"{len(known)} tests, {sum(known.values()):.0f} s without a fault", flush=True)
-        for package, found in chosen.items():
+        for package, faults in chosen.items():
             results[package] = []
-            for mutant in found:
+            for mutant in faults:
                 if mutant.key in equal:
                     continue
                 results[package].append(copy.killed(mutant, tests[mutant.file], known))

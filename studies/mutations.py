@@ -159,8 +159,8 @@ def rsi_server(told: Told, rng: random.Random) -> None:
                 return _rob(str(ipoc), words[: rng.randrange(9)] + words[: rng.randrange(3)])
             if kind == 3:
                 return _rob(str(ipoc), words, rng.choice(_ODD_XML))
-            packet, at = sound[k].decode(), rng.randrange(len(sound[k]))
-            return (packet[:at] + rng.choice(_ODD_XML) + packet[at:]).encode()
+            packet, place = sound[k].decode(), rng.randrange(len(sound[k]))
+            return (packet[:place] + rng.choice(_ODD_XML) + packet[place:]).encode()
 
         wire.pieces.extend(episode(sound, changed, rng))
         robot.connect(0.001)
@@ -217,7 +217,7 @@ def _stream(hello: bytes, kind: int, layout: str, rest: bytes, rng: random.Rando
     """What a device behind our own stream says: what it is, its clock, and packages of a kind."""
     begun = [hello, _package(6, 0.0, struct.pack(">d", time.perf_counter()))]
     values = [[k, 16, 16] if kind == 2 else [k, *range(6)] for k in range(EPISODE)]
-    sound = [*begun, *(_package(kind, 0.02 * one[0], struct.pack(f">{layout}", *one) + rest) for one in values)]
+    sound = [*begun, *(_package(kind, 0.02 * entry[0], struct.pack(f">{layout}", *entry) + rest) for entry in values)]
 
     def changed(k: int) -> bytes:
         if rng.random() < 0.4 or k < len(begun):

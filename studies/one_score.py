@@ -86,8 +86,8 @@ class SetSearch(Search):
         if start:
             self._weigh(start)
         for _ in range(EXPANSIONS):
-            ranked = sorted(self.known.values(), key=lambda one: -self._score(one))[:BEAM]
-            waiting = [one for one in ranked if one.key not in expanded]
+            ranked = sorted(self.known.values(), key=lambda weighed: -self._score(weighed))[:BEAM]
+            waiting = [weighed for weighed in ranked if weighed.key not in expanded]
             if not waiting:
                 break
             expanded.add(waiting[0].key)
@@ -98,18 +98,18 @@ class SetSearch(Search):
         """A set with its squares."""
         self.model.replace(list(choices))
         fit = self.model.fit()
-        made = Weighed(tuple(self.model.choices), fit.held_out_squares[self.selecting], self._colour(fit))
-        old = self.known.get(made.key)
-        if old is None or made.squares.sum() < old.squares.sum():
-            self.known[made.key] = made
-        return made
+        weighed = Weighed(tuple(self.model.choices), fit.held_out_squares[self.selecting], self._colour(fit))
+        old = self.known.get(weighed.key)
+        if old is None or weighed.squares.sum() < old.squares.sum():
+            self.known[weighed.key] = weighed
+        return weighed
 
     def _colour(self, fit: Fit) -> Array:
         """Sum of each channel's autocorrelation up to where it has fallen to a twentieth ``(c,)``."""
         blocks, use = self.model.problem.blocks, self.model.problem.products.use
         use = (use & self.selecting[blocks.of_samples(), None]).astype(float)
-        left, size = self.model.left_out(fit) * use, 2 * len(use)
-        both = [np.fft.irfft(np.abs(np.fft.rfft(x, size, axis=0)) ** 2, size, axis=0)[: len(use)] for x in (left, use)]
+        rest, size = self.model.left_out(fit) * use, 2 * len(use)
+        both = [np.fft.irfft(np.abs(np.fft.rfft(x, size, axis=0)) ** 2, size, axis=0)[: len(use)] for x in (rest, use)]
         rho = both[0] / np.maximum(both[1], 1.0)
         rho = rho / np.maximum(rho[0], 1e-300)
         ends = np.argmax(rho <= 0.05, axis=0)
@@ -118,7 +118,7 @@ class SetSearch(Search):
     def _weight(self) -> Array:
         """Half the samples that count for one each ``(c,)``, by the set that leaves least in the channel."""
         every = list(self.known.values())
-        least = np.argmin([one.squares.sum(axis=0) for one in every], axis=0)
+        least = np.argmin([weighed.squares.sum(axis=0) for weighed in every], axis=0)
         colour = np.array([every[k].colour[j] for j, k in enumerate(least)])
         return np.where(self.kept, self.count / (2.0 * colour), 0.0)
 
@@ -143,30 +143,30 @@ class SetSearch(Search):
         each = (each / np.maximum(self.count, 1.0) * self._weight()).sum(axis=1)
         return self._score(a) - self._score(b), float(np.std(each, ddof=1) * np.sqrt(len(each)))
 
-    def _expand(self, one: Weighed) -> None:
+    def _expand(self, base: Weighed) -> None:
         """Adds the best causes of each joint; where that helps nowhere, exchanges and removes."""
-        if len(one.choices) > 1:
+        if len(base.choices) > 1:
             # Their theta was found without each other.
-            self.model.replace(list(one.choices))
-            for c in one.choices:
+            self.model.replace(list(base.choices))
+            for c in base.choices:
                 self._retune(c)
-            one = self._weigh(self.model.choices)
-        before, better = self._score(one), list[Candidate]()
+            base = self._weigh(self.model.choices)
+        before, better = self._score(base), list[Candidate]()
         for joint in range(self.model.problem.regression.signals.n + 1):
-            added = [(self._weigh((*one.choices, c)), c) for c in self._promising(one, None, joint)]
-            good = [(made, c) for made, c in added if self._score(made) > before]
+            added = [(self._weigh((*base.choices, c)), c) for c in self._promising(base, None, joint)]
+            good = [(weighed, c) for weighed, c in added if self._score(weighed) > before]
             if good:
                 better.append(max(good, key=lambda pair: self._score(pair[0]))[1])
         if len(better) > 1:
-            self._weigh((*one.choices, *(c for c in better if c.joint)))
-            self._weigh((*one.choices, *better))
+            self._weigh((*base.choices, *(c for c in better if c.joint)))
+            self._weigh((*base.choices, *better))
         if better:
             return
-        for hole in one.choices:
-            rest = tuple(c for c in one.choices if c is not hole)
+        for hole in base.choices:
+            rest = tuple(c for c in base.choices if c is not hole)
             self._weigh(rest)
             for joint in {hole.joint, 0}:
-                for c in self._promising(one, hole, joint):
+                for c in self._promising(base, hole, joint):
                     self._weigh((*rest, c))
 
     def _promising(self, one: Weighed, hole: Candidate | None, joint: int) -> list[Candidate]:
@@ -198,22 +198,22 @@ class SetSearch(Search):
                     break
             else:
                 break
-        told = []
-        for made in self.known.values():
-            ahead, error = self._difference(best, made)
-            if made.key != best.key and ahead < REJECTED * error:
-                told.append(made)
+        rivals = []
+        for weighed in self.known.values():
+            ahead, error = self._difference(best, weighed)
+            if weighed.key != best.key and ahead < REJECTED * error:
+                rivals.append(weighed)
         self.model.replace(list(best.choices))
-        self.model.replace([self._taken(c, told) for c in best.choices])
+        self.model.replace([self._taken(c, rivals) for c in best.choices])
         return self.model.choices
 
     def _taken(self, choice: Candidate, told: Sequence[Weighed]) -> Candidate:
         tested = self.scoring.tested(self.model.fit(choice), choice)
-        others = {c.place for c in self.model.choices if c is not choice}
-        rivals = {(c.effect.name, c.joint, 1.0) for made in told
-                  if others <= (there := {c.place for c in made.choices})
-                  and choice.place not in there
-                  for c in made.choices if c.place not in others and not c.effect.learned
+        rest = {c.place for c in self.model.choices if c is not choice}
+        rivals = {(c.effect.name, c.joint, 1.0) for weighed in told
+                  if rest <= (places := {c.place for c in weighed.choices})
+                  and choice.place not in places
+                  for c in weighed.choices if c.place not in rest and not c.effect.learned
                   and overlap(self.model, choice, c)}
         return dataclasses.replace(tested, rivals=tuple(sorted(rivals)), asked=VISIBLE)
 
@@ -241,10 +241,10 @@ def _played(trial: Trial, kind: type[Search]) -> Score:
         try:
             (recording,), _ = checked([shortened(trial.recording)[0]], robot)
             case = Case(recording, robot, model, None, Options(), silent, True, None)
-            found = said(case, stages.baseline(case, stages.prepared(case, ())))
+            diagnosis = said(case, stages.baseline(case, stages.prepared(case, ())))
         except (IdealRobotError, ArithmeticError, ValueError):
-            found = GAVE_UP
-        return score(trial, found, time.process_time() - start)
+            diagnosis = GAVE_UP
+        return score(trial, diagnosis, time.process_time() - start)
 
 
 def _table(pairs: list[list[Score]]) -> None:

@@ -85,11 +85,11 @@ def packets(count: int = 1_000_000) -> None:
         try:
             play(max(count // 10, 100))
             before = resident()
-            said = play(count)
+            result = play(count)
         except SensingError as error:
             raise SystemExit(f"{name}: {error}") from error
         grown = max(grown, resident() - before)
-        print(f"{name}: {said}; memory {before:.0f} MiB after a tenth, {resident():.0f} MiB at the end", flush=True)
+        print(f"{name}: {result}; memory {before:.0f} MiB after a tenth, {resident():.0f} MiB at the end", flush=True)
     raise typer.Exit(grown > MOST_GROWTH)
 
 
@@ -184,10 +184,10 @@ def _force(host: str, port: int) -> Callable[[], object]:
 
     def take() -> object:
         device._connection._tried = 0.0
-        found = device.read(0.05)
-        if found and not np.isfinite(found[0].wrench).all():
+        readings = device.read(0.05)
+        if readings and not np.isfinite(readings[0].wrench).all():
             raise SystemExit("a wrench that is none was taken")
-        return found or None
+        return readings or None
 
     return take
 
@@ -244,7 +244,7 @@ def _rtde(count: int, rng: np.random.Generator) -> str:
 def _servers(count: int, rng: np.random.Generator) -> str:
     """The simulated devices' own sockets."""
     stream = StreamServer("127.0.0.1", 0, lambda: 0.0, 1, camera_description(16, 16, 50.0))
-    box, left = NetFTServer("127.0.0.1", 0), 0
+    box, ended = NetFTServer("127.0.0.1", 0), 0
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         client: socket.socket | None = None
         for packet in _mutated(lambda k: _package(5, 0.0, struct.pack(">d", float(k))), count, rng):
@@ -262,10 +262,10 @@ def _servers(count: int, rng: np.random.Generator) -> str:
                 if client is not None:
                     client.settimeout(0.5)
             except OSError:
-                left += 1
+                ended += 1
                 if client is not None:
                     client.close()
                 client = None
     stream.close()
     box.close()
-    return f"{left} connections were ended by the server"
+    return f"{ended} connections were ended by the server"

@@ -52,7 +52,7 @@ def paths(individuals: str = "1-10", scenes: str = SCENES) -> None:
     A stranger's model is that of the next individual. Percent of E_car, the weaker of time-matched and aligned.
     """
     names, every = scenes.split(","), whole_numbers(individuals, "--individuals")
-    found = np.empty((len(every), len(names), 4))
+    reductions = np.empty((len(every), len(names), 4))
     head("individual", *(f"`{name}` own / adapted / stranger / adapted" for name in names))
     for i, individual in enumerate(every):
         for j, name in enumerate(names):
@@ -60,10 +60,10 @@ def paths(individuals: str = "1-10", scenes: str = SCENES) -> None:
             other = chosen(scene_of(PathScene, name), individual=individual % 10 + 1)
             stranger = scene.changed(model=own_model(other, arm_of(scene.robot)))
             before = run(scene, method=NONE).errors
-            found[i, j] = [_reduction(before, run(one, method=method).errors)
-                           for one in (scene, stranger) for method in (IDEAL, ADAPTED)]
-        row(individual, *(" / ".join(f"{value:.1f}" for value in values) for values in found[i]))
-    row("least", *(" / ".join(f"{value:.1f}" for value in values) for values in found.min(axis=0)))
+            reductions[i, j] = [_reduction(before, run(variant, method=method).errors)
+                                for variant in (scene, stranger) for method in (IDEAL, ADAPTED)]
+        row(individual, *(" / ".join(f"{value:.1f}" for value in values) for values in reductions[i]))
+    row("least", *(" / ".join(f"{value:.1f}" for value in values) for values in reductions.min(axis=0)))
 
 
 def paths_causes(individual: int = 2, scene: str = "iso9283_1") -> None:
@@ -110,13 +110,13 @@ def _hour(scene: PathScene, minutes: float, compression: float, figure: Path | N
     ideal, every = IdealRobot(loop), list(range(1, robot.n + 1))
     results = {}
     for name, law in (("fixed model", ideal), ("adapted", place.feedforward(ADAPTED)), ("oracle", ideal)):
-        told = (lambda warm: IdealRobot(with_true_friction(loop, robot, world, every, warm))
-                ) if name == "oracle" else None
-        results[name], temperature = _circles(robot, world, law, once, count, len(circle), told)
-    at = (np.arange(count, dtype=float) + 0.5) * len(once) * world.t_ipo * compression / 60.0
+        informed = (lambda warm: IdealRobot(with_true_friction(loop, robot, world, every, warm))
+                    ) if name == "oracle" else None
+        results[name], temperature = _circles(robot, world, law, once, count, len(circle), informed)
+    minute = (np.arange(count, dtype=float) + 0.5) * len(once) * world.t_ipo * compression / 60.0
     head("minute", *(f"{name}, E_car [mm]" for name in results))
     for k in np.unique(np.linspace(0, count - 1, 9).astype(int)):
-        row(f"{at[k]:.1f}", *(f"{1e3 * results[name][k]:.3f}" for name in results))
+        row(f"{minute[k]:.1f}", *(f"{1e3 * results[name][k]:.3f}" for name in results))
     print(f"\njoint 1 from 22 to {temperature[-1]:.0f} °C")
     head("", "whole hour, E_car [mm]", "against the oracle")
     whole = {name: float(np.sqrt(np.mean(values**2))) for name, values in results.items()}
@@ -125,7 +125,7 @@ def _hour(scene: PathScene, minutes: float, compression: float, figure: Path | N
             f"{1e3 * value:.3f}", f"{value / whole['oracle']:.2f}")
     if figure is not None:
         figure.parent.mkdir(parents=True, exist_ok=True)
-        _figure(at, results, temperature).savefig(figure, dpi=130, bbox_inches="tight")
+        _figure(minute, results, temperature).savefig(figure, dpi=130, bbox_inches="tight")
 
 
 def _circles(robot: Robot, world: World, law: Feedforward, once: Array, count: int, drawn: int,
@@ -198,7 +198,7 @@ def _at_home(robot: Robot) -> dict[str, str]:
     fast = 100 * steady_friction(world, robot.n, robot.v_max[None])[0] / robot.tau_max
     twist = pin.computeGeneralizedGravity(model, model.createData(), q) / stiffness
     sag = np.linalg.norm(robot.fk()(q - twist).translation - robot.fk()(q).translation)
-    return {"lowest modes of the arm with motors held": ", ".join(f"{one:.0f}" for one in np.sort(modes)[:3]) + " Hz",
+    return {"lowest modes of the arm with motors held": ", ".join(f"{mode:.0f}" for mode in np.sort(modes)[:3]) + " Hz",
             "friction at full speed, % of torque limit": f"{fast.min():.0f} to {fast.max():.0f}",
             "sag of the TCP under gravity": f"{1e3 * sag:.1f} mm"}
 
@@ -240,7 +240,7 @@ def _path_error(robot: Robot, world: World) -> dict[str, tuple[float, float, flo
         log = arm.history()
     due = robot.t_ipo * (1 + np.arange(len(q_d)))
     inside = (log["t"] > due[0] + 0.05) & (log["t"] < due[-1])
-    found = {}
+    errors = {}
     for side in ("q_m", "q_a"):
         actual = robot.tool_places(log[side][inside])
 
@@ -249,8 +249,8 @@ def _path_error(robot: Robot, world: World) -> dict[str, tuple[float, float, flo
             return 1e3 * float(np.sqrt(np.mean(np.sum((wanted - actual) ** 2, axis=1))))
 
         best = min(np.arange(0.0, 0.03, 0.00025), key=rms)
-        found[side] = rms(0.0), rms(best), 1e3 * float(best)
-    return found
+        errors[side] = rms(0.0), rms(best), 1e3 * float(best)
+    return errors
 
 
 def heating() -> None:

@@ -39,7 +39,7 @@ def photographs(folder: Path) -> None:
     """
     head("picture", "gray values used", "5 to 95 %", "σ dark", "σ middle", "σ bright", "r across", "r down", "slope",
          "power above 0.25, %")
-    files = sorted(one for one in folder.glob("*") if one.suffix.lower() in ENDINGS)
+    files = sorted(path for path in folder.glob("*") if path.suffix.lower() in ENDINGS)
     if not files:
         raise InputError(f"expected photographs ({', '.join(ENDINGS)}), as skimage/data has them", field="FOLDER",
                          value=str(folder))
@@ -51,14 +51,14 @@ def photographs(folder: Path) -> None:
             _told(file.stem, every[-1])
     _told("**median photograph**", np.nanmedian(every, axis=0))
     for name in ("line", "real_camera"):
-        _told(f"`{name}`", np.nanmedian([looks(one) for one in _drawn(scene_of(LineScene, name))], axis=0))
+        _told(f"`{name}`", np.nanmedian([looks(picture) for picture in _drawn(scene_of(LineScene, name))], axis=0))
 
 
 def real_camera(seeds: str = "1,2") -> None:
     """The scene `line` with each difference of `real_camera` alone, with all of the camera's, and with all."""
     plain, real = (scene_of(LineScene, name) for name in ("line", "real_camera"))
-    given = real.camera.model_dump()
-    differs = {key: value for key, value in given.items() if value != plain.camera.model_dump()[key]}
+    camera = real.camera.model_dump()
+    differs = {key: value for key, value in camera.items() if value != plain.camera.model_dump()[key]}
     light = {key: differs.pop(key) for key in ("noise", "full_well")}
     cases = {"`line`": plain, "noise of the light": plain.changed(camera=light),
              **{f"{key} = {value}": plain.changed(camera={key: value}) for key, value in differs.items()},
@@ -69,8 +69,8 @@ def real_camera(seeds: str = "1,2") -> None:
     head("pictures", "mean [mm]", "95 % [mm]", "fields used, of those taken")
     for name, scene in cases.items():
         runs = [play(scene.changed(seed=seed), "adapted") for seed in whole_numbers(seeds, "--seeds")]
-        mean, p95 = np.mean([(1e3 * one.control_error.mean, 1e3 * one.control_error.p95) for one in runs], axis=0)
-        used = sum(one.fields_used for one in runs) / sum(one.fields_seen for one in runs)
+        mean, p95 = np.mean([(1e3 * trial.control_error.mean, 1e3 * trial.control_error.p95) for trial in runs], axis=0)
+        used = sum(trial.fields_used for trial in runs) / sum(trial.fields_seen for trial in runs)
         row(name, f"{mean:.3f}", f"{p95:.3f}", f"{used:.2f}")
 
 
@@ -112,7 +112,7 @@ def _noise(gray: Array) -> tuple[Array, float, float]:
     square = rest[np.concatenate(calm)].reshape(-1, BLOCK, BLOCK)
     power = max(float(np.mean(square**2)), 1e-9)
     across, down = np.mean(square[:, :, 1:] * square[:, :, :-1]), np.mean(square[:, 1:] * square[:, :-1])
-    return np.array([np.median(sigma[one]) for one in calm]), float(across / power), float(down / power)
+    return np.array([np.median(sigma[indices]) for indices in calm]), float(across / power), float(down / power)
 
 
 def _spectrum(gray: Array) -> tuple[Array, Array]:

@@ -36,9 +36,9 @@ def listed(values: Iterable[float], digits: int = 3) -> str:
 
 def scene_of(kind: type[S], name: str) -> S:
     """A shipped scene of a kind."""
-    found = load_scene(name)
-    assert isinstance(found, kind)
-    return found
+    scene = load_scene(name)
+    assert isinstance(scene, kind)
+    return scene
 
 
 def used(job: Callable[[], object], clock: Callable[[], float] = time.process_time) -> float:
@@ -78,8 +78,8 @@ def write_tables(mark: str, text: str) -> None:
     """
     first, last = f"<!-- {mark} -->\n", f"<!-- end of {mark} -->"
     for page in sorted(DOCS.glob("*.md")):
-        before, found, rest = page.read_text(encoding="utf-8").partition(first)
-        if found:
+        before, separator, rest = page.read_text(encoding="utf-8").partition(first)
+        if separator:
             page.write_text(f"{before}{first}{text}\n{last}{rest.partition(last)[2]}", encoding="utf-8")
             return
     raise ValueError(f"no page has <!-- {mark} -->")

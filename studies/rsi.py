@@ -103,7 +103,7 @@ def rsi_hour(minutes: float = 60.0, virtual: bool = False,
           f"lost {counts['lost']}, late {counts['late']} ({1e2 * counts['late'] / max(cycles, 1):.4f} %)")
     print(f"answer after, ms: median {answers['median']:.2f}, 99 % {answers['p99']:.2f}, worst {answers['max']:.1f}; "
           f"{', '.join(run.precautions)}")
-    print(f"memory grew by {max(one for _, one in grown[1:]) - grown[1][1]:.1f} MiB on the way; objects in circles "
+    print(f"memory grew by {max(usage for _, usage in grown[1:]) - grown[1][1]:.1f} MiB on the way; objects in circles "
           f"found afterwards: {gc.collect()}")
     raise typer.Exit(run.failure is not None)
 

@@ -187,7 +187,7 @@ def _plant(repeats: int) -> None:
         }
         for name, job in parts.items():
             spent = [used(lambda job=job: [job() for _ in range(STEPS)]) for _ in range(repeats)]  # type: ignore[misc]
-            _show(f"{name} alone, real time over processor time", [STEP * STEPS / one for one in spent], "×")
+            _show(f"{name} alone, real time over processor time", [STEP * STEPS / seconds for seconds in spent], "×")
 
 
 def _identification(repeats: int) -> None:
@@ -207,8 +207,8 @@ def _identification(repeats: int) -> None:
         np.savez(folder / "estimation.npz", q=s.q, qd=s.qd, qdd=s.qdd, tau=s.tau)
         (folder / "figaroh_run.py").write_text(FIGAROH)
         words = [python, str(folder / "figaroh_run.py"), str(folder), str(robot.urdf), str(s.factor)]
-        said = [subprocess.run(words, capture_output=True, text=True, check=True).stdout for _ in range(repeats)]
-        _show("the same by FIGAROH", [float(re.findall(r"\(([\d.]+) s CPU\)", one)[0]) for one in said], "s")
+        outputs = [subprocess.run(words, capture_output=True, text=True, check=True).stdout for _ in range(repeats)]
+        _show("the same by FIGAROH", [float(re.findall(r"\(([\d.]+) s CPU\)", output)[0]) for output in outputs], "s")
 
 
 def _from_the_shell(repeats: int) -> None:
@@ -275,13 +275,13 @@ def _numbers(text: str) -> list[float]:
 
 def _rows(kind: str, unit: str, lengths: str, job: Callable[[float], object]) -> list[str]:
     """Prints a row for each length; gives the slopes from one to the next."""
-    found = []
+    figures = []
     for length in _numbers(lengths):
         seconds, megabytes = _apart(lambda length=length: job(length))  # type: ignore[misc]
-        found.append((length, seconds, megabytes))
+        figures.append((length, seconds, megabytes))
         row(f"{kind}, {length:g} {unit}", f"{seconds:.1f} s", f"{megabytes:.0f} MB")
     return [f"{kind}, {a:g} to {b:g} {unit}: {(t1 - t0) / (b - a):.2f} s and {1e3 * (m1 - m0) / (b - a):.0f} kB for one"
-            for (a, t0, m0), (b, t1, m1) in itertools.pairwise(found)]
+            for (a, t0, m0), (b, t1, m1) in itertools.pairwise(figures)]
 
 
 def _apart(job: Callable[[], object]) -> tuple[float, float]:

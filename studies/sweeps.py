@@ -72,24 +72,24 @@ def sweep_kills(count: int = 10_000, kills: int = 100, every: float = 3.0, worke
                 killed += 1
                 place = int(rng.integers(1, workers + 1))
                 places = [place] if killed != kills // 3 else list(range(workers + 1))
-                for one in places:
-                    _replace(parts, one, Path(name), address)
+                for process in places:
+                    _replace(parts, process, Path(name), address)
             if killed == 2 * kills // 3 and client.poll() is None:
                 client.send_signal(signal.SIGKILL)
                 client.wait()
                 client = subprocess.Popen(words)
         lasted = time.monotonic() - begun
-        kept = RunSet(folder, resume=True).answers
-        twice = len(read_results(folder).runs) - len(kept)
+        answers = RunSet(folder, resume=True).answers
+        twice = len(read_results(folder).runs) - len(answers)
         expected = {number: quick(job) for number, job in enumerate(jobs(["line"], seeds=range(count)))}
-    found = {int(answer["seed"]): answer for answer in kept.values()}
-    missing = [number for number in range(count) if number not in found]
-    different = [number for number, answer in found.items() if json.loads(json.dumps(expected[number])) != answer]
+    by_seed = {int(answer["seed"]): answer for answer in answers.values()}
+    missing = [number for number in range(count) if number not in by_seed]
+    different = [number for number, answer in by_seed.items() if json.loads(json.dumps(expected[number])) != answer]
     head("runs", "kills of workers", "of the scheduler", "of the client", "lasted", "kept", "missing", "twice",
          "different")
-    row(count, killed, int(killed >= kills // 3), int(killed >= 2 * kills // 3), f"{lasted:.0f} s", len(kept),
+    row(count, killed, int(killed >= kills // 3), int(killed >= 2 * kills // 3), f"{lasted:.0f} s", len(answers),
         len(missing), twice, len(different))
-    raise typer.Exit(bool(missing or different or len(kept) != count))
+    raise typer.Exit(bool(missing or different or len(answers) != count))
 
 
 def sweep_efficiency(count: int = 500, workers: str = "1,2,4") -> None:
@@ -102,19 +102,19 @@ def sweep_efficiency(count: int = 500, workers: str = "1,2,4") -> None:
     for number in map(int, workers.split(",")):
         with tempfile.TemporaryDirectory(prefix="sweep-") as name, cluster(Path(name), number) as (address, parts):
             sweep(jobs(["line"], seeds=range(20 * number)), dask=address, function=quick)
-            seen: list[tuple[float, float]] = []
+            memory: list[tuple[float, float]] = []
 
-            def look(done: int, answer: dict[str, Any], seen: list[tuple[float, float]] = seen,
+            def look(done: int, answer: dict[str, Any], memory: list[tuple[float, float]] = memory,
                      pids: tuple[int, ...] = tuple(part.pid for part in parts[1:])) -> None:
                 if done in (count // 10, count):
-                    seen.append((resident(), max(map(resident, pids))))
+                    memory.append((resident(), max(map(resident, pids))))
 
             begun = time.monotonic()
             sweep(jobs(["line"], seeds=range(count)), dask=address, function=quick, done=look)
             lasted = time.monotonic() - begun
         row(number, count, f"{lasted:.1f} s", f"{0.02 * count / number / lasted:.2f}",
             f"{1e3 * (lasted * number / count - 0.02):.1f} ms", *(f"{first:.0f} → {last:.0f} MiB" for first, last
-                                                                 in zip(*seen, strict=True)))
+                                                                 in zip(*memory, strict=True)))
 
 
 def _nothing(job: Job) -> dict[str, Any]:
@@ -290,17 +290,17 @@ def _checked(folder: Path, suite: str, options: list[str], what: str, wanted: st
     out = folder / "out" / f"check_{suite}"
     if not (out / "comparison.json").is_file():
         raise SystemExit(done.stdout + done.stderr)
-    told = json.loads((out / "comparison.json").read_text())
+    comparison = json.loads((out / "comparison.json").read_text())
     results, baseline = (json.loads(path.read_text())["runs"] for path in
                          (out / "results.json", folder / ("suite.baseline.json" if suite == "suite" else "layer.json")))
-    verdict = told["verdict"] if wanted else ""
-    row(what, len(results), f"{time.monotonic() - begun:.0f} s", verdict, wanted, _cases(told, "worse"),
-        _cases(told, "better"), "yes" if results == baseline else "no")
+    verdict = comparison["verdict"] if wanted else ""
+    row(what, len(results), f"{time.monotonic() - begun:.0f} s", verdict, wanted, _cases(comparison, "worse"),
+        _cases(comparison, "better"), "yes" if results == baseline else "no")
     return verdict == wanted and done.returncode == (wanted == "worse")
 
 
 def _cases(told: dict[str, Any], verdict: str) -> str:
-    return "; ".join(dict.fromkeys(one["case"] for one in told["figures"] if one["verdict"] == verdict))
+    return "; ".join(dict.fromkeys(figure["case"] for figure in told["figures"] if figure["verdict"] == verdict))
 
 
 def _spoil(folder: Path, factor: float) -> None:

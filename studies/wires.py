@@ -109,8 +109,8 @@ def fields(layout: str, values: Sequence[Any], rng: random.Random) -> bytes:
         rng: draws.
     """
     changed = list(values)
-    for at in rng.sample(range(len(values)), min(rng.randint(1, 3), len(values))):
-        changed[at] = odd(layout[at], changed[at], rng)
+    for place in rng.sample(range(len(values)), min(rng.randint(1, 3), len(values))):
+        changed[place] = odd(layout[place], changed[place], rng)
     return struct.pack(f">{layout}", *changed)
 
 
@@ -118,16 +118,16 @@ def scrambled(packet: bytes, rng: random.Random) -> bytes:
     """Bytes flipped, cut, doubled or put in."""
     data = bytearray(packet)
     for _ in range(rng.randint(1, 4)):
-        at, length = rng.randrange(len(data) + 1), rng.randint(1, 40)
+        place, length = rng.randrange(len(data) + 1), rng.randint(1, 40)
         kind = rng.randrange(4)
-        if kind == 0 and at < len(data):
-            data[at] ^= 1 << rng.randrange(8)
+        if kind == 0 and place < len(data):
+            data[place] ^= 1 << rng.randrange(8)
         elif kind == 1:
-            del data[at : at + length]
+            del data[place : place + length]
         elif kind == 2:
-            data[at:at] = data[at : at + length]
+            data[place:place] = data[place : place + length]
         else:
-            data[at:at] = rng.randbytes(length)
+            data[place:place] = rng.randbytes(length)
     return bytes(data)
 
 

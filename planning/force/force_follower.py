@@ -155,7 +155,7 @@ class SurfaceFollower:
             return None
         settings = self.settings
         deviations = [force_deviation(f, up, settings.force, settings.elasticity, sigma=settings.noise, normal=normal)
-                for f in forces]
+                      for f in forces]
         value = np.array([deviation.value for deviation in deviations])
         # A tip with damping adds a share of the velocity into the surface; along it there is none.
         sinking = float(self.history.velocity(max(float(t[middle]), self.history.first + 2e-3))[0] @ normal)

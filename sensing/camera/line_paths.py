@@ -98,8 +98,8 @@ def paths(lab: Lab, *, widest: float) -> list[Path]:
                 a = (place[:, 0] * every + every // 2 + 0.5) * along_size / size[0] - 0.5
                 b = (node[:, _CENTRE] + 0.5) * across_size / size[1] - 0.5
                 candidates.append(Path(np.column_stack([a, b] if along == 0 else [b, a]).astype(float),
-                                  np.exp(node[:, _WIDTH].astype(float)) * across_size / size[1] if not edges
-                                  else np.zeros(len(a)), float(score)))
+                                       np.exp(node[:, _WIDTH].astype(float)) * across_size / size[1] if not edges
+                                       else np.zeros(len(a)), float(score)))
     return candidates
 
 

@@ -123,11 +123,11 @@ class ArmBodies:
         colour, x, client = [gray, gray, gray, 1.0], shape.geometry, self._client
         if hasattr(x, "halfSide"):
             visual = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=x.halfSide.tolist(), rgbaColor=colour,
-                                              physicsClientId=client)
+                                                physicsClientId=client)
         else:
             corners, faces = _prism(x.radius, x.halfLength)
             visual = pybullet.createVisualShape(pybullet.GEOM_MESH, vertices=corners, indices=faces, rgbaColor=colour,
-                                              physicsClientId=client)
+                                                physicsClientId=client)
         return Body(int(pybullet.createMultiBody(0.0, -1, visual, physicsClientId=client)), client, colour)
 
 

@@ -144,7 +144,7 @@ class ArmShape:
         if not capsules:
             placed = self._model.jointPlacements
             capsules = [(int(self._model.parents[joint]), np.zeros(3), placed[joint].translation, 0.05)
-                     for joint in range(2, self._model.njoints)]
+                        for joint in range(2, self._model.njoints)]
         tool = self._model.frames[robot.tool_id]
         if tool.name == TOOL_TIP:
             flange = self._model.frames[tool.parentFrame].placement

@@ -209,9 +209,9 @@ def draw_line_trial(seed: int, kind: str | None = None, share: float = 1.0) -> t
         late = size if kind == "camera_latency" else size * stamp if kind == "clock_drift" else 0.0
         pin.forwardKinematics(model, data, joints(np.array([stamp + late]))[0])
         pose = pin.updateFramePlacement(model, data, tool)
-        seen = (line - pose.translation) @ pose.rotation
-        order = np.argsort(seen[:, 0])
-        u = np.column_stack([AHEAD, *(np.interp(AHEAD, seen[order, 0], seen[order, i]) for i in (1, 2))])
+        in_tool = (line - pose.translation) @ pose.rotation
+        order = np.argsort(in_tool[:, 0])
+        u = np.column_stack([AHEAD, *(np.interp(AHEAD, in_tool[order, 0], in_tool[order, i]) for i in (1, 2))])
         u[:, 1] += rng.normal(0.0, NOISE, len(u)) + rng.normal(0.0, 0.5 * NOISE)
         stamps[row], points[row] = stamp, _displaced(u, kind, size)
     columns["cam_t"] = stamps
@@ -230,13 +230,13 @@ def _torques(rng: np.random.Generator, model: pin.Model, t: Array, q: Array) -> 
 
 def _displaced(u: Array, kind: str, size: float) -> Array:
     """Points ``(m, 3)`` as a camera reports them whose error is a function of what it reports."""
-    seen = u
+    reported = u
     for _ in range(8):
-        out = (seen - AXIS) * np.array([1.0, 1.0, 0.0])
+        out = (reported - AXIS) * np.array([1.0, 1.0, 0.0])
         if kind == "camera_scale":
-            seen = u + size * out
+            reported = u + size * out
         elif kind == "lens_distortion":
-            seen = u + size * np.sum(out**2, axis=1)[:, None] * out
+            reported = u + size * np.sum(out**2, axis=1)[:, None] * out
         elif kind == "camera_offset":
-            seen = u + size * np.column_stack([np.full(len(u), 0.5) - out[:, 1], out[:, 0], 0.0 * u[:, 0]])
-    return np.asarray(seen)
+            reported = u + size * np.column_stack([np.full(len(u), 0.5) - out[:, 1], out[:, 0], 0.0 * u[:, 0]])
+    return np.asarray(reported)

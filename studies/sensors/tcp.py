@@ -62,10 +62,10 @@ def _with_effect(rng: np.random.Generator, kind: str, s: Scene) -> Trial | None:
         # Where arm angles are measured, gears show there.
         name = str(rng.choice(TCP if kind == "inside" else ("dead_time", "kinematic_error", "thermal_growth", *GEAR)))
         joint = int(rng.integers(s.arm.n))
-        made = _altered(rng, s, name, joint, temperature)
-        if made is None:
+        alteration = _altered(rng, s, name, joint, temperature)
+        if alteration is None:
             return None
-        move, unit, largest = made
+        move, unit, largest = alteration
         if behind and name in GEAR:
             spread = float(np.std(move(unit)[0][:, joint] - s.q[:, joint]))
             size = angle_noise * rng.uniform(3.0, 10.0) * unit / max(spread, 1e-300)
@@ -80,9 +80,9 @@ def _with_effect(rng: np.random.Generator, kind: str, s: Scene) -> Trial | None:
     recording = measured(rng, s, angles)
     # The device stands a little beside where it should.
     turn = pin.exp3(rng.normal(0.0, 1e-3, 3))
-    seen = CubicSpline(s.t, xyz, axis=0)(recording.t) @ turn.T + rng.normal(0.0, 2e-3, 3)
-    seen = seen + noise * rng.normal(size=seen.shape)
-    columns = {**recording.columns, **{axis: np.ascontiguousarray(seen[:, i]) for i, axis in enumerate("xyz")}}
+    tracked = CubicSpline(s.t, xyz, axis=0)(recording.t) @ turn.T + rng.normal(0.0, 2e-3, 3)
+    tracked = tracked + noise * rng.normal(size=tracked.shape)
+    columns = {**recording.columns, **{axis: np.ascontiguousarray(tracked[:, i]) for i, axis in enumerate("xyz")}}
     if temperature is not None:
         warm = np.round(CubicSpline(s.t, temperature, axis=0)(recording.t), 1)
         columns |= {f"temp_{j + 1}": np.ascontiguousarray(warm[:, j]) for j in range(s.arm.n)}
@@ -210,8 +210,8 @@ def _beyond_the_device(change: Array, exact: Array) -> float:
     for i, axis in enumerate(np.eye(3)):
         W[:, :, 3 + i] = np.cross(axis, p)
     flat = W.reshape(-1, 6)
-    left = change.reshape(-1) - flat @ np.linalg.lstsq(flat, change.reshape(-1), rcond=None)[0]
-    return float(np.sqrt(np.mean(left**2)))
+    rest = change.reshape(-1) - flat @ np.linalg.lstsq(flat, change.reshape(-1), rcond=None)[0]
+    return float(np.sqrt(np.mean(rest**2)))
 
 
 def _positions(model: pin.Model, tool: int, q: Array) -> Array:

@@ -64,10 +64,10 @@ def draw_arm(rng: np.random.Generator, fewest: int = 2) -> Arm:
         name = str(rng.choice(SHIPPED))
         urdf = Robot.load(name).urdf.read_text(encoding="utf-8")
     elif kind == "measured":
-        wanted = str(rng.choice(MEASURED))
-        path = DATA / wanted / f"{wanted}.urdf"
+        drawn = str(rng.choice(MEASURED))
+        path = DATA / drawn / f"{drawn}.urdf"
         if path.is_file():
-            name, urdf = wanted, path.read_text(encoding="utf-8")
+            name, urdf = drawn, path.read_text(encoding="utf-8")
     return arm_of(rng, name, urdf)
 
 
@@ -220,16 +220,16 @@ def _strokes(rng: np.random.Generator, arm: Arm, t: Array) -> Array:
     """Septic polynomials between random points, each joint at its own pace."""
     q = np.zeros((len(t), arm.n))
     for j in range(arm.n):
-        at, here = 0.0, 0.5 * (arm.low[j] + arm.high[j])
-        while at < t[-1]:
-            there = float(rng.uniform(arm.low[j], arm.high[j]))
+        begin, here = 0.0, 0.5 * (arm.low[j] + arm.high[j])
+        while begin < t[-1]:
+            goal = float(rng.uniform(arm.low[j], arm.high[j]))
             # Peak velocity of the septic is 2.19 d/T, peak acceleration 7.52 d/T².
-            T = max(2.19 * abs(there - here) / (arm.fast[j] * rng.uniform(0.3, 1.0)),
-                    float(np.sqrt(7.52 * abs(there - here) / arm.quick[j])), 0.3)
-            s = np.clip((t - at) / T, 0.0, 1.0)
-            rows = t >= at
-            q[rows, j] = (here + (there - here) * (35 * s**4 - 84 * s**5 + 70 * s**6 - 20 * s**7))[rows]
-            at, here = at + T, there
+            T = max(2.19 * abs(goal - here) / (arm.fast[j] * rng.uniform(0.3, 1.0)),
+                    float(np.sqrt(7.52 * abs(goal - here) / arm.quick[j])), 0.3)
+            s = np.clip((t - begin) / T, 0.0, 1.0)
+            rows = t >= begin
+            q[rows, j] = (here + (goal - here) * (35 * s**4 - 84 * s**5 + 70 * s**6 - 20 * s**7))[rows]
+            begin, here = begin + T, goal
     return q
 
 
@@ -247,18 +247,18 @@ def _cycles(rng: np.random.Generator, arm: Arm, t: Array) -> Array:
     override = rng.choice([1.0, 1.0, 0.6, 0.3], size=count + 1)
     rests = rng.choice([0.0, 0.1, 0.3, 1.0], size=count + 1)
     q = np.tile(points[0], (len(t), 1))
-    at = 0.3
-    while at < t[-1]:
+    begin = 0.3
+    while begin < t[-1]:
         for start, end, share, rest in zip(points[:-1], points[1:], override, rests, strict=True):
             step = np.abs(end - start)
             T = max(float(np.max(1.5 * step / (arm.fast * share))), float(np.max(np.sqrt(9.0 * step / arm.quick))),
                     0.25)
-            first = int(np.searchsorted(t, at))
-            s = np.clip((t[first:] - at) / T, 0.0, 1.0)[:, None]
+            first = int(np.searchsorted(t, begin))
+            s = np.clip((t[first:] - begin) / T, 0.0, 1.0)[:, None]
             # Acceleration rises and falls like sin², over the first and last third, between them constant speed.
             q[first:] = start + (end - start) * _blended(s)
-            at += T + rest
-            if at >= t[-1]:
+            begin += T + rest
+            if begin >= t[-1]:
                 break
     return q
 

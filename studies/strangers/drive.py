@@ -190,9 +190,9 @@ def observer_step(k: int, every: int, P: Array, x: Array, moved: Array, wanted: 
         if k % every == 0:
             pace, pole = P[O_PACE, j], math.exp(-P[O_WATCH, j] * dt)
             pushed = x[CURRENT, j] / P[O_INERTIA, j] + x[DISTURBED, j]
-            seen = x[SEEN_Q, j] + dt * x[SEEN_V, j] + 0.5 * dt * dt * pushed
-            error = P[O_COUNT, j] * round(q[j] / P[O_COUNT, j]) - seen
-            x[SEEN_Q, j] = seen + (1.0 - pole**3) * error
+            predicted = x[SEEN_Q, j] + dt * x[SEEN_V, j] + 0.5 * dt * dt * pushed
+            error = P[O_COUNT, j] * round(q[j] / P[O_COUNT, j]) - predicted
+            x[SEEN_Q, j] = predicted + (1.0 - pole**3) * error
             x[SEEN_V, j] += dt * pushed + 1.5 / dt * (1.0 - pole) ** 2 * (1.0 + pole) * error
             x[DISTURBED, j] += (1.0 - pole) ** 3 / dt**2 * error
             x[NOW, j] = x[NEXT, j]

@@ -227,9 +227,9 @@ def _presliding_hysteresis(rng: np.random.Generator, s: Setup, j: int) -> Drawn:
     unit = 0.003 * span(s, j)
 
     def apply(setup: Setup, size: float) -> Setup:
-        way, kinds = setup.plant.presliding.copy(), setup.plant.regularisation.copy()
-        way[j], kinds[j] = size * unit, DAHL
-        return setup.with_plant(presliding=way, regularisation=kinds)
+        presliding, kinds = setup.plant.presliding.copy(), setup.plant.regularisation.copy()
+        presliding[j], kinds[j] = size * unit, DAHL
+        return setup.with_plant(presliding=presliding, regularisation=kinds)
 
     return Drawn("presliding_hysteresis", j + 1, apply, 20.0, in_proportion("presliding_hysteresis", j, "sigma", unit))
 

@@ -37,9 +37,9 @@ def _dry(rub: Array, v: float, z: float) -> float:
     level = rub[DRY]
     if rub[KIND] == TANH:
         return level * math.tanh(v / rub[SMOOTH])
-    way = abs(v) * STEP / rub[WAY]
+    ratio = abs(v) * STEP / rub[WAY]
     towards = 1.0 if v > 0.0 else -1.0
-    after = towards + (z - towards) * math.exp(-way)
+    after = towards + (z - towards) * math.exp(-ratio)
     damping = 0.0
     if rub[KIND] == BRISTLE:
         damping = 0.02 * level * v / (rub[WAY] * (1.0 + abs(v) / 0.01) * 50.0)
@@ -101,9 +101,9 @@ def motor_step(M: Array, push: Array, rub: Array, x: Array) -> None:
             v[j] = new
         if moved < _TOLERANCE:
             break
-    left = b - M @ v
+    impulse = b - M @ v
     for j in range(n):
-        x[2, j] = left[j] / STEP
+        x[2, j] = impulse[j] / STEP
         if rub[KIND, j] != TANH and rub[KIND, j] != CONSTRAINT and v[j] != 0.0:
             towards = 1.0 if v[j] > 0.0 else -1.0
             z[j] = towards + (z[j] - towards) * math.exp(-abs(v[j]) * STEP / rub[WAY, j])

@@ -112,15 +112,15 @@ def record(logger: Logger, plant: Plant, run: Run) -> Recording:
     tau = _torque_read(logger, run.tau)
     rows = np.arange(logger.every, len(t) - logger.every, logger.every)
     nominal = t[rows]
-    at = nominal + rng.uniform(-1.0, 1.0, len(rows)) * logger.jitter * logger.every * STEP
+    instants = nominal + rng.uniform(-1.0, 1.0, len(rows)) * logger.jitter * logger.every * STEP
 
     def sampled(values: Array, late: float = 0.0) -> Array:
-        return np.interp(at - late, t, values)
+        return np.interp(instants - late, t, values)
 
     def steps(values: Array) -> Array:
         return np.round(values / logger.encoder) * logger.encoder
 
-    columns: dict[str, Array] = {"t": nominal.copy() if logger.stamps == "nominal" else at.copy()}
+    columns: dict[str, Array] = {"t": nominal.copy() if logger.stamps == "nominal" else instants.copy()}
     noise = rng.normal(size=(len(rows), n)) * logger.noise
     coloured = signal.lfilter([0.2], [1.0, -0.8], rng.normal(size=noise.shape), axis=0) * logger.noise
     for j in range(n):
@@ -141,7 +141,7 @@ def record(logger: Logger, plant: Plant, run: Run) -> Recording:
     if logger.xy:
         place = _places(plant, run, rows)
         for i, name in enumerate("xy"):
-            columns[name] = np.interp(at, nominal, place[:, i]) + rng.normal(size=len(rows)) * 3e-5
+            columns[name] = np.interp(instants, nominal, place[:, i]) + rng.normal(size=len(rows)) * 3e-5
     keep = rng.random(len(rows)) >= logger.dropped
     return Recording({name: np.ascontiguousarray(values[keep]) for name, values in columns.items()}, {}, "stranger")
 

@@ -130,8 +130,8 @@ def _probabilities(diagnosis: Any, true: frozenset[tuple[str, int]]) -> tuple[tu
     arguments, result = [a for a in getattr(diagnosis, "arguments", ()) if a.name != "unknown"], []
     for argument, effect in zip(arguments, diagnosis.effects, strict=False):
         alike, fitted = {argument.name, *effect.indistinguishable_from}, effect.fitted
-        there = any((said_name(name, fitted.channel), joint) in true for name in alike for joint in (fitted.joint, 0))
-        result.append((probability(argument, alike), there))
+        right = any((said_name(name, fitted.channel), joint) in true for name in alike for joint in (fitted.joint, 0))
+        result.append((probability(argument, alike), right))
     return tuple(result)
 
 
@@ -145,8 +145,8 @@ def probability(argument: Any, alike: set[str]) -> float:
         argument: an ``ideal_robot.diagnosis.validation.result.Argument``, or anything with its sets.
         alike: names of the cause and of what is said not to be told from it.
     """
-    sets = [(one.nats / np.sqrt(1.0 + np.pi / 8.0 * one.std**2), one.name.partition("/")[0] in alike)
-            for one in argument.sets if not one.learned]
+    sets = [(group.nats / np.sqrt(1.0 + np.pi / 8.0 * group.std**2), group.name.partition("/")[0] in alike)
+            for group in argument.sets if not group.learned]
     return float(expit(min(nats for nats, own in sets if not own) - min([0.0, *(nats for nats, own in sets if own)])))
 
 
@@ -223,29 +223,29 @@ def detection(scores: Sequence[Score], family_of: Callable[[str], str], title: s
         family_of: a cause by its name.
     """
     trials = [s for s in scores if s.kind in SINGLE]
-    size, found, false = np.array([(np.log(s.causes[0][2]), all(s.found), len(s.false))
+    size, named, false = np.array([(np.log(s.causes[0][2]), all(s.found), len(s.false))
                                    for s in trials]).reshape(-1, 3).T
     family = np.array([family_of(s.causes[0][0]) for s in trials])
     lines = [f"| {title} | recordings | named | half of them from | false names there | nine tenths from | "
              "false names there |", "| --- " * 7 + "|"]
     for group in (["all"], sorted(set(family))):
-        member = np.array([(family == one) | (one == "all") for one in group])
+        member = np.array([(family == label) | (label == "all") for label in group])
         x = np.vstack([member, size]).T
         if np.linalg.matrix_rank(x) < x.shape[1]:
             continue  # Trials of one size, or none, say nothing of a slope.
-        beta, covariance = _logistic(x, found > 0.0)
-        for k, (one, own) in enumerate(zip(group, member, strict=True)):
+        beta, covariance = _logistic(x, named > 0.0)
+        for k, (label, own) in enumerate(zip(group, member, strict=True)):
             cells = []
             for share in (0.5, 0.9):
-                at = (logit(share) - beta[k]) / beta[-1]
+                log_size = (logit(share) - beta[k]) / beta[-1]
                 slope = np.zeros(len(beta))
-                slope[[k, -1]] = -1.0, -at
+                slope[[k, -1]] = -1.0, -log_size
                 error = np.sqrt(slope @ covariance @ slope) / beta[-1]
-                here = false[own & (np.abs(size - at) < np.log(2.0))]
-                sizes = (f"{float(f'{np.exp(x):.2g}'):g}" for x in (at, at - error, at + error))
+                here = false[own & (np.abs(size - log_size) < np.log(2.0))]
+                sizes = (f"{float(f'{np.exp(x):.2g}'):g}" for x in (log_size, log_size - error, log_size + error))
                 cells.append("{} ({} … {})".format(*sizes))
                 cells.append(f"{here.mean():.2f} ± {np.sqrt(here.sum() + 0.5) / len(here):.2f}" if len(here) else "")
-            lines.append(f"| {one} | {own.sum()} | {found[own].sum():.0f} | {' | '.join(cells)} |")
+            lines.append(f"| {label} | {own.sum()} | {named[own].sum():.0f} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
@@ -256,8 +256,8 @@ def _logistic(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return np.asarray(x.T * (p * (1.0 - p)) @ x)
 
     def loss(beta: np.ndarray) -> float:
-        at = np.where(y, 1.0, -1.0) * (x @ beta)
-        return float(np.logaddexp(0.0, -at).sum() - 0.5 * np.linalg.slogdet(information(beta))[1])
+        margin = np.where(y, 1.0, -1.0) * (x @ beta)
+        return float(np.logaddexp(0.0, -margin).sum() - 0.5 * np.linalg.slogdet(information(beta))[1])
 
     beta = minimize(loss, np.append(np.zeros(x.shape[1] - 1), 1.0)).x
     return beta, np.linalg.inv(information(beta))
@@ -274,15 +274,15 @@ def reliability(scores: Sequence[Score], title: str = "probability said") -> str
     was said less what came out; beside it that of saying of every cause the share of all that are there. The standard
     error is that of the share under Jeffreys' prior.
     """
-    p, there = np.array([one for s in scores for one in s.probabilities], dtype=float).reshape(-1, 2).T
+    p, right = np.array([pair for s in scores for pair in s.probabilities], dtype=float).reshape(-1, 2).T
     lines = [f"| {title} | causes | its mean | there | share | Brier score | of one share for all |",
              "| --- " * 7 + "|"]
     for low, high in (*pairwise(PROBABILITIES), (0.0, 1.0)):
         here = (p >= low) & ((p < high) | (high == 1.0))
         if n := int(here.sum()):
-            k = float(there[here].sum())
+            k = float(right[here].sum())
             share = (k + 0.5) / (n + 1.0)
-            scored = [np.mean((guess - there[here]) ** 2) for guess in (p[here], there.mean())]
+            scored = [np.mean((guess - right[here]) ** 2) for guess in (p[here], right.mean())]
             lines.append(f"| {low:g} … {high:g} | {n} | {p[here].mean():.3f} | {k:.0f} | {k / n:.2f} ± "
                          f"{np.sqrt(share * (1.0 - share) / (n + 2.0)):.2f} | "
                          f"{' | '.join(f'{value:.3f}' for value in scored)} |")
@@ -303,13 +303,13 @@ def breakdown(scores: Sequence[Score], by: str) -> str:
 def falsehoods(scores: Sequence[Score]) -> str:
     """Markdown table: what is said and is not there, of how many, by engine; in brackets those of empty recordings."""
     engines = sorted({s.engine for s in scores})
-    said = Counter(name for s in scores for name, _ in s.said)
+    counts = Counter(name for s in scores for name, _ in s.said)
     every = Counter((name, s.engine) for s in scores for name, _ in s.false)
     empty = Counter((name, s.engine) for s in scores for name, _ in s.false if s.kind == "none")
     lines = ["| named, not there | of | " + " | ".join(engines) + " |", "| --- | --- |" + " --- |" * len(engines)]
     for name, _ in Counter(name for s in scores for name, _ in s.false).most_common():
         cells = [f"{every[name, e]} ({empty[name, e]})" if every[name, e] else "" for e in engines]
-        lines.append(f"| {name} | {said[name]} | " + " | ".join(cells) + " |")
+        lines.append(f"| {name} | {counts[name]} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
@@ -364,10 +364,10 @@ def leaving_out(scores: Sequence[Score], scale: float) -> str:
     lines = ["| engine left out | factor on all shares from the others | its empty ones left alone with it | "
              "with the factor 1 |", "| --- | --- | --- | --- |"]
     for engine in sorted({s.engine for s in empty}):
-        others = sorted(needed(s) for s in empty if s.engine != engine)
+        factors = sorted(needed(s) for s in empty if s.engine != engine)
         own = [needed(s) for s in empty if s.engine == engine]
-        if others:
-            factor = others[min(int(np.ceil(_QUIET * len(others))), len(others)) - 1]
+        if factors:
+            factor = factors[min(int(np.ceil(_QUIET * len(factors))), len(factors)) - 1]
             alone, as_it_is = (_of([n <= most for n in own]) for most in (factor, 1.0))
             lines.append(f"| {engine} | {factor:.2f} | {alone} | {as_it_is} |")
     return "\n".join(lines)

@@ -191,16 +191,16 @@ def _attempt(rng: np.random.Generator, seed: int, kind: str, engine: str, size: 
     setup, causes, values = healthy.setup, [], {}
     for effect in drawn:
         target = float(np.exp(rng.uniform(*np.log(size))))
-        found = healthy.scaled(effect, target, kind)
-        if found is None:
+        scaled = healthy.scaled(effect, target, kind)
+        if scaled is None:
             return None
-        amount, seen, run = found
+        amount, reached, run = scaled
         setup = effect.apply(setup, amount)
         values.update(effect.values(amount))
         outside = kind == "outside"
         right = frozenset({("unknown", effect.joint)}) if outside else right_names(
             effect.name, effect.joint, arm.n, setup.logger.qa)
-        causes.append(Cause(effect.name, effect.joint, seen, right, outside))
+        causes.append(Cause(effect.name, effect.joint, reached, right, outside))
     if len(drawn) != 1:
         run = ENGINES[engine](setup.plant, motion) if drawn else healthy.run
     reference = None
@@ -247,15 +247,15 @@ def _effects(rng: np.random.Generator, kind: str, engine: str, setup: Setup,
 
 def _truly_there(setup: Setup) -> frozenset[tuple[str, int]]:
     """What is true of the plant and its logger beside the causes, see ``equivalents.HEALTHY``."""
-    plant, found = setup.plant, set()
+    plant, names = setup.plant, set()
     for j in range(plant.n):
         if plant.regularisation[j] in (BRISTLE, DAHL, MAXWELL):
-            found.add(("presliding_hysteresis", j + 1))
+            names.add(("presliding_hysteresis", j + 1))
         if np.isfinite(plant.stiffness[j]) and np.isfinite(plant.stiffness).all():
-            found |= {("joint_elasticity", j + 1), ("arm:joint_elasticity", j + 1)}
+            names |= {("joint_elasticity", j + 1), ("arm:joint_elasticity", j + 1)}
     if setup.logger.late > 2e-4:
-        found |= {("common_delay", 0), ("torque_filter", 0), ("dead_time", 0)}
-    return frozenset(found)
+        names |= {("common_delay", 0), ("torque_filter", 0), ("dead_time", 0)}
+    return frozenset(names)
 
 
 class Twin:
@@ -295,12 +295,12 @@ class Twin:
                 every = twist_sizes(self._reading, reading)
             else:
                 every = sizes(self._reading, reading, absorbed=kind != "model")
-            seen = float(np.max(every) if effect.joint == 0 else every[effect.joint - 1])
-            if target / _CLOSE <= seen <= target * _CLOSE:
-                return amount, seen, run
-            if seen < 1e-6 or amount * target / seen > effect.largest:
+            reached = float(np.max(every) if effect.joint == 0 else every[effect.joint - 1])
+            if target / _CLOSE <= reached <= target * _CLOSE:
+                return amount, reached, run
+            if reached < 1e-6 or amount * target / reached > effect.largest:
                 return None
-            amount *= target / seen
+            amount *= target / reached
         return None
 
     def _read(self, setup: Setup, run: Run) -> Reading:
