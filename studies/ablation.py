@@ -25,7 +25,7 @@ from ideal_robot.diagnosis.case import Case, Findings
 from ideal_robot.diagnosis.search import forward_selection
 from ideal_robot.diagnosis.search.forward_selection import Search
 from ideal_robot.diagnosis.search.scoring import Scoring
-from ideal_robot.diagnosis.statistics.problem import Problem, fitted_effect
+from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
 from ideal_robot.effects import Effect, library
 from ideal_robot.effects.fitted import Unknown
@@ -249,8 +249,8 @@ def said(case: Case, found: Findings) -> SimpleNamespace:
     """What is named after a search about a prepared regression; what is left above the noise is not looked at."""
     for stage in _STAGES:
         found = stage(case, found)
-    fits = [SimpleNamespace(fitted=fitted_effect(c, domain.final, k, domain.reported.prismatic))
-            for domain in found.domains for k, c in enumerate(domain.choices)]
+    fits = [SimpleNamespace(fitted=one)
+            for domain in found.domains for one in domain.final.all_fitted(domain.reported.prismatic)]
     named, unknown = ([fit for fit in fits if fit.fitted.effect.learned is learned] for learned in (False, True))
     return SimpleNamespace(verdict="unknown" if unknown else "effects" if named else "none", effects=named,
                            unknown=unknown)

@@ -10,7 +10,6 @@ from ideal_robot.diagnosis.channels.regression import rms, spread, unused_column
 from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.diagnosis.search.forward_selection import Only
 from ideal_robot.diagnosis.statistics.problem import (
-    fitted_effects,
     prior_precision,
     with_parameters,
     with_possible_inertias,
@@ -77,7 +76,7 @@ def _beside_known(found: Findings) -> tuple[tuple[FittedEffect, ...], ...]:
         return ()
     problem = found.problem.with_prior(prior_precision(found.start, found.problem)).held().on_all_blocks()
     prismatic = problem.regression.prismatic
-    return tuple(fitted_effects(some, problem.fit(some, uncertainty=True), prismatic) for some in found.beside_known)
+    return tuple(problem.fit(some, uncertainty=True).all_fitted(prismatic) for some in found.beside_known)
 
 
 def _held_out(case: Case, found: Findings) -> str:
@@ -150,7 +149,7 @@ def _unlike(case: Case, found: Findings, validate: Recording) -> tuple[str, ...]
     """
     problem = found.problem
     other = case.torque_regression(validate, found.start, cutoff=problem.regression.filtered.cutoff)
-    error, varies = rms(problem.fit().residual(other, []), other.use), spread(other.measured, other.use)
+    error, varies = rms(problem.fit().residual(other), other.use), spread(other.measured, other.use)
     still = {*problem.regression.undecided, *other.undecided}
     return tuple(name for j, name in enumerate(other.channels) if j + 1 not in still and error[j] > varies[j])
 

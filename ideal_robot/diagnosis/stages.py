@@ -88,7 +88,7 @@ def _diagnosed(case: Case, regression: Regression, validation: Regression | None
     choices = Search(problem, effects, case.options.finer(), absorbed=True, only=only).run()
     choices = with_equivalents(problem, choices)
     final = problem.on_all_blocks().fit(choices, uncertainty=True)
-    return DomainDiagnosis(problem, choices, final, validation, not sensor, case.recording.hash).settled()
+    return DomainDiagnosis(problem, final, validation, not sensor, case.recording.hash).settled()
 
 
 def prepared(case: Case, warnings: tuple[str, ...]) -> Findings:
@@ -135,9 +135,9 @@ def _columns_changed(before: Regression, found: Findings, share: float) -> bool:
     """
     after, effects = found.problem.regression, found.choices
     fit = found.problem.fit(effects)
-    residual = fit.residual(after, effects) * after.use
-    changes = [(new - old) * after.use for old, new in zip(fit.contributions(before, effects),
-                                                           fit.contributions(after, effects), strict=True)]
+    residual = fit.residual(after) * after.use
+    changes = [(new - old) * after.use for old, new in zip(fit.contributions(before), fit.contributions(after),
+                                                           strict=True)]
     return any(bool(np.any((change**2).sum(axis=0) > share * (residual**2).sum(axis=0))) for change in changes)
 
 
@@ -205,16 +205,15 @@ def joint_fit(case: Case, found: Findings) -> Findings:
     torque, dropped = _domain_of(case, found).settled()
     if dropped:
         # What was dropped leaves more to friction.
-        found = with_braking_friction(case, replace(found, choices=tuple(torque.choices)))
+        found = with_braking_friction(case, replace(found, choices=torque.choices))
         torque = _domain_of(case, found)
-    return replace(found, domains=(torque,), choices=tuple(torque.choices),
+    return replace(found, domains=(torque,), choices=torque.choices,
                    not_transferred=found.not_transferred + dropped)
 
 
 def _domain_of(case: Case, found: Findings) -> DomainDiagnosis:
     final = without_scatter(found.problem.on_all_blocks().fit(found.choices, uncertainty=True), found.held)
-    return DomainDiagnosis(found.problem, list(found.choices), final, found.validation, case.given is not None,
-                           case.recording.hash)
+    return DomainDiagnosis(found.problem, final, found.validation, case.given is not None, case.recording.hash)
 
 
 def effects_of_other_channels(case: Case, found: Findings) -> Findings:

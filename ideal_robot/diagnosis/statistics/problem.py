@@ -75,12 +75,14 @@ class Estimate:
     """Numbers of a joint fit.
 
     Attributes:
+        effects: that were fitted, with their theta.
         change: of the model's parameters ``(p,)``.
         covariance: of the model's parameters ``(p, p)``.
-        coefficients, std, theta_std: of each effect, in the order of the candidates.
+        coefficients, std, theta_std: of each effect.
         theta_step: by how much each theta would still move, to first order.
     """
 
+    effects: tuple[Candidate, ...]
     change: Array
     covariance: Array
     coefficients: tuple[Array, ...]
@@ -88,43 +90,37 @@ class Estimate:
     theta_std: tuple[Array, ...]
     theta_step: tuple[Array, ...] = ()
 
-    def residual(self, regression: Regression, effects: Sequence[Candidate]) -> Array:
-        """What a regression leaves with these numbers ``(N, c)``; ``effects`` are those of the fit, in their order."""
-        return np.asarray(regression.y - regression.W @ self.change - sum(self.contributions(regression, effects)))
+    def residual(self, regression: Regression) -> Array:
+        """What a regression leaves with these numbers ``(N, c)``."""
+        return np.asarray(regression.y - regression.W @ self.change - sum(self.contributions(regression)))
 
-    def contributions(self, regression: Regression, effects: Sequence[Candidate]) -> list[Array]:
+    def contributions(self, regression: Regression) -> list[Array]:
         """What each effect adds at the rows of a regression ``(N, c)``."""
         return [regression.columns_of(c.effect, c.joint, c.theta) @ own
-                for c, own in zip(effects, self.coefficients, strict=True)]
+                for c, own in zip(self.effects, self.coefficients, strict=True)]
 
+    def fitted(self, k: int, prismatic: Sequence[bool], *, evidence: Mapping[str, Any] | None = None) -> FittedEffect:
+        """Effect ``k`` with its numbers, ready for a model file; of a fit with uncertainty.
 
-def fitted_effect(candidate: Candidate, found: Estimate, k: int, prismatic: Sequence[bool], *,
-                  evidence: Mapping[str, Any] | None = None) -> FittedEffect:
-    """An effect with its numbers, ready for a model file.
+        Args:
+            k: its place among the effects.
+            prismatic: which joints slide, so that parameters of theirs are in metres and newtons ``(n,)``.
+            evidence: for ``FittedEffect``.
+        """
+        candidate, effect = self.effects[k], self.effects[k].effect
+        own, std, theta, theta_std = (tuple(map(float, values)) for values in (
+            self.coefficients[k], self.std[k], candidate.theta, self.theta_std[k]))
+        parameters = effect.parameters(self.coefficients[k], self.std[k], theta, theta_std)
+        # Geometry and curves are in units of their own, all else in those of its joint.
+        of_joint = candidate.joint > 0 and not (isinstance(effect, GeometryChange) or effect.learned)
+        if of_joint and prismatic[candidate.joint - 1]:
+            parameters = [replace(p, unit=sliding_unit(p.unit)) for p in parameters]
+        return FittedEffect(effect.name, candidate.joint, effect.channel(candidate.joint), own, std, theta, theta_std,
+                            effect.to_data(), tuple(parameters), evidence or {})
 
-    Args:
-        candidate: effect, joint and theta.
-        found: the joint fit, with uncertainty.
-        k: its place among the effects of that fit.
-        prismatic: which joints slide, so that parameters of theirs are in metres and newtons ``(n,)``.
-        evidence: for ``FittedEffect``.
-    """
-    effect = candidate.effect
-    own, std, theta, theta_std = (tuple(map(float, values)) for values in (
-        found.coefficients[k], found.std[k], candidate.theta, found.theta_std[k]))
-    parameters = effect.parameters(found.coefficients[k], found.std[k], theta, theta_std)
-    # Geometry and curves are in units of their own, all else in those of its joint.
-    of_joint = candidate.joint > 0 and not (isinstance(effect, GeometryChange) or effect.learned)
-    if of_joint and prismatic[candidate.joint - 1]:
-        parameters = [replace(p, unit=sliding_unit(p.unit)) for p in parameters]
-    return FittedEffect(effect.name, candidate.joint, effect.channel(candidate.joint), own, std, theta, theta_std,
-                        effect.to_data(), tuple(parameters), evidence or {})
-
-
-def fitted_effects(candidates: Sequence[Candidate], found: Estimate, prismatic: Sequence[bool]
-                   ) -> tuple[FittedEffect, ...]:
-    """See ``fitted_effect``. All effects of a fit, in their order."""
-    return tuple(fitted_effect(candidate, found, k, prismatic) for k, candidate in enumerate(candidates))
+    def all_fitted(self, prismatic: Sequence[bool]) -> tuple[FittedEffect, ...]:
+        """See ``fitted``. All effects, in their order."""
+        return tuple(self.fitted(k, prismatic) for k in range(len(self.effects)))
 
 
 def with_parameters(model: Model, change: Array, covariance: Array | None = None) -> Model:
@@ -293,7 +289,7 @@ class Problem:
         *firsts, end = np.cumsum([p, *(design.groups[c.key].m for c in effects)])
         change, *coefficients = np.split(fit.beta, firsts)
         if not uncertainty:
-            return Estimate(change, np.zeros((p, p)), tuple(coefficients), (), ())
+            return Estimate(tuple(effects), change, np.zeros((p, p)), tuple(coefficients), (), ())
         moved = [self._add_theta_columns(design, c, own) for c, own in zip(effects, coefficients, strict=True)]
         extra = [key for keys_of in moved for key in keys_of if key is not None]
         whole = Fit(design, [*keys, *extra], fit.refitted_weights(), self.prior)
@@ -305,8 +301,8 @@ class Problem:
         where = {key: end + i for i, key in enumerate(extra)}
         theta_std, step = ([np.array([0.0 if key is None else values[where[key]] for key in keys_of])
                             for keys_of in moved] for values in (sigma, whole.beta))
-        return Estimate(change, covariance[:p, :p], tuple(coefficients), tuple(np.split(sigma[:end], firsts)[1:]),
-                        tuple(theta_std), tuple(step))
+        return Estimate(tuple(effects), change, covariance[:p, :p], tuple(coefficients),
+                        tuple(np.split(sigma[:end], firsts)[1:]), tuple(theta_std), tuple(step))
 
     def _add_theta_columns(self, design: Design, candidate: Candidate, coefficients: Array) -> list[str | None]:
         """Adds, for each physical theta, what moving it changes in the prediction, ``dC/dtheta c``; names of groups."""

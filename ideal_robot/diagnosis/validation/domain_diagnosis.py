@@ -13,7 +13,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.regression import Regression, noise_left, rms, spread
 from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms
 from ideal_robot.diagnosis.statistics.least_squares import CLEAR, TOLD
-from ideal_robot.diagnosis.statistics.problem import Candidate, Estimate, Problem, fitted_effect
+from ideal_robot.diagnosis.statistics.problem import Candidate, Estimate, Problem
 from ideal_robot.diagnosis.validation.result import ChannelResult, FoundEffect, NotTransferred, Structure, Traces
 from ideal_robot.diagnosis.validation.transfer import deciding
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION, EffectParameter, FittedEffect, Signals, library
@@ -94,7 +94,7 @@ def _side(value: float, low: float, high: float) -> int:
     return -1 if value <= low + below else 1 if value >= high - above else 0
 
 
-def with_misfit(problem: Problem, effects: Sequence[Candidate], found: Estimate) -> Estimate:
+def with_misfit(problem: Problem, found: Estimate) -> Estimate:
     """An estimate whose standard deviations hold the misfit, and what the numbers differ by in half of the band.
 
     Vibrations, filters and the way friction goes through standstill bend numbers in the same way in every block of
@@ -103,10 +103,10 @@ def with_misfit(problem: Problem, effects: Sequence[Candidate], found: Estimate)
     what is left, that is far less than all that is left could bend it by.
 
     Args:
-        problem, effects: of the fit, in its order.
+        problem: of the fit.
         found: the fit to all blocks, with uncertainty.
     """
-    if not effects:
+    if not (effects := found.effects):
         return found
     whole = problem.on_all_blocks()
     wide = whole.fit(effects, uncertainty=True, misfit=True)
@@ -149,19 +149,22 @@ class DomainDiagnosis:
 
     Attributes:
         problem: that was searched.
-        choices: what was selected.
-        final: the fit to all of the recording, with uncertainty.
+        final: the fit of what was selected to all of the recording, with uncertainty.
         validation: the regression of the validation recording, or None.
         given: whether the model was given, so that "before" is the model as it was.
         source: hash of the recording.
     """
 
     problem: Problem
-    choices: list[Candidate]
     final: Estimate
     validation: Regression | None
     given: bool
     source: str
+
+    @property
+    def choices(self) -> tuple[Candidate, ...]:
+        """What was selected."""
+        return self.final.effects
 
     @property
     def reported(self) -> Regression:
@@ -191,7 +194,7 @@ class DomainDiagnosis:
             k, gone = failure
             choices = [choice for i, choice in enumerate(domain.choices) if i != k]
             final = domain.problem.on_all_blocks().fit(choices, uncertainty=True)
-            domain = replace(domain, choices=choices, final=final)
+            domain = replace(domain, final=final)
             dropped.append(gone)
         return domain, tuple(dropped)
 
@@ -210,7 +213,7 @@ class DomainDiagnosis:
             elif not (candidate.effect.learned or self._differs(k)):
                 why = "it is not distinguished from none"
             if why:
-                numbers = fitted_effect(candidate, self._widened, k, self.reported.prismatic).parameters
+                numbers = self._widened.fitted(k, self.reported.prismatic).parameters
                 text = ", ".join(p.text for p in numbers)
                 return k, self._not_added(k, f"in the fit of everything together {why} ({text})")
         return None
@@ -274,18 +277,18 @@ class DomainDiagnosis:
         measured against it, and what refitting alone explains is no merit of any effect.
         """
         problem, steps = self.problem.held(), [self.choices[:k] for k in range(len(self.choices) + 1)]
-        return [self._rms(problem.fit(some).residual(self.reported, some)) for some in steps]
+        return [self._rms(problem.fit(some).residual(self.reported)) for some in steps]
 
     @cached_property
     def _widened(self) -> Estimate:
         """The final fit with the misfit in its standard deviations."""
-        return with_misfit(self.problem, self.choices, self.final)
+        return with_misfit(self.problem, self.final)
 
     def result(self) -> DomainResult:
         """Errors of each step, effects with their numbers, and what the residual depends on."""
         effects, own, reported = self.choices, self.problem.regression, self.reported
         first, last = self.problem.fit(), self.problem.fit(effects)
-        refitted, residual = first.residual(reported, []), last.residual(reported, effects)
+        refitted, residual = first.residual(reported), last.residual(reported)
         before, after = reported.y if self.given else refitted, self._rms(residual)
         # The floor belongs to the band of the residual, and is part of it.
         white, usual = noise_left(residual, reported.use)
@@ -297,11 +300,11 @@ class DomainDiagnosis:
                          enumerate(zip(reported.channels, reported.units, numbers, strict=True))
                          if j not in reported.absent)
         # Dependences are looked for in the recording that the fit was made on.
-        at_first = own.y if self.given else first.residual(own, [])
-        before_it, after_it = _ranked_structure(self.problem, [at_first, last.residual(own, effects)])
+        at_first = own.y if self.given else first.residual(own)
+        before_it, after_it = _ranked_structure(self.problem, [at_first, last.residual(own)])
         s = reported.decimated_signals()
         traces = Traces(reported.t, reported.measured, before, residual, reported.use, self.held_out, s.q, s.qd,
-                        tuple(last.contributions(reported, effects)))
+                        tuple(last.contributions(reported)))
         return DomainResult(channels, tuple(map(self._found, range(len(effects)))), before_it, after_it,
                             (reported.channels, traces))
 
@@ -317,8 +320,8 @@ class DomainDiagnosis:
         evidence = {"p_value": choice.p_value, "rms_before": before, "rms_after": after,
                     "indistinguishable_from": list(rivals), "transfers": transfers, "recording": self.source,
                     "share": choice.share, "share_asked": choice.asked}
-        fitted = with_limits(fitted_effect(choice, self._widened, k, self.reported.prismatic, evidence=evidence),
-                             choice, self.problem.regression.signals)
+        fitted = with_limits(self._widened.fitted(k, self.reported.prismatic, evidence=evidence), choice,
+                             self.problem.regression.signals)
         names = tuple(effect.signals_of(choice.joint)) if isinstance(effect, Unknown) else ()
         return FoundEffect(fitted, before, after, choice.p_value, rivals, discriminating_motion(effect.name, rivals),
                            transfers, names, k)
@@ -331,6 +334,6 @@ class DomainDiagnosis:
             return own
         if reported.domain == SENSOR:
             # Not where it reduces most by chance, but where it is largest against the noise.
-            added = self.final.contributions(reported, self.choices)[k]
+            added = self.final.contributions(reported)[k]
             return int(np.argmax(np.sqrt(np.mean(added**2, axis=0)) / (reported.noise_floor + 1e-300)))
         return int(np.argmax((self.levels[k] - self.levels[k + 1]) / (self.levels[k] + 1e-300)))

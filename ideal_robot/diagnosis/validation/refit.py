@@ -20,7 +20,6 @@ from ideal_robot.diagnosis.statistics.problem import (
     Candidate,
     Estimate,
     Problem,
-    fitted_effects,
     prior_covariance,
     prior_precision,
     torque_left_open,
@@ -229,7 +228,7 @@ def named_sensor_effects(recording: Recording, robot: Robot, model: Model,
             candidates = [Candidate(effect, 0) for name in names for effect in _named(name, SENSOR)
                           if effect.usable(regression.signals, 0)]
             estimate = Problem.of(regression, False).fit(candidates, uncertainty=True)
-            result += fitted_effects(candidates, estimate, regression.prismatic)
+            result += estimate.all_fitted(regression.prismatic)
     return tuple(result)
 
 
@@ -242,7 +241,7 @@ def _together(problem: Problem, wanted: Sequence[tuple[Sequence[Effect], int]]) 
     regression, chosen = problem.regression, list[Candidate]()
 
     def left(effects: Sequence[Candidate]) -> Array:
-        return problem.fit(effects).residual(regression, effects)
+        return problem.fit(effects).residual(regression)
 
     def loss(candidate: Candidate) -> float:
         squares = np.where(regression.use, left([*chosen, candidate]), 0.0) ** 2
@@ -258,4 +257,4 @@ def _together(problem: Problem, wanted: Sequence[tuple[Sequence[Effect], int]]) 
             raise InputError("the effect has nothing to start from in this recording", field="effect",
                              value=kinds[0].name)
         chosen.append(min(tried, key=loss))
-    return fitted_effects(chosen, problem.fit(chosen, uncertainty=True), regression.prismatic)
+    return problem.fit(chosen, uncertainty=True).all_fitted(regression.prismatic)

@@ -95,7 +95,7 @@ def transferring(problem: Problem, choices: Sequence[Candidate], validation: Reg
     problem, mask = problem.held(), validation.use & samples[:, None]
 
     def error(kept: Sequence[Candidate]) -> Array:
-        return rms(problem.fit(kept).residual(validation, kept), mask) + 1e-300
+        return rms(problem.fit(kept).residual(validation), mask) + 1e-300
 
     remaining, dropped = eliminated(choices, error, lambda choice: validation.channel_of(choice.joint))
     return remaining, tuple(_not_transferred(validation, *entry) for entry in dropped)

@@ -256,10 +256,10 @@ def test_a_light_body_is_a_payload_by_its_weight_at_the_wrist():
     """Its mass hides in what the strong joints leave; a rotor or a filter of the wrist has no weight."""
     robot = Robot.load("kr15")
     problem, _ = carrying("kr15", robot.n, 0.1, robot.tool_place + np.array([0.02, -0.04, 0.05]), left=0.05)
-    payload = Candidate(find("payload", "tau"), 0)
+    payload = Candidate(find("payload", "tau"), 0, p_value=1e-9, asked=0.1)
     final = problem.on_all_blocks().fit([payload], uncertainty=True)
-    domain = DomainDiagnosis(problem, [dataclasses.replace(payload, p_value=1e-9, asked=0.1)], final, None, True, "")
-    wide = with_misfit(problem, [payload], final)
+    domain = DomainDiagnosis(problem, final, None, True, "")
+    wide = with_misfit(problem, final)
     assert abs(wide.coefficients[0][0]) < 3.0 * wide.std[0][0]
     settled, dropped = domain.settled()
     assert [choice.effect.name for choice in settled.choices] == ["payload"]

@@ -13,7 +13,7 @@ from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.search.forward_selection import likelier
 from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms
 from ideal_robot.diagnosis.statistics.least_squares import LEFT_OUT, Fit, HeldOutTest
-from ideal_robot.diagnosis.statistics.problem import Candidate, Problem, fitted_effects
+from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.effects import library
 from ideal_robot.effects.registry import find
 from ideal_robot.model.model import Model
@@ -215,8 +215,7 @@ def test_effects_and_parameters_are_fitted_together(problem):
     assert np.all(np.abs(size - [0.4, 0.0]) < 4.0 * found.std[0] + 1e-3)
     assert 0.0 < theta_std[0] < 0.1
     made = problem.regression
-    before, after = (float(np.std(r[made.use])) for r in (problem.fit().residual(made, []),
-                                                          found.residual(made, [ripple()])))
+    before, after = (float(np.std(r[made.use])) for r in (problem.fit().residual(made), found.residual(made)))
     assert after < 0.3 * before
 
 
@@ -244,7 +243,7 @@ def test_the_lower_half_of_the_band_gives_the_same_numbers_where_nothing_else_is
 
 def test_parameters_of_a_joint_that_slides_are_in_its_units(problem):
     found = problem.fit([ripple()], uncertainty=True)
-    turning, sliding = (fitted_effects([ripple()], found, [slides])[0].parameters[0] for slides in (False, True))
+    turning, sliding = (found.fitted(0, [slides]).parameters[0] for slides in (False, True))
     assert (turning.unit, sliding.unit) == ("N m", "N")
 
 

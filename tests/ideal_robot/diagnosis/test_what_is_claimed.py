@@ -55,8 +55,14 @@ def domain_of(one: Robot, recording: Recording, *candidates: Candidate) -> Domai
 
 def with_choices(problem: Problem, *candidates: Candidate) -> DomainDiagnosis:
     choices = [dataclasses.replace(one, p_value=1e-9) for one in candidates]
-    final = problem.on_all_blocks().fit(list(candidates), uncertainty=True)
-    return DomainDiagnosis(problem, choices, final, None, False, "")
+    final = problem.on_all_blocks().fit(choices, uncertainty=True)
+    return DomainDiagnosis(problem, final, None, False, "")
+
+
+def asking(domain: DomainDiagnosis, share: float) -> DomainDiagnosis:
+    """The domain whose one effect had to take away so much when it was searched."""
+    effects = (dataclasses.replace(domain.choices[0], asked=share),)
+    return dataclasses.replace(domain, final=dataclasses.replace(domain.final, effects=effects))
 
 
 def test_a_value_at_the_end_of_the_search_is_a_limit_without_a_deviation(one):
@@ -137,8 +143,7 @@ def test_against_a_given_model_half_of_what_the_search_asked_has_to_be_left(one)
     domain = domain_of(one, recording, candidate)
     share = 1.0 - np.square(np.divide(*reversed(domain.levels)))[0]
     for factor, kept in ((1.9, True), (2.1, False)):
-        asked = dataclasses.replace(domain.choices[0], asked=factor * share)
-        given = dataclasses.replace(domain, choices=[asked],
+        given = dataclasses.replace(asking(domain, factor * share),
                                     problem=domain.problem.with_prior(np.zeros((domain.problem.products.W.m,) * 2)))
         assert bool(given.settled()[0].choices) == kept
 
@@ -218,17 +223,13 @@ def test_what_is_never_still_is_nothing_that_a_cause_is_missing_for(one):
 
 def test_what_was_found_takes_away_half_as_much_where_nobody_looked(one):
     domain = domain_of(one, moved(stribeck=0.1)[0], Candidate(find("stribeck", "tau"), 1, (0.3,)))
-
-    def left(asked: float) -> tuple[DomainDiagnosis, tuple]:
-        return dataclasses.replace(domain, choices=[dataclasses.replace(domain.choices[0], asked=asked)]).settled()
-
-    before, after = (level[0] for level in left(0.0)[0].levels)
+    before, after = (level[0] for level in asking(domain, 0.0).settled()[0].levels)
     share = 1.0 - (after / before) ** 2
     assert 0.05 < share < 0.95
-    kept, dropped = left(1.9 * share)
+    kept, dropped = asking(domain, 1.9 * share).settled()
     assert len(kept.choices) == 1
     assert not dropped
-    kept, dropped = left(2.1 * share)
+    kept, dropped = asking(domain, 2.1 * share).settled()
     assert not kept.choices
     assert "half of what was asked" in dropped[0].reason
 
