@@ -136,7 +136,11 @@ def _resampled(t: Array, t_sensor: Array, values: Array) -> Array:
     return result
 
 
-def synchronise(t: Array, q_m: Array, t_sensor: Array, sensed: Array, *, largest: float = 10.0) -> Clock:
+_LARGEST_OFFSET = 10.0
+"""Between the clocks, that is looked for [s]."""
+
+
+def synchronise(t: Array, q_m: Array, t_sensor: Array, sensed: Array) -> Clock:
     """Offset and drift of the sensor's clock ([J] 4.3: synchronised off line).
 
     The flange stands, so at the right clock the wrench is an affine function of the motor angles; the clock is the one
@@ -145,7 +149,6 @@ def synchronise(t: Array, q_m: Array, t_sensor: Array, sensed: Array, *, largest
     Args:
         t, q_m: controller time ``(N,)`` [s], and motor angles ``(N, n)``.
         t_sensor, sensed: sensor time ``(M,)`` [s], and measured wrench components ``(M, c)``.
-        largest: largest offset between the clocks that is looked for [s].
     """
     thin = max(1, round(0.1 / float(np.median(np.diff(t_sensor)))))
     t_thin, wrench = t_sensor[::thin], sensed[::thin]
@@ -170,7 +173,7 @@ def synchronise(t: Array, q_m: Array, t_sensor: Array, sensed: Array, *, largest
         rho = y - W @ np.linalg.solve(W.T @ W, W.T @ y)
         return float(np.sum(rho * rho) / len(rho))
 
-    coarse = np.arange(-largest, largest + 1e-9, 0.1)
+    coarse = np.arange(-_LARGEST_OFFSET, _LARGEST_OFFSET + 1e-9, 0.1)
     start = float(coarse[np.argmin([unexplained(offset, 0.0) for offset in coarse])])
     # Drift scaled so that a unit of either variable is a similar shift in time.
     length = max(float(t_sensor[-1] - t_sensor[0]), 1.0)

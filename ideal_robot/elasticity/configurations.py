@@ -66,8 +66,12 @@ class ChosenConfigurations:
     condition: Array
 
 
+_ENOUGH = 0.02
+"""Predicted %σ of the worst joint at which no more configurations are added."""
+
+
 def choose_configurations(robot: Robot, limits: ClampLimits, rng: np.random.Generator, *, most: int = 3,
-                          target_percent: float = 0.02, candidates: int = 400) -> ChosenConfigurations:
+                          candidates: int = 400) -> ChosenConfigurations:
     """Up to ``most`` configurations whose worst joint has the smallest predicted %σ.
 
     Raises InputError where no candidate is within the limits.
@@ -76,7 +80,6 @@ def choose_configurations(robot: Robot, limits: ClampLimits, rng: np.random.Gene
         robot, limits: geometry and limits; those of arm, sensor and site.
         rng, candidates: for the candidates, and how many are compared.
         most: how many configurations one is ready to clamp.
-        target_percent: predicted %σ of the worst joint at which no more are added.
     """
     guess = limits.stiffness_guess * robot.tau_max
     if not np.all(np.isfinite(guess)):
@@ -100,7 +103,7 @@ def choose_configurations(robot: Robot, limits: ClampLimits, rng: np.random.Gene
         chosen.append(pool[best][0])
         promised.append(stds[best])
         total = total + pool[best][1]
-        if np.max(stds[best]) <= target_percent:
+        if np.max(stds[best]) <= _ENOUGH:
             break
     return ChosenConfigurations(np.array(chosen), np.array(promised),
                                 np.array([condition_number(robot, q) for q in chosen]))
