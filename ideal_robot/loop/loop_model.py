@@ -241,7 +241,12 @@ def friction_of(drives: Drives, i: int, z: float, v: float, load: float) -> tupl
 
 @jit()
 def bend_of(drives: Drives, i: int, dry: float) -> float:
-    """Angle over which dry friction of a size [N m] turns [rad]: bristles are as stiff as the identified ones."""
+    """Angle over which dry friction turns [rad]: bristles are as stiff as the identified ones.
+
+    Args:
+        drives, i: joint, from 0.
+        dry: size of its dry friction now [N m].
+    """
     return drives.friction_bend[i] * min(max(dry / drives.friction_dry[i], 0.2), 5.0)
 
 
