@@ -317,4 +317,5 @@ def expect(given: Any, kind: type, field: str, remedy: str) -> None:
         field, remedy: the argument's name, and what to do instead.
     """
     if not isinstance(given, kind):
-        raise InputError(f"expected a {kind.__name__}; {remedy}", field=field, value=type(given).__name__)
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        raise InputError(f"expected {article} {kind.__name__}; {remedy}", field=field, value=type(given).__name__)

@@ -68,15 +68,15 @@ class CameraProcess:
                                                              camera, detector, theirs), daemon=True)
         self._process.start()
         theirs.close()
-        kind, content = "failed", f"the camera was not ready within {patience:g} s"
+        kind, content = "failed", InputError(f"the camera was not ready within {patience:g} s")
         try:
             if self._pipe.poll(patience):
                 kind, content = self._pipe.recv()
         except (EOFError, OSError):
-            content = "the camera's process ended before it was ready"
+            content = InputError("the camera's process ended before it was ready")
         if kind == "failed":
             self.close()
-            raise InputError(content, field="--camera", value=address)
+            raise InputError(content.message, file=content.file, field="--camera", value=content.value or address)
         self.stamps = str(content)
 
     @property

@@ -56,7 +56,7 @@ def work(address: str, least_delay: float, camera: CameraModel, detector: str, p
                              f"{camera.width}×{camera.height}; set camera.width and camera.height", field="camera")
     except IdealRobotError as error:
         with suppress(OSError):
-            pipe.send(("failed", str(error)))
+            pipe.send(("failed", error if isinstance(error, InputError) else InputError(str(error))))
         return
     if hasattr(os, "sched_setscheduler"):
         with suppress(OSError):

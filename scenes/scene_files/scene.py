@@ -274,7 +274,7 @@ def validated(model: type[M], values: dict[str, Any], path: Path) -> M:
         if first["type"] == "tuple_type" and isinstance(shown, dict):
             raise InputError(f"expected a list of tables: write [[{key}]] in place of [{key}]", file=path,
                              field=key) from error
-        raise InputError(first["msg"], file=path, field=key,
+        raise InputError(first["msg"].removeprefix("Value error, "), file=path, field=key,
                          value=shown if isinstance(shown, (str, int, float)) else None) from error
 
 

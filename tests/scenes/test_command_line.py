@@ -59,7 +59,7 @@ def test_run_writes_what_json_names(program, tmp_path: Path) -> None:
         (("[surface]", "[surface]\ntilt = 3"), (), ("surface.tilt", "unknown key", "tilt_deg")),
         (("[surface]", "[world]\nstifness = 3\n[surface]"), (), ("short.toml: world.stifness", "unknown key")),
         (("[surface]", "[world]\ndamping = -1\n[surface]"), (), ("short.toml: world.damping", "negative")),
-        (("[line]", "[line]\nsvg = 'M 0 0 L 1 1'"), (), ("line", "exactly one")),
+        (("[line]", "[line]\nsvg = 'M 0 0 L 1 1'"), (), ("short.toml: line: expected exactly one",)),
         (("speed = 0.7", "speed = -1"), (), ("speed", "greater than 0")),
         (("[surface]", "[camera]\nlatency = -0.02\n[surface]"), (), ("camera.latency", "greater than or equal")),
         (("0.98", "9.98"), (), ("out of reach", "kr6")),

@@ -219,5 +219,5 @@ def test_columns_of_an_own_effect_that_are_none_are_said(made: Callable[[np.ndar
         unregister(own)
 
 
-    with pytest.raises(InputError, match="make one of the class"):
+    with pytest.raises(InputError, match="expected an Effect; make one of the class"):
         register(Drag)  # type: ignore[arg-type]

@@ -6,6 +6,7 @@ import json
 import multiprocessing
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -20,8 +21,8 @@ from ideal_robot.errors import InputError
 from ideal_robot.rsi.message import RsiError
 from ideal_robot.signals.recording import Recording
 from ideal_robot.whole_file import OutputError
-from scenes.online.camera_process import CalibratedCamera, Header, calibrated_camera
-from scenes.online.camera_worker import work
+from scenes.online.camera_process import CalibratedCamera, CameraProcess, Header, calibrated_camera
+from scenes.online.camera_worker import _Worker, work
 from scenes.online.cycle import holding_share
 from scenes.online.journal import Journal, left_behind, rescue
 from scenes.online.line_log import LineLog
@@ -350,6 +351,19 @@ def test_a_camera_that_is_ready_when_nobody_waits_any_more_ends_quietly(
     process.join(120.0)
     assert process.exitcode == 0
     assert "Traceback" not in capfd.readouterr().err
+
+
+def test_a_camera_that_cannot_be_opened_is_named_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    def here(args: tuple[Any, ...], **_: object) -> SimpleNamespace:
+        return SimpleNamespace(start=lambda: work(*args[1:]), join=lambda _: None, is_alive=lambda: False)
+
+    monkeypatch.setattr(_Worker, "rehearse", lambda self: None)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    monkeypatch.setattr(multiprocessing, "get_context",
+                        lambda _: SimpleNamespace(Pipe=multiprocessing.Pipe, Process=here))
+    with pytest.raises(InputError) as said:
+        CameraProcess("stream:host:port", 0.0, believed_camera(CameraTable()), "edge_pairs")
+    assert str(said.value) == "--camera: expected an address such as stream://192.168.1.30:50000 (got 'host:port')"
 
 
 def test_a_calibration_is_kept_and_wrong_files_are_refused(tmp_path: Path) -> None:
