@@ -10,7 +10,7 @@ Built-in implementations are given as ``"module:attribute"`` and imported when t
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib import metadata
 from typing import Generic, TypeVar, cast
 
@@ -33,18 +33,23 @@ class Registry(Generic[T]):
         seam: what is registered, in the singular, for messages (``"effect"``).
         group: entry-point group of other packages.
         built_in: name → ``"module:attribute"``, in the order of tables.
+        wanted, fits: what is expected of a name, in words, and whether one is so; any will do by default.
     """
 
-    def __init__(self, seam: str, group: str, built_in: dict[str, str]) -> None:
+    def __init__(self, seam: str, group: str, built_in: dict[str, str], wanted: str = "a name",
+                 fits: Callable[[str], bool] = bool) -> None:
         self.seam, self.group = seam, group
+        self._wanted, self._fits = wanted, fits
         self._known: dict[str, T | str] = dict(built_in)
         self._read_entry_points = False
 
     def register(self, name: str, implementation: T) -> None:
-        """Adds an implementation; raises InputError where another one has that name."""
+        """Adds an implementation; raises InputError for a name that does not fit, or that another one has."""
         self._read()
+        if not self._fits(name):
+            raise InputError(f"expected {self._wanted}", field="key", value=name)
         if name in self._known and self._known[name] is not implementation:
-            raise InputError(f"there is a {self.seam} of that name already; choose another name", field=self.seam,
+            raise InputError(f"another {self.seam} has that name already; choose another name", field=self.seam,
                              value=name)
         self._known[name] = implementation
 
@@ -80,8 +85,10 @@ class Registry(Generic[T]):
         if self._read_entry_points:
             return
         for point in metadata.entry_points(group=self.group):
-            if self._known.setdefault(point.name, point.value) != point.value:
-                raise InputError(f"an installed package adds a {self.seam} of a name that there is already; rename its "
-                                 "entry point, or uninstall it", field=self.group,
-                                 value=f"{point.name} = {point.value}")
+            wrong = "" if self._fits(point.name) else f"expected {self._wanted}"
+            if not wrong and self._known.setdefault(point.name, point.value) != point.value:
+                wrong = f"another {self.seam} has that name already"
+            if wrong:
+                raise InputError(f"{wrong}; rename the entry point of the installed package, or uninstall it",
+                                 field=self.group, value=f"{point.name} = {point.value}")
         self._read_entry_points = True

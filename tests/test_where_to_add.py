@@ -168,8 +168,8 @@ from ideal_robot.friction import law_of
 
 for asked, says in ((lambda: law_of("square"), "key of Drag is 'drag'"),
                     (library, "LacksDrag is 'drag/tau'; give it the name that it is registered by"),
-                    (methods, "a method of a name that there is already.*ideal = house.law:Drag"),
-                    (methods, "a method of a name that there is already"),
+                    (methods, "another method has that name already.*ideal = house.law:Drag"),
+                    (methods, "another method has that name already"),
                     (lambda: law_of("none"), "cannot be imported .*no attribute 'Gone'.*none = house"),
                     (lambda: law_of("lost"), "cannot be imported .*No module named 'house.lost'")):
     with pytest.raises(InputError, match=says):

@@ -23,7 +23,9 @@ from ideal_robot.robots.robot import Robot
 _KEYS = ("none", "linear", "linear_1", "trained", "trained_1", "precorrected_1", "precorrected", "model_learned",
          "learned_1", "learned_2", "learned_3", "learned_4", "ideal", "adapted")
 _REGISTRY: Registry[Method | Factory] = Registry(
-    "method", "ideal_robot.feedforward", {key: f"ideal_robot.feedforward.built_in:{key.upper()}" for key in _KEYS})
+    "method", "ideal_robot.feedforward", {key: f"ideal_robot.feedforward.built_in:{key.upper()}" for key in _KEYS},
+    "lower case letters, digits and underscores, and no ending _delay",
+    lambda key: key.isidentifier() and key == key.lower() and not key.endswith("_delay"))
 
 
 def methods(needs: Needs = Needs.PLAYS) -> tuple[str, ...]:
@@ -52,9 +54,6 @@ def register(key: str, factory: Factory | Method, *, description: str = "", need
         description: one line for help texts and tables; the first line of the factory's docstring if empty.
         needs: what has to be there, which says where it applies.
     """
-    if not key.isidentifier() or key != key.lower() or key.endswith("_delay"):
-        raise InputError("expected lower case letters, digits and underscores, and no ending _delay", field="key",
-                         value=key)
     _REGISTRY.register(key, factory if isinstance(factory, Method) else _described(factory, description, needs))
 
 

@@ -6,6 +6,7 @@ import copy
 import dataclasses
 import importlib
 from collections.abc import Iterator
+from importlib import metadata
 
 import numpy as np
 import pytest
@@ -18,13 +19,14 @@ from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.learning import Playback
 from ideal_robot.feedforward.method import Needs, Practice, Rehearsed, Setting
 from ideal_robot.feedforward.precorrection import Precorrection
-from ideal_robot.feedforward.registry import feedforward, method, methods, register, unregister
+from ideal_robot.feedforward.registry import _REGISTRY, feedforward, method, methods, register, unregister
 from ideal_robot.feedforward.training import LinearInverse, train
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import ControllerModel
+from ideal_robot.registry import Registry
 from ideal_robot.robots.robot import Robot
 from tests.arms import ROBOT, T, commands, motion, plant
 from tests.sources import MODELS
@@ -197,7 +199,7 @@ def own() -> Iterator[str]:
     unregister("half_ahead")
 
 
-def test_an_own_method_stands_beside_the_built_in_ones(own: str) -> None:
+def test_an_own_method_stands_beside_the_built_in_ones(own: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert methods()[-1] == own
     assert own in methods(Needs.NOTHING)
     assert "ideal" not in methods(Needs.NOTHING)
@@ -211,6 +213,10 @@ def test_an_own_method_stands_beside_the_built_in_ones(own: str) -> None:
     for key in ("half-ahead", "Half", "2nd", "half_delay"):
         with pytest.raises(InputError, match="no ending _delay"):
             register(key, HalfAhead)
+        point = metadata.EntryPoint(key, "house:Method", "seam")
+        monkeypatch.setattr(metadata, "entry_points", lambda point=point, **_: [point])
+        with pytest.raises(InputError, match=f"no ending _delay; rename the entry point.*{key} = house:Method"):
+            Registry("method", "seam", {}, _REGISTRY._wanted, _REGISTRY._fits).names()
 
 
 def test_linear_as_printed_knows_the_arm_from_sinusoids_alone() -> None:
