@@ -67,6 +67,30 @@ def found_in(file: str | Path | None) -> Iterator[None]:
         raise InputError(error.message, file=file, field=error.field, value=error.value) from error
 
 
+@contextmanager
+def raised_by(part: str) -> Iterator[None]:
+    """Notes on what is raised within which part, perhaps of a package outside, raised it, and what it was doing."""
+    try:
+        yield
+    except Exception as error:
+        error.add_note(part)
+        raise
+
+
+def described(error: BaseException) -> str:
+    """What is wrong; of what was not raised on purpose also its type, and the part that raised it (``raised_by``).
+
+    >>> try:
+    ...     with raised_by("method mine: step"):
+    ...         [][1]
+    ... except IndexError as error:
+    ...     print(described(error))
+    method mine: step: IndexError: list index out of range
+    """
+    parts = () if isinstance(error, IdealRobotError) else (*getattr(error, "__notes__", ())[:1], type(error).__name__)
+    return ": ".join([*parts, str(error)])
+
+
 class LimitError(IdealRobotError):
     """A command would leave a limit of the robot.
 

@@ -26,7 +26,7 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 import typer  # noqa: E402
 from typer.core import TyperArgument, TyperCommand, TyperGroup  # noqa: E402
 
-from ideal_robot.errors import IdealRobotError, InputError  # noqa: E402
+from ideal_robot.errors import IdealRobotError, InputError, described  # noqa: E402
 from ideal_robot.whole_file import FULL, OutputError  # noqa: E402
 from scenes.commands.common import shown  # noqa: E402
 from scenes.program import find_ours_first  # noqa: E402
@@ -234,7 +234,7 @@ def ended_by(error: BaseException) -> int:
     elif isinstance(error, OSError):
         text = str(error)
     else:
-        text = (f"cannot be computed from this input ({f'{type(error).__name__}: {error}'[:300]}); if the input is "
+        text = (f"cannot be computed from this input ({described(error)[:300]}); if the input is "
                 "right, report it with what IDEAL_ROBOT_DEBUG=1 in the environment shows")
     print(f"ideal-robot: {shown(text)}", file=sys.stderr)
     return 2 if isinstance(error, InputError) else 1

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ideal_robot.errors import InputError
+from ideal_robot.errors import InputError, raised_by
 from ideal_robot.feedforward.base import Feedforward, tried
 from ideal_robot.feedforward.method import Factory, Method, Needs, Setting
 from ideal_robot.feedforward.registry import method as registered
@@ -57,14 +57,15 @@ class SceneMethod:
 
     def feedforward(self, setting: Setting) -> Feedforward:
         """Makes the feedforward; InputError where something that it needs is missing, or this arm cannot play it."""
-        if isinstance(self.made, Feedforward):
-            found = self.made
-        elif self.made is not None:
-            found = self.made(setting)
-        else:
-            key = NONE if self.key in (DIRECT, SENSOR_PATH) else self.key.removesuffix("_delay")
-            found = registered(key).make(setting)
-        return tried(found, setting.robot.home, setting.robot.t_ipo)
+        with raised_by(f"method {self.key}, as it is made and tried"):
+            if isinstance(self.made, Feedforward):
+                found = self.made
+            elif self.made is not None:
+                found = self.made(setting)
+            else:
+                key = NONE if self.key in (DIRECT, SENSOR_PATH) else self.key.removesuffix("_delay")
+                found = registered(key).make(setting)
+            return tried(found, setting.robot.home, setting.robot.t_ipo)
 
     def following(self, setting: Setting) -> Feedforward:
         """Makes the feedforward of a play that knows its path over a horizon only.

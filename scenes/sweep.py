@@ -16,7 +16,7 @@ import pandas as pd
 
 from ideal_robot.bounded_values import parsed_json
 from ideal_robot.deadline import TIME_LIMIT
-from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.errors import InputError, described
 from ideal_robot.results import plain
 from ideal_robot.whole_file import OutputError
 from scenes.kind import KINDS, kind_of
@@ -180,12 +180,10 @@ def play(job: Job) -> dict[str, Any]:
                    "method": method and method_of(method, kind.methods()).key}
         result = kind.run(scene, method=job.method, out=None, progress=silent)
         return {**answer, **result.json(), "failure": result.failure}
-    except IdealRobotError as error:
-        return {**answer, "failure": str(error)}
     except MemoryError:
         raise
     except Exception as error:  # one run that cannot be computed is a row among the others
-        return {**answer, "failure": f"{type(error).__name__}: {error}"}
+        return {**answer, "failure": described(error)}
 
 
 def sweep(work: Sequence[Job], *, processes: int = 2, dask: str | None = None,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.arrays import Array, held
-from ideal_robot.errors import IdealRobotError, InputError, LimitError
+from ideal_robot.errors import IdealRobotError, InputError, LimitError, raised_by
 from ideal_robot.execution.command_governor import CommandGovernor, check_limits, stopping_rows, stops_at_once
 from ideal_robot.feedforward.base import Feedforward, tried
 from ideal_robot.progress import Progress, silent
@@ -137,7 +137,7 @@ class PathCommands:
 
     def row(self, k: int) -> tuple[Array, Array]:
         """Row ``k`` of the path and its command, ``(n,)`` each [rad]; LimitError where that would leave a limit."""
-        q_c, after = self.feedforward.step(self.state, self._ahead[k : k + self.feedforward.n_d])
+        q_c, after = self._step(self._ahead[k : k + self.feedforward.n_d])
         if self.robot is not None and self._governor is not None:
             check_limits(np.vstack([self._last, q_c]), self.robot, self._T, start=(k - 2) * self._T)
             self._governor.require_room(q_c, start=k * self._T)
@@ -159,8 +159,17 @@ class PathCommands:
 
     def governed(self, horizon: Array) -> tuple[Array, Array]:
         """The command for a horizon ``(n_d, n)`` [rad], as near as the limits let it come."""
-        q_c, after = self.feedforward.step(self.state, horizon)
+        q_c, after = self._step(horizon)
         return self._handed_over(horizon[0], q_c if self._governor is None else self._governor.allowed(q_c), after)
+
+    def observe(self, measured: RobotState) -> None:
+        """Gives the feedforward what the controller reported at the end of a cycle."""
+        with raised_by(f"feedforward {type(self.feedforward).__name__}: observe"):
+            self.state = self.feedforward.observe(self.state, measured)
+
+    def _step(self, horizon: Array) -> tuple[Array, Any]:
+        with raised_by(f"feedforward {type(self.feedforward).__name__}: step"):
+            return self.feedforward.step(self.state, horizon)
 
     def _handed_over(self, q_d: Array, q_c: Array, after: Any) -> tuple[Array, Array]:
         self.state, self._last = after, np.vstack([self._last[1], q_c])
@@ -198,7 +207,7 @@ class _Player:
                     raise InputError(f"cycle of {type(self.driver).__name__} has to return a state with {what} of "
                                      f"shape {np.shape(q_c)}, NaN where it is not measured", field="driver",
                                      value=np.shape(values))
-            self.commands.state = self.commands.feedforward.observe(self.commands.state, measured)
+            self.commands.observe(measured)
             self.times.append(seconds + time.perf_counter() - begun)
             self.q_d.append(q_d)
             self.q_c.append(q_c)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.errors import IdealRobotError, InputError, described, raised_by
 from scenes.online.camera_process import Header
 from scenes.online.processes import give_back
 from sensing.camera.camera_device import Field
@@ -54,9 +54,9 @@ def work(address: str, least_delay: float, camera: CameraModel, detector: str, p
         if (source.width, source.height) != (camera.width, camera.height):
             raise InputError(f"its pictures have {source.width}×{source.height} px, the scene says "
                              f"{camera.width}×{camera.height}; set camera.width and camera.height", field="camera")
-    except IdealRobotError as error:
+    except Exception as error:  # whatever an own detector or a camera's library raises, too
         with suppress(OSError):
-            pipe.send(("failed", error if isinstance(error, InputError) else InputError(str(error))))
+            pipe.send(("failed", error if isinstance(error, InputError) else InputError(described(error))))
         return
     if hasattr(os, "sched_setscheduler"):
         with suppress(OSError):
@@ -100,8 +100,8 @@ class _Worker:
         except Exception as error:  # whatever a camera's library raises: who leads the arm has to know
             # Who leads it may be gone.
             with suppress(OSError):
-                self._send("ended", str(error) if isinstance(error, IdealRobotError) else
-                           f"the camera cannot be read: {type(error).__name__}: {error}")
+                self._send("ended", ("" if isinstance(error, IdealRobotError) else "the camera cannot be read: ")
+                           + described(error))
 
     def answer(self, kind: str, content: Any) -> None:
         """Does what the arm's side asks for."""
@@ -123,7 +123,8 @@ class _Worker:
 
     def _evaluated(self, frame: Frame, t: float, prediction: PredictedLine, detection: DetectionSettings) -> LineField:
         field = Field.cut(t, frame.image, search_windows(self.camera, prediction, detection))
-        return self.detector.detect(field, self.camera, prediction, detection)
+        with raised_by(f"detector {self.detector.name}: detect"):
+            return self.detector.detect(field, self.camera, prediction, detection)
 
     def _send(self, kind: str, content: Any) -> None:
         with self._lock:

@@ -11,7 +11,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.effects.camera import CameraErrors
 from ideal_robot.elasticity.observer import GearDeflection
-from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.errors import IdealRobotError, InputError, raised_by
 from ideal_robot.feedforward.corrected_arm import CorrectedArm
 from ideal_robot.feedforward.method import Setting
 from ideal_robot.model.model import Model
@@ -82,8 +82,9 @@ class LineTask:
 
     def learn(self, moved: Iterable[RobotState]) -> None:
         """A feedforward that adapts learns from what the controller reported when the arm moved last."""
-        for measured in moved:
-            self._state = self.feedforward.observe(self._state, measured)
+        with raised_by(f"method {self.method.key}: observe"):
+            for measured in moved:
+                self._state = self.feedforward.observe(self._state, measured)
 
     @property
     def q_start(self) -> Array:
@@ -126,7 +127,8 @@ class LineTask:
             if seen.seen and not np.isfinite(self.log.first_used):
                 self.log.first_used = t
         for sensor in self.sensors:
-            readings = sensor.arrived(t)
+            with raised_by(f"sensor {sensor.name}: arrived"):
+                readings = sensor.arrived(t)
             expect(readings, Sequence, f"{sensor.name}: arrived", "return a list of Readings, empty where none is new")
             for reading in (one for one in readings if np.isfinite(one.value)):
                 self.log.sensor_values[sensor.name] += 1
@@ -144,7 +146,8 @@ class LineTask:
         pose = follower.history.row_pose(arrived.t_stamp)
         ahead = self.cell.predicted(arrived.t_stamp)
         detector = self.cell.detector
-        seen = detector.detect(arrived, self.cell.camera, ahead, self.cell.detection)
+        with raised_by(f"detector {detector.name}: detect"):
+            seen = detector.detect(arrived, self.cell.camera, ahead, self.cell.detection)
         expect(seen, LineField, f"detector {detector.name}", "return one from detect, also where no line is seen")
         seen = replace(seen, points_tcp=self._known.points(seen.points_tcp, self.cell.camera.axis_on_surface))
         seen = at_middle_row(seen, self.cell.camera, follower.history.row_pose)
@@ -160,7 +163,8 @@ class LineTask:
         """Commanded joint positions ``(n,)``."""
         if self._direct is not None:
             return self._direct.command(t)
-        q_c, self._state = self.feedforward.step(self._state, q_d[: self.feedforward.n_d])
+        with raised_by(f"method {self.method.key}: step"):
+            q_c, self._state = self.feedforward.step(self._state, q_d[: self.feedforward.n_d])
         return q_c
 
     def request(self, t0: float, t1: float) -> None:
@@ -176,7 +180,7 @@ class LineTask:
 
     def collect(self, t0: float, t1: float, measured: RobotState) -> None:
         """See ``Task.collect``: a feedforward that adapts learns, and a field now and then is kept for the report."""
-        self._state = self.feedforward.observe(self._state, measured)
+        self.learn([measured])
         k = round(t0 / self._T)
         if k not in self._picture_at:
             return
@@ -279,4 +283,4 @@ class LiveLineTask(LineTask):
 
     def collect(self, t0: float, t1: float, measured: RobotState) -> None:
         """See ``Task.collect``; the pictures are in another process, none is kept."""
-        self._state = self.feedforward.observe(self._state, measured)
+        self.learn([measured])

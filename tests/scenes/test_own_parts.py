@@ -86,13 +86,17 @@ def test_a_registered_feedforward_is_a_key_everywhere(own_key: str) -> None:
     assert run_scene(short(), method=own_key).method == own_key
 
 
-def test_what_a_method_cannot_be_is_named() -> None:
+def test_what_a_method_cannot_be_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="expected one of none, ideal, or a Feedforward"):
         method_of("idael", ("none", "ideal"))
     with pytest.raises(InputError, match="two methods have that name"):
         compared([Ahead(), Ahead(2)], ("none",))
     with pytest.raises(InputError, match="desired positions ahead, Ahead wants more"):
         run_scene(short(), method=Ahead(500))
+    monkeypatch.setattr(Ahead, "observe", lambda *_: 1 / 0)
+    for name in ("straight", "edge", "iso9283_1"):
+        with pytest.raises(ZeroDivisionError, match="Ahead: observe"):
+            run_scene(load_scene(name), method=Ahead())
 
 
 class AllRows(Ahead):
@@ -163,8 +167,9 @@ def test_what_own_sensors_and_detectors_do_wrong_is_named(monkeypatch) -> None:
     monkeypatch.setattr(EdgePairs, "detect", lambda self, *arguments: None)
     for sensors, says in (([Profile(), Profile()], "two sensors have that name"),
                           ([silent], "profile: arrived: expected a Sequence; return a list of Readings"),
+                          ([Profile(None)], "sensor profile: arrived"),
                           ([], "detector edge_pairs: expected a LineField; return one from detect")):
-        with pytest.raises(InputError, match=says):
+        with pytest.raises((InputError, TypeError), match=says):
             run_scene(short(), method="sensor_path", sensors=sensors)
 
 

@@ -19,6 +19,7 @@ from ideal_robot.effects import TCP_POSITION
 from ideal_robot.effects.base import Theta
 from ideal_robot.effects.drive import DeadTime
 from ideal_robot.effects.kinematics import GeometryChange
+from ideal_robot.errors import raised_by
 
 
 class Scoring:
@@ -225,13 +226,14 @@ class Scoring:
             first = starts[0]
             if not first.effect.scanned and any(_forms_of_one(first, other) for other in chosen):
                 continue
-            if first.effect.scanned:
-                thetas, tries = first.effect.starts_from_residual(self.at_rows, first.joint, residual,
-                                                                  self.model.problem.products.use)
-                starts = [replace(first, theta=theta, tries=tries) for theta in thetas]
-            best = self._best_start(fit, starts)
-            if best is not None:
-                scored.append(self.tested(fit, best))
+            with raised_by(f"effect {first.effect.key} at joint {first.joint}"):
+                if first.effect.scanned:
+                    thetas, tries = first.effect.starts_from_residual(self.at_rows, first.joint, residual,
+                                                                      self.model.problem.products.use)
+                    starts = [replace(first, theta=theta, tries=tries) for theta in thetas]
+                best = self._best_start(fit, starts)
+                if best is not None:
+                    scored.append(self.tested(fit, best))
         return scored
 
     def _best_start(self, fit: Fit, starts: list[Candidate]) -> Candidate | None:
