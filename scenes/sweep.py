@@ -209,12 +209,13 @@ def sweep(work: Sequence[Job], *, processes: int = 2, dask: str | None = None,
     """
     scenes = {job.scene: _scene(job.scene) for job in work if isinstance(job.scene, str)}
     loaded = [job.scene if isinstance(job.scene, Scene) else scenes[job.scene] for job in work]
+    _check_names(loaded)
     _check_methods(work, {scene.kind for scene in loaded})
     digests = {id(scene): digest_of([program()["digest"], identity(scene), scene.model_dump(mode="json")])
                for scene in {id(scene): scene for scene in loaded}.values()}
-    described = [_described(job, digests[id(scene)]) for job, scene in zip(work, loaded, strict=True)]
+    asked = [_described(job, digests[id(scene)]) for job, scene in zip(work, loaded, strict=True)]
     file = file or Kept()
-    answers = [file.answers.get(key_of(one)) for one in described]
+    answers = [file.answers.get(key_of(one)) for one in asked]
     left = [index for index, answer in enumerate(answers) if answer is None]
     tasks = [work[index] for index in left]
     count = len(work) - len(left)
@@ -227,7 +228,7 @@ def sweep(work: Sequence[Job], *, processes: int = 2, dask: str | None = None,
                 answers[index] = {**_named(work[index]), "not_played": str(answer), "failure": f"not played: {answer}"}
                 continue
             answers[index] = answer
-            file.add(described[index], answer)
+            file.add(asked[index], answer)
             count += 1
             done(count, answer)
     finally:
@@ -262,6 +263,16 @@ def _named(job: Job) -> dict[str, Any]:
             "method": job.method if isinstance(job.method, str | None) else None, "speed_m_s": job.speed,
             "seed": job.seed, **({} if job.individual is None else {"individual": job.individual}),
             **({} if job.world is None else {"world": job.world}), "failure": None}
+
+
+def _check_names(scenes: Sequence[Scene]) -> None:
+    """Raises InputError for two files with scenes of one name: nothing tells their answers apart."""
+    files: dict[str, str] = {}
+    for scene in scenes:
+        first = files.setdefault(scene.name, scene.source)
+        if os.path.realpath(first) != os.path.realpath(scene.source):
+            raise InputError(f"two scenes of the name {scene.name!r}: {first} and {scene.source}; give one another "
+                             "name", field="scene")
 
 
 def _check_methods(work: Sequence[Job], kinds: set[str]) -> None:

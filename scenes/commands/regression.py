@@ -71,7 +71,10 @@ def check(options: CheckOptions) -> None:
     found = _compared(results, earlier, asked, anyway=options.update_baseline)
     _report(found, folder)
     write_json(folder / "times.json", {"runs": times_of(answers)})
-    if options.update_baseline and not found.not_played:
+    failed = dict.fromkeys(row.case for row in found.rows if row.verdict == "failed")
+    if options.update_baseline and failed:
+        typer.echo(f"no baseline was written: all runs failed of {'; '.join(failed)}", err=True)
+    elif options.update_baseline and not found.not_played:
         typer.echo(f"baseline: {results.write(place)}")
     elif earlier is None:
         typer.echo(f"no baseline at {place}; --update-baseline makes it", err=bool(found.not_played))

@@ -123,6 +123,16 @@ def test_a_method_that_none_of_the_scenes_has_is_refused_before_anything_is_play
     assert len(rows) == 2
 
 
+def test_two_files_with_scenes_of_one_name_are_refused(tmp_path: Path) -> None:
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "p.toml").write_text(Path(load_scene("straight").source).read_text())
+    paths = [str(tmp_path / place) for place in ("a/p.toml", "a/../a/p.toml", "b/p.toml")]
+    assert len(sweep(jobs(paths[:2]), processes=1, function=answer)) == 2
+    with pytest.raises(InputError, match=r"two scenes of the name 'p': .*a/p.toml and .*b/p.toml; give one another"):
+        sweep(jobs(paths), processes=1, function=answer)
+
+
 def test_a_delay_that_became_a_lead_is_no_progress() -> None:
     before, after = (Results.of([{"scene": "line", "seed": seed, "path_error_mm": {"delay_ms": delay}}
                                  for seed in range(3)]) for delay in (0.1, -40.0))

@@ -307,10 +307,8 @@ def test_a_bound_says_how_many_seeds_it_needs() -> None:
     near, far = values.mean() * 1.005, values.mean() * 2.0
     close, kept = (bounds_of(results, [{"control_error_mm.mean": limit}] * len(results.runs))[-1]
                    for limit in (near, far))
-    assert close.kept
-    assert kept.kept
+    assert (close.kept, kept.kept, kept.remark) == (True, True, "")
     assert "flaky" in close.remark
-    assert kept.remark == ""
     assert close.needed is None or close.needed > 100
     with pytest.raises(InputError, match="no run has this figure"):
         bounds_of(results, [{"force_error_N.rms": 1.0}] * len(results.runs))
@@ -367,11 +365,13 @@ def test_a_suite_whose_runs_all_fail_fails_and_says_why(program: Any, suite: Pat
     monkeypatch.setattr("scenes.sweep.work_off", lambda tasks, *_: enumerate(
         {**run_of(seed=task.seed, failure="line lost"), "control_error_mm": {}} for task in tasks))
     suite.write_text(SUITE_FILE.partition("bounds")[0])
+    kept = Results.of([run_of(seed=seed) for seed in (1, 2, 3)]).write(tmp_path / "suite.baseline.json").read_bytes()
     for words in (["--update-baseline"], []):
         done = program("check", "suite.toml", *words)
         assert done.code == 1
-        assert "verdict: failed" in done.out
-        assert "line lost" in done.out
+        assert all(said in done.out for said in ("verdict: failed", "line lost"))
+        assert ("no baseline was written: all runs failed of s" in done.err) == bool(words)
+        assert (tmp_path / "suite.baseline.json").read_bytes() == kept
         folder = tmp_path / "out" / "check_suite"
         (failure,) = ET.parse(folder / "junit.xml").getroot().findall(".//failure")
         assert failure.get("message") == "3 of 3 runs failed: line lost"
