@@ -207,6 +207,10 @@ class _Player:
                     raise InputError(f"cycle of {type(self.driver).__name__} has to return a state with {what} of "
                                      f"shape {np.shape(q_c)}, NaN where it is not measured", field="driver",
                                      value=np.shape(values))
+            if self.measured and not measured.t > self.measured[-1].t:
+                raise InputError(f"cycle of {type(self.driver).__name__} has to return a state with a later t than the "
+                                 "one before, the controller's time [s]; its clock stands still", field="driver",
+                                 value=measured.t)
             self.commands.observe(measured)
             self.times.append(seconds + time.perf_counter() - begun)
             self.q_d.append(q_d)

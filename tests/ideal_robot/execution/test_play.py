@@ -121,6 +121,14 @@ def test_a_driver_that_tells_of_other_joints_ends_the_play_in_the_first_cycle(q:
     assert len(arm.commands) == 1
 
 
+def test_a_driver_whose_clock_stands_still_ends_the_play_in_the_second_cycle() -> None:
+    """Its recording could not be used by anything."""
+    arm = Broken(6, 6)
+    played = ir.play(arm, ir.feedforward("none", None, ROBOT), path(), robot=ROBOT)
+    assert "its clock stands still" in str(played.failure)
+    assert len(arm.commands) == 2
+
+
 @pytest.mark.parametrize("q_d", [np.zeros(50), np.full((50, 6), np.nan), np.zeros((50, 5))])
 def test_paths_that_cannot_be_played_are_refused_before_anything_moves(q_d: Array) -> None:
     arm = Follower()
