@@ -29,6 +29,8 @@ from scenes.report.replay import (
     sensed_line,
 )
 
+_AWAY = 1.2
+"""How far away a page looks at the arm from, as a multiple of the diagonal of the box about it."""
 GHOST = "ghost"
 ARM = "arm"
 _FARTHEST = 1.4
@@ -44,6 +46,9 @@ class Viewer:
         robot: the arm, drawn from the primitive shapes of its URDF; rods where it has meshes only.
         port: TCP port on this machine; the next free one where it is taken, ``port`` then says which.
 
+    Attributes:
+        middle: of the box about the arm in its ready posture ``(3,)`` [m].
+
     Raises:
         InputError: viser is not installed.
     """
@@ -58,13 +63,22 @@ class Viewer:
         self.server: Any = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
         self.port = int(self.server.get_port())
         self.server.scene.set_up_direction("+z")
-        self.server.initial_camera.position = (2.6, -2.2, 1.7)
-        self.server.initial_camera.look_at = (0.5, 0.0, 0.6)
+        box = self._box()
+        self.middle = box.mean(axis=0)
+        self.look_at(self.middle, _AWAY * float(np.linalg.norm(box[1] - box[0])))
         self.server.scene.add_grid("/floor", width=4.0, height=4.0, cell_size=0.25)
         self.server.on_client_connect(self._step_back)
         self._arrows: dict[str, Any] = {}
         self.frames: dict[str, list[Any]] = {ARM: self._add(ARM, None)}
         self.show(robot.home)
+
+    def _box(self) -> Array:
+        """The corners of the box about the arm in its ready posture ``(2, 3)`` [m]."""
+        poses = link_poses(self.robot, self.robot.home[None], self._links)[0]
+        corners = np.concatenate([poses[:, 9:], *(
+            np.concatenate(shape["faces"]) @ poses[shape["link"], :9].reshape(3, 3).T + poses[shape["link"], 9:]
+            for shape in self.shapes)])
+        return np.array([corners.min(axis=0), corners.max(axis=0)])
 
     def _add(self, name: str, opacity: float | None) -> list[Any]:
         """A frame for each link, with its shapes as meshes."""
@@ -279,8 +293,7 @@ class Player:
 
     def _set_up_scene(self) -> None:
         viewer, replay = self.viewer, self.replay
-        middle = 0.5 * (replay.tool.mean(axis=0) + np.array([0.0, 0.0, 0.6]))
-        viewer.look_at(middle, 1.7 + float(np.ptp(replay.tool, axis=0).max()))
+        viewer.look_at(0.5 * (replay.tool.mean(axis=0) + viewer.middle), 1.7 + float(np.ptp(replay.tool, axis=0).max()))
         if replay.surface is not None:
             viewer.surface(replay.surface)
         for i, ((name, points), colour) in enumerate(zip(replay.curves.items(), _COLOURS, strict=False)):

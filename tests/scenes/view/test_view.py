@@ -19,6 +19,7 @@ from PIL import Image
 
 from ideal_robot.errors import InputError
 from ideal_robot.robots.interface import RobotState
+from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.online.journal import Journal, remove
 from scenes.report.replay import Replay, error_colours, read_replay, replay_beside, write_replay
@@ -212,6 +213,19 @@ def whole_replay() -> Replay:
 def player() -> Iterator[object]:
     viewer = Viewer(ROBOT, free_port())
     yield Player(viewer, whole_replay())
+    viewer.server.stop()
+
+
+def test_a_page_begins_with_all_of_an_arm_that_hangs_from_the_ceiling(tmp_path: Path) -> None:
+    hung = ('<link name="ceiling"/><joint name="hung" type="fixed"><parent link="ceiling"/><child link="base_link"/>'
+            '<origin xyz="0 0 0" rpy="3.141592653589793 0 0"/></joint><link name="base_link">')
+    (tmp_path / "hung.urdf").write_text(Robot.load("kr500").urdf.read_text().replace('<link name="base_link">', hung))
+    viewer = Viewer(Robot.load(tmp_path / "hung.urdf"), free_port())
+    camera = viewer.server.initial_camera
+    view, place = np.subtract(camera.look_at, camera.position), np.array([f.position for f in viewer.frames["arm"]])
+    sight = place - camera.position
+    angles = np.degrees(np.arccos(sight @ view / np.linalg.norm(sight, axis=1) / np.linalg.norm(view)))
+    assert angles.max() < 0.5 * np.degrees(camera.fov)
     viewer.server.stop()
 
 
