@@ -60,12 +60,12 @@ def _ready(robot: Robot) -> Array | None:
     """The posture ``(n,)`` with the tool down over a place ahead that leaves much room to move; None without one."""
     kinematics, shapes, size = InverseKinematics(robot), Shapes(robot), reach(robot)
     shoulder, starts = shoulder_height(robot), spread_postures(robot.q_min, robot.q_max, STARTS)
-    found = [max(postures, key=lambda one: one[0]) for postures in
-             (_over(kinematics, shapes, size, shoulder + below * size, starts) for below in BELOW) if postures]
-    if not found:
+    candidates = [max(postures, key=lambda candidate: candidate[0]) for postures in
+                  (_over(kinematics, shapes, size, shoulder + below * size, starts) for below in BELOW) if postures]
+    if not candidates:
         return None
-    most = max(room for room, _ in found)
-    home = np.array(next(q for room, q in found if room >= ENOUGH * most))
+    most = max(room for room, _ in candidates)
+    home = np.array(next(q for room, q in candidates if room >= ENOUGH * most))
     home.setflags(write=False)
     return home
 
@@ -73,7 +73,7 @@ def _ready(robot: Robot) -> Array | None:
 def _over(kinematics: InverseKinematics, shapes: Shapes, size: float, height: float, starts: Array
           ) -> list[tuple[float, Array]]:
     """Room, and postures ``(n,)`` with the tool down at a height over places ahead, looked for from each start."""
-    found = []
+    postures = []
     for ahead in AHEAD:
         target = pin.SE3(DOWN, np.array([ahead * size, 0.0, height]))
         for start in starts:
@@ -82,8 +82,8 @@ def _over(kinematics: InverseKinematics, shapes: Shapes, size: float, height: fl
             except OutOfReachError:
                 continue
             if shapes.first_touch(q[None]) is None:
-                found.append((_room(kinematics, size, q), q))
-    return found
+                postures.append((_room(kinematics, size, q), q))
+    return postures
 
 
 def _turned_back(robot: Robot, q: Array) -> Array:

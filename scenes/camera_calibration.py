@@ -68,11 +68,11 @@ def calibrate_by_moving(known: Known | ForceKnown, arm: SimulatedArm, camera: Re
     late, due, fields, moved = list[tuple[Field, PredictedLine]](), 0, 0, [] if moved is None else moved
     for k, q_c in enumerate(commands):
         exposures = camera.due(k * T + ahead, (k + 1) * T + ahead)
-        taken, due = [t for i, t in enumerate(exposures, due) if i % SPARING == 0], due + len(exposures)
-        predictions = [view.predicted(camera.stamp(t) - ahead) for t in taken]
+        instants, due = [t for i, t in enumerate(exposures, due) if i % SPARING == 0], due + len(exposures)
+        predictions = [view.predicted(camera.stamp(t) - ahead) for t in instants]
         moved.append(arm.cycle(q_c))
         view.history.add((k + 1) * T, moved[-1].q - sag[k])
-        for t, prediction in zip(taken, predictions, strict=True):
+        for t, prediction in zip(instants, predictions, strict=True):
             middle = max(t - ahead, 0.0)
             late.append((camera.windows(
                 t, lambda at: arm.tcp_at(max(at - ahead, 0.0)), search_windows(believed, prediction, detection),
@@ -118,6 +118,6 @@ def look_at_line(known: Known | ForceKnown, arm: SimulatedArm, camera: RenderedC
         pictures.append((camera.frame(arm.truth.tcp, rng, q=arm.q_a), robot.fk()(q)))
     if not pictures:
         raise SensingError("the arm reaches no place above the line")
-    seen = line_appearance([picture for picture, _ in pictures], believed, clear)
-    return SeenBefore.of(DetectionSettings.of(seen.width, seen.contrast if seen.dark else -seen.contrast), seen.places,
+    line = line_appearance([picture for picture, _ in pictures], believed, clear)
+    return SeenBefore.of(DetectionSettings.of(line.width, line.contrast if line.dark else -line.contrast), line.places,
                          pictures, reference)

@@ -42,10 +42,10 @@ def configurations(scene: ClampedScene, robot: Robot, rng: np.random.Generator) 
         rng: draws the candidates that configurations are chosen from.
     """
     if scene.clamp.configurations:
-        given = np.array(scene.clamp.configurations)
-        if given.ndim != 2 or given.shape[1] != robot.n:
+        angles = np.array(scene.clamp.configurations)
+        if angles.ndim != 2 or angles.shape[1] != robot.n:
             raise InputError(f"expected lists of {robot.n} joint angles", field="clamp.configurations")
-        return given
+        return angles
     return choose_configurations(robot, ClampLimits.of(robot), rng, most=scene.clamp.most).q
 
 
@@ -94,16 +94,16 @@ class ClampedResult(ShownRun):
 
     def errors(self) -> list[dict[str, Any]]:
         """How far each result is from the simulated truth, and the wrong drive gain's part in it [%]."""
-        found = []
-        for one in self.analysis.joints:
-            truth = float(self.truths[0].stiffness[one.joint - 1])
+        rows = []
+        for result in self.analysis.joints:
+            truth = float(self.truths[0].stiffness[result.joint - 1])
             # The data sheet's gain times the recorded current is the true torque over the true gain's factor.
-            gain = 100 * (float(np.mean([1 / t.gain_factor[one.joint - 1] for t in self.truths])) - 1)
-            found.append({"joint": one.joint, "method": one.method, "truth": truth,
-                          "error_percent": 100 * (one.stiffness / truth - 1),
-                          "from_drive_gain_percent": gain if one.method == "motor" else 0.0,
-                          "covered": one.interval[0] <= truth <= one.interval[1]})
-        return found
+            gain = 100 * (float(np.mean([1 / t.gain_factor[result.joint - 1] for t in self.truths])) - 1)
+            rows.append({"joint": result.joint, "method": result.method, "truth": truth,
+                         "error_percent": 100 * (result.stiffness / truth - 1),
+                         "from_drive_gain_percent": gain if result.method == "motor" else 0.0,
+                         "covered": result.interval[0] <= truth <= result.interval[1]})
+        return rows
 
     def json(self) -> dict[str, Any]:
         """The content of ``--json``."""
@@ -116,15 +116,15 @@ class ClampedResult(ShownRun):
 
     def summary(self) -> list[tuple[str, str]]:
         """Joint and method with stiffness, %σ and error."""
-        return [(f"joint {one.joint}, {one.method}",
-                 f"{one.stiffness:.4g} N m/rad, %σ {one.std_percent:.2f}, error {error['error_percent']:+.2f} %")
-                for one, error in zip(self.analysis.joints, self.errors(), strict=True)]
+        return [(f"joint {result.joint}, {result.method}",
+                 f"{result.stiffness:.4g} N m/rad, %σ {result.std_percent:.2f}, error {error['error_percent']:+.2f} %")
+                for result, error in zip(self.analysis.joints, self.errors(), strict=True)]
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
         """One row a joint and method."""
         return (["joint", "method", "k [N m/rad]", "%σ", "error [%]"],
-                [[one.joint, one.method, one.stiffness, one.std_percent, error["error_percent"]]
-                 for one, error in zip(self.analysis.joints, self.errors(), strict=True)])
+                [[result.joint, result.method, result.stiffness, result.std_percent, error["error_percent"]]
+                 for result, error in zip(self.analysis.joints, self.errors(), strict=True)])
 
 
 # The page of a stiffness identification: [J] figures 3 to 5 and tables 3 to 7.
@@ -145,11 +145,11 @@ def stiffness_page(analysis: StiffnessAnalysis, *, title: str, truth: Array | No
     report.heading("Stiffness")
     columns = ["joint", "method", "k [N m/rad]", "offset [N m]", "%σ", "%σ offset", "‖Wχ−Y‖/‖Y‖ [%]", "95 % interval"]
     rows = []
-    for one in analysis.joints:
-        row = [one.joint, one.method, one.stiffness, one.offset, one.std_percent, one.offset_std_percent,
-               one.relative_error_percent, f"{one.interval[0]:.3g} … {one.interval[1]:.3g}"]
+    for fit in analysis.joints:
+        row = [fit.joint, fit.method, fit.stiffness, fit.offset, fit.std_percent, fit.offset_std_percent,
+               fit.relative_error_percent, f"{fit.interval[0]:.3g} … {fit.interval[1]:.3g}"]
         if truth is not None:
-            row += [float(truth[one.joint - 1]), 100 * (one.stiffness / float(truth[one.joint - 1]) - 1)]
+            row += [float(truth[fit.joint - 1]), 100 * (fit.stiffness / float(truth[fit.joint - 1]) - 1)]
         rows.append(row)
     report.table(columns + (["truth", "error [%]"] if truth is not None else []), rows,
                  "%σ after [J] (15)–(17) holds for white residuals; the interval allows for correlated ones, for the "
@@ -160,7 +160,7 @@ def stiffness_page(analysis: StiffnessAnalysis, *, title: str, truth: Array | No
     differences = analysis.differences()
     if differences:
         report.table(["joint", "motor against wrench [%]"],
-                     [[one["joint"], one["difference_percent"]] for one in differences],
+                     [[difference["joint"], difference["difference_percent"]] for difference in differences],
                      "[J] table 7. The motor method takes its torques from the data sheet's drive gains; an error of "
                      "the gain goes into the stiffness in full.")
     report.heading("Recordings")
@@ -177,11 +177,11 @@ def stiffness_page(analysis: StiffnessAnalysis, *, title: str, truth: Array | No
 
 
 def _summary(analysis: StiffnessAnalysis, truth: Array | None) -> str:
-    methods = sorted({one.method for one in analysis.joints})
-    joints = ", ".join(str(joint) for joint in sorted({one.joint for one in analysis.joints}))
+    methods = sorted({result.method for result in analysis.joints})
+    joints = ", ".join(str(joint) for joint in sorted({result.joint for result in analysis.joints}))
     text = f"{analysis.robot.name}: stiffness of joint {joints} by {', '.join(methods)}."
     if truth is not None:
-        worst = {m: max(abs(100 * (one.stiffness / truth[one.joint - 1] - 1)) for one in analysis.by(m).values())
+        worst = {m: max(abs(100 * (fit.stiffness / truth[fit.joint - 1] - 1)) for fit in analysis.by(m).values())
                  for m in methods}
         errors = ", ".join(f"{method} {error:.1f} %" for method, error in worst.items())
         text += f" Largest error against the simulated truth: {errors}."
@@ -221,15 +221,15 @@ def _line_figure(signals: tuple[ClampedSignals, ...], robot: Robot, method: Meth
     figure = Figure(figsize=(3.6 * columns + 1, 3.0 * rows), layout="constrained")
     for axis, result in zip(np.ravel(figure.subplots(rows, columns, squeeze=False)), results, strict=False):
         j = result.joint - 1
-        for one in signals:
-            if one.source not in result.recordings:
+        for recording in signals:
+            if recording.source not in result.recordings:
                 continue
             try:
-                tau, use = joint_torque(one, robot, method)
+                tau, use = joint_torque(recording, robot, method)
             except InputError:
                 continue
             # Offsets differ from recording to recording; the slope is what they share.
-            x, y = one.q_m[use, j] - one.q_m[use, j].mean(), tau[use, j] - tau[use, j].mean()
+            x, y = recording.q_m[use, j] - recording.q_m[use, j].mean(), tau[use, j] - tau[use, j].mean()
             axis.plot(1e3 * x, y / 1e3, "o", ms=3, mfc="none", color=BLUE, alpha=0.5)
             ends = np.array([x.min(), x.max()])
             axis.plot(1e3 * ends, result.stiffness * ends / 1e3, color=ORANGE)
@@ -263,8 +263,8 @@ def run(scene: ClampedScene, *, method: Any = None, out: Path | None = None,
     if out is not None:
         names = ["recording.parquet", *(f"recording_{i}.parquet" for i in range(2, len(recordings) + 1))]
         with whole_folder(out) as new:
-            for one, name in zip(recordings, names, strict=True):
-                one.write(new / name)
+            for recording, name in zip(recordings, names, strict=True):
+                recording.write(new / name)
             stiffness_page(analysis, title=scene.title, truth=world.stiffness).write(new / "report.html")
         files, page = tuple(out / name for name in names), out / "report.html"
     return ClampedResult(scene, analysis, tuple(truths), files, postures, page)

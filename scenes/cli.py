@@ -95,7 +95,7 @@ class Verb(TyperCommand):
         """Each parameter with its value, or with each of its values."""
         for param in self.params:
             value = ctx.params.get(param.name or "")
-            yield from ((param, one) for one in (value if isinstance(value, (list, tuple)) else (value,)))
+            yield from ((param, entry) for entry in (value if isinstance(value, (list, tuple)) else (value,)))
 
 
 def _too_long(path: Path) -> bool:
@@ -153,15 +153,15 @@ def _common(version: Annotated[bool, typer.Option("--version", callback=_say_ver
 def declared(verb: str) -> Callable[..., None]:
     """The function of a verb, as it stands."""
     module, _, name = VERBS[verb].partition(":")
-    found: Callable[..., None] = getattr(importlib.import_module(f"scenes.commands.{module}"), name)
-    return found
+    function: Callable[..., None] = getattr(importlib.import_module(f"scenes.commands.{module}"), name)
+    return function
 
 
 def function_of(verb: str) -> Callable[..., None]:
     """The function that a verb calls, with a parameter for each option."""
-    found = declared(verb)
-    options = get_type_hints(found).get("options")
-    return found if options is None else one_by_one(found, options)
+    function = declared(verb)
+    options = get_type_hints(function).get("options")
+    return function if options is None else one_by_one(function, options)
 
 
 def one_by_one(verb: Callable[..., None], options: type[Any]) -> Callable[..., None]:

@@ -74,7 +74,7 @@ def close_loop(scene: CloseClampedScene, *, measured: str = "motor", out: Path |
     job.begin("report")
     plays = {name: played(SOURCES[name], run.errors) for name, run in runs.items()}
     clamp.stiffness |= {"tracker": by_tracker, "oracle": clamp.true}
-    more = {"E_car_aligned_mm": {name: one.error for name, one in plays.items()}, "measured": measured,
+    more = {"E_car_aligned_mm": {name: play.error for name, play in plays.items()}, "measured": measured,
             "after_over_tracker": plays["after"].error / plays["tracker"].error, "clamped": clamp.analysis.to_dict(),
             "stiffness": {name: [float(k) if np.isfinite(k) else None for k in values]
                           for name, values in clamp.stiffness.items()}}
@@ -82,7 +82,7 @@ def close_loop(scene: CloseClampedScene, *, measured: str = "motor", out: Path |
         WORDS, judged="shift of clamped motors mrad", as_it_was="no stiffness",
         columns=("stiffness", *WORDS.columns[1:]),
         decides="Shift of the motors in each clamped recording that the other ones' stiffness leaves unexplained.")
-    recordings = {f"clamped_{number}.parquet": one for number, one in enumerate(clamp.recordings, start=1)}
+    recordings = {f"clamped_{number}.parquet": recording for number, recording in enumerate(clamp.recordings, start=1)}
     return Closing(scene, (), plays, done, words, recordings, more, clamp.section).written(out)
 
 
@@ -108,7 +108,7 @@ class _Clamp(Subject[Play]):
                                clamp=scene.clamp)
         world = dataclasses.replace(ClampWorld.default(self._robot), stiffness=self.true)
         recordings, _ = record(clamped, self._robot, world, configurations(clamped, self._robot, rng), rng)
-        self.recordings = [_without_wrench(one) for one in recordings] if self._method == "motor" else recordings
+        self.recordings = [_without_wrench(r) for r in recordings] if self._method == "motor" else recordings
         self.analysis = analyse_stiffness(self.recordings, self._robot)
         stiffness = self.stiffness["after"] = stiffness_of(self.analysis, self._robot.n)
         form = Form("stiffness of all joints", lambda model, _: dataclasses.replace(model, stiffness=stiffness))
@@ -119,10 +119,10 @@ class _Clamp(Subject[Play]):
         for joint in range(1, self._robot.n + 1):
             loads = joint_loads(self.analysis.signals, self._robot, self._method, joint)
             for own in loads if len(loads) > 1 else []:
-                others = identify_joint([one for one in loads if one is not own], joint, self._method)
+                fit = identify_joint([load for load in loads if load is not own], joint, self._method)
                 shift, torque = own.q_m - own.q_m.mean(), own.tau - own.tau.mean()
                 without.append(shift)
-                with_it.append(shift - torque / others.stiffness)
+                with_it.append(shift - torque / fit.stiffness)
         if not without:
             raise InputError("no gear is loaded by two clamped recordings, so nothing decides whether its stiffness is "
                              "right; clamp in more configurations", file=self._scene.source, field="clamp",
@@ -130,10 +130,10 @@ class _Clamp(Subject[Play]):
         return [(np.concatenate(without), np.concatenate(with_it))]
 
     def section(self, page: Report) -> None:
-        said = {(one.joint, one.method): one.stiffness for one in self.analysis.joints}
+        by_method = {(result.joint, result.method): result.stiffness for result in self.analysis.joints}
         page.heading("Stiffness")
         page.table(["joint", "clamp, motor", "clamp, wrench", "taken", "tracker", "true N m/rad"],
-                   [[j + 1, said.get((j + 1, "motor")), said.get((j + 1, "wrench")),
+                   [[j + 1, by_method.get((j + 1, "motor")), by_method.get((j + 1, "wrench")),
                      *(float(values[j]) for values in self.stiffness.values())] for j in range(self._robot.n)],
                    "[J] (15)-(17); of the two methods the one with the narrower interval is taken.")
         for warning in self.analysis.warnings:
@@ -147,9 +147,9 @@ def stiffness_of(analysis: StiffnessAnalysis, n: int) -> Array:
     """
     result = np.full(n, np.nan)
     for joint in range(1, n + 1):
-        said = [one for one in analysis.joints if one.joint == joint]
-        if said:
-            best = min(said, key=lambda one: (one.interval[1] - one.interval[0]) / one.stiffness)
+        fits = [fit for fit in analysis.joints if fit.joint == joint]
+        if fits:
+            best = min(fits, key=lambda fit: (fit.interval[1] - fit.interval[0]) / fit.stiffness)
             result[joint - 1] = best.stiffness
     missing = np.flatnonzero(~np.isfinite(result)) + 1
     if len(missing):

@@ -47,8 +47,8 @@ def compile_all() -> float:
     governor = CommandGovernor(robot, robot.home)
     with SimulatedArm(robot, World.default("kr6"), np.random.default_rng(0)) as arm:
         for k in range(400):
-            way = 0.3 * np.sin(0.012 * k * np.arange(2.0, 8.0)) ** 2
-            arm.cycle(governor.allowed(robot.home + way))
+            offset = 0.3 * np.sin(0.012 * k * np.arange(2.0, 8.0)) ** 2
+            arm.cycle(governor.allowed(robot.home + offset))
         identify([arm.recording()], robot, friction="viscous_coulomb")
     return time.perf_counter() - started
 

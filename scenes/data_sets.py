@@ -75,12 +75,12 @@ class DataSet:
 def data_sets(registry: Path | None = None) -> dict[str, DataSet]:
     """All data sets by name, of a TOML of the form of ``scenes/data_sets.toml``, which is taken if None."""
     text = (resources.files("scenes").joinpath("data_sets.toml") if registry is None else registry).read_text("utf-8")
-    found = {}
+    sets = {}
     for name, table in tomllib.loads(text).items():
         values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value
                                   for key, value in table.items()}
-        found[name] = DataSet(name, **values)
-    return found
+        sets[name] = DataSet(name, **values)
+    return sets
 
 
 def fetch(name: str, out: Path, *, file: Path | None = None, registry: Path | None = None) -> Path:
@@ -98,28 +98,28 @@ def fetch(name: str, out: Path, *, file: Path | None = None, registry: Path | No
     known = data_sets(registry)
     if name not in known:
         raise InputError(f"expected one of {', '.join(known)}", field="name", value=name)
-    one = known[name]
+    entry = known[name]
     if file is not None:
         if not file.is_file():
             raise InputError("no such file", file=file)
         content = file.read_bytes()
-    elif one.url:
-        content = _downloaded(one)
+    elif entry.url:
+        content = _downloaded(entry)
     else:
-        raise InputError(f"no program can download it; get it from {one.page} and give it with --file",
+        raise InputError(f"no program can download it; get it from {entry.page} and give it with --file",
                          field="name", value=name)
-    if one.sha256 and hashlib.sha256(content).hexdigest() != one.sha256:
-        raise IdealRobotError(f"{file or one.url} is not the file that {name} was published as (SHA-256 differs); "
+    if entry.sha256 and hashlib.sha256(content).hexdigest() != entry.sha256:
+        raise IdealRobotError(f"{file or entry.url} is not the file that {name} was published as (SHA-256 differs); "
                               "nothing was written")
-    columns = _columns(one, _unpacked(one, content, str(file or one.url)), str(file or one.url))
-    if one.values_sha256 and values_hash(columns, one) != one.values_sha256:
-        raise IdealRobotError(f"{file or one.url} does not hold the values of {name} (checksum of "
-                              f"{', '.join(one.checked)} differs); nothing was written")
-    meta = {"source": one.page, "licence": one.licence, "cite": one.cite, "doi": one.doi, "data_set": name}
+    columns = _columns(entry, _unpacked(entry, content, str(file or entry.url)), str(file or entry.url))
+    if entry.values_sha256 and values_hash(columns, entry) != entry.values_sha256:
+        raise IdealRobotError(f"{file or entry.url} does not hold the values of {name} (checksum of "
+                              f"{', '.join(entry.checked)} differs); nothing was written")
+    meta = {"source": entry.page, "licence": entry.licence, "cite": entry.cite, "doi": entry.doi, "data_set": name}
     path = out / f"{name}.parquet"
     with whole_files(path, out / f"{name}.txt") as (table, words):
-        Recording(columns, meta, one.page).write(table)
-        words.write_text("\n".join(f"{key}: {value}" for key, value in {"title": one.title, **meta}.items()) + "\n",
+        Recording(columns, meta, entry.page).write(table)
+        words.write_text("\n".join(f"{key}: {value}" for key, value in {"title": entry.title, **meta}.items()) + "\n",
                          encoding="utf-8")
     return path
 
@@ -155,22 +155,22 @@ def _unpacked(one: DataSet, content: bytes, source: str) -> bytes:
         return content
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as packed:
-            found = next((info for info in packed.infolist() if Path(info.filename).name == one.member), None)
-            if found is None or found.file_size > _LARGEST:
+            member = next((info for info in packed.infolist() if Path(info.filename).name == one.member), None)
+            if member is None or member.file_size > _LARGEST:
                 raise InputError(f"a zip without {one.member}; get it from {one.page}", file=source)
-            return packed.read(found)
+            return packed.read(member)
     except (zipfile.BadZipFile, RuntimeError) as error:
         raise InputError(f"a broken zip ({error}); get it from {one.page}", file=source) from error
 
 
 def _arrays(content: bytes) -> dict[str, Any]:
     """What a ``mat`` file holds; ValueError for a broken one. Of some SciPy's compiled reader ends with its process."""
-    [(_, found)] = work_off([content], _in_mat, 1)
-    if isinstance(found, LostError):
+    [(_, answer)] = work_off([content], _in_mat, 1)
+    if isinstance(answer, LostError):
         raise ValueError("no reader survives it")
-    if isinstance(found, ValueError):
-        raise found
-    return dict(found)
+    if isinstance(answer, ValueError):
+        raise answer
+    return dict(answer)
 
 
 def _in_mat(content: bytes) -> dict[str, Any] | ValueError:

@@ -46,11 +46,11 @@ def pictures(source: str, *, every: int = 1, most: int = 100) -> Iterator[tuple[
     """
     path = Path(source)
     if os.path.isdir(path):
-        found = sorted(one for one in path.iterdir() if one.suffix.lower() in PICTURES)
-        if not found:
+        files = sorted(file for file in path.iterdir() if file.suffix.lower() in PICTURES)
+        if not files:
             raise InputError(f"no pictures in this folder; expected files ending in {', '.join(PICTURES)}", file=path)
-        for one in found[:most]:
-            yield one.name, _read(one)
+        for file in files[:most]:
+            yield file.name, _read(file)
     elif path.suffix.lower() in PICTURES:
         if not os.path.isfile(path):
             raise InputError("no such picture", file=path)
@@ -127,15 +127,15 @@ def _frames(source: str, every: int, most: int) -> Iterator[tuple[str, Picture]]
         if not capture.isOpened():
             raise InputError("no picture, and no video or camera that can be opened; give a PNG or JPEG, a folder "
                              "of them, a video, or a camera that is connected", field="source", value=source)
-        index = taken = 0
-        while taken < most:
+        index = count = 0
+        while count < most:
             with kept_words():
-                there, frame = capture.read()
-            if not there:
+                ok, frame = capture.read()
+            if not ok:
                 break
             if index % every == 0:
                 yield f"frame {index}", _checked(np.asarray(frame, dtype=np.uint8), source)
-                taken += 1
+                count += 1
             index += 1
         if index == 0:
             raise InputError("no picture can be read from it", field="source", value=source)
@@ -165,16 +165,16 @@ _CONFIDENT = 0.5
 
 def figures(one: Detected) -> dict[str, Any]:
     """A finding as plain values for JSON; lengths in pixels."""
-    found = one.found
-    points = [] if found.strip is None else [
+    line = one.found
+    points = [] if line.strip is None else [
         {"u": float(u), "v": float(v), "width": float(width), "sigma": float(sigma), "confidence": float(sure)}
-        for (u, v), width, sigma, sure in zip(found.strip.points, found.strip.widths, found.strip.sigmas,
-                                              found.strip.confidence, strict=True)]
-    return {"picture": one.name, "state": one.state, "size": list(found.size), "found": found.found,
-            "reason": found.reason or None,
-            "width_px": found.width, "polarity": ("dark" if found.dark else "bright") if found.found else None,
-            "contrast_gray": found.contrast, "sigma_px": found.sigma, "log_odds": found.evidence,
-            "others": found.others, "points": points}
+        for (u, v), width, sigma, sure in zip(line.strip.points, line.strip.widths, line.strip.sigmas,
+                                              line.strip.confidence, strict=True)]
+    return {"picture": one.name, "state": one.state, "size": list(line.size), "found": line.found,
+            "reason": line.reason or None,
+            "width_px": line.width, "polarity": ("dark" if line.dark else "bright") if line.found else None,
+            "contrast_gray": line.contrast, "sigma_px": line.sigma, "log_odds": line.evidence,
+            "others": line.others, "points": points}
 
 
 def drawn(picture: Picture, found: PictureLine) -> bytes:
@@ -185,8 +185,8 @@ def drawn(picture: Picture, found: PictureLine) -> bytes:
     if found.strip is not None:
         half = 0.5 * found.strip.widths[:, None] * found.strip.normals
         for side in (-half, half):
-            at = np.rint((found.strip.points + side + 0.5) * scale - 0.5).astype(np.int32)
-            cv2.polylines(image, [at.reshape(-1, 1, 2)], False, _EDGE, 2, cv2.LINE_AA)
+            edge = np.rint((found.strip.points + side + 0.5) * scale - 0.5).astype(np.int32)
+            cv2.polylines(image, [edge.reshape(-1, 1, 2)], False, _EDGE, 2, cv2.LINE_AA)
         for (u, v), sure in zip((found.strip.points + 0.5) * scale - 0.5, found.strip.confidence, strict=True):
             cv2.drawMarker(image, (round(u), round(v)), _SURE if sure >= _CONFIDENT else _UNSURE,
                            cv2.MARKER_CROSS if sure >= _CONFIDENT else cv2.MARKER_TILTED_CROSS, 16, 2, cv2.LINE_AA)
@@ -203,16 +203,16 @@ def detection_page(source: str, kind: str | None, results: list[Detected]) -> Re
         source, kind: where they came from, and what line was looked for.
         results: of each picture.
     """
-    count = sum(one.found.found for one in results)
-    sigmas = [one.found.sigma for one in results if one.found.found]
+    count = sum(result.found.found for result in results)
+    sigmas = [result.found.sigma for result in results if result.found.found]
     sure = f"; its points are known to {np.median(sigmas):.2f} px (median standard deviation)" if sigmas else ""
     report = Report("Line detection", f"A {kind or 'line'} was found in {count} of {len(results)} pictures of "
                                       f"{source}{sure}.")
     report.table(*table(results), caption="Odds: logarithm of how much likelier a line is than none. σ: standard "
                                           "deviation of a point across the line.")
-    for name, picture, found, state in results[:_SHOWN]:
-        said = [state] * bool(state) + [f"σ = {found.sigma:.2f} px" if found.found else found.reason]
-        report.image(drawn(picture, found), f"{name}: {', '.join(map(str, said))}. Orange: edges of the line; green: "
+    for name, picture, line, state in results[:_SHOWN]:
+        notes = [state] * bool(state) + [f"σ = {line.sigma:.2f} px" if line.found else line.reason]
+        report.image(drawn(picture, line), f"{name}: {', '.join(map(str, notes))}. Orange: edges of the line; green: "
                                             "points; red: points where it hardly shows.")
     if len(results) > _SHOWN:
         report.text(f"The first {_SHOWN} of {len(results)} pictures are shown; all are in the JSON file.")
@@ -221,8 +221,8 @@ def detection_page(source: str, kind: str | None, results: list[Detected]) -> Re
 
 def table(results: list[Detected]) -> tuple[list[str], list[list[Any]]]:
     """Column titles, and one row a picture."""
-    rows = [[name, state or found.found, found.evidence if np.isfinite(found.evidence) else None,
-             *([found.width, "dark" if found.dark else "bright", found.contrast, found.sigma, found.others, None]
-               if found.found else [None] * 5 + [found.reason])] for name, _, found, state in results]
+    rows = [[name, state or line.found, line.evidence if np.isfinite(line.evidence) else None,
+             *([line.width, "dark" if line.dark else "bright", line.contrast, line.sigma, line.others, None]
+               if line.found else [None] * 5 + [line.reason])] for name, _, line, state in results]
     return ["picture", "found", "log odds", "width [px]", "polarity", "contrast", "σ [px]", "other lines",
             "why not"], rows

@@ -59,24 +59,24 @@ class SceneMethod:
         """Makes the feedforward; InputError where something that it needs is missing, or this arm cannot play it."""
         with raised_by(f"method {self.key}, as it is made and tried"):
             if isinstance(self.made, Feedforward):
-                found = self.made
+                feedforward = self.made
             elif self.made is not None:
-                found = self.made(setting)
+                feedforward = self.made(setting)
             else:
                 key = NONE if self.key in (DIRECT, SENSOR_PATH) else self.key.removesuffix("_delay")
-                found = registered(key).make(setting)
-            return tried(found, setting.robot.home, setting.robot.t_ipo)
+                feedforward = registered(key).make(setting)
+            return tried(feedforward, setting.robot.home, setting.robot.t_ipo)
 
     def following(self, setting: Setting) -> Feedforward:
         """Makes the feedforward of a play that knows its path over a horizon only.
 
         Raises InputError where it needs more: the whole path, plays beforehand, or a longer horizon.
         """
-        found = self.feedforward(setting)
-        if setting.n_d is not None and found.n_d > setting.n_d:
+        feedforward = self.feedforward(setting)
+        if setting.n_d is not None and feedforward.n_d > setting.n_d:
             raise InputError(f"the scene knows {setting.n_d} desired positions ahead, {self.key} wants more",
-                             field="n_d", value=found.n_d)
-        return found
+                             field="n_d", value=feedforward.n_d)
+        return feedforward
 
 
 def following_methods() -> tuple[str, ...]:
@@ -117,12 +117,12 @@ def compared(wanted: Sequence[Any] | None, allowed: Sequence[str], left_out: Seq
         left_out: keys that are compared only where they are asked for.
     """
     every = [key for key in allowed if key not in left_out]
-    found = [method_of(one, allowed) for one in (every if wanted is None else wanted)]
-    for i, one in enumerate(found):
-        if one.key in {other.key for other in found[:i]}:
+    chosen = [method_of(choice, allowed) for choice in (every if wanted is None else wanted)]
+    for i, method in enumerate(chosen):
+        if method.key in {other.key for other in chosen[:i]}:
             raise InputError("two methods have that name; give one of the classes another", field="methods",
-                             value=one.key)
-    return found
+                             value=method.key)
+    return chosen
 
 
 @dataclass(frozen=True)

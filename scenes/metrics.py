@@ -116,11 +116,11 @@ class _Motion:
         times = np.clip(times, *self._span)
         if self._whole is not None:
             return np.asarray(self._whole(times))
-        found = np.empty((len(times), 3))
+        positions = np.empty((len(times), 3))
         for begin, end, spline in self._pieces():
             rows = slice(*np.searchsorted(times, (begin, end)))
-            found[rows] = spline(times[rows])
-        return found
+            positions[rows] = spline(times[rows])
+        return positions
 
     def squared(self, t: Array, x_d: Array, delays: Array) -> Array:
         """Mean squared distance ``(k,)`` [m²] from positions ``(m, 3)`` at rising ``t`` for each delay ``(k,)`` [s]."""

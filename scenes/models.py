@@ -146,14 +146,14 @@ def identity(scene: Scene) -> dict[str, str | None]:
         that the scene names; ``world_hash``: the simulated arm; ``model_hash``: the model file, None where there is
         none.
     """
-    asked = scene.model_dump(mode="json", exclude=_WORDS | _HOW, exclude_defaults=True)
-    if "robot" in asked:
+    task = scene.model_dump(mode="json", exclude=_WORDS | _HOW, exclude_defaults=True)
+    if "robot" in task:
         # Not where its file lies, as seen from where the program was begun.
-        asked["robot"] = Path(scene.robot).name
-    named = {text: place.read_bytes() for text in _texts(asked)
+        task["robot"] = Path(scene.robot).name
+    named = {text: place.read_bytes() for text in _texts(task)
              if os.path.isfile(place := (scene.folder or Path.cwd()) / text) and os.access(place, os.R_OK)}
     if named:
-        asked["files"] = {text: hashlib.sha256(content).hexdigest() for text, content in named.items()}
+        task["files"] = {text: hashlib.sha256(content).hexdigest() for text, content in named.items()}
     world = World.from_table(scene.robot, scene.arm_world, scene.source)
     simulated: Any = world.table()
     if scene.robot not in SHIPPED_ARMS:
@@ -164,7 +164,7 @@ def identity(scene: Scene) -> dict[str, str | None]:
     else:
         path = shipped_model(scene.robot) if scene.model == SHIPPED else Path(scene.model)
         model = hashlib.sha256(path.read_bytes()).hexdigest()[:16] if path.is_file() else None
-    return {"task_hash": digest_of(asked), "world_hash": digest_of(simulated), "model_hash": model}
+    return {"task_hash": digest_of(task), "world_hash": digest_of(simulated), "model_hash": model}
 
 
 def _texts(value: Any) -> Iterator[str]:

@@ -35,10 +35,10 @@ def check_outputs(folders: dict[str, Path | None] | None = None, **files: Path |
         folders: option → folder that results go to; None where the option is not given.
         files: name of the option (``_`` for ``-``) → file.
     """
-    taken: dict[Path, str] = {}
-    wanted = [*((option, path, True) for option, path in (folders or {}).items()),
-              *(("--" + name.replace("_", "-"), path, False) for name, path in files.items())]
-    for option, path, folder in wanted:
+    option_of: dict[Path, str] = {}
+    outputs = [*((option, path, True) for option, path in (folders or {}).items()),
+               *(("--" + name.replace("_", "-"), path, False) for name, path in files.items())]
+    for option, path, folder in outputs:
         if path is None:
             continue
         try:
@@ -47,9 +47,9 @@ def check_outputs(folders: dict[str, Path | None] | None = None, **files: Path |
         except (OSError, ValueError, RuntimeError) as error:
             raise InputError(f"cannot be written ({getattr(error, 'strerror', None) or error}); give another place",
                              field=option, value=str(path)) from error
-        if place in taken:
-            raise InputError(f"the same place as {taken[place]}; give another one", field=option, value=str(path))
-        taken[place] = option
+        if place in option_of:
+            raise InputError(f"the same place as {option_of[place]}; give another one", field=option, value=str(path))
+        option_of[place] = option
 
 
 def _check(path: Path, option: str, folder: bool) -> None:
@@ -93,9 +93,9 @@ def folders_held() -> Iterator[None]:
                 raise OutputError.of(place, error) from error
     finally:
         _HELD.reset(token)
-        for new, _, made in held:
+        for new, _, parents in held:
             shutil.rmtree(new, ignore_errors=True)
-            remove_empty(made)
+            remove_empty(parents)
 
 
 @contextmanager
@@ -107,10 +107,10 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     made. Raises OutputError where it cannot be written; ``folder`` is as it was.
     """
     new: Path | None = None
-    made: list[Path] = []
+    parents: list[Path] = []
     held = _HELD.get()
     try:
-        made = make_folder(folder.parent)
+        parents = make_folder(folder.parent)
         place = folder.absolute()
         new = partial_name(place / place.name if _fixed(place) else place)
         new.mkdir()
@@ -121,8 +121,8 @@ def whole_folder(folder: Path) -> Iterator[Path]:
             _take_place(new, place)
             synchronise(place.parent)
         else:
-            held.append((new, place, made))
-            new, made = None, []
+            held.append((new, place, parents))
+            new, parents = None, []
     except OSError as error:
         raise OutputError.of(folder, error) from error
     except OutputError as error:
@@ -130,7 +130,7 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     finally:
         if new is not None:
             shutil.rmtree(new, ignore_errors=True)
-        remove_empty(made)
+        remove_empty(parents)
 
 
 def _fixed(folder: Path) -> bool:
@@ -146,11 +146,11 @@ def _take_place(new: Path, folder: Path) -> None:
             return
     written = set(new.iterdir())
     for _ in range(_TRIES):
-        others = [entry for entry in folder.iterdir() if new / entry.name not in written and entry != new]
-        if _fixed(folder) or any(entry.is_dir() for entry in others):
+        entries = [entry for entry in folder.iterdir() if new / entry.name not in written and entry != new]
+        if _fixed(folder) or any(entry.is_dir() for entry in entries):
             break
         try:
-            for entry in others:
+            for entry in entries:
                 os.link(entry, new / entry.name, follow_symlinks=False)
             _exchange(new, folder)
             for entry in new.iterdir():  # what came into the old folder between the look and the exchange
@@ -175,6 +175,6 @@ def _exchange(one: Path, other: Path) -> None:
     call = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
     if call is None:
         raise OSError("no exchange of folders in this C library")
-    at = -100  # AT_FDCWD; the names are absolute
-    if call(at, os.fsencode(one), at, os.fsencode(other), _EXCHANGE):
+    dirfd = -100  # AT_FDCWD; the names are absolute
+    if call(dirfd, os.fsencode(one), dirfd, os.fsencode(other), _EXCHANGE):
         raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))

@@ -83,7 +83,7 @@ def place_line(scene: LineScene) -> Place:
                          "floor and a fixed joint from there to the arm's base", file=robot.urdf, field="robot")
     best: Place | None = None
     for heading in HEADINGS:
-        for candidate in (one for share in SIZES for one in _candidates(scene, robot, share, heading)):
+        for candidate in (placed for share in SIZES for placed in _candidates(scene, robot, share, heading)):
             speed = fits(candidate, candidate.arm)
             if speed is not None and (best is None or speed > best.speed):
                 best = Place(candidate.surface.origin, heading, float(candidate.line.length or 0.0), speed,
@@ -173,9 +173,9 @@ def fits(scene: LineScene, robot: Robot) -> float | None:
     try:
         reference = ReferencePath(reference_points(scene), up=scene.surface.pose().rotation[:, 2], turning=1.0)
         kinematics = InverseKinematics(robot)
-        for at in (0.0, 0.5, 1.0):
+        for share in (0.0, 0.5, 1.0):
             # Most places are refused here already, which is quicker than along the whole path.
-            kinematics.search(reference.pose(at * reference.length), robot.home, ATTEMPTS)
+            kinematics.search(reference.pose(share * reference.length), robot.home, ATTEMPTS)
         path = JointPath.of(robot, reference)
         beside = _corridor(robot, reference, path)
     except (InputError, OutOfReachError):

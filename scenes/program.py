@@ -40,11 +40,11 @@ def _commit() -> str | None:
 
 
 def _source_digest() -> str:
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     for path in sorted(path for room in ROOMS for path in (_ROOT / room).rglob("*")):
         if path.suffix in (".py", ".toml", ".urdf", ".json") and path.is_file():
-            found.update(str(path.relative_to(_ROOT)).encode() + b"\0" + path.read_bytes())
-    return found.hexdigest()[:16]
+            digest.update(str(path.relative_to(_ROOT)).encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def machine() -> dict[str, str]:
@@ -61,9 +61,9 @@ def signed(content: dict[str, Any]) -> dict[str, Any]:
     """
     apart = told_apart(content)
     if isinstance(runs := content.get("runs"), list):
-        apart["runs"] = [told_apart(one) for one in runs]
+        apart["runs"] = [told_apart(run) for run in runs]
     if isinstance(methods := content.get("methods"), dict):
-        apart["methods"] = {key: told_apart(one) for key, one in methods.items()}
+        apart["methods"] = {key: told_apart(answer) for key, answer in methods.items()}
     return {"schema": SCHEMA, "program": program(), **apart}
 
 
@@ -76,20 +76,20 @@ def told_apart(answer: dict[str, Any]) -> dict[str, Any]:
     groups = {"times": TIMES, "files": PLACES}
     apart = {name: {key: answer[key] for key in keys if key in answer} for name, keys in groups.items()}
     results = {key: value for key, value in answer.items() if key not in (*TIMES, *PLACES)}
-    return results | {name: found for name, found in apart.items() if found}
+    return results | {name: group for name, group in apart.items() if group}
 
 
 # Folders of a user's that hide ours of the same name: a repository with a ``sim`` of its own.
 
 def _hidden() -> dict[str, str]:
     """What is found in place of our packages: name → place."""
-    found = {}
+    hidden = {}
     for room in ROOMS:
         spec = find_spec(room)
         places = [] if spec is None else list(spec.submodule_search_locations or [str(spec.origin)])
         if not any(Path(place).resolve() == (_ROOT / room).resolve() for place in places):
-            found[room] = places[0] if places else "nothing"
-    return found
+            hidden[room] = places[0] if places else "nothing"
+    return hidden
 
 
 def check_rooms() -> None:

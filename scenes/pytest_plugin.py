@@ -60,9 +60,9 @@ def ideal_scene(request: pytest.FixtureRequest) -> Scene:
         scene = load_scene(beside if name.endswith(".toml") and beside.is_file() else name)
         return scene.changed(**marker.kwargs) if marker.kwargs else scene
     except InputError as error:
-        said = str(error)
+        message = str(error)
     # Outside of its handling: within, pytest shows the error and what led to it beside the sentence.
-    pytest.fail(said, pytrace=False)
+    pytest.fail(message, pytrace=False)
 
 
 @pytest.fixture
@@ -116,11 +116,11 @@ def baseline(request: pytest.FixtureRequest) -> Callable[[Results], None]:
         if not place.is_file():
             pytest.fail(f"no baseline at {place}; pytest --update-path-errors writes it", pytrace=False)
         try:
-            found = compared(read_results(place), results, title=request.node.nodeid)
-            said = "" if found.verdict in ("better", "same") else markdown(found)
+            comparison = compared(read_results(place), results, title=request.node.nodeid)
+            message = "" if comparison.verdict in ("better", "same") else markdown(comparison)
         except InputError as error:
-            said = f"{error}; pytest --update-path-errors accepts these results"
-        if said:
-            pytest.fail(said, pytrace=False)
+            message = f"{error}; pytest --update-path-errors accepts these results"
+        if message:
+            pytest.fail(message, pytrace=False)
 
     return compare

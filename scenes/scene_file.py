@@ -61,16 +61,16 @@ def find_scene(wanted: str) -> Path:
     # A shipped scene is named as its file.
     every = [*((_name(path, wanted), path) for path in sorted(Path.cwd().glob("*.toml"))),
              *((path.stem, path) for path in sorted(library().glob("*.toml")))]
-    found = [path for name, path in every if name == wanted]
-    if len(found) > 1:
-        raise InputError(f"two scenes of the name {wanted!r}: {found[0]} and {found[1]}; rename one or give a path",
+    matches = [path for name, path in every if name == wanted]
+    if len(matches) > 1:
+        raise InputError(f"two scenes of the name {wanted!r}: {matches[0]} and {matches[1]}; rename one or give a path",
                          field="scene")
-    if not found:
+    if not matches:
         names = {name for name, _ in every if name is not None}
         raise InputError(f"no scene of that name; {did_you_mean(wanted, names)}there are "
                          f"{', '.join(sorted(names)) or 'none'}, or give the path of a .toml file", field="scene",
                          value=wanted)
-    return found[0]
+    return matches[0]
 
 
 def _name(path: Path, wanted: str) -> str | None:

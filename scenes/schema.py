@@ -96,10 +96,10 @@ def json_schema(kind: str) -> dict[str, Any]:
         if meanings.get(("", name)):
             entry["description"] = meanings["", name]
     for model in _tables(KINDS.get(kind).scene):
-        said = _sentences(model)
+        sentences = _sentences(model)
         for name, entry in schema["$defs"].get(model.__name__, {}).get("properties", {}).items():
-            if said.get(name):
-                entry["description"] = said[name]
+            if sentences.get(name):
+                entry["description"] = sentences[name]
     return schema
 
 
@@ -110,10 +110,10 @@ def commented_scene(name: str, kind: str, example: str) -> str:
         name: of the new scene, for its title.
         kind, example: text of a shipped scene of that kind.
     """
-    given = re.sub(r'^title = .*$', f"title = {json.dumps(name, ensure_ascii=False)}", example, flags=re.M)
+    text = re.sub(r'^title = .*$', f"title = {json.dumps(name, ensure_ascii=False)}", example, flags=re.M)
     lines = ["# Play it: ideal-robot run FILE. Every key of such a scene is here; one behind # has the value shown.",
-             given.rstrip()]
-    present = set(re.findall(r"^([a-z_]+) *=", given, flags=re.M))
+             text.rstrip()]
+    present = set(re.findall(r"^([a-z_]+) *=", text, flags=re.M))
     top = [key for key in scene_keys(kind) if not key.table and key.name not in present | {"name", "kind", "world"}]
     rest = [key for key in scene_keys(kind) if key.table]
     tables = list(dict.fromkeys((key.table, key.many) for key in rest))
@@ -128,8 +128,8 @@ def commented_scene(name: str, kind: str, example: str) -> str:
             continue
         comments = [_comment(key) for key in missing]
         if re.search(rf"^{re.escape(header)}", lines[1], flags=re.M):
-            head, found, tail = re.split(rf"^({re.escape(header)}.*)$", lines[1], maxsplit=1, flags=re.M)
-            lines[1] = head + "\n".join([found, *comments]) + tail
+            head, line, tail = re.split(rf"^({re.escape(header)}.*)$", lines[1], maxsplit=1, flags=re.M)
+            lines[1] = head + "\n".join([line, *comments]) + tail
         else:
             lines += ["", f"# {header}", *comments]
     lines += ["", "# The simulated world; defaults belong to the robot (docs: World).", "# [world]"]
@@ -164,14 +164,14 @@ def _table(keys: tuple[Key, ...]) -> str:
 
 
 def _keys(model: type[pydantic.BaseModel], table: str, many: bool) -> Iterator[Key]:
-    said = _sentences(model)
+    sentences = _sentences(model)
     for name, field in model.model_fields.items():
         inner, several = _table_of(field.annotation)
         if inner is not None:
             yield from _keys(inner, f"{table}.{name}" if table else name, several)
             continue
         default = None if field.is_required() else _toml(field.get_default(call_default_factory=True))
-        yield Key(table, name, default, field.is_required(), _allowed(field), said.get(name, ""), many)
+        yield Key(table, name, default, field.is_required(), _allowed(field), sentences.get(name, ""), many)
 
 
 def _table_of(annotation: Any) -> tuple[type[pydantic.BaseModel] | None, bool]:
@@ -195,7 +195,7 @@ def _tables(model: type[pydantic.BaseModel]) -> Iterator[type[pydantic.BaseModel
 @cache
 def _sentences(model: type[pydantic.BaseModel]) -> dict[str, str]:
     """The sentence under each field in the class and those it inherits from."""
-    found: dict[str, str] = {}
+    sentences: dict[str, str] = {}
     for owner in reversed(model.__mro__):
         if not (isinstance(owner, type) and issubclass(owner, pydantic.BaseModel)) or owner is pydantic.BaseModel:
             continue
@@ -204,27 +204,27 @@ def _sentences(model: type[pydantic.BaseModel]) -> dict[str, str]:
         for statement, following in itertools.pairwise(statements):
             if (isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name)
                     and isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant)):
-                found[statement.target.id] = " ".join(str(following.value.value).split())
-    return found
+                sentences[statement.target.id] = " ".join(str(following.value.value).split())
+    return sentences
 
 
 def _allowed(field: Any) -> str:
     kind = _plain_type(str(field.annotation))
     limits = {"gt": "above", "ge": "from", "lt": "below", "le": "to"}
-    said = [f"{limits[name]} {getattr(rule, name):g}" for rule in field.metadata for name in limits
-            if getattr(rule, name, None) is not None]
-    return ", ".join([kind, *said])
+    bounds = [f"{limits[name]} {getattr(rule, name):g}" for rule in field.metadata for name in limits
+              if getattr(rule, name, None) is not None]
+    return ", ".join([kind, *bounds])
 
 
 def _plain_type(text: str) -> str:
     text = re.sub(r"typing\.|<class '|'>|scenes\.[\w.]+\.", "", text)
-    text = re.sub(r"Literal\[(.*?)\]", lambda found: " or ".join(found[1].split(", ")), text)
+    text = re.sub(r"Literal\[(.*?)\]", lambda match: " or ".join(match[1].split(", ")), text)
     words = {"Annotated[float, Gt(gt=0)]": "positive number", "float": "number", "int": "whole number", "str": "text",
              "bool": "true or false", "None": "nothing", "PerJoint": "number or one per joint",
              "dict[text, Any]": "table", "pathlib.Path": "path"}
     for word, plain in words.items():
         text = re.sub(rf"\b{re.escape(word)}(?!\w)", plain, text)
-    return re.sub(r"tuple\[(.*?)\]", lambda found: f"list ({found[1]})", text).replace(" | ", " or ")
+    return re.sub(r"tuple\[(.*?)\]", lambda match: f"list ({match[1]})", text).replace(" | ", " or ")
 
 
 def _toml(value: Any) -> str | None:
@@ -235,21 +235,21 @@ def _toml(value: Any) -> str | None:
     if isinstance(value, (int, float, str)):
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, (tuple, list)):
-        return "[" + ", ".join(_toml(one) or "" for one in value) + "]"
+        return "[" + ", ".join(_toml(entry) or "" for entry in value) + "]"
     return "{}" if isinstance(value, dict) else None
 
 
 def _stands(text: str, header: str, name: str) -> bool:
     """Whether a key is given under a table's header."""
-    _, found, rest = text.partition(f"\n{header}")
-    return bool(found) and re.search(rf"^{name} *=", re.split(r"^\[", rest[1:], maxsplit=1, flags=re.M)[0],
-                                     flags=re.M) is not None
+    _, separator, rest = text.partition(f"\n{header}")
+    return bool(separator) and re.search(rf"^{name} *=", re.split(r"^\[", rest[1:], maxsplit=1, flags=re.M)[0],
+                                         flags=re.M) is not None
 
 
 def _comment(key: Key) -> str:
-    said = f"  # {key.meaning}" if key.meaning else ""
+    comment = f"  # {key.meaning}" if key.meaning else ""
     value = key.default if key.default is not None else f"…  ({key.allowed})"
-    return f"# {key.name} = {value}{said}"
+    return f"# {key.name} = {value}{comment}"
 
 
 def catalogue(what: str, kind: str = "line") -> tuple[list[str], list[list[Any]]]:
@@ -259,8 +259,8 @@ def catalogue(what: str, kind: str = "line") -> tuple[list[str], list[list[Any]]
         InputError: no such kind.
     """
     if what == "scenes":
-        found = [load_scene(path) for path in sorted(scene_folder().glob("*.toml"))]
-        return ["scene", "kind", "robot", "title"], [[one.name, one.kind, one.robot, one.title] for one in found]
+        scenes = [load_scene(path) for path in sorted(scene_folder().glob("*.toml"))]
+        return ["scene", "kind", "robot", "title"], [[s.name, s.kind, s.robot, s.title] for s in scenes]
     if what == "robots":
         arms = [Robot.load(name) for name in SHIPPED]
         return ["robot", "joints", "cycle [ms]", "URDF"], [[arm.name, arm.n, 1e3 * arm.t_ipo, arm.urdf.name]
@@ -273,8 +273,8 @@ def catalogue(what: str, kind: str = "line") -> tuple[list[str], list[list[Any]]
             [effect.name, effect.key.partition("/")[2], (type(effect).__doc__ or "").strip().partition("\n")[0]]
             for effect in library()]
     if what == "detectors":
-        return ["detector", "how it works"], [[name, (one.__doc__ or "").strip().partition("\n")[0]]
-                                              for name, one in DETECTORS]
+        return ["detector", "how it works"], [[name, (detector.__doc__ or "").strip().partition("\n")[0]]
+                                              for name, detector in DETECTORS]
     return ["table", "key", "default", "allowed", "meaning"], [
         [key.table, key.name, "required" if key.required else key.default, key.allowed, key.meaning]
         for key in scene_keys(kind)]

@@ -162,7 +162,7 @@ def jobs(scenes: Sequence[str | Scene], methods: Sequence[Any] = (), speeds: Seq
     if count > MOST:
         raise InputError(f"these are {count} runs; at most {MOST} at once", field="--seeds")
     product = itertools.product(scenes, methods or own, speeds or own, seeds or own, individuals or own)
-    return [Job(*one, world=world) for one in product]
+    return [Job(*combination, world=world) for combination in product]
 
 
 def play(job: Job) -> dict[str, Any]:
@@ -213,22 +213,22 @@ def sweep(work: Sequence[Job], *, processes: int = 2, dask: str | None = None,
     _check_methods(work, {scene.kind for scene in loaded})
     digests = {id(scene): digest_of([program()["digest"], identity(scene), scene.model_dump(mode="json")])
                for scene in {id(scene): scene for scene in loaded}.values()}
-    asked = [_described(job, digests[id(scene)]) for job, scene in zip(work, loaded, strict=True)]
+    descriptions = [_described(job, digests[id(scene)]) for job, scene in zip(work, loaded, strict=True)]
     file = file or Kept()
-    answers = [file.answers.get(key_of(one)) for one in asked]
-    left = [index for index, answer in enumerate(answers) if answer is None]
-    tasks = [work[index] for index in left]
-    count = len(work) - len(left)
+    answers = [file.answers.get(key_of(description)) for description in descriptions]
+    unanswered = [index for index, answer in enumerate(answers) if answer is None]
+    tasks = [work[index] for index in unanswered]
+    count = len(work) - len(unanswered)
     coming = (work_off_on(dask, tasks, function, limit) if dask
               else work_off(tasks, function, max(1, processes), limit))
     try:
         for place, answer in coming:
-            index = left[place]
+            index = unanswered[place]
             if isinstance(answer, LostError):
                 answers[index] = {**_named(work[index]), "not_played": str(answer), "failure": f"not played: {answer}"}
                 continue
             answers[index] = answer
-            file.add(asked[index], answer)
+            file.add(descriptions[index], answer)
             count += 1
             done(count, answer)
     finally:

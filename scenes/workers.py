@@ -51,25 +51,25 @@ def work_off(tasks: Sequence[Any], function: Callable[[Any], Any], processes: in
         processes: how many at once.
         limit: how long a task may take [s]; its process is ended then.
     """
-    left = deque(range(len(tasks)))
+    waiting = deque(range(len(tasks)))
     attempts = [0] * len(tasks)
     workers: list[_Worker] = []
     try:
-        while left or workers:
-            while left and len(workers) < processes:
+        while waiting or workers:
+            while waiting and len(workers) < processes:
                 workers.append(_Worker(function))
             for worker in workers:
-                if worker.index is None and left:
-                    worker.index = left.popleft()
+                if worker.index is None and waiting:
+                    worker.index = waiting.popleft()
                     attempts[worker.index] += 1
                     worker.begin(tasks[worker.index], limit)
-            for worker in [one for one in workers if one.index is None]:
+            for worker in [worker for worker in workers if worker.index is None]:
                 _dismissed(workers, worker)
             if not workers:
                 continue
             soonest = min(worker.deadline.left for worker in workers)
-            ready = set(wait([one.ours for one in workers if one.index is not None], timeout=soonest))
-            for worker in [one for one in workers if one.ours in ready or one.deadline.passed]:
+            ready = set(wait([worker.ours for worker in workers if worker.index is not None], timeout=soonest))
+            for worker in [worker for worker in workers if worker.ours in ready or worker.deadline.passed]:
                 index = worker.index
                 assert index is not None
                 try:
@@ -81,7 +81,7 @@ def work_off(tasks: Sequence[Any], function: Callable[[Any], Any], processes: in
                 except (EOFError, OSError):
                     code = _dismissed(workers, worker)
                     if attempts[index] < ATTEMPTS:
-                        left.appendleft(index)
+                        waiting.appendleft(index)
                     else:
                         why = f"did not end within {limit:g} s" if worker.deadline.passed else f"exit code {code}"
                         yield index, LostError(f"its process was lost {ATTEMPTS} times ({why})")
@@ -284,25 +284,25 @@ class _Handed:
 
         coming = as_completed()
         self._workers = _workers(client)
-        patience, asked = Deadline.within(PATIENCE), Deadline.within(_ANSWERS)
+        patience, refresh = Deadline.within(PATIENCE), Deadline.within(_ANSWERS)
         while self.left:
             while len(self.pending) < _AHEAD * max(self._workers, 1) and (batch := self._taken()):
                 future = client.submit(_batch, self.function, [self.tasks[i] for i in batch], self.limit, pure=False)
                 self.pending[future] = batch
                 coming.add(future)
             for future in coming.next_batch(block=False) if coming.has_ready() else ():
-                found = self._fetched(future)
-                if found is None:  # its worker has gone with it: another one does it again
+                results = self._fetched(future)
+                if results is None:  # its worker has gone with it: another one does it again
                     coming.add(future)
                     continue
                 patience = Deadline.within(PATIENCE)
-                yield from found
+                yield from results
             if client.status != "running":
                 raise _GoneError
-            if asked.passed:
+            if refresh.passed:
                 self._workers = _workers(client)
                 patience = Deadline.within(PATIENCE) if self._workers else patience
-                asked = Deadline.within(_ANSWERS)
+                refresh = Deadline.within(_ANSWERS)
             if patience.passed:
                 return
             time.sleep(_RESULTS_LOOK)
@@ -331,9 +331,9 @@ class _Handed:
             return self._lost(future, f"the cluster lost it ({type(error).__name__})")
         batch = self.pending.pop(future)
         self._size = int(min(max(batch_lasts(self._workers) / max(seconds, 1e-6), 1.0), _MOST_OF_A_BATCH))
-        found = [(index, result) for index, result in zip(batch, results, strict=True) if index in self.left]
+        pairs = [(index, result) for index, result in zip(batch, results, strict=True) if index in self.left]
         self.left -= set(batch)
-        return found
+        return pairs
 
     def _lost(self, future: Any, why: str) -> list[tuple[int, Any]]:
         """Tasks of a lost batch begin alone, after all others; one that was lost alone too often is given up."""

@@ -140,7 +140,7 @@ Forms = tuple[Form, ...]
 
 def places_of(effects: Sequence[FittedEffect]) -> tuple[Place, ...]:
     """Name and joint of each."""
-    return tuple((one.name, one.joint) for one in effects)
+    return tuple((effect.name, effect.joint) for effect in effects)
 
 
 def said(name: str, joint: int) -> str:
@@ -158,9 +158,9 @@ class Group:
     @classmethod
     def adding(cls, effects: Sequence[FittedEffect]) -> Group:
         """Effects on top of the model, together and each alone."""
-        label = " and ".join(dict.fromkeys(one.name.replace("_", " ") for one in effects))
+        label = " and ".join(dict.fromkeys(effect.name.replace("_", " ") for effect in effects))
         together = (Form.adding(label, effects),) if len(effects) > 1 else ()
-        return cls(together, tuple((Form.adding(said(one.name, one.joint), (one,)),) for one in effects))
+        return cls(together, tuple((Form.adding(said(effect.name, effect.joint), (effect,)),) for effect in effects))
 
 
 @dataclass(frozen=True)
@@ -290,7 +290,7 @@ class Closed(Generic[R]):
         except IdealRobotError as failed:
             return self._note(form, f"cannot be played: {failed}")
         # Whatever is doubtful about what is not measured, the error has to fall.
-        worst = max(readings, key=lambda one: one.t)
+        worst = max(readings, key=lambda reading: reading.t)
         if not worst.falls:
             return self._note(form, worst.reason(self.subject.scale, self.subject.unit), worst.after)
         self.model, self.run = model, run
@@ -316,28 +316,28 @@ def close(subject: Subject[R], model: Model, run: R, *, rounds: int = ROUNDS, ou
     Raises:
         SceneError: interrupted, or no room to write, in a round; says which model the folder holds.
     """
-    closed, kept = Closed(subject, model, run), 0
+    closed, last = Closed(subject, model, run), 0
     for round_ in range(1, rounds + 1):
         before_it, steps = 1.0 - _LEFT ** (round_ - 1), len(closed.steps)
         within = Steps(part_of(progress, before_it, (1.0 - _LEFT) * (1.0 - before_it)), SHARES_OF_ROUND)
         try:
-            found = subject.find(closed.model, closed.run, within.begin("finding", f"round {round_}: diagnosis"))
-            closed.first = closed.first if kept else Comparison.of(*subject.readings(run, run, model)[0]).before
+            finding = subject.find(closed.model, closed.run, within.begin("finding", f"round {round_}: diagnosis"))
+            closed.first = closed.first if last else Comparison.of(*subject.readings(run, run, model)[0]).before
             within.begin("trying", f"round {round_}: what was found is tried")
-            stays = closed.try_all(found)
+            stays = closed.try_all(finding)
             if not stays:
                 # Before it gives up: what could not be told apart may be told by another motion.
-                asked = subject.asked(found, closed.model, closed.run, within.part("asking"))
-                stays = asked is not None and closed.try_all(asked)
+                answer = subject.asked(finding, closed.model, closed.run, within.part("asking"))
+                stays = answer is not None and closed.try_all(answer)
             if stays and out is not None:
                 closed.model.save(out / MODEL)
         except (KeyboardInterrupt, SystemExit, OutputError) as ended:
-            left = f"{out / MODEL} is the model of round {kept}" if out is not None and kept else \
+            outcome = f"{out / MODEL} is the model of round {last}" if out is not None and last else \
                 "no round was done, the model is as it was"
             why = f"{ended}; ended" if isinstance(ended, OutputError) else "interrupted"
-            raise SceneError(f"{why} in round {round_}; {left}") from ended
-        closed.steps[steps:] = [replace(one, round=round_) for one in closed.steps[steps:]]
+            raise SceneError(f"{why} in round {round_}; {outcome}") from ended
+        closed.steps[steps:] = [replace(step, round=round_) for step in closed.steps[steps:]]
         if not stays:
             break
-        kept = round_
+        last = round_
     return closed

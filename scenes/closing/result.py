@@ -123,16 +123,16 @@ class Closing(ShownTable):
         """One sentence for each effect that a diagnosis names and that does not stay."""
         stay = {place for step in self.steps if step.taken for place in step.places}
         why = {place: step.refused for step in self.steps if not step.taken for place in step.places}
-        named = dict.fromkeys(place for found in self.closed.found if found.diagnosis
-                              for place in places_of([one.fitted for one in found.diagnosis.effects]))
+        named = dict.fromkeys(place for finding in self.closed.found if finding.diagnosis
+                              for place in places_of([effect.fitted for effect in finding.diagnosis.effects]))
         otherwise = f"a scene of kind {self.scene.kind} does not close it"
         return [f"{said(*place)} named, refused: {why.get(place, otherwise)}" for place in named if place not in stay]
 
     def json(self) -> dict[str, Any]:
         """The content of ``--json``."""
         diagnosis = {} if self.diagnosis is None else {"diagnosis": self.diagnosis.to_dict()}
-        steps = [{"round": one.round, "tried": one.tried, "taken": one.taken, "refused": one.refused or None,
-                  "error": self.closed.subject.scale * one.error} for one in self.steps]
+        steps = [{"round": step.round, "tried": step.tried, "taken": step.taken, "refused": step.refused or None,
+                  "error": self.closed.subject.scale * step.error} for step in self.steps]
         values: dict[str, Any] = plain({
             **self.scene.played(), "undeclared": [{"effect": name, "joint": joint} for name, joint in self.undeclared],
             self.words.errors: {name: played.json for name, played in self.plays.items()}, "steps": steps,
@@ -150,7 +150,7 @@ class Closing(ShownTable):
         scale = self.closed.subject.scale
         return ("round", "change of the model", "stays", self.words.judged, "why not"), [
             [0, self.words.as_it_was, True, scale * self.closed.first, ""],
-            *[[one.round, one.tried, one.taken, scale * one.error, one.refused] for one in self.steps]]
+            *[[step.round, step.tried, step.taken, scale * step.error, step.refused] for step in self.steps]]
 
     def page(self) -> Report:
         """The report."""
@@ -256,9 +256,9 @@ _HIDDEN = {"motor": _PLACE, "arm": _PLACE, "tcp": ()}
 
 def visible(recording: Recording, measured: Measured) -> Recording:
     """Of a recording with everything what such an arm measures."""
-    kept = {name: values for name, values in recording.columns.items()
-            if name not in _HIDDEN[measured] and not (measured == "motor" and name.startswith("qa_"))}
-    return Recording(kept, recording.meta, recording.source)
+    columns = {name: values for name, values in recording.columns.items()
+               if name not in _HIDDEN[measured] and not (measured == "motor" and name.startswith("qa_"))}
+    return Recording(columns, recording.meta, recording.source)
 
 
 def checked_measured(value: str) -> Measured:

@@ -154,19 +154,19 @@ def length(text: str, option: str) -> float:
     >>> length("2.5mm", "--tolerance")
     0.0025
     """
-    found = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(mm|um|µm|m|)\s*", text)
-    value = _number(found[1], float, option, text) if found else math.nan
-    if found is None or not (math.isfinite(value) and value > 0):
+    match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(mm|um|µm|m|)\s*", text)
+    value = _number(match[1], float, option, text) if match else math.nan
+    if match is None or not (math.isfinite(value) and value > 0):
         raise InputError("expected a positive length such as 0.2mm", field=option, value=text[:60])
-    return value * {"mm": 1e-3, "um": 1e-6, "µm": 1e-6}.get(found[2], 1.0)
+    return value * {"mm": 1e-3, "um": 1e-6, "µm": 1e-6}.get(match[2], 1.0)
 
 
 def numbers(text: str, option: str) -> list[float]:
     """Finite numbers from ``1,2,5``; empty text gives none."""
-    found = [_number(piece.strip(), float, option, text) for piece in text.split(",") if piece.strip()]
-    if not all(map(math.isfinite, found)):
+    values = [_number(piece.strip(), float, option, text) for piece in text.split(",") if piece.strip()]
+    if not all(map(math.isfinite, values)):
         raise InputError("expected finite numbers separated by commas", field=option, value=text[:60])
-    return found
+    return values
 
 
 def whole_numbers(text: str, option: str) -> list[int]:
@@ -175,7 +175,7 @@ def whole_numbers(text: str, option: str) -> list[int]:
     >>> whole_numbers("1-3,7", "--seeds")
     [1, 2, 3, 7]
     """
-    found: list[int] = []
+    values: list[int] = []
     for piece in (piece.strip() for piece in text.split(",") if piece.strip()):
         first, dash, last = piece.partition("-")
         low = _number(first, int, option, text)
@@ -183,8 +183,8 @@ def whole_numbers(text: str, option: str) -> list[int]:
         if not 0 <= low <= high < 2**63 or high - low >= _MOST_NUMBERS:
             raise InputError(f"expected whole numbers from 0 up, at most {_MOST_NUMBERS}, or a range such as 1-10",
                              field=option, value=text[:60])
-        found.extend(range(low, high + 1))
-    return found
+        values.extend(range(low, high + 1))
+    return values
 
 
 def _number(piece: str, kind: type[N], option: str, text: str) -> N:
@@ -200,8 +200,8 @@ def scenes_there(given: Any) -> Any:
     """A scene or scenes as given, or InputError for none or two of that name: before what plays them is loaded."""
     from scenes.scene_file import find_scene
 
-    for one in given if isinstance(given, (list, tuple)) else [given]:
-        find_scene(one)
+    for scene in given if isinstance(given, (list, tuple)) else [given]:
+        find_scene(scene)
     return given
 
 

@@ -209,19 +209,19 @@ def detect(options: DetectOptions) -> None:
     results: list[Detected] = []
     check_outputs({"--out": options.out}, json=options.json)
     with progress_bar("detect") as progress:
-        for one in detected(options.source, every=options.every, most=options.most, kind=options.kind, near=place,
-                            points=options.points):
-            progress(min(0.9, len(results) / options.most), one.name)
-            results.append(one)
+        for result in detected(options.source, every=options.every, most=options.most, kind=options.kind, near=place,
+                               points=options.points):
+            progress(min(0.9, len(results) / options.most), result.name)
+            results.append(result)
         progress(0.95, "page")
         report = options.out / "report.html"
         with whole_files(report, options.json) as (page_file, json_file):
             detection_page(options.source, options.kind, results).write(page_file)
             write_signed(json_file, {"source": options.source, "kind": options.kind,
-                                     "pictures": [figures(one) for one in results]})
+                                     "pictures": [figures(result) for result in results]})
     show_table("detect", *table(results))
     typer.echo(f"report: {report}")
-    if not any(one.found.found for one in results):
+    if not any(result.found.found for result in results):
         typer.echo("ideal-robot: no picture shows a line", err=True)
         raise typer.Exit(1)
 

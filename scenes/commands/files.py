@@ -90,11 +90,11 @@ def new(
         raise InputError("there is such a file already; take another name, or --force", file=path)
     examples = {"line": "line", "path": "iso9283_1", "force": "force_wave", "clamped": "clamped_kr500_1",
                 "close_clamped": "close_clamped"}
-    found = examples.get(kind)
-    if found is None:
+    shipped = examples.get(kind)
+    if shipped is None:
         raise InputError("no shipped scene is of that kind; see the documentation of the package that added it",
                          field="--kind", value=kind)
-    example = (library() / f"{found}.toml").read_text(encoding="utf-8")
+    example = (library() / f"{shipped}.toml").read_text(encoding="utf-8")
     if robot is not None:
         example = _for_arm(example, kind, robot)
     write_text(path, commented_scene(name, kind, example))
@@ -111,8 +111,8 @@ def _for_arm(example: str, kind: str, robot: str) -> str:
     scene = load_scene("line").changed(robot=robot, model="own")
     if kind != "line" or not isinstance(scene, LineScene):
         raise InputError("only lines are placed in an arm's reach", field="--robot", value=robot)
-    for one in scene.arm.assumed:
-        typer.echo(f"assumed: {one}")
+    for assumption in scene.arm.assumed:
+        typer.echo(f"assumed: {assumption}")
     place = place_line(scene)
     x, y, z = place.origin
     tool = f", with a tool of {place.tool_mm:g} mm" if place.tool_mm else ""
@@ -139,8 +139,8 @@ def export(
     # The one that needs an extra comes first: where that is missing nothing has been written.
     writers = {"--rerun": (rerun, write_rerun), "--mcap": (mcap, write_mcap), "--rosbag2": (rosbag2, write_rosbag2),
                "--csv": (csv, Recording.write), "--parquet": (parquet, Recording.write)}
-    wanted = {option: (path, writer) for option, (path, writer) in writers.items() if path is not None}
-    if not wanted:
+    requested = {option: (path, writer) for option, (path, writer) in writers.items() if path is not None}
+    if not requested:
         raise InputError(f"say which format: {', '.join(writers)}", field="export")
     for option, path, ending in (("--mcap", mcap, ".mcap"), ("--rerun", rerun, ".rrd"), ("--csv", csv, ".csv"),
                                  ("--parquet", parquet, ".parquet")):
@@ -154,8 +154,8 @@ def export(
     for text in text_columns(loaded):
         typer.echo(f"warning: {text}", err=True)
     with progress_bar("export") as progress:
-        for i, (option, (path, writer)) in enumerate(wanted.items()):
-            progress(i / len(wanted), option[2:])
+        for i, (option, (path, writer)) in enumerate(requested.items()):
+            progress(i / len(requested), option[2:])
             typer.echo(f"written: {writer(loaded, path)}")
 
 
@@ -178,7 +178,7 @@ def fetch(
     from scenes.report.page import write_json
 
     if name is None:
-        rows = [[one.name, one.title, one.licence, one.page] for one in data_sets().values()]
+        rows = [[data_set.name, data_set.title, data_set.licence, data_set.page] for data_set in data_sets().values()]
         show_table("public data sets", ["name", "what", "licence", "page"], rows)
         if json is not None:
             write_json(json, {"data_sets": [dict(zip(("name", "title", "licence", "page"), row, strict=True))
@@ -322,13 +322,13 @@ def twin(
         analysis = identify_model(loaded, arm, progress=part_of(progress, 0.0, 0.5))
         if controller is not None:
             analysis = with_given_controller(analysis, controller, arm)
-        found = make_twin(loaded, robot, analysis=analysis, seed=1 if seed is None else seed, progress=progress)
+        result = make_twin(loaded, robot, analysis=analysis, seed=1 if seed is None else seed, progress=progress)
         with whole_files(output, json) as (scene_file, json_file):
             if scene_file is not None:
-                scene_file.write_text(twin_text(found.twin, robot, output), encoding="utf-8")
-            write_signed(json_file, {**found.to_dict(), "output": output})
-    show_table("the twin along the recorded motion", found.columns, found.rows())
-    for line in (*(f"told: {one}" for one in found.twin.seen), *(f"assumed: {one}" for one in found.twin.assumed)):
+                scene_file.write_text(twin_text(result.twin, robot, output), encoding="utf-8")
+            write_signed(json_file, {**result.to_dict(), "output": output})
+    show_table("the twin along the recorded motion", result.columns, result.rows())
+    for line in (*(f"told: {s}" for s in result.twin.seen), *(f"assumed: {s}" for s in result.twin.assumed)):
         typer.echo(line)
     typer.echo(f"twin: {output}")
     _expected(output, arm.n, draws)
@@ -351,7 +351,7 @@ def _expected(scene: Path, joints: int, draws: int) -> None:
     if not draws:
         typer.echo(f"what accuracy to expect: ideal-robot sweep {_place(scene)} --individuals 1-10")
         return
-    work: list[Any] = [one for k in range(1, draws + 1) for one in jobs([_place(scene)], [], [], [k], [k])]
+    work: list[Any] = [job for k in range(1, draws + 1) for job in jobs([_place(scene)], [], [], [k], [k])]
     with progress_bar(f"{draws} individuals") as progress:
         answers = sweep(work, done=lambda count, _: progress(count / len(work), f"{count} of {len(work)}"))
     errors = [answer["control_error_mm"] for answer in answers if not answer.get("failure") and
@@ -359,6 +359,6 @@ def _expected(scene: Path, joints: int, draws: int) -> None:
     if not errors:
         typer.echo("none of them reached the end of the line", err=True)
         raise typer.Exit(1)
-    mean, p95 = (np.array([one[key] for one in errors]) for key in ("mean", "p95"))
+    mean, p95 = (np.array([error[key] for error in errors]) for key in ("mean", "p95"))
     typer.echo(f"to expect on this arm: {mean.mean():.3f} mm on average ({mean.min():.3f} to {mean.max():.3f}), 95 % "
                f"within {p95.min():.3f} to {p95.max():.3f} mm; {len(errors)} of {draws} individuals")

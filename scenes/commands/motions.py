@@ -122,13 +122,13 @@ def plan_diagnosis(options: DiagnosticMotion) -> None:
     if options.out.suffix not in WRITTEN:
         raise InputError(f"expected a name ending in {' or '.join(WRITTEN)}", field="--out", value=str(options.out))
     arm = Robot.load(options.robot, options.drive_data)
-    taken = Recording.read(options.recording)
+    recording = Recording.read(options.recording)
     workspace = _workspace(arm, options.z_min, options.cell)
     known = None if options.model is None else Model.load(options.model)
     with progress_bar("plan-diagnosis") as progress:
-        questions = _questions(options.result, taken, arm, known, progress)
+        questions = _questions(options.result, recording, arm, known, progress)
         begun = 0.0 if options.result is not None else 0.5
-        plan = plan_diagnosis(taken, arm, questions, model=known, longest=options.length, workspace=workspace,
+        plan = plan_diagnosis(recording, arm, questions, model=known, longest=options.length, workspace=workspace,
                               seed=options.seed, progress=part_of(progress, begun, 1.0 - begun))
         with whole_files(options.out if plan.useful else None, options.json) as (motion_file, json_file):
             if motion_file is not None:
@@ -141,12 +141,12 @@ def _workspace(arm: Robot, z_min: float | None, cell: Path | None) -> Workspace:
     """Where tool and links may be: by the arm's size, but for a height given [m], and off what a scene names."""
     from ideal_robot.identification.excitation import Workspace
 
-    found = Workspace.of(arm) if z_min is None else replace(Workspace.of(arm), z_min=z_min)
+    workspace = Workspace.of(arm) if z_min is None else replace(Workspace.of(arm), z_min=z_min)
     if cell is None:
-        return found
+        return workspace
     from scenes.placing import shapes_in
 
-    return replace(found, cell=shapes_in(load_scene(cell), arm))
+    return replace(workspace, cell=shapes_in(load_scene(cell), arm))
 
 
 def _questions(result: Path | None, taken: Recording, arm: Robot, known: Model | None,
@@ -156,12 +156,12 @@ def _questions(result: Path | None, taken: Recording, arm: Robot, known: Model |
     from ideal_robot.diagnosis import diagnose, open_questions, read_questions
 
     if result is not None:
-        found = read_json(result, "a diagnosis")
-        asked = read_questions(found, arm.n, result)
-        if found.get("recording_hash", taken.hash) != taken.hash:
+        diagnosis = read_json(result, "a diagnosis")
+        questions = read_questions(diagnosis, arm.n, result)
+        if diagnosis.get("recording_hash", taken.hash) != taken.hash:
             raise InputError("is of another recording; give the one that was diagnosed, or no --result", file=result,
-                             field="recording_hash", value=found["recording_hash"])
-        return asked
+                             field="recording_hash", value=diagnosis["recording_hash"])
+        return questions
     return open_questions(diagnose(taken, arm, model=known, progress=part_of(progress, 0.0, 0.5)))
 
 

@@ -108,10 +108,10 @@ def run(options: RunOptions) -> None:
             raise InputError(f"scenes of kind {loaded.kind} have nothing that moves", field="--video",
                              value=str(options.video))
     with folders_held(), progress_bar(f"{loaded.name}") as progress:
-        found = None
+        quickest = None
         if allowed is not None and isinstance(loaded, LineScene):
-            found = fastest(loaded, allowed, method=options.method, progress=part_of(progress, 0.0, 0.5))
-            loaded = chosen(loaded, speed=found.speed)
+            quickest = fastest(loaded, allowed, method=options.method, progress=part_of(progress, 0.0, 0.5))
+            loaded = chosen(loaded, speed=quickest.speed)
         played = part_of(progress, 0.0, 1.0 if options.video is None else 0.5)
         result = kind.run(loaded, method=options.method, out=folder, progress=played)
         replay = None if options.video is None or kind.replay is None else kind.replay(result)
@@ -119,10 +119,10 @@ def run(options: RunOptions) -> None:
             if replay is not None:
                 write_video(replay, film, progress=part_of(progress, 0.5, 0.5))
             write_signed(figures, {**result.json(),
-                                   **({} if found is None else {"fastest": found.json()})})
-    if found is not None and isinstance(result, LineResult):
-        typer.echo(f"fastest speed within {1e3 * found.tolerance:g} mm: {found.speed:.2f} m/s; 95 % predicted "
-                   f"{1e3 * found.predicted:.3f} mm, reached {1e3 * result.control_error.p95:.3f} mm")
+                                   **({} if quickest is None else {"fastest": quickest.json()})})
+    if quickest is not None and isinstance(result, LineResult):
+        typer.echo(f"fastest speed within {1e3 * quickest.tolerance:g} mm: {quickest.speed:.2f} m/s; 95 % predicted "
+                   f"{1e3 * quickest.predicted:.3f} mm, reached {1e3 * result.control_error.p95:.3f} mm")
     closed(result)
     if replay is not None:
         typer.echo(f"film: {options.video}")
@@ -266,11 +266,11 @@ def close_loop(
         write_signed(json, result.json())
     for title, (columns, rows) in (("what was tried", result.ladder()), ("before and after", result.rows())):
         show_table(title, list(columns), rows)
-    if (asked := result.json().get("plan")) is not None:
-        told = sum(pair["told_apart"] for pair in asked.get("pairs", []))
-        typer.echo(f"asked for in round {asked['round']}: "
-                   + (f"a motion of {asked['duration_s']:.0f} s, played, that tells {told} of "
-                      f"{len(asked['pairs'])} pairs" if asked["played"] else str(asked["reason"])))
+    if (plan := result.json().get("plan")) is not None:
+        separated = sum(pair["told_apart"] for pair in plan.get("pairs", []))
+        typer.echo(f"asked for in round {plan['round']}: "
+                   + (f"a motion of {plan['duration_s']:.0f} s, played, that tells {separated} of "
+                      f"{len(plan['pairs'])} pairs" if plan["played"] else str(plan["reason"])))
     if result.diagnosis is not None:
         typer.echo(summary(result.diagnosis))
     typer.echo(f"report: {result.report}")
@@ -311,5 +311,5 @@ def prepare(
     show_table("", ["figure", "value"], [
         ["arm", f"{loaded.robot}, individual {world.individual}"],
         ["identified", "now" if prepared.fresh else "before"],
-        ["torque left, " + one_unit(model.units("N m")), ", ".join(f"{one:.3g}" for one in model.noise_std)]])
+        ["torque left, " + one_unit(model.units("N m")), ", ".join(f"{std:.3g}" for std in model.noise_std)]])
     typer.echo(f"model: {path}")

@@ -179,18 +179,18 @@ def diagnose(options: DiagnoseOptions) -> None:
         if validate is not None:
             require_distinct([recording, validate])
         model = None if options.model is None else Model.load(options.model)
-        found = diagnose(recording, arm, model=model, validate=validate, cutoff=options.cutoff,
-                         progress=steps.begin("reading"), explain=options.explain)
+        diagnosis = diagnose(recording, arm, model=model, validate=validate, cutoff=options.cutoff,
+                             progress=steps.begin("reading"), explain=options.explain)
         steps.begin("drawing")
         page = options.out / "report.html"
-        better = None if found.model is None else options.model_out
+        better = None if diagnosis.model is None else options.model_out
         with whole_files(page, options.json, better) as (page_file, json_file, model_file):
-            diagnosis_page(found, f"Diagnosis of {options.recording.name}").write(page_file)
-            write_signed(json_file, {"recording_hash": recording.hash, **found.to_dict()})
-            if model_file is not None and found.model is not None:
-                found.model.save(model_file)
-    _show_diagnosed(found)
-    typer.echo(summary(found))
+            diagnosis_page(diagnosis, f"Diagnosis of {options.recording.name}").write(page_file)
+            write_signed(json_file, {"recording_hash": recording.hash, **diagnosis.to_dict()})
+            if model_file is not None and diagnosis.model is not None:
+                diagnosis.model.save(model_file)
+    _show_diagnosed(diagnosis)
+    typer.echo(summary(diagnosis))
     typer.echo(f"report: {page}")
 
 
@@ -264,8 +264,8 @@ def stiffness(options: StiffnessOptions) -> None:
             stiffness_page(analysis, title=f"Joint stiffness of {arm.name}").write(page_file)
             write_signed(json_file, analysis.to_dict())
     show_table("stiffness", ["joint", "method", "k [N m/rad]", "offset [N m]", "%σ", "‖Wχ−Y‖/‖Y‖ [%]"],
-               [[one.joint, one.method, one.stiffness, one.offset, one.std_percent, one.relative_error_percent]
-                for one in analysis.joints])
+               [[fit.joint, fit.method, fit.stiffness, fit.offset, fit.std_percent, fit.relative_error_percent]
+                for fit in analysis.joints])
     for warning in analysis.warnings:
         typer.echo(f"note: {warning}", err=True)
     typer.echo(f"report: {page}")

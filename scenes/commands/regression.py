@@ -55,31 +55,31 @@ def check(options: CheckOptions) -> None:
     from scenes.report.page import write_json
     from scenes.scene_files.scene import Scene
 
-    asked = Suite(options.suite)
-    place = options.baseline or asked.baseline
+    suite = Suite(options.suite)
+    place = options.baseline or suite.baseline
     folder = options.out or Path("out") / f"check_{options.suite.stem}"
     check_outputs({"--out": folder, "--runs": options.runs}, **({"baseline": place} if options.update_baseline else {}))
-    earlier = _baseline(options, asked, place)
-    work = [job for job, _ in asked.work]
+    earlier = _baseline(options, suite, place)
+    work = [job for job, _ in suite.work]
     if earlier is not None and not options.update_baseline:
         check_arms(earlier, {job.scene.robot for job in work if isinstance(job.scene, Scene)})
     file = None if options.runs is None else RunSet(options.runs, resume=options.resume)
     with progress_bar(f"{len(work)} runs") as progress:
-        answers = asked.play(processes=options.processes, dask=options.dask, file=file, limit=options.time_limit,
+        answers = suite.play(processes=options.processes, dask=options.dask, file=file, limit=options.time_limit,
                              done=lambda count: progress(count / len(work), f"{count} of {len(work)}"))
     results = Results.of(answers, str(options.suite))
-    found = _compared(results, earlier, asked, anyway=options.update_baseline)
-    _report(found, folder)
+    comparison = _compared(results, earlier, suite, anyway=options.update_baseline)
+    _report(comparison, folder)
     write_json(folder / "times.json", {"runs": times_of(answers)})
-    failed = dict.fromkeys(row.case for row in found.rows if row.verdict == "failed")
+    failed = dict.fromkeys(row.case for row in comparison.rows if row.verdict == "failed")
     if options.update_baseline and failed:
         typer.echo(f"no baseline was written: all runs failed of {'; '.join(failed)}", err=True)
-    elif options.update_baseline and not found.not_played:
+    elif options.update_baseline and not comparison.not_played:
         typer.echo(f"baseline: {results.write(place)}")
     elif earlier is None:
-        typer.echo(f"no baseline at {place}; --update-baseline makes it", err=bool(found.not_played))
-    if (found.not_played or not found.bounds_kept or found.verdict == "failed"
-            or (found.verdict == "worse" and not options.update_baseline)):
+        typer.echo(f"no baseline at {place}; --update-baseline makes it", err=bool(comparison.not_played))
+    if (comparison.not_played or not comparison.bounds_kept or comparison.verdict == "failed"
+            or (comparison.verdict == "worse" and not options.update_baseline)):
         raise typer.Exit(1)
 
 
@@ -135,9 +135,9 @@ def compare_results(
         if name not in known:
             raise InputError(f"not in both; {did_you_mean(name, known)}there are {', '.join(known)}", field="--figures",
                              value=name)
-    found = compared(*results, figures=names or MAIN)
-    _report(found, out)
-    if found.verdict in ("worse", "failed"):
+    comparison = compared(*results, figures=names or MAIN)
+    _report(comparison, out)
+    if comparison.verdict in ("worse", "failed"):
         raise typer.Exit(1)
 
 

@@ -25,9 +25,9 @@ Contribution = tuple[tuple[str, ...], Traces, int, Array]
 
 def ladder_figure(diagnosis: Diagnosis) -> Figure:
     """The error on held-out data, effect by effect, one panel a channel, with the noise of the measurement."""
-    found = _in_order(diagnosis)
-    channels = list(dict.fromkeys(e.fitted.channel for e in found))[:6]
-    rows = {name: [e for e in found if e.fitted.channel == name] for name in channels}
+    effects = _in_order(diagnosis)
+    channels = list(dict.fromkeys(e.fitted.channel for e in effects))[:6]
+    rows = {name: [e for e in effects if e.fitted.channel == name] for name in channels}
     figure = Figure(figsize=(5.4, 0.7 + sum(0.75 + 0.32 * len(rows[name]) for name in channels)), layout="constrained")
     panels = figure.subplots(len(channels), 1, squeeze=False,
                              height_ratios=[1.6 + len(rows[name]) for name in channels])[:, 0]
@@ -54,17 +54,17 @@ def ladder_figure(diagnosis: Diagnosis) -> Figure:
 
 def arguments_figure(arguments: Sequence[Argument]) -> Figure:
     """How much worse each set of causes is with something else, or nothing, in the place of a named one."""
-    rows = [[*one.rivals[:_RIVALS], *(other for other in one.sets if not other.name)] for one in arguments]
-    figure = Figure(figsize=(6.2, 0.6 + sum(0.75 + 0.26 * len(one) for one in rows)), layout="constrained")
-    panels = figure.subplots(len(rows), 1, squeeze=False, sharex=True, height_ratios=[2 + len(one) for one in rows])
-    for axes, one, sets in zip(panels[:, 0], arguments, rows, strict=True):
+    rows = [[*claim.rivals[:_RIVALS], *(other for other in claim.sets if not other.name)] for claim in arguments]
+    figure = Figure(figsize=(6.2, 0.6 + sum(0.75 + 0.26 * len(row) for row in rows)), layout="constrained")
+    panels = figure.subplots(len(rows), 1, squeeze=False, sharex=True, height_ratios=[2 + len(row) for row in rows])
+    for axes, claim, sets in zip(panels[:, 0], arguments, rows, strict=True):
         for place, other in enumerate(sets):
             axes.errorbar(other.nats, place, xerr=TOLD * other.std, color=_AFTER if other.told else _EFFECT,
                           marker="o", ms=4.5, lw=0, elinewidth=1.4)
         axes.set_yticks(range(len(sets)), [other.words for other in sets], fontsize=9)
         axes.set_ylim(len(sets) - 0.4, -0.6)
         axes.axvline(0.0, color="0.2", lw=1.0)
-        axes.set_title(f"{one.name}, {one.place}", fontsize=10, loc="left")
+        axes.set_title(f"{claim.name}, {claim.place}", fontsize=10, loc="left")
         axes.spines[["top", "right"]].set_visible(False)
         axes.set_xscale("symlog", linthresh=10.0)
     panels[-1, 0].set_xlabel("worse than the named set by … nats (two standard errors)")
@@ -129,11 +129,11 @@ def effect_figure(effect: FoundEffect, contribution: Contribution, unit: str) ->
     axes.set(xlabel=label if curve else f"what {word} foretells [{unit}]", ylabel=f"{names[j]} [{unit}]")
     axes.legend(fontsize=9, frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     axes.spines[["top", "right"]].set_visible(False)
-    said = f"{word}: what remains of {names[j]} without it (grey, means blue), and the effect (orange)"
+    text = f"{word}: what remains of {names[j]} without it (grey, means blue), and the effect (orange)"
     if not curve:
-        said += ("; it depends on several signals at once, so it is drawn over what it foretells: the nearer the means "
+        text += ("; it depends on several signals at once, so it is drawn over what it foretells: the nearer the means "
                  "are to the line, the better")
-    return figure, said + "."
+    return figure, text + "."
 
 
 def _of_joint(j: int, unit: str) -> tuple[str, str]:

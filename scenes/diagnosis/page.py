@@ -109,21 +109,21 @@ def summary(diagnosis: Diagnosis) -> str:
 
 def _errors(diagnosis: Diagnosis) -> list[str]:
     """Error before and after of each channel in which something was found; of those where it falls if it has none."""
-    found = {e.fitted.channel for e in (*diagnosis.effects, *diagnosis.unknown) if _lowers(e)}
+    channels = {e.fitted.channel for e in (*diagnosis.effects, *diagnosis.unknown) if _lowers(e)}
     # What is found in the whole arm has the name that all its channels begin with.
-    own = [c for c in diagnosis.channels if {c.channel, c.channel.rpartition("_")[0]} & found]
-    told = own or [c for c in diagnosis.channels if c.rms_after < 0.98 * c.rms_before]
+    own = [c for c in diagnosis.channels if {c.channel, c.channel.rpartition("_")[0]} & channels]
+    shown = own or [c for c in diagnosis.channels if c.rms_after < 0.98 * c.rms_before]
     return [f"{c.channel} goes from {before:.3g} to {after:.3g} {unit}"
-            for c in told for before, after, unit in [_told(c.unit, c.rms_before, c.rms_after)]]
+            for c in shown for before, after, unit in [_told(c.unit, c.rms_before, c.rms_after)]]
 
 
 def _above_noise(diagnosis: Diagnosis) -> str:
     """What is left above the noise of the measurement, in a sentence; empty where nothing is."""
-    left = [] if diagnosis.verdict == "undecided" else [c for c in diagnosis.channels if c.above_noise]
-    told = [(c, *_told(c.unit, c.rms_after)) for c in left]
-    if not told:
+    channels = [] if diagnosis.verdict == "undecided" else [c for c in diagnosis.channels if c.above_noise]
+    entries = [(c, *_told(c.unit, c.rms_after)) for c in channels]
+    if not entries:
         return ""
-    named = _listed([f"{c.channel} ({value:.3g} {unit}, {c.times_noise:.2g} times)" for c, value, unit in told])
+    named = _listed([f"{c.channel} ({value:.3g} {unit}, {c.times_noise:.2g} times)" for c, value, unit in entries])
     return f"Left above the noise of the measurement: {named}."
 
 
@@ -181,16 +181,16 @@ def _effects(page: Report, diagnosis: Diagnosis) -> None:
     if not diagnosis.effects and not diagnosis.unknown:
         return
     page.heading("What was added, in the order in which it was found")
-    found = (*diagnosis.effects, *diagnosis.unknown)
+    effects = (*diagnosis.effects, *diagnosis.unknown)
     rows = [[e.fitted.name + (f" ({', '.join(e.depends_on)})" if e.depends_on else ""), _where(e), e.fitted.channel,
              *_told(_unit(diagnosis, e.fitted.channel), e.rms_before, e.rms_after), e.p_value,
              "; ".join(p.text for p in e.fitted.parameters), ", ".join(e.indistinguishable_from) or "–",
-             {None: "–", True: "yes", False: "no"}[e.transfers]] for e in found]
+             {None: "–", True: "yes", False: "no"}[e.transfers]] for e in effects]
     page.table(["effect", "where", "channel", "error without", "error with", "unit", "p-value", "parameters",
                 "these data cannot tell it from", "lowers the error of the other recording"], rows,
                "Errors are on held-out data, each effect with those before it in the model. The p-value is paid for "
                "all values of nonlinear parameters that were tried.")
-    for e in found:
+    for e in effects:
         if e.would_tell:
             page.text(f"To tell {e.fitted.name} in {_where(e)} from {', '.join(e.indistinguishable_from)}: "
                       f"{e.would_tell}.")
@@ -242,11 +242,11 @@ def _unit(diagnosis: Diagnosis, channel: str) -> str:
 
 def _remaining(page: Report, diagnosis: Diagnosis) -> None:
     page.heading("What the residual depends on")
-    for words, found in (("before", diagnosis.before), ("after", diagnosis.remaining)):
-        if not found:
+    for words, relations in (("before", diagnosis.before), ("after", diagnosis.remaining)):
+        if not relations:
             page.text(f"Residual {words}: no dependence on a single signal stands out of chance.")
             continue
         page.table(["channel", "depends on", "share of squares", "by chance", "p-value"],
-                   [[s.channel, " and ".join(s.depends_on), s.share, s.share_by_chance, s.p_value] for s in found],
+                   [[s.channel, " and ".join(s.depends_on), s.share, s.share_by_chance, s.p_value] for s in relations],
                    f"Residual {words}: smooth curves over single signals; by chance: with the signs of whole blocks of "
                    "time flipped at random.")

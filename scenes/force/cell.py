@@ -208,9 +208,9 @@ def camera_shown(scene: ForceScene) -> tuple[HandEye, DetectionSettings] | None:
     with (closing(GlueWorld(cell)) as world,
           SimulatedArm(known.robot, cell.world, cell.noise, known.q_start()) as arm):
         before = look_at_line(known, arm, world.rendered, span, _streams(scene)[5])
-        found = calibrate_by_moving(known, arm, world.rendered, GearDeflection(known.model, cell.world.t_ipo),
-                                    0.5 * sum(span), before)
-    return found, before.detection
+        hand_eye = calibrate_by_moving(known, arm, world.rendered, GearDeflection(known.model, cell.world.t_ipo),
+                                       0.5 * sum(span), before)
+    return hand_eye, before.detection
 
 
 def glue_line(cell: Cell) -> tuple[DrawnLine, CameraModel]:

@@ -83,14 +83,14 @@ class _Force(Subject[ForceResult]):
 
     def find(self, model: Model, run: ForceResult, progress: Progress) -> Found:
         diagnosis = diagnose(self.seen(run), self.robot, model=model, progress=progress)
-        effects = [one.fitted for one in diagnosis.effects
-                   if one.fitted.domain == SENSOR and one.fitted.name in ("force_bias", "force_compliance")]
+        effects = [effect.fitted for effect in diagnosis.effects
+                   if effect.fitted.domain == SENSOR and effect.fitted.name in ("force_bias", "force_compliance")]
         return Found(diagnosis, self.seen(run), (Group.adding(effects),))
 
     def readings(self, before: ForceResult, after: ForceResult, model: Model) -> list[tuple[Array, Array]]:
-        left, with_it = self._left(before), self._left(after)
-        shared = [channel for channel in left if channel in with_it]
-        return [(np.concatenate([left[one] for one in shared]), np.concatenate([with_it[one] for one in shared]))]
+        without, with_it = self._left(before), self._left(after)
+        shared = [channel for channel in without if channel in with_it]
+        return [(np.concatenate([without[c] for c in shared]), np.concatenate([with_it[c] for c in shared]))]
 
     def _left(self, run: ForceResult) -> dict[str, Array]:
         """What is unexplained of each force ``(N,)`` [N]; of the tip's place by the contact's stiffness."""
@@ -122,14 +122,14 @@ def undeclared_effects(scene: ForceScene) -> tuple[str, ...]:
     """
     compliance = scene.assumed.elasticity_ratio != 1.0 and not scene.assumed.elasticity_estimated
     wrong = {"force_bias": any(scene.sensor.drift), "force_compliance": compliance}
-    found = tuple(name for name, there in wrong.items() if there)
+    effects = tuple(name for name, differs in wrong.items() if differs)
     keys = keys_of_arm(scene)
-    if not found and keys:
+    if not effects and keys:
         raise InputError("sensor and contact are right, and what this does to the force is not looked for here: close "
                          "a path scene with this world, and give its model to this one",
                          file=scene.source, field=f"world.{keys[0]}", value=scene.world[keys[0]])
-    if not found:
+    if not effects:
         raise InputError("sensor and contact are right, or the controller finds out by itself: nothing is there to be "
                          "found; set sensor.drift, or assumed.elasticity_ratio with elasticity_estimated = false",
                          file=scene.source, field="sensor.drift")
-    return found
+    return effects

@@ -27,8 +27,8 @@ def best_gains(scene: ForceScene, *, progress: Progress = silent) -> tuple[tuple
     search = GainSearch(rms, len(PROPORTIONAL) + 2 * len(DIFFERENTIAL), progress)
     unit = 1.0 / scene.tip.stiffness
     search.scan([share * unit for share in PROPORTIONAL])
-    for one in search.ranked()[:2]:
-        search.scan([one.k_p], [share * unit for share in DIFFERENTIAL])
+    for trial in search.ranked()[:2]:
+        search.scan([trial.k_p], [share * unit for share in DIFFERENTIAL])
     best = search.best()
     return (best.k_p, best.k_d), tuple(search.trials)
 
@@ -55,20 +55,20 @@ class ForceComparison(ShownTable):
     def json(self) -> dict[str, Any]:
         """The content of ``--json``."""
         return {**self.scene.played(), "speed_m_s": self.scene.speed,
-                "methods": {method: one.json() for method, one in self.runs.items()},
+                "methods": {method: run.json() for method, run in self.runs.items()},
                 "direct_feedback_search": [{"k_p": one.k_p, "k_d": one.k_d, "rms_N": one.error} for one in self.trials],
-                "camera_troubles": {name: one.json() for name, one in self.troubles}, "report": self.report}
+                "camera_troubles": {name: run.json() for name, run in self.troubles}, "report": self.report}
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
         """One row a method."""
         columns = ["method", "RMS force error [N]", "largest [N]", "least [N]", "contact lost [ms]", "stopped because"]
         rows: list[list[Any]] = [
-            [one.method, one.figures.rms, one.figures.largest, one.figures.least, 1e3 * one.figures.lost,
-             "" if one.failure is None else one.failure] for one in self.runs.values()]
+            [run.method, run.figures.rms, run.figures.largest, run.figures.least, 1e3 * run.figures.lost,
+             "" if run.failure is None else run.failure] for run in self.runs.values()]
         if self.scene.task == "glue":
             columns.insert(1, "mean distance from the line [mm]")
-            for row, one in zip(rows, self.runs.values(), strict=True):
-                row.insert(1, one.lateral.get("control_error_mm", {}).get("mean", float("nan")))
+            for row, run in zip(rows, self.runs.values(), strict=True):
+                row.insert(1, run.lateral.get("control_error_mm", {}).get("mean", float("nan")))
         return columns, rows
 
 

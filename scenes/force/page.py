@@ -77,8 +77,8 @@ def run_page(result: ForceResult, moving: Replay | None) -> Report:
 def comparison_page(comparison: ForceComparison) -> Report:
     """The page that compares the methods on one scene."""
     scene = comparison.scene
-    shown = ", ".join(f"{one.figures.rms:.2f} N with {method.replace('_', ' ')}"
-                      for method, one in reversed(comparison.runs.items()))
+    shown = ", ".join(f"{run.figures.rms:.2f} N with {method.replace('_', ' ')}"
+                      for method, run in reversed(comparison.runs.items()))
     page = Report(f"{scene.title}: methods compared", f"RMS force error {shown}.")
     columns, rows = comparison.table()
     if not any(row[-1] for row in rows):
@@ -93,13 +93,13 @@ def comparison_page(comparison: ForceComparison) -> Report:
                   "is left out.")
         page.table(["camera", "mean distance from the line [mm]", "largest [mm]", "RMS force error [N]", "fields used",
                     "fields left out"],
-                   [[name, one.lateral["control_error_mm"]["mean"], one.lateral["control_error_mm"]["max"],
-                     one.figures.rms, one.lateral["fields"]["used"], one.lateral["fields"]["left_out"]]
-                    for name, one in comparison.troubles])
+                   [[name, run.lateral["control_error_mm"]["mean"], run.lateral["control_error_mm"]["max"],
+                     run.figures.rms, run.lateral["fields"]["used"], run.lateral["fields"]["left_out"]]
+                    for name, run in comparison.troubles])
     if comparison.trials:
         page.heading("Search for the best direct feedback")
         page.table(["K_p [µm/N per cycle]", "K_d [µm/N]", "RMS force error [N]"],
-                   [[1e6 * one.k_p, 1e6 * one.k_d, one.error] for one in comparison.trials],
+                   [[1e6 * trial.k_p, 1e6 * trial.k_d, trial.error] for trial in comparison.trials],
                    "Each line is a play; the best gains are those of direct_feedback above. –: ended early.")
     return page
 
@@ -109,14 +109,14 @@ def forces_figure(comparison: ForceComparison) -> Figure:
     runs, wanted = comparison.runs, comparison.scene.force
     figure = Figure(figsize=(6.5, 0.5 + 1.35 * len(runs)), layout="constrained")
     axes = figure.subplots(len(runs), sharex=True, sharey=True, squeeze=False).ravel()
-    for axis, (method, one) in zip(axes, runs.items(), strict=True):
+    for axis, (method, run) in zip(axes, runs.items(), strict=True):
         axis.axhline(wanted, color="black", lw=0.7, ls="--")
-        rows = extremes(one.history["normal"])
-        axis.plot(one.history["t"][rows], one.history["normal"][rows], lw=0.9,
+        rows = extremes(run.history["normal"])
+        axis.plot(run.history["t"][rows], run.history["normal"][rows], lw=0.9,
                   color=COLOURS.get(method, "#2b8a3e"))
-        axis.set_title(f"{method}: {one.figures.rms:.2f} N RMS", loc="left", fontsize=9)
+        axis.set_title(f"{method}: {run.figures.rms:.2f} N RMS", loc="left", fontsize=9)
         axis.grid(alpha=0.25)
-    highest = max(float(np.max(one.history["normal"])) for one in runs.values())
+    highest = max(float(np.max(run.history["normal"])) for run in runs.values())
     axes[0].set_ylim(0.0, min(1.1 * highest, 3.0 * wanted))
     axes[-1].set_xlabel("t [s]")
     figure.supylabel("normal force [N]", fontsize=10)
@@ -126,14 +126,14 @@ def forces_figure(comparison: ForceComparison) -> Figure:
 def _camera_story(result: ForceResult) -> str:
     """What the camera went through, and what was made of it."""
     scene, fields = result.scene, result.log.fields
-    told = [f"The camera took {scene.camera.rate:g} fields a second."]
+    story = [f"The camera took {scene.camera.rate:g} fields a second."]
     for span, what in ((scene.trouble.loss, "showed nothing"), (scene.trouble.garbage, "reported garbage")):
         if len(span) == 2:
-            told.append(f"It {what} from {span[0]:g} s to {span[1]:g} s after the beginning of the travel.")
+            story.append(f"It {what} from {span[0]:g} s to {span[1]:g} s after the beginning of the travel.")
     reasons = Counter(reason.split(",")[0] for _, used, reason in fields if used == 0 and reason)
     if reasons:
-        told.append("Left out: " + "; ".join(f"{count} × {reason}" for reason, count in reasons.most_common(5)) + ".")
-    return " ".join(told)
+        story.append("Left out: " + "; ".join(f"{count} × {reason}" for reason, count in reasons.most_common(5)) + ".")
+    return " ".join(story)
 
 
 def _run_figure(result: ForceResult) -> Figure:
@@ -167,7 +167,7 @@ def _line_figure(result: ForceResult) -> Figure:
     top.plot(result.control_error.t, 1e3 * result.control_error.lateral, color=COLOURS["ideal"], lw=0.9)
     top.set_ylabel("distance from the line [mm]")
     fields = result.log.fields
-    bottom.plot([one[0] for one in fields], [one[1] for one in fields], ".", color="#1f5fa8")
+    bottom.plot([field[0] for field in fields], [field[1] for field in fields], ".", color="#1f5fa8")
     bottom.set(xlabel="t [s]", ylabel="points used")
     for axis in (top, bottom):
         axis.grid(alpha=0.3)

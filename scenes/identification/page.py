@@ -154,9 +154,9 @@ def _segments(page: Report, analysis: IdentificationResult) -> None:
     rows = []
     for recording in analysis.estimation:
         s = preprocess(recording, cutoff=filters["cutoff"], cutoff_decimation=filters["cutoff_decimation"])
-        found = segments(s)
+        episodes = segments(s)
         for j in range(analysis.model.n):
-            share = {kind: sum(x.stop - x.start for x in found if x.joint == j and x.kind == kind) for kind in kinds}
+            share = {kind: sum(x.stop - x.start for x in episodes if x.joint == j and x.kind == kind) for kind in kinds}
             rows.append([Path(recording.source).name, j + 1, *[100.0 * share[kind] / len(s.t) for kind in kinds]])
     page.table(["recording", "joint", "at rest [%]", "constant velocity [%]", "near a reversal [%]", "other [%]"], rows,
                "What the joints do in the estimation recordings.")
@@ -254,8 +254,8 @@ def friction_spread(analysis: IdentificationResult) -> tuple[list[str], list[lis
     rows: list[list[Any]] = []
     for j, law in enumerate(model.friction.laws):
         curve = law.torque(points.speed[:, j, None])[:, 0]
-        about, left = (float(np.std(points.torque[:, j] - of)) for of in (curve, points.modelled[:, j]))
-        rows.append([j + 1, law.label, about, float(np.std(points.modelled[:, j] - curve)), left])
+        about, unexplained = (float(np.std(points.torque[:, j] - of)) for of in (curve, points.modelled[:, j]))
+        rows.append([j + 1, law.label, about, float(np.std(points.modelled[:, j] - curve)), unexplained])
     unit = one_unit(model.units("N m"))
     return ["joint", "law", f"points about the line [{unit}]", f"of that by load and reversals [{unit}]",
             f"left [{unit}]"], rows

@@ -90,9 +90,9 @@ def plan(robot: Robot, method: str, *, seed: int = 1, period: float = 20.0, poin
     # Where joints turn far most random motions hit the floor, and the way to one may lead through what stands there.
     for _ in range(_TRIES):
         try:
-            found = _one(robot, method, rng, period, points, workspace)
-            require_within_limits(robot, found.commands, room)
-            return found
+            motion = _one(robot, method, rng, period, points, workspace)
+            require_within_limits(robot, motion.commands, room)
+            return motion
         except InputError as error:
             failure = error
     assert failure is not None

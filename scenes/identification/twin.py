@@ -123,8 +123,8 @@ def _left_of(twin: Twin, robot: Robot, name: str, recording: Recording, octaves:
     own = played_again(twin.world(name), robot, recording, seed=1)
     again = identify_model(own, robot, cascade=False)
     ripples = fit_ripple(again.estimation, again.model, robot)
-    found, _ = _residual_octaves(again.model.with_effects(ripples), again.estimation)
-    return np.concatenate([found, np.zeros((octaves, robot.n))])[:octaves]
+    bands, _ = _residual_octaves(again.model.with_effects(ripples), again.estimation)
+    return np.concatenate([bands, np.zeros((octaves, robot.n))])[:octaves]
 
 
 def played_again(world: World, robot: Robot, recording: Recording, seed: int) -> Recording:
@@ -200,7 +200,7 @@ def _friction(model: Model, recordings: Sequence[Recording], robot: Robot) -> di
                  axis=0)
     v = np.linspace(0.01, 1.0, 80)[:, None] * np.maximum(top, 1e-6)
     forward, backward = model.friction.torque(v), -model.friction.torque(-v)
-    found = {key: np.zeros(n) for key in ("coulomb", "stribeck", "stribeck_velocity", "viscous", "degressive",
+    table = {key: np.zeros(n) for key in ("coulomb", "stribeck", "stribeck_velocity", "viscous", "degressive",
                                           "degressive_velocity", "friction_asymmetry", "presliding", "load_friction")}
     limit = motor_torque_limit(robot)
     for j, law in enumerate(model.friction.laws):
@@ -209,19 +209,19 @@ def _friction(model: Model, recordings: Sequence[Recording], robot: Robot) -> di
             v_s, v_e = slow * top[j], degressive * top[j]
             basis = np.column_stack([np.ones(len(v)), np.exp(-((v[:, j] / v_s) ** 2)), v[:, j],
                                      np.arcsinh(v[:, j] / v_e)])
-            parts, left = nnls(basis, np.maximum(0.5 * (forward[:, j] + backward[:, j]), 0.0))
-            if left < best:
-                best = left
-                found["coulomb"][j], found["stribeck"][j], found["viscous"][j], found["degressive"][j] = parts
-                found["stribeck_velocity"][j], found["degressive_velocity"][j] = v_s, v_e
-        dry = max(found["coulomb"][j] + found["stribeck"][j], 1e-9)
+            parts, residual = nnls(basis, np.maximum(0.5 * (forward[:, j] + backward[:, j]), 0.0))
+            if residual < best:
+                best = residual
+                table["coulomb"][j], table["stribeck"][j], table["viscous"][j], table["degressive"][j] = parts
+                table["stribeck_velocity"][j], table["degressive_velocity"][j] = v_s, v_e
+        dry = max(table["coulomb"][j] + table["stribeck"][j], 1e-9)
         half = 0.5 * float(np.mean(forward[:, j] - backward[:, j]))
-        found["friction_asymmetry"][j] = np.clip(half / dry, -0.9, 0.9)
+        table["friction_asymmetry"][j] = np.clip(half / dry, -0.9, 0.9)
         bend = law.shape[-1, 0] if law.presliding else 3.0e-4
-        found["presliding"][j] = np.clip(bend, 2.0e-5, 5.0e-3)
+        table["presliding"][j] = np.clip(bend, 2.0e-5, 5.0e-3)
         if law.loaded:
-            found["load_friction"][j] = law.coefficients[-1, 0] * limit[j] / dry
-    return found
+            table["load_friction"][j] = law.coefficients[-1, 0] * limit[j] / dry
+    return table
 
 
 def _residual_octaves(model: Model, recordings: Sequence[Recording]) -> tuple[Array, Array]:
@@ -233,17 +233,17 @@ def _residual_octaves(model: Model, recordings: Sequence[Recording]) -> tuple[Ar
     power, noise = [], []
     for recording in recordings:
         s = preprocess(recording, cutoff=filters["cutoff"], cutoff_decimation=filters["cutoff_decimation"])
-        left = s.tau - model.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0])
-        left = left[round(_EDGE / s.dt) : -round(_EDGE / s.dt)]
-        f, density = welch(left, 1.0 / s.dt, nperseg=min(len(left), round(_SEGMENT / s.dt)), axis=0)
+        residual = s.tau - model.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0])
+        residual = residual[round(_EDGE / s.dt) : -round(_EDGE / s.dt)]
+        f, density = welch(residual, 1.0 / s.dt, nperseg=min(len(residual), round(_SEGMENT / s.dt)), axis=0)
         white = np.median(density[(f > 0.25 / s.dt) & (f < 0.45 / s.dt)], axis=0)
         edges = octave_edges(max(1, round(np.log2(s.cutoff / LOWEST))))
         inside = [np.where((f >= low) & (f < high)) for low, high in pairwise(edges)]
         power.append(np.array([np.maximum(np.sum(density[rows] - white, axis=0) * (f[1] - f[0]), 0.0)
                                for rows in inside]))
         noise.append(white * 250.0)
-    rows = min(len(one) for one in power)
-    return np.sqrt(np.mean([one[:rows] for one in power], axis=0)), np.sqrt(np.mean(noise, axis=0))
+    rows = min(len(bands) for bands in power)
+    return np.sqrt(np.mean([bands[:rows] for bands in power], axis=0)), np.sqrt(np.mean(noise, axis=0))
 
 
 def _encoder(model: Model, robot: Robot, seen: list[str]) -> dict[str, Any]:
@@ -351,7 +351,7 @@ def _stabilised(table: dict[str, Any], spread: dict[str, float], loads: tuple[Ar
             values = [world.per_joint(key, n) for key in ("velocity_gain", "stiffness", "damping", "position_gain",
                                                           "integral_time")]
             for j in np.flatnonzero(np.isfinite(values[1])):
-                gain, stiffness, damping, k_v, time = (float(one[j]) for one in values)
+                gain, stiffness, damping, k_v, time = (float(value[j]) for value in values)
                 worst[j] = max(worst[j], *(growth(gain, float(rotor[j]), link, stiffness, damping, k_v, time)
                                            for link in (float(least[j]), float(mean[j] - rotor[j]))))
         if np.all(worst < 0.0):

@@ -106,7 +106,7 @@ def make_twin(recordings: list[Recording], robot_name: str, *, analysis: Identif
 
 def _compared(measured: Recording, own: Recording) -> tuple[Array, Array]:
     """Torques of two recordings of one motion: root mean squares ``(2, n)`` [N m], difference of spectra ``(n,)``."""
-    both = [(one.t[one.t > one.t[0] + _START], one.joints("tau", one.t > one.t[0] + _START)) for one in (measured, own)]
+    both = [(r.t[r.t > r.t[0] + _START], r.joints("tau", r.t > r.t[0] + _START)) for r in (measured, own)]
     rms = np.array([np.sqrt(np.mean(tau**2, axis=0)) for _, tau in both])
     top = 0.4 / max(float(np.median(np.diff(t))) for t, _ in both)
     edges = np.array([0.0, *(top / 2.0 ** np.arange(8)[::-1])])
@@ -132,8 +132,8 @@ def twin_text(twin: Twin, robot_name: str, file: Path) -> str:
     robot = arm_of(robot_name)
     named = robot_name if robot_name in SHIPPED or os.path.isabs(robot_name) else \
         os.path.relpath(robot_name, file.parent)
-    head = [f"# A twin of {robot.name}, made of recordings. Told by them:", *(f"#   {one}" for one in twin.seen),
-            "# Not told, and taken instead:", *(f"#   {one}" for one in twin.assumed or ("nothing",))]
+    head = [f"# A twin of {robot.name}, made of recordings. Told by them:", *(f"#   {text}" for text in twin.seen),
+            "# Not told, and taken instead:", *(f"#   {text}" for text in twin.assumed or ("nothing",))]
     table = {key: value for key, value in twin.table.items() if key != "spread"}
     world = ["[world]", *(f"{key} = {_toml(value)}" for key, value in table.items()), "", "[world.spread]",
              *(f"{key} = {_toml(value)}" for key, value in twin.table["spread"].items())]

@@ -73,17 +73,17 @@ def _worn(wear: Wear, length: float, rng: np.random.Generator) -> list[DrawnFeat
     def place(one: np.random.Generator) -> float:
         return float(length * one.uniform(0.1, 0.95))
 
-    found = [DrawnFeature("gap", place(gaps), length=1e-3 * wear.gap_mm * gaps.uniform(0.5, 1.0))
-             for _ in range(wear.gaps)]
-    found += [DrawnFeature("scratch", place(scratches), length=scratches.uniform(0.05, 0.15), width=0.0015,
-                           angle=scratches.uniform(0.2, 1.2), offset=scratches.uniform(-0.005, 0.005))
-              for _ in range(wear.scratches)]
-    found += [DrawnFeature("crossing", place(crossings), length=0.2, angle=crossings.uniform(0.8, 2.3))
-              for _ in range(wear.crossings)]
-    found += [DrawnFeature("glare", place(glares), length=glares.uniform(0.08, 0.16),
-                           offset=glares.uniform(-0.02, 0.02)) for _ in range(wear.glares)]
-    return found + [DrawnFeature("shade", place(shades), length=shades.uniform(0.15, 0.25),
-                                 offset=shades.uniform(-0.03, 0.03)) for _ in range(wear.shades)]
+    features = [DrawnFeature("gap", place(gaps), length=1e-3 * wear.gap_mm * gaps.uniform(0.5, 1.0))
+                for _ in range(wear.gaps)]
+    features += [DrawnFeature("scratch", place(scratches), length=scratches.uniform(0.05, 0.15), width=0.0015,
+                              angle=scratches.uniform(0.2, 1.2), offset=scratches.uniform(-0.005, 0.005))
+                 for _ in range(wear.scratches)]
+    features += [DrawnFeature("crossing", place(crossings), length=0.2, angle=crossings.uniform(0.8, 2.3))
+                 for _ in range(wear.crossings)]
+    features += [DrawnFeature("glare", place(glares), length=glares.uniform(0.08, 0.16),
+                              offset=glares.uniform(-0.02, 0.02)) for _ in range(wear.glares)]
+    return features + [DrawnFeature("shade", place(shades), length=shades.uniform(0.15, 0.25),
+                                    offset=shades.uniform(-0.03, 0.03)) for _ in range(wear.shades)]
 
 
 def _smooth(s: Array, rng: np.random.Generator) -> Array:
@@ -237,10 +237,10 @@ def prepared(scene: LineScene, progress: Progress = silent) -> Iterator[Prepared
     """
     cell = set_up(scene)
     with camera_of(cell) as camera:
-        found = _looked_at(scene, cell, camera, progress)
+        shared = _looked_at(scene, cell, camera, progress)
         # The tables of a long path are not held while those of the play are made.
         del cell
-        yield found
+        yield shared
 
 
 def _looked_at(scene: LineScene, cell: Cell, camera: RenderedCamera, progress: Progress) -> Prepared:

@@ -79,7 +79,7 @@ def close_loop(scene: LineScene, *, measured: str = "tcp", out: Path | None = No
     """See ``CloseLoop.__call__``: follows a line, and finds what is wrong with the camera."""
     undeclared = undeclared_effects(scene)
     arm = effects_of_world(scene, arm_of(scene.robot).n) if keys_of_arm(scene) else ()
-    return closed(scene, undeclared, arm=tuple(one for one in arm if one[0] != "kinematic_error"), measured=measured,
+    return closed(scene, undeclared, arm=tuple(pair for pair in arm if pair[0] != "kinematic_error"), measured=measured,
                   out=out, progress=progress)
 
 
@@ -103,22 +103,22 @@ def closed(scene: LineScene, undeclared: tuple[str, ...], *, arm: tuple[Place, .
         before = line.play(known)
         done = close(line, known, before, out=out, progress=job.part("rounds"))
         job.begin("oracle")
-        told = known.with_effects(line.fitted(before, known, undeclared)) if undeclared else known
-        told = with_named_effects(line.moved(), line.robot, told, arm) if arm else told
+        oracle_model = known.with_effects(line.fitted(before, known, undeclared)) if undeclared else known
+        oracle_model = with_named_effects(line.moved(), line.robot, oracle_model, arm) if arm else oracle_model
         try:
-            oracle = line.play(told) if undeclared or arm else before
+            oracle = line.play(oracle_model) if undeclared or arm else before
         except SceneError:
             # With what it fitted to the first run the line is lost: it would leave that out.
             oracle = before
         stamped = known.with_effects(_true_stamps(scene))
         right = shared if scene.calibration.by_moving else dataclasses.replace(shared, believed=cell.true_camera)
-        runs = {"before": (before, known), "after": (done.run, done.model), "oracle": (oracle, told),
+        runs = {"before": (before, known), "after": (done.run, done.model), "oracle": (oracle, oracle_model),
                 "true": (line.play(stamped, right), stamped)}
     plays = {name: _played(name, run, 1e3 * assumed_latency(model)) for name, (run, model) in runs.items()}
     job.begin("report")
     return Closing(scene, (*((name, 0) for name in undeclared), *arm), plays, done, WORDS,
                    {"recording.parquet": before.recording},
-                   {"latency_ms": {name: one.row[1] for name, one in plays.items()}}).written(out)
+                   {"latency_ms": {name: entry.row[1] for name, entry in plays.items()}}).written(out)
 
 
 @dataclass
@@ -164,12 +164,12 @@ class _Line(Subject[LineResult]):
             return None
         moved, robot = self.moved(), self.robot
         diagnosis = diagnose(moved, robot, model=model, progress=progress)
-        effects = [one.fitted for one in (*diagnosis.effects, *diagnosis.unknown) if one.fitted.domain != SENSOR]
+        effects = [e.fitted for e in (*diagnosis.effects, *diagnosis.unknown) if e.fitted.domain != SENSOR]
         # Effects of the torque beside the model as it is.
         regression = torque_regression(checked([moved], robot)[0][0], robot, model, payload=True)
         sized = (*beside_held_model(regression, model, effects),
-                 *(one for one in effects if one.domain != MOTOR_TORQUE))
-        return Found(diagnosis, moved, (Group.adding([one for one in sized if _acts(one)]),))
+                 *(effect for effect in effects if effect.domain != MOTOR_TORQUE))
+        return Found(diagnosis, moved, (Group.adding([effect for effect in sized if _acts(effect)]),))
 
     def readings(self, before: LineResult, after: LineResult, model: Model) -> list[tuple[Array, Array]]:
         of_camera = not model.effects or model.effects[-1].channel == "line"
@@ -180,8 +180,8 @@ class _Line(Subject[LineResult]):
         """How far the seen points lie from one smooth curve ``(N, 1)`` [m]."""
         (recording,), _ = checked([self.seen(run)], self.robot)
         torque = torque_regression(recording, self.robot, self.known)
-        made = line_regression(recording, self.robot, torque, self.known.stiffness)
-        return np.empty(0) if made is None else made.y - made.y.mean(axis=0)
+        regression = line_regression(recording, self.robot, torque, self.known.stiffness)
+        return np.empty(0) if regression is None else regression.y - regression.y.mean(axis=0)
 
     def _kept(self, run: LineResult) -> Array:
         """How far the tool was from where the follower wanted it ``(N,)`` [m]."""
@@ -248,20 +248,20 @@ def undeclared_effects(scene: LineScene) -> tuple[str, ...]:
                                  "sees another line; set it to 0, or let the camera be calibrated (by_moving = true)",
                                  file=scene.source, field=f"calibration.{key}", value=getattr(wrong, key))
     known = {"camera": scene.stamp_estimate, "calibration": wrong.by_moving}
-    found = tuple(effect for effect, (table, *keys) in EFFECTS.items() if not known[table]
-                  and any(getattr(getattr(scene, table), key) for key in keys))
+    effects = tuple(effect for effect, (table, *keys) in EFFECTS.items() if not known[table]
+                    and any(getattr(getattr(scene, table), key) for key in keys))
     keys = keys_of_arm(scene)
-    if not found and keys and all(key in GEOMETRY for key in keys):
+    if not effects and keys and all(key in GEOMETRY for key in keys):
         raise InputError("along a line nothing of it is left to be found: the camera rides on the arm, and sees the "
                          "line by the same wrong geometry with which the arm goes there; close a path scene with this "
                          "world",
                          file=scene.source, field=f"world.{keys[0]}", value=scene.world[keys[0]])
-    if not found and not keys:
+    if not effects and not keys:
         raise InputError("the camera is right, or its follower finds out by itself: nothing is there to be found; set "
                          "camera.stamp_offset or camera.stamp_drift with stamp_estimate = false, or the sizes in "
                          "[calibration] with by_moving = false, or one of the arm's keys in [world]",
                          file=scene.source, field="camera")
-    return found
+    return effects
 
 
 def _true_stamps(scene: LineScene) -> tuple[FittedEffect, ...]:

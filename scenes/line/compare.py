@@ -63,18 +63,18 @@ def overshoot_gain(scene: LineScene, *, progress: Progress = silent) -> tuple[fl
         line={"formula": None, "length": None, "svg": None, "corner_radius": 0.0, "points": [(0.0, 0.0), (1.2, 0.0)]},
         surface={"origin": (0.98, -0.6, origin[2]), "heading_deg": 90.0, "tilt_deg": (0.0, 0.0)},
         displacement={"lateral_mm": 10.0, "along_mm": 0.0, "turn_deg": 0.0}, feature=(), reference={"shape": None})
-    found = []
+    trials = []
     with prepared(step) as shared:
         for i, k_p in enumerate(K_P):
             result = play(step, DIRECT, gains=(k_p, 0.0), shared=shared)
             lateral = result.control_error_from_start.lateral
             # Of a line that the camera never shows nothing is followed: no gain is small enough.
             beyond = max(0.0, -np.min(lateral / lateral[0])) if len(lateral) else np.inf
-            found.append((k_p, float(beyond)))
+            trials.append((k_p, float(beyond)))
             progress((i + 1) / len(K_P), "searching the gain at which direct feedback overshoots")
-            if found[-1][1] > 4 * OVERSHOOT:
+            if trials[-1][1] > 4 * OVERSHOOT:
                 break
-    return max((k_p for k_p, overshoot in found if overshoot <= OVERSHOOT), default=0.0), tuple(found)
+    return max((k_p for k_p, overshoot in trials if overshoot <= OVERSHOOT), default=0.0), tuple(trials)
 
 
 @dataclass(frozen=True, repr=False)
@@ -107,7 +107,7 @@ class LineComparison(ShownTable):
                 "k_d": self.gains[1],
                 "largest_k_p_without_overshoot": self.overshoot_gain,
                 "overshoot_of_k_p": [{"k_p": k, "overshoot": o} for k, o in self.overshoots],
-                "tried": [{"k_p": one.k_p, "k_d": one.k_d, "mean_mm": 1e3 * one.error} for one in self.tried],
+                "tried": [{"k_p": trial.k_p, "k_d": trial.k_d, "mean_mm": 1e3 * trial.error} for trial in self.tried],
             },
             "recording": {method: run.recording_path for method, run in self.runs.items()},
             "urdf": next(iter(self.runs.values())).urdf,
@@ -231,19 +231,19 @@ def fastest(scene: LineScene, tolerance: float, *, method: Any = None, shared: P
         result = play(scene.changed(speed=speed), method or scene.method, shared=shared)
         error = result.control_error.p95 if result.failure is None else np.inf
         trials.append((speed, error))
-        kept = [v for v, e in trials if e <= tolerance]
-        if not kept:
+        allowed = [v for v, e in trials if e <= tolerance]
+        if not allowed:
             raise SceneError(f"--tolerance {1e3 * tolerance:g} mm is not kept: at {speed:.2f} m/s 95 % of the way lie "
                              f"within {1e3 * error:.3f} mm; allow more")
         if error > tolerance:
             ceiling = min(ceiling, speed)
-        wanted = _reaching(trials, MARGIN * tolerance)
+        estimate = _reaching(trials, MARGIN * tolerance)
         # Beyond a trial that failed nothing is tried again.
-        speed = min(wanted, STEP * max(kept), 0.5 * (max(kept) + ceiling) if np.isfinite(ceiling) else np.inf)
-        speed = max(speed, max(kept))
+        speed = min(estimate, STEP * max(allowed), 0.5 * (max(allowed) + ceiling) if np.isfinite(ceiling) else np.inf)
+        speed = max(speed, max(allowed))
     chosen = max(v for v, e in trials if e <= tolerance)
-    others = [one for one in trials if one[0] != chosen and np.isfinite(one[1])] or trials
-    a, b = _law(others)
+    other_trials = [trial for trial in trials if trial[0] != chosen and np.isfinite(trial[1])] or trials
+    a, b = _law(other_trials)
     return Fastest(chosen, tolerance, a + b * chosen**2, tuple(trials))
 
 

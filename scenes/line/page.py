@@ -46,7 +46,7 @@ def line_replay(result: LineResult) -> Replay | None:
         curves["line as sensed"] = seen
     return Replay(robot, t, q, tool, _nearest(result, tool), 1e3 * error, "distance from the line",
                   curves=curves, surface=surface_corners(result), force=sensed_force(robot, recording, rows),
-                  pictures=tuple((one.t, _png(one)) for one in result.shown))
+                  pictures=tuple((frame.t, _png(frame)) for frame in result.shown))
 
 
 def with_ghost(replay: Replay, other: Recording) -> Replay:
@@ -131,7 +131,7 @@ def run_page(result: LineResult, moving: Replay | None) -> Report:
     if result.assumed:
         report.heading("What was assumed of the arm")
         report.text("Its URDF does not say these, or says what no arm of that size has:")
-        report.table(["assumed"], [[one] for one in result.assumed])
+        report.table(["assumed"], [[assumption] for assumption in result.assumed])
     report.heading("The cell")
     report.image(_cell(result), "The arm at the middle of the path.")
     report.figure(_from_above(result), "The surface from above with the drawn line, the reference path and where the "
@@ -247,9 +247,9 @@ def _cell(result: LineResult) -> bytes:
     tip = robot.fk()(q)
     tool = np.array([tip.translation, tip.act(np.array([0.0, 0.0, -robot.tool_length]))])
     drawn = result.geometry.drawn[::10]  # every 5 mm, about two pixels
-    seen = picture(robot, q, lines=(drawn, tool, *box_edges(result.scene.box).values()),
-                   surface=surface_corners(result))
-    return bytes(cv2.imencode(".png", cv2.cvtColor(seen, cv2.COLOR_RGB2BGR))[1])
+    image = picture(robot, q, lines=(drawn, tool, *box_edges(result.scene.box).values()),
+                    surface=surface_corners(result))
+    return bytes(cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1])
 
 
 def _from_above(result: LineResult) -> Figure:
@@ -273,15 +273,15 @@ def _from_above(result: LineResult) -> Figure:
 
 def _fields(shown: tuple[FieldShown, ...]) -> Figure:
     figure = Figure(figsize=(11, 2.6 if len(shown) > 2 else 4))
-    for axes, one in zip(np.atleast_1d(figure.subplots(1, len(shown))), shown, strict=True):
-        height, width = one.image.shape
-        axes.imshow(one.image, cmap="gray", vmin=0, vmax=255)
-        for u, v, w, h in one.field.windows:
+    for axes, frame in zip(np.atleast_1d(figure.subplots(1, len(shown))), shown, strict=True):
+        height, width = frame.image.shape
+        axes.imshow(frame.image, cmap="gray", vmin=0, vmax=255)
+        for u, v, w, h in frame.field.windows:
             axes.add_patch(Rectangle((u - 0.5, v - 0.5), w, h, fill=False, color=BLUE, lw=0.9))
-        axes.plot(*one.polynomial_pixels.T, color=GREEN, lw=1.0)
-        axes.plot(*one.pixels[~one.used].T, "x", color=SOFT, ms=6)
-        axes.plot(*one.pixels[one.used].T, "o", color=ACCENT, ms=4)
-        axes.set(xlim=(0, width), ylim=(height, 0), title=f"t = {one.t:.2f} s")
+        axes.plot(*frame.polynomial_pixels.T, color=GREEN, lw=1.0)
+        axes.plot(*frame.pixels[~frame.used].T, "x", color=SOFT, ms=6)
+        axes.plot(*frame.pixels[frame.used].T, "o", color=ACCENT, ms=4)
+        axes.set(xlim=(0, width), ylim=(height, 0), title=f"t = {frame.t:.2f} s")
         axes.set_axis_off()
     figure.tight_layout()
     return figure

@@ -99,7 +99,7 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
     with SimulatedArm(cell.known.robot, cell.world, cell.noise, follower.q_start) as arm:
         camera = CarriedCamera(shared.camera, arm, Knock.of(scene.camera))
         # Sensors that are simulated are shown the world.
-        for sensor in (one for one in sensors if hasattr(one, "mount")):
+        for sensor in (candidate for candidate in sensors if hasattr(candidate, "mount")):
             sensor.mount(LineWorld(arm, cell.line))
         model = model_for(scene, cell.known.robot) if method.knows_model else None
         if model is not None and method.adapts and shared.recorded is not None:
@@ -114,7 +114,7 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
         t, tcp = arm.tcp_path()
         if log.failure and len(t) < 2:
             raise SceneError(f"the arm did not move: {log.failure or 'no cycle was played'}")
-        shown = tuple(replace(seen, image=camera.whole(seen.field)) for seen in log.shown) if pictures else ()
+        shown = tuple(replace(frame, image=camera.whole(frame.field)) for frame in log.shown) if pictures else ()
         recording = _recording(arm, scene, method.key, log, cell.known.camera)
     whole, error = _control_error(cell, t, tcp, log.first_used)
     far = "" if method.key == NONE else far_from_line(error.mean)

@@ -117,8 +117,8 @@ class LineResult(ShownRun):
 
     def beside_none(self, none: LineResult) -> LineResult:
         """With a warning where no correction leaves little more."""
-        said = little_gained(self.control_error.mean, none.control_error.mean)
-        return replace(self, warning="; ".join(filter(None, [self.warning, said])))
+        warning = little_gained(self.control_error.mean, none.control_error.mean)
+        return replace(self, warning="; ".join(filter(None, [self.warning, warning])))
 
     def json(self) -> dict[str, Any]:
         """The content of ``--json``."""

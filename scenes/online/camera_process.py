@@ -86,7 +86,7 @@ class CameraProcess:
 
     def poll(self) -> list[Header | LineField | Any]:
         """What has come since: headers, what was found in pictures, a calibration."""
-        found: list[Any] = []
+        messages: list[Any] = []
         try:
             while self.ended is None and self._pipe.poll():
                 kind, content = self._pipe.recv()
@@ -96,10 +96,10 @@ class CameraProcess:
                     self.clock = content
                 else:
                     self._asked -= kind == "seen"
-                    found.append(content)
+                    messages.append(content)
         except (EOFError, OSError):
             self.ended = "the camera's process has ended"
-        return found
+        return messages
 
     def ask(self, number: int, t: float, prediction: PredictedLine, detection: DetectionSettings) -> None:
         """Asks for the line's points in a picture.

@@ -86,13 +86,13 @@ class _Worker:
 
     def read(self, source: FrameSource) -> None:
         """Reads pictures as long as there are any."""
-        told = 0.0
+        reported_at = 0.0
         try:
             while True:
                 frame = source.read(0.2)
                 now = time.perf_counter()
-                if now - told > _CLOCK_EVERY:
-                    told = now
+                if now - reported_at > _CLOCK_EVERY:
+                    reported_at = now
                     self._send("clock", source.clock.report().to_dict())
                 if frame is not None:
                     self._frames.append(frame)
@@ -115,7 +115,7 @@ class _Worker:
         else:
             number, t, prediction, detection = content
             # A copy is taken at once; between two steps of a loop another picture may come.
-            frame = next((one for one in list(self._frames) if one.number == number), None)
+            frame = next((frame for frame in list(self._frames) if frame.number == number), None)
             nothing = np.empty(0)
             empty = LineField(t, np.empty((0, 3)), np.empty((0, 2)), nothing, nothing, nothing,
                               np.empty(0, dtype=bool), False, "the picture was gone")

@@ -95,8 +95,8 @@ class CalibrationMotion:
             if piece.shapes is not None and (touch := piece.shapes.touch_between(start, end)) is not None:
                 raise SceneError(f"the camera cannot be calibrated: {touch} between the start and the calibration's "
                                  "poses; set calibration.by_moving = false")
-        way, over, back = (moves(robot, some, REST) for some in ([start, postures[0]], postures, [postures[-1], start]))
-        commands, begin = np.concatenate([way, over, back]), robot.t_ipo * len(way)
+        out, over, back = (moves(robot, some, REST) for some in ([start, postures[0]], postures, [postures[-1], start]))
+        commands, begin = np.concatenate([out, over, back]), robot.t_ipo * len(out)
         imagined, view = (CalibrationView(robot, reference, by_hand, detection, FoundBefore(), start,
                                           piece_map(reference, at)) for _ in range(2))
         imagined.history.add(robot.t_ipo, start)
@@ -242,11 +242,11 @@ def _seen(look: Look, arm: LiveArm, camera: LiveCamera, view: CalibrationView, w
         # In the last row the deflection is not known; the arm rests before it.
         view.history.add(arm.t + arm.t_ipo, arm.cycle(q_c).q - sag[min(cycle, len(way) - 2)])
         for shown in camera.arrived(arm.t):
-            found = view.detector.detect(shown, look.camera, view.predicted(shown.t_stamp), view.detection)
-            if shown.t_stamp < rests or not found.seen:
+            detected = view.detector.detect(shown, look.camera, view.predicted(shown.t_stamp), view.detection)
+            if shown.t_stamp < rests or not detected.seen:
                 continue
             pose = view.history.pose(shown.t_stamp)
-            points = found.points_tcp[found.used] @ pose.rotation.T + pose.translation
+            points = detected.points_tcp[detected.used] @ pose.rotation.T + pose.translation
             beside.append(float(np.mean(look.reference.project(points, look.begin + AHEAD)[1])))
     if len(beside) < FEWEST:
         raise SceneError(f"only {len(beside)} pictures from above showed the line; check where it is, how it looks "

@@ -203,11 +203,11 @@ class Pressed:
 
     def elasticity(self) -> ContactElasticity:
         """From what was felt where."""
-        felt, way = np.array(self._felt), np.array(self._places)
+        felt, places = np.array(self._felt), np.array(self._places)
         # The surface need not be square to the nominal normal: its own is where the force points.
         normal = felt[felt @ self.up > 0.5 * self._wanted].mean(axis=0)
         normal = normal / np.linalg.norm(normal)
-        return identify_elasticity(np.interp(self._stamps, self._times, way @ normal), felt @ normal)
+        return identify_elasticity(np.interp(self._stamps, self._times, places @ normal), felt @ normal)
 
 
 class _Press(Pressed):
@@ -235,15 +235,15 @@ class _Press(Pressed):
         To hear the motors takes long: no answer waits for it.
         """
         arm, T = self._arm, self._known.robot.t_ipo
-        told: list[tuple[Array, RobotState]] = []
-        with arm.doing(lambda: self._hear(told)):
+        states: list[tuple[Array, RobotState]] = []
+        with arm.doing(lambda: self._hear(states)):
             while not done():
                 arm.check(arm.t)
                 self._speed += float(np.clip(target - self._speed, -_JERKY * T, _JERKY * T))
                 arm.q_d = self.go(self._speed * T)
                 state = arm.cycle(self.q)
                 if heard:
-                    told.append((self.q, state))
+                    states.append((self.q, state))
                 self.hear(state, self._force.arrived(arm.t))
                 self._check(self._motors.force if heard else float("nan"))
 

@@ -322,7 +322,7 @@ class ForceJob(Job):
             **self._calibrated()}
         if self._task.vision is not None:
             fields = self._task.vision.fields
-            figures["fields"] = {"seen": len(fields), "used": sum(1 for one in fields if one[1] > 0)}
+            figures["fields"] = {"seen": len(fields), "used": sum(1 for field in fields if field[1] > 0)}
         return figures
 
     def _calibrated(self) -> dict[str, float]:

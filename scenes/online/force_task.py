@@ -97,14 +97,14 @@ class GlueCamera:
     def sense(self, t: float, arrived: Sequence[Field]) -> None:
         """Evaluates the fields that have arrived by ``t`` [s] and fuses them."""
         for item in arrived:
-            seen = at_middle_row(self.detect(item), self.camera, self.follower.history.row_pose)
+            detected = at_middle_row(self.detect(item), self.camera, self.follower.history.row_pose)
             if self._during(self._trouble.garbage, item.t_stamp):
-                seen = self._garbage(seen)
-            fused = self.sight.update(seen)
+                detected = self._garbage(detected)
+            fused = self.sight.update(detected)
             dof = 0 if fused is None else fused.dof
             if dof and not np.isfinite(self.first_used):
                 self.first_used = t
-            self.fields.append((item.t_stamp, dof, seen.reason if fused is None else fused.reason))
+            self.fields.append((item.t_stamp, dof, detected.reason if fused is None else fused.reason))
 
     def _detected(self, item: Field) -> LineField:
         """Line points of a field, in the tool frame."""
@@ -250,8 +250,8 @@ class ForceTask:
         except EmergencyStopError as error:
             if error.cause == "force":
                 self._lets_go = True
-                way = CLEAR + most_force(self.cell.scene.force) / self.assumed_stiffness
-                error.away = self._kinematics.away(q_d[0], way * self.follower.normal)
+                distance = CLEAR + most_force(self.cell.scene.force) / self.assumed_stiffness
+                error.away = self._kinematics.away(q_d[0], distance * self.follower.normal)
             raise
 
     def _planned(self, t: float, q_d: Array) -> Array:

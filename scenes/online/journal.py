@@ -109,10 +109,10 @@ def remove(folder: Path) -> None:
 def left_behind(folder: Path) -> Recording | None:
     """What a run that was killed has left in its folder; None where there is nothing, or nothing that can be read."""
     try:
-        found = _recording(*journal_rows(folder))
+        recording = _recording(*journal_rows(folder))
     except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None
-    return found if len(found.t) else None
+    return recording if len(recording.t) else None
 
 
 def journal_rows(folder: Path, first: int = 0, count: int = -1) -> tuple[Array, dict[str, Any]]:
@@ -139,8 +139,8 @@ def journal_rows(folder: Path, first: int = 0, count: int = -1) -> tuple[Array, 
 
 def rescue(folder: Path) -> Path | None:
     """Makes a recording of what was left behind and returns its place; only then the journal goes."""
-    found = left_behind(folder)
-    place = None if found is None else found.write(folder / "recording_killed.parquet")
+    recording = left_behind(folder)
+    place = None if recording is None else recording.write(folder / "recording_killed.parquet")
     remove(folder)
     return place
 
@@ -166,16 +166,16 @@ def written(result: FollowResult, folder: Path) -> FollowResult:
     Raises:
         OutputError: they cannot be written; the journal of the run is kept.
     """
-    found: FollowResult = _elsewhere("scenes.online.page:write_run", result, folder)
-    return found
+    placed: FollowResult = _elsewhere("scenes.online.page:write_run", result, folder)
+    return placed
 
 
 def rescued(folder: Path) -> Path | None:
     """Makes a recording of what a run that was killed has left in its folder; None where there is nothing."""
     if not ((folder / ROWS).is_file() and (folder / META).is_file()):
         return None
-    found: Path | None = _elsewhere("scenes.online.journal:rescue", folder)
-    return found
+    place: Path | None = _elsewhere("scenes.online.journal:rescue", folder)
+    return place
 
 
 def _elsewhere(work: str, *given: Any) -> Any:

@@ -190,8 +190,8 @@ class SeenBefore:
         # What is nearer to across than along is no line that leads along the reference, but one that crosses it.
         seen = [(s, deviation) for s, deviation in seen if abs(np.diff(deviation)[0]) < abs(np.diff(s)[0])]
         s, deviation = (np.concatenate(one) for one in zip(*seen, strict=True)) if seen else (np.empty(0), np.empty(0))
-        found = cls(detection, s, deviation, tuple(pictures))
-        return replace(found, shape=found._likeliest(reference))
+        before = cls(detection, s, deviation, tuple(pictures))
+        return replace(before, shape=before._likeliest(reference))
 
     @property
     def covariance(self) -> Array:
@@ -239,25 +239,25 @@ def looked_again(known: Known, camera: CameraModel, before: SeenBefore, span: tu
         before: the pictures, and what they told.
         span: arc lengths of the reference between which the line ought to be [m].
     """
-    if (told := before.shape) is None:
+    if (shape := before.shape) is None:
         return None
     line = piece_map(known.reference, 0.5 * known.reference.length, before, 0.5 * known.reference.length)
-    seen = [(np.empty(0), np.empty(0))]
+    projections = [(np.empty(0), np.empty(0))]
     for picture, pose in before.pictures:
-        at = _nearest(known.reference, pose.act(_middle_of_view(camera)))
-        prediction = line_ahead(known.reference, line, at + SPREAD).seen_from(pose)
+        s = _nearest(known.reference, pose.act(_middle_of_view(camera)))
+        prediction = line_ahead(known.reference, line, s + SPREAD).seen_from(pose)
         shown = Field.cut(0.0, picture, search_windows(camera, prediction, before.detection))
-        found = known.detector.detect(shown, camera, prediction, before.detection)
-        if not found.seen:
+        detected = known.detector.detect(shown, camera, prediction, before.detection)
+        if not detected.seen:
             continue
-        points = found.points_tcp[found.used] @ pose.rotation.T + pose.translation
-        seen.append(known.reference.project(points, at)[:2])
-        line.update(Measurement(0.0, *seen[-1], FINE**2 * np.eye(len(points))))
-    places, beside = np.concatenate(seen, axis=1)
+        points = detected.points_tcp[detected.used] @ pose.rotation.T + pose.translation
+        projections.append(known.reference.project(points, s)[:2])
+        line.update(Measurement(0.0, *projections[-1], FINE**2 * np.eye(len(points))))
+    places, beside = np.concatenate(projections, axis=1)
     if np.diff(np.sort(np.concatenate([places, span]))).max() > COPIED[1]:
-        return told
+        return shape
     order = np.argsort(places)
-    return fitting_shape(known.reference, places[order], beside[order], FINE, told)
+    return fitting_shape(known.reference, places[order], beside[order], FINE, shape)
 
 
 def _nearest(reference: ReferencePath, point: Array) -> float:
@@ -325,16 +325,16 @@ class CalibrationView:
             prediction: where the line should be in it.
             ahead: by how much the stamps run ahead of the arm's time [s].
         """
-        found = self.detector.detect(shown, self.believed, prediction, self.detection)
-        if not found.seen:
+        detected = self.detector.detect(shown, self.believed, prediction, self.detection)
+        if not detected.seen:
             return
         t, pose = shown.t_stamp - ahead, self.history.row_pose(shown.t_stamp - ahead)
-        points = found.points_tcp[found.used] @ pose.rotation.T + pose.translation
+        points = detected.points_tcp[detected.used] @ pose.rotation.T + pose.translation
         s, deviation, _ = self.reference.project(points, self._at(pose))
-        self._map.update(Measurement(t, s, deviation, np.diag(found.sigma[found.used] ** 2) + BY_HAND**2))
+        self._map.update(Measurement(t, s, deviation, np.diag(detected.sigma[detected.used] ** 2) + BY_HAND**2))
         velocity, angular = self.history.velocity(t)
-        sigma = np.hypot(found.sigma[found.used], PER_SPEED * np.linalg.norm(velocity))
-        self.observations.append(Observation(pose, found.pixels[found.used], sigma, velocity, angular))
+        sigma = np.hypot(detected.sigma[detected.used], PER_SPEED * np.linalg.norm(velocity))
+        self.observations.append(Observation(pose, detected.pixels[detected.used], sigma, velocity, angular))
 
     def piece(self, at: float, fields: int, remedy: str) -> tuple[Array, Array]:
         """Points of the reference about a place ``(N, 3)`` [m], and the surface's normal there ``(3,)``.
@@ -344,8 +344,8 @@ class CalibrationView:
             fields: that were taken.
             remedy: what ``SceneError`` says where fewer than half of them showed the line.
         """
-        if (seen := len(self.observations)) < max(fields // 2, 3):
-            raise SceneError(f"the camera could not be calibrated: only {seen} of {fields} fields showed the line; "
+        if (count := len(self.observations)) < max(fields // 2, 3):
+            raise SceneError(f"the camera could not be calibrated: only {count} of {fields} fields showed the line; "
                              f"check where the line is, {remedy}")
         return (self.reference.position(np.arange(at - 0.25, at + 0.25, 0.001)),
                 self.reference.frames(np.array([at])).up[0])
@@ -377,17 +377,17 @@ def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraM
     q, up = kinematics.search(reference.pose(at), robot.home), frames.up[0]
     place, direction = ((frames.position[0], frames.tangent[0]) if line is None
                         else (line.points[0], line.tangents[0]))
-    wanted = calibration_poses(place + clear * up, direction, up, float(_middle_of_view(camera)[0]))
+    poses = calibration_poses(place + clear * up, direction, up, float(_middle_of_view(camera)[0]))
     postures: list[Array] = []
-    for pose in wanted:
+    for pose in poses:
         try:
-            found = kinematics.search(pose, q)
+            posture = kinematics.search(pose, q)
         except OutOfReachError:
             continue
-        if shapes is None or shapes.touch_between(q, found) is None:
-            postures.append(found)
-            q = found
-    if len(postures) < len(wanted) // 2:
-        raise SceneError(f"the camera could not be calibrated: the arm reaches only {len(postures)} of {len(wanted)} "
+        if shapes is None or shapes.touch_between(q, posture) is None:
+            postures.append(posture)
+            q = posture
+    if len(postures) < len(poses) // 2:
+        raise SceneError(f"the camera could not be calibrated: the arm reaches only {len(postures)} of {len(poses)} "
                          "poses; move the surface nearer, or set calibration.by_moving = false")
     return postures

@@ -66,9 +66,9 @@ class LineLog(CycleLog):
 
         ``count``: line points of a field.
         """
-        kept = np.asarray(self.fields).reshape(-1, 1 + 3 * count)
-        rows = np.minimum(np.searchsorted(t, kept[:, 0]), len(t) - 1)
-        for name, values in zip(field_columns(count), kept.T, strict=True):
+        fields = np.asarray(self.fields).reshape(-1, 1 + 3 * count)
+        rows = np.minimum(np.searchsorted(t, fields[:, 0]), len(t) - 1)
+        for name, values in zip(field_columns(count), fields.T, strict=True):
             column, known = np.full(len(t), np.nan), np.isfinite(values)
             column[rows[known]] = values[known]
             yield name, column
@@ -84,7 +84,7 @@ def plan_error(log: LineLog, fusion: DeviationFilter) -> dict[str, float | None]
     Mean and largest distance from where the line was first followed on, by the map after the run; None where nothing is
     kept.
     """
-    s, believed, t = (np.asarray(one)[: len(log.believed)] for one in (log.s, log.believed, log.t))
+    s, believed, t = (np.asarray(values)[: len(log.believed)] for values in (log.s, log.believed, log.t))
     off = np.abs(believed - fusion.looked_back(s)[0][:, 0])
     off = off[np.isfinite(off) & (t >= log.first_used + SETTLING)]
     return {"mean": 1e3 * float(off.mean()), "max": 1e3 * float(off.max())} if len(off) else {"mean": None, "max": None}

@@ -60,14 +60,14 @@ class LineTask:
         self.cell, self.method, self.camera, self.log, self.sensors = cell, method, camera, log, tuple(sensors)
         self.follower = follower = cell.follower
         self.n_d = follower.n_d
-        given = min(self.n_d, cell.scene.n_d or self.n_d)
+        horizon = min(self.n_d, cell.scene.n_d or self.n_d)
         self._T = cell.robot.t_ipo
         self._count = int(np.ceil((START + follower.duration + REST) / self._T))
         self._picture_at = set(np.linspace(0.35 * self._count, 0.9 * self._count, SHOWN).astype(int))
         self._new: list[Field] = []
         self._sensed: tuple[Field, LineField] | None = None
         self._stamps: deque[float] = deque(maxlen=RECENT)
-        self.feedforward = method.following(Setting(cell.robot, model, given, cell.delay))
+        self.feedforward = method.following(Setting(cell.robot, model, horizon, cell.delay))
         self._deflection = GearDeflection(model, self._T) if model is not None else None
         effects = () if model is None else model.effects
         self._known, self._arm = CameraErrors.of(effects), CorrectedArm(cell.robot, effects)
@@ -104,11 +104,11 @@ class LineTask:
     def take_fields(self, t: float) -> None:
         """Takes the fields that have arrived by ``t`` [s]; the next ``plan`` uses them."""
         self._new, self._sensed = [], None
-        for one in self.camera.arrived(t):
+        for field in self.camera.arrived(t):
             # A field that a network delivers twice is one measurement.
-            if one.t_stamp not in self._stamps:
-                self._new.append(one)
-                self._stamps.append(one.t_stamp)
+            if field.t_stamp not in self._stamps:
+                self._new.append(field)
+                self._stamps.append(field.t_stamp)
 
     def take_angles(self, t: float, q: Array, q_d: Array) -> None:
         """See ``Task.observe``."""
@@ -130,7 +130,7 @@ class LineTask:
             with raised_by(f"sensor {sensor.name}: arrived"):
                 readings = sensor.arrived(t)
             expect(readings, Sequence, f"{sensor.name}: arrived", "return a list of Readings, empty where none is new")
-            for reading in (one for one in readings if np.isfinite(one.value)):
+            for reading in (candidate for candidate in readings if np.isfinite(candidate.value)):
                 self.log.sensor_values[sensor.name] += 1
                 self.log.sensor_used[sensor.name] += fuse_reading(self.follower, reading, sensor.name).dof
         if self.method.senses:
@@ -206,9 +206,9 @@ class LineTask:
         points = seen.points_tcp[seen.used] @ pose.rotation.T + pose.translation
         s, deviation, _ = reference.project(points, float(follower.profile.s(seen.t - START)) + 0.06)
         polynomial = fit_of_lowest_order(s, deviation, seen.sigma[seen.used])
-        at = np.linspace(polynomial.span[0] - 0.01, polynomial.span[1] + 0.01, 60)
-        frames = reference.frames(at)
-        curve = frames.position + polynomial.deviation(at)[0][:, None] * frames.normal
+        places = np.linspace(polynomial.span[0] - 0.01, polynomial.span[1] + 0.01, 60)
+        frames = reference.frames(places)
+        curve = frames.position + polynomial.deviation(places)[0][:, None] * frames.normal
         return FieldShown(seen.t, raw, np.empty((0, 0), dtype=np.uint8), seen.pixels, seen.used,
                           self.cell.camera.project_tool((curve - pose.translation) @ pose.rotation))
 
@@ -250,11 +250,11 @@ class LiveLineTask(LineTask):
         """Plans the cycle that begins at ``t`` [s], with what has come by now; nobody waits for it yet."""
         self.take_fields(t)
         try:
-            found: Array | IdealRobotError = self.sensed_plan(t)
+            outcome: Array | IdealRobotError = self.sensed_plan(t)
         except IdealRobotError as error:
-            found = error
+            outcome = error
         self._new = []
-        self._prepared = round(t / self._T), found
+        self._prepared = round(t / self._T), outcome
 
     def observe(self, t: float, q: Array, q_d: Array) -> None:
         """See ``Task.observe``."""

@@ -246,16 +246,16 @@ class LiveArm:
 
     def play_time(self, host: float) -> float:
         """Time since ``begin`` that belongs to this computer's time ``host`` [s]; NaN before the first cycle."""
-        told, played = self._told, self._played
-        if not told:
+        stamps, played = self._told, self._played
+        if not stamps:
             return float("nan")
-        at = self.clock.stamp(host)
-        i = bisect_right(told, at)
+        stamp = self.clock.stamp(host)
+        i = bisect_right(stamps, stamp)
         if i == 0:
-            return played[0] + at - told[0]
-        if i == len(told):
-            return played[-1] + at - told[-1]
-        share = (at - told[i - 1]) / (told[i] - told[i - 1])
+            return played[0] + stamp - stamps[0]
+        if i == len(stamps):
+            return played[-1] + stamp - stamps[-1]
+        share = (stamp - stamps[i - 1]) / (stamps[i] - stamps[i - 1])
         return played[i - 1] + share * (played[i] - played[i - 1])
 
     def approach(self, start: Array) -> None:

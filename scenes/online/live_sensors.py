@@ -105,9 +105,9 @@ class LiveCamera:
     def arrived(self, t: float) -> list[Field]:
         """See ``Camera.arrived``."""
         self._take()
-        found, self._evaluated = self._evaluated, []
-        self.ages += [t - field.t_stamp for field in found]
-        return found
+        fields, self._evaluated = self._evaluated, []
+        self.ages += [t - field.t_stamp for field in fields]
+        return fields
 
     def calibrate(self, *given: Any) -> None:
         """See ``CameraProcess.calibrate``; ``hand_eye`` is what comes of it."""
@@ -207,18 +207,18 @@ class LiveForce:
 
     def arrived(self, t: float) -> list[WrenchSample]:
         """See ``ForceSensor.arrived``; readings that cannot be count as missing."""
-        found = []
+        samples = []
         while self._readings:
             stamp, wrench = self._readings.popleft()
-            at = self._arm.play_time(self.source.clock.host(stamp))
-            if not np.isfinite(at) or not max(t - _OLDEST, 0.0) <= at <= t + 0.04:
+            instant = self._arm.play_time(self.source.clock.host(stamp))
+            if not np.isfinite(instant) or not max(t - _OLDEST, 0.0) <= instant <= t + 0.04:
                 self.untimely += 1
             elif self.signs.check(wrench, np.repeat([self.reach, np.inf], 3)):
-                found.append(WrenchSample(at, t, wrench))
-        for sample in found:
+                samples.append(WrenchSample(instant, t, wrench))
+        for sample in samples:
             self._sound = max(self._sound, sample.t)
             self.samples.append((sample.t, *sample.wrench))
-        return found
+        return samples
 
     def silent(self, t: float) -> float:
         """How long there has been no sound reading by ``t`` [s]."""
@@ -243,10 +243,10 @@ class LiveForce:
     def why_silent(self) -> str:
         """What came instead of readings."""
         counts = self.source.counts
-        said = self.signs.missing + [f"{number} {what}" for number, what in (
+        reasons = self.signs.missing + [f"{number} {what}" for number, what in (
             (self.untimely, "with an impossible time"),
             (counts.invalid, f"wrong by its own word ({counts.last_invalid})"), (counts.refused, "refused")) if number]
-        return ", ".join(said) or "nothing came"
+        return ", ".join(reasons) or "nothing came"
 
     def close(self) -> None:
         """Ends the thread; the sensor is given back by whoever opened it."""
@@ -278,8 +278,8 @@ class ImaginedCamera:
 
     def arrived(self, t: float) -> list[Field]:
         """See ``Camera.arrived``."""
-        asked, self._asked = self._asked, []
-        return [self._field(at) for at in asked[-1:]] if self.predict is not None else []
+        requests, self._asked = self._asked, []
+        return [self._field(instant) for instant in requests[-1:]] if self.predict is not None else []
 
     def _field(self, t: float) -> EvaluatedField:
         if self.predict is None:
@@ -303,7 +303,7 @@ class ImaginedForce:
 
     def arrived(self, t: float) -> list[WrenchSample]:
         """See ``ForceSensor.arrived``."""
-        return [WrenchSample(at, t, self.wrench) for at in (t - 0.008, t - 0.004, t) if at >= 0.0]
+        return [WrenchSample(instant, t, self.wrench) for instant in (t - 0.008, t - 0.004, t) if instant >= 0.0]
 
 
 def rehearse(task: Task, robot: Robot, cycles: int, first: int = 0) -> None:

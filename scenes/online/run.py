@@ -105,8 +105,8 @@ def follow(scene: Scene, devices: Devices, *, method: str | None = None, calibra
 def _before(folder: Path, scene: Scene) -> dict[str, Any]:
     """Figures of the last run of a scene in its folder; none where there are none that can be read."""
     with suppress(OSError, ValueError, IdealRobotError):
-        found = parsed_json((folder / "report.json").read_text(encoding="utf-8"), None, "figures")
-        return dict(found) if isinstance(found, dict) and found.get("scene") == scene.name else {}
+        figures = parsed_json((folder / "report.json").read_text(encoding="utf-8"), None, "figures")
+        return dict(figures) if isinstance(figures, dict) and figures.get("scene") == scene.name else {}
     return {}
 
 
@@ -237,14 +237,14 @@ def _recorded(journal: Journal, job: Job) -> Recording:
 
     The job's own time begins with the run, and waits where cycles are lost.
     """
-    recording, (run, told) = journal.recording(), journal.times()
+    recording, (run, clock) = journal.recording(), journal.times()
     if not (job.log.t and len(run)):
         return recording
-    columns = job.columns(_by_clock(recording.t, told, run))
+    columns = job.columns(_by_clock(recording.t, clock, run))
     if "cam_t" in columns:
-        columns["cam_t"] = _by_clock(columns["cam_t"], run, told)
+        columns["cam_t"] = _by_clock(columns["cam_t"], run, clock)
     return replace(recording, columns={**recording.columns, **columns},
-                   meta={**recording.meta, "run_begins_at": float(_by_clock(np.zeros(1), run, told)[0])})
+                   meta={**recording.meta, "run_begins_at": float(_by_clock(np.zeros(1), run, clock)[0])})
 
 
 def _by_clock(t: Array, clock: Array, other: Array) -> Array:
@@ -256,23 +256,23 @@ def _told(opened: _Opened, devices: Devices) -> dict[str, Any]:
     """What each device did."""
     arm, process, camera, force = opened.arm, opened.process, opened.camera, opened.force
     stamps = getattr(arm.link, "stamps", None)
-    told: dict[str, Any] = {"arm": {"address": devices.arm, "link": asdict(arm.link.counts),
-                                    "time_stamps": None if stamps is None else stamps.described(),
-                                    "cycles_not_recorded": opened.journal.unwritten,
-                                    "clock": arm.clock.report().to_dict()}}
+    report: dict[str, Any] = {"arm": {"address": devices.arm, "link": asdict(arm.link.counts),
+                                      "time_stamps": None if stamps is None else stamps.described(),
+                                      "cycles_not_recorded": opened.journal.unwritten,
+                                      "clock": arm.clock.report().to_dict()}}
     if not getattr(arm.link, "relative", True):
-        told["arm"]["holding_share"] = holding_share(opened.journal.recording().joints("q_c"), arm.robot)
+        report["arm"]["holding_share"] = holding_share(opened.journal.recording().joints("q_c"), arm.robot)
     if process is not None and camera is not None:
-        told["camera"] = {"address": devices.camera, "stamps": process.stamps, "clock": process.clock,
-                          "age_when_used_ms": spread_ms(np.array(camera.ages)), "left_out": process.left_out,
-                          "too_old": camera.late, "from_the_future": camera.early, "ended": process.ended,
-                          "seen_apart_mm": 1e3 * camera.apart}
+        report["camera"] = {"address": devices.camera, "stamps": process.stamps, "clock": process.clock,
+                            "age_when_used_ms": spread_ms(np.array(camera.ages)), "left_out": process.left_out,
+                            "too_old": camera.late, "from_the_future": camera.early, "ended": process.ended,
+                            "seen_apart_mm": 1e3 * camera.apart}
     if force is not None:
-        told["force"] = {"address": devices.force, "counts": asdict(force.source.counts),
-                         "clock": force.source.clock.report().to_dict(), "stuck": force.signs.stuck,
-                         "impossible": force.signs.impossible, "leapt": force.signs.leapt,
-                         "without_noise": force.signs.quiet, "untimely": force.untimely}
-    return told
+        report["force"] = {"address": devices.force, "counts": asdict(force.source.counts),
+                           "clock": force.source.clock.report().to_dict(), "stuck": force.signs.stuck,
+                           "impossible": force.signs.impossible, "leapt": force.signs.leapt,
+                           "without_noise": force.signs.quiet, "untimely": force.untimely}
+    return report
 
 
 # Scene files as a follower reads them: without the world, which a real cell's file need not hold.

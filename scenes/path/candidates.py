@@ -62,20 +62,20 @@ class Candidates:
         large as they are alone, or with the others. Where refitting the model alone explains a joint's error, its
         friction is a change of its own: as the joint fit has it, or fitted beside all else.
         """
-        effects = [one.fitted for one in (*self.found.effects, *self.found.unknown)]
-        refused, torque, others = _sorted(effects, self.measured)
-        at_tool = [effect for effect in others if effect.domain == TCP_POSITION]
-        behind = [effect for effect in others if effect.domain != TCP_POSITION]
+        effects = [effect.fitted for effect in (*self.found.effects, *self.found.unknown)]
+        refused, torque, rest = _sorted(effects, self.measured)
+        at_tool = [effect for effect in rest if effect.domain == TCP_POSITION]
+        behind = [effect for effect in rest if effect.domain != TCP_POSITION]
         regression = torque_regression(self.moved, self.robot, self.model, payload=True)
         # What does not act on the path takes its share of the recording all the same.
-        wanted = {_place(one) for one in torque}
-        held = tuple(one for one in beside_held_model(regression, self.model, effects) if _place(one) in wanted)
+        places = {_place(effect) for effect in torque}
+        held = tuple(e for e in beside_held_model(regression, self.model, effects) if _place(e) in places)
         of_gears = () if self.measured == "motor" else behind_gears(self.model, self.found, self.run, self.robot)
         explaining, hidden = self._beside_known(regression, of_gears)
         whole = [*([Form.adding(f"all that was found, {_HELD}", (*held, *of_gears))] if held or of_gears else []),
                  *self._predicting(), *explaining]
         by_joint, no_size = self._by_joint(torque, held)
-        apart = [*((Form.adding(said(one.name, one.joint), (one,)),) for one in behind), *by_joint, *hidden,
+        apart = [*((Form.adding(said(effect.name, effect.joint), (effect,)),) for effect in behind), *by_joint, *hidden,
                  *self._friction_anew(regression)]
         return (Group(tuple(whole), tuple(apart)), Group.adding(at_tool)), (*refused, *no_size)
 
@@ -100,7 +100,7 @@ class Candidates:
                 if effect.effect.absorbed_by_base:
                     known = sizes.setdefault((effect.name, effect.joint), [])
                     known += [effect] if known else [*beside_held_model(regression, self.model, (effect,)), effect]
-        return whole, [tuple(Form.adding(f"{said(*place)}, {_HELD}", (one,)) for one in own)
+        return whole, [tuple(Form.adding(f"{said(*place)}, {_HELD}", (effect,)) for effect in own)
                        for place, own in sizes.items()]
 
     def _by_joint(self, torque: Sequence[FittedEffect], held: Effects) -> tuple[list[Forms], list[Step]]:
@@ -119,7 +119,7 @@ class Candidates:
 
     def _friction_anew(self, regression: Regression) -> list[Forms]:
         """The friction of joints whose error refitting the model alone explains."""
-        joints = tuple(one.joint for one in self.found.refitted)
+        joints = tuple(refit.joint for refit in self.found.refitted)
         return [tuple(self._refitted(f"friction of joint {joint} fitted anew", fit, joint, ())
                       for fit in (anew, self.found.model) if fit is not None)
                 for joint, anew in friction_anew(regression, self.model, joints).items()]
@@ -187,10 +187,10 @@ def covering(motion: Array, path: Array, robot: Robot) -> Array:
     """
     low, high = path.min(axis=0), path.max(axis=0)
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    asked = np.minimum(_BEYOND * half, np.minimum(robot.q_max - middle, middle - robot.q_min))
+    reach = np.minimum(_BEYOND * half, np.minimum(robot.q_max - middle, middle - robot.q_min))
     least, most = motion.min(axis=0), motion.max(axis=0)
     short = (most < high) | (least > low)
-    factor = np.where(short, 2.0 * asked / np.maximum(most - least, 1e-12), 1.0)
+    factor = np.where(short, 2.0 * reach / np.maximum(most - least, 1e-12), 1.0)
     moved = middle + factor * (motion - 0.5 * (least + most))
     return np.asarray(np.where(short, moved, motion))
 
@@ -214,11 +214,11 @@ class AskedMotion:
 
     def json(self) -> dict[str, Any]:
         """For ``--json``."""
-        found = None if self.diagnosis is None else [
-            {"effect": one.fitted.name, "joint": one.fitted.joint,
-             "indistinguishable_from": list(one.indistinguishable_from)} for one in self.diagnosis.effects]
+        effects = None if self.diagnosis is None else [
+            {"effect": effect.fitted.name, "joint": effect.fitted.joint,
+             "indistinguishable_from": list(effect.indistinguishable_from)} for effect in self.diagnosis.effects]
         return {"round": self.round, **({} if self.plan is None else self.plan.to_dict()),
-                "played": self.recording is not None, "reason": self.reason or None, "found": found}
+                "played": self.recording is not None, "reason": self.reason or None, "found": effects}
 
     def table(self) -> list[list[Any]]:
         """One row a pair: cause, rival, σ before and planned, whether the motion tells them."""

@@ -228,9 +228,9 @@ class PathCell:
         Raises:
             InputError: no such method.
         """
-        wanted = method if isinstance(method, SceneMethod) else SceneMethod(method)
-        return wanted.feedforward(Setting(self.robot, self.model, round(HORIZON / self.robot.t_ipo), self.delay,
-                                          self.path.q_d, practice=self.practice, progress=progress))
+        scene_method = method if isinstance(method, SceneMethod) else SceneMethod(method)
+        return scene_method.feedforward(Setting(self.robot, self.model, round(HORIZON / self.robot.t_ipo), self.delay,
+                                                self.path.q_d, practice=self.practice, progress=progress))
 
     @cached_property
     def practice(self) -> Practice:

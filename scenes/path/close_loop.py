@@ -91,17 +91,17 @@ def closed(scene: PathScene, subject: ArmOnPath, undeclared: tuple[Place, ...], 
     before = cell.play(cell.feedforward(IDEAL))
     done = close(subject, known, before, rounds=rounds_at_most, out=out, progress=job.part("rounds"))
     job.begin("oracle")
-    moved, told = done.found[0].recording, before.errors
+    moved, oracle_errors = done.found[0].recording, before.errors
     if oracle is not None:
-        told = cell.play(oracle).errors
+        oracle_errors = cell.play(oracle).errors
     elif undeclared:
         fitted = subject.play(with_named_effects(moved, cell.robot, known, undeclared)).errors
         # Told of what this arm does not measure, it finds any size: nobody would leave that in the loop.
-        told = min(fitted, before.errors, key=lambda errors: errors.aligned.E_car)
-    plays = {name: played(name, one) for name, one in
-             (("before", before.errors), ("after", done.run.errors), ("oracle", told))}
+        oracle_errors = min(fitted, before.errors, key=lambda errors: errors.aligned.E_car)
+    plays = {name: played(name, errors) for name, errors in
+             (("before", before.errors), ("after", done.run.errors), ("oracle", oracle_errors))}
     job.begin("report")
-    more = {"E_car_aligned_mm": {name: one.error for name, one in plays.items()}, "measured": subject.measured,
+    more = {"E_car_aligned_mm": {name: play.error for name, play in plays.items()}, "measured": subject.measured,
             "measured_before_mm": 1e3 * done.first, "plan": None if subject.plan is None else subject.plan.json()}
     return Closing(scene, undeclared, plays, done, WORDS, {"diagnostic_motion.parquet": moved}, more,
                    subject.section).written(out)
@@ -143,16 +143,16 @@ class ArmOnPath(Subject[Play]):
         # Both with the same idea of what the gears carry, by each doubt of it.
         loads = carried(model.effects[len(self._known.effects):])
         path, doubts = self.cell.path, doubts_of(loads) if self.measured == "motor" else (0.0,)
-        seen = [visible(run.recording, self.measured) for run in (before, after)]
-        pairs = [[tool_deviation(one, (path.t, path.q_d, path.counts), self.cell.robot, self._known, loads, doubt)
-                  for one in seen] for doubt in doubts]
+        recordings = [visible(run.recording, self.measured) for run in (before, after)]
+        pairs = [[tool_deviation(recording, (path.t, path.q_d, path.counts), self.cell.robot, self._known, loads, doubt)
+                  for recording in recordings] for doubt in doubts]
         return [(without, with_it) for without, with_it in pairs]
 
     def foreseen(self, forms: Forms, models: list[Model], model: Model, run: Play) -> tuple[list[int], str]:
         """See ``Subject.foreseen``."""
         # A change that explains less of how the arm left its path than nothing does cannot bring it back there.
         present = self._left(model, run)
-        compared = [Comparison.of(present, self._left(one, run)) for one in models]
+        compared = [Comparison.of(present, self._left(extended, run)) for extended in models]
         order = sorted(range(len(forms)), key=lambda k: compared[k].after)
         best = compared[order[0]]
         return ([k for k in order if not compared[k].rises],
@@ -202,7 +202,7 @@ def doubts_of(loads: tuple[FittedEffect, ...]) -> tuple[float, ...]:
     """Shares by which what loads bend may be more than the known gears give, where motor angles alone are measured."""
     if not loads:
         return (0.0,)
-    doubt = min(float(np.hypot(_DOUBT_OF_GEARS, max(doubt_of_load(one) for one in loads))), 1.0)
+    doubt = min(float(np.hypot(_DOUBT_OF_GEARS, max(doubt_of_load(load) for load in loads))), 1.0)
     return (0.0, doubt, -doubt)
 
 

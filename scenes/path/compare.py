@@ -63,12 +63,12 @@ class PathComparison(ShownTable):
     def reduction(self, method: str) -> dict[str, dict[str, float]]:
         """Reduction of E_car and E_max against no correction [%]: time-matched, aligned, and the weaker of the two."""
         before, after = self.reference.errors, self.runs[method].errors
-        found = {}
+        reductions = {}
         for name in ("E_car", "E_max"):
             both = {kind: reduction_percent(getattr(getattr(before, kind), name), getattr(getattr(after, kind), name))
                     for kind in ("time_matched", "aligned")}
-            found[name] = {**both, "weaker": min(both.values())}
-        return found
+            reductions[name] = {**both, "weaker": min(both.values())}
+        return reductions
 
     def motor_reduction(self, method: str) -> dict[str, float]:
         """Reduction of the aligned error that motor angles show [%]: what [G] could measure, gears unseen."""
@@ -128,14 +128,14 @@ def compare_paths(scene: PathScene, methods: Sequence[SceneMethod], *, progress:
     runs: dict[str, PathResult] = {}
     criterion: tuple[float, ...] = ()
     for delay in (False, True):
-        wanted = [method for method in methods if method.key.endswith(DELAY) is delay]
-        if not wanted:
+        group = [method for method in methods if method.key.endswith(DELAY) is delay]
+        if not group:
             continue
         cell = set_up(scene, delay=delay)
-        for method in wanted:
+        for method in group:
             share = len(runs) / len(methods)
             progress(share, method.key)
             runs[method.key] = play_method(scene, cell, method, part_of(progress, share, 1 / len(methods), method.key))
-        if not delay and any(method.key.startswith("learned_") for method in wanted):
+        if not delay and any(method.key.startswith("learned_") for method in group):
             criterion = cell.learned().criterion
     return PathComparison(scene, runs, criterion)

@@ -110,8 +110,8 @@ def comparison_page(comparison: PathComparison) -> Report:
 def _chosen(runs: dict[str, PathResult], methods: tuple[str, ...], suffix: str) -> list[PathResult]:
     """Those of the methods that were played, and all of the user's own; all where none of them was."""
     own = [key for key in runs if key not in path_methods() and not suffix]
-    found = [runs[key] for key in (*(method + suffix for method in methods), *own) if key in runs]
-    return found or ([] if suffix else list(runs.values()))
+    results = [runs[key] for key in (*(method + suffix for method in methods), *own) if key in runs]
+    return results or ([] if suffix else list(runs.values()))
 
 
 def path_figure(results: list[PathResult]) -> Figure:

@@ -75,15 +75,15 @@ def columns_of(path: Path, arm: Robot) -> tuple[Array, Array, str]:
         InputError: columns are missing, or there are more than the arm has joints.
     """
     recording = Recording.read(path)
-    wanted = {prefix: [f"{prefix}_{i + 1}" for i in range(arm.n)] for prefix in ("q_d", "q", "q_c")}
-    for prefix, names in wanted.items():
+    columns = {prefix: [f"{prefix}_{i + 1}" for i in range(arm.n)] for prefix in ("q_d", "q", "q_c")}
+    for prefix, names in columns.items():
         if all(name in recording.columns for name in names):
             if f"{prefix}_{arm.n + 1}" in recording.columns:
                 raise InputError(f"the path has more joints than {arm.name} ({arm.n})", file=path,
                                  field=f"{prefix}_{arm.n + 1}")
             return recording.t, np.column_stack([recording.columns[name] for name in names]), prefix
-    begun = next((names for names in wanted.values() if any(name in recording.columns for name in names)),
-                 wanted["q_d"])
+    begun = next((names for names in columns.values() if any(name in recording.columns for name in names)),
+                 columns["q_d"])
     missing = next(name for name in begun if name not in recording.columns)
     raise InputError(f"column is missing; q_d_1 to q_d_{arm.n} (or q_1 to q_{arm.n}, or q_c_1 to q_c_{arm.n}) are "
                      "needed", file=path, field=missing)

@@ -106,16 +106,16 @@ class Comparison(Summarised):
     @property
     def verdict(self) -> str:
         """Of the suite: the worst that any figure, bound or run says."""
-        found = {row.verdict for row in self.rows}
-        if FAILED in found:
+        verdicts = {row.verdict for row in self.rows}
+        if FAILED in verdicts:
             return FAILED
-        if WORSE in found or self.not_played or not self.bounds_kept:
+        if WORSE in verdicts or self.not_played or not self.bounds_kept:
             return WORSE
         if any(row.verdict == NOT_COMPARABLE and not row.figure for row in self.rows):
             return NOT_COMPARABLE
-        if BETTER in found:
+        if BETTER in verdicts:
             return BETTER
-        return SAME if SAME in found or (self.before is None and self.bounds) else NOT_COMPARABLE
+        return SAME if SAME in verdicts or (self.before is None and self.bounds) else NOT_COMPARABLE
 
     @property
     def bounds_kept(self) -> bool:
@@ -169,7 +169,7 @@ def compared(before: Results, after: Results, *, figures: Sequence[str] = MAIN, 
     numbers = {*before.figures} & {*after.figures}
     for label, group in pairs.groupby("label", sort=False):
         rows += _of_case(str(label), group, names, figures, numbers)
-    whole = [row for name in names if (row := over_all(SUITE, [one for one in rows if one.figure == name]))]
+    whole = [row for name in names if (row := over_all(SUITE, [case for case in rows if case.figure == name]))]
     return Comparison(title or f"{before.source} → {after.source}", before, after,
                       tuple(judged([*whole, *rows], rules or Rules())), pairs=pairs)
 
@@ -227,7 +227,7 @@ def _failures(label: str, after: pd.Series, before: pd.Series | None = None) -> 
 
 def check_arms(before: Results, robots: set[str]) -> None:
     """Raises InputError where earlier results are of other arms than these alone, wherever the arms' files lie."""
-    of, robots = ({Path(one).name for one in every} for every in (before.runs["robot"].dropna(), robots))
+    of, robots = ({Path(robot).name for robot in every} for every in (before.runs["robot"].dropna(), robots))
     if of and robots and not of & robots:
         raise InputError(f"is of another arm ({', '.join(sorted(of))}); these runs are of {', '.join(sorted(robots))}: "
                          "give the baseline of that arm, or make one (--update-baseline)", file=before.source)
@@ -238,19 +238,19 @@ def _pairs(before: Results, after: Results) -> pd.DataFrame:
     import pandas as pd
 
     check_arms(before, set(after.runs["robot"].dropna()))
-    keys = [name for name in (*CASE, "seed") if all(one.runs[name].notna().any() for one in (before, after))]
-    sides = [one.runs.assign(**{name: one.runs[name].map(_word) for name in keys}) for one in (before, after)]
+    keys = [name for name in (*CASE, "seed") if all(result.runs[name].notna().any() for result in (before, after))]
+    sides = [result.runs.assign(**{name: result.runs[name].map(_word) for name in keys}) for result in (before, after)]
     sides[0] = _same_method(sides[0], sides[1], keys)
-    for one, side in zip((before, after), sides, strict=True):
+    for result, side in zip((before, after), sides, strict=True):
         twice = side.duplicated(keys)
         if twice.any():
             run = ", ".join(side.loc[twice, keys].iloc[0])
-            raise InputError(f"holds a run twice ({run}); give one file for each version", file=one.source)
+            raise InputError(f"holds a run twice ({run}); give one file for each version", file=result.source)
     merged = pd.merge(sides[0], sides[1], on=keys, how="outer", suffixes=(" before", " after"), indicator=True,
                       sort=False)
     if not (merged["_merge"] == "both").any():
-        seen = [", ".join(sorted(set(side["scene"]))[:4]) for side in sides]
-        raise InputError(f"shares no pair with {after.source}: scenes {seen[0]} there, {seen[1]} here, or other "
+        scenes = [", ".join(sorted(set(side["scene"]))[:4]) for side in sides]
+        raise InputError(f"shares no pair with {after.source}: scenes {scenes[0]} there, {scenes[1]} here, or other "
                          "speeds, seeds or methods; compare runs of the same", file=before.source)
     merged["label"] = [_label({str(key): value for key, value in row.items()})
                        for row in merged[[key for key in keys if key != "seed"]].to_dict("records")]
@@ -284,10 +284,10 @@ def bounds_of(results: Results, asked: Sequence[dict[str, float]]) -> tuple[Boun
     Raises InputError for a figure that no run of the case has.
     """
     frame = _labelled(results)
-    found = []
+    bounds = []
     for label, group in frame.groupby("label", sort=False):
         # Other cases of this label, with other seeds, may ask for something else.
-        limits = dict.fromkeys(one for i in group.index for one in asked[int(i)].items())
+        limits = dict.fromkeys(pair for i in group.index for pair in asked[int(i)].items())
         for figure, limit in limits:
             runs = group.loc[[asked[int(i)].get(figure) == limit for i in group.index]]
             if figure not in frame and not runs["failure"].notna().all():
@@ -296,8 +296,8 @@ def bounds_of(results: Results, asked: Sequence[dict[str, float]]) -> tuple[Boun
             ended = runs.loc[runs["failure"].isna()]
             values = ended[figure].astype(float).abs().dropna().to_numpy() if figure in ended else np.empty(0)
             reasons = [*runs["failure"].dropna(), "the scene has no such figure"]
-            found.append(_bound(str(label), figure, limit, values, len(runs) - len(values), reasons[0]))
-    return tuple(found)
+            bounds.append(_bound(str(label), figure, limit, values, len(runs) - len(values), reasons[0]))
+    return tuple(bounds)
 
 
 def _labelled(results: Results) -> pd.DataFrame:
@@ -332,5 +332,5 @@ def comparison_of(after: Results, before: Results | None, bounds: tuple[Bound, .
         rows = [row for label, group in _labelled(after).groupby("label", sort=False)
                 for row in _failures(str(label), group["failure"])]
         return Comparison(rules.get("title", ""), None, after, tuple(rows), bounds, None, lost)
-    found = compared(before, after, **rules)
-    return Comparison(found.title, before, after, found.rows, bounds, found.pairs, lost)
+    comparison = compared(before, after, **rules)
+    return Comparison(comparison.title, before, after, comparison.rows, bounds, comparison.pairs, lost)

@@ -64,8 +64,8 @@ def markdown(comparison: Comparison) -> str:
 def bounds_table(comparison: Comparison) -> tuple[list[str], list[list[Any]]]:
     """Column titles and rows of the bounds."""
     return (["case", "bound on the mean", "limit", "mean", "deviation", "seeds", "result", "remark"],
-            [[one.case, one.figure, one.limit, one.mean, one.deviation, one.seeds, "kept" if one.kept else "missed",
-              one.remark] for one in comparison.bounds])
+            [[b.case, b.figure, b.limit, b.mean, b.deviation, b.seeds, "kept" if b.kept else "missed",
+              b.remark] for b in comparison.bounds])
 
 
 def _version(program: dict[str, Any]) -> str:
@@ -87,9 +87,9 @@ def junit(comparison: Comparison) -> str:
     cases: dict[str, list[tuple[str, str, str]]] = {}
     for row in comparison.rows:
         cases.setdefault(row.case, []).append((row.figure or "comparison", row.verdict, sentence(row)))
-    for one in comparison.bounds:
-        text = f"mean {one.mean:.4g}, bound {one.limit:.4g} {unit_of(one.figure) or ''} {one.remark}".rstrip()
-        cases.setdefault(one.case, []).append((f"{one.figure} bound", SAME if one.kept else WORSE, text))
+    for bound in comparison.bounds:
+        text = f"mean {bound.mean:.4g}, bound {bound.limit:.4g} {unit_of(bound.figure) or ''} {bound.remark}".rstrip()
+        cases.setdefault(bound.case, []).append((f"{bound.figure} bound", SAME if bound.kept else WORSE, text))
     if comparison.not_played:
         cases["runs"] = [("not played", WORSE, f"{comparison.not_played} runs were lost")]
     root = ET.Element("testsuites", name="ideal-robot check")
@@ -129,7 +129,7 @@ def page(comparison: Comparison) -> Report:
     report = Report(f"Path error: {comparison.headline}", comparison.title)
     report.figures([("verdict", comparison.headline), ("runs", str(len(comparison.after.runs))),
                     ("figures compared", str(len(comparison.rows))),
-                    ("bounds kept", f"{sum(one.kept for one in comparison.bounds)} of {len(comparison.bounds)}")])
+                    ("bounds kept", f"{sum(bound.kept for bound in comparison.bounds)} of {len(comparison.bounds)}")])
     if comparison.pairs is not None and (drawn := picture(comparison)) is not None:
         report.figure(drawn, "Left: each pair's error before and after; on the line nothing changed. Right: each "
                              "pair's relative difference, with the mean of the case and its 95 % interval; right of "
@@ -160,16 +160,16 @@ def picture(comparison: Comparison) -> Figure | None:
             counts[row.figure] = counts.get(row.figure, 0) + row.pairs
     if pairs is None or not counts:
         return None
-    name = max(counts, key=lambda one: counts[one])
+    name = max(counts, key=lambda key: counts[key])
     groups = [(str(label), *group[[f"{name} before", f"{name} after"]].astype(float).dropna().to_numpy().T)
               for label, group in pairs[pairs["_merge"] == "both"].groupby("label", sort=False)]
-    groups = [one for one in groups if len(one[1])]
+    groups = [group for group in groups if len(group[1])]
     # The cases that changed most, where there are too many to read.
-    groups = sorted(groups, key=lambda one: -abs(float(np.mean(one[2] - one[1]))) / max(float(np.mean(one[1])), 1e-12))
+    groups = sorted(groups, key=lambda g: -abs(float(np.mean(g[2] - g[1]))) / max(float(np.mean(g[1])), 1e-12))
     groups = groups[:_MOST_CASES]
     figure, (left, right) = plt.subplots(1, 2, figsize=(11.0, 1.6 + 0.3 * max(len(groups), 8)), layout="constrained",
                                          width_ratios=(1.0, 1.3))
-    everything = np.concatenate([np.concatenate(one[1:]) for one in groups])
+    everything = np.concatenate([np.concatenate(group[1:]) for group in groups])
     ends = [0.9 * everything.min(), 1.1 * everything.max()]
     left.plot(ends, ends, color="0.6", lw=1.0)
     for i, (_, before, after) in enumerate(groups):
@@ -180,7 +180,7 @@ def picture(comparison: Comparison) -> Figure | None:
         right.errorbar(float(share.mean()), i, xerr=spread, fmt="k|", capsize=3.0)
     left.set(xlabel=f"{name} before", ylabel=f"{name} after")
     right.axvline(0.0, color="0.6", lw=1.0)
-    right.set_yticks(range(len(groups)), [one[0] for one in groups])
+    right.set_yticks(range(len(groups)), [group[0] for group in groups])
     right.invert_yaxis()
     right.set_xlabel(f"difference of {name} [%]")
     plt.close(figure)

@@ -100,9 +100,9 @@ def table(answers: Iterable[Mapping[Any, Any]]) -> pd.DataFrame:
 
     rows = []
     for answer in answers:
-        kept = {key: value for key, value in plain(answer).items() if key not in NOT_RESULTS}
-        kept.setdefault("individual", 1)
-        rows.append({key: value for key, value in flat(kept).items() if not isinstance(value, list)})
+        results = {key: value for key, value in plain(answer).items() if key not in NOT_RESULTS}
+        results.setdefault("individual", 1)
+        rows.append({key: value for key, value in flat(results).items() if not isinstance(value, list)})
     frame = pd.DataFrame(rows)
     texts = {"scene", "robot", "world", "method", "failure", "not_played", *HASHES}
     for name in (*CASE, *HASHES, "seed", "failure"):
@@ -138,7 +138,7 @@ def read_results(path: Path) -> Results:
         return Results(_of_table(path), source=str(path))
     if path.suffix == ".jsonl":
         lines = [parsed_json(line, path, "results") for line in read_text(path, "results").splitlines() if line]
-        return _checked(table(one.get("answer", one) if isinstance(one, dict) else {} for one in lines), {}, path)
+        return _checked(table(row.get("answer", row) if isinstance(row, dict) else {} for row in lines), {}, path)
     content = read_json(path, "results")
     if not isinstance(content, dict):
         raise InputError("holds no runs; give what run, compare, sweep or check has written", file=path)
@@ -151,7 +151,7 @@ def read_results(path: Path) -> Results:
         answers = list(content["methods"].values())
     else:
         answers = [content]
-    return _checked(table(one if isinstance(one, dict) else {} for one in answers), content, path)
+    return _checked(table(answer if isinstance(answer, dict) else {} for answer in answers), content, path)
 
 
 def _of_folder(folder: Path) -> Results:
@@ -159,12 +159,12 @@ def _of_folder(folder: Path) -> Results:
         if (folder / name).is_file():
             return read_results(folder / name)
     files = [path for ending in ("parquet", "jsonl", "json") for path in sorted(folder.rglob(f"*.{ending}"))]
-    found = [read_results(path) for path in files if not path.name.startswith(".")]
-    if not found:
+    parts = [read_results(path) for path in files if not path.name.startswith(".")]
+    if not parts:
         raise InputError("holds no results (.json, .jsonl, .parquet)", file=folder)
     import pandas as pd
 
-    return Results(pd.concat([one.runs for one in found], ignore_index=True), source=str(folder))
+    return Results(pd.concat([part.runs for part in parts], ignore_index=True), source=str(folder))
 
 
 def _of_table(path: Path) -> pd.DataFrame:
@@ -186,8 +186,8 @@ def _checked(frame: pd.DataFrame, content: dict[str, Any], path: Path) -> Result
     if frame["scene"].isna().any() or not len(frame):
         raise InputError("holds something that is no run (no scene); give what run, compare, sweep or check has "
                          "written", file=path)
-    said = {key: value if isinstance(value := content.get(key), dict) else {} for key in ("program", "machine")}
-    return Results(frame, source=str(path), **said)
+    origin = {key: value if isinstance(value := content.get(key), dict) else {} for key in ("program", "machine")}
+    return Results(frame, source=str(path), **origin)
 
 
 # A partitioned Parquet data set of a sweep's answers, which grows while it runs and can be queried meanwhile.
@@ -224,16 +224,16 @@ class RunSet(Kept):
         import pyarrow
         import pyarrow.parquet
 
-        found: list[tuple[Hashable, dict[str, Any]]] = []
+        answers: list[tuple[Hashable, dict[str, Any]]] = []
         for path in sorted(self.folder.glob("scene=*/*.parquet")):
             try:
                 part = pyarrow.parquet.ParquetFile(path).read(columns=["job", "answer"])
             except (pyarrow.ArrowException, OSError, ValueError, KeyError) as error:
                 raise InputError("is no part of a sweep; remove it, and its runs are played again", file=path,
                                  field="--runs") from error
-            found += [(str(job), parsed_json(str(answer), path, "answer"))
-                      for job, answer in zip(*(part[name].to_pylist() for name in ("job", "answer")), strict=True)]
-        return found
+            answers += [(str(job), parsed_json(str(answer), path, "answer"))
+                        for job, answer in zip(*(part[name].to_pylist() for name in ("job", "answer")), strict=True)]
+        return answers
 
     def add(self, job: dict[str, Any], answer: dict[str, Any]) -> None:
         """Appends an answer; OutputError where it cannot be written, the data set holds the answers before it."""

@@ -48,10 +48,10 @@ class Case(Table):
     def _of_a_range(cls, seeds: Any) -> Any:
         if not isinstance(seeds, str):
             return seeds
-        found = _RANGE.fullmatch(seeds)
-        if found is None or not 0 <= int(found[2]) - int(found[1]) < MOST:
+        match = _RANGE.fullmatch(seeds)
+        if match is None or not 0 <= int(match[2]) - int(match[1]) < MOST:
             raise ValueError('expected a list of whole numbers, or a range such as "1-10"')
-        return tuple(range(int(found[1]), int(found[2]) + 1))
+        return tuple(range(int(match[1]), int(match[2]) + 1))
 
 
 class SuiteFile(Table):
@@ -130,7 +130,7 @@ class Suite:
         answers = sweep([work[i] for i in order], done=looked, **how)
         for answer in answers:  # those that were kept already, too
             self.check_figures(answer)
-        return [answer for _, answer in sorted(zip(order, answers, strict=True), key=lambda one: one[0])]
+        return [answer for _, answer in sorted(zip(order, answers, strict=True), key=lambda pair: pair[0])]
 
     def check_figures(self, answer: dict[str, Any]) -> None:
         """Makes sure that figures which are compared or bounded are among those that their scenes have.

@@ -220,5 +220,5 @@ def _short(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         if value and isinstance(value[0], (list, tuple)):
             return "; ".join(map(_short, value))
-        return ", ".join(f"{one:.3g}" if isinstance(one, (int, float)) else str(one) for one in value)
+        return ", ".join(f"{entry:.3g}" if isinstance(entry, (int, float)) else str(entry) for entry in value)
     return value

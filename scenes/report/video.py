@@ -97,7 +97,7 @@ def frames(replay: Replay, rate: float, progress: Progress = silent) -> Iterator
     lines = [curve[:: max(1, len(curve) // 60)] for curve in list(replay.curves.values())[:1]]
     counts = np.isfinite(replay.error)
     scale = float(np.nanmax(np.abs(replay.error))) if counts.any() else 1.0
-    colours, (seen, shown, box) = error_colours(replay.error), _flattened(replay, counts)
+    colours, (path, shown, box) = error_colours(replay.error), _flattened(replay, counts)
     middle = 0.5 * (replay.tool.min(axis=0) + replay.tool.max(axis=0))
     target = [0.6 * float(middle[0]), 0.6 * float(middle[1]), 0.42]
     view = View(*_ARM, azimuth=62.0, elevation=-26.0, distance=2.2, target=target)
@@ -106,7 +106,7 @@ def frames(replay: Replay, rate: float, progress: Progress = silent) -> Iterator
             progress(i / len(rows), "film")
             frame = np.full((_ARM[1] + _PLOT, _ARM[0] + _SIDE, 3), 255, dtype=np.uint8)
             frame[: _ARM[1], : _ARM[0]] = stage.show(replay.q[k])
-            _path_panel(frame[: _ARM[1], _ARM[0] :], replay, seen, shown, box, int(k), colours)
+            _path_panel(frame[: _ARM[1], _ARM[0] :], replay, path, shown, box, int(k), colours)
             _error_panel(frame[_ARM[1] :], replay, int(k), scale)
             yield frame
 
@@ -157,10 +157,10 @@ def _error_panel(panel: np.ndarray, replay: Replay, k: int, scale: float) -> Non
     for first, last in _pieces(counts):
         cv2.polylines(panel, [points[first:last].reshape(-1, 1, 2)], False, _ACCENT, 1, cv2.LINE_AA)
     cv2.line(panel, (round(x[k]), 22), (round(x[k]), height - 22), _INK, 1)
-    said = f"{replay.t[k] - replay.t[0]:.2f} s"
+    label = f"{replay.t[k] - replay.t[0]:.2f} s"
     if counts[k]:
-        said += f"   {replay.error_name} {abs(replay.error[k]):.3f} {replay.unit}"
-    _text(panel, said, (60, 15))
+        label += f"   {replay.error_name} {abs(replay.error[k]):.3f} {replay.unit}"
+    _text(panel, label, (60, 15))
 
 
 def _pieces(counts: np.ndarray) -> list[tuple[int, int]]:

@@ -134,8 +134,8 @@ def held_cycles(*, robot: str | None = None, model: Path | None = None, method: 
                      *(f"{angle:.6f}" for angle in link.axes.angles(arm.home))]
             with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as pacer:
                 run = server.play(patience=30.0, core=core)
-                told = pacer.communicate(timeout=30.0 + 2 * seconds)[0]
-        delays = np.array([np.inf if delay is None else delay for delay in json.loads(told)])
+                output = pacer.communicate(timeout=30.0 + 2 * seconds)[0]
+        delays = np.array([np.inf if delay is None else delay for delay in json.loads(output)])
         # Silence behind the pacer's last packet is how the test ends, not why it fails.
         failure = run.failure if len(run.recording.t) < 0.9 * packets else None
         tests.append(CycleTest(cycle_ms, delays, 1e3 * np.array(link.answer_times), failure))
@@ -168,33 +168,33 @@ def _delays(port: int, cycle: float, packets: int, axes: list[float]) -> list[fl
 
     ``cycle`` [s]; ``axes``: the axis angles that every packet tells [deg].
     """
-    told = " ".join(f'A{i + 1}="{angle:.6f}"' for i, angle in enumerate(axes))
+    angles = " ".join(f'A{i + 1}="{angle:.6f}"' for i, angle in enumerate(axes))
     step = round(1e3 * cycle)
     most = packets + round(_PATIENCE / cycle)
     sent, first = [0.0] * most, most
-    found: list[float | None] = [None] * most
+    delays: list[float | None] = [None] * most
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         stamp_arrivals(link)
         due = time.perf_counter() + cycle
         for k in range(most):
             if k >= first + packets + _AFTER:
                 break
-            while (left := due - time.perf_counter()) > 0:
-                link.settimeout(left)
+            while (remaining := due - time.perf_counter()) > 0:
+                link.settimeout(remaining)
                 try:
                     answer, _, arrived = received(link)
                 except (TimeoutError, ConnectionError):
                     continue
-                at = (int(answer.split(b"<IPOC>")[1].split(b"<")[0]) - 1000) // step
-                if found[at] is None:
-                    found[at], first = 1e3 * (arrived - sent[at]), min(first, at)
+                packet = (int(answer.split(b"<IPOC>")[1].split(b"<")[0]) - 1000) // step
+                if delays[packet] is None:
+                    delays[packet], first = 1e3 * (arrived - sent[packet]), min(first, packet)
             now = time.perf_counter()
             # Late itself, it goes on from now: two packets at once would be no fault of the server's.
             due = max(due, now - 0.1 * cycle) + cycle
             sent[k] = now
-            link.sendto(f'<Rob Type="KUKA"><AIPos {told}/><IPOC>{1000 + k * step}</IPOC></Rob>'.encode(),
+            link.sendto(f'<Rob Type="KUKA"><AIPos {angles}/><IPOC>{1000 + k * step}</IPOC></Rob>'.encode(),
                         ("127.0.0.1", port))
-    return found[first : first + packets]
+    return delays[first : first + packets]
 
 
 if __name__ == "__main__":

@@ -171,9 +171,9 @@ def geometry(scene: LineTables, rng: np.random.Generator) -> Geometry:
 
 def reference_points(scene: LineTables) -> Array:
     """Points of the reference path with run-up and run-out ``(N, 3)`` [m]."""
-    wanted = _nominal(scene) if scene.reference.shape is None else scene.reference.shape.curve(scene.folder)
-    ends = [_straight(wanted[0], wanted[0] - wanted[1], scene.reference.run_up)[::-1], wanted,
-            _straight(wanted[-1], wanted[-1] - wanted[-2], scene.reference.run_out)]
+    points = _nominal(scene) if scene.reference.shape is None else scene.reference.shape.curve(scene.folder)
+    ends = [_straight(points[0], points[0] - points[1], scene.reference.run_up)[::-1], points,
+            _straight(points[-1], points[-1] - points[-2], scene.reference.run_out)]
     return _lifted(np.vstack(ends), scene.surface.pose())
 
 
@@ -272,8 +272,8 @@ def believed_camera(table: CameraTable, told: Calibration | None = None) -> Came
     """The camera as mounted by hand, with the readout that its data sheet tells."""
     mounted = CameraModel.default(table.width, table.height, table.focal_px, table.distortion,
                                   default_mount(table.mount_height, table.mount_ahead))
-    said = None if told is None else told.rolling_ms
-    return replace(mounted, readout=1e-3 * (table.rolling_ms if said is None else said))
+    rolling_ms = None if told is None else told.rolling_ms
+    return replace(mounted, readout=1e-3 * (table.rolling_ms if rolling_ms is None else rolling_ms))
 
 
 def true_camera(believed: CameraModel, table: Calibration, rng: np.random.Generator) -> CameraModel:

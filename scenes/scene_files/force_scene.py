@@ -157,10 +157,10 @@ class ForceScene(Scene):
             check_clock(self.camera, self.calibration)
             return self
         for table, keys in _SEEN.items():
-            given, usual = getattr(self, table), type(self).model_fields[table].default
+            settings, usual = getattr(self, table), type(self).model_fields[table].default
             # A table that is begun fills itself up; what the file has is named first.
-            for key in sorted(keys or type(usual).model_fields, key=lambda key: key not in given.model_fields_set):
-                if getattr(given, key) != getattr(usual, key):
+            for key in sorted(keys or type(usual).model_fields, key=lambda key: key not in settings.model_fields_set):
+                if getattr(settings, key) != getattr(usual, key):
                     raise InputError(f'counts only with task = "glue"; leave it out with "{self.task}"',
-                                     field=f"{table}.{key}", value=getattr(given, key))
+                                     field=f"{table}.{key}", value=getattr(settings, key))
         return self

@@ -54,7 +54,7 @@ class Table(pydantic.BaseModel):
         """Refuses ``true`` and ``"5"`` for a number, ``"no"`` for a truth value: pydantic would make one of them."""
         annotation: Any = cls.model_fields[str(info.field_name)].annotation
         leaves = _leaves(annotation)
-        if leaves <= {int, float, type(None)} and any(isinstance(one, bool | str) for one in _values(value)):
+        if leaves <= {int, float, type(None)} and any(isinstance(entry, bool | str) for entry in _values(value)):
             raise ValueError("expected a number, without quotes")
         if leaves == {bool} and not isinstance(value, bool | np.bool_):
             raise ValueError("expected true or false, without quotes")
@@ -73,8 +73,8 @@ def _leaves(annotation: Any) -> frozenset[Any]:
 def _values(value: Any) -> Iterator[Any]:
     """Values of nested lists."""
     if isinstance(value, list | tuple):
-        for one in value:
-            yield from _values(one)
+        for entry in value:
+            yield from _values(entry)
     else:
         yield value
 
@@ -137,9 +137,9 @@ class Scene(Table):
         values = {**values, "world": {"base": usual, **world}}
         if values["world"]["base"] == WORKSHOP:
             for table, keys in cls.workshop.items():
-                given = values.get(table, {})
-                if isinstance(given, dict):
-                    values[table] = {**keys, **given}
+                settings = values.get(table, {})
+                if isinstance(settings, dict):
+                    values[table] = {**keys, **settings}
         return values
 
     @pydantic.field_validator("world")
@@ -300,7 +300,7 @@ def obstacles(boxes: Sequence[Box]) -> list[Obstacle]:
 
 def box_edges(boxes: Sequence[Box]) -> dict[str, Array]:
     """Edges of a scene's boxes by name, each one way ``(16, 3)`` [m]."""
-    return {one.name: one.edges() for one in obstacles(boxes)}
+    return {box.name: box.edges() for box in obstacles(boxes)}
 
 
 class SceneError(IdealRobotError):

@@ -181,13 +181,13 @@ def first_path(name: str, folder: Path) -> Any:
     file = folder / name
     try:
         inside = file.resolve().is_relative_to(folder.resolve())
-        there = file.is_file()
+        exists = file.is_file()
     except (OSError, ValueError, RuntimeError) as error:
         raise InputError("not a usable file name", field="line.svg", value=name[:60]) from error
     if not inside:
         raise InputError("the SVG file must lie beside the scene or below; copy it there", field="line.svg",
                          value=name[:60])
-    if not there:
+    if not exists:
         raise InputError("no such SVG file", field="line.svg", value=name[:60])
     text = read_text(file, "an SVG file", limit=SVG_BYTES)
     if "<!ENTITY" in text:
@@ -262,14 +262,14 @@ class Shape(Table):
 
     @pydantic.model_validator(mode="after")
     def _one_of(self) -> Shape:
-        given = [key for key in ("formula", "points", "svg") if getattr(self, key) is not None]
-        if len(given) != 1:
-            raise ValueError(f"expected exactly one of formula, points and svg, got {', '.join(given) or 'none'}")
+        keys = [key for key in ("formula", "points", "svg") if getattr(self, key) is not None]
+        if len(keys) != 1:
+            raise ValueError(f"expected exactly one of formula, points and svg, got {', '.join(keys) or 'none'}")
         if self.formula is not None and self.length is None:
             raise ValueError("a formula needs length [m], the range of x")
         for key, of in (("length", "formula"), ("corner_radius", "points"), ("svg_length", "svg")):
-            if getattr(self, key) and of != given[0]:
-                raise ValueError(f"{key} belongs to {of}, not to {given[0]}; leave it out")
+            if getattr(self, key) and of != keys[0]:
+                raise ValueError(f"{key} belongs to {of}, not to {keys[0]}; leave it out")
         return self
 
     def curve(self, folder: Path | None = None) -> Array:

@@ -117,8 +117,8 @@ def travel(length: float, speed: float, acceleration: float, t: Array) -> tuple[
 
     def ramped(time: Array) -> tuple[Array, Array]:
         x = np.clip(time / ramp, 0.0, 1.0)
-        way = peak * ramp * (x**2 / 2 - (1 - np.cos(2 * np.pi * x)) / (4 * np.pi**2))
-        return way, peak * (x - np.sin(2 * np.pi * x) / (2 * np.pi))
+        distance = peak * ramp * (x**2 / 2 - (1 - np.cos(2 * np.pi * x)) / (4 * np.pi**2))
+        return distance, peak * (x - np.sin(2 * np.pi * x) / (2 * np.pi))
 
     up, rising = ramped(t)
     down, falling = ramped(2 * ramp + cruise - t)

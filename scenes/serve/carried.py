@@ -134,11 +134,11 @@ class ServedCamera:
         # Not among the arguments: a process whose parent ends while it reads those ends with a traceback.
         with suppress(OSError):
             self._pipe.send(device)
-        said = self._pipe.recv() if self._pipe.poll(_STARTS) else f"the camera does not begin within {_STARTS:g} s"
-        if isinstance(said, str):
+        reply = self._pipe.recv() if self._pipe.poll(_STARTS) else f"the camera does not begin within {_STARTS:g} s"
+        if isinstance(reply, str):
             self.close()
-            raise OSError(said)
-        self.address: tuple[str, int] = said
+            raise OSError(reply)
+        self.address: tuple[str, int] = reply
 
     def carry(self, t0: float, t1: float, host: float) -> None:
         """See ``Carried.carry``."""
@@ -149,16 +149,16 @@ class ServedCamera:
         if self._next < host - 10 * period:
             self._next = host
         while self._next + half < end:
-            at, self._next = self._next, self._next + period
-            t = t0 + at - host
+            instant, self._next = self._next, self._next + period
+            t = t0 + instant - host
             self._number += 1
             if self._rng.random() < s.loss:
                 continue
             poses = [self._pose_at(t + ((i + 0.5) / s.sub_exposures - 0.5) * s.exposure)
                      for i in range(s.sub_exposures)]
-            stamp = self._clock.shows(at) + s.stamp_offset + s.stamp_noise * self._rng.standard_normal()
-            arrival = at + max(s.latency + s.jitter * self._rng.standard_normal(), 0.0)
-            self._ask(Exposure(self._number, float(stamp), float(arrival), poses, at, self._shape_at(t)))
+            stamp = self._clock.shows(instant) + s.stamp_offset + s.stamp_noise * self._rng.standard_normal()
+            arrival = instant + max(s.latency + s.jitter * self._rng.standard_normal(), 0.0)
+            self._ask(Exposure(self._number, float(stamp), float(arrival), poses, instant, self._shape_at(t)))
 
     def _ask(self, exposure: Exposure) -> None:
         """Never waits; a camera whose process has ended sends nothing any more."""
@@ -205,12 +205,12 @@ class ServedForce:
         if self._next == 0.0:
             self._next = host
         while self._next < end:
-            at, self._next = self._next, self._next + self._period
+            instant, self._next = self._next, self._next + self._period
             self._number += 1
-            if at < host - 1.0:
+            if instant < host - 1.0:
                 # The whole program stood still: the sensor went on without anybody who could tell what it measured.
                 continue
-            t = t0 + at - host
+            t = t0 + instant - host
             sample = self._sensor.sample(t, self._pose_at(t), self._force_at(t))
             record = self._server.record(self._number, sample.wrench)
-            self._outbox.put(at + sample.t_arrival - t, partial(self._server.send, record))
+            self._outbox.put(instant + sample.t_arrival - t, partial(self._server.send, record))

@@ -140,7 +140,7 @@ class ServedCell:
             apart = np.flatnonzero(np.diff(touched) > round(0.3 / STEP))
             first, last = touched[0 if not len(apart) else apart[-1] + 1], touched[-1]
             visit = slice(first, last + 1)
-            begun, ended = (np.linalg.norm((tip[visit] - tip[at])[:, :2], axis=1) > MARGIN for at in (first, last))
+            begun, ended = (np.linalg.norm((tip[visit] - tip[row])[:, :2], axis=1) > MARGIN for row in (first, last))
             error = force[visit][begun & ended] - wanted
             if len(error):
                 figures["rms_error"] = float(np.sqrt(np.mean(error**2)))
@@ -223,21 +223,21 @@ def serve_scene(scene: Scene, places: Places, unkind: Unkindness, sessions: int,
     Raises:
         InputError: a scene of another kind, or an address that cannot be listened on.
     """
-    told: list[dict[str, Any]] = []
+    summaries: list[dict[str, Any]] = []
     with _served_cell(scene, places, unkind) as (cell, arm):
         def done(session: Session) -> None:
-            figures = {"session": len(told) + 1, **scene.played(), **cell.truth(session)}
-            told.append(figures)
+            figures = {"session": len(summaries) + 1, **scene.played(), **cell.truth(session)}
+            summaries.append(figures)
             if json is not None:
                 write_json(json, figures)
-            say(f"session {len(told)}: {session.answered} of {session.answered + session.late} cycles answered; "
+            say(f"session {len(summaries)}: {session.answered} of {session.answered + session.late} cycles answered; "
                 f"{session.ended}; "
                 + "; ".join(f"{key} {value}" for key, value in figures.items() if key.endswith(("_mm", "_N"))))
 
         with stopping_on_signals(lambda _: arm.stop()), undisturbed(priority=_PRIORITY):
             _say_where(cell, places, scene, say)
             arm.sessions(sessions, done)
-    return told
+    return summaries
 
 
 def _say_where(cell: ServedCell, places: Places, scene: Scene, say: Callable[[str], None]) -> None:

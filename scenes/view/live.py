@@ -98,13 +98,13 @@ class LiveView:
         try:
             if file.stat().st_mtime < self._begun:
                 return
-            told = dict(json.loads(file.read_text(encoding="utf-8")))
+            report = dict(json.loads(file.read_text(encoding="utf-8")))
         except (OSError, ValueError, TypeError, RecursionError):
             return
-        failure = told.get("failure")
-        self._say(f"**{told.get('scene')}**, {told.get('method')}: "
+        failure = report.get("failure")
+        self._say(f"**{report.get('scene')}**, {report.get('method')}: "
                   + (f"**ended early:** {failure}" if failure else "the whole path was followed")
-                  + f"\n\n{told.get('cycles')} cycles; page: `{told.get('report')}`")
+                  + f"\n\n{report.get('cycles')} cycles; page: `{report.get('report')}`")
 
     def _say(self, text: str) -> None:
         if text != self.state:

@@ -222,7 +222,7 @@ def replay_of_columns(arm: Robot, recording: Recording) -> Replay:
     if len(rows) < 2:
         raise InputError("no two samples have all positions", file=recording.source, field="q_1")
     tool = arm.tool_places(q)
-    name = next((one for one in ("q_d", "q_c") if recording.has(one)), None)
+    name = next((prefix for prefix in ("q_d", "q_c") if recording.has(prefix)), None)
     wanted = tool if name is None else arm.tool_places(recording.joints(name, rows))
     error = np.full(len(rows), np.nan) if name is None else 1e3 * np.linalg.norm(tool - wanted, axis=1)
     sensed = sensed_line(arm, recording)
@@ -325,7 +325,7 @@ class Player:
         if self.plot is not None:
             self.plot.data = self._plotted(k)
         if self.picture is not None:
-            shown = min(self._pictures, key=lambda one: abs(one[0] - self._t[k]))[1]
+            shown = min(self._pictures, key=lambda pair: abs(pair[0] - self._t[k]))[1]
             if shown is not self._shown_picture:
                 self.picture.image = self._shown_picture = shown
 
