@@ -133,34 +133,34 @@ def values_hash(columns: dict[str, Array], one: DataSet) -> str:
     return digest.hexdigest()
 
 
-def _downloaded(one: DataSet) -> bytes:
+def _downloaded(entry: DataSet) -> bytes:
     """The file's bytes, or an error that says what to do instead."""
-    if urlsplit(one.url).scheme not in ("http", "https"):
-        raise InputError("expected an address that begins with http:// or https://", field="url", value=one.url)
+    if urlsplit(entry.url).scheme not in ("http", "https"):
+        raise InputError("expected an address that begins with http:// or https://", field="url", value=entry.url)
     try:
-        with urllib.request.urlopen(one.url, timeout=_PATIENCE) as answer:
+        with urllib.request.urlopen(entry.url, timeout=_PATIENCE) as answer:
             content: bytes = answer.read(_LARGEST + 1)
     except (urllib.error.URLError, TimeoutError, OSError) as error:
         reason = error if isinstance(error, urllib.error.HTTPError) else getattr(error, "reason", error)
-        raise IdealRobotError(f"{urlsplit(one.url).netloc} cannot be reached or does not have it ({reason}); where "
-                              f"there is internet, download {one.url} and give it with --file") from error
+        raise IdealRobotError(f"{urlsplit(entry.url).netloc} cannot be reached or does not have it ({reason}); where "
+                              f"there is internet, download {entry.url} and give it with --file") from error
     if len(content) > _LARGEST:
-        raise IdealRobotError(f"{one.url} is larger than {_LARGEST // 1_000_000} MB, no data set is")
+        raise IdealRobotError(f"{entry.url} is larger than {_LARGEST // 1_000_000} MB, no data set is")
     return content
 
 
-def _unpacked(one: DataSet, content: bytes, source: str) -> bytes:
+def _unpacked(entry: DataSet, content: bytes, source: str) -> bytes:
     """The member of a zip, in whichever of its folders it lies; what is no zip as it is."""
-    if not one.member or not zipfile.is_zipfile(io.BytesIO(content)):
+    if not entry.member or not zipfile.is_zipfile(io.BytesIO(content)):
         return content
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as packed:
-            member = next((info for info in packed.infolist() if Path(info.filename).name == one.member), None)
+            member = next((info for info in packed.infolist() if Path(info.filename).name == entry.member), None)
             if member is None or member.file_size > _LARGEST:
-                raise InputError(f"a zip without {one.member}; get it from {one.page}", file=source)
+                raise InputError(f"a zip without {entry.member}; get it from {entry.page}", file=source)
             return packed.read(member)
     except (zipfile.BadZipFile, RuntimeError) as error:
-        raise InputError(f"a broken zip ({error}); get it from {one.page}", file=source) from error
+        raise InputError(f"a broken zip ({error}); get it from {entry.page}", file=source) from error
 
 
 def _arrays(content: bytes) -> dict[str, Any]:

@@ -149,7 +149,7 @@ def _workspace(arm: Robot, z_min: float | None, cell: Path | None) -> Workspace:
     return replace(workspace, cell=shapes_in(load_scene(cell), arm))
 
 
-def _questions(result: Path | None, taken: Recording, arm: Robot, known: Model | None,
+def _questions(result: Path | None, recording: Recording, arm: Robot, known: Model | None,
                progress: Progress) -> Open:
     """What a diagnosis left open: as its file says, or of one that is made now, in half of the time."""
     from ideal_robot.bounded_values import read_json
@@ -158,11 +158,11 @@ def _questions(result: Path | None, taken: Recording, arm: Robot, known: Model |
     if result is not None:
         diagnosis = read_json(result, "a diagnosis")
         questions = read_questions(diagnosis, arm.n, result)
-        if diagnosis.get("recording_hash", taken.hash) != taken.hash:
+        if diagnosis.get("recording_hash", recording.hash) != recording.hash:
             raise InputError("is of another recording; give the one that was diagnosed, or no --result", file=result,
                              field="recording_hash", value=diagnosis["recording_hash"])
         return questions
-    return open_questions(diagnose(taken, arm, model=known, progress=part_of(progress, 0.0, 0.5)))
+    return open_questions(diagnose(recording, arm, model=known, progress=part_of(progress, 0.0, 0.5)))
 
 
 def _show_planned(plan: DiagnosisPlan, out: Path) -> None:

@@ -194,33 +194,33 @@ def diagnose(options: DiagnoseOptions) -> None:
     typer.echo(f"report: {page}")
 
 
-def _show_diagnosed(found: Diagnosis) -> None:
+def _show_diagnosed(diagnosis: Diagnosis) -> None:
     """Errors of each channel, what was added, and what was found but not added or left open, with the reasons."""
     from scenes.diagnosis.page import unexplained, unused
 
-    show_table(f"verdict: {found.verdict}; errors on held-out data ({found.held_out_how})",
+    show_table(f"verdict: {diagnosis.verdict}; errors on held-out data ({diagnosis.held_out_how})",
                ["channel", "before", "refitted", "after", "noise", "unit", "samples that counted %"],
                [[c.channel, c.rms_before, c.rms_refit, c.rms_after, c.noise_floor, c.unit, 100.0 * c.counted]
-                for c in found.channels])
-    if found.effects or found.unknown:
+                for c in diagnosis.channels])
+    if diagnosis.effects or diagnosis.unknown:
         show_table("what was added", ["effect", "joint", "channel", "before", "after", "p", "parameters", "or"],
                    [[e.fitted.name, e.fitted.joint, e.fitted.channel, e.rms_before, e.rms_after, f"{e.p_value:.0e}",
                      ", ".join(e.depends_on) or "; ".join(p.text for p in e.fitted.parameters),
-                     ", ".join(e.indistinguishable_from)] for e in (*found.effects, *found.unknown)])
-    for argument in found.arguments:
+                     ", ".join(e.indistinguishable_from)] for e in (*diagnosis.effects, *diagnosis.unknown)])
+    for argument in diagnosis.arguments:
         typer.echo(argument.text)
-    for d in found.not_transferred:
+    for d in diagnosis.not_transferred:
         typer.echo(f"not added: {d.effect} in {d.channel} (p {d.p_value:.0e}); {d.reason}", err=True)
-    for joint, reason in sorted(found.undecided.items()):
+    for joint, reason in sorted(diagnosis.undecided.items()):
         typer.echo(f"undecided: joint {joint} {reason}", err=True)
-    for refit in found.refitted:
+    for refit in diagnosis.refitted:
         typer.echo(f"explained by refitting alone: joint {refit.joint}: {refit.text}", err=True)
-    for warning in found.warnings:
+    for warning in diagnosis.warnings:
         typer.echo(f"warning: {warning}", err=True)
-    if loud := unexplained(found):
+    if loud := unexplained(diagnosis):
         typer.echo(f"warning: {loud}", err=True)
-    if found.unused:
-        typer.echo(f"not used: {unused(found)}")
+    if diagnosis.unused:
+        typer.echo(f"not used: {unused(diagnosis)}")
 
 
 @dataclass(kw_only=True)

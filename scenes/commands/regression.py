@@ -83,11 +83,11 @@ def check(options: CheckOptions) -> None:
         raise typer.Exit(1)
 
 
-def _baseline(options: CheckOptions, asked: Suite, place: Path) -> Results | None:
+def _baseline(options: CheckOptions, suite: Suite, place: Path) -> Results | None:
     """The results that a suite is compared with; None where there are none, and need not be."""
     from scenes.regression.results import read_results
 
-    needed = options.baseline or not any(bounds for _, bounds in asked.work)
+    needed = options.baseline or not any(bounds for _, bounds in suite.work)
     if not place.is_file() and not options.update_baseline and needed:
         raise InputError("no such baseline; --update-baseline makes it", file=place)
     if options.resume and options.runs is None:
@@ -95,12 +95,12 @@ def _baseline(options: CheckOptions, asked: Suite, place: Path) -> Results | Non
     return read_results(place) if place.is_file() else None
 
 
-def _compared(results: Results, earlier: Results | None, asked: Suite, *, anyway: bool) -> Comparison:
+def _compared(results: Results, earlier: Results | None, suite: Suite, *, anyway: bool) -> Comparison:
     """Results beside the baseline's; ``anyway`` without it where the two cannot be compared."""
     from scenes.regression.comparison import bounds_of, comparison_of
 
-    bounds = bounds_of(results, [bounds for _, bounds in asked.work])
-    rules = {"figures": asked.file.figures, "rules": asked.rules, "title": asked.file.title}
+    bounds = bounds_of(results, [bounds for _, bounds in suite.work])
+    rules = {"figures": suite.file.figures, "rules": suite.rules, "title": suite.file.title}
     try:
         return comparison_of(results, earlier, bounds, **rules)
     except InputError:
@@ -141,15 +141,15 @@ def compare_results(
         raise typer.Exit(1)
 
 
-def _report(found: Comparison, folder: Path) -> None:
+def _report(comparison: Comparison, folder: Path) -> None:
     from scenes.regression.formats import bounds_table, write_comparison
 
-    if found.before is not None or found.rows:
-        show_table("what changed, or all cases together", *found.table())
-    if found.bounds:
-        show_table("bounds", *bounds_table(found))
-    report = write_comparison(found, folder)
-    if found.not_played:
-        typer.echo(f"{found.not_played} runs were not played", err=True)
-    typer.echo(f"verdict: {found.headline}")
+    if comparison.before is not None or comparison.rows:
+        show_table("what changed, or all cases together", *comparison.table())
+    if comparison.bounds:
+        show_table("bounds", *bounds_table(comparison))
+    report = write_comparison(comparison, folder)
+    if comparison.not_played:
+        typer.echo(f"{comparison.not_played} runs were not played", err=True)
+    typer.echo(f"verdict: {comparison.headline}")
     typer.echo(f"report: {report}")

@@ -177,17 +177,17 @@ def _consistency(page: Report, analysis: IdentificationResult) -> None:
                "Full parameters, about the joint frames; smallest eigenvalue of each pseudo-inertia matrix.")
 
 
-def _controller(page: Report, found: ControllerIdentification, arm: Model) -> None:
+def _controller(page: Report, controller: ControllerIdentification, arm: Model) -> None:
     page.heading("Joint controllers")
-    model = found.model
+    model = controller.model
     stiffness, damping, inertia = (one_unit(arm.units(unit)) for unit in ("N m/rad", "N m s/rad", "N m s²/rad"))
-    rows = [[j + 1, model.k_p[j], model.k_d[j], model.k_1[j], model.k_2[j], model.k_i[j], found.k_i_direct[j],
-             found.error_percent[j]] for j in range(len(model.k_p))]
+    rows = [[j + 1, model.k_p[j], model.k_d[j], model.k_1[j], model.k_2[j], model.k_i[j], controller.k_i_direct[j],
+             controller.error_percent[j]] for j in range(len(model.k_p))]
     page.table(["joint", f"k_P [{stiffness}]", f"k_D [{damping}]", f"k_1 [{damping}]", f"k_2 [{inertia}]", "k_I",
                 "k_I direct", "error [%]"], rows,
                f"[G] (16), (17) at {1e3 * model.t_cycle:g} ms; the command takes effect "
                f"{1e3 * model.delay:.3g} ms after it is logged.")
-    page.figure(drift_figure(found, one_unit(arm.units("N m"))), "Why k_I is found by simulation ([G] Fig. 17): a "
+    page.figure(drift_figure(controller, one_unit(arm.units("N m"))), "Why k_I is found by simulation ([G] Fig. 17): a "
                 "value that is best from one step to the next lets errors add up; deviation of the simulated from "
                 "the measured torque.")
 

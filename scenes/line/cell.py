@@ -70,8 +70,8 @@ def _worn(wear: Wear, length: float, rng: np.random.Generator) -> list[DrawnFeat
     """Gaps, strokes and light, anywhere on the line; each kind has draws of its own."""
     gaps, scratches, crossings, glares, shades = rng.spawn(5)
 
-    def place(one: np.random.Generator) -> float:
-        return float(length * one.uniform(0.1, 0.95))
+    def place(draws: np.random.Generator) -> float:
+        return float(length * draws.uniform(0.1, 0.95))
 
     features = [DrawnFeature("gap", place(gaps), length=1e-3 * wear.gap_mm * gaps.uniform(0.5, 1.0))
                 for _ in range(wear.gaps)]

@@ -228,19 +228,19 @@ def _postures(look: Look, robot: Robot) -> list[Array]:
     return postures
 
 
-def _seen(look: Look, arm: LiveArm, camera: LiveCamera, view: CalibrationView, way: Array) -> float:
+def _seen(look: Look, arm: LiveArm, camera: LiveCamera, view: CalibrationView, commands: Array) -> float:
     """Leads the arm by commands ``(N, n)`` [rad]; how far beside the reference the line is seen at their end [m]."""
-    sag = arm.meanwhile(lambda: GearDeflection(look.model, arm.t_ipo).along(way))
-    rests = arm.t + arm.t_ipo * len(way) - STILL + 0.1
+    sag = arm.meanwhile(lambda: GearDeflection(look.model, arm.t_ipo).along(commands))
+    rests = arm.t + arm.t_ipo * len(commands) - STILL + 0.1
     beside = list[float]()
-    for cycle in range(len(way) + round(PATIENCE / arm.t_ipo)):
-        if cycle >= len(way) and len(beside) >= FEWEST:
+    for cycle in range(len(commands) + round(PATIENCE / arm.t_ipo)):
+        if cycle >= len(commands) and len(beside) >= FEWEST:
             break
-        q_c = way[min(cycle, len(way) - 1)]
+        q_c = commands[min(cycle, len(commands) - 1)]
         arm.check(arm.t)
         arm.q_d = q_c
         # In the last row the deflection is not known; the arm rests before it.
-        view.history.add(arm.t + arm.t_ipo, arm.cycle(q_c).q - sag[min(cycle, len(way) - 2)])
+        view.history.add(arm.t + arm.t_ipo, arm.cycle(q_c).q - sag[min(cycle, len(commands) - 2)])
         for shown in camera.arrived(arm.t):
             detected = view.detector.detect(shown, look.camera, view.predicted(shown.t_stamp), view.detection)
             if shown.t_stamp < rests or not detected.seen:

@@ -247,10 +247,10 @@ class _Press(Pressed):
                 self.hear(state, self._force.arrived(arm.t))
                 self._check(self._motors.force if heard else float("nan"))
 
-    def _hear(self, told: list[tuple[Array, RobotState]]) -> None:
+    def _hear(self, states: list[tuple[Array, RobotState]]) -> None:
         """Lets the motors tell of cycles: commanded joint angles ``(n,)`` [rad], and the state at the end."""
-        while told:
-            q_c, state = told.pop(0)
+        while states:
+            q_c, state = states.pop(0)
             self._motors.add(q_c, state.q, state.tau)
 
     def _high(self) -> bool:
