@@ -43,7 +43,8 @@ def check(options: CheckOptions) -> None:
 
     Runs are paired by seed. The folder holds a page, Markdown for a pull request, JUnit XML, JSON, JSON Lines and
     Parquet; times stand apart in times.json. Exit code 1 where anything is worse, a bound is missed, a run was lost or
-    all runs of a case failed; with --update-baseline what is worse than before is taken as it is.
+    all runs of a case failed. --update-baseline takes what is worse than before as it is, and writes nothing in the
+    last two cases.
 
     Example, with a checkout: `ideal-robot check examples/nightly.toml --update-baseline`
 

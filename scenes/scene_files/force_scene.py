@@ -45,7 +45,9 @@ class SensorTable(Table):
     """The force sensor and the tool that it carries."""
 
     rate: float = pydantic.Field(default=250.0, ge=0.1, le=10_000)
-    latency: float = pydantic.Field(default=0.02, ge=0, le=1)
+    latency: float = pydantic.Field(default=0.02, ge=0, le=0.4)
+    """From measurement to arrival [s]; on devices no older reading counts. From 0.3 s on contact is lost, or not felt
+    where it begins."""
     jitter: float = pydantic.Field(default=0.0005, ge=0, le=0.5)
     """Standard deviation of the latency [s]. What arrives together is fused as one: six of it on the path, at the
     scene's speed, are 60 mm at most."""

@@ -207,6 +207,8 @@ def test_samples_that_overtake_each_other_too_far_to_be_fused_as_one_are_refused
     with pytest.raises(InputError, match=r"sensor.jitter: expected at most 0.05 s at 0.2 m/s"):
         scene.changed(sensor={"jitter": 0.06})
     assert scene.changed(sensor={"jitter": 0.06}, speed=0.1)
+    with pytest.raises(InputError, match=r"sensor.latency: .*less than or equal to 0.4 \(got 0.5\)"):
+        scene.changed(sensor={"latency": 0.5})
 
 
 def test_a_controller_of_slow_cycles_is_stopped_on_the_path_too() -> None:
