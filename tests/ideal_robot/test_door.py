@@ -60,9 +60,9 @@ def frame(**changes: np.ndarray) -> pd.DataFrame:
 
 def path_error(**changes: object) -> ir.InputError:
     q_d = motion(lead=2)
-    given = {"t": T * np.arange(len(q_d)), "q_d": q_d, "model": KR15, "robot": ROBOT, **changes}
+    arguments = {"t": T * np.arange(len(q_d)), "q_d": q_d, "model": KR15, "robot": ROBOT, **changes}
     with pytest.raises(ir.InputError) as caught:
-        ir.precorrect(**given)  # type: ignore[arg-type]
+        ir.precorrect(**arguments)  # type: ignore[arg-type]
     return caught.value
 
 
@@ -149,9 +149,9 @@ def test_things_of_another_kind(name: str, value: object, field: str, says: str)
 
 
 def test_recordings_are_copies() -> None:
-    given = {"t": np.arange(3.0), "q_1": np.zeros(3)}
-    recording = ir.Recording(given)
-    given["q_1"][0] = 1.0
+    arrays = {"t": np.arange(3.0), "q_1": np.zeros(3)}
+    recording = ir.Recording(arrays)
+    arrays["q_1"][0] = 1.0
     assert recording.columns["q_1"][0] == 0.0
     with pytest.raises(ValueError, match="read-only"):
         recording.columns["q_1"][0] = 2.0

@@ -188,11 +188,11 @@ def test_an_array_holds_what_is_written_wherever_it_lies(monkeypatch: pytest.Mon
     monkeypatch.setattr(row_log, "IN_MEMORY", most)
     values = new_array(1000, 3)
     assert (file_of(values) is None) == (most > 3000)
-    wanted = np.random.default_rng(0).standard_normal((1000, 3))
+    expected = np.random.default_rng(0).standard_normal((1000, 3))
     for first in range(0, 1000, 100):
-        values[first : first + 100] = wanted[first : first + 100]
+        values[first : first + 100] = expected[first : first + 100]
         let_go(values)
-    np.testing.assert_array_equal(values, wanted)
+    np.testing.assert_array_equal(values, expected)
     assert (file_of(values[5:, 1]) is None) == (file_of(values) is None)
 
 

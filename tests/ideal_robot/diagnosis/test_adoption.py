@@ -45,15 +45,15 @@ def case() -> tuple[Robot, Model, Diagnosis, Recording]:
     robot = Robot.load("kr15")
     known = with_coulomb(robot, [100.0] * robot.n)
     fitted = with_coulomb(robot, [100.0, 60.0, 60.0, 100.0, 100.0, 100.0]).with_effects((STICKS, HABIT))
-    found = Diagnosis("effects", (), tuple(FoundEffect(e, 1.0, 0.5, 1e-9) for e in (STICKS, HABIT)), (), "", 0.0,
-                      model=fitted)
+    diagnosis = Diagnosis("effects", (), tuple(FoundEffect(e, 1.0, 0.5, 1e-9) for e in (STICKS, HABIT)), (), "", 0.0,
+                          model=fitted)
     truth = with_joint(known, fitted, 2, (STICKS,))
-    return robot, known, found, recorded(truth)
+    return robot, known, diagnosis, recorded(truth)
 
 
 def test_joint_is_taken_as_it_was_fitted_and_a_habit_of_the_other_motion_is_not(case):
-    robot, known, found, run = case
-    model = adopted(known, found, run, robot)
+    robot, known, diagnosis, run = case
+    model = adopted(known, diagnosis, run, robot)
     assert model.effects == (STICKS,)
     assert [law.coefficients[1, 0] for law in model.friction.laws] == [100.0, 60.0, 100.0, 100.0, 100.0, 100.0]
     before, after = (m.predict(run).relative_error_percent for m in (known, model))
@@ -64,22 +64,22 @@ def test_joint_is_taken_as_it_was_fitted_and_a_habit_of_the_other_motion_is_not(
 
 def test_on_the_friction_of_before_the_same_effect_is_worth_less(case):
     """Why the two are one package."""
-    robot, known, found, run = case
+    robot, known, diagnosis, run = case
     alone = known.with_effects((STICKS,)).predict(run).relative_error_percent[1]
-    assert alone > adopted(known, found, run, robot).predict(run).relative_error_percent[1]
+    assert alone > adopted(known, diagnosis, run, robot).predict(run).relative_error_percent[1]
 
 
 def test_without_an_extended_model_nothing_changes(case):
-    robot, known, found, run = case
-    assert adopted(known, dataclasses.replace(found, effects=(), model=None), run, robot).effects == known.effects
+    robot, known, diagnosis, run = case
+    assert adopted(known, dataclasses.replace(diagnosis, effects=(), model=None), run, robot).effects == known.effects
 
 
 def test_friction_that_refitting_alone_explains_is_taken_where_another_recording_bears_it_out(case):
-    robot, known, found, _ = case
+    robot, known, diagnosis, _ = case
     fitted = with_coulomb(robot, [100.0, 60.0, 60.0, 100.0, 100.0, 100.0])
     swallowed = tuple(RefitExplains(joint, f"tau_{joint}", 20.0, 1.0, (), "") for joint in (2, 3))
     run = recorded(with_coulomb(robot, [100.0, 60.0, 100.0, 100.0, 100.0, 100.0]))
-    model = adopted(known, dataclasses.replace(found, effects=(), model=fitted, refitted=swallowed), run, robot)
+    model = adopted(known, dataclasses.replace(diagnosis, effects=(), model=fitted, refitted=swallowed), run, robot)
     assert [law.coefficients[1, 0] for law in model.friction.laws] == [100.0, 60.0, 100.0, 100.0, 100.0, 100.0]
 
 
@@ -105,8 +105,8 @@ CLAIMED = {"a": 2.0, "b": 1.0, "habit": 1.0}
 
 
 def error(kept):
-    left = sum((TRUE[name] - CLAIMED[name] * (name in kept)) ** 2 for name in TRUE)
-    return np.array([np.sqrt(left + 0.1), 1.0])
+    squares = sum((TRUE[name] - CLAIMED[name] * (name in kept)) ** 2 for name in TRUE)
+    return np.array([np.sqrt(squares + 0.1), 1.0])
 
 
 def test_a_habit_is_dropped_and_said_with_its_errors():

@@ -50,8 +50,8 @@ def problem_of(*names: str) -> Problem:
     body = regressor(robot.pinocchio, q, qd, qdd)[:, :, -10:] @ point_mass(1.0, robot.tool_place)
     tau = model.inverse_dynamics(q, qd, qdd) + sum(added(name, qd, load, body) for name in names)
     tau = tau + 0.005 * np.std(tau, axis=0) * rng.normal(size=q.shape)
-    made = torque_regression(Recording.from_arrays(t, q=q, tau=tau), robot, model, payload=True)
-    return Problem.of(made, held_out=True).with_prior(1e6 * np.eye(made.W.shape[2]))
+    regression = torque_regression(Recording.from_arrays(t, q=q, tau=tau), robot, model, payload=True)
+    return Problem.of(regression, held_out=True).with_prior(1e6 * np.eye(regression.W.shape[2]))
 
 
 def found(problem: Problem, absorbed: bool = True) -> dict[tuple[str, int], float]:
@@ -64,9 +64,9 @@ def found(problem: Problem, absorbed: bool = True) -> dict[tuple[str, int], floa
 
 @pytest.mark.parametrize("name", ["load_direction_friction", "load_dependent_friction", "drive_gain"])
 def test_what_loses_with_the_load_is_told_by_when_it_does(name: str) -> None:
-    said = found(problem_of(name))
-    assert list(said) == [(name, JOINT)]
-    assert said[name, JOINT] == pytest.approx(0.15, rel=0.03)
+    sizes = found(problem_of(name))
+    assert list(sizes) == [(name, JOINT)]
+    assert sizes[name, JOINT] == pytest.approx(0.15, rel=0.03)
 
 
 def test_a_payload_is_no_friction_of_its_load() -> None:
@@ -74,15 +74,15 @@ def test_a_payload_is_no_friction_of_its_load() -> None:
 
 
 def test_masses_that_other_joints_show_tell_the_load_that_is_driven_without_a_model() -> None:
-    said = found(problem_of("load_direction_friction").with_prior(None), absorbed=False)
-    assert list(said) == [("load_direction_friction", JOINT)]
-    assert said["load_direction_friction", JOINT] == pytest.approx(0.15, rel=0.1)
+    sizes = found(problem_of("load_direction_friction").with_prior(None), absorbed=False)
+    assert list(sizes) == [("load_direction_friction", JOINT)]
+    assert sizes["load_direction_friction", JOINT] == pytest.approx(0.15, rel=0.1)
 
 
 def test_a_gear_that_loses_both_ways_but_more_driving_has_both() -> None:
-    said = found(problem_of("load_direction_friction", "load_dependent_friction"))
-    assert set(said) == {("load_direction_friction", JOINT), ("load_dependent_friction", JOINT)}
-    for value in said.values():
+    sizes = found(problem_of("load_direction_friction", "load_dependent_friction"))
+    assert set(sizes) == {("load_direction_friction", JOINT), ("load_dependent_friction", JOINT)}
+    for value in sizes.values():
         assert value == pytest.approx(0.15, rel=0.1)
 
 
@@ -121,28 +121,28 @@ def creeping() -> Recording:
 
 
 def test_an_axis_that_creeps_has_no_friction_over_speed_of_its_own(tmp_path) -> None:
-    one, recording = arm(tmp_path), creeping()
-    made = torque_regression(recording, one, Model.nominal(one))
+    robot, recording = arm(tmp_path), creeping()
+    regression = torque_regression(recording, robot, Model.nominal(robot))
     width = np.array([0.004])
-    used = with_reversal_width(made, Model.nominal(one), width).use[:, 0]
-    speed = np.abs(made.decimated_signals().qd[:, 0])
+    used = with_reversal_width(regression, Model.nominal(robot), width).use[:, 0]
+    speed = np.abs(regression.decimated_signals().qd[:, 0])
     assert used.any()
     assert not used[speed < 3.0 * width[0]].any()
-    found = diagnose(recording, one)
-    assert not {e.fitted.name for e in found.effects} & {"stribeck", "degressive", "thermal_drift"}
+    diagnosis = diagnose(recording, robot)
+    assert not {e.fitted.name for e in diagnosis.effects} & {"stribeck", "degressive", "thermal_drift"}
 
 
 def test_a_spike_before_a_hole_is_one_sample(tmp_path) -> None:
     """Brought to an even grid first, it was a triangle as long as the hole, which no median takes out."""
-    one, rng = arm(tmp_path), np.random.default_rng(3)
+    robot, rng = arm(tmp_path), np.random.default_rng(3)
     t = np.arange(0.0, 20.0, 0.001)
     q = 0.6 * np.sin(0.7 * t)[:, None] + 0.3 * np.sin(1.9 * t)[:, None]
     tau = -14.7 * np.cos(q) + 0.03 * rng.normal(size=q.shape)
     spiked = tau + 60.0 * (np.arange(len(t)) == 8000)[:, None]
     columns = [np.delete(values, slice(8001, 8008), axis=0) for values in (t, q, tau, spiked)]
-    made = [torque_regression(Recording.from_arrays(columns[0], q=columns[1], tau=values), one, Model.nominal(one))
+    pair = [torque_regression(Recording.from_arrays(columns[0], q=columns[1], tau=values), robot, Model.nominal(robot))
             for values in columns[2:]]
-    assert np.abs(made[1].measured - made[0].measured).max() < 0.02
+    assert np.abs(pair[1].measured - pair[0].measured).max() < 0.02
 
 
 # Friction over speed where an arm vibrates: its share is asked for in the lower half of the band as well.
@@ -162,7 +162,7 @@ def vibrating(surplus: float) -> Recording:
 
 def test_friction_over_speed_is_found_where_vibrations_are_most_of_what_is_left(tmp_path):
     assert not diagnose(vibrating(0.0), arm(tmp_path)).effects
-    (effect,) = (found.fitted for found in diagnose(vibrating(1.0), arm(tmp_path)).effects)
+    (effect,) = (entry.fitted for entry in diagnose(vibrating(1.0), arm(tmp_path)).effects)
     assert effect.name == "stribeck"
     # Of the whole band's squares it takes away less than is asked there; what is asked is said in those.
     assert effect.evidence["share_asked"] < effect.evidence["share"] < 0.15
@@ -190,12 +190,12 @@ def diagnosed(folder: Path, cause: Torque, middle: float = 0.0, turn: float = 1.
                                    pytest.param(40.0, id="ten"),
                                    pytest.param(170.0, id="seen in the slower part of the motion alone")])
 def test_a_ripple_is_found_with_its_order(order: float, tmp_path: Path) -> None:
-    found = diagnosed(tmp_path, lambda q, qd, load: 0.6 * np.cos(order * q) + 0.08 * np.cos(2.0 * order * q))
+    diagnosis = diagnosed(tmp_path, lambda q, qd, load: 0.6 * np.cos(order * q) + 0.08 * np.cos(2.0 * order * q))
     # Its double is a ripple of its own where it shows.
-    assert {effect.fitted.name for effect in found.effects} == {"torque_ripple"}
-    assert not found.unknown
-    size, _, said = found.effects[0].fitted.parameters
-    assert said.value == pytest.approx(order, rel=0.01)
+    assert {effect.fitted.name for effect in diagnosis.effects} == {"torque_ripple"}
+    assert not diagnosis.unknown
+    size, _, estimate = diagnosis.effects[0].fitted.parameters
+    assert estimate.value == pytest.approx(order, rel=0.01)
     assert size.value == pytest.approx(0.6, rel=0.1)
 
 
@@ -204,19 +204,19 @@ def test_what_a_curve_leaves_of_a_narrow_bump_is_no_ripple(tmp_path: Path) -> No
         x = (q - 0.1) / 0.12
         return np.asarray(1.5 * np.exp(-(x**2)) * (1.0 + 1.5 * np.tanh(x)))
 
-    found = diagnosed(tmp_path, bump)
-    assert found.verdict == "unknown"
-    assert not found.effects
-    assert {curve.depends_on for curve in found.unknown} == {("q_1",)}
+    diagnosis = diagnosed(tmp_path, bump)
+    assert diagnosis.verdict == "unknown"
+    assert not diagnosis.effects
+    assert {curve.depends_on for curve in diagnosis.unknown} == {("q_1",)}
 
 
 def test_friction_of_a_load_is_found_where_weight_and_a_constant_torque_are_hardly_told_apart(tmp_path: Path) -> None:
     # The load changes sign within half a radian, in which a constant torque looks like weight. The law of load that is
     # driven is the same one of a single joint.
-    found = diagnosed(tmp_path, lambda q, qd, load: 0.3 * np.abs(load) * np.sign(qd), middle=1.5, turn=0.25,
-                      only=(("load_dependent_friction", 1),))
-    assert [effect.fitted.name for effect in found.effects] == ["load_dependent_friction"]
-    assert found.effects[0].fitted.coefficients[0] == pytest.approx(0.3, rel=0.1)
+    diagnosis = diagnosed(tmp_path, lambda q, qd, load: 0.3 * np.abs(load) * np.sign(qd), middle=1.5, turn=0.25,
+                          only=(("load_dependent_friction", 1),))
+    assert [effect.fitted.name for effect in diagnosis.effects] == ["load_dependent_friction"]
+    assert diagnosis.effects[0].fitted.coefficients[0] == pytest.approx(0.3, rel=0.1)
 
 
 # A cable's spring, a balancer's and a curve without a cause: which of them a joint with gravity has.
@@ -234,14 +234,14 @@ def balancer(q: np.ndarray, force: float, phi: float, rho: float) -> np.ndarray:
 def problem_with(tmp_path: Path, torque) -> Problem:
     columns = moved()[0].columns
     pulled = Recording({**columns, "tau_1": columns["tau_1"] + torque(columns["q_1"])})
-    made = torque_regression(pulled, robot := arm(tmp_path), Model.nominal(robot))
-    return Problem.of(made, held_out=True)
+    regression = torque_regression(pulled, robot := arm(tmp_path), Model.nominal(robot))
+    return Problem.of(regression, held_out=True)
 
 
 def searched(problem: Problem, *start: Candidate) -> list[Candidate]:
     effects = [effect for effect in library() if effect.domain == MOTOR_TORQUE]
     return Search(problem, effects, Options(), absorbed=False).run(
-        [dataclasses.replace(one, p_value=1e-9, share=0.5) for one in start])
+        [dataclasses.replace(candidate, p_value=1e-9, share=0.5) for candidate in start])
 
 
 @pytest.mark.parametrize("start", [(), (BALANCER,), (CABLE,)], ids=["nothing", "balancer", "cable"])
@@ -269,8 +269,8 @@ def test_a_spring_that_gravity_takes_nearly_all_of_is_not_lost_in_some_folds(tmp
 
 
 def test_a_curve_that_no_spring_has_stays_a_curve(tmp_path):
-    found = searched(problem_with(tmp_path, lambda q: 4.0 * np.maximum(q - 0.3, 0.0)))
-    assert [c.effect.learned for c in found] == [True]
+    choices = searched(problem_with(tmp_path, lambda q: 4.0 * np.maximum(q - 0.3, 0.0)))
+    assert [c.effect.learned for c in choices] == [True]
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -280,9 +280,9 @@ def test_a_hose_that_is_slack_up_to_an_angle_is_no_balancer(tmp_path, side, star
         x = np.maximum(side * (q - 0.2), 0.0)
         return 3.0 * side * (x + 2.0 * x**2)
 
-    found = searched(problem_with(tmp_path, hose), *start)
-    assert [c.effect.learned for c in found] == [True]
-    assert found[0].effect.depends_on == ("q_1",)
+    choices = searched(problem_with(tmp_path, hose), *start)
+    assert [c.effect.learned for c in choices] == [True]
+    assert choices[0].effect.depends_on == ("q_1",)
 
 
 @pytest.mark.parametrize("phi", [0.3, 2.4, -1.7])
@@ -294,7 +294,7 @@ def test_a_weak_balancer_is_not_taken_for_a_pull(tmp_path, phi):
 def test_over_little_of_a_turn_a_balancer_is_gravity_and_a_cable():
     # The range and the angle of seed 737252 in strangers' physics: no recording of that range tells them.
     q = np.linspace(-0.38, 0.474, 400)
-    made = balancer(q, 1.0, 2.281 + np.pi, 0.4)
-    others = np.column_stack([np.ones_like(q), np.sin(q), np.cos(q), q])
-    left = made - others @ np.linalg.lstsq(others, made, rcond=None)[0]
-    assert np.sum(left**2) < 1e-6 * np.sum(made**2)
+    spring_torque = balancer(q, 1.0, 2.281 + np.pi, 0.4)
+    columns = np.column_stack([np.ones_like(q), np.sin(q), np.cos(q), q])
+    residual = spring_torque - columns @ np.linalg.lstsq(columns, spring_torque, rcond=None)[0]
+    assert np.sum(residual**2) < 1e-6 * np.sum(spring_torque**2)

@@ -46,9 +46,9 @@ def test_recording_of_a_stranger(seed, kind):
     """
     trial = stranger(seed, kind)
     with robot_of(trial.urdf) as robot:
-        found = diagnose(trial.recording, robot)
-    assert score(trial, found).right, (trial.causes, found.effects)
-    for channel in found.channels:
+        diagnosis = diagnose(trial.recording, robot)
+    assert score(trial, diagnosis).right, (trial.causes, diagnosis.effects)
+    for channel in diagnosis.channels:
         assert channel.rms_after <= 1.2 * channel.rms_before
 
 
@@ -85,18 +85,18 @@ def test_too_little_motion_is_said_instead_of_a_verdict(tmp_path):
     rng = np.random.default_rng(0)
     still = Recording.from_arrays(t, q=0.3 + 1e-6 * rng.normal(size=(len(t), 1)),
                                   tau=rng.normal(size=(len(t), 1)) + 4.0)
-    found = diagnose(still, arm(tmp_path))
-    assert found.verdict == "undecided"
-    assert 1 in found.undecided
-    assert found.to_dict()["undecided"][0]["joint"] == 1
+    diagnosis = diagnose(still, arm(tmp_path))
+    assert diagnosis.verdict == "undecided"
+    assert 1 in diagnosis.undecided
+    assert diagnosis.to_dict()["undecided"][0]["joint"] == 1
 
 
 def test_where_no_sample_is_left_between_reversals_nothing_is_decided(tmp_path):
     t = np.arange(0.0, 10.0, 0.01)
     q = 0.1 * np.sin(26.0 * t)[:, None]
-    found = diagnose(Recording.from_arrays(t, q=q, tau=4.0 * np.cos(26.0 * t)[:, None]), arm(tmp_path))
-    assert found.verdict == "undecided"
-    assert "no sample is left" in found.undecided[1]
+    diagnosis = diagnose(Recording.from_arrays(t, q=q, tau=4.0 * np.cos(26.0 * t)[:, None]), arm(tmp_path))
+    assert diagnosis.verdict == "undecided"
+    assert "no sample is left" in diagnosis.undecided[1]
 
 
 @pytest.mark.parametrize("spoil", ["missing", "joints", "degrees", "backwards"])
@@ -126,10 +126,10 @@ def rippled(arm_: Robot, phase: float, seed: int) -> Recording:
 
 
 def test_the_extended_model_predicts_what_was_found(tmp_path):
-    one = arm(tmp_path)
-    found, other = diagnose(rippled(one, 0.0, 1), one), rippled(one, 0.0, 2)
-    again = Model.load(found.model.save(tmp_path / "model.json"))
-    assert [e.name for e in again.effects] == [e.fitted.name for e in (*found.effects, *found.unknown)]
+    robot = arm(tmp_path)
+    diagnosis, other = diagnose(rippled(robot, 0.0, 1), robot), rippled(robot, 0.0, 2)
+    again = Model.load(diagnosis.model.save(tmp_path / "model.json"))
+    assert [e.name for e in again.effects] == [e.fitted.name for e in (*diagnosis.effects, *diagnosis.unknown)]
     bare = dataclasses.replace(again, effects=())
     with_effect, without = (m.predict(other).relative_error_percent[0] for m in (again, bare))
     assert with_effect < 0.5 * without
@@ -137,87 +137,87 @@ def test_the_extended_model_predicts_what_was_found(tmp_path):
 
 @pytest.mark.parametrize(("phase", "transfers"), [(0.0, True), (2.5, False)])
 def test_an_effect_is_added_only_if_it_transfers_to_the_other_recording(phase, transfers, tmp_path):
-    one = arm(tmp_path)
-    found = diagnose(rippled(one, 0.0, 1), one, validate=rippled(one, phase, 2))
-    said = [e.fitted.name for e in found.effects]
-    dropped = [d.effect for d in found.not_transferred]
-    assert ("torque_ripple" in said) is transfers
+    robot = arm(tmp_path)
+    diagnosis = diagnose(rippled(robot, 0.0, 1), robot, validate=rippled(robot, phase, 2))
+    added = [e.fitted.name for e in diagnosis.effects]
+    dropped = [d.effect for d in diagnosis.not_transferred]
+    assert ("torque_ripple" in added) is transfers
     assert ("torque_ripple" in dropped) is not transfers
     if transfers:
-        assert found.channels[0].rms_after < 0.3 * found.channels[0].rms_before
+        assert diagnosis.channels[0].rms_after < 0.3 * diagnosis.channels[0].rms_before
     else:
         # Without it the model is no worse than before; with it, it would be.
-        gone = found.not_transferred[dropped.index("torque_ripple")]
+        gone = diagnosis.not_transferred[dropped.index("torque_ripple")]
         assert gone.rms_with > gone.rms_without
-        assert found.channels[0].rms_after < 1.02 * found.channels[0].rms_before
+        assert diagnosis.channels[0].rms_after < 1.02 * diagnosis.channels[0].rms_before
 
 
 @needs_data
 def test_emps_asymmetry_and_delay_are_found_without_being_told():
     robot = Robot.load(DATA / "emps" / "emps.urdf")
-    found = diagnose(Recording.read(DATA / "emps" / "emps_estimation.parquet"), robot,
-                     validate=Recording.read(DATA / "emps" / "emps_validation.parquet"))
-    names = [e.fitted.name for e in found.effects]
+    diagnosis = diagnose(Recording.read(DATA / "emps" / "emps_estimation.parquet"), robot,
+                         validate=Recording.read(DATA / "emps" / "emps_validation.parquet"))
+    names = [e.fitted.name for e in diagnosis.effects]
     assert names[0] == "asymmetric_friction"
     assert "dead_time" in names
-    channel = found.channels[0]
+    channel = diagnosis.channels[0]
     # In the band that is looked at, apart from reversals; the published 5.95 % are of all frequencies and samples.
     before, after = (100.0 * value / channel.rms_signal for value in (channel.rms_before, channel.rms_after))
     assert before > 4.0
     assert after <= 3.2
     whole = Recording.read(DATA / "emps" / "emps_validation.parquet")
-    assert found.model.predict(whole).relative_error_percent[0] <= 3.1
+    assert diagnosis.model.predict(whole).relative_error_percent[0] <= 3.1
 
 
 @needs_data
 @pytest.mark.slow
 def test_ur10e_load_dependent_friction_is_found():
     robot = Robot.load(DATA / "ur10e" / "ur10e.urdf")
-    found = diagnose(Recording.read(DATA / "ur10e" / "free_12harm_50s.parquet"), robot,
-                     validate=Recording.read(DATA / "ur10e" / "free_8harm_20s.parquet"))
+    diagnosis = diagnose(Recording.read(DATA / "ur10e" / "free_12harm_50s.parquet"), robot,
+                         validate=Recording.read(DATA / "ur10e" / "free_8harm_20s.parquet"))
     # By its size or by who drives whom: on this recording the one explains as much as the other, which is said.
-    said = {e.fitted.joint: {e.fitted.name, *e.indistinguishable_from} for e in found.effects}
-    assert "load_dependent_friction" in said[2]
-    assert "load_dependent_friction" in said[3]
+    causes = {e.fitted.joint: {e.fitted.name, *e.indistinguishable_from} for e in diagnosis.effects}
+    assert "load_dependent_friction" in causes[2]
+    assert "load_dependent_friction" in causes[3]
     # What does not transfer by luck of the halves may cost a few percent, never more.
-    assert all(c.rms_after < 1.1 * c.rms_before for c in found.channels)
+    assert all(c.rms_after < 1.1 * c.rms_before for c in diagnosis.channels)
 
 
 def test_what_nothing_explains_is_not_called_nothing(tmp_path):
-    one, rng, (t, q, _, tau) = arm(tmp_path), np.random.default_rng(3), strokes()
-    found = diagnose(Recording.from_arrays(t, q=q, tau=tau), one)
-    assert found.verdict == "none"
-    assert not found.unexplained
+    robot, rng, (t, q, _, tau) = arm(tmp_path), np.random.default_rng(3), strokes()
+    diagnosis = diagnose(Recording.from_arrays(t, q=q, tau=tau), robot)
+    assert diagnosis.verdict == "none"
+    assert not diagnosis.unexplained
     # Kicks that no column tells of, at random times, in random directions.
-    for at in rng.integers(0, len(t) - 5, 150):
-        tau[at : at + 5] += 4.0 * rng.normal()
-    found = diagnose(Recording.from_arrays(t, q=q, tau=tau), one)
-    assert not found.effects
-    assert [c.channel for c in found.unexplained] == ["tau_1"]
-    assert "Nothing is missing" not in summary(found)
-    assert "tau_1" in unexplained(found)
+    for start in rng.integers(0, len(t) - 5, 150):
+        tau[start : start + 5] += 4.0 * rng.normal()
+    diagnosis = diagnose(Recording.from_arrays(t, q=q, tau=tau), robot)
+    assert not diagnosis.effects
+    assert [c.channel for c in diagnosis.unexplained] == ["tau_1"]
+    assert "Nothing is missing" not in summary(diagnosis)
+    assert "tau_1" in unexplained(diagnosis)
 
 
 @pytest.mark.parametrize("width", [0.004, 0.006])
 def test_how_sharply_friction_changes_sign_is_found_and_is_no_effect(width, tmp_path):
-    one, (t, q, qd, _) = arm(tmp_path), strokes()
+    robot, (t, q, qd, _) = arm(tmp_path), strokes()
     speed = width * np.percentile(np.abs(qd), 99)
     tau = torque(t, q, speed) + 0.01 * np.random.default_rng(5).normal(size=q.shape)
     recording = Recording.from_arrays(t, q=q, tau=tau)
-    nominal = Model.nominal(one)
-    raw = torque_regression(recording, one, nominal)
+    nominal = Model.nominal(robot)
+    raw = torque_regression(recording, robot, nominal)
     blocks = time_blocks(len(raw.t), float(raw.t[1] - raw.t[0]), held_out=True)
     reversal_width = reversal_widths(Problem(raw, blocks), nominal)
     assert reversal_width[0] == pytest.approx(speed, rel=0.1)
     # About a model that has friction, the residual holds the same change of sign as the columns.
     law = type(nominal.friction.laws[0])(np.array([[1.5], [2.0]]))
     rubbing = dataclasses.replace(nominal, friction=PerJointFriction([law]))
-    made = with_reversal_width(raw, rubbing, reversal_width)
-    beta = np.zeros(made.W.shape[2])
+    sharpened = with_reversal_width(raw, rubbing, reversal_width)
+    beta = np.zeros(sharpened.W.shape[2])
     beta[nominal.base.count : nominal.base.count + 2] = 1.5, 2.0
     bare = with_reversal_width(raw, nominal, reversal_width)
-    assert made.y == pytest.approx(bare.y - bare.W @ beta, abs=1e-9)
-    assert diagnose(recording, one).verdict == "none"
+    assert sharpened.y == pytest.approx(bare.y - bare.W @ beta, abs=1e-9)
+    assert diagnose(recording, robot).verdict == "none"
 
 
 def test_acceleration_is_not_lost_as_in_a_soft_gear(tmp_path):
@@ -232,8 +232,8 @@ def test_acceleration_is_not_lost_as_in_a_soft_gear(tmp_path):
 
 @pytest.mark.parametrize(("name", "says"), [("one", "1 joints"), ("kr15", "sits elsewhere")])
 def test_a_model_of_another_arm_is_refused(name, says, tmp_path):
-    one, kr6 = arm(tmp_path), Robot.load("kr6")
-    other = Model.nominal(one if name == "one" else Robot.load(name))
+    single, kr6 = arm(tmp_path), Robot.load("kr6")
+    other = Model.nominal(single if name == "one" else Robot.load(name))
     t = np.arange(0.0, 10.0, 0.004)
     q = np.sin(np.outer(t, np.ones(6)))
     with pytest.raises(InputError, match=says) as error:
@@ -259,12 +259,12 @@ def names(found: Diagnosis) -> list[tuple[str, int, str]]:
 
 def test_late_encoders_on_the_arms_side_of_three_joints_are_one_delay_and_no_gear(arm_and_run):
     robot, plant, run, logger = arm_and_run
-    found = diagnose(record(dataclasses.replace(logger, qa_delay=0.003), plant, run), robot)
-    (late,) = [e for e in found.effects if e.fitted.channel.startswith("qa")]
+    diagnosis = diagnose(record(dataclasses.replace(logger, qa_delay=0.003), plant, run), robot)
+    (late,) = [e for e in diagnosis.effects if e.fitted.channel.startswith("qa")]
     assert (late.fitted.name, late.fitted.joint) == ("dead_time", 0)
     assert late.fitted.coefficients[0] == pytest.approx(0.003, rel=0.02)
-    assert not [name for name in names(found) if name[0] in ("joint_elasticity", "backlash")]
-    assert [c.channel for c in found.channels if c.channel.startswith("qa")] == ["qa_1", "qa_2", "qa_3"]
+    assert not [name for name in names(diagnosis) if name[0] in ("joint_elasticity", "backlash")]
+    assert [c.channel for c in diagnosis.channels if c.channel.startswith("qa")] == ["qa_1", "qa_2", "qa_3"]
 
 
 @pytest.mark.slow
@@ -272,23 +272,23 @@ def test_a_delay_of_one_encoder_stays_that_of_its_joint(arm_and_run):
     robot, plant, run, logger = arm_and_run
     good = record(logger, plant, run)
     late = np.interp(good.t - 0.003, good.t, good.columns["qa_2"])
-    found = diagnose(Recording({**good.columns, "qa_2": late}), robot)
-    assert [name for name in names(found) if name[2].startswith("qa")] == [("dead_time", 2, "qa_2")]
+    diagnosis = diagnose(Recording({**good.columns, "qa_2": late}), robot)
+    assert [name for name in names(diagnosis) if name[2].startswith("qa")] == [("dead_time", 2, "qa_2")]
 
 
 def test_a_dead_torque_channel_is_named_and_its_joint_left_out(arm_and_run):
     robot, plant, run, logger = arm_and_run
     good = record(dataclasses.replace(logger, qa=()), plant, run)
     dead = np.where(np.random.default_rng(1).random(len(good.t)) < 0.8, 0.0, good.columns["tau_5"])
-    found = diagnose(Recording({**good.columns, "tau_5": dead}), robot)
-    assert "dead torque channel" in found.undecided[5]
-    assert any(text.startswith("dead-channel: tau_5") for text in found.warnings)
-    assert not [name for name in names(found) if name[1] == 5]
-    counted = {c.channel: c.counted for c in found.channels}
+    diagnosis = diagnose(Recording({**good.columns, "tau_5": dead}), robot)
+    assert "dead torque channel" in diagnosis.undecided[5]
+    assert any(text.startswith("dead-channel: tau_5") for text in diagnosis.warnings)
+    assert not [name for name in names(diagnosis) if name[1] == 5]
+    counted = {c.channel: c.counted for c in diagnosis.channels}
     assert counted["tau_5"] == 0.0
     assert 0.5 < counted["tau_1"] < 1.0
-    said = {c["channel"]: c["samples_counted_percent"] for c in found.to_dict()["channels"]}
-    assert said["tau_1"] == pytest.approx(100.0 * counted["tau_1"])
+    percent = {c["channel"]: c["samples_counted_percent"] for c in diagnosis.to_dict()["channels"]}
+    assert percent["tau_1"] == pytest.approx(100.0 * counted["tau_1"])
 
 
 @pytest.mark.slow
@@ -297,10 +297,10 @@ def test_clipped_torques_cost_samples_and_name_nothing(arm_and_run):
     good = record(dataclasses.replace(logger, qa=()), plant, run)
     tau = good.columns["tau_2"]
     clipped = Recording({**good.columns, "tau_2": np.clip(tau, *np.quantile(tau, [0.02, 0.98]))})
-    healthy, found = diagnose(good, robot), diagnose(clipped, robot)
-    assert names(found) == names(healthy)
-    assert any(text.startswith("clipped-channel: tau_2") for text in found.warnings)
-    assert found.channels[1].counted < healthy.channels[1].counted - 0.03
+    healthy, diagnosis = diagnose(good, robot), diagnose(clipped, robot)
+    assert names(diagnosis) == names(healthy)
+    assert any(text.startswith("clipped-channel: tau_2") for text in diagnosis.warnings)
+    assert diagnosis.channels[1].counted < healthy.channels[1].counted - 0.03
 
 
 def test_temperatures_of_some_joints_are_used_and_what_is_not_is_said(arm_and_run):
@@ -312,8 +312,8 @@ def test_temperatures_of_some_joints_are_used_and_what_is_not_is_said(arm_and_ru
     signals = torque_regression(mixed, robot, Model.nominal(robot)).signals
     assert np.ptp(signals.temperature[:, 1]) > 2.0
     assert np.ptp(signals.temperature[:, [0, 2, 3, 4, 5]]) == 0.0
-    found = diagnose(mixed, robot, only=())
-    assert found.unused == {"temp_3": "it holds gaps", "qx": "the tool's orientation is not looked at",
-                            "switch": "it never changes"}
-    assert {"columns": "temp_3", "reason": "it holds gaps"} in found.to_dict()["unused"]
-    assert "temp_3 (it holds gaps)" in unused(found)
+    diagnosis = diagnose(mixed, robot, only=())
+    assert diagnosis.unused == {"temp_3": "it holds gaps", "qx": "the tool's orientation is not looked at",
+                                "switch": "it never changes"}
+    assert {"columns": "temp_3", "reason": "it holds gaps"} in diagnosis.to_dict()["unused"]
+    assert "temp_3 (it holds gaps)" in unused(diagnosis)

@@ -59,23 +59,23 @@ def with_spring(part: float, spring: float, seed: int, about: float = 0.0) -> Re
 
 
 def test_a_spring_that_refitting_swallows_is_said_with_the_parameters_that_moved(tmp_path):
-    one = arm(tmp_path)
-    model = identify([with_spring(1.0, 0.0, 1)], one).model
-    healthy = diagnose(with_spring(1.0, 0.0, 2), one, model=model)
+    robot = arm(tmp_path)
+    model = identify([with_spring(1.0, 0.0, 1)], robot).model
+    healthy = diagnose(with_spring(1.0, 0.0, 2), robot, model=model)
     assert (healthy.verdict, healthy.refitted) == ("none", ())
     # Over all of the range a spring is a spring; over little of it, heavier links.
-    seen = diagnose(with_spring(1.0, 6.0, 2), one, model=model)
+    seen = diagnose(with_spring(1.0, 6.0, 2), robot, model=model)
     assert ([e.fitted.name for e in seen.effects], seen.refitted) == (["cable_spring"], ())
-    swallowed = diagnose(with_spring(0.1, 6.0, 2, about=0.8), one, model=model)
+    swallowed = diagnose(with_spring(0.1, 6.0, 2, about=0.8), robot, model=model)
     assert not swallowed.effects
     assert swallowed.verdict == "unknown"
-    (said,) = swallowed.refitted
-    assert (said.joint, said.channel) == (1, "tau_1")
-    assert said.rms_refit < 0.2 * said.rms_before
-    assert {"mx_1", "mz_1"} & {p.name for p in said.moved}
-    assert all(abs(p.sigmas) > 3.0 for p in said.moved)
+    (refit,) = swallowed.refitted
+    assert (refit.joint, refit.channel) == (1, "tau_1")
+    assert refit.rms_refit < 0.2 * refit.rms_before
+    assert {"mx_1", "mz_1"} & {p.name for p in refit.moved}
+    assert all(abs(p.sigmas) > 3.0 for p in refit.moved)
     (values,) = swallowed.to_dict()["explained_by_refitting"]
-    assert values["moved"][0]["name"] == said.moved[0].name
+    assert values["moved"][0]["name"] == refit.moved[0].name
     assert "range" in values["would_tell"]
     # With the parameters as they were it is there: six newton metres per radian over 0.2 rad, whatever its name.
     assert seen.beside_known == healthy.beside_known == ()
@@ -88,17 +88,17 @@ def test_a_spring_that_refitting_swallows_is_said_with_the_parameters_that_moved
 
 @pytest.mark.parametrize("ripple", [0.0, 0.2])
 def test_a_colder_arm_is_said_with_its_friction_whatever_little_effect_is_found_beside(ripple, tmp_path):
-    one = arm(tmp_path)
-    model = identify([with_spring(1.0, 0.0, 1)], one).model
+    robot = arm(tmp_path)
+    model = identify([with_spring(1.0, 0.0, 1)], robot).model
     warm = with_spring(1.0, 0.0, 2)
     q, tau = warm.joints("q"), warm.joints("tau")
     qd = np.gradient(q, warm.t, axis=0)
     cold = tau + 0.6 * np.tanh(qd / 2e-3) + 0.6 * qd + ripple * np.sin(40.0 * q)
-    found = diagnose(Recording.from_arrays(warm.t, q=q, tau=cold), one, model=model)
-    (said,) = found.refitted
-    assert said.rms_refit < 0.3 * said.rms_before
-    assert said.moved
-    assert len(found.effects) <= (ripple > 0.0)
+    diagnosis = diagnose(Recording.from_arrays(warm.t, q=q, tau=cold), robot, model=model)
+    (refit,) = diagnosis.refitted
+    assert refit.rms_refit < 0.3 * refit.rms_before
+    assert refit.moved
+    assert len(diagnosis.effects) <= (ripple > 0.0)
 
 
 @pytest.mark.parametrize("engine", [pytest.param("mujoco", marks=pytest.mark.slow), "integrator"])
@@ -106,14 +106,14 @@ def test_a_healthy_recording_against_the_model_of_another_one_in_strangers_physi
     four = an_arm(seed=5, n=4)
     plant = dataclasses.replace(a_plant(four, kind=TANH if engine == "integrator" else BRISTLE))
     rng = np.random.default_rng(8)
-    logger, made = a_logger(rng, 4), []
+    logger, logged = a_logger(rng, 4), []
     for seed in range(2):
         run = ENGINES[engine](plant, draw_motion(rng, four, 30.0, "fourier"))
-        made.append(record(dataclasses.replace(logger, seed=seed, noise=0.005 * np.std(run.tau, axis=0)), plant, run))
+        logged.append(record(dataclasses.replace(logger, seed=seed, noise=0.005 * np.std(run.tau, axis=0)), plant, run))
     robot = Robot.load(written(tmp_path, four.urdf))
-    found = diagnose(made[1], robot, model=identify([made[0]], robot).model)
-    assert [(e.fitted.name, e.fitted.joint) for e in (*found.effects, *found.unknown)] == []
-    assert found.verdict == "none"
+    diagnosis = diagnose(logged[1], robot, model=identify([logged[0]], robot).model)
+    assert [(e.fitted.name, e.fitted.joint) for e in (*diagnosis.effects, *diagnosis.unknown)] == []
+    assert diagnosis.verdict == "none"
 
 
 def in_world(world: World, seed: int, rng: np.random.Generator) -> Recording:
@@ -134,14 +134,14 @@ def in_world(world: World, seed: int, rng: np.random.Generator) -> Recording:
 def test_a_healthy_recording_of_our_world_against_the_model_of_another_one(bare):
     # What identification has no parameters for is truly there, and found, in the default world: gears and ripples.
     robot, world = Robot.load("kr6"), World.default("kr6")
-    world, there = (world.replace(torque_ripple=0.0, elasticity=False), set()) if bare else (
+    world, effects = (world.replace(torque_ripple=0.0, elasticity=False), set()) if bare else (
         world, {"torque_ripple", "joint_elasticity"})
     rng = np.random.default_rng(3)
     first, second = (in_world(world, seed, rng) for seed in (4, 5))
     model: Model = identify([first], robot).model
-    found = diagnose(second, robot, model=model)
-    assert {e.fitted.name for e in (*found.effects, *found.unknown)} <= there
-    assert found.verdict == ("effects" if there else "none")
+    diagnosis = diagnose(second, robot, model=model)
+    assert {e.fitted.name for e in (*diagnosis.effects, *diagnosis.unknown)} <= effects
+    assert diagnosis.verdict == ("effects" if effects else "none")
 
 
 def test_where_their_delay_is_named_a_model_made_of_late_torques_is_that_of_punctual_ones(tmp_path):
@@ -177,13 +177,13 @@ def known_kr15():
 
 def test_oracle_finds_sizes_and_leaves_the_model_as_it_was(known_kr15):
     robot, known, recording = known_kr15
-    told = with_named_effects(recording, robot, known, (("stribeck", 2), ("current_offset", 3)))
-    np.testing.assert_array_equal(told.base_values, known.base_values)
-    assert [law.coefficients.tolist() for law in told.friction.laws] == [
+    extended = with_named_effects(recording, robot, known, (("stribeck", 2), ("current_offset", 3)))
+    np.testing.assert_array_equal(extended.base_values, known.base_values)
+    assert [law.coefficients.tolist() for law in extended.friction.laws] == [
         law.coefficients.tolist() for law in known.friction.laws]
-    assert [effect.name for effect in told.effects] == ["stribeck", "current_offset"]
-    assert told.effects[1].coefficients[0] == pytest.approx(8.0, rel=0.1)
-    before, after = (model.predict(recording).relative_error_percent for model in (known, told))
+    assert [effect.name for effect in extended.effects] == ["stribeck", "current_offset"]
+    assert extended.effects[1].coefficients[0] == pytest.approx(8.0, rel=0.1)
+    before, after = (model.predict(recording).relative_error_percent for model in (known, extended))
     assert np.all(after[1:3] < 0.6 * before[1:3])
 
 
@@ -203,11 +203,11 @@ def test_errors_of_several_joints_kinematics_are_estimated_together(known_kr15):
     q = recording.joints("q")
     x = robot.tool_places(q)
     columns = {**recording.columns, **dict(zip("xyz", (x + 2e-4 * np.sin(3.0 * q[:, 1:2])).T.copy(), strict=True))}
-    seen = dataclasses.replace(recording, columns=columns)
+    tracked = dataclasses.replace(recording, columns=columns)
     every = tuple(("kinematic_error", joint) for joint in range(1, 7))
-    told = with_named_effects(seen, robot, known, every)
-    alone = [with_named_effects(seen, robot, known, (one,)).effects[0] for one in every]
-    size = [np.linalg.norm([effect.coefficients for effect in effects], axis=1) for effects in (told.effects, alone)]
+    jointly = with_named_effects(tracked, robot, known, every)
+    alone = [with_named_effects(tracked, robot, known, (error,)).effects[0] for error in every]
+    size = [np.linalg.norm([effect.coefficients for effect in effects], axis=1) for effects in (jointly.effects, alone)]
     assert not np.allclose(size[0], size[1], rtol=0.1)
 
 
@@ -226,9 +226,9 @@ def carrying(name: str, link: int, mass: float, at: np.ndarray, left: float = 0.
     # What rotors do with the inertia of a wrist is known no better than this.
     share = np.where(np.arange(robot.n) < 3, left, 0.02)
     tau = tau + share * np.std(tau, axis=0) * np.sin(7.0 * q) + 0.002 * np.std(tau, axis=0) * rng.normal(size=q.shape)
-    made = torque_regression(Recording.from_arrays(t, q=q, tau=tau), robot, model, payload=True)
-    problem = Problem.of(made, held_out=True)
-    return problem.with_prior(1e9 * np.eye(made.W.shape[2])), robot
+    regression = torque_regression(Recording.from_arrays(t, q=q, tau=tau), robot, model, payload=True)
+    problem = Problem.of(regression, held_out=True)
+    return problem.with_prior(1e9 * np.eye(regression.W.shape[2])), robot
 
 
 @pytest.mark.parametrize("name", ["kr6", "kr15"])
@@ -241,8 +241,8 @@ def test_a_body_on_the_flange_is_a_payload_of_its_mass(name, mass):
                    for j in e.joints(problem.regression.signals))
     choices = Search(problem, library(), Options(), absorbed=True, only=bodies).run()
     assert [(c.effect.name, c.joint) for c in choices] == [("payload", 0)]
-    (found,) = problem.fit([choices[0]]).coefficients
-    assert found[0] == pytest.approx(mass, rel=0.1)
+    (coefficients,) = problem.fit([choices[0]]).coefficients
+    assert coefficients[0] == pytest.approx(mass, rel=0.1)
 
 
 def test_a_body_on_an_inner_link_is_a_load_of_that_link():

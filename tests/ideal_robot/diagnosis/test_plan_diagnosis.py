@@ -42,11 +42,11 @@ def planned():
 def test_planned_motion_tells_apart_what_the_recording_did_not(planned):
     first, plain, robot, plan = planned
     assert not diagnose(first, plain).effects
-    (found,) = diagnose(recording_of(plan.commands, robot.t_ipo), plain).effects
-    assert (found.fitted.name, found.fitted.joint, found.indistinguishable_from) == (*TRUTH, ())
-    (told,) = plan.pairs
-    assert told.told_apart
-    assert told.planned.sigma > 1.5 * told.before.sigma
+    (effect,) = diagnose(recording_of(plan.commands, robot.t_ipo), plain).effects
+    assert (effect.fitted.name, effect.fitted.joint, effect.indistinguishable_from) == (*TRUTH, ())
+    (pair,) = plan.pairs
+    assert pair.told_apart
+    assert pair.planned.sigma > 1.5 * pair.before.sigma
 
 
 def test_motion_stays_within_limits_and_rests_at_its_ends(planned):
@@ -91,7 +91,7 @@ def test_gear_that_motors_cannot_show_is_left_to_a_device_on_the_arm_side(planne
     clear = Separation(12.0, 0.9, 0.4)
 
     def said(name: str, after: Separation, recording: Recording = first) -> str:
-        causes = [Cause(Candidate(find(one, "tau"), 2, ()), np.ones(1), ((),)) for one in (name, "dead_time")]
+        causes = [Cause(Candidate(find(cause, "tau"), 2, ()), np.ones(1), ((),)) for cause in (name, "dead_time")]
         pair = Pair(causes[0], causes[1], (), np.ones(2), 1.0, None)
         return _planned_pair(pair, hidden, after, recording).only
 
@@ -104,15 +104,15 @@ def test_gear_that_motors_cannot_show_is_left_to_a_device_on_the_arm_side(planne
 def test_noise_hides_what_it_is_larger_than():
     """Twice the noise halves the distance of two causes; two motions together are never worse than one."""
     rows = np.linspace(0.0, 1.0, 400)
-    made = SimpleNamespace(W=np.ones((400, 1, 1)), use=np.ones((400, 1), dtype=bool), signals=rows,
-                           columns_of=lambda effect, joint, theta: effect.columns(rows, joint, theta))
+    regression = SimpleNamespace(W=np.ones((400, 1, 1)), use=np.ones((400, 1), dtype=bool), signals=rows,
+                                 columns_of=lambda effect, joint, theta: effect.columns(rows, joint, theta))
 
     def pair(weight: float) -> Pair:
         causes = [Cause(Candidate(Power(power), 1), np.ones(1), ((),)) for power in (2, 3)]
         return Pair(causes[0], causes[1], (), np.array([weight]), 1.0, None)
 
-    once = pair(1.0).separation(pair(1.0).products(made))
-    noisy = pair(0.25).separation(pair(0.25).products(made))
+    once = pair(1.0).separation(pair(1.0).products(regression))
+    noisy = pair(0.25).separation(pair(0.25).products(regression))
     assert noisy.sigma == pytest.approx(0.5 * once.sigma, rel=1e-6)
     assert noisy.own_share == pytest.approx(once.own_share, rel=1e-6)
     # By hand: what of x² a straight line in x³ with a constant leaves.
@@ -121,7 +121,7 @@ def test_noise_hides_what_it_is_larger_than():
     x3, B = rows**3, np.column_stack([np.ones(400), rows**2])
     other = np.sqrt(np.sum((x3 - B @ np.linalg.lstsq(B, x3, rcond=None)[0]) ** 2))
     assert once.sigma == pytest.approx(min(by_hand, other), rel=1e-3)
-    twice = pair(1.0).products(made) + pair(1.0).products(made)
+    twice = pair(1.0).products(regression) + pair(1.0).products(regression)
     assert pair(1.0).separation(twice).sigma == pytest.approx(np.sqrt(2.0) * once.sigma, rel=1e-6)
 
 
@@ -160,8 +160,8 @@ def test_currents_without_known_gains_are_planned_for_in_their_own_units(planned
                values / 20.0 ** int(name[4:]) if name.startswith("tau_") else values
                for name, values in first.columns.items()}
     unknown = dataclasses.replace(plain, drive_gain=np.ones(plain.n))
-    (told,) = plan_diagnosis(Recording(columns), unknown, asked(*TRUTH, RIVAL), workspace=ANYWHERE).pairs
-    assert told.told_apart
+    (pair,) = plan_diagnosis(Recording(columns), unknown, asked(*TRUTH, RIVAL), workspace=ANYWHERE).pairs
+    assert pair.told_apart
 
 
 def test_nothing_open_needs_no_motion(planned):

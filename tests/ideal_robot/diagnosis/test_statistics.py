@@ -98,11 +98,11 @@ def test_what_a_curve_explains_by_chance_follows_from_the_blocks(sieve):
     rng = np.random.default_rng(6)
     noise = coloured(rng, len(signals.t))
     term = next(t for t in terms(signals, 0, pairs=False) if t.depends_on == ("q_2",))
-    found = sieve.tests(noise, 0, [term])[0]
+    result = sieve.tests(noise, 0, [term])[0]
     signs = rng.choice([-1.0, 1.0], size=(400, blocks.count))[:, blocks.of_samples()]
     shares = np.array([sieve.tests(sign * noise, 0, [term])[0].share for sign in signs])
-    assert found.expected == pytest.approx(shares.mean(), rel=0.1)
-    assert found.p_value == pytest.approx(np.mean(shares >= found.share), abs=0.1)
+    assert result.expected == pytest.approx(shares.mean(), rel=0.1)
+    assert result.p_value == pytest.approx(np.mean(shares >= result.share), abs=0.1)
 
 
 def test_a_slow_disturbance_is_seen_over_time(sieve):
@@ -199,8 +199,8 @@ def test_what_a_fold_leaves_open_says_nothing_of_candidates():
 
 @pytest.fixture
 def problem(tmp_path: Path) -> Problem:
-    one = arm(tmp_path)
-    return Problem.of(torque_regression(rippled(one, 0.0, 1), one, Model.nominal(one)), held_out=True)
+    robot = arm(tmp_path)
+    return Problem.of(torque_regression(rippled(robot, 0.0, 1), robot, Model.nominal(robot)), held_out=True)
 
 
 def ripple() -> Candidate:
@@ -209,13 +209,13 @@ def ripple() -> Candidate:
 
 def test_effects_and_parameters_are_fitted_together(problem):
     # The recording holds a ripple of 0.4 N m, 40 periods per turn of the joint divided by 2 pi.
-    found = problem.fit([ripple()], uncertainty=True)
-    size, theta_std = found.coefficients[0], found.theta_std[0]
+    fit = problem.fit([ripple()], uncertainty=True)
+    size, theta_std = fit.coefficients[0], fit.theta_std[0]
     assert size == pytest.approx([0.4, 0.0], abs=0.02)
-    assert np.all(np.abs(size - [0.4, 0.0]) < 4.0 * found.std[0] + 1e-3)
+    assert np.all(np.abs(size - [0.4, 0.0]) < 4.0 * fit.std[0] + 1e-3)
     assert 0.0 < theta_std[0] < 0.1
-    made = problem.regression
-    before, after = (float(np.std(r[made.use])) for r in (problem.fit().residual(made), found.residual(made)))
+    torques = problem.regression
+    before, after = (float(np.std(r[torques.use])) for r in (problem.fit().residual(torques), fit.residual(torques)))
     assert after < 0.3 * before
 
 
@@ -242,8 +242,8 @@ def test_the_lower_half_of_the_band_gives_the_same_numbers_where_nothing_else_is
 
 
 def test_parameters_of_a_joint_that_slides_are_in_its_units(problem):
-    found = problem.fit([ripple()], uncertainty=True)
-    turning, sliding = (found.fitted(0, [slides]).parameters[0] for slides in (False, True))
+    fit = problem.fit([ripple()], uncertainty=True)
+    turning, sliding = (fit.fitted(0, [slides]).parameters[0] for slides in (False, True))
     assert (turning.unit, sliding.unit) == ("N m", "N")
 
 
@@ -258,15 +258,15 @@ def test_held_parameters_leave_their_changes_to_effects(problem):
     # Two and a half times as much is asked of a delay of one joint.
     ("dead_time", 0.4, True), ("dead_time", 0.37, False)])
 def test_a_likelier_cause_is_taken_where_the_other_is_no_clearer_than_is_asked_of_it(best, share, taken):
-    other, one = (Candidate(find(name, "tau"), joint, (8e-3,), test=HeldOutTest(reduction=np.array([size])))
-                  for name, joint, size in (("common_delay", 0, share), (best, 2, 1.0)))
-    assert (likelier(one, [one, other]) is other) is taken
+    other, clearest = (Candidate(find(name, "tau"), joint, (8e-3,), test=HeldOutTest(reduction=np.array([size])))
+                       for name, joint, size in (("common_delay", 0, share), (best, 2, 1.0)))
+    assert (likelier(clearest, [clearest, other]) is other) is taken
 
 
 def test_a_pause_leaves_the_filters_as_they_are(tmp_path: Path):
-    one = arm(tmp_path)
-    recording = rippled(one, 0.0, 1)
+    robot = arm(tmp_path)
+    recording = rippled(robot, 0.0, 1)
     t = recording.t + 600.0 * (np.arange(len(recording.t)) >= len(recording.t) // 2)
     apart = replace(recording, columns={**recording.columns, "t": t})
-    whole, halves = (torque_regression(some, one, Model.nominal(one)).filtered for some in (recording, apart))
+    whole, halves = (torque_regression(some, robot, Model.nominal(robot)).filtered for some in (recording, apart))
     assert (halves.cutoff, halves.factor) == (whole.cutoff, whole.factor)

@@ -66,30 +66,30 @@ def test_a_soft_gear_at_the_tool():
     _, q, load = motion()
     soft = q.copy()
     soft[:, 2] -= load[:, 2] / 4e5
-    found = diagnose(recorded(tcp(ROBOT.pinocchio, soft)), ROBOT, only=(("joint_elasticity", 3), ("backlash", 3)))
-    within(found, "joint_elasticity", 3, stiffness=4e5)
-    assert next(p.unit for e in found.effects for p in e.fitted.parameters if p.name == "stiffness") == "N m/rad"
+    diagnosis = diagnose(recorded(tcp(ROBOT.pinocchio, soft)), ROBOT, only=(("joint_elasticity", 3), ("backlash", 3)))
+    within(diagnosis, "joint_elasticity", 3, stiffness=4e5)
+    assert next(p.unit for e in diagnosis.effects for p in e.fitted.parameters if p.name == "stiffness") == "N m/rad"
 
 
 def test_an_uneven_gear_at_the_tool_with_its_order():
     _, q, _ = motion()
     uneven = q.copy()
     uneven[:, 1] += 8e-5 * np.sin(40.0 * q[:, 1] + 0.3)
-    found = diagnose(recorded(tcp(ROBOT.pinocchio, uneven)), ROBOT, only=(("transmission_error", 2),))
-    within(found, "transmission_error", 2, amplitude=8e-5, order=40.0)
+    diagnosis = diagnose(recorded(tcp(ROBOT.pinocchio, uneven)), ROBOT, only=(("transmission_error", 2),))
+    within(diagnosis, "transmission_error", 2, amplitude=8e-5, order=40.0)
 
 
 def test_a_wrong_length_and_what_is_the_same():
     model = ROBOT.pinocchio.copy()
     model.jointPlacements[4].translation += np.array([0.0, 4e-4, 0.0])
     _, q, _ = motion()
-    found = diagnose(recorded(tcp(model, q)), ROBOT,
-                     only=tuple(("kinematic_error", j) for j in range(1, 7)))
-    assert {e.fitted.name for e in found.effects} == {"kinematic_error"}
-    first = found.effects[0]
+    diagnosis = diagnose(recorded(tcp(model, q)), ROBOT,
+                         only=tuple(("kinematic_error", j) for j in range(1, 7)))
+    assert {e.fitted.name for e in diagnosis.effects} == {"kinematic_error"}
+    first = diagnosis.effects[0]
     # Axes 2 and 3 are parallel: a shift along them is the same at either.
-    said = {first.fitted.joint, *(int(r.split()[-1]) for r in first.indistinguishable_from if " of joint " in r)}
-    assert {2, 3} <= said
+    joints = {first.fitted.joint, *(int(r.split()[-1]) for r in first.indistinguishable_from if " of joint " in r)}
+    assert {2, 3} <= joints
     assert first.rms_after < 0.5 * first.rms_before
 
 
@@ -108,9 +108,9 @@ def test_a_late_device_and_a_good_one():
 def test_the_tool_is_not_early_beside_arm_angles_that_are_late():
     t, q, _ = motion()
     late = {f"qa_{j + 1}": np.interp(t - 4e-4, t, x) for j, x in enumerate(q.T)}
-    found = diagnose(recorded(tcp(ROBOT.pinocchio, q), **late), ROBOT, only=(("dead_time", 0),))
-    assert [e.fitted.channel for e in found.effects] == ["qa_all"]
-    within(found, "dead_time", 0, delay=4e-4)
+    diagnosis = diagnose(recorded(tcp(ROBOT.pinocchio, q), **late), ROBOT, only=(("dead_time", 0),))
+    assert [e.fitted.channel for e in diagnosis.effects] == ["qa_all"]
+    within(diagnosis, "dead_time", 0, delay=4e-4)
 
 
 def trial(seed: int, kind: str, folder: Path, begun: float = 0.0) -> tuple[Diagnosis, np.ndarray]:
@@ -128,26 +128,26 @@ def trial(seed: int, kind: str, folder: Path, begun: float = 0.0) -> tuple[Diagn
     (3, "force_bias", 0.0), (4, "force_compliance", 0.0),
     pytest.param(3, "force_bias", 0.3, id="on devices the arm comes to its start without the sensor")])
 def test_force_effects_have_their_size(seed, name, begun, tmp_path):
-    found, truth = trial(seed, "inside", tmp_path, begun)
-    assert [e.fitted.name for e in found.effects] == [name]
-    effect = found.effects[0].fitted
+    diagnosis, truth = trial(seed, "inside", tmp_path, begun)
+    assert [e.fitted.name for e in diagnosis.effects] == [name]
+    effect = diagnosis.effects[0].fitted
     for value, std, true in zip(effect.coefficients, effect.std, truth, strict=False):
         assert abs(value - true) < 3.0 * std
 
 
 @pytest.mark.parametrize("seed", [4, pytest.param(5, marks=pytest.mark.slow)])
 def test_a_good_force_sensor_is_left_alone(seed, tmp_path):
-    found, _ = trial(seed, "none", tmp_path)
-    assert not found.effects
-    assert any(c.channel in ("fx", "contact") for c in found.channels)
+    diagnosis, _ = trial(seed, "none", tmp_path)
+    assert not diagnosis.effects
+    assert any(c.channel in ("fx", "contact") for c in diagnosis.channels)
 
 
 def test_a_wrench_without_columns_or_numbers_is_not_looked_at():
     t, _, _ = motion()
     gaps = np.full(len(t), np.nan)
     for columns in ({"fx": gaps, "fy": gaps, "fz": gaps}, {"fx": gaps * 0 + 1.0}):
-        found = diagnose(recorded(None, **columns), ROBOT, only=(("force_bias", 0),))
-        assert not [c for c in found.channels if c.channel.startswith("f")]
+        diagnosis = diagnose(recorded(None, **columns), ROBOT, only=(("force_bias", 0),))
+        assert not [c for c in diagnosis.channels if c.channel.startswith("f")]
 
 
 @pytest.mark.slow
@@ -155,14 +155,14 @@ def test_a_late_device_that_measures_two_axes_only():
     t, q, _ = motion()
     whole = recorded(np.column_stack([np.interp(t - 3e-4, t, x) for x in tcp(ROBOT.pinocchio, q).T]))
     flat = Recording({name: values for name, values in whole.columns.items() if name != "z"})
-    found = diagnose(flat, ROBOT, only=(("dead_time", 0), ("kinematic_error", 1)))
-    within(found, "dead_time", 0, delay=3e-4)
-    assert [c.channel for c in found.channels if c.channel in "xyz"] == ["x", "y"]
+    diagnosis = diagnose(flat, ROBOT, only=(("dead_time", 0), ("kinematic_error", 1)))
+    within(diagnosis, "dead_time", 0, delay=3e-4)
+    assert [c.channel for c in diagnosis.channels if c.channel in "xyz"] == ["x", "y"]
     # A tool elsewhere than thought is the arm's geometry, of which two axes say nothing.
     shifted = Recording({**flat.columns, "x": flat.columns["x"] + 0.02 * np.sin(flat.columns["q_5"])})
-    found = diagnose(shifted, ROBOT, only=())
-    assert found.channels[-2].loud
-    assert (found.verdict, found.unexplained) == ("none", ())
+    diagnosis = diagnose(shifted, ROBOT, only=())
+    assert diagnosis.channels[-2].loud
+    assert (diagnosis.verdict, diagnosis.unexplained) == ("none", ())
 
 
 # Effects of a camera that sees a line: found with their numbers, nothing found where there is none.
@@ -185,8 +185,8 @@ def test_told_its_name_the_number_is_right(gantry_robot: Robot, name: str) -> No
 def test_latency_is_found_and_nothing_where_there_is_none(gantry_robot: Robot) -> None:
     for name, expected in (("camera_latency", ["camera_latency"]), ("none", [])):
         recording = draw_line_trial(32, name)[2]
-        found = [e.fitted.name for e in diagnose(recording, gantry_robot).effects if e.fitted.channel == "line"]
-        assert found == expected
+        names = [e.fitted.name for e in diagnose(recording, gantry_robot).effects if e.fitted.channel == "line"]
+        assert names == expected
 
 
 def test_a_sloping_surface_is_no_error_of_the_camera(gantry_robot: Robot) -> None:
@@ -198,10 +198,10 @@ def test_a_sloping_surface_is_no_error_of_the_camera(gantry_robot: Robot) -> Non
         for axis, middle in zip("xy", AXIS, strict=False):
             name = f"line_{axis}_{i}"
             columns[name] = middle + factor * (columns[name] - middle)
-    found = [e.fitted for e in diagnose(Recording(columns, recording.meta), gantry_robot).effects
-             if e.fitted.channel == "line"]
-    assert [e.name for e in found] == ["camera_latency"]
-    np.testing.assert_allclose(found[0].coefficients[0], size, atol=3.0 * found[0].std[0])
+    effects = [e.fitted for e in diagnose(Recording(columns, recording.meta), gantry_robot).effects
+               if e.fitted.channel == "line"]
+    assert [e.name for e in effects] == ["camera_latency"]
+    np.testing.assert_allclose(effects[0].coefficients[0], size, atol=3.0 * effects[0].std[0])
 
 
 def test_a_run_in_which_no_joint_moves_enough_still_tells_of_the_camera(gantry_robot: Robot) -> None:
@@ -209,15 +209,15 @@ def test_a_run_in_which_no_joint_moves_enough_still_tells_of_the_camera(gantry_r
     kind, size, recording = draw_line_trial(35, "camera_latency")
     short = recording.t < 1.8
     run = Recording({name: values[short] for name, values in recording.columns.items()}, recording.meta)
-    found = diagnose(run, gantry_robot, model=Model.nominal(gantry_robot))
-    assert (found.verdict, [e.fitted.name for e in found.effects]) == ("effects", [kind])
-    np.testing.assert_allclose(found.effects[0].fitted.coefficients[0], size, rtol=0.1)
-    assert sorted(found.undecided) == list(range(1, gantry_robot.n + 1))
-    assert found.model is not None
-    assert [e.name for e in found.model.effects] == [kind]
-    assert all(c.rms_after == c.rms_before for c in found.channels if c.channel.startswith("tau"))
-    assert found.traces[0][0] == ("line",)
-    assert "cam_t, line_x_i, line_y_i, line_z_i" not in found.unused
+    diagnosis = diagnose(run, gantry_robot, model=Model.nominal(gantry_robot))
+    assert (diagnosis.verdict, [e.fitted.name for e in diagnosis.effects]) == ("effects", [kind])
+    np.testing.assert_allclose(diagnosis.effects[0].fitted.coefficients[0], size, rtol=0.1)
+    assert sorted(diagnosis.undecided) == list(range(1, gantry_robot.n + 1))
+    assert diagnosis.model is not None
+    assert [e.name for e in diagnosis.model.effects] == [kind]
+    assert all(c.rms_after == c.rms_before for c in diagnosis.channels if c.channel.startswith("tau"))
+    assert diagnosis.traces[0][0] == ("line",)
+    assert "cam_t, line_x_i, line_y_i, line_z_i" not in diagnosis.unused
 
 
 def test_columns_are_what_moved_points_do(gantry_robot: Robot) -> None:
@@ -238,9 +238,9 @@ def test_columns_are_what_moved_points_do(gantry_robot: Robot) -> None:
 
     def lines(changed: Recording) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         torque = torque_regression(changed, gantry_robot, Model.nominal(gantry_robot))
-        seen = line_regression(changed, gantry_robot, torque, None)
-        assert seen is not None
-        return seen.y[:, 0], dict(seen.signals.extra)
+        regression = line_regression(changed, gantry_robot, torque, None)
+        assert regression is not None
+        return regression.y[:, 0], dict(regression.signals.extra)
 
     extra = lines(recording)[1]
     for name, key, step in (("line_scale", "points", 2e-3), ("line_cubic", "cubic", 0.5), ("line_speed", "late", 5e-4)):

@@ -36,8 +36,8 @@ def moved(seconds: float = 40.0, *, vibration: float = 0.0, stribeck: float = 0.
     qd = np.gradient(q, t)
     tau = torque(t, q, rounded) + vibration * np.sin(2 * np.pi * 110.0 * t)
     tau += stribeck * np.exp(-((qd / 0.3) ** 2)) * np.tanh(qd / 2e-3)
-    for at in rng.integers(0, len(t) - 5, 150):
-        tau[at : at + 5] += kicks * rng.normal()
+    for start in rng.integers(0, len(t) - 5, 150):
+        tau[start : start + 5] += kicks * rng.normal()
     noisy = tau + 0.03 * rng.normal(size=len(t))
     return Recording.from_arrays(t, q=q[:, None], tau=noisy[:, None]), tau
 
@@ -49,12 +49,12 @@ def one(tmp_path: Path) -> Robot:
 
 def domain_of(one: Robot, recording: Recording, *candidates: Candidate) -> DomainDiagnosis:
     """A domain in which a search is said to have selected these."""
-    made = torque_regression(recording, one, Model.nominal(one))
-    return with_choices(Problem.of(made, held_out=True), *candidates)
+    regression = torque_regression(recording, one, Model.nominal(one))
+    return with_choices(Problem.of(regression, held_out=True), *candidates)
 
 
 def with_choices(problem: Problem, *candidates: Candidate) -> DomainDiagnosis:
-    choices = [dataclasses.replace(one, p_value=1e-9) for one in candidates]
+    choices = [dataclasses.replace(candidate, p_value=1e-9) for candidate in candidates]
     final = problem.on_all_blocks().fit(choices, uncertainty=True)
     return DomainDiagnosis(problem, final, None, False, "")
 
@@ -66,23 +66,23 @@ def asking(domain: DomainDiagnosis, share: float) -> DomainDiagnosis:
 
 
 def test_a_value_at_the_end_of_the_search_is_a_limit_without_a_deviation(one):
-    made = torque_regression(moved()[0], one, Model.nominal(one))
+    regressed = torque_regression(moved()[0], one, Model.nominal(one))
     effect = find("presliding_hysteresis", "tau")
-    least = max(effect.bounds(made.signals, 1)[0][0], min(s[0] for s in effect.starts(made.signals, 1)) / 3.0)
+    least = max(effect.bounds(regressed.signals, 1)[0][0], min(s[0] for s in effect.starts(regressed.signals, 1)) / 3.0)
     for theta, limit in ((least, "≤"), (2.0 * least, "")):
         candidate = Candidate(effect, 1, (theta,))
         parameters = effect.parameters(np.array([1.0]), np.array([0.1]), (theta,), (1e-5,))
         fitted = FittedEffect(effect.name, 1, "tau_1", (1.0,), (0.1,), (theta,), (1e-5,), {}, tuple(parameters))
-        level, way = with_limits(fitted, candidate, made.signals).parameters
-        assert (level.limit, way.limit) == ("", limit)
+        level, sigma = with_limits(fitted, candidate, regressed.signals).parameters
+        assert (level.limit, sigma.limit) == ("", limit)
         assert level.std == 0.1
         if limit:
-            assert way.std == 0.0
-            assert "±" not in way.text
-            assert "≤" in way.text
-            again = json.loads(json.dumps(way.to_dict()))
+            assert sigma.std == 0.0
+            assert "±" not in sigma.text
+            assert "≤" in sigma.text
+            again = json.loads(json.dumps(sigma.to_dict()))
             assert again["std"] is None
-            assert type(way).from_dict(again) == way
+            assert type(sigma).from_dict(again) == sigma
 
 
 def test_both_ends_of_a_bound_and_what_lies_between(one):
@@ -143,22 +143,22 @@ def test_against_a_given_model_half_of_what_the_search_asked_has_to_be_left(one)
     domain = domain_of(one, recording, candidate)
     share = 1.0 - np.square(np.divide(*reversed(domain.levels)))[0]
     for factor, kept in ((1.9, True), (2.1, False)):
-        given = dataclasses.replace(asking(domain, factor * share),
+        known = dataclasses.replace(asking(domain, factor * share),
                                     problem=domain.problem.with_prior(np.zeros((domain.problem.products.W.m,) * 2)))
-        assert bool(given.settled()[0].choices) == kept
+        assert bool(known.settled()[0].choices) == kept
 
 
 def test_a_recording_that_the_parameters_do_not_predict_judges_nothing(one):
     # Measured: in amperes two short motions of one arm, each of them many times the other's torque off.
     recording = moved(stribeck=0.8)[0]
     other = Recording({**recording.columns, "tau_1": -recording.columns["tau_1"]})
-    asked = diagnose(recording, one, validate=recording, only=(("stribeck", 1),))
-    found = diagnose(recording, one, validate=other, only=(("stribeck", 1),))
-    assert not any("validation-not-predicted" in text for text in asked.warnings)
-    assert any("validation-not-predicted" in text and "tau_1" in text for text in found.warnings)
-    assert found.held_out_how.startswith("every fourth")
-    assert found.channels[0].rms_after < 0.2 * found.channels[0].rms_signal
-    assert [e.fitted.name for e in found.effects] == ["stribeck"]
+    judged = diagnose(recording, one, validate=recording, only=(("stribeck", 1),))
+    diagnosis = diagnose(recording, one, validate=other, only=(("stribeck", 1),))
+    assert not any("validation-not-predicted" in text for text in judged.warnings)
+    assert any("validation-not-predicted" in text and "tau_1" in text for text in diagnosis.warnings)
+    assert diagnosis.held_out_how.startswith("every fourth")
+    assert diagnosis.channels[0].rms_after < 0.2 * diagnosis.channels[0].rms_signal
+    assert [e.fitted.name for e in diagnosis.effects] == ["stribeck"]
 
 
 def test_what_does_not_lower_the_held_out_error_is_not_added_behind_the_gear_either(one):
@@ -166,14 +166,14 @@ def test_what_does_not_lower_the_held_out_error_is_not_added_behind_the_gear_eit
     qa = recording.columns["q_1"] + 1e-5 * np.random.default_rng(2).normal(size=len(recording.t))
     recording = Recording({**recording.columns, "qa_1": qa})
     torque = torque_regression(recording, one, Model.nominal(one))
-    made = arm_angle_regression(recording, one, in_position_band(torque, recording), None)
-    problem = Problem.of(made, held_out=True)
+    regressed = arm_angle_regression(recording, one, in_position_band(torque, recording), None)
+    problem = Problem.of(regressed, held_out=True)
     selecting = problem.blocks.selecting[problem.blocks.of_samples()]
     # A ripple that the blocks kept apart contradict.
     ripple = find("transmission_error", "qa")
-    column = made.filtered.decimate(ripple.columns(made.signals, 1, (40.0,)))[:, :, 0]
-    made = dataclasses.replace(made, y=made.y + 3e-5 * np.where(selecting, 1.0, -1.0)[:, None] * column)
-    domain, dropped = with_choices(dataclasses.replace(problem, regression=made),
+    column = regressed.filtered.decimate(ripple.columns(regressed.signals, 1, (40.0,)))[:, :, 0]
+    regressed = dataclasses.replace(regressed, y=regressed.y + 3e-5 * np.where(selecting, 1.0, -1.0)[:, None] * column)
+    domain, dropped = with_choices(dataclasses.replace(problem, regression=regressed),
                                    Candidate(ripple, 1, (40.0,))).settled()
     assert not domain.choices
     assert dropped[0].rms_with > dropped[0].rms_without
@@ -185,10 +185,10 @@ def test_inertia_that_a_rotor_has_bends_no_gear(one):
     t, q = columns["t"], columns["q_1"]
     load = 0.2 * np.gradient(np.gradient(q, t), t) - 14.7 * np.cos(q)
     qa = q - load / 5e3 + 1e-5 * np.random.default_rng(5).normal(size=len(t))
-    found = diagnose(Recording({**columns, "qa_1": qa}), one)
-    behind = [e.fitted for e in found.effects if e.fitted.channel == "qa_1"]
+    diagnosis = diagnose(Recording({**columns, "qa_1": qa}), one)
+    behind = [e.fitted for e in diagnosis.effects if e.fitted.channel == "qa_1"]
     assert [e.name for e in behind] == ["joint_elasticity"]
-    assert not found.unknown
+    assert not diagnosis.unknown
     assert behind[0].parameters[0].value == pytest.approx(5e3, rel=0.01)
 
 
@@ -214,11 +214,11 @@ def test_what_is_never_still_is_nothing_that_a_cause_is_missing_for(one):
     low = signal.butter(4, 12.0, fs=250.0, output="sos")
     shaken = signal.sosfiltfilt(low, np.random.default_rng(5).normal(size=len(tau)))
     shaken *= 0.15 * np.std(tau) / np.std(shaken)
-    found = diagnose(Recording({**recording.columns, "tau_1": tau + shaken}), one)
-    (channel,) = found.channels
+    diagnosis = diagnose(Recording({**recording.columns, "tau_1": tau + shaken}), one)
+    (channel,) = diagnosis.channels
     assert channel.rms_after > 3.0 * channel.noise_floor
     assert channel.rms_after > 0.1 * channel.spread
-    assert (found.verdict, found.unexplained) == ("none", ())
+    assert (diagnosis.verdict, diagnosis.unexplained) == ("none", ())
 
 
 def test_what_was_found_takes_away_half_as_much_where_nobody_looked(one):
@@ -226,11 +226,11 @@ def test_what_was_found_takes_away_half_as_much_where_nobody_looked(one):
     before, after = (level[0] for level in asking(domain, 0.0).settled()[0].levels)
     share = 1.0 - (after / before) ** 2
     assert 0.05 < share < 0.95
-    kept, dropped = asking(domain, 1.9 * share).settled()
-    assert len(kept.choices) == 1
+    settled, dropped = asking(domain, 1.9 * share).settled()
+    assert len(settled.choices) == 1
     assert not dropped
-    kept, dropped = asking(domain, 2.1 * share).settled()
-    assert not kept.choices
+    settled, dropped = asking(domain, 2.1 * share).settled()
+    assert not settled.choices
     assert "half of what was asked" in dropped[0].reason
 
 
@@ -239,13 +239,13 @@ def test_a_coefficient_of_friction_that_would_drive_is_none_in_the_extended_mode
     qd = np.gradient(recording.columns["q_1"], recording.t)
     # The controller's record lacks more of the viscous friction than there is.
     lacking = Recording({**recording.columns, "tau_1": recording.columns["tau_1"] - 1.8 * qd})
-    found = diagnose(lacking, one, only=())
-    (law,) = found.model.friction.laws
+    diagnosis = diagnose(lacking, one, only=())
+    (law,) = diagnosis.model.friction.laws
     viscous, coulomb = law.coefficients[:, 0]
     assert (viscous, coulomb) == (0.0, pytest.approx(2.0, rel=0.15))
-    at = found.model.base.count
-    assert found.model.covariance[at, at] == 0.0
-    assert found.model.covariance[at + 1, at + 1] > 0.0
+    column = diagnosis.model.base.count
+    assert diagnosis.model.covariance[column, column] == 0.0
+    assert diagnosis.model.covariance[column + 1, column + 1] > 0.0
     free = diagnose(recording, one, only=()).model.friction.laws[0].coefficients[:, 0]
     assert free == pytest.approx([1.5, 2.0], rel=0.05)
 
@@ -255,16 +255,16 @@ def test_a_fast_recording_is_looked_at_no_finer_than_needed_and_says_the_same(on
     t = np.arange(0.0, fast.t[-1], 0.001)
     fine = Recording.from_arrays(t, q=np.interp(t, fast.t, fast.columns["q_1"])[:, None],
                                  tau=np.interp(t, fast.t, fast.columns["tau_1"])[:, None])
-    made, usual = (torque_regression(r, one, Model.nominal(one)) for r in (fine, fast))
-    assert made.signals.dt == pytest.approx(0.004)
-    assert made.t[1] - made.t[0] == pytest.approx(usual.t[1] - usual.t[0])
-    assert len(made.y) == pytest.approx(len(usual.y), abs=2)
-    found, expected = (diagnose(r, one, only=(("stribeck", 1),)) for r in (fine, fast))
-    (own,), (other,) = found.effects, expected.effects
+    regression, usual = (torque_regression(r, one, Model.nominal(one)) for r in (fine, fast))
+    assert regression.signals.dt == pytest.approx(0.004)
+    assert regression.t[1] - regression.t[0] == pytest.approx(usual.t[1] - usual.t[0])
+    assert len(regression.y) == pytest.approx(len(usual.y), abs=2)
+    diagnosis, expected = (diagnose(r, one, only=(("stribeck", 1),)) for r in (fine, fast))
+    (own,), (other,) = diagnosis.effects, expected.effects
     assert own.fitted.coefficients == pytest.approx(other.fitted.coefficients, rel=0.05)
     # Where more is measured its noise is averaged over all samples.
-    seen = Recording({**fine.columns, "qa_1": fine.columns["q_1"]})
-    assert torque_regression(seen, one, Model.nominal(one)).signals.dt == pytest.approx(0.001)
+    measured = Recording({**fine.columns, "qa_1": fine.columns["q_1"]})
+    assert torque_regression(measured, one, Model.nominal(one)).signals.dt == pytest.approx(0.001)
 
 
 # What a diagnosis makes of a model's parameters: an arm that can be, and one joint is an arm too.

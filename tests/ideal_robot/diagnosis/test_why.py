@@ -29,28 +29,28 @@ def of_a_stranger(*, explain: bool) -> Diagnosis:
 
 
 def test_each_cause_is_weighed_against_all_others_and_nothing_else_changes(tmp_path) -> None:
-    plain, asked = (of_a_stranger(explain=explain) for explain in (False, True))
-    said = asked.to_dict()
-    why = said.pop("explained")
-    assert json.dumps(said) == json.dumps(plain.to_dict())
-    assert [(one["effect"], one["joint"]) for one in why] == [(e.fitted.name, e.fitted.joint) for e in asked.effects]
-    for argument in asked.arguments:
-        nothing = next(one for one in argument.sets if not one.name)
+    plain, argued = (of_a_stranger(explain=explain) for explain in (False, True))
+    values = argued.to_dict()
+    why = values.pop("explained")
+    assert json.dumps(values) == json.dumps(plain.to_dict())
+    assert [(row["effect"], row["joint"]) for row in why] == [(e.fitted.name, e.fitted.joint) for e in argued.effects]
+    for argument in argued.arguments:
+        nothing = next(weighed for weighed in argument.sets if not weighed.name)
         # What was named is worth something on blocks that had no part in fitting it.
         assert nothing.nats > 0.0
         assert nothing.told
         assert len(argument.rivals) > 5
         assert all(a.nats <= b.nats for a, b in zip(argument.sets, argument.sets[1:], strict=False))
     page = tmp_path / "page.html"
-    diagnosis_page(asked, "why").write(page)
+    diagnosis_page(argued, "why").write(page)
     assert "Why each was named" in page.read_text(encoding="utf-8")
 
 
 def test_the_score_is_that_of_blocks_left_out_and_vanishes_for_the_same_set() -> None:
     trial = stranger(770017, "inside")
     with robot_of(trial.urdf) as robot:
-        made = torque_regression(trial.recording, robot, Model.nominal(robot))
-    problem = Problem.of(made, held_out=True)
+        regression = torque_regression(trial.recording, robot, Model.nominal(robot))
+    problem = Problem.of(regression, held_out=True)
     model = PresentModel(problem)
     cause = Candidate(find("cable_spring", "tau"), 1, p_value=0.0)
     model.replace([cause])
@@ -58,9 +58,9 @@ def test_the_score_is_that_of_blocks_left_out_and_vanishes_for_the_same_set() ->
     squares = np.add.reduceat(model.left_out(fit) ** 2, problem.blocks.edges[:-1])[selecting]
     np.testing.assert_allclose(squares, fit.held_out_squares[selecting], rtol=1e-6, atol=1e-9 * squares.max())
     argument = _Weighing(Scoring(model, Options()), cause).argument([cause])
-    same = next(one for one in argument.sets if one.name)
+    same = next(weighed for weighed in argument.sets if weighed.name)
     assert same.nats == pytest.approx(0.0, abs=1e-6)
-    nothing = next(one for one in argument.sets if not one.name)
+    nothing = next(weighed for weighed in argument.sets if not weighed.name)
     without = model.fit(cause).held_out_squares[selecting]
     expected = float(((without - squares) @ model.weights).sum()) / (2.0 * fit.inflation)
     assert nothing.nats == pytest.approx(expected, rel=1e-6)
@@ -69,10 +69,10 @@ def test_the_score_is_that_of_blocks_left_out_and_vanishes_for_the_same_set() ->
 def test_a_camera_error_is_argued_for_though_many_points_have_one_time() -> None:
     kind, _, recording = draw_line_trial(9000)
     with robot_of(gantry()) as robot:
-        found = diagnose(recording, robot, explain=True)
+        diagnosis = diagnose(recording, robot, explain=True)
     assert kind == "lens_distortion"
-    assert [one.name for one in found.arguments] == [kind]
-    assert found.arguments[0].sets[0].nats > 0.0
+    assert [argument.name for argument in diagnosis.arguments] == [kind]
+    assert diagnosis.arguments[0].sets[0].nats > 0.0
 
 
 @pytest.mark.parametrize(("nats", "words"), [(14.0, "Next best is joint_elasticity, 14 ± 3 nats worse"),

@@ -80,9 +80,9 @@ def test_gravitational_parameters_are_those_that_show_at_rest(model: pin.Model) 
     base = base_parameters(model)
     q, qd, qdd = motion(model)
     at_rest = full_regressor(model, q, 0 * qd, 0 * qdd)[:, :, list(base.independent)]
-    seen = np.abs(at_rest).max(axis=(0, 1)) > 1e-9
-    np.testing.assert_array_equal(seen, base.gravitational)
-    assert 0 < seen.sum() < base.count
+    shown = np.abs(at_rest).max(axis=(0, 1)) > 1e-9
+    np.testing.assert_array_equal(shown, base.gravitational)
+    assert 0 < shown.sum() < base.count
 
 
 def test_nearest_full_parameters_have_the_wanted_base_parameters(model: pin.Model) -> None:

@@ -32,7 +32,7 @@ def test_terms_are_those_of_the_laws_that_identification_fits() -> None:
     assert {effect.law for effect in terms} == {law for key, law in LAWS if key != "cube_root"}
     signals = motion()
     qd = signals.qd[:, 0]
-    for effect in (one for one in terms if one.name != "asymmetric_friction"):
+    for effect in (term for term in terms if term.name != "asymmetric_friction"):
         theta = effect.starts(signals, 1)[0]
         a4 = [1.0 / value if effect.name == "stribeck" else value for value in theta]
         coefficients = np.zeros((len(effect.law.coefficient_names), 1))
@@ -64,11 +64,11 @@ def test_dry_friction_of_an_effect_builds_up_as_the_models_own_does(name):
 
 @pytest.mark.parametrize(("exponent", "channel"), [(1.0, "tau_1"), (2.0, "tau_bell_1")])
 def test_either_form_is_one_name_with_its_numbers(tmp_path: Path, exponent: float, channel: str) -> None:
-    one, (t, q, qd, tau) = arm(tmp_path), strokes()
+    robot, (t, q, qd, tau) = arm(tmp_path), strokes()
     tau = tau + 1.2 * np.tanh(qd / 2e-3) * np.exp(-((np.abs(qd) / 0.2) ** exponent))
-    found = diagnose(Recording.from_arrays(t, q=q, tau=tau), one)
-    assert [(e.fitted.name, e.fitted.channel) for e in found.effects] == [("stribeck", channel)]
-    surplus, speed = (p.value for p in found.effects[0].fitted.parameters)
+    diagnosis = diagnose(Recording.from_arrays(t, q=q, tau=tau), robot)
+    assert [(e.fitted.name, e.fitted.channel) for e in diagnosis.effects] == [("stribeck", channel)]
+    surplus, speed = (p.value for p in diagnosis.effects[0].fitted.parameters)
     assert surplus == pytest.approx(1.2, rel=0.1)
     assert speed == pytest.approx(0.2, rel=0.1)
 

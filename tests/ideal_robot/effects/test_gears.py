@@ -37,11 +37,11 @@ FLIGHT = find("backlash", "tau_flight")
 def through_gear(q: Array, dt: float, gear: Callable[[float, float], float], constant: float = 0.0) -> Array:
     """Torque through the gear ``(N,)`` [N m] along motor angles [rad]; ``gear``: of a twist and its rate."""
     qd = np.gradient(q, dt)
-    at, speed, torque = q[0], qd[0], np.empty(len(q))
+    angle, speed, torque = q[0], qd[0], np.empty(len(q))
     for i in range(len(q)):
-        torque[i] = gear(q[i] - at, qd[i] - speed)
-        speed += dt * (torque[i] - WEIGHT * np.sin(at) - constant) / INERTIA
-        at += dt * speed
+        torque[i] = gear(q[i] - angle, qd[i] - speed)
+        speed += dt * (torque[i] - WEIGHT * np.sin(angle) - constant) / INERTIA
+        angle += dt * speed
     return torque
 
 
@@ -79,11 +79,11 @@ def test_the_torque_of_a_swinging_arm_is_that_of_an_oscillator_and_tells_its_sti
         return float(np.sum((missing[away] - size * column) ** 2) / np.sum(missing[away] ** 2)), float(size)
 
     stiffness = STIFFNESS * np.linspace(0.6, 1.6, 41)
-    found = [left("tau_resonance", (k,)) for k in stiffness]
-    best = int(np.argmin([share for share, _ in found]))
+    fits = [left("tau_resonance", (k,)) for k in stiffness]
+    best = int(np.argmin([share for share, _ in fits]))
     assert stiffness[best] == pytest.approx(STIFFNESS, rel=0.1)
-    assert found[best][0] < 0.05
-    assert found[best][1] == pytest.approx(1.0, abs=0.25)
+    assert fits[best][0] < 0.05
+    assert fits[best][1] == pytest.approx(1.0, abs=0.25)
     # Above the resonance the arm moves against its load: what a slow gear gives has the wrong sign there.
     assert left("tau", ())[0] > 0.5
 
@@ -110,9 +110,9 @@ def test_a_stranger_s_soft_gear_is_found_beside_a_delay():
     """It swings at 8 Hz; what a slow gear gives took 6 per cent of what is left, and it was missed."""
     trial = draw_trial(737265, size=(3.0, 10.0))
     with robot_of(trial.urdf) as robot:
-        found = diagnose(trial.recording, robot)
-    assert score(trial, found).right
-    stiffness = next(e.fitted.parameters[0] for e in found.effects if e.fitted.name == "joint_elasticity")
+        diagnosis = diagnose(trial.recording, robot)
+    assert score(trial, diagnosis).right
+    stiffness = next(e.fitted.parameters[0] for e in diagnosis.effects if e.fitted.name == "joint_elasticity")
     assert stiffness.value == pytest.approx(trial.values["joint_elasticity", 5, "stiffness"], rel=0.1)
 
 
@@ -138,14 +138,14 @@ def test_torque_of_a_gap_is_that_of_free_flight_and_impact(prefix, least, most):
     missing = (torque - between_stops(0.0)[2])[::20]
     effect = find("backlash", prefix)
     thetas = [(HALF_GAP, 0.0)] if prefix == "tau_flight" else effect.starts(signals, 1)
-    seen, away = lowpass(missing, signals.dt, 12.5), slice(500, -500)
+    filtered, away = lowpass(missing, signals.dt, 12.5), slice(500, -500)
     shares = []
     for theta in thetas:
         column = lowpass(effect.columns(signals, 1, theta)[:, 0, 0], signals.dt, 12.5)
-        size = seen[away] @ column[away] / (column[away] @ column[away])
+        size = filtered[away] @ column[away] / (column[away] @ column[away])
         if prefix == "tau_flight":
             assert size == pytest.approx(1.0, abs=0.15)
-        shares.append(1.0 - np.sum((seen - size * column)[away] ** 2) / np.sum(seen[away] ** 2))
+        shares.append(1.0 - np.sum((filtered - size * column)[away] ** 2) / np.sum(filtered[away] ** 2))
     assert least < max(shares) < most
 
 
@@ -174,8 +174,8 @@ def test_a_gap_takes_its_time_to_be_crossed():
 def test_a_stranger_s_gap_is_found():
     trial = draw_trial(732001, size=(3.0, 10.0))
     with robot_of(trial.urdf) as robot:
-        found = diagnose(trial.recording, robot)
-    assert [(e.fitted.name, e.fitted.joint) for e in [*found.effects, *found.unknown]] == [("backlash", 2)]
+        diagnosis = diagnose(trial.recording, robot)
+    assert [(e.fitted.name, e.fitted.joint) for e in [*diagnosis.effects, *diagnosis.unknown]] == [("backlash", 2)]
 
 
 # Causes in the whole arm's dynamics: what they add is what the changed arm does; laws of the torques' derivatives.
@@ -224,8 +224,8 @@ def test_a_base_leans_where_its_z_axis_does():
     leaning.gravity.linear = base.T @ leaning.gravity.linear
     tilt, signals = find("base_tilt", "tau"), of_a_moved_arm().signals
     shown = torques_of(leaning, signals) - torques_of(ROBOT.pinocchio, signals)
-    found = np.linalg.lstsq(tilt.columns(signals, 0, ())[:, :, :2].reshape(-1, 2), shown.ravel(), rcond=None)[0]
-    size, direction = tilt.parameters(np.append(found, [0.0, 0.0]), np.full(4, 1e-3), (), ())
+    fit = np.linalg.lstsq(tilt.columns(signals, 0, ())[:, :, :2].reshape(-1, 2), shown.ravel(), rcond=None)[0]
+    size, direction = tilt.parameters(np.append(fit, [0.0, 0.0]), np.full(4, 1e-3), (), ())
     assert size.value == pytest.approx(0.05, rel=0.02)
     assert direction.value == pytest.approx(angle, abs=0.05)
 
@@ -238,13 +238,13 @@ def test_a_leaning_base_shows_moments_of_an_upright_first_axis_that_the_urdf_has
     true.gravity.linear = true.gravity.linear + np.array([0.2, -0.1, 0.0])
     leaning = torques_of(true, signals) - upright
     columns = tilt.columns(signals, 0, ())
-    found = np.linalg.lstsq(columns.reshape(-1, 4), leaning.ravel(), rcond=None)[0]
-    np.testing.assert_allclose(columns @ found, leaning, atol=1e-6)
-    np.testing.assert_allclose(found[:2], [0.2, -0.1], atol=1e-6)
-    assert tilt.plausible(found, (), signals, 0)
+    fit = np.linalg.lstsq(columns.reshape(-1, 4), leaning.ravel(), rcond=None)[0]
+    np.testing.assert_allclose(columns @ fit, leaning, atol=1e-6)
+    np.testing.assert_allclose(fit[:2], [0.2, -0.1], atol=1e-6)
+    assert tilt.plausible(fit, (), signals, 0)
     # As large as all of the arm's own they are no error of a URDF, nor do they turn anything where nothing leans.
-    assert not tilt.plausible(found * [1.0, 1.0, 1000.0, 1000.0], (), signals, 0)
-    assert not tilt.plausible(found * [0.0, 0.0, 1.0, 1.0], (), signals, 0)
+    assert not tilt.plausible(fit * [1.0, 1.0, 1000.0, 1000.0], (), signals, 0)
+    assert not tilt.plausible(fit * [0.0, 0.0, 1.0, 1.0], (), signals, 0)
     # The file of an earlier version has two coefficients.
     before = FittedEffect("base_tilt", 0, "tau", (0.2, -0.1)).contribution(signals)
     np.testing.assert_allclose(before, columns[:, :, :2] @ [0.2, -0.1])
@@ -271,22 +271,22 @@ _rigid = partial(torques, ROBOT.pinocchio)
 
 def test_they_are_those_that_pinocchio_has_in_closed_form() -> None:
     data = ROBOT.pinocchio.createData()
-    known = [tuple(np.array(one) for one in pin.computeRNEADerivatives(ROBOT.pinocchio, data, *row))
+    known = [tuple(np.array(matrix) for matrix in pin.computeRNEADerivatives(ROBOT.pinocchio, data, *row))
              for row in zip(Q, QD, QDD, strict=True)]
     ours = RigidDerivatives(_rigid, Q, QD, QDD)
     for joint in range(1, ROBOT.n + 1):
-        for k, found in enumerate(ours.by(joint)):
+        for k, derivative in enumerate(ours.by(joint)):
             expected = np.array([row[k][:, joint - 1] for row in known])
             if k == 2:  # of the mass matrix it gives the upper triangle
                 M = np.array([np.triu(row[2]) + np.triu(row[2], 1).T for row in known])
                 expected = M[:, :, joint - 1]
-            np.testing.assert_allclose(found, expected, atol=1e-5 * np.max(np.abs(expected)))
+            np.testing.assert_allclose(derivative, expected, atol=1e-5 * np.max(np.abs(expected)))
 
 
 def test_a_small_motion_changes_torques_by_them() -> None:
     step = 1e-5
     motion = [step * RNG.uniform(-1.0, 1.0, len(Q)) for _ in range(3)]
-    moved = [given.copy() for given in (Q, QD, QDD)]
+    moved = [values.copy() for values in (Q, QD, QDD)]
     for values, change in zip(moved, motion, strict=True):
         values[:, 1] += change
     change = RigidDerivatives(_rigid, Q, QD, QDD).along(2, *motion)

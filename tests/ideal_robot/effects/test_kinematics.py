@@ -141,9 +141,9 @@ def test_an_own_effect_moves_the_seen_points_and_is_taken_out(own: Stretch, tmp_
         for i in range(1, 6):
             columns[f"line_y_{i}"] = columns[f"line_y_{i}"] + size * (columns[f"line_y_{i}"] - AXIS[1])
         moved = Recording(columns, recording.meta)
-        made = line_regression(moved, robot, torque_regression(moved, robot, Model.nominal(robot)), None)
-        assert made is not None
-        return made.y[:, 0], own.columns(made.signals, 0, ())[:, 0, 0]
+        regression = line_regression(moved, robot, torque_regression(moved, robot, Model.nominal(robot)), None)
+        assert regression is not None
+        return regression.y[:, 0], own.columns(regression.signals, 0, ())[:, 0, 0]
 
     slope, column = (seen(2e-3)[0] - seen(-2e-3)[0]) / 4e-3, seen(0.0)[1]
     assert np.linalg.norm(slope - column) < 0.1 * np.linalg.norm(column)

@@ -90,26 +90,26 @@ class TestEffect:
         whole = motion()
         joint = next(iter(effect.joints(whole)))
         theta = effect.starts(whole, joint)[0]
-        one = Signals(whole.t[:1], whole.q[:1], whole.qd[:1], whole.qdd[:1], whole.load[:1], whole.torque[:1],
-                      whole.friction[:1], rigid=whole.rigid, v_small=whole.v_small)
-        assert effect.columns(one, joint, theta).shape[0] == 1
+        sample = Signals(whole.t[:1], whole.q[:1], whole.qd[:1], whole.qdd[:1], whole.load[:1], whole.torque[:1],
+                         whole.friction[:1], rigid=whole.rigid, v_small=whole.v_small)
+        assert effect.columns(sample, joint, theta).shape[0] == 1
 
 
 def test_every_name_of_the_list_is_there():
-    asked = {"viscous", "coulomb", "degressive", "stribeck", "asymmetric_friction", "load_dependent_friction",
+    known = {"viscous", "coulomb", "degressive", "stribeck", "asymmetric_friction", "load_dependent_friction",
              "thermal_drift", "presliding_hysteresis", "torque_ripple", "current_offset", "drive_gain", "rotor_inertia",
              "gravity_spring", "cable_spring", "payload", "axis_coupling", "dead_time", "joint_elasticity", "backlash",
              "transmission_error", "kinematic_error", "thermal_growth"}
-    assert asked <= {effect.name for effect in library()}
+    assert known <= {effect.name for effect in library()}
 
 
 def test_a_learned_term_fades_to_zero_outside_of_where_it_was_learned():
     """A fall to zero within a tenth of the range made a loop worse that turned round a fifth of the range outside."""
     term = Unknown(("q_1",), False, (tuple(np.linspace(-1.0, 1.0, 6)),))
-    inside, *left, far = (term.basis(replace(motion(count=3), q=np.full((3, 2), x)))
-                          for x in (0.3, 1.2, -1.4, 1.7, 2.0))
+    inside, *outside, far = (term.basis(replace(motion(count=3), q=np.full((3, 2), x)))
+                             for x in (0.3, 1.2, -1.4, 1.7, 2.0))
     np.testing.assert_allclose(inside.sum(axis=1), 1.0, atol=1e-9)
-    near, further, out = (basis.sum(axis=1)[0] for basis in left)
+    near, further, out = (basis.sum(axis=1)[0] for basis in outside)
     assert near > 0.97
     assert further > 0.8
     assert out < 0.35
@@ -170,10 +170,10 @@ def test_an_own_effect_is_found_by_the_diagnosis(own_effect, tmp_path):
     assert own_effect in library()
     assert "square_of_position" in names()
     t, q, _, tau = strokes()
-    found = diagnose(Recording.from_arrays(t, q=q, tau=tau + 0.7 * np.sign(np.sin(7.0 * q))), arm(tmp_path))
-    assert [e.fitted.name for e in found.effects] == ["square_of_position"]
-    assert found.effects[0].fitted.coefficients[0] == pytest.approx(0.7, rel=0.02)
-    assert found.effects[0].fitted.channel == "tau_1"
+    diagnosis = diagnose(Recording.from_arrays(t, q=q, tau=tau + 0.7 * np.sign(np.sin(7.0 * q))), arm(tmp_path))
+    assert [e.fitted.name for e in diagnosis.effects] == ["square_of_position"]
+    assert diagnosis.effects[0].fitted.coefficients[0] == pytest.approx(0.7, rel=0.02)
+    assert diagnosis.effects[0].fitted.channel == "tau_1"
     assert discriminating_motion("cable_spring", ("square_of_position",)) == "other strokes"
 
 

@@ -41,8 +41,8 @@ def test_clock_of_the_sensor_is_found(offset: float) -> None:
     true_time = np.arange(10.0, 50.0, 0.012)
     force = -2e6 * np.interp(true_time, t, q_m[:, 0]) + 3 * rng.standard_normal(len(true_time))
     clock = synchronise(t, q_m, (true_time - offset) / (1 + drift), force[:, None])
-    at = clock.offset + (1 + clock.drift) * (true_time - offset) / (1 + drift)
-    assert np.max(np.abs(at - true_time)) < 0.01
+    instants = clock.offset + (1 + clock.drift) * (true_time - offset) / (1 + drift)
+    assert np.max(np.abs(instants - true_time)) < 0.01
 
 
 def test_what_cannot_be_used_is_said() -> None:
@@ -66,10 +66,10 @@ def test_without_drive_gains_recorded_torques_count_and_amperes_are_said() -> No
     currents, both = Recording.from_arrays(t, **held), Recording.from_arrays(t, **held, tau=tau)
     for robot, recording in ((arm, currents), (unknown, both)):
         analysis = analyse_stiffness(recording, robot)
-        np.testing.assert_allclose([one.stiffness for one in analysis.joints], k, rtol=1e-3)
+        np.testing.assert_allclose([result.stiffness for result in analysis.joints], k, rtol=1e-3)
         assert analysis.warnings == ()
     analysis = analyse_stiffness(currents, unknown)
-    np.testing.assert_allclose([one.stiffness for one in analysis.joints], k / arm.drive_gain, rtol=1e-3)
+    np.testing.assert_allclose([result.stiffness for result in analysis.joints], k / arm.drive_gain, rtol=1e-3)
     assert analysis.warnings == (unknown.unknown_drive_gain,)
 
 

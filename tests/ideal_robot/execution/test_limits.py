@@ -167,8 +167,8 @@ def test_the_governor_is_as_quick_as_the_limits_let_it() -> None:
                 moved.append(governor.allowed(q))
                 assert len(moved) < 4000
             v, a = ROBOT.v_max[joint], ACCELERATION * ROBOT.a_max[joint]
-            way = abs(goal - ROBOT.home[joint])
-            least = way / v + v / a if way > v * v / a else 2.0 * np.sqrt(way / a)
+            distance = abs(goal - ROBOT.home[joint])
+            least = distance / v + v / a if distance > v * v / a else 2.0 * np.sqrt(distance / a)
             assert least - T < T * len(moved) < least + 6 * T
             # The other joints were asked for nothing.
             np.testing.assert_array_equal(np.delete(moved[-1] - ROBOT.home, joint), 0.0)
@@ -230,14 +230,14 @@ def test_a_plan_that_ends_before_is_not_left() -> None:
 
 def test_an_arm_that_lets_go_moves_away_while_it_brakes_and_ends_at_rest_there() -> None:
     planned = 0.5 * T * np.arange(400.0)[:, None] * np.array([1.0, -2.0])
-    way, a_max = np.array([0.1, -0.02]), np.array([10.0, 8.0])
+    shift, a_max = np.array([0.1, -0.02]), np.array([10.0, 8.0])
     plain = stopping_rows(planned, T, 0.5, 2.0)
-    rows = moved_away(stopping_rows(planned, T, 0.5, 2.0), way, a_max, T)
+    rows = moved_away(stopping_rows(planned, T, 0.5, 2.0), shift, a_max, T)
     off = np.array([next(rows)[:2] - next(plain)[:2] for _ in range(400)])
     np.testing.assert_allclose(off[1:, 0], off[:-1, 1], atol=1e-12)
     off = np.vstack([np.zeros((1, 2)), off[:, 0]])
-    np.testing.assert_allclose(off[-1], way, rtol=1e-12)
-    np.testing.assert_allclose(off[:, 0] / way[0], off[:, 1] / way[1], atol=1e-12)
+    np.testing.assert_allclose(off[-1], shift, rtol=1e-12)
+    np.testing.assert_allclose(off[:, 0] / shift[0], off[:, 1] / shift[1], atol=1e-12)
     a = np.abs(np.diff(off, 2, axis=0)) / T**2
     np.testing.assert_allclose(a.max(axis=0)[0], 0.25 * a_max[0], rtol=0.02)
     assert a.max(axis=0)[1] <= 0.25 * a_max[1]
@@ -280,8 +280,8 @@ def test_computing_times_are_those_of_the_computing() -> None:
     assert played.compute_times.min() > 0.0
     assert played.compute_times.sum() < time.perf_counter() - begun
     assert played.to_dict()["units"] == ["mrad"] * 6
-    told = played.to_dict()["compute_time_ms"]
-    assert told["median"] <= told["max"] == pytest.approx(1e3 * played.compute_times.max())
+    times = played.to_dict()["compute_time_ms"]
+    assert times["median"] <= times["max"] == pytest.approx(1e3 * played.compute_times.max())
 
 
 # A path brought to the cycles.
@@ -315,14 +315,14 @@ def test_between_samples_no_way_is_invented() -> None:
 def test_missing_samples_are_told_where_the_others_tell_the_way_and_refused_where_they_do_not() -> None:
     t = 0.02 * np.arange(400.0)
     q = ROBOT.home + 0.02 * np.sin(4.0 * t)[:, None]
-    left = np.delete(np.arange(400), slice(100, 104))
+    rows = np.delete(np.arange(400), slice(100, 104))
     assert precorrect(t, q, MODEL, ROBOT).warnings == ()
-    (told,) = precorrect(t[left], q[left], MODEL, ROBOT).warnings
-    assert told.startswith("bridged: 1 times samples of the path are missing, for 0.1 s at most after t = 1.98 s")
+    (warning,) = precorrect(t[rows], q[rows], MODEL, ROBOT).warnings
+    assert warning.startswith("bridged: 1 times samples of the path are missing, for 0.1 s at most after t = 1.98 s")
     corner = ROBOT.home + 0.1 * np.abs(np.sin(2.0 * t))[:, None]
-    left = np.delete(np.arange(400), slice(70, 90))
+    rows = np.delete(np.arange(400), slice(70, 90))
     with pytest.raises(InputError, match=r"missing for 0\.42 s after t = 1\.38 s.* mrad only"):
-        path_at_cycles(t[left], corner[left], ROBOT, rest=0.0)
+        path_at_cycles(t[rows], corner[rows], ROBOT, rest=0.0)
 
 
 def test_waypoints_further_apart_than_half_a_second_are_seconds_where_the_arm_could_not_be_quicker() -> None:
@@ -338,9 +338,9 @@ def test_a_spread_of_controllers_gives_a_range_joint_by_joint() -> None:
     assert controller is not None
     spread = replace(controller, spread={"position_gain": [0.1] * 6, "velocity_gain": [0.1] * 6})
     q_d = path(size=0.1)
-    told = precorrect(T * np.arange(len(q_d)), q_d, replace(MODEL, controller=spread), ROBOT
-                      ).to_dict()["expected_rms_error_mrad"]
-    low, mean, high = (np.array(told[key]) for key in ("corrected_from", "corrected", "corrected_to"))
+    errors = precorrect(T * np.arange(len(q_d)), q_d, replace(MODEL, controller=spread), ROBOT
+                        ).to_dict()["expected_rms_error_mrad"]
+    low, mean, high = (np.array(errors[key]) for key in ("corrected_from", "corrected", "corrected_to"))
     assert low.shape == high.shape == mean.shape == (6,)
     assert np.all(low < high)
-    assert np.all(low <= np.array(told["uncorrected"]))
+    assert np.all(low <= np.array(errors["uncorrected"]))

@@ -185,10 +185,10 @@ def test_every_limit_is_kept_under_any_input(name: str, kind: str, smooth: bool)
     path = [start] * 3
     for _ in range(1500):
         path.append(governor.allowed(_asked(kind, rng, robot, path[-1])))
-    found = _largest(robot, np.array(path), jerk)
+    shares = _largest(robot, np.array(path), jerk)
     if not np.isfinite(robot.a_max).all():
-        del found["acceleration"]
-    assert max(found.values()) <= 1.0 + 1e-6, found
+        del shares["acceleration"]
+    assert max(shares.values()) <= 1.0 + 1e-6, shares
     # What cannot be reached does not stop the arm from moving.
     assert kind == "nan" or np.ptp(np.array(path), axis=0).max() > 0.1
 
@@ -237,8 +237,8 @@ def test_every_feedforward_behind_it_keeps_the_limits(key: str) -> None:
         if np.isfinite(q_c).all():
             state = after
         path.append(governor.allowed(q_c))
-    found = _largest(ROBOT, np.array(path), 2.0 * ACCELERATION * ROBOT.a_max / ROBOT.t_ipo)
-    assert max(found.values()) <= 1.0 + 1e-6, found
+    shares = _largest(ROBOT, np.array(path), 2.0 * ACCELERATION * ROBOT.a_max / ROBOT.t_ipo)
+    assert max(shares.values()) <= 1.0 + 1e-6, shares
 
 
 def test_no_command_is_outside_a_position_limit_by_so_much_as_rounding() -> None:

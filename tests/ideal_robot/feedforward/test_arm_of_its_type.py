@@ -70,10 +70,10 @@ def model() -> Model:
 
 def test_masses_and_ripple_of_the_arm_that_moved_are_found(model: Model) -> None:
     true = other_arm(model)
-    found = arm_of_its_type(recorded(true, friction=1.2), model, ROBOT)
-    off = [bodies_apart(one, true)[1:3] for one in (model, found)]
+    estimate = arm_of_its_type(recorded(true, friction=1.2), model, ROBOT)
+    off = [bodies_apart(arm, true)[1:3] for arm in (model, estimate)]
     assert np.all(off[1] < 0.3 * off[0]), off
-    waves = [[np.array(e.coefficients) for e in one.effects if e.name == RIPPLE] for one in (true, found)]
+    waves = [[np.array(e.coefficients) for e in arm.effects if e.name == RIPPLE] for arm in (true, estimate)]
     assert len(waves[0]) >= 5
     for wave, ours in zip(*waves, strict=True):
         assert np.linalg.norm(ours - wave) < 0.5 * np.linalg.norm(wave)
@@ -96,9 +96,9 @@ def left_open(model: Model) -> Array:
 @pytest.mark.parametrize("friction", [1.0, 1.3])
 def test_the_very_arm_is_not_another_one(model: Model, friction: float) -> None:
     """What its model says exactly is not changed by noise, nor by friction, a third of what is left open at most."""
-    found = arm_of_its_type(recorded(model, friction), model, ROBOT)
-    assert found.effects is model.effects
-    assert np.all(bodies_apart(found, model) < left_open(model) / 3.0)
+    estimate = arm_of_its_type(recorded(model, friction), model, ROBOT)
+    assert estimate.effects is model.effects
+    assert np.all(bodies_apart(estimate, model) < left_open(model) / 3.0)
 
 
 @pytest.mark.parametrize("friction", [1.0, 1.3])
@@ -108,9 +108,9 @@ def test_a_heavier_tool_is_not_another_arm(model: Model, friction: float) -> Non
     The last joint turns about its axis: the tool's weight is nothing to it.
     """
     heavy = with_tool(model, 8.0)
-    found = arm_of_its_type(recorded(heavy, friction), model, ROBOT)
-    assert found.effects is model.effects
-    assert np.all(bodies_apart(found, model)[:5] < 0.1 * bodies_apart(heavy, model)[:5])
+    estimate = arm_of_its_type(recorded(heavy, friction), model, ROBOT)
+    assert estimate.effects is model.effects
+    assert np.all(bodies_apart(estimate, model)[:5] < 0.1 * bodies_apart(heavy, model)[:5])
 
 
 @pytest.mark.parametrize("joint", [2, 3])
@@ -124,15 +124,15 @@ def test_what_identification_left_open_of_the_very_arm_is_found(model: Model, jo
     true = replace(model, base_values=model.base_values + 2.0 * change,
                    consistent=consistent_parameters(model.base, model.base_values + 2.0 * change, covariance,
                                                     np.array(model.consistent)).full)
-    found = arm_of_its_type(recorded(true, friction=1.2), model, ROBOT)
-    assert found.effects is model.effects
-    assert bodies_apart(found, true)[joint - 1] < 0.5 * bodies_apart(model, true)[joint - 1]
+    estimate = arm_of_its_type(recorded(true, friction=1.2), model, ROBOT)
+    assert estimate.effects is model.effects
+    assert bodies_apart(estimate, true)[joint - 1] < 0.5 * bodies_apart(model, true)[joint - 1]
 
 
 def test_another_arm_is_found_with_a_heavier_tool_too(model: Model) -> None:
     true = with_tool(other_arm(model), 8.0)
-    found = arm_of_its_type(recorded(true), model, ROBOT)
-    off = [bodies_apart(one, true)[1:3] for one in (model, found)]
+    estimate = arm_of_its_type(recorded(true), model, ROBOT)
+    off = [bodies_apart(arm, true)[1:3] for arm in (model, estimate)]
     assert np.all(off[1] < 0.3 * off[0]), off
 
 
@@ -149,9 +149,9 @@ def test_a_joint_whose_friction_turns_at_once_counts_like_any_other(model: Model
     """Of its sliding the law says nothing; taken as that, no torque of the arm was a number."""
     sudden = at_once(model, 2)
     assert arm_of_its_type(recorded(sudden), sudden, ROBOT).effects is sudden.effects
-    found = arm_of_its_type(recorded(other_arm(sudden)), sudden, ROBOT)
-    assert found.effects is not sudden.effects
-    assert np.isfinite(found.base_values).all()
+    estimate = arm_of_its_type(recorded(other_arm(sudden)), sudden, ROBOT)
+    assert estimate.effects is not sudden.effects
+    assert np.isfinite(estimate.base_values).all()
 
 
 def test_what_holds_a_joint_at_rest_is_not_taken_for_weight(model: Model) -> None:
@@ -164,14 +164,14 @@ def test_what_holds_a_joint_at_rest_is_not_taken_for_weight(model: Model) -> Non
     assert 300 < at_rest.sum() < 0.3 * len(qd)
     held = Recording.from_arrays(moving.t, q=moving.joints("q"),
                                  tau=moving.joints("tau") + 0.5 * dry * at_rest[:, None])
-    off = bodies_apart(*(arm_of_its_type(one, model, ROBOT) for one in (moving, held)))
+    off = bodies_apart(*(arm_of_its_type(recording, model, ROBOT) for recording in (moving, held)))
     assert np.all(off < 0.01 * dry), off / dry
 
 
 def test_bodies_stay_possible(model: Model) -> None:
-    found = arm_of_its_type(recorded(other_arm(model)), model, ROBOT)
-    assert np.all(found.rotor_inertia >= 0.0)
-    assert all(np.all(np.linalg.eigvalsh(body.inertia) > 0.0) for body in list(found.dynamics.inertias)[1:])
+    estimate = arm_of_its_type(recorded(other_arm(model)), model, ROBOT)
+    assert np.all(estimate.rotor_inertia >= 0.0)
+    assert all(np.all(np.linalg.eigvalsh(body.inertia) > 0.0) for body in list(estimate.dynamics.inertias)[1:])
 
 
 def test_what_tells_nothing_of_masses_changes_nothing(model: Model) -> None:
@@ -209,12 +209,12 @@ def test_links_of_a_soft_arm_move_behind_its_gears(model: Model) -> None:
 
     rigid, unknown = (replace(soft, stiffness=np.where(np.arange(6) == 5, value, soft.stiffness))
                       for value in (np.inf, np.nan))
-    one, other = (arm_of_its_type(recorded_behind_gears(rigid), model, ROBOT) for model in (rigid, unknown))
-    np.testing.assert_array_equal(one.base_values, other.base_values)
+    of_rigid, of_unknown = (arm_of_its_type(recorded_behind_gears(rigid), model, ROBOT) for model in (rigid, unknown))
+    np.testing.assert_array_equal(of_rigid.base_values, of_unknown.base_values)
     very = arm_of_its_type(recorded_behind_gears(soft), soft, ROBOT)
     assert very.effects is soft.effects
     assert np.all(bodies_apart(very, soft) < 0.5 * left_open(soft))
     true = other_arm(soft)
-    found = arm_of_its_type(recorded_behind_gears(true), soft, ROBOT)
-    off = [bodies_apart(one, true)[1:3] for one in (soft, found)]
+    estimate = arm_of_its_type(recorded_behind_gears(true), soft, ROBOT)
+    off = [bodies_apart(arm, true)[1:3] for arm in (soft, estimate)]
     assert np.all(off[1] < np.array([0.05, 0.4]) * off[0]), off

@@ -43,8 +43,8 @@ def loaded(loop, mass=2.0, com=(0.05, 0.0, 0.15)):
     whole = chain.mass[-1] + mass
     centre = (chain.mass[-1] * chain.com[-1] + mass * com) / whole
     masses, coms, inertia = chain.mass.copy(), chain.com.copy(), chain.inertia.copy()
-    for m, way in ((chain.mass[-1], chain.com[-1] - centre), (mass, com - centre)):
-        inertia[-1] += m * (way @ way * np.eye(3) - np.outer(way, way))
+    for m, offset in ((chain.mass[-1], chain.com[-1] - centre), (mass, com - centre)):
+        inertia[-1] += m * (offset @ offset * np.eye(3) - np.outer(offset, offset))
     masses[-1], coms[-1] = whole, centre
     return loop.replace(chain=chain._replace(mass=masses, com=coms, inertia=inertia))
 
@@ -76,7 +76,7 @@ def test_two_motions_one_after_the_other_are_not_taken_for_one():
     loop = plant()
     adaptation = FrictionAdaptation(loop, tool=TOOL)
     first = states(loop, motion(), repeat=1)
-    second = [RobotState(one.t + 3600.0, one.q, one.tau) for one in first[10:]]
+    second = [RobotState(state.t + 3600.0, state.q, state.tau) for state in first[10:]]
     apart = fed(adaptation, second, adaptation.begun(fed(adaptation, first)))
     together = fed(adaptation, [*first, *second])
     np.testing.assert_array_equal(together.x, apart.x)
@@ -87,10 +87,10 @@ def test_contact_that_is_expected_is_not_taken_for_a_lighter_tool():
     loop, rng = plant(), np.random.default_rng(4)
     adaptation = FrictionAdaptation(loop, tool=TOOL)
     free = pressed = adaptation.init()
-    for one in states(loop, motion(), repeat=1):
+    for state in states(loop, motion(), repeat=1):
         tau_ext = rng.normal(scale=20.0, size=loop.n)
-        free = adaptation.update(free, one)
-        pressed = adaptation.update(pressed, RobotState(one.t, one.q, one.tau - loop.gain * tau_ext), tau_ext)
+        free = adaptation.update(free, state)
+        pressed = adaptation.update(pressed, RobotState(state.t, state.q, state.tau - loop.gain * tau_ext), tau_ext)
     np.testing.assert_allclose(pressed.mass, free.mass, atol=1e-9)
     np.testing.assert_allclose(pressed.values, free.values, atol=1e-9)
 
@@ -163,7 +163,7 @@ def test_what_is_learned_is_used_in_the_adapted_joints_alone():
     some = np.arange(loop.n) % 2 == 0
     none, all_, mixed = (AdaptedIdeal(IdealRobot(loop), adaptation, known, curve, adapted=joints)
                          for joints in (~some & some, None, some))
-    after = [one.step(one.init(q_d[0])._replace(curve=inertia), q_d[60:90])[1].ideal for one in (none, all_, mixed)]
+    after = [law.step(law.init(q_d[0])._replace(curve=inertia), q_d[60:90])[1].ideal for law in (none, all_, mixed)]
     plain = IdealRobot(loop)
     np.testing.assert_array_equal(after[0].tau, plain.step(plain.init(q_d[0]), q_d[60:90])[1].tau)
     np.testing.assert_array_equal(after[2].tau, np.where(some, after[1].tau, after[0].tau))
@@ -194,8 +194,8 @@ def test_where_nothing_tells_anything_it_is_the_ideal_robot_bit_for_bit(amplitud
     known, plain = adapts.init(q_d[0]), ideal.init(q_d[0])
     for k in range(len(q_d) - 30):
         q_c, known = adapts.step(known, q_d[k : k + 30])
-        wanted, plain = ideal.step(plain, q_d[k : k + 30])
-        np.testing.assert_array_equal(q_c, wanted)
+        expected, plain = ideal.step(plain, q_d[k : k + 30])
+        np.testing.assert_array_equal(q_c, expected)
         known = adapts.observe(known, RobotState(k * T, q_d[k], rng.normal(scale=100.0, size=loop.n)))
 
 
@@ -230,7 +230,7 @@ def test_where_the_model_leaves_more_than_friction_little_is_learned():
     """A joint torque sensor behind the gear shows hardly any friction: what is left there is not friction's."""
     loop = plant()
     dry, rng = loop.friction_torque[0, 0], np.random.default_rng(5)
-    measured = [replace(one, tau=one.tau + 2.0 * dry * rng.standard_normal(loop.n)) for one in states(loop, motion())]
+    measured = [replace(s, tau=s.tau + 2.0 * dry * rng.standard_normal(loop.n)) for s in states(loop, motion())]
     off = [np.abs(fed(FrictionAdaptation(loop, noise_std=floor), measured).values).max() for floor in (None, dry)]
     assert off[1] < 0.5 * off[0]
 

@@ -56,22 +56,22 @@ def counted_all(columns, left, wait=0.0):
 
 
 def test_row_by_row_it_is_the_batch():
-    columns, left = rows(np.random.default_rng(1))
-    x, covariance = counted_all(columns, left)
-    batch = solved(columns / 0.3, left / 0.3)
+    columns, residual = rows(np.random.default_rng(1))
+    x, covariance = counted_all(columns, residual)
+    batch = solved(columns / 0.3, residual / 0.3)
     np.testing.assert_allclose(x, batch.x, rtol=1e-9)
     np.testing.assert_allclose(covariance, batch.covariance, atol=1e-12)
 
 
 def test_on_the_way_parameters_wander_as_said():
     """The batch of a walk: rows far apart in time are of parameters that correlate by what is left."""
-    columns, left = rows(np.random.default_rng(2), count=12)
+    columns, residual = rows(np.random.default_rng(2), count=12)
     wait = 60.0
     steps = np.abs(np.subtract.outer(np.arange(12), np.arange(12)))
     prior = wandered(wait) ** steps
     signal = prior * (columns @ columns.T)
-    x = columns.T @ (prior[-1] * np.linalg.solve(signal + 0.09 * np.eye(12), left))
-    np.testing.assert_allclose(counted_all(columns, left, wait)[0], x, rtol=1e-9)
+    x = columns.T @ (prior[-1] * np.linalg.solve(signal + 0.09 * np.eye(12), residual))
+    np.testing.assert_allclose(counted_all(columns, residual, wait)[0], x, rtol=1e-9)
 
 
 def test_what_was_learned_long_ago_is_as_uncertain_as_at_first():
@@ -102,13 +102,13 @@ def test_parameters_stay_within_their_bounds():
 def test_what_is_remembered_of_some_parameters_is_their_marginal():
     """Mean and covariance of those that are kept, as if the others had never been asked for."""
     x, covariance = counted_all(*rows(np.random.default_rng(3)))
-    places, others = np.array([1, 4, 5]), np.array([0, 2, 3, 6])
-    kept, uncertain = remembered(x[None], covariance[None], places)
-    np.testing.assert_array_equal(kept[0, places], x[places])
+    places, forgotten = np.array([1, 4, 5]), np.array([0, 2, 3, 6])
+    mean, uncertain = remembered(x[None], covariance[None], places)
+    np.testing.assert_array_equal(mean[0, places], x[places])
     np.testing.assert_array_equal(uncertain[0][np.ix_(places, places)], covariance[np.ix_(places, places)])
-    assert not kept[0, others].any()
-    np.testing.assert_array_equal(uncertain[0][np.ix_(others, others)], np.eye(4))
-    assert not uncertain[0][np.ix_(others, places)].any()
+    assert not mean[0, forgotten].any()
+    np.testing.assert_array_equal(uncertain[0][np.ix_(forgotten, forgotten)], np.eye(4))
+    assert not uncertain[0][np.ix_(forgotten, places)].any()
 
 
 def test_the_curve_is_as_uncertain_as_said():
@@ -177,10 +177,10 @@ def test_friction_that_falls_with_speed_is_found_in_the_motor_angles(delay: int)
     """The identified law rises from rest on; two factors on it cannot fall."""
     loop = plant(delay=delay)
     true = sticky(loop)
-    found = FrictionCurve(loop).values(learned(loop, true, motion(amplitude=0.05)))
+    estimate = FrictionCurve(loop).values(learned(loop, true, motion(amplitude=0.05)))
     more = (true.friction_torque - loop.friction_torque)[0]
     ratio = np.array([dry * friction_terms(np.array([SLOW / most]))[0] @ values / np.interp(SLOW, v, theirs)
-                      for dry, most, values, v, theirs in zip(loop.friction_torque[0, 0], loop.v_max, found,
+                      for dry, most, values, v, theirs in zip(loop.friction_torque[0, 0], loop.v_max, estimate,
                                                               loop.friction_velocity.T, more.T, strict=True)])
     assert np.all((ratio > 0.5) & (ratio < 1.2)), ratio
 
@@ -191,11 +191,11 @@ def test_inertia_that_the_model_has_not_is_found_in_the_motor_angles(delay: int)
     more = np.array([0.08, -0.08, 0.08, -0.08, 0.08, -0.08]) * loop.k_p * loop.t_ipo
     heavier = loop.replace(rotor_inertia=np.maximum(loop.rotor_inertia + more, 0.2 * loop.rotor_inertia))
     more = heavier.rotor_inertia - loop.rotor_inertia
-    found = [learned(loop, true, motion()).inertia for true in (loop, heavier)]
+    estimates = [learned(loop, true, motion()).inertia for true in (loop, heavier)]
     # Where joints move together it is not told apart whose acceleration it is; the torque is what counts.
     qdd = accelerations(loop, motion())
     for i in range(3):
-        assert rms(qdd @ (found[1] - found[0])[i] - qdd[:, i] * more[i]) < 0.35 * rms(qdd[:, i] * more[i])
+        assert rms(qdd @ (estimates[1] - estimates[0])[i] - qdd[:, i] * more[i]) < 0.35 * rms(qdd[:, i] * more[i])
 
 
 def accelerations(loop: LoopModel, q: Array) -> Array:
@@ -209,15 +209,15 @@ def test_links_that_other_joints_accelerate_are_found_in_the_motor_angles() -> N
     mass[2] *= 1.3
     heavier = loop.replace(chain=loop.chain._replace(mass=mass))
     middle = np.median(q_d, axis=0)
-    found = learned(loop, heavier, q_d).inertia - learned(loop, loop, q_d).inertia
+    estimate = learned(loop, heavier, q_d).inertia - learned(loop, loop, q_d).inertia
     q, still = np.tile(middle, (loop.n, 1)), np.zeros((loop.n, loop.n))
     more, less = (inverse_dynamics(true.chain, q, still, np.eye(loop.n))
                   - inverse_dynamics(true.chain, q, still, still) for true in (heavier, loop))
-    wanted = (more - less)[1:3, 1:3].T
+    expected = (more - less)[1:3, 1:3].T
     qdd = accelerations(loop, q_d)[:, 1:3]
-    left = rms(qdd @ (found[1:3, 1:3] - wanted).T)
-    assert left < 0.5 * rms(qdd @ wanted.T)
-    assert left < rms(qdd @ (np.diag(np.diagonal(found)[1:3]) - wanted).T)
+    error = rms(qdd @ (estimate[1:3, 1:3] - expected).T)
+    assert error < 0.5 * rms(qdd @ expected.T)
+    assert error < rms(qdd @ (np.diag(np.diagonal(estimate)[1:3]) - expected).T)
 
 
 def test_with_the_inertia_of_another_motion_the_arm_is_where_it_should_be() -> None:
@@ -301,7 +301,7 @@ def test_friction_that_falls_with_speed_is_found(found: FrictionAtWork) -> None:
     loop = plant()
     moving = slice(0, loop.n - 1)
     true = at_speeds(sticky_and_bent(loop))
-    before, after = (np.abs(at_speeds(one) - true)[:, moving] for one in (loop, found.in_loop(loop)))
+    before, after = (np.abs(at_speeds(model) - true)[:, moving] for model in (loop, found.in_loop(loop)))
     assert before.max() > 0.18
     assert np.sqrt(np.mean(after**2, axis=0)).max() < 0.3 * np.sqrt(np.mean(before**2, axis=0)).min()
 

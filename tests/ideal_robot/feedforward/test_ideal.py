@@ -63,11 +63,11 @@ def test_expected_contact_torques_are_carried():
     feedforward = IdealRobot(loop)
     ahead = np.concatenate([torque, np.tile(torque[-1], (30, 1))])
     errors = {}
-    for told in (True, False):
+    for known in (True, False):
         state, q_c = feedforward.init(q_d[0]), np.empty_like(q_d)
         for k in range(len(q_d)):
-            q_c[k], state = feedforward.step(state, q_d[:1].repeat(30, 0), ahead[k : k + 30] if told else None)
-        errors[told] = np.max(np.abs(simulate(loop, q_c, tau_ext=torque).q_a[60:-1] - q_d[60:]))
+            q_c[k], state = feedforward.step(state, q_d[:1].repeat(30, 0), ahead[k : k + 30] if known else None)
+        errors[known] = np.max(np.abs(simulate(loop, q_c, tau_ext=torque).q_a[60:-1] - q_d[60:]))
     assert errors[True] < 0.3 * errors[False]
 
 
@@ -79,14 +79,14 @@ def test_a_path_that_a_sensor_bends_under_way_is_followed():
     for start in range(0, len(shift), 2):
         shift[start:] += rng.normal(scale=5e-5)
     feedforward = IdealRobot(loop)
-    state, q_c, wanted = feedforward.init(planned[0]), np.empty_like(planned), np.empty_like(planned)
+    state, q_c, desired = feedforward.init(planned[0]), np.empty_like(planned), np.empty_like(planned)
     ahead = np.concatenate([planned, np.tile(planned[-1], (40, 1))])
     for k in range(len(planned)):
         # The future is expected to stay as it is now; when it does not, the horizon steps.
         horizon = ahead[k : k + 30] + shift[k]
-        wanted[k] = horizon[0]
+        desired[k] = horizon[0]
         q_c[k], state = feedforward.step(state, horizon)
-    error = simulate(loop, q_c).q_a[:-1] - wanted
+    error = simulate(loop, q_c).q_a[:-1] - desired
     # Steps of 0.05 mrad in the desired path itself are not followed at once; nothing may be amplified beyond that.
     assert rms(error[40:]) < 3e-4
     assert np.max(np.abs(np.diff(q_c, n=2, axis=0))) < 5e-3
@@ -123,13 +123,13 @@ def test_tool_is_where_the_drawn_arm_would_have_it(name):
     robot = Robot.load(name)
     arm, drawn = CorrectedArm(robot, EFFECTS), robot.fk()
     q = robot.home + 0.2 * np.random.default_rng(3).normal(size=(6, robot.n))
-    for wanted, moved in zip(q, arm.joints(q), strict=True):
-        here, there = arm.tool(moved), drawn(wanted)
-        assert np.linalg.norm(here.translation - there.translation) < 1e-8
-        assert np.linalg.norm(pin.log3(here.rotation.T @ there.rotation)) < 1e-7
-        assert np.linalg.norm(arm.tool(wanted).translation - there.translation) > 1e-3
+    for desired, moved in zip(q, arm.joints(q), strict=True):
+        pose, expected = arm.tool(moved), drawn(desired)
+        assert np.linalg.norm(pose.translation - expected.translation) < 1e-8
+        assert np.linalg.norm(pin.log3(pose.rotation.T @ expected.rotation)) < 1e-7
+        assert np.linalg.norm(arm.tool(desired).translation - expected.translation) > 1e-3
         # What a follower that knows the drawn arm makes of the arm's angles is where the tool is.
-        assert np.linalg.norm(drawn(arm.as_drawn(moved)).translation - there.translation) < 1e-7
+        assert np.linalg.norm(drawn(arm.as_drawn(moved)).translation - expected.translation) < 1e-7
 
 
 def test_no_geometry_changes_nothing():

@@ -174,9 +174,9 @@ def test_a_method_that_learns_on_the_arm_shares_its_plays() -> None:
 @pytest.mark.parametrize(("key", "field"), [("ideal", "model"), ("linear", "q_d"), ("trained", "practice"),
                                             ("unknown", "method")])
 def test_what_is_missing_is_named(key: str, field: str) -> None:
-    given = {"model": None if field == "model" else MODEL, "q_d": None if field == "q_d" else path()}
+    arguments = {"model": None if field == "model" else MODEL, "q_d": None if field == "q_d" else path()}
     with pytest.raises(InputError) as caught:
-        feedforward(key, given["model"], KR6, q_d=given["q_d"])
+        feedforward(key, arguments["model"], KR6, q_d=arguments["q_d"])
     assert caught.value.field == field
 
 
@@ -236,7 +236,7 @@ def test_linear_as_printed_knows_the_arm_from_sinusoids_alone() -> None:
     assert np.all(np.abs(np.diff(motion, axis=0)) < 0.5 * KR6.v_max * KR6.t_ipo)
     np.testing.assert_allclose(motion[0], np.median(q_d, axis=0), atol=1e-9)
     law = feedforward("linear_1", None, KR6, n_d=30, q_d=q_d, practice=linear)
-    before, after = (np.abs(play(one, q_d).errors()).max() for one in (PassThrough(KR6.t_ipo), law))
+    before, after = (np.abs(play(candidate, q_d).errors()).max() for candidate in (PassThrough(KR6.t_ipo), law))
     # The inverse of paths of 3 Hz, of responses that sinusoids told.
     assert after < 0.15 * before
     assert feedforward("linear_1", MODEL, KR6, q_d=q_d, practice=place).n_d == 30
@@ -262,6 +262,6 @@ def test_frictions_shape_is_learned_where_the_path_is_known_beforehand(q_d: np.n
 
 def test_the_package_is_called_as_the_function_of_its_name() -> None:
     package = importlib.import_module("ideal_robot.feedforward")
-    made = package("none", Model.nominal(ROBOT), ROBOT)
-    q_c, _ = made.step(made.init(ROBOT.home), np.tile(ROBOT.home, (3, 1)))
+    law = package("none", Model.nominal(ROBOT), ROBOT)
+    q_c, _ = law.step(law.init(ROBOT.home), np.tile(ROBOT.home, (3, 1)))
     np.testing.assert_array_equal(q_c, ROBOT.home)

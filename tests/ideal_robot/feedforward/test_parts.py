@@ -28,12 +28,12 @@ from tests.ideal_robot.feedforward.test_laws import nominal_model
 
 def test_smoothing_is_exact_on_cubics():
     t = T * np.arange(-6, 13, dtype=float)
-    at = np.linspace(0.0, 0.08, 7)
-    value, first, second = spline_operators(t, at, T, cutoff=14.0)
+    instants = np.linspace(0.0, 0.08, 7)
+    value, first, second = spline_operators(t, instants, T, cutoff=14.0)
     cubic = np.polynomial.Polynomial([0.3, -1.0, 4.0, 20.0])
-    np.testing.assert_allclose(value @ cubic(t), cubic(at), atol=1e-9)
-    np.testing.assert_allclose(first @ cubic(t), cubic.deriv()(at), atol=1e-7)
-    np.testing.assert_allclose(second @ cubic(t), cubic.deriv(2)(at), atol=1e-5)
+    np.testing.assert_allclose(value @ cubic(t), cubic(instants), atol=1e-9)
+    np.testing.assert_allclose(first @ cubic(t), cubic.deriv()(instants), atol=1e-7)
+    np.testing.assert_allclose(second @ cubic(t), cubic.deriv(2)(instants), atol=1e-5)
 
 
 def test_smoothing_passes_slow_and_stops_fast():
@@ -50,9 +50,9 @@ def test_command_inverse_undoes_interpolation_and_low_pass(delay):
     loop = plant(delay=delay)
     inverse = command_inverse(loop, 7)
     t = np.arange(0.0, 2.0, loop.t_position)
-    wanted = 0.2 * np.sin(2 * np.pi * 1.5 * np.clip(t - 0.3, 0, None)) ** 2
-    rate = np.diff(wanted, prepend=wanted[0]) / loop.t_position
-    signal = loop.k_v[0] * wanted + loop.k_ff[0] * rate
+    desired = 0.2 * np.sin(2 * np.pi * 1.5 * np.clip(t - 0.3, 0, None)) ** 2
+    rate = np.diff(desired, prepend=desired[0]) / loop.t_position
+    signal = loop.k_v[0] * desired + loop.k_ff[0] * rate
     past = np.zeros(inverse.n_past)
     q_c: list[float] = []
     for k in range(140):
@@ -60,10 +60,10 @@ def test_command_inverse_undoes_interpolation_and_low_pass(delay):
         q_c.append(inverse.wanted[0] @ signal[start : start + inverse.wanted.shape[1]] + inverse.past[0] @ past)
         past = np.append(past[1:], q_c[-1])
     commands_ = np.tile(np.array(q_c)[:, None], (1, 6))
-    seen = low_passed(interpolated(commands_, np.zeros(6), loop), np.zeros(6), loop.command_filter)[:, 0]
+    filtered = low_passed(interpolated(commands_, np.zeros(6), loop), np.zeros(6), loop.command_filter)[:, 0]
     # A linear interpolation over a cycle cannot be closer to a curve than its chord's sagitta, ẍ T²/8.
     sagitta = 0.1 * (2 * np.pi * 3.0) ** 2 * T**2 / 8
-    assert np.max(np.abs(seen - wanted[: len(seen)])) < sagitta
+    assert np.max(np.abs(filtered - desired[: len(filtered)])) < sagitta
 
 
 def test_command_inverse_is_exact_at_rest():
@@ -91,12 +91,12 @@ def test_two_degrees_of_freedom_give_the_likeliest_joint_errors():
     """[L] 3.3: they must explain what was measured, and be closer to the truth than knowing nothing."""
     q_d, true, error = off_postures(1, 30)
     rows = [AXES.index("y"), AXES.index("z")]
-    found = joint_errors(ROBOT, q_d, error[:, rows], axes=("y", "z"), prior=5e-4, noise=1e-6)
+    estimate = joint_errors(ROBOT, q_d, error[:, rows], axes=("y", "z"), prior=5e-4, noise=1e-6)
     data = ROBOT.pinocchio.createData()
-    for q, dq, measured in zip(q_d, found, error[:, rows], strict=True):
+    for q, dq, measured in zip(q_d, estimate, error[:, rows], strict=True):
         J = pin.computeFrameJacobian(ROBOT.pinocchio, data, q, ROBOT.tool_id, pin.LOCAL_WORLD_ALIGNED)[rows]
         np.testing.assert_allclose(J @ dq, measured, atol=1e-5)
-    assert rms(found - true) < rms(true)
+    assert rms(estimate - true) < rms(true)
 
 
 def test_unknown_axes_are_refused():
@@ -147,8 +147,8 @@ def test_friction_of_load_that_is_driven_counts_from_the_least_power_on(speed):
     driven = model.with_effects([FittedEffect("load_direction_friction", 2, "tau_2", (0.05,))])
     q_d = ROBOT.home + np.array([0.0, speed, 0.0, 0.0, 0.0, 0.0]) * (T * np.arange(80))[:, None]
     torques = []
-    for one in (model, driven):
-        feedforward = Precorrection(one, ROBOT)
+    for arm in (model, driven):
+        feedforward = Precorrection(arm, ROBOT)
         state = feedforward.init(q_d[0])
         for k in range(60):
             _, state = feedforward.step(state, q_d[k : k + 10])
@@ -167,8 +167,8 @@ def test_a_short_horizon_goes_on_straight(elastic):
         whole = short = feedforward.init(q_d[0])
         for k in range(40):
             expected, whole = feedforward.step(whole, q_d[k : k + feedforward.n_d])
-            found, short = feedforward.step(short, q_d[k : k + feedforward.n_d - missing])
-            np.testing.assert_allclose(found, expected, atol=1e-10)
+            command, short = feedforward.step(short, q_d[k : k + feedforward.n_d - missing])
+            np.testing.assert_allclose(command, expected, atol=1e-10)
 
 
 def test_models_without_controller_are_refused():
@@ -180,8 +180,8 @@ def test_models_without_controller_are_refused():
 def test_gains_survive_the_way_through_the_papers_form():
     loop = plant()
     k_v, k_ff, k_p, k_i = cascade_gains(nominal_model().controller)
-    for found, true in ((k_v, loop.k_v), (k_ff, loop.k_ff), (k_p, loop.k_p), (k_i, loop.k_i)):
-        np.testing.assert_allclose(found, true, rtol=1e-9)
+    for gain, true in ((k_v, loop.k_v), (k_ff, loop.k_ff), (k_p, loop.k_p), (k_i, loop.k_i)):
+        np.testing.assert_allclose(gain, true, rtol=1e-9)
 
 
 # Linear closed loops: identified, predicted, inverted, also where the inverse would be unstable.
@@ -198,10 +198,10 @@ def test_identification_finds_a_known_response():
     t = np.arange(800) * T
     q_c = (0.3 * np.sin(2 * np.pi * 0.5 * t) + 0.05 * np.sin(2 * np.pi * 4 * t**1.2))[:, None]
     q = true.predict(q_c) + rng.normal(scale=1e-5, size=q_c.shape)
-    found = LinearLoop.identify(q_c, q, T, delay=2, prior=1e-4)
+    fit = LinearLoop.identify(q_c, q, T, delay=2, prior=1e-4)
     t_new = np.arange(300) * T
     other = (0.2 * np.sin(2 * np.pi * 1.1 * t_new))[:, None]
-    assert rms(found.predict(other) - true.predict(other)) < 5e-4
+    assert rms(fit.predict(other) - true.predict(other)) < 5e-4
 
 
 def test_identification_refuses_a_joint_at_rest_and_short_motions():
@@ -271,7 +271,7 @@ def seen(loop, q, tau, z=None):
     assert noted(window, 0, measured, drive) == CYCLES
     if z is not None:
         window[2] = z
-    return Smoothed(*(one[0] for one in smoothed(window, drive)))
+    return Smoothed(*(values[0] for values in smoothed(window, drive)))
 
 
 AT = T * (np.arange(CYCLES) - CYCLES // 2)[:, None]
@@ -282,9 +282,9 @@ def test_inertia_is_the_same_at_every_frequency(frequency):
     """The second derivative of a cubic through nine positions lacks a tenth at 4 Hz."""
     loop, omega = plant(elastic=False), 2.0 * np.pi * frequency
     q = 0.01 * np.cos(omega * AT) * np.ones(loop.n)
-    found = seen(loop, q, -loop.rotor_inertia * omega**2 * q)
-    np.testing.assert_allclose(found.tau, loop.rotor_inertia * found.motor_a, rtol=0.01)
-    np.testing.assert_allclose(found.a, found.motor_a)
+    middle = seen(loop, q, -loop.rotor_inertia * omega**2 * q)
+    np.testing.assert_allclose(middle.tau, loop.rotor_inertia * middle.motor_a, rtol=0.01)
+    np.testing.assert_allclose(middle.a, middle.motor_a)
 
 
 def test_the_arm_lags_behind_its_gears():

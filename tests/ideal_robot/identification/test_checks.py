@@ -114,9 +114,9 @@ def test_joint_names_tell_which_joint_it_is_or_are_refused(good: Recording) -> N
     for called in (names, [f"left_{name}_joint" for name in names], [f"axis {i + 1}" for i in range(6)]):
         usable, _ = checked([Recording(columns, {"joints": [called[j] for j in order]})], robot())
         np.testing.assert_array_equal(usable[0].joints("q"), good.joints("q"))
-    others = ["pan", "lift", "elbow", "roll", "pitch", "yaw"]
-    with pytest.raises(InputError, match=f"joints: .*{', '.join(others)}.*{', '.join(names)}.*give the URDF"):
-        checked([Recording(columns, {"joints": others})], robot())
+    foreign = ["pan", "lift", "elbow", "roll", "pitch", "yaw"]
+    with pytest.raises(InputError, match=f"joints: .*{', '.join(foreign)}.*{', '.join(names)}.*give the URDF"):
+        checked([Recording(columns, {"joints": foreign})], robot())
 
 
 @pytest.mark.parametrize(("names", "missing"), [((1, 2, 4, 5, 6), "q_3"), (range(6), "q_6")])
@@ -217,8 +217,8 @@ def test_a_single_law_that_nowhere_brakes_ends_in_a_model(law: str) -> None:
 def test_the_wrong_sign_is_said_only_where_it_is_wrong() -> None:
     good = record(truth(), np.random.default_rng(7))
     flipped = changed(good, **{f"tau_{j + 1}": -good.columns[f"tau_{j + 1}"] for j in range(6)})
-    for one, wrong in ((good, False), (flipped, True)):
-        warnings = identify([one], robot(), friction="viscous_coulomb").warnings
+    for logged, wrong in ((good, False), (flipped, True)):
+        warnings = identify([logged], robot(), friction="viscous_coulomb").warnings
         assert any("wrong-sign" in text for text in warnings) == wrong
 
 

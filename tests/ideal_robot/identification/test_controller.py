@@ -47,36 +47,36 @@ def closed_loop(integrator: bool, rng: np.random.Generator, noise: float = 0.5) 
 def test_gains_as_in_the_paper() -> None:
     """PD gains from a recording without integrator, the integral gain by simulation from one with it."""
     rng = np.random.default_rng(2)
-    found = identify_controller([closed_loop(True, rng)], T, without_integrator=[closed_loop(False, rng)])
-    assert found.model.k_p[0] == pytest.approx(K_P, rel=0.05)
-    assert found.model.k_d[0] == pytest.approx(K_D, rel=0.05)
-    assert found.model.k_i[0] == pytest.approx(K_I, rel=0.2)
-    assert found.error_percent[0] < 10.0
-    assert found.simulated.shape == found.drifting.shape == found.measured.shape
+    fit = identify_controller([closed_loop(True, rng)], T, without_integrator=[closed_loop(False, rng)])
+    assert fit.model.k_p[0] == pytest.approx(K_P, rel=0.05)
+    assert fit.model.k_d[0] == pytest.approx(K_D, rel=0.05)
+    assert fit.model.k_i[0] == pytest.approx(K_I, rel=0.2)
+    assert fit.error_percent[0] < 10.0
+    assert fit.simulated.shape == fit.drifting.shape == fit.measured.shape
 
 
 def test_one_step_estimate_drifts_more_than_the_simulated_one() -> None:
     rng = np.random.default_rng(3)
-    found = identify_controller([closed_loop(True, rng, noise=5.0)], T, without_integrator=[closed_loop(False, rng)])
-    error = np.linalg.norm(found.simulated - found.measured)
-    assert np.linalg.norm(found.drifting - found.measured) > error
+    fit = identify_controller([closed_loop(True, rng, noise=5.0)], T, without_integrator=[closed_loop(False, rng)])
+    error = np.linalg.norm(fit.simulated - fit.measured)
+    assert np.linalg.norm(fit.drifting - fit.measured) > error
 
 
 def test_gains_scatter_as_far_as_their_standard_deviations_say() -> None:
     """k_p and k_I come from the same data and fall and rise together; k_1 follows the delay of the command."""
-    found = [identify_controller([closed_loop(True, np.random.default_rng(seed), noise=5.0)], T).model
-             for seed in range(8)]
+    models = [identify_controller([closed_loop(True, np.random.default_rng(seed), noise=5.0)], T).model
+              for seed in range(8)]
     for name in ("k_p", "k_d", "k_1", "k_2", "k_i"):
-        scatter = np.std([getattr(model, name)[0] for model in found], ddof=1)
-        said = np.mean([model.std[name][0] for model in found])
+        scatter = np.std([getattr(model, name)[0] for model in models], ddof=1)
+        std = np.mean([model.std[name][0] for model in models])
         # The scatter of eight is itself uncertain by a quarter.
-        assert 0.5 < said / scatter < 2.0
+        assert 0.5 < std / scatter < 2.0
 
 
 def test_four_recordings_tell_the_gains_twice_as_well() -> None:
     recording = closed_loop(True, np.random.default_rng(4))
-    one, four = (identify_controller([recording] * count, T).model.std for count in (1, 4))
-    for name, std in one.items():
+    single, four = (identify_controller([recording] * count, T).model.std for count in (1, 4))
+    for name, std in single.items():
         assert four[name][0] == pytest.approx(0.5 * std[0], rel=0.02)
 
 
@@ -169,8 +169,8 @@ def test_torques_that_are_logged_as_they_are_tell_the_same_gains() -> None:
         blank._smoothed = np.asarray  # type: ignore[method-assign]
         tau = blank.columns(np.array([0.002, 0.001])) @ np.outer([k_p, k_i], [k_v, k_ff, 1.0]).ravel()
         recording = Recording.from_arrays(t, q_c=q_c[:, None], q=q[:, None], tau=tau[:, None])
-        found = [float(values[0]) for values in cascade_gains(fit_controller(recording, ROBOT).controller)]
-        np.testing.assert_allclose(found, true, rtol=0.04)
+        gains = [float(values[0]) for values in cascade_gains(fit_controller(recording, ROBOT).controller)]
+        np.testing.assert_allclose(gains, true, rtol=0.04)
 
 
 def test_refuses_slow_sampling_and_joints_at_rest():
@@ -215,12 +215,12 @@ def test_lost_rows_and_pauses_leave_the_closed_loop_what_it_is(lost: int | slice
     """Counted by rows, all that follows a lost one belongs to other instants: gains changed by a third and more."""
     whole = recorded(1)
     cut = without(whole, lost)
-    expected, found = (np.array(cascade_gains(fit_controller(one, ROBOT).controller))[:, 0] for one in (whole, cut))
-    np.testing.assert_allclose(found, expected, rtol=0.05)
-    expected, found = (identify_controller([one], T).model.k_p for one in (whole, cut))
-    np.testing.assert_allclose(found, expected, rtol=0.1)
-    expected, found = (identify_linear_loop([one], T).loop.predict(whole.joints("q_c")[::6]) for one in (whole, cut))
-    np.testing.assert_allclose(found, expected, atol=2e-4)
+    expected, fitted = (np.array(cascade_gains(fit_controller(run, ROBOT).controller))[:, 0] for run in (whole, cut))
+    np.testing.assert_allclose(fitted, expected, rtol=0.05)
+    expected, fitted = (identify_controller([run], T).model.k_p for run in (whole, cut))
+    np.testing.assert_allclose(fitted, expected, rtol=0.1)
+    expected, fitted = (identify_linear_loop([run], T).loop.predict(whole.joints("q_c")[::6]) for run in (whole, cut))
+    np.testing.assert_allclose(fitted, expected, atol=2e-4)
 
 
 def test_of_stretches_that_are_too_short_nothing_is_told() -> None:

@@ -89,8 +89,8 @@ def wrong_by_half(rng: np.random.Generator) -> Robot:
 # Excitation keeps to the limits and excites; trapezoids are what they say.
 
 def test_motion_keeps_to_limits_and_workspace_and_starts_at_rest() -> None:
-    arm, found = robot(), motion()
-    q, qd, qdd = found.at(np.linspace(0, found.period, 2000))
+    arm, excitation = robot(), motion()
+    q, qd, qdd = excitation.at(np.linspace(0, excitation.period, 2000))
     assert np.all(q > arm.q_min)
     assert np.all(q < arm.q_max)
     assert np.all(np.abs(qd) < arm.v_max)
@@ -98,7 +98,7 @@ def test_motion_keeps_to_limits_and_workspace_and_starts_at_rest() -> None:
     assert clear_of_obstacles(arm, q[::20], Workspace(z_min=0.05, r_min=0.25)).all()
     np.testing.assert_allclose(qd[[0, -1]], 0.0, atol=1e-9)
     np.testing.assert_allclose(qdd[[0, -1]], 0.0, atol=1e-9)
-    np.testing.assert_allclose(np.gradient(q[:, 0], found.period / 1999)[5:-5], qd[5:-5, 0], atol=1e-3)
+    np.testing.assert_allclose(np.gradient(q[:, 0], excitation.period / 1999)[5:-5], qd[5:-5, 0], atol=1e-3)
 
 
 def test_search_lowers_the_condition_number() -> None:
@@ -125,8 +125,8 @@ def test_a_limit_that_is_none_moves_the_motion_nowhere() -> None:
     """With the middle of such a range as the posture to begin with, the way there took years and all memory."""
     arm = robot()
     far = replace(arm, q_max=np.where(np.arange(arm.n) == 1, 1e9, arm.q_max))
-    found = design_excitation(far, np.random.default_rng(3), trials=2, refinements=0)
-    assert np.all(np.abs(found.centre - arm.home) < 50.0)
+    excitation = design_excitation(far, np.random.default_rng(3), trials=2, refinements=0)
+    assert np.all(np.abs(excitation.centre - arm.home) < 50.0)
 
 
 def test_a_way_that_takes_hours_is_refused() -> None:

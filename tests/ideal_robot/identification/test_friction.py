@@ -75,8 +75,8 @@ def test_a_coefficient_that_may_not_be_negative() -> None:
     bounded = p == p.min()
     assert p.min() < 0.0
     lower = np.concatenate([np.full(8, -np.inf), np.where(bounded, 0.0, -np.inf)])
-    wanted = optimize.lsq_linear(W, y, (lower, np.full(11, np.inf)), tol=1e-14).x
-    np.testing.assert_allclose(projection().coefficients(F, bounded), wanted[8:], rtol=1e-5, atol=1e-7)
+    expected = optimize.lsq_linear(W, y, (lower, np.full(11, np.inf)), tol=1e-14).x
+    np.testing.assert_allclose(projection().coefficients(F, bounded), expected[8:], rtol=1e-5, atol=1e-7)
 
 
 # Friction from constant-velocity runs, and friction that falls while the gear warms up.
@@ -94,9 +94,9 @@ def test_every_law_is_found_again_within_its_deviations(law: type[FrictionModel]
     rng = np.random.default_rng(3)
     what = example(law)
     fit = fit_law(law, SPEEDS, what.torque(SPEEDS[:, None])[:, 0] + 0.05 * rng.normal(size=len(SPEEDS)))
-    found = np.concatenate([fit.law.coefficients[:, 0], fit.law.shape[:, 0]])
+    estimate = np.concatenate([fit.law.coefficients[:, 0], fit.law.shape[:, 0]])
     exact = np.concatenate([what.coefficients[:, 0], what.shape[:, 0]])
-    assert np.all(np.abs(found - exact) < 4.0 * fit.std)
+    assert np.all(np.abs(estimate - exact) < 4.0 * fit.std)
     assert fit.rms == pytest.approx(0.05, rel=0.5)
 
 
@@ -158,10 +158,10 @@ def recording(model: Model, amplitude: float, seed: int = 0) -> Recording:
 
 def test_finds_amplitude_and_order_and_nothing_else():
     model = Model.nominal(ROBOT)
-    found = fit_ripple([recording(model, 10.0)], model, ROBOT)
-    assert [(effect.joint, effect.theta) for effect in found] == [(1, (2 * ROBOT.gear_ratio[0],))]
-    assert found[0].parameters[0].value == pytest.approx(10.0, rel=0.1)
-    again = fit_ripple([recording(model, 10.0, seed=1)], model.with_effects(found), ROBOT)
+    ripples = fit_ripple([recording(model, 10.0)], model, ROBOT)
+    assert [(effect.joint, effect.theta) for effect in ripples] == [(1, (2 * ROBOT.gear_ratio[0],))]
+    assert ripples[0].parameters[0].value == pytest.approx(10.0, rel=0.1)
+    again = fit_ripple([recording(model, 10.0, seed=1)], model.with_effects(ripples), ROBOT)
     assert again == ()
 
 

@@ -69,8 +69,8 @@ def test_without_noise_the_truth_is_found() -> None:
     result = identify([record(what, np.random.default_rng(0), noise=0.0)], robot(), friction="viscous_coulomb")
     exact = result.model.predict(record(what, np.random.default_rng(1), noise=0.0))
     assert np.all(exact.relative_error_percent < 1.0)
-    found = result.model.friction.laws[1].coefficients
-    np.testing.assert_allclose(found, what.friction.laws[1].coefficients, rtol=0.02)
+    coefficients = result.model.friction.laws[1].coefficients
+    np.testing.assert_allclose(coefficients, what.friction.laws[1].coefficients, rtol=0.02)
 
 
 def test_friction_laws_and_refinements_are_found() -> None:
@@ -81,16 +81,16 @@ def test_friction_laws_and_refinements_are_found() -> None:
     what = truth(laws)
     rng = np.random.default_rng(5)
     result = identify([record(what, rng)], arm, validation=[record(what, rng, seed=2)])
-    found = result.model.friction.laws
-    assert found[2].loaded
-    assert found[3].presliding
-    assert found[3].shape[-1, 0] == pytest.approx(5e-3, rel=0.2)
+    fitted = result.model.friction.laws
+    assert fitted[2].loaded
+    assert fitted[3].presliding
+    assert fitted[3].shape[-1, 0] == pytest.approx(5e-3, rel=0.2)
     plain = identify([record(what, rng)], arm, validation=[record(what, rng, seed=2)], friction="viscous_coulomb")
-    errors = [joined(one.validation).relative_error_percent for one in (result, plain)]
+    errors = [joined(identified.validation).relative_error_percent for identified in (result, plain)]
     assert np.all(errors[0][:4] < errors[1][:4])
     speed = np.linspace(0.05, 1.0, 20)[:, None]
     for j in (0, 1):
-        np.testing.assert_allclose(found[j].torque(speed), laws[j].torque(speed), rtol=0.08)
+        np.testing.assert_allclose(fitted[j].torque(speed), laws[j].torque(speed), rtol=0.08)
 
 
 def test_prediction_covers_what_is_measured() -> None:
@@ -132,9 +132,9 @@ def test_published_estimates_of_the_emps_axis(law: str, published: dict[str, flo
     axis = Robot.load(DATA / "emps" / "emps.urdf")
     result = identify([Recording.read(EMPS)], axis, friction=law, cutoff=100.0, cutoff_decimation=50.0)
     assert joined(result.estimation).relative_error_percent[0] == pytest.approx(error, rel=1e-3)
-    found = {p.name: p for p in result.model.parameters}
+    estimates = {p.name: p for p in result.model.parameters}
     for name, value in published.items():
-        assert abs(found[name].value - value) < found[name].std
+        assert abs(estimates[name].value - value) < estimates[name].std
 
 
 @pytest.mark.skipif(not UR10E.exists(), reason="measured data (../shared/data/ur10e) are not there")
@@ -203,8 +203,8 @@ def test_the_true_stiffness_comes_back(step: float) -> None:
     recording = Recording.from_arrays(t, meta={}, q=q, qa=qa, tau=np.zeros_like(q))
     k, d = stiffness_from_arm([recording], model)
     # The last joints hardly twist: increments are all that is left of them.
-    seen = 4 if step else 6
-    np.testing.assert_allclose(k[:seen], STIFFNESS[:seen], rtol=0.1)
+    twisting = 4 if step else 6
+    np.testing.assert_allclose(k[:twisting], STIFFNESS[:twisting], rtol=0.1)
     assert np.all(d >= 0)
 
 
@@ -240,15 +240,15 @@ def good() -> Recording:
 
 
 def test_a_motion_that_excites_gives_usable_joints(good: Recording) -> None:
-    found = verdicts(good)
-    assert [one.verdict for one in found] == 6 * ["usable"]
-    assert not any(one.reason or one.would_tell for one in found)
+    joints = verdicts(good)
+    assert [joint.verdict for joint in joints] == 6 * ["usable"]
+    assert not any(joint.reason or joint.would_tell for joint in joints)
 
 
 def test_torque_of_other_causes_makes_a_joint_weak_then_unusable(good: Recording) -> None:
     spread, wave = np.std(good.columns["tau_6"]), np.sin(5.0 * good.t) + np.sin(7.3 * good.t)
     weak, unusable = (verdicts(with_tau(good, 6, good.columns["tau_6"] + share * spread * wave)) for share in (0.5, 3))
-    assert [one.verdict for one in weak[:3]] == 3 * ["usable"]
+    assert [joint.verdict for joint in weak[:3]] == 3 * ["usable"]
     assert (weak[5].verdict, unusable[5].verdict) == ("weak", "unusable")
     assert "diagnose" in weak[5].reason
 
@@ -256,27 +256,27 @@ def test_torque_of_other_causes_makes_a_joint_weak_then_unusable(good: Recording
 def test_what_only_the_validation_leaves_asks_for_its_motion(good: Recording) -> None:
     other = record(truth(), np.random.default_rng(1), rate=100.0, seed=2)
     shifted = with_tau(other, 6, other.columns["tau_6"] * 2.0)
-    found = verdicts(good, shifted)[5]
-    assert found.verdict != "usable"
-    assert "the validation's motion" in found.would_tell
+    joint = verdicts(good, shifted)[5]
+    assert joint.verdict != "usable"
+    assert "the validation's motion" in joint.would_tell
 
 
 def test_a_joint_that_stands_still_or_is_not_measured_is_unusable(good: Recording) -> None:
-    found = verdicts(replace(good, columns={**good.columns, "q_6": np.full(len(good.t), 0.3)}))[5]
-    assert (found.verdict, found.reason) == ("unusable", "it does not move")
-    assert "joint 6" in found.would_tell
+    joint = verdicts(replace(good, columns={**good.columns, "q_6": np.full(len(good.t), 0.3)}))[5]
+    assert (joint.verdict, joint.reason) == ("unusable", "it does not move")
+    assert "joint 6" in joint.would_tell
     dead = np.where(np.random.default_rng(4).random(len(good.t)) < 0.8, 0.0, good.columns["tau_6"])
-    found = verdicts(with_tau(good, 6, dead))[5]
-    assert (found.verdict, found.would_tell) == ("unusable", "")
+    joint = verdicts(with_tau(good, 6, dead))[5]
+    assert (joint.verdict, joint.would_tell) == ("unusable", "")
 
 
 def test_three_seconds_of_motion_say_which_motion_would_tell_more() -> None:
     noisy = record(truth(), np.random.default_rng(1), noise=0.02)
     here = (noisy.t >= 6.0) & (noisy.t < 9.25)
-    found = verdicts(replace(noisy, columns={name: values[here] for name, values in noisy.columns.items()}))
-    asking = [one for one in found if "beyond the recorded postures" in one.reason]
+    joints = verdicts(replace(noisy, columns={name: values[here] for name, values in noisy.columns.items()}))
+    asking = [joint for joint in joints if "beyond the recorded postures" in joint.reason]
     assert asking
-    assert all(one.verdict == "weak" and f"joint {one.joint}" in one.would_tell for one in asking)
+    assert all(joint.verdict == "weak" and f"joint {joint.joint}" in joint.would_tell for joint in asking)
 
 
 def test_parameters_within_two_deviations_of_zero_are_not_told() -> None:

@@ -225,11 +225,11 @@ def test_what_acts_nowhere_leaves_the_loop(effect):
                                                     ("load_direction_friction", 0.3, 0.25)])
 def test_friction_in_the_drives_is_the_effects_torque_beside_them(name, size, most):
     loop, q_c = plant(delay=0), motion()
-    found = (FittedEffect(name, 2, "tau_2", (size,)),)
-    inside, beside = with_effects(loop, found), loop.replace(terms=found)
+    effects = (FittedEffect(name, 2, "tau_2", (size,)),)
+    inside, beside = with_effects(loop, effects), loop.replace(terms=effects)
     moved = np.abs(simulate(inside, q_c).q_a - simulate(loop, q_c).q_a).max()
-    left = np.abs(simulate(inside, q_c).q_a - simulate(beside, q_c).q_a).max()
-    assert left < most * moved
+    apart = np.abs(simulate(inside, q_c).q_a - simulate(beside, q_c).q_a).max()
+    assert apart < most * moved
 
 
 def test_a_body_on_the_last_link_weighs_what_its_columns_say():
@@ -267,10 +267,10 @@ def test_a_learned_curve_acts_and_fades_outside_of_what_was_seen():
     still = np.zeros((3, 6))
     q = np.zeros((3, 6))
     q[:, 1] = [-1.9, -1.59, 0.5]
-    asked = further_torque(loop, np.arange(3.0), q, still, still, still, still)[:, 1]
-    assert asked[0] == pytest.approx(100.0)
-    assert 50.0 < asked[1] < 100.0
-    assert asked[2] == 0.0
+    torque = further_torque(loop, np.arange(3.0), q, still, still, still, still)[:, 1]
+    assert torque[0] == pytest.approx(100.0)
+    assert 50.0 < torque[1] < 100.0
+    assert torque[2] == 0.0
     over_time = Unknown(("t",), False, ((0.0, 1.0, 2.0),))
     nowhere = FittedEffect("unknown", 2, "tau_2", (100.0,) * 5, data=over_time.to_data())
     assert not with_effects(plant(), (nowhere,)).terms
@@ -285,11 +285,11 @@ def test_what_moves_keeps_its_inertia_and_mass_matrices_stay_positive() -> None:
     chain = plant().chain
     rotor = np.array(ROBOT.rotor_inertia)
     rotor[[0, 3]] = 0.0
-    new, made = with_rotors(chain, rotor, *LIMITS)
-    assert np.all(made[[0, 3]] > 0)
-    np.testing.assert_array_equal(made[[1, 2, 4, 5]], rotor[[1, 2, 4, 5]])
+    new, rotors = with_rotors(chain, rotor, *LIMITS)
+    assert np.all(rotors[[0, 3]] > 0)
+    np.testing.assert_array_equal(rotors[[1, 2, 4, 5]], rotor[[1, 2, 4, 5]])
     q, qd, qdd = np.random.default_rng(0).normal(size=(3, 20, 6))
-    np.testing.assert_allclose(inverse_dynamics(new, q, qd, qdd) + made * qdd,
+    np.testing.assert_allclose(inverse_dynamics(new, q, qd, qdd) + rotors * qdd,
                                inverse_dynamics(chain, q, qd, qdd) + rotor * qdd, atol=1e-9)
     R, p, M = np.empty((6, 3, 3)), np.empty((6, 3)), np.empty((6, 6))
     for posture in spread_postures(*LIMITS, 500):
@@ -300,8 +300,8 @@ def test_what_moves_keeps_its_inertia_and_mass_matrices_stay_positive() -> None:
 
 def test_known_rotors_are_left_alone() -> None:
     chain = plant().chain
-    new, made = with_rotors(chain, np.array(ROBOT.rotor_inertia), *LIMITS)
-    np.testing.assert_array_equal(made, ROBOT.rotor_inertia)
+    new, rotors = with_rotors(chain, np.array(ROBOT.rotor_inertia), *LIMITS)
+    np.testing.assert_array_equal(rotors, ROBOT.rotor_inertia)
     np.testing.assert_array_equal(new.armature, 0.0)
 
 

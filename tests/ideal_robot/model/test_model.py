@@ -141,16 +141,16 @@ def test_precorrection_says_how_far_its_error_reaches() -> None:
     known = precorrect(t, q_d, MODEL, ROBOT)
     assert known.reach is None
     assert known.beyond_uncorrected == ()
-    given = given_controller(CLASS, MODEL.dynamics, ROBOT)
-    path = precorrect(t, q_d, dataclasses.replace(MODEL, controller=given), ROBOT)
+    cascade = given_controller(CLASS, MODEL.dynamics, ROBOT)
+    path = precorrect(t, q_d, dataclasses.replace(MODEL, controller=cascade), ROBOT)
     assert path.reach is not None
     assert path.reach.shape == (DRAWS, 6)
     # One controller of the spread is another one's model: the error is larger than with the very one.
     assert np.all(path.reach.max(axis=0) > 3.0 * path.expected_rms[0])
-    told = path.to_dict()["expected_rms_error_mrad"]
-    np.testing.assert_allclose(told["corrected_to"], 1e3 * path.reach.max(axis=0))
-    none = {name: 6 * [0.0] for name in given.spread}
-    exact = precorrect(t, q_d, dataclasses.replace(MODEL, controller=dataclasses.replace(given, spread=none)), ROBOT)
+    errors = path.to_dict()["expected_rms_error_mrad"]
+    np.testing.assert_allclose(errors["corrected_to"], 1e3 * path.reach.max(axis=0))
+    none = {name: 6 * [0.0] for name in cascade.spread}
+    exact = precorrect(t, q_d, dataclasses.replace(MODEL, controller=dataclasses.replace(cascade, spread=none)), ROBOT)
     np.testing.assert_allclose(exact.reach, np.tile(exact.expected_rms[0], (DRAWS, 1)), rtol=1e-6)
 
 

@@ -181,41 +181,41 @@ RISE = 0.03
 def received(T: float, missed: tuple[int, ...], goes_on: bool) -> tuple[Array, Array]:
     """Wanted path, and what a controller has in force that holds, or goes on, where an answer is missed."""
     t = T * np.arange(round(6.0 / T))
-    wanted = 0.5 * (1 - np.cos(1.3 * t))[:, None] * np.array([1.0, -0.6, 0.8, 1.0, -0.5, 0.3])
-    wanted[t > 2 * np.pi / 1.3] = 0.0
-    catch_up, at = CatchUp(ROBOT.a_max, ROBOT.v_max, T), [wanted[0], wanted[0]]
+    desired = 0.5 * (1 - np.cos(1.3 * t))[:, None] * np.array([1.0, -0.6, 0.8, 1.0, -0.5, 0.3])
+    desired[t > 2 * np.pi / 1.3] = 0.0
+    catch_up, places = CatchUp(ROBOT.a_max, ROBOT.v_max, T), [desired[0], desired[0]]
     gap = False
     for k in range(1, len(t)):
-        step, before = wanted[k] - wanted[k - 1], wanted[k - 1] - wanted[max(k - 2, 0)]
-        speed = at[-1] - at[-2]
+        step, before = desired[k] - desired[k - 1], desired[k - 1] - desired[max(k - 2, 0)]
+        speed = places[-1] - places[-2]
         if k in missed:
-            at.append(at[-1] + (speed if goes_on else 0.0))
+            places.append(places[-1] + (speed if goes_on else 0.0))
             gap = True
             continue
         if gap:
-            catch_up.start(at[-1] - wanted[k - 1], speed - before, before - step, before)
+            catch_up.start(places[-1] - desired[k - 1], speed - before, before - step, before)
             gap = False
-        at.append(wanted[k] + catch_up.next(step))
-    return wanted, np.array(at[1:])
+        places.append(desired[k] + catch_up.next(step))
+    return desired, np.array(places[1:])
 
 
 @pytest.mark.parametrize("T", [0.004, 0.012])
 @pytest.mark.parametrize("goes_on", [False, True])
 @pytest.mark.parametrize("missed", [(150,), (100, 101, 102, 103), tuple(range(60, 330, 9))])
 def test_speed_acceleration_and_jerk_are_kept(T: float, goes_on: bool, missed: tuple[int, ...]) -> None:
-    wanted, at = received(T, missed, goes_on)
-    speed = np.diff(at, axis=0) / T
+    desired, places = received(T, missed, goes_on)
+    speed = np.diff(places, axis=0) / T
     bend = np.diff(speed, axis=0) / T
     jerk = np.diff(bend, axis=0) / T
     # That a controller holds the arm at once is its own doing; it shows in the differences about a missed cycle.
-    held = np.zeros(len(at), dtype=bool)
+    held = np.zeros(len(places), dtype=bool)
     held[list(missed)] = not goes_on
     own = ~held[2:]
-    usual = np.abs(np.diff(wanted, axis=0)).max(axis=0) / T
+    usual = np.abs(np.diff(desired, axis=0)).max(axis=0) / T
     assert (np.abs(bend[own]) <= 0.8 * ROBOT.a_max).all()
     assert (np.abs(jerk[own[1:] & own[:-1] & ~held[1:-2]]) <= 1.1 * 0.5 * ROBOT.a_max / RISE + 3.0).all()
     assert (np.abs(speed) <= 1.3 * usual + 0.05 * ROBOT.v_max + 1e-9).all()
-    np.testing.assert_allclose(at[-1], wanted[-1], atol=1e-12)
+    np.testing.assert_allclose(places[-1], desired[-1], atol=1e-12)
 
 
 @pytest.mark.parametrize(("goes_on", "within"), [(True, 0.05), (False, 0.8)])
@@ -223,8 +223,8 @@ def test_speed_acceleration_and_jerk_are_kept(T: float, goes_on: bool, missed: t
 def test_a_missed_answer_is_made_good_as_soon_as_the_limits_let_it(T: float, goes_on: bool, within: float) -> None:
     """An arm that went on by itself has lost little, one that was held all of its speed. Where 2 % of the packets were
     lost a line was left by 0.3 mm while each offset faded for 0.3 s, whatever its size."""
-    wanted, at = received(T, (150,), goes_on)
-    away = np.flatnonzero(np.abs(at - wanted).max(axis=1) > 1e-12)
+    desired, places = received(T, (150,), goes_on)
+    away = np.flatnonzero(np.abs(places - desired).max(axis=1) > 1e-12)
     assert away[0] == 150
     assert (away[-1] - away[0]) * T < within
 
@@ -259,7 +259,7 @@ def test_a_bare_chain_is_read_with_its_tool_frame(joints: int, tmp_path: Path) -
 def test_a_gripper_is_held_where_it_rests_and_weighs_on_the_last_link(tmp_path: Path) -> None:
     robot = Robot.load(written(tmp_path, urdf(6, mass=3.0, beyond=GRIPPER)))
     assert (robot.n, robot.tool_frame) == (6, "tool0")
-    assert [one.split()[1] for one in robot.assumed] == ["left_finger", "right_finger"]
+    assert [line.split()[1] for line in robot.assumed] == ["left_finger", "right_finger"]
     assert robot.pinocchio.inertias[6].mass == pytest.approx(3.1)
     # The one finger's lower limit is above 0, so that is where it rests.
     hand, left = (robot.pinocchio.frames[robot.pinocchio.getFrameId(name)].placement for name in ("hand", "left"))
@@ -320,13 +320,13 @@ def test_what_cannot_be_an_arm_is_said_with_its_joint(change: tuple[str, str], s
 
 
 def test_two_arms_need_a_word(tmp_path: Path) -> None:
-    one = urdf(6).replace("base_link", "left_base").replace("</robot>", "").replace('<robot name="bare">', "")
-    two = one.replace("link_", "other_link_").replace("left_base", "right_base").replace('"joint_', '"other_joint_') \
+    arm = urdf(6).replace("base_link", "left_base").replace("</robot>", "").replace('<robot name="bare">', "")
+    twin = arm.replace("link_", "other_link_").replace("left_base", "right_base").replace('"joint_', '"other_joint_') \
         .replace("tool0", "tool1").replace('"flange"', '"flange2"').replace('"base"', '"base2"') \
         .replace("base_fixed", "base_fixed2")
     roots = "".join(f'<joint name="to_{side}" type="fixed"><parent link="torso"/><child link="{side}_base"/></joint>'
                     for side in ("left", "right"))
-    path = written(tmp_path, f'<robot name="two"><link name="torso"/>{one}{two}{roots}</robot>')
+    path = written(tmp_path, f'<robot name="two"><link name="torso"/>{arm}{twin}{roots}</robot>')
     with pytest.raises(InputError, match="tool_frame"):
         Robot.load(path)
     path.with_suffix(".toml").write_text('tool_frame = "tool1"\n')
@@ -341,8 +341,8 @@ def test_a_bare_chain_gets_what_arms_of_its_size_have_and_tells_it(tmp_path: Pat
     masses = [body.mass for body in list(robot.pinocchio.inertias)[1:]]
     assert sum(masses) == pytest.approx(class_of(MASS, reach(robot)), rel=1e-6)
     assert min(masses) > 0.0
-    told = " ".join(robot.assumed)
-    assert all(word in told for word in ("links weigh 0 kg", "speed limit of joints 1, 2, 3, 4, 5, 6", "no effort"))
+    assumed = " ".join(robot.assumed)
+    assert all(word in assumed for word in ("links weigh 0 kg", "speed limit of joints 1, 2, 3, 4, 5, 6", "no effort"))
     data = robot.pinocchio.createData()
     for q in np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (50, 6)):
         assert (np.abs(pin.computeGeneralizedGravity(robot.pinocchio, data, q)) < robot.tau_max).all()
@@ -361,7 +361,7 @@ def test_masses_that_are_not_the_arms_are_replaced_and_believable_ones_stay(tmp_
 def test_a_place_in_the_arm_that_is_not_three_numbers_is_refused(tmp_path: Path) -> None:
     """Before the place of the tool is looked for; seed 7000845 of ``python -m studies fuzz``."""
     text = urdf(6)
-    wrong = text[: (at := text.rindex('rpy="') + 5)] + "0 " + text[text.index('"', at):]
+    wrong = text[: (place := text.rindex('rpy="') + 5)] + "0 " + text[text.index('"', place):]
     with pytest.raises(InputError, match=r"origin\.rpy: expected 3 numbers"):
         Robot.load(written(tmp_path, wrong))
 

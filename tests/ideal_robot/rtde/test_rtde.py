@@ -146,9 +146,9 @@ def test_a_public_client_understands_our_controller() -> None:
             pytest.skip("something else listens on RTDE's port 30004")
         with serving(controller):
             words = [sys.executable, "-c", CLIENT]
-            told = subprocess.run(words, capture_output=True, text=True, timeout=30.0, check=True).stdout.split()
-    np.testing.assert_allclose([float(value) for value in told[:6]], ROBOT.home, atol=1e-4)
-    assert float(told[6]) > 0.0
+            answer = subprocess.run(words, capture_output=True, text=True, timeout=30.0, check=True).stdout.split()
+    np.testing.assert_allclose([float(value) for value in answer[:6]], ROBOT.home, atol=1e-4)
+    assert float(answer[6]) > 0.0
 
 
 def test_arms_and_registers_that_cannot_be_are_refused() -> None:
@@ -164,12 +164,12 @@ def test_packages_are_found_in_whatever_pieces_they_come() -> None:
     stream = package(Kind.TEXT, b"\2hi\4RTDE\3") + package(Kind.START, b"\1")
     assert stream[:3] == struct.pack(">HB", 3 + 9, ord("M"))
     for size in range(1, len(stream) + 1):
-        reader, found = Reader(), []
-        for at in range(0, len(stream), size):
-            reader.feed(stream[at : at + size])
-            while (one := reader.next()) is not None:
-                found.append(one)
-        assert found == [(ord("M"), b"\2hi\4RTDE\3"), (ord("S"), b"\1")]
+        reader, packets = Reader(), []
+        for start in range(0, len(stream), size):
+            reader.feed(stream[start : start + size])
+            while (packet := reader.next()) is not None:
+                packets.append(packet)
+        assert packets == [(ord("M"), b"\2hi\4RTDE\3"), (ord("S"), b"\1")]
     assert said(b"\2hi\4RTDE\3") == "hi"
     assert said(b"\3\x1b[m") == " [m"
 
@@ -242,10 +242,10 @@ def test_mutated_answers_end_the_connection_and_nothing_else() -> None:
         reader.feed(bytes(data))
         try:
             recipe = Recipe.agreed(FIELDS, AGREED)
-            while (found := reader.next()) is not None:
-                if found[0] == Kind.OUTPUTS:
-                    recipe = Recipe.agreed(FIELDS, found[1])
-                elif found[0] == Kind.DATA:
-                    assert set(recipe.unpacked(found[1])) == set(FIELDS)
+            while (packet := reader.next()) is not None:
+                if packet[0] == Kind.OUTPUTS:
+                    recipe = Recipe.agreed(FIELDS, packet[1])
+                elif packet[0] == Kind.DATA:
+                    assert set(recipe.unpacked(packet[1])) == set(FIELDS)
         except RtdeError:
             continue

@@ -71,8 +71,8 @@ def test_cutoff_follows_the_motion_not_the_noise() -> None:
 def test_holes_are_not_trusted() -> None:
     t = np.arange(0, 20, 0.01)
     q, _, _ = sines(t)
-    there = (t < 8) | (t > 9)
-    s = preprocess(Recording.from_arrays(t[there], q=q[there], tau=q[there]))
+    recorded = (t < 8) | (t > 9)
+    s = preprocess(Recording.from_arrays(t[recorded], q=q[recorded], tau=q[recorded]))
     assert not np.any((s.t_decimated > 8.0) & (s.t_decimated < 9.0))
 
 
@@ -93,13 +93,13 @@ def test_segments_of_a_trapezoidal_motion() -> None:
                         np.full(1000, -0.5), np.linspace(-0.5, 0, 100), np.zeros(500)])
     q = np.column_stack([np.cumsum(v) * dt, 1e-9 * np.arange(len(v))])
     s = preprocess(Recording.from_arrays(np.arange(len(v)) * dt, q=q, tau=q), cutoff=20.0)
-    found = [x for x in segments(s) if x.joint == 0]
-    constant = [x for x in found if x.kind == "constant"]
+    parts = [x for x in segments(s) if x.joint == 0]
+    constant = [x for x in parts if x.kind == "constant"]
     assert len(constant) == 2
     assert constant[0].velocity == pytest.approx(0.5, rel=0.02)
     assert constant[1].velocity == pytest.approx(-0.5, rel=0.02)
-    assert sum(x.kind == "reversal" for x in found) == 1
-    assert sum(x.kind == "rest" for x in found) == 2
+    assert sum(x.kind == "reversal" for x in parts) == 1
+    assert sum(x.kind == "rest" for x in parts) == 2
     assert len(alone(s, 0)) == 1
     assert alone(s, 1) == []
 
@@ -209,11 +209,11 @@ SMOOTH[:, 1, 0] = 0.0
 @pytest.mark.parametrize("stride", [1, 3, 7])
 def test_decimation_of_every_few_samples(stride: int) -> None:
     factor = 40
-    wanted = decimated(SMOOTH, factor)[12:-12]
-    at = factor * np.arange(12, 63)
-    found = filtered_at(SMOOTH[::stride], at / stride, decimation_taps(factor), fine=stride)
-    np.testing.assert_allclose(found, wanted, atol=1e-4 * np.abs(SMOOTH).max())
-    np.testing.assert_array_equal(found[:, 1, 0], 0.0)
+    expected = decimated(SMOOTH, factor)[12:-12]
+    places = factor * np.arange(12, 63)
+    filtered = filtered_at(SMOOTH[::stride], places / stride, decimation_taps(factor), fine=stride)
+    np.testing.assert_allclose(filtered, expected, atol=1e-4 * np.abs(SMOOTH).max())
+    np.testing.assert_array_equal(filtered[:, 1, 0], 0.0)
 
 
 @pytest.mark.parametrize("stride", [1, 4])
@@ -221,12 +221,12 @@ def test_low_pass_between_samples_and_near_the_ends(stride: int) -> None:
     band, reach = 2.0, 500
     kernel = lowpass(np.eye(1, 2 * reach + 1, reach)[0], STEP, band)
     place = np.concatenate([[100.0, 130.25, 131.0], np.arange(150.0, 2800.0, 61.7)])
-    found = filtered_at(SMOOTH[::stride], place / stride, kernel, fine=stride, odd=True)
+    filtered = filtered_at(SMOOTH[::stride], place / stride, kernel, fine=stride, odd=True)
     whole = signal.sosfiltfilt(signal.butter(4, 2 * band * STEP, output="sos"), SMOOTH, axis=0, padlen=1000)
     index = place.astype(int)
     share = (place - index)[:, None, None]
-    wanted = (1.0 - share) * whole[index] + share * whole[index + 1]
-    np.testing.assert_allclose(found, wanted, atol=2e-3 * np.abs(SMOOTH).max())
+    expected = (1.0 - share) * whole[index] + share * whole[index + 1]
+    np.testing.assert_allclose(filtered, expected, atol=2e-3 * np.abs(SMOOTH).max())
 
 
 def test_a_constant_stays_what_it_is_everywhere() -> None:
@@ -240,14 +240,14 @@ def test_a_constant_stays_what_it_is_everywhere() -> None:
 def test_as_scipy_has_it(order: int, cutoff: float) -> None:
     values = np.cumsum(np.random.default_rng(1).standard_normal((500, 7)), axis=0)
     sections = signal.butter(order, cutoff, output="sos")
-    wanted = signal.sosfiltfilt(sections, values, axis=0, padlen=120)
-    np.testing.assert_allclose(forwards_and_backwards(sections, values, 120), wanted, rtol=0.0, atol=1e-12)
+    expected = signal.sosfiltfilt(sections, values, axis=0, padlen=120)
+    np.testing.assert_allclose(forwards_and_backwards(sections, values, 120), expected, rtol=0.0, atol=1e-12)
 
 
 def test_any_shape_and_columns_of_numbers_that_are_none() -> None:
     values = np.random.default_rng(2).standard_normal((300, 2, 3))
     values[:, 1, 2] = np.nan
-    found = lowpass(values, 0.01, 5.0)
-    assert found.shape == values.shape
-    assert np.isnan(found[:, 1, 2]).all()
-    np.testing.assert_array_equal(found[:, 0, 1], lowpass(values[:, 0, 1], 0.01, 5.0))
+    filtered = lowpass(values, 0.01, 5.0)
+    assert filtered.shape == values.shape
+    assert np.isnan(filtered[:, 1, 2]).all()
+    np.testing.assert_array_equal(filtered[:, 0, 1], lowpass(values[:, 0, 1], 0.01, 5.0))

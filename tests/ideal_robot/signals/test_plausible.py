@@ -44,19 +44,19 @@ def test_a_valid_recording_comes_back_as_it_is(seed: int, dt: float, count: int,
     speed = np.repeat(rng.uniform(-6, 6, count // 10 + 1) * rng.integers(0, 2, count // 10 + 1), 10)[:count]
     q = np.cumsum(speed * np.diff(t, prepend=t[0]))
     tau = rng.uniform(1, 100) * np.sign(speed) + rng.normal(size=count)
-    one = Recording.from_arrays(t, q=q[:, None], tau=tau[:, None])
-    same, warnings = plausible(one, ["q_1"], ["tau_1"])
-    assert same is one
+    valid = Recording.from_arrays(t, q=q[:, None], tau=tau[:, None])
+    same, warnings = plausible(valid, ["q_1"], ["tau_1"])
+    assert same is valid
     assert warnings == []
 
 
 @pytest.mark.parametrize(("name", "value"), [("tau_1", 1e6), ("tau_2", -1e4), ("q_1", 0.5), ("q_2", 3.0)])
 def test_a_spike_is_left_out_and_named(name: str, value: float) -> None:
-    one = recording()
-    spoilt = changed(name, 1500, one.columns[name][1500] + value)
+    good = recording()
+    spoilt = changed(name, 1500, good.columns[name][1500] + value)
     clean, warnings = check(spoilt)
     assert any("spike" in warning and name in warning for warning in warnings)
-    assert len(clean.t) == len(one.t) - 1
+    assert len(clean.t) == len(good.t) - 1
     assert 1500 * 0.004 not in clean.t
 
 
@@ -76,18 +76,18 @@ def test_a_few_samples_that_are_no_numbers_are_left_out_and_many_refused() -> No
     (lambda t: 1e3 * t, "milliseconds"), (lambda t: 0.0 * t, "does not increase"),
 ])
 def test_clocks_that_go_back_or_jump_are_refused(change: object, says: str) -> None:
-    one = recording()
+    good = recording()
     with pytest.raises(InputError, match=says) as refused:
-        check(Recording({**one.columns, "t": change(one.t)}))  # type: ignore[operator]
+        check(Recording({**good.columns, "t": change(good.t)}))  # type: ignore[operator]
     assert refused.value.field == "t"
 
 
 def test_a_pause_is_mentioned_and_the_arm_may_stand_elsewhere_after_it() -> None:
-    one = recording()
-    later = one.t > 6.0
-    columns = {**one.columns, "t": one.t + 20.0 * later, "q_1": one.columns["q_1"] + 0.7 * later}
+    whole = recording()
+    later = whole.t > 6.0
+    columns = {**whole.columns, "t": whole.t + 20.0 * later, "q_1": whole.columns["q_1"] + 0.7 * later}
     same, warnings = check(Recording(columns))
-    assert len(same.t) == len(one.t)
+    assert len(same.t) == len(whole.t)
     assert "20" in warnings[0]
 
 
@@ -102,52 +102,52 @@ def test_measured_recordings_pass_untouched() -> None:
     if not files:
         pytest.skip("no measured recordings beside the repository")
     for file in files[:20]:
-        one = Recording.read(file)
-        joints = range(1, one.n + 1)
-        driven = [f"{key}_{i}" for key in ("tau", "current") if one.has(key) for i in joints]
-        same, _ = plausible(one, [f"q_{i}" for i in joints], driven)
-        assert same is one, file.name
+        measured = Recording.read(file)
+        joints = range(1, measured.n + 1)
+        driven = [f"{key}_{i}" for key in ("tau", "current") if measured.has(key) for i in joints]
+        same, _ = plausible(measured, [f"q_{i}" for i in joints], driven)
+        assert same is measured, file.name
 
 
 @pytest.mark.parametrize("name", ["q_1", "tau_2"])
 def test_a_column_of_values_that_no_arm_has_is_refused(name: str) -> None:
-    one = recording()
+    good = recording()
     with pytest.raises(InputError, match=r"no arm has"):
-        check(changed(name, slice(None), 1e200 * one.columns[name] if name == "tau_2" else one.columns[name] + 1e10))
+        check(changed(name, slice(None), 1e200 * good.columns[name] if name == "tau_2" else good.columns[name] + 1e10))
 
 
 @pytest.mark.parametrize("share", [0.04, 0.5])
 def test_a_torque_that_stands_still_while_its_joint_moves_is_named(share: float) -> None:
-    one = recording(count=15_000)
-    stands = slice(6000, 6000 + round(share * len(one.t)))
-    tau = np.array(one.columns["tau_2"])
+    good = recording(count=15_000)
+    stands = slice(6000, 6000 + round(share * len(good.t)))
+    tau = np.array(good.columns["tau_2"])
     tau[stands] = tau[6000]
-    spoilt = Recording({**one.columns, "tau_2": tau})
+    spoilt = Recording({**good.columns, "tau_2": tau})
     if share > 0.05:
         with pytest.raises(InputError, match=r"tau_2.*stands at"):
             check(spoilt)
         return
     clean, warnings = check(spoilt)
     assert any(warning.startswith("stuck: tau_2") for warning in warnings)
-    assert len(one.t) - len(clean.t) == stands.stop - stands.start
+    assert len(good.t) - len(clean.t) == stands.stop - stands.start
 
 
 def test_a_coarse_channel_one_at_its_limit_and_one_at_rest_do_not_stand_still() -> None:
-    one = recording(count=15_000)
-    tau, q = np.array(one.columns["tau_1"]), np.array(one.columns["q_1"])
-    coarse = Recording({**one.columns, "tau_1": 50.0 * np.round(one.columns["q_1"] / 0.4)})
-    limited = Recording({**one.columns, "tau_1": np.clip(5.0 * tau, -60.0, 60.0)})
+    moving = recording(count=15_000)
+    tau, q = np.array(moving.columns["tau_1"]), np.array(moving.columns["q_1"])
+    coarse = Recording({**moving.columns, "tau_1": 50.0 * np.round(moving.columns["q_1"] / 0.4)})
+    limited = Recording({**moving.columns, "tau_1": np.clip(5.0 * tau, -60.0, 60.0)})
     q[3000:6000], tau[3000:6000] = q[3000], tau[3000]
     q[6000:] += q[5999] - q[6000]
-    rests = Recording({**one.columns, "q_1": q, "tau_1": tau})
+    rests = Recording({**moving.columns, "q_1": q, "tau_1": tau})
     for sound in (coarse, limited, rests):
         assert check(sound) == (sound, [])
 
 
 def test_torques_beyond_what_the_drive_gives_are_refused() -> None:
-    one, tau_max = recording(), np.array([200.0, np.inf])
-    assert plausible(one, ["q_1", "q_2"], ["tau_1", "tau_2"], tau_max)[0] is one
-    spoilt = Recording({**one.columns, "tau_1": 1e3 * one.columns["tau_1"]})
+    good, tau_max = recording(), np.array([200.0, np.inf])
+    assert plausible(good, ["q_1", "q_2"], ["tau_1", "tau_2"], tau_max)[0] is good
+    spoilt = Recording({**good.columns, "tau_1": 1e3 * good.columns["tau_1"]})
     with pytest.raises(InputError, match=r"tau_1.*the drive gives 200 N m"):
         plausible(spoilt, ["q_1", "q_2"], ["tau_1", "tau_2"], tau_max)
 
@@ -166,8 +166,8 @@ def torque(rng: np.random.Generator) -> np.ndarray:
 
 
 def kinds(tau: np.ndarray, q: np.ndarray | None = None, t: np.ndarray = T) -> list[tuple[str, str]]:
-    found = channel_findings(Recording.from_arrays(t, q=motion() if q is None else q, tau=tau))
-    return [(f.kind, f.column) for f in found]
+    findings = channel_findings(Recording.from_arrays(t, q=motion() if q is None else q, tau=tau))
+    return [(f.kind, f.column) for f in findings]
 
 
 def test_ordinary_channels_are_left_alone() -> None:
@@ -219,11 +219,11 @@ def test_instants_are_told_by_the_motion(step: float, encoder: float) -> None:
     rng = np.random.default_rng(1)
     t = np.arange(0.0, 20.0, step)
     late = rng.uniform(-0.15, 0.15, len(t)) * step
-    at, spread = sampling_instants(t, np.round(_motion(t + late, 5) / encoder) * encoder)
+    instants, spread = sampling_instants(t, np.round(_motion(t + late, 5) / encoder) * encoder)
     assert spread == pytest.approx(np.std(late), rel=0.2)
     # What a filter of 5 Hz takes for motion stays.
     inner = slice(50, -50)
-    assert np.std((at - t - late)[inner]) < 0.45 * np.std(late)
+    assert np.std((instants - t - late)[inner]) < 0.45 * np.std(late)
 
 
 def test_regular_samples_stay_where_they_are() -> None:
@@ -240,8 +240,8 @@ def test_regular_samples_stay_where_they_are() -> None:
 def test_joints_that_stand_still_or_turn_evenly_say_nothing_of_the_clock(moving: int) -> None:
     """Once means of nothing: instants that were no numbers."""
     t = np.arange(0.0, 20.0, 0.004)
-    at, spread = sampling_instants(t, np.outer(t, 0.1 * (np.arange(3) < moving)))
-    np.testing.assert_array_equal(at, t)
+    instants, spread = sampling_instants(t, np.outer(t, 0.1 * (np.arange(3) < moving)))
+    np.testing.assert_array_equal(instants, t)
     assert spread == 0.0
 
 
@@ -256,9 +256,9 @@ def test_checked_recording_says_so() -> None:
     t = np.arange(0.0, 20.0, 0.01)
     q = _motion(t + rng.uniform(-0.0015, 0.0015, len(t)), robot.n)
     tau = np.sin(t[:, None] + np.arange(robot.n))
-    (made,), warnings = checked([Recording.from_arrays(t, q=q, tau=tau, source="jittery")], robot)
+    (repaired,), warnings = checked([Recording.from_arrays(t, q=q, tau=tau, source="jittery")], robot)
     assert any(text.startswith("irregular-sampling") for text in warnings)
-    assert np.std(made.t - t) == pytest.approx(0.0015 / np.sqrt(3.0), rel=0.2)
+    assert np.std(repaired.t - t) == pytest.approx(0.0015 / np.sqrt(3.0), rel=0.2)
 
 
 def test_joints_that_move_in_step_are_no_clock() -> None:
@@ -276,16 +276,16 @@ def test_irregular_samples_with_jittering_stamps_are_not_put_on_a_clock(lost: fl
     rng = np.random.default_rng(4)
     robot = Robot.load("kr6")
     # Some steps are a fifth longer, as a logger has them that waits for its controller.
-    at = np.cumsum(rng.choice([0.0100, 0.0120], size=4000, p=[0.7, 0.3]))
-    stamps = np.sort(at + np.clip(rng.normal(scale=1e-3, size=len(at)), -1.9e-3, 1.9e-3))
-    q = np.round(_motion(at, robot.n) / 1e-4) * 1e-4
-    keep = rng.random(len(at)) >= lost
-    tau = np.sin(at[:, None] + np.arange(robot.n))
-    (made,), _ = checked([Recording.from_arrays(stamps[keep], q=q[keep], tau=tau[keep], source="jittery")], robot)
-    error = (made.t - at[keep])[50:-50]
-    assert np.std(error) < 0.5 * np.std((stamps - at)[keep])
-    q_now, _ = regular_stamps(made.t, made.joints("q"))
-    np.testing.assert_array_equal(q_now, made.t)
+    instants = np.cumsum(rng.choice([0.0100, 0.0120], size=4000, p=[0.7, 0.3]))
+    stamps = np.sort(instants + np.clip(rng.normal(scale=1e-3, size=len(instants)), -1.9e-3, 1.9e-3))
+    q = np.round(_motion(instants, robot.n) / 1e-4) * 1e-4
+    keep = rng.random(len(instants)) >= lost
+    tau = np.sin(instants[:, None] + np.arange(robot.n))
+    (repaired,), _ = checked([Recording.from_arrays(stamps[keep], q=q[keep], tau=tau[keep], source="jittery")], robot)
+    error = (repaired.t - instants[keep])[50:-50]
+    assert np.std(error) < 0.5 * np.std((stamps - instants)[keep])
+    q_now, _ = regular_stamps(repaired.t, repaired.joints("q"))
+    np.testing.assert_array_equal(q_now, repaired.t)
 
 
 # Stamps are corrected where the positions say that they are late, and only there.
@@ -302,13 +302,13 @@ def test_late_stamps_are_put_back() -> None:
     true = np.arange(0.0, 20.0, STEP)
     true = true[rng.random(len(true)) > 0.01]
     stamped = np.sort(true + rng.normal(scale=4e-4, size=len(true)))
-    found, jitter = regular_stamps(stamped, path(true))
+    stamps, jitter = regular_stamps(stamped, path(true))
     assert jitter == pytest.approx(4e-4, rel=0.1)
-    assert np.std(found - true) < 0.25 * np.std(stamped - true)
+    assert np.std(stamps - true) < 0.25 * np.std(stamped - true)
 
 
 def test_right_stamps_of_irregular_samples_stay() -> None:
     true = np.sort(np.arange(0.0, 20.0, STEP) + np.random.default_rng(2).normal(scale=4e-4, size=5000))
-    found, jitter = regular_stamps(true, path(true))
+    stamps, jitter = regular_stamps(true, path(true))
     assert jitter == 0.0
-    np.testing.assert_array_equal(found, true)
+    np.testing.assert_array_equal(stamps, true)

@@ -102,12 +102,12 @@ def test_a_comment_beside_the_signals_is_left_out_and_told(recording: Recording,
         frame.to_csv(place, index=False)
     else:
         frame.set_index("t").to_parquet(place)
-    for found in (Recording.read(place), Recording.from_frame(frame)):
-        assert found.columns.keys() == recording.columns.keys()
-        np.testing.assert_allclose(found.joints("tau"), recording.joints("tau"), rtol=1e-12)
-        assert text_columns(found) == ["text-column: program not of numbers, left out"]
+    for read in (Recording.read(place), Recording.from_frame(frame)):
+        assert read.columns.keys() == recording.columns.keys()
+        np.testing.assert_allclose(read.joints("tau"), recording.joints("tau"), rtol=1e-12)
+        assert text_columns(read) == ["text-column: program not of numbers, left out"]
     # The file that is written of it holds none, and its reader is told none.
-    assert not text_columns(Recording.read(found.write(tmp_path / "again.parquet")))
+    assert not text_columns(Recording.read(read.write(tmp_path / "again.parquet")))
 
 
 def test_true_and_false_are_no_torque() -> None:
@@ -130,14 +130,14 @@ def stored_recording(length: int) -> Recording:
 
 @pytest.mark.parametrize("length", [100, KEPT, KEPT + 1, 3 * KEPT])
 def test_columns_are_the_same_wherever_they_are(length: int) -> None:
-    found = stored_recording(length)
+    stored = stored_recording(length)
     rows = np.arange(length)
     plain = Recording.from_arrays(0.002 * rows, q=np.where(rows % 7 == 0, np.nan, np.sin(rows))[:, None])
-    assert found.hash == plain.hash
+    assert stored.hash == plain.hash
     # Of a long one nothing is copied into memory.
-    assert all(in_file(column) for column in found.columns.values()) == (length > KEPT)
+    assert all(in_file(column) for column in stored.columns.values()) == (length > KEPT)
     with pytest.raises(ValueError, match="read-only"):
-        found.columns["q_1"][0] = 1.0
+        stored.columns["q_1"][0] = 1.0
 
 
 def test_an_ending_in_capitals_is_the_same_one(recording: Recording, tmp_path: Path) -> None:
@@ -148,12 +148,12 @@ def test_an_ending_in_capitals_is_the_same_one(recording: Recording, tmp_path: P
 
 @pytest.mark.parametrize("ending", [".parquet", ".csv"])
 def test_long_recordings_are_written_in_pieces(tmp_path: Path, ending: str) -> None:
-    found = stored_recording(2 * WRITTEN_ROWS + 10)
-    place = found.write(tmp_path / f"long{ending}")
+    stored = stored_recording(2 * WRITTEN_ROWS + 10)
+    place = stored.write(tmp_path / f"long{ending}")
     if ending == ".parquet":
         assert pq.ParquetFile(place).num_row_groups == 3
     read = Recording.read(place)
-    for name, values in found.columns.items():
+    for name, values in stored.columns.items():
         np.testing.assert_array_equal(read.columns[name], values)
 
 
@@ -166,9 +166,9 @@ def long_recording(length: int, source: str = "a") -> Recording:
 
 
 def test_recordings_of_normal_length_are_used_as_they_are() -> None:
-    given = (long_recording(1000), long_recording(10))
-    used, warnings = stretches(given)
-    assert all(one is other for one, other in zip(used, given, strict=True))
+    recordings = (long_recording(1000), long_recording(10))
+    used, warnings = stretches(recordings)
+    assert all(stretch is other for stretch, other in zip(used, recordings, strict=True))
     assert not warnings
 
 
@@ -180,7 +180,7 @@ def test_of_long_ones_stretches_from_begin_to_end_are_used(monkeypatch: pytest.M
     assert warning.startswith("long-recording: of 50100 samples")
     long, short = used[:-1], used[-1]
     assert len(long) == 9
-    assert all(len(one.t) == 1000 for one in long)
+    assert all(len(stretch.t) == 1000 for stretch in long)
     assert long[0].t[0] == 0.0
     assert long[-1].t[-1] == pytest.approx(0.002 * 49_999)
     assert len(short.t) == 100
@@ -216,17 +216,17 @@ def test_stretches_of_one_recording_follow_each_other_after_a_pause(monkeypatch:
     """What a diagnosis works on; the camera's stamps stay with their samples."""
     monkeypatch.setattr(module, "MOST", 10_000)
     monkeypatch.setattr(module, "STRETCH", 1000)
-    given = long_recording(50_000)
+    long = long_recording(50_000)
     assert shortened(long_recording(9_000))[1] == []
-    given = replace(given, columns={**given.columns, "cam_t": given.t - 0.04})
-    used, (warning,) = shortened(given)
+    long = replace(long, columns={**long.columns, "cam_t": long.t - 0.04})
+    used, (warning,) = shortened(long)
     assert warning.startswith("long-recording: of 50000 samples 10000 are used")
     assert len(used.t) == 10_000
     steps = np.diff(used.t)
     assert np.count_nonzero(steps > 0.01) == 9
     np.testing.assert_allclose(steps[steps > 0.01], 0.9)
     np.testing.assert_allclose(used.t - used.columns["cam_t"], 0.04)
-    np.testing.assert_array_equal(used.columns["q_1"][-1000:], given.columns["q_1"][-1000:])
+    np.testing.assert_array_equal(used.columns["q_1"][-1000:], long.columns["q_1"][-1000:])
     uniform, hole = uniform_time(used)
     assert len(uniform) < 15_000
     assert np.count_nonzero(np.diff(hole.astype(int)) == 1) == 9
@@ -253,7 +253,7 @@ def test_joint_states_come_back_as_they_were(mcap: bool, tmp_path: Path) -> None
     with AnyReader([path]) as reader:
         counts = {c.topic: c.msgcount for c in reader.connections}
     assert counts == {"/joint_states": 50, "/joint_commands": 50, "/tcp": 50, "/wrench": 25}
-    assert [one.name for one in tmp_path.iterdir()] == [path.name]
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
 
 
 def test_names_that_cannot_be_are_refused(tmp_path: Path) -> None:
