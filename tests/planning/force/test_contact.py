@@ -51,8 +51,8 @@ from tests.planning.cell import T, kr6
 def test_a_slope_that_was_not_felt_yet_costs_no_more_force_on_a_stiff_contact() -> None:
     """From rest with constant jerk: way j t³/6, times slope and stiffness; full acceleration costs 11 N at 50 N/mm."""
     for stiffness in (1e4, 2e4, 3e4, 5e4):
-        way = ContactSettings(elasticity=stiffness).jerk(0.3, 40.0) * UNSEEN**3 / 6.0
-        assert way * SLOPE * stiffness < BEGUN * (1 + 1e-9)
+        distance = ContactSettings(elasticity=stiffness).jerk(0.3, 40.0) * UNSEEN**3 / 6.0
+        assert distance * SLOPE * stiffness < BEGUN * (1 + 1e-9)
 
 
 def test_a_soft_contact_begins_as_it_is_told() -> None:
@@ -212,16 +212,16 @@ def test_an_arm_unheard_of_for_some_cycles_is_where_it_would_be_had_it_been_hear
         angles = robot.home + rate * T * max(k - 20, 0)
         q_a = knew.step(k * T, angles, still)
         if not 40 <= k < 44:
-            seen = felt.step(k * T, angles, still, 5 if k == 44 else 1)
-            np.testing.assert_allclose(seen, q_a, atol=1e-12)
+            q_felt = felt.step(k * T, angles, still, 5 if k == 44 else 1)
+            np.testing.assert_allclose(q_felt, q_a, atol=1e-12)
 
 
 def test_drift_of_the_bias_shows_in_the_air_and_a_touch_does_not() -> None:
     tare, t = Tare(), np.arange(0.0, 0.3, 0.004)
     drift = np.array([0.1, -0.1, 0.3])
     touching = np.where(t > 0.26, 50.0 * (t - 0.26), 0.0)[:, None] * np.array([0.0, 0.0, 1.0])
-    for at, one in zip(t, drift + touching, strict=True):
-        tare.add(np.array([at]), one[None])
+    for instant, force in zip(t, drift + touching, strict=True):
+        tare.add(np.array([instant]), force[None])
     np.testing.assert_allclose(tare.force, drift, atol=1e-12)
 
 
@@ -267,11 +267,11 @@ def test_the_felt_path_tells_the_normal_whatever_friction_pulls_at_the_tip() -> 
 @given(st.tuples(st.floats(-4.0, 1.0), st.floats(-3.0, 0.0), st.floats(-1.0, 1.0)))
 def test_a_contour_is_passed_within_speed_and_acceleration_however_short(powers: tuple[float, ...]) -> None:
     length, speed, acceleration = (10.0**power for power in powers)
-    wanted = ContourSettings(length=length, speed=speed, acceleration=acceleration)
-    follower = ContourFollower(kr6(), pin.SE3.Identity(), np.eye(3)[:2], kr6().home, 20, wanted)
+    contour = ContourSettings(length=length, speed=speed, acceleration=acceleration)
+    follower = ContourFollower(kr6(), pin.SE3.Identity(), np.eye(3)[:2], kr6().home, 20, contour)
     follower._moving_from = 0.0
     t = np.linspace(-0.1, 1.1, 601) * (length / speed + 2.0 * speed / acceleration)
-    s = np.array([follower.s_at(at) for at in t])
+    s = np.array([follower.s_at(instant) for instant in t])
     v, slack = np.diff(s) / (t[1] - t[0]), 1e-9 * speed
     assert s[0] == 0.0
     assert s[-1] == pytest.approx(length)
@@ -309,7 +309,7 @@ def heard(way: Array, unfelt: float, currents: bool = True, speed: float = 0.2) 
 def test_friction_of_slow_joints_that_no_model_knows_is_no_force(unfelt: float) -> None:
     """5 to 30 mrad/s, friction beside the model's as large as its residual; it turns round over the presliding way."""
     robot, model = known()
-    motors, kinematics, told = BeyondSensor(model, robot.t_ipo), InverseKinematics(robot), []
+    motors, kinematics, excess = BeyondSensor(model, robot.t_ipo), InverseKinematics(robot), []
     distance = np.array([float(law.shape[-1, 0]) for law in model.friction.laws])
     t, rate = robot.t_ipo * np.arange(3000)[:, None], 0.05 * np.arange(1.0, 7.0)
     q, v = robot.home + 0.1 * np.sin(rate * t + 1.0), 0.1 * rate * np.cos(rate * t + 1.0)
@@ -319,9 +319,9 @@ def test_friction_of_slow_joints_that_no_model_knows_is_no_force(unfelt: float) 
         tau = model.inverse_dynamics(q[k], v[k], 0.0 * v[k], direction=slides[k][None])[0] + model.noise_std * slides[k]
         motors.hear(RobotState(t[k, 0], q[k], tau - torque * (20.0 + unfelt)), torque, 20.0, 0.01)
         motors.weigh()
-        told.append(motors.excess)
+        excess.append(motors.excess)
     assert motors.excess == pytest.approx(unfelt, abs=2.0)
-    assert unfelt or max(np.abs(told)) < 4.0
+    assert unfelt or max(np.abs(excess)) < 4.0
 
 
 @pytest.mark.parametrize("unfelt", [0.0, 10.0, -6.0])
@@ -367,12 +367,12 @@ def test_the_first_word_of_the_motors_is_what_a_random_walk_lets_expect(cycle: f
         motors.hear(RobotState(cycle * k, q[k], tau - 20.0 * torque + rest), torque, 20.0, speed)
         motors.weigh()
     middle = needed // 2
-    left = np.exp(-middle * np.abs(rate) * cycle / distance)
+    unturned = np.exp(-middle * np.abs(rate) * cycle / distance)
     friction = model.friction.torque(np.abs(rate)[None], None, None, np.ones((1, 6)))[0]
     waited = needed * cycle
-    beside = ((1.0 - left) * model.noise_std) ** 2
+    beside = ((1.0 - unturned) * model.noise_std) ** 2
     lasts = 0.5 + 0.004 / np.abs(rate)
-    unknown = np.diag(beside + 2.0 * (model.noise_std + left * friction) ** 2 * lasts / waited)
+    unknown = np.diag(beside + 2.0 * (model.noise_std + unturned * friction) ** 2 * lasts / waited)
     prior = 35.0**2 * abs(speed) * waited
     expected = -prior * torque @ np.linalg.solve(prior * np.outer(torque, torque) + unknown, rest)
     assert motors.excess == pytest.approx(expected, rel=1e-6)
@@ -387,9 +387,9 @@ def test_a_force_since_the_air_is_found_whatever_friction_the_model_has_wrong(fo
     kinematics = InverseKinematics(robot)
     felt = FeltByMotors(model, robot, kinematics, UP, settle=0.4)
     T, late = robot.t_ipo, round(BEHIND / robot.t_ipo)
-    way = 0.1 * np.array([0.02, 0.05, -0.04, 0.03, 0.06, -0.02])
+    half_a = 0.1 * np.array([0.02, 0.05, -0.04, 0.03, 0.06, -0.02])
     t = T * np.arange(round(2.0 / T))[:, None]
-    q, v, a = robot.home + way * t * t, 2.0 * way * t, np.tile(2.0 * way, (len(t), 1))
+    q, v, a = robot.home + half_a * t * t, 2.0 * half_a * t, np.tile(2.0 * half_a, (len(t), 1))
     for k in range(late, len(t)):
         tau = model.inverse_dynamics(q[k - late], v[k - late], a[k - late])[0] + offset
         if t[k, 0] > 1.2:

@@ -43,10 +43,10 @@ def above_the_surface(**camera: Any) -> SurfaceFollower:
         return FilterBank([DeviationFilter(model, biases=biases | {"force": errors}, confirm=0)
                            for model in surfaces(across)])
 
-    made = SurfaceFollower(robot, reference, profile, 20, ContactSettings(), fusion=fusion, **camera)
+    surface_follower = SurfaceFollower(robot, reference, profile, 20, ContactSettings(), fusion=fusion, **camera)
     for k in range(6):
-        made.observe(0.012 * k, made.q_start)
-    return made
+        surface_follower.observe(0.012 * k, surface_follower.q_start)
+    return surface_follower
 
 
 def test_a_cycle_without_time_goes_on_as_planned(follower: SurfaceFollower) -> None:
@@ -172,8 +172,8 @@ def test_a_camera_turned_about_itself_moves_what_it_sees_about_itself(follower: 
     mount, right = default_mount(), field(follower, 0.03, 0.002).points_tcp
     sight = LineOnSurface(follower, mount, SightSettings(), (0.0, 0.5))
     turned = mount.translation + (right - mount.translation) @ pin.exp3(np.array([0.0, 0.0, -1e-3])).T
-    one, other = (sight._measurement(0.03, points, np.full(5, 5e-5)) for points in (right, turned))
-    np.testing.assert_allclose(other.value - one.value, 1e-3 * np.asarray(one.bias)[:, 0], atol=2e-6)
+    unturned, other = (sight._measurement(0.03, points, np.full(5, 5e-5)) for points in (right, turned))
+    np.testing.assert_allclose(other.value - unturned.value, 1e-3 * np.asarray(unturned.bias)[:, 0], atol=2e-6)
 
 
 def test_approach_ends_with_touch_and_travel_begins_when_the_force_has_settled(follower: SurfaceFollower) -> None:
@@ -211,7 +211,7 @@ def test_the_filter_is_what_keeps_the_force(monkeypatch: pytest.MonkeyPatch) -> 
     def surface(s: np.ndarray) -> np.ndarray:
         return 3e-3 * np.exp(-(((s - 0.2) / 0.04) ** 2))
 
-    kept = pressed(surface)
+    filtered = pressed(surface)
     inner = FilterBank.update
 
     def update(self: FilterBank, measurement: Measurement) -> Fused:
@@ -221,7 +221,7 @@ def test_the_filter_is_what_keeps_the_force(monkeypatch: pytest.MonkeyPatch) -> 
 
     monkeypatch.setattr(FilterBank, "update", update)
     without = pressed(surface)
-    rms, left_out = (np.sqrt(np.mean((one.force - 20.0) ** 2)) for one in (kept, without))
+    rms, left_out = (np.sqrt(np.mean((run.force - 20.0) ** 2)) for run in (filtered, without))
     assert rms < 1.0
     assert left_out > 4.0
 
@@ -247,8 +247,8 @@ def test_direct_force_feedback_follows_its_law(follower: SurfaceFollower, k_p: f
     up = follower.history.pose(0.03).rotation.T @ np.array([0.0, 0.0, 1.0])
     follower.update_force(np.array([0.03]), 20.0 * up[None])
     error, heights = np.array([0.0, 4.0, 4.0, -3.0, -3.0, 8.0]), []
-    for one in error:
-        feedback.update(follower.settings.force + one)
+    for excess in error:
+        feedback.update(follower.settings.force + excess)
         heights.append(fk(feedback.command(0.06, np.tile(follower.q_start, (20, 1)))).translation[2])
     np.testing.assert_allclose(np.diff(heights), (k_p * error + k_d * np.diff(error, prepend=0.0))[1:], atol=1e-7)
 
@@ -264,18 +264,18 @@ def test_the_states_are_those_of_materns_kernel(length: float) -> None:
     """Covariance of two heights, against the kernel's formula with Bessel's function; Rasmussen and Williams (4.14)."""
     model = SmoothSurface(length)
     P, nu = model.prior()[1][2:, 2:], ORDER + 0.5
-    for way in (0.001, 0.01, 0.05):
-        r = np.sqrt(2 * nu) * way / length
+    for distance in (0.001, 0.01, 0.05):
+        r = np.sqrt(2 * nu) * distance / length
         expected = P[0, 0] * 2 ** (1 - nu) / gamma(nu) * r**nu * kv(nu, r)
-        F, Q = model.carry(way)
+        F, Q = model.carry(distance)
         assert (F[2:, 2:] @ P)[0, 0] == pytest.approx(expected, rel=1e-6)
         np.testing.assert_allclose(F[2:, 2:] @ P @ F[2:, 2:].T + Q[2:, 2:], P, rtol=1e-9, atol=1e-9 * P.max())
-        assert model.spread(np.array([way]), Stand())[0, 1] == pytest.approx(Q[2, 2], abs=1e-12 * P[0, 0])
+        assert model.spread(np.array([distance]), Stand())[0, 1] == pytest.approx(Q[2, 2], abs=1e-12 * P[0, 0])
 
 
 def test_a_way_is_the_sum_of_its_parts() -> None:
     model = SmoothSurface(0.05)
-    (F, Q), (F_1, Q_1), (F_2, Q_2) = (model.carry(way) for way in (0.03, 0.01, 0.02))
+    (F, Q), (F_1, Q_1), (F_2, Q_2) = (model.carry(distance) for distance in (0.03, 0.01, 0.02))
     np.testing.assert_allclose(F, F_2 @ F_1, atol=1e-9)
     np.testing.assert_allclose(Q, F_2 @ Q_1 @ F_2.T + Q_2, atol=1e-12)
 
@@ -298,19 +298,19 @@ def test_forces_that_come_late_and_in_any_order_say_the_same(order: list[int]) -
     reference = ReferencePath(np.column_stack([x, 0 * x, 0 * x]))
 
     def filled(which: list[int], travelled: float) -> DeviationFilter:
-        made = DeviationFilter(SmoothSurface(0.065, PathDeviation(reference, ahead=0.2)), confirm=0)
+        fusion = DeviationFilter(SmoothSurface(0.065, PathDeviation(reference, ahead=0.2)), confirm=0)
         for k in range(100, 104):
-            made.travel(STEP * k)
-            made.update(felt_at(k, bump(STEP * k)))
-        made.travel(travelled)
+            fusion.travel(STEP * k)
+            fusion.update(felt_at(k, bump(STEP * k)))
+        fusion.travel(travelled)
         for k in which:
-            made.update(felt_at(104 + k, bump(STEP * (104 + k))))
-        return made
+            fusion.update(felt_at(104 + k, bump(STEP * (104 + k))))
+        return fusion
 
     ahead = np.array([0.28, 0.3])
     late, straight = filled(order, STEP * 112 + 0.03), filled(sorted(order), STEP * 112 + 0.03)
-    for one, other in zip(late.deviation(ahead), straight.deviation(ahead), strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-12)
+    for shuffled, ordered in zip(late.deviation(ahead), straight.deviation(ahead), strict=True):
+        np.testing.assert_allclose(shuffled, ordered, rtol=1e-6, atol=1e-12)
 
 
 def test_what_lies_ahead_may_be_seen_late() -> None:
@@ -324,8 +324,8 @@ def test_what_lies_ahead_may_be_seen_late() -> None:
                                    np.array([[0.0, 1.0]]), "camera", at=STEP * 30))
         return surface
 
-    there = STEP * 39 + np.linspace(0.0, 0.04, 5)
-    for late, in_time in zip(map_with(0.012 * 30).deviation(there), map_with(0.012 * 39).deviation(there), strict=True):
+    s = STEP * 39 + np.linspace(0.0, 0.04, 5)
+    for late, in_time in zip(map_with(0.012 * 30).deviation(s), map_with(0.012 * 39).deviation(s), strict=True):
         np.testing.assert_array_equal(late, in_time)
 
 
@@ -340,7 +340,7 @@ def test_a_bank_finds_the_length_scale_and_says_how_sure_the_height_ahead_is() -
     for _ in range(400):
         heights.append(x[0])
         x = F[2:, 2:] @ x + driven @ rng.standard_normal(ORDER + 1)
-    bank = FilterBank([DeviationFilter(one, confirm=0) for one in surfaces(lengths=(0.02, 0.045, 0.15))])
+    bank = FilterBank([DeviationFilter(surface, confirm=0) for surface in surfaces(lengths=(0.02, 0.045, 0.15))])
     for k in range(395):
         bank.update(felt_at(k, heights[k] + NOISE * rng.standard_normal()))
         mean, variance = bank.deviation(np.array([STEP * (k + 5)]))
@@ -356,13 +356,13 @@ def test_a_wrong_stiffness_is_found_and_noise_is_not_taken_for_one() -> None:
     errors = []
     for ratio, seed in itertools.product((0.0, -0.3, 0.4), range(10)):
         rng = np.random.default_rng(seed)
-        found = DeviationFilter(SmoothSurface(0.065), biases={"force": (0.3,)}, confirm=0)
+        fusion = DeviationFilter(SmoothSurface(0.065), biases={"force": (0.3,)}, confirm=0)
         for k in range(220):
             height = bump(STEP * k)
             origin = height + 1.5e-4 * np.sin(0.4 * k)
             value = origin + (1.0 + ratio) * (height - origin) + 2 * NOISE * rng.standard_normal()
-            found.update(felt_at(k, value, bias=np.zeros((1, 1)), origin=np.array([origin])))
-        estimate, sigma = found.bias("force")
+            fusion.update(felt_at(k, value, bias=np.zeros((1, 1)), origin=np.array([origin])))
+        estimate, sigma = fusion.bias("force")
         errors.append(abs(estimate[0] - ratio))
         assert sigma[0] < 0.06
     # About its estimate the equation is linear only nearly, and some noise leads an extended filter astray: linearised
@@ -388,8 +388,8 @@ def test_what_friction_hides_as_the_tip_begins_to_slide_is_no_slope() -> None:
         for bank in banks:
             bank.update(Measurement(0.012 * k, np.array([s]), np.array([-0.3 * slides]), np.array([[1.2e-5**2]]),
                                     np.array([[0.0, 1.0]]), "force", np.array([[0.0, 0.0, slides]]), at=s))
-    without, told = (abs(float(one.mean(np.array([0.008]))[0, 1])) for one in banks)
-    assert told < 0.5 * without
+    without, with_friction = (abs(float(bank.mean(np.array([0.008]))[0, 1])) for bank in banks)
+    assert with_friction < 0.5 * without
 
 
 def test_lifting_is_planned_ahead_at_its_speed(follower: SurfaceFollower) -> None:

@@ -137,11 +137,11 @@ def one_run(model: DeviationModel, rng: np.random.Generator) -> tuple[list[Fused
     for k in range(50):
         t, s = 0.012 * k, 0.006 * k
         if k % 2 == 0:
-            at = s + np.linspace(0.02, 0.12, 5)
+            places = s + np.linspace(0.02, 0.12, 5)
             g = np.column_stack([np.ones(5), rng.uniform(-0.1, 0.1, 5)])
             R = np.diag(np.full(5, 5e-5**2)) + 4e-5**2
-            lever = (at - s)[:, None]
-            item = measured(model, truth, Measurement(t, at, at, R, g, "camera", lever), rng, yaw)
+            lever = (places - s)[:, None]
+            item = measured(model, truth, Measurement(t, places, places, R, g, "camera", lever), rng, yaw)
             waiting.append((t + 0.04 + 0.02 * rng.random(), item))
         tilt = 0.3 * np.sin(0.2 * k)
         g = np.array([[np.sin(tilt), np.cos(tilt)]])
@@ -169,8 +169,8 @@ def runs() -> list[tuple[list[Fused], DeviationFilter, np.ndarray]]:
 
 def test_normalised_innovations_are_within_their_bounds(runs: list) -> None:
     """The sum over all runs is χ² with the number of values as degrees of freedom; so is that of most single runs."""
-    sums = np.array([sum(one.nis for one in results if one.dof) for results, _, _ in runs])
-    counts = np.array([sum(one.dof for one in results) for results, _, _ in runs])
+    sums = np.array([sum(result.nis for result in results if result.dof) for results, _, _ in runs])
+    counts = np.array([sum(result.dof for result in results) for results, _, _ in runs])
     assert chi2.ppf(0.025, counts.sum()) <= sums.sum() <= chi2.ppf(0.975, counts.sum())
     inside = (sums >= chi2.ppf(0.025, counts)) & (sums <= chi2.ppf(0.975, counts))
     assert np.mean(inside) >= 0.88
@@ -214,12 +214,12 @@ def test_how_far_a_line_leaves_its_reference_is_found_from_a_few_places(drawn: t
     path, s = reference(), np.linspace(0.05, 0.6, 10)
     rng = np.random.default_rng(3)
     process = drawn[0] ** 2 * matern(np.abs(np.subtract.outer(s, s)), drawn[1])
-    seen = [rng.normal(0, 0.02) + rng.normal(0, 0.05) * (s - 0.3)
-            + rng.multivariate_normal(np.zeros(10), process + 1e-6 * np.eye(10)) for _ in range(100)]
-    found = [int(np.argmax(shape_likelihoods(path, s, one, 1e-6 * np.eye(10)))) for one in seen]
+    deviations = [rng.normal(0, 0.02) + rng.normal(0, 0.05) * (s - 0.3)
+                  + rng.multivariate_normal(np.zeros(10), process + 1e-6 * np.eye(10)) for _ in range(100)]
+    likeliest = [int(np.argmax(shape_likelihoods(path, s, deviation, 1e-6 * np.eye(10)))) for deviation in deviations]
     right = SHAPES.index(drawn)
-    assert np.mean(np.array(found) == right) > 0.5
-    assert np.mean(np.abs(np.array(found) - right) > 1) < 0.05
+    assert np.mean(np.array(likeliest) == right) > 0.5
+    assert np.mean(np.abs(np.array(likeliest) - right) > 1) < 0.05
 
 
 @pytest.mark.parametrize(("bump", "fits"), [(0.0, COPIED), (0.004, SHAPES[0]), (0.008, SHAPES[1]), (0.1, SHAPES[0])])
@@ -227,9 +227,9 @@ def test_one_narrow_bend_makes_another_shape_of_a_copy(bump: float, fits: tuple[
     """A bend of 80 mm in 0.8 m of a line, moved and turned: what is likeliest for the whole hardly minds 4 mm."""
     path, s = reference(), np.arange(0.02, 0.8, 0.017)
     noise = np.random.default_rng(3).normal(0, 1e-4, len(s))
-    seen = 0.015 + 0.03 * (s - 0.4) + bump * np.exp(-0.5 * ((s - 0.4) / 0.035) ** 2) + noise
-    assert fitting_shape(path, s, seen, 3e-4, SHAPES[0]) == fits
-    assert fitting_shape(path, s, seen, 3e-4, SHAPES[2]) == SHAPES[2]
+    lateral = 0.015 + 0.03 * (s - 0.4) + bump * np.exp(-0.5 * ((s - 0.4) / 0.035) ** 2) + noise
+    assert fitting_shape(path, s, lateral, 3e-4, SHAPES[0]) == fits
+    assert fitting_shape(path, s, lateral, 3e-4, SHAPES[2]) == SHAPES[2]
 
 
 @settings(max_examples=30)

@@ -71,10 +71,10 @@ def ride(
         s = 0.014 * k
         truth.travel(s)
         fusion.travel(s)
-        at = s + AHEAD + rng.normal(0.0, 1e-3, 5)
-        value = truth.at(at)[:, 0] + NOISE * rng.normal(size=5) + yaw * AHEAD
-        got = fusion.update(points(0.02 * k, at, value, bias=AHEAD[:, None] if biases else None))
-        nis, dof = nis + got.nis, dof + got.dof
+        places = s + AHEAD + rng.normal(0.0, 1e-3, 5)
+        value = truth.at(places)[:, 0] + NOISE * rng.normal(size=5) + yaw * AHEAD
+        fused = fusion.update(points(0.02 * k, places, value, bias=AHEAD[:, None] if biases else None))
+        nis, dof = nis + fused.nis, dof + fused.dof
         if k == 40:
             where = s + np.array([0.0, 0.05, 0.2])
             H = fusion.model.basis(where)[:, 0]
@@ -117,8 +117,8 @@ def test_a_measurement_older_than_the_memory_is_left_out_with_a_reason() -> None
     fusion, up = DeviationFilter(SmoothSurface(0.065)), np.array([[0.0, 1.0]])
     for k in range(30):
         fusion.update(points(0.02 * k, np.full(1, 0.005 * k), np.zeros(1), direction=up, at=0.005 * k))
-    got = fusion.update(points(0.0, np.zeros(1), np.full(1, 1e-4), direction=up, at=0.0))
-    assert (got.dof, got.reason) == (0, "too late")
+    fused = fusion.update(points(0.0, np.zeros(1), np.full(1, 1e-4), direction=up, at=0.0))
+    assert (fused.dof, fused.reason) == (0, "too late")
     assert not fusion.mean(np.array([0.15])).any()
 
 
@@ -172,9 +172,9 @@ def test_rigid_displacement_is_recognised_and_carried_ahead() -> None:
 def test_map_survives_the_moving_window() -> None:
     truth, fusion = Truth(np.random.default_rng(6)), DeviationFilter(path_model())
     for k, s, _ in truth.seen(fusion, 60):
-        at = np.array([s - 0.03, s, s + 0.03]) if k > 10 else s + AHEAD[:1]
-        mean, _ = fusion.deviation(at)
-        assert np.max(np.abs(mean - truth.at(at))) < 2e-4
+        places = np.array([s - 0.03, s, s + 0.03]) if k > 10 else s + AHEAD[:1]
+        mean, _ = fusion.deviation(places)
+        assert np.max(np.abs(mean - truth.at(places))) < 2e-4
 
 
 def test_errors_of_the_sensor_are_told_apart_from_the_deviation() -> None:
@@ -182,8 +182,8 @@ def test_errors_of_the_sensor_are_told_apart_from_the_deviation() -> None:
     truth = Truth(np.random.default_rng(7))
     fusion = DeviationFilter(path_model(), biases={"camera": (0.005,)})
     *_, (_, s, _) = truth.seen(fusion, 40, lambda k: yaw)
-    found, sigma = fusion.bias("camera")
-    assert abs(found[0] - yaw) < 3 * sigma[0]
+    estimate, sigma = fusion.bias("camera")
+    assert abs(estimate[0] - yaw) < 3 * sigma[0]
     assert sigma[0] < 2e-4
     mean, _ = fusion.deviation(np.array([s]))
     assert abs(mean[0, 0] - truth.at(np.array([s]))[0, 0]) < 1e-4
@@ -201,9 +201,9 @@ def test_single_wrong_points_are_left_out() -> None:
         lie(fusion, k, np.full(5, 0.004))
     value = np.full(5, 0.004)
     value[2] += 0.005
-    got = lie(fusion, 10, value)
-    np.testing.assert_array_equal(got.used, [True, True, False, True, True])
-    assert got.reason == "some values beyond the gate"
+    fused = lie(fusion, 10, value)
+    np.testing.assert_array_equal(fused.used, [True, True, False, True, True])
+    assert fused.reason == "some values beyond the gate"
     assert fusion.deviation(0.14 + AHEAD)[0][2, 0] == pytest.approx(0.004, abs=1e-4)
 
 
@@ -229,10 +229,10 @@ def test_map_that_was_wrong_is_replaced_when_the_sensor_insists() -> None:
 def test_a_surface_under_the_tool_has_no_rival() -> None:
     """A rival neither goes along with the tool nor back to a late measurement."""
     fusion, up = DeviationFilter(SmoothSurface(0.065), confirm=3), np.array([[0.0, 1.0]])
-    got = [fusion.update(points(0.02 * k, np.full(1, 0.002 * k), np.full(1, 0.0 if k < 20 else 0.05), direction=up,
-                                at=0.002 * k)) for k in range(40)]
-    assert not any(one.dof for one in got[20:])
-    assert "map replaced" not in {one.reason for one in got}
+    results = [fusion.update(points(0.02 * k, np.full(1, 0.002 * k), np.full(1, 0.0 if k < 20 else 0.05), direction=up,
+                                    at=0.002 * k)) for k in range(40)]
+    assert not any(result.dof for result in results[20:])
+    assert "map replaced" not in {result.reason for result in results}
 
 
 @settings(max_examples=30, deadline=None)
@@ -257,14 +257,14 @@ def test_camera_and_force_share_one_map() -> None:
         truth.travel(s)
         fusion.travel(s)
         if k % 5 == 0:
-            at = s + AHEAD
-            value = truth.at(at) @ lateral + NOISE * rng.normal(size=5)
-            fusion.update(points(0.012 * k, at, value, direction=np.tile(lateral, (5, 1))))
-        at = np.array([s])
-        value = truth.at(at) @ height + 1e-4 * rng.normal(size=1)
-        fusion.update(points(0.012 * k, at, value, 1e-4, direction=height[None], sensor="force"))
-    mean, variance = fusion.deviation(at)
-    error = mean - truth.at(at)
+            places = s + AHEAD
+            value = truth.at(places) @ lateral + NOISE * rng.normal(size=5)
+            fusion.update(points(0.012 * k, places, value, direction=np.tile(lateral, (5, 1))))
+        places = np.array([s])
+        value = truth.at(places) @ height + 1e-4 * rng.normal(size=1)
+        fusion.update(points(0.012 * k, places, value, 1e-4, direction=height[None], sensor="force"))
+    mean, variance = fusion.deviation(places)
+    error = mean - truth.at(places)
     assert np.all(np.abs(error) < 4 * np.sqrt(variance))
     assert abs(error[0, 0]) < 1e-4
     assert abs(error[0, 1]) < 3e-4
@@ -310,9 +310,9 @@ def test_a_sensor_that_is_moved_changes_its_own_error_and_not_the_map() -> None:
     assert "sensor moved" not in reasons[:30] + reasons[34:]
     yaw, sigma = fusion.bias("camera")
     assert yaw[0] == pytest.approx(0.001 + knocked, abs=4 * sigma[0])
-    seen = 0.014 * 59 + AHEAD
-    mean, variance = fusion.deviation(seen)
-    assert np.all(np.abs(mean[:, 0] - truth.at(seen)[:, 0]) < 5 * np.sqrt(variance[:, 0]))
+    places = 0.014 * 59 + AHEAD
+    mean, variance = fusion.deviation(places)
+    assert np.all(np.abs(mean[:, 0] - truth.at(places)[:, 0]) < 5 * np.sqrt(variance[:, 0]))
 
 
 # What is looked back on.
@@ -329,9 +329,9 @@ def test_the_smoother_knows_at_the_end_what_the_filter_did_not_as_it_passed() ->
             truth.travel(s[k])
             fusion.travel(s[k])
             actual[k], passed[k] = truth.at(s[k : k + 1])[0, 0], fusion.mean(s[k : k + 1])[0, 0]
-            at = s[k] + AHEAD
-            value = truth.at(at)[:, 0] + AHEAD * yaw + NOISE * rng.standard_normal(5)
-            fusion.update(points(0.02 * k, at, value, bias=AHEAD[:, None]))
+            places = s[k] + AHEAD
+            value = truth.at(places)[:, 0] + AHEAD * yaw + NOISE * rng.standard_normal(5)
+            fusion.update(points(0.02 * k, places, value, bias=AHEAD[:, None]))
         mean, variance = fusion.looked_back(s[3:])
         error = mean[:, 0] - actual[3:]
         smoothed, filtered = smoothed + float(error @ error), filtered + float(np.sum((passed - actual)[3:] ** 2))

@@ -71,7 +71,7 @@ def test_one_camera_snapshot_is_enough_to_run_on() -> None:
     line = sine_points() + np.array([0.006, 0.0, 0.0])
     f = follower(max_gap=2.0)
     run = follow(f, Camera(line, np.random.default_rng(3)), blind=(0.004, 2.0))
-    assert sum(seen.seen for seen in run.fields) < 6
+    assert sum(field.seen for field in run.fields) < 6
     assert errors(run, line).mean() < 2e-3
     assert np.abs(distance(run.tcp[:1], line)).max() > 5e-3
 
@@ -79,7 +79,7 @@ def test_one_camera_snapshot_is_enough_to_run_on() -> None:
 def test_fields_in_the_wrong_order_lead_to_the_same_map() -> None:
     run = follow(follower(), Camera(LINE, np.random.default_rng(4)))
     shuffled = follow(follower(), Camera(LINE, np.random.default_rng(4)), shuffle=True)
-    stamps = [seen.t for seen in shuffled.fields]
+    stamps = [field.t for field in shuffled.fields]
     assert stamps != sorted(stamps)
     assert errors(shuffled).mean() < errors(run).mean() + 0.01e-3
 
@@ -301,10 +301,10 @@ def test_field_stamped_before_the_history_is_refused() -> None:
     camera = Camera(LINE, np.random.default_rng(21))
     for k in range(10):
         f.observe(k * T, f.horizon(k * T)[0])
-    seen = camera.look(f, 0.05, f.history.pose(0.05))
+    field = camera.look(f, 0.05, f.history.pose(0.05))
     with pytest.raises(PlanningError, match="no pose at"):
-        f.update(replace(seen, t=-1.0))
-    assert f.update(seen) is not None
+        f.update(replace(field, t=-1.0))
+    assert f.update(field) is not None
 
 
 # Direct sensor feedback, the baseline: it works at low gain, and latency makes it swing ([L] 4.4).
@@ -359,14 +359,14 @@ def test_the_command_follows_the_law() -> None:
 
     def corrections(*gains: float) -> np.ndarray:
         follower = LineFollower(kr6(), reference(), profile())
-        feedback, pose, found = DirectFeedback(follower, *gains), kr6().fk()(follower.q_start), []
+        feedback, pose, applied = DirectFeedback(follower, *gains), kr6().fk()(follower.q_start), []
         frames = follower.reference.frames(follower.reference.project(pose.translation[None], 0.0)[0])
         for signal in signals:
             points = pose.actInv((frames.position + signal * frames.normal)[0])[None].repeat(3, axis=0)
             feedback.update(Seen(0.0, points, np.full(3, 3e-5), np.ones(3, dtype=bool), True), pose)
             feedback.command(0.0)
-            found.append(feedback.correction)
-        return np.array(found)
+            applied.append(feedback.correction)
+        return np.array(applied)
 
     for k_p, k_d in ((0.1, 0.0), (0.0, 0.5), (0.2, 0.7)):
         expected = np.cumsum(k_p * signals + k_d * np.diff(signals, prepend=0.0))
@@ -381,7 +381,7 @@ def test_negative_gain_is_refused() -> None:
 
 @pytest.mark.parametrize(("n_d", "speed"), [(1, 0.7), (60, 0.3), (60, 1.0), (60, 2.0)])
 def test_the_map_reaches_beyond_all_that_is_planned(n_d: int, speed: float) -> None:
-    one, here = follower(n_d, speed), 0.2
-    one.fusion.travel(here)
-    H = one.fusion.model.basis(here + (n_d + 12) * T * one.profile.top_speed + np.array([0.0, 0.01]))
-    assert np.abs(H[1] - H[0])[0, one.fusion.model.rigid :].max() > 1e-3
+    f, here = follower(n_d, speed), 0.2
+    f.fusion.travel(here)
+    H = f.fusion.model.basis(here + (n_d + 12) * T * f.profile.top_speed + np.array([0.0, 0.01]))
+    assert np.abs(H[1] - H[0])[0, f.fusion.model.rigid :].max() > 1e-3

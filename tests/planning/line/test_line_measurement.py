@@ -164,9 +164,9 @@ def test_what_no_state_holds_widens_a_value_along_its_direction() -> None:
     direction = np.column_stack([np.cos(angle), np.sin(angle)])
     covariance = np.cov(rng.standard_normal((4, 30)))
     expected = covariance + np.diag(np.cos(angle) ** 2 * variance[:, 0] + np.sin(angle) ** 2 * variance[:, 1])
-    given = covariance.copy()
-    np.testing.assert_allclose(widened(given, direction, variance), expected, rtol=1e-12)
-    np.testing.assert_array_equal(given, covariance)
+    argument = covariance.copy()
+    np.testing.assert_allclose(widened(argument, direction, variance), expected, rtol=1e-12)
+    np.testing.assert_array_equal(argument, covariance)
 
 
 def test_a_nonlinear_measurement_has_the_jacobian_and_the_moments_of_its_product() -> None:
@@ -209,8 +209,8 @@ def test_a_reading_tells_where_the_line_is_not_where_the_tool_was(off: float, sl
     for k in range(4):
         f.observe(k * T, q)
     pose = f.history.pose(T)
-    seen = pose.act(np.array(at))
-    foot, lateral, height = reference().project(seen[None], at[0])
+    point = pose.act(np.array(at))
+    foot, lateral, height = reference().project(point[None], at[0])
     here = reference().frames(foot)
     sensed = np.cos(slant) * here.normal[0] + np.sin(slant) * here.up[0]
     # Of a line that runs beside the reference at its height, as far as the sensor looks along its direction.

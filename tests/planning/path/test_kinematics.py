@@ -33,16 +33,16 @@ def test_solution_reaches_the_pose_it_was_asked_for(seed: int) -> None:
     kinematics = InverseKinematics(robot)
     q = robot.home + rng.uniform(-0.3, 0.3, 6)
     target = kinematics.fk(q)
-    found = kinematics.solve(target, q + rng.uniform(-0.1, 0.1, 6))
-    assert gap(kinematics.fk(found), target) < 1e-8
+    solution = kinematics.solve(target, q + rng.uniform(-0.1, 0.1, 6))
+    assert gap(kinematics.fk(solution), target) < 1e-8
 
 
 def test_search_finds_the_posture_near_home() -> None:
     robot = kr6()
     kinematics = InverseKinematics(robot)
     q = robot.home + np.array([0.6, 0.3, -0.2, 0.2, 0.1, -0.4])
-    found = kinematics.search(kinematics.fk(q), robot.home)
-    np.testing.assert_allclose(found, q, atol=1e-6)
+    solution = kinematics.search(kinematics.fk(q), robot.home)
+    np.testing.assert_allclose(solution, q, atol=1e-6)
 
 
 def test_path_and_refinement_agree() -> None:
@@ -129,9 +129,9 @@ def test_jacobian_and_pose_are_pinocchios(seed: int) -> None:
     q, data, frame = rng.uniform(-2.0, 2.0, 6), model.createData(), model.getFrameId("tool")
     expected = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL)
     pin.framesForwardKinematics(model, data, q)
-    at = model.frames[frame].placement
+    placement = model.frames[frame].placement
     J, R, p = np.empty((6, 6)), np.empty((3, 3)), np.empty(3)
-    tool = Tool(chain_of(model), 6, np.ascontiguousarray(at.rotation), np.array(at.translation))
+    tool = Tool(chain_of(model), 6, np.ascontiguousarray(placement.rotation), np.array(placement.translation))
     _tool_jacobian(tool, q, J, R, p)
     np.testing.assert_allclose(J, expected, atol=1e-12)
     np.testing.assert_allclose(R, data.oMf[frame].rotation, atol=1e-12)
@@ -144,9 +144,9 @@ def test_the_twist_of_a_motion_is_pinocchios(seed: int, angle: float) -> None:
     rng = np.random.default_rng(seed)
     axis = rng.standard_normal(3)
     motion = pin.SE3(pin.exp3(angle * axis / np.linalg.norm(axis)), rng.standard_normal(3))
-    found = np.empty(6)
-    assert _log6(np.ascontiguousarray(motion.rotation), np.array(motion.translation), found)
-    np.testing.assert_allclose(found, pin.log6(motion).vector, atol=1e-9)
+    twist = np.empty(6)
+    assert _log6(np.ascontiguousarray(motion.rotation), np.array(motion.translation), twist)
+    np.testing.assert_allclose(twist, pin.log6(motion).vector, atol=1e-9)
 
 
 def test_half_a_turn_is_said_to_be_one() -> None:
@@ -178,8 +178,8 @@ def test_a_posture_that_cannot_be_solved_by_all_six_joints_is_left_to_pinocchio(
     stretched = robot.home.copy()
     stretched[4] = 0.0
     kinematics = InverseKinematics(robot)
-    found = kinematics.refine([kinematics.fk(stretched)], stretched[None])
-    np.testing.assert_allclose(kinematics.fk(found[0]).homogeneous, kinematics.fk(stretched).homogeneous, atol=1e-6)
+    solution = kinematics.refine([kinematics.fk(stretched)], stretched[None])
+    np.testing.assert_allclose(kinematics.fk(solution[0]).homogeneous, kinematics.fk(stretched).homogeneous, atol=1e-6)
 
 
 # Poses between the controller's samples.
@@ -250,8 +250,8 @@ def test_old_samples_are_forgotten_and_time_runs_forwards() -> None:
 
 def straight(robot: Robot, length: float = 0.2) -> list[pin.SE3]:
     """Poses along a straight line across the arm, from where its tool is at home."""
-    at = robot.fk()(robot.home)
-    return [pin.SE3(at.rotation, at.translation + np.array([0.0, y, 0.0])) for y in np.linspace(0.0, length, 101)]
+    tool = robot.fk()(robot.home)
+    return [pin.SE3(tool.rotation, tool.translation + np.array([0.0, y, 0.0])) for y in np.linspace(0.0, length, 101)]
 
 
 def bare(joints: int, home: list[float], folder: Path) -> Robot:
@@ -266,13 +266,13 @@ def test_seven_joints_are_a_smooth_function_of_the_pose(tmp_path: Path) -> None:
     assert max(gap(kinematics.fk(row), pose) for row, pose in zip(q, poses, strict=True)) < 1e-8
     assert np.abs(np.diff(q, 3, axis=0)).max() < 0.02 * np.abs(np.diff(q, axis=0)).max()
     rng = np.random.default_rng(0)
-    found = [kinematics.refine(poses, q + rng.normal(0.0, 0.01, q.shape)) for _ in range(2)]
-    assert np.abs(found[0] - found[1]).max() > 1e-3
+    free = [kinematics.refine(poses, q + rng.normal(0.0, 0.01, q.shape)) for _ in range(2)]
+    assert np.abs(free[0] - free[1]).max() > 1e-3
     rows = [pose.rotation for pose in poses], [pose.translation for pose in poses]
-    wanted = [kinematics.refine_rows(*map(np.array, rows), q + rng.normal(0.0, 0.01, q.shape), 1e-12, wanted=q)
+    guided = [kinematics.refine_rows(*map(np.array, rows), q + rng.normal(0.0, 0.01, q.shape), 1e-12, wanted=q)
               for _ in range(2)]
-    np.testing.assert_allclose(wanted[0], q, atol=1e-5)
-    np.testing.assert_allclose(wanted[1], q, atol=1e-5)
+    np.testing.assert_allclose(guided[0], q, atol=1e-5)
+    np.testing.assert_allclose(guided[1], q, atol=1e-5)
 
 
 def test_five_joints_keep_the_place_and_as_much_of_the_tool_axis_as_they_can(tmp_path: Path) -> None:

@@ -57,8 +57,8 @@ def test_curvature_and_tangent_are_derivatives() -> None:
 def test_goes_on_straight_beyond_its_ends() -> None:
     path = reference()
     for end, sign in ((0.0, -1.0), (path.length, 1.0)):
-        there = path.position(end + sign * 0.08)
-        np.testing.assert_allclose(there, path.position(end) + sign * 0.08 * path.frames(end).tangent, atol=1e-9)
+        beyond = path.position(end + sign * 0.08)
+        np.testing.assert_allclose(beyond, path.position(end) + sign * 0.08 * path.frames(end).tangent, atol=1e-9)
         assert path.frames(np.array([end + sign * 0.08])).curvature[0] == 0.0
 
 
@@ -69,8 +69,8 @@ def test_projection_is_the_inverse_of_the_path_coordinates(share: float, d: floa
     s = share * path.length
     f = path.frames(np.array([s]))
     point = f.position + d * f.normal + h * f.up
-    got = path.project(point, s + 0.04, 0.15)
-    np.testing.assert_allclose(np.concatenate(got), [s, d, h], atol=1e-7)
+    coordinates = path.project(point, s + 0.04, 0.15)
+    np.testing.assert_allclose(np.concatenate(coordinates), [s, d, h], atol=1e-7)
 
 
 def test_projection_keeps_the_branches_of_a_crossing_apart() -> None:
@@ -78,8 +78,8 @@ def test_projection_keeps_the_branches_of_a_crossing_apart() -> None:
     eight = ReferencePath(np.column_stack([0.3 * np.sin(u), 0.15 * np.sin(2 * u), 0 * u]))
     # The figure runs through the origin a quarter and three quarters of the way.
     for share in (0.25, 0.75):
-        got, lateral, _ = eight.project(np.zeros((1, 3)), share * eight.length + 0.03, 0.1)
-        assert got[0] == pytest.approx(share * eight.length, abs=1e-4)
+        s, lateral, _ = eight.project(np.zeros((1, 3)), share * eight.length + 0.03, 0.1)
+        assert s[0] == pytest.approx(share * eight.length, abs=1e-4)
         assert abs(lateral[0]) < 1e-5
 
 
@@ -89,16 +89,16 @@ def test_moving_the_points_moves_everything_with_them(twist: list[float]) -> Non
     move = pin.exp6(np.array(twist))
     points = sine_points()[::5]
     up = np.array([0.0, 0.0, 1.0])
-    here, there = (
+    path, moved = (
         ReferencePath(points, up=up, turning=0.7),
         ReferencePath(points @ move.rotation.T + move.translation, up=move.rotation @ up, turning=0.7),
     )
-    s = np.linspace(0.0, here.length - 1e-6, 30)
-    assert there.length == pytest.approx(here.length, rel=1e-9)
-    np.testing.assert_allclose(there.position(s), here.position(s) @ move.rotation.T + move.translation, atol=1e-8)
-    np.testing.assert_allclose(there.frames(s).normal, here.frames(s).normal @ move.rotation.T, atol=1e-7)
-    np.testing.assert_allclose(there.rotation(s), move.rotation @ here.rotation(s), atol=1e-6)
-    np.testing.assert_allclose(there.frames(s).curvature, here.frames(s).curvature, atol=1e-6)
+    s = np.linspace(0.0, path.length - 1e-6, 30)
+    assert moved.length == pytest.approx(path.length, rel=1e-9)
+    np.testing.assert_allclose(moved.position(s), path.position(s) @ move.rotation.T + move.translation, atol=1e-8)
+    np.testing.assert_allclose(moved.frames(s).normal, path.frames(s).normal @ move.rotation.T, atol=1e-7)
+    np.testing.assert_allclose(moved.rotation(s), move.rotation @ path.rotation(s), atol=1e-6)
+    np.testing.assert_allclose(moved.frames(s).curvature, path.frames(s).curvature, atol=1e-6)
 
 
 def test_tool_turns_as_much_as_asked() -> None:
@@ -125,9 +125,9 @@ def test_tool_turns_on_over_more_than_a_full_turn() -> None:
 
 
 def test_given_orientation_holds_in_the_mean_direction() -> None:
-    wanted = pin.rpy.rpyToMatrix(np.pi, 0.2, 0.3)
-    path = ReferencePath(sine_points(), turning=0.0, rotation=wanted)
-    np.testing.assert_allclose(path.rotation(0.4), wanted, atol=1e-9)
+    rotation = pin.rpy.rpyToMatrix(np.pi, 0.2, 0.3)
+    path = ReferencePath(sine_points(), turning=0.0, rotation=rotation)
+    np.testing.assert_allclose(path.rotation(0.4), rotation, atol=1e-9)
 
 
 def test_curved_surface_gives_the_tool_its_normal() -> None:
