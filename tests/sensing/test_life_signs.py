@@ -46,8 +46,8 @@ def test_readings_that_cannot_be_are_left_out(values: np.ndarray) -> None:
 def test_one_channel_that_has_lost_its_noise_is_named_within_ten_readings(channel: int) -> None:
     signs, rng = alive()
     lives = np.arange(6) != channel
-    taken = [signs.check(NOISE * lives * rng.standard_normal(6)) for _ in range(10)]
-    assert not all(taken)
+    accepted = [signs.check(NOISE * lives * rng.standard_normal(6)) for _ in range(10)]
+    assert not all(accepted)
     assert f"{'abcdef'[channel]} has lost the noise" in str(signs.fault)
 
 
@@ -226,6 +226,6 @@ def test_messages_that_are_lost_are_nothing_uneven() -> None:
 
 def test_stamps_are_judged_from_twenty_messages_on_and_by_how_far_they_wander() -> None:
     assert _stamped(1, 0.02, 0.0, 19).fault is None
-    found = str(_stamped(1, 0.02, 0.0, 20).fault)
-    told = float(found.partition("wander by ")[2].partition(" ms")[0])
-    assert told == pytest.approx(20.0, rel=0.4)
+    fault = str(_stamped(1, 0.02, 0.0, 20).fault)
+    spread = float(fault.partition("wander by ")[2].partition(" ms")[0])
+    assert spread == pytest.approx(20.0, rel=0.4)

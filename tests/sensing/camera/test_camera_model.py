@@ -108,8 +108,8 @@ def test_height_and_focal_length_scale_the_picture() -> None:
     camera = CameraModel.default(distortion=(0.0,) * 5)
     axis, point = np.array([0.065, 0.0, 0.0]), np.array([[0.065, 0.05, 0.0]])
     for error, scale in (({"height": 0.0025}, 0.25 / 0.2525), ({"focal": 0.01}, 1.01)):
-        seen = camera.on_plane(camera.perturbed(**error).project_tool(point), DOWN, 0.0)
-        np.testing.assert_allclose(seen[0] - axis, scale * (point[0] - axis), atol=1e-9)
+        measured = camera.on_plane(camera.perturbed(**error).project_tool(point), DOWN, 0.0)
+        np.testing.assert_allclose(measured[0] - axis, scale * (point[0] - axis), atol=1e-9)
 
 
 def test_calibration_errors_keep_their_sizes_and_take_the_seed_s_signs() -> None:
@@ -141,8 +141,8 @@ def test_a_pixel_along_the_scan_is_worth_what_shifting_the_line_shows(turn: floa
     seen_from = camera.T_tool_camera * pin.SE3(pin.rpy.rpyToMatrix(tilt, 0.5 * tilt, turn), np.zeros(3))
     camera = replace(camera, T_tool_camera=seen_from)
     middle = camera.on_plane(np.array([[0.5 * camera.width, 0.5 * camera.height]]), np.array([0.0, 0.0, 1.0]), 0.0)
-    for way in (0.3, 1.9, 2.6):
-        tangent, normal = np.array([np.cos(way), np.sin(way), 0.0]), np.array([0.0, 0.0, 1.0])
+    for direction in (0.3, 1.9, 2.6):
+        tangent, normal = np.array([np.cos(direction), np.sin(direction), 0.0]), np.array([0.0, 0.0, 1.0])
         image = predict_image(camera, PredictedLine(middle, tangent[None], normal, 0.001))
         a = int(image.axis[0])
         np.testing.assert_allclose(image.pixels, camera.project_tool(middle), atol=1e-9)
@@ -186,24 +186,24 @@ def test_circle() -> None:
     angle = np.linspace(0.0, np.pi, 4000)
     line = Polyline(0.1 * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle]))
     assert line.length == pytest.approx(0.1 * np.pi, rel=1e-6)
-    at = np.linspace(0.3, 2.8, 40)
+    phi = np.linspace(0.3, 2.8, 40)
     radius = np.where(np.arange(40) % 2, 0.103, 0.094)
-    found = line.nearest(radius[:, None] * np.column_stack([np.cos(at), np.sin(at), 0.0 * at]), UP)
+    nearest = line.nearest(radius[:, None] * np.column_stack([np.cos(phi), np.sin(phi), 0.0 * phi]), UP)
     # Travelled counter-clockwise, the centre is on the left.
-    np.testing.assert_allclose(found.lateral, 0.1 - radius, atol=1e-7)
-    np.testing.assert_allclose(found.distance, np.abs(0.1 - radius), atol=1e-7)
+    np.testing.assert_allclose(nearest.lateral, 0.1 - radius, atol=1e-7)
+    np.testing.assert_allclose(nearest.distance, np.abs(0.1 - radius), atol=1e-7)
     # Feet stay away from a corner's inside and gather at its outside: by the offset times half the corner's angle.
-    np.testing.assert_allclose(found.s, 0.1 * at, atol=0.5 * 0.006 * np.pi / 3999 * 1.01)
-    points, tangents = line.at(found.s)
-    np.testing.assert_allclose(points, found.foot, atol=1e-9)
-    np.testing.assert_allclose(tangents[:, 0], -np.sin(at), atol=1e-3)
+    np.testing.assert_allclose(nearest.s, 0.1 * phi, atol=0.5 * 0.006 * np.pi / 3999 * 1.01)
+    points, tangents = line.at(nearest.s)
+    np.testing.assert_allclose(points, nearest.foot, atol=1e-9)
+    np.testing.assert_allclose(tangents[:, 0], -np.sin(phi), atol=1e-3)
 
 
 def test_beyond_its_ends_a_polyline_is_clipped() -> None:
     line = Polyline(np.array([[0.0, 0, 0], [1.0, 0, 0]]))
-    found = line.nearest(np.array([[-0.3, 0.4, 0.0], [2.0, 0.0, 0.0]]), UP)
-    np.testing.assert_allclose(found.distance, [0.5, 1.0])
-    np.testing.assert_allclose(found.s, [0.0, 1.0])
+    nearest = line.nearest(np.array([[-0.3, 0.4, 0.0], [2.0, 0.0, 0.0]]), UP)
+    np.testing.assert_allclose(nearest.distance, [0.5, 1.0])
+    np.testing.assert_allclose(nearest.s, [0.0, 1.0])
     np.testing.assert_allclose(line.at(np.array([-1.0, 5.0]))[0], [[0, 0, 0], [1, 0, 0]])
 
 

@@ -28,31 +28,31 @@ CAMERA = CameraModel.default()
 ALL = [implementation() for _, implementation in DETECTORS]
 
 
-@pytest.mark.parametrize("detector", ALL, ids=lambda one: one.name)
+@pytest.mark.parametrize("detector", ALL, ids=lambda detector: detector.name)
 def test_points_lie_on_the_line_and_sigma_is_honest(detector: LineDetector) -> None:
     prediction, settings = predicted(0.0008), DetectionSettings()
     errors, sigmas = [], []
     for seed in range(30):
         field = make_field(CAMERA, search_windows(CAMERA, prediction), CLEAN, np.random.default_rng(seed), 3.0)
-        found = detector.detect(field, CAMERA, prediction, settings)
-        assert found.seen
-        p = found.points_tcp[found.used]
+        detection = detector.detect(field, CAMERA, prediction, settings)
+        assert detection.seen
+        p = detection.points_tcp[detection.used]
         errors.append((p[:, 1] - y(p[:, 0])) / np.hypot(1.0, 0.24))
-        sigmas.append(found.sigma[found.used])
+        sigmas.append(detection.sigma[detection.used])
     spread = np.sqrt(np.mean(np.concatenate(errors) ** 2))
     assert spread < 4e-5
     assert 0.3 < spread / np.sqrt(np.mean(np.concatenate(sigmas) ** 2)) < 2.0
 
 
-@pytest.mark.parametrize("detector", ALL, ids=lambda one: one.name)
+@pytest.mark.parametrize("detector", ALL, ids=lambda detector: detector.name)
 def test_nothing_is_seen_where_nothing_is(detector: LineDetector) -> None:
     prediction = predicted()
     field = make_field(CAMERA, search_windows(CAMERA, prediction), lambda xy: 200.0 + 0.0 * xy[:, 0],
                        np.random.default_rng(1), 5.0)
-    found = detector.detect(field, CAMERA, prediction, DetectionSettings())
-    assert not found.seen
-    assert found.reason
-    assert not found.used.any()
+    detection = detector.detect(field, CAMERA, prediction, DetectionSettings())
+    assert not detection.seen
+    assert detection.reason
+    assert not detection.used.any()
 
 
 def test_three_points_that_agree_by_chance_are_refused_where_a_fourth_contradicts_them() -> None:
@@ -81,11 +81,11 @@ def test_three_points_that_agree_by_chance_are_refused_where_a_fourth_contradict
 def test_width_polarity_and_place_are_found(dark: bool, width: float, upright: bool) -> None:
     """Uneven light, a scratch across, noise; the points keep within half a pixel of the truth."""
     gray, truth = drawn_line(dark=dark, width=width, upright=upright, seed=3)
-    found = detect_in_picture(gray)
-    assert found.found, found.reason
-    assert found.dark == dark
-    assert abs(found.width - width) < 0.1 * width + 1.0
-    s, across = found.points.T[::-1] if upright else found.points.T
+    detection = detect_in_picture(gray)
+    assert detection.found, detection.reason
+    assert detection.dark == dark
+    assert abs(detection.width - width) < 0.1 * width + 1.0
+    s, across = detection.points.T[::-1] if upright else detection.points.T
     assert np.ptp(s) > 0.8 * gray.shape[0 if upright else 1]
     assert np.median(np.abs(across - truth(s))) < 0.3
     assert np.mean(np.abs(across - truth(s)) < 1.0) > 0.8
@@ -116,9 +116,9 @@ def _missed(points: np.ndarray, middle: np.ndarray) -> float:
 @given(angle=st.floats(-np.pi, np.pi), size=st.floats(4.0, 40.0))
 def test_a_tape_is_found_however_it_is_turned_and_however_wide(angle: float, size: float) -> None:
     picture, middle = _taped(angle, size, (40, 90, 40), (170, 175, 180))
-    found = detect_in_picture(picture)
-    assert found.found, found.reason
-    assert _missed(found.points, middle) < 3.0
+    detection = detect_in_picture(picture)
+    assert detection.found, detection.reason
+    assert _missed(detection.points, middle) < 3.0
 
 
 def test_colours_decide_where_gray_values_are_equal() -> None:
@@ -127,9 +127,9 @@ def test_colours_decide_where_gray_values_are_equal() -> None:
         picture, middle = _taped(0.3, 10.0, ink, ground)
         gray = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
         assert abs(int(np.median(gray[230:250, 318:322])) - int(np.median(gray))) < 15
-        found = detect_in_picture(picture)
-        assert found.found, found.reason
-        assert _missed(found.points, middle) < 3.0
+        detection = detect_in_picture(picture)
+        assert detection.found, detection.reason
+        assert _missed(detection.points, middle) < 3.0
 
 
 def test_of_two_lines_the_middle_one_is_taken_and_the_other_where_it_is_told() -> None:
@@ -160,8 +160,8 @@ def test_twigs_of_a_path_do_not_stand_before_another_one() -> None:
         sums[k, 2:12], came[k, 2:12] = sums[k - 1, 0] + 1.0, (k - 1, 0)
     taken = np.zeros_like(sums, bool)
     for path, most in ((0, 117.0), (1, 78.0)):
-        found, score = _traced(nodes, counts, sums, came, taken)
-        assert (found[:, 1].tolist(), score) == ([path] * columns, most)
+        trace, score = _traced(nodes, counts, sums, came, taken)
+        assert (trace[:, 1].tolist(), score) == ([path] * columns, most)
 
 
 def test_an_edge_is_no_stripe_and_a_laser_is_bright_and_narrow() -> None:
@@ -170,9 +170,9 @@ def test_an_edge_is_no_stripe_and_a_laser_is_bright_and_narrow() -> None:
     step[:, 300:] = 170.0
     edge = np.clip(cv2.GaussianBlur(step, (0, 0), 1.0) + rng.normal(0.0, 3.0, step.shape), 0, 255).astype(np.uint8)
     assert not detect_in_picture(edge).found
-    found = detect_in_picture(edge, kind="edge")
-    assert found.found, found.reason
-    assert np.abs(found.points[:, 0] - 299.5).max() < 0.5
+    detection = detect_in_picture(edge, kind="edge")
+    assert detection.found, detection.reason
+    assert np.abs(detection.points[:, 0] - 299.5).max() < 0.5
     stripe = _taped(0.2, 5.0, (60, 60, 250), (60, 70, 70))[0]
     assert detect_in_picture(stripe, kind="laser").found
     assert not detect_in_picture(255 - stripe, kind="laser").found
@@ -187,9 +187,9 @@ def test_pictures_without_a_line_are_refused_with_a_reason() -> None:
     blob = np.full((240, 320), 200, np.uint8)
     blob[80:160, 100:200] = 40
     for picture in (noise, texture, gradient, blob, np.zeros((100, 100), np.uint8)):
-        found = detect_in_picture(picture)
-        assert not found.found
-        assert found.reason
+        detection = detect_in_picture(picture)
+        assert not detection.found
+        assert detection.reason
 
 
 def _film(frame: int, *, hidden: bool = False, other: bool = False) -> np.ndarray:
@@ -274,22 +274,22 @@ def test_exact_points_give_the_exact_polynomial(c: tuple[float, float, float]) -
         return c[0] + c[1] * (s - 0.4) + c[2] * (s - 0.4) ** 2
 
     fit = fit_line_polynomial(S, truth(S), SIGMA)
-    at = np.linspace(0.40, 0.53, 30)
-    np.testing.assert_allclose(fit.deviation(at)[0], truth(at), atol=1e-9)
+    places = np.linspace(0.40, 0.53, 30)
+    np.testing.assert_allclose(fit.deviation(places)[0], truth(places), atol=1e-9)
     assert fit.used.all()
 
 
 def test_covariance_is_that_of_repeated_fits() -> None:
     rng = np.random.default_rng(4)
     sigma = np.array([1, 2, 1, 3, 1]) * 2e-5
-    at = np.array([0.40, 0.45, 0.50, 0.55])
+    places = np.array([0.40, 0.45, 0.50, 0.55])
     values = []
     for _ in range(2000):
         fit = fit_line_polynomial(S, 0.003 + sigma * rng.standard_normal(5), sigma, outlier=100.0, shape_noise=0.0)
-        values.append(fit.deviation(at)[0])
-    np.testing.assert_allclose(np.std(values, axis=0), fit.deviation(at)[1], rtol=0.06)
+        values.append(fit.deviation(places)[0])
+    np.testing.assert_allclose(np.std(values, axis=0), fit.deviation(places)[1], rtol=0.06)
     # Extrapolating costs.
-    assert fit.deviation(at)[1][3] > 3 * fit.deviation(at)[1][1]
+    assert fit.deviation(places)[1][3] > 3 * fit.deviation(places)[1][1]
 
 
 @pytest.mark.parametrize("bad", range(5))
@@ -328,14 +328,14 @@ def test_a_cubic_through_the_line_itself_misses_it_and_the_deviation_does_not() 
     def curve(s: np.ndarray) -> np.ndarray:
         return 0.05 * np.sin(2 * np.pi * s / 0.4)
 
-    s, at = np.linspace(0.0, 0.167, 5), np.linspace(0.0, 0.167, 100)
+    s, places = np.linspace(0.0, 0.167, 5), np.linspace(0.0, 0.167, 100)
     direct = fit_line_polynomial(s, curve(s), np.full(5, 1e-6), degree=3, outlier=1e9, shape_noise=0.0)
-    reference = 1.02 * curve(at)
+    reference = 1.02 * curve(places)
     deviation = fit_line_polynomial(s, -0.02 * curve(s), np.full(5, 1e-6), degree=3, outlier=1e9, shape_noise=0.0)
-    missed = np.abs(direct.deviation(at)[0] - curve(at)).mean()
-    kept = np.abs(reference + deviation.deviation(at)[0] - curve(at)).mean()
+    missed = np.abs(direct.deviation(places)[0] - curve(places)).mean()
+    by_deviation = np.abs(reference + deviation.deviation(places)[0] - curve(places)).mean()
     assert missed > 1e-4
-    assert kept < 0.03 * missed
+    assert by_deviation < 0.03 * missed
 
 
 def test_the_order_is_the_lowest_whose_residual_is_noise() -> None:

@@ -32,7 +32,7 @@ def observations(true: CameraModel, rng: np.random.Generator, noise: float = 0.0
     ``moving``: at which speed the tool moves, and by how much too early its pose is reported. ``surface``: by
     how much it is higher than its reference [m], and its bend along x [1/m].
     """
-    found, (speed, delay), (rise, bend) = [], moving, surface
+    views, (speed, delay), (rise, bend) = [], moving, surface
     if poses is None:
         poses = calibration_poses(ORIGIN, np.array([1.0, 0.3, 0.0]) / math.hypot(1.0, 0.3), UP, 0.065)
     for pose in poses:
@@ -44,9 +44,9 @@ def observations(true: CameraModel, rng: np.random.Generator, noise: float = 0.0
         velocity = speed * pin.exp3(rng.uniform(0, 2 * math.pi) * UP)[:, 0]
         reported = pose * pin.SE3(pin.exp3(pose_noise * rng.standard_normal(3)), pose_noise * rng.standard_normal(3))
         reported.translation = reported.translation - delay * velocity
-        found.append(Observation(reported, pixels[inside] + noise * rng.standard_normal((inside.sum(), 2)),
+        views.append(Observation(reported, pixels[inside] + noise * rng.standard_normal((inside.sum(), 2)),
                                  np.full(inside.sum(), 2e-5), velocity))
-    return found
+    return views
 
 
 def measuring_error(true: CameraModel, believed: CameraModel | HandEye, aside: float = 0.03) -> Array:
@@ -123,11 +123,11 @@ def test_time_stamp_error_shows_while_moving() -> None:
 
 def test_outliers_are_dropped() -> None:
     rng, believed, true = wrong(7)
-    seen = observations(true, rng)
+    views = observations(true, rng)
     for k in (3, 11):
-        seen[k].pixels[2] += (3.0, -2.0)
-    result = calibrate(believed, seen, REFERENCE, UP)
-    assert result.used <= sum(len(o.pixels) for o in seen) - 2
+        views[k].pixels[2] += (3.0, -2.0)
+    result = calibrate(believed, views, REFERENCE, UP)
+    assert result.used <= sum(len(o.pixels) for o in views) - 2
     assert np.abs(measuring_error(true, result)).mean() < 3e-5
 
 
@@ -161,15 +161,15 @@ def test_the_slope_of_the_surface_is_told_from_the_camera_that_looks_at_it() -> 
     slope = math.radians(1.0)
     R = pin.exp3(slope * np.array([0.0, 1.0, 0.0]))
     poses = calibration_poses(ORIGIN, np.array([1.0, 0.3, 0.0]) / math.hypot(1.0, 0.3), UP, 0.065)
-    seen = observations(true, rng, poses=[pin.SE3(R.T @ p.rotation, R.T @ (p.translation - ORIGIN) + ORIGIN)
-                                          for p in poses])  # fmt: skip
-    told = [Observation(pose, one.pixels, one.sigma) for pose, one in zip(poses, seen, strict=True)]
-    result = calibrate(believed, told, REFERENCE, UP)
+    views = observations(true, rng, poses=[pin.SE3(R.T @ p.rotation, R.T @ (p.translation - ORIGIN) + ORIGIN)
+                                           for p in poses])  # fmt: skip
+    reported = [Observation(pose, view.pixels, view.sigma) for pose, view in zip(poses, views, strict=True)]
+    result = calibrate(believed, reported, REFERENCE, UP)
     assert abs(result.parameters["surface_tilt"]) == pytest.approx(slope, abs=4 * result.sigma["surface_tilt"])
     # Across the line nothing is told of it.
     np.testing.assert_allclose(result.surface.rotation @ UP, R @ UP, atol=3e-3)
     assert np.abs(measuring_error(true, result)).mean() < 1e-4
-    flat = calibrate(believed, told, REFERENCE, UP, {key: value for key, value in PRIOR.items() if key != TILT})
+    flat = calibrate(believed, reported, REFERENCE, UP, {key: value for key, value in PRIOR.items() if key != TILT})
     assert flat.residual_after > 2.0 * result.residual_after
 
 
@@ -177,11 +177,11 @@ def test_a_height_is_the_surface_s_more_than_the_camera_s() -> None:
     """Pictures show the difference of both; by hand a camera is mounted more exactly than a surface is placed."""
     believed, high, mounted = CameraModel.default(), 5e-3, 0.5e-3
     true = believed.perturbed(height=mounted)
-    seen = observations(true, np.random.default_rng(4), surface=(high, 0.0))
-    result = calibrate(believed, seen, REFERENCE, UP)
+    views = observations(true, np.random.default_rng(4), surface=(high, 0.0))
+    result = calibrate(believed, views, REFERENCE, UP)
     np.testing.assert_allclose(result.surface.act(ORIGIN)[2] - ORIGIN[2], result.parameters[RISE], atol=1e-4)
     assert result.parameters[RISE] == pytest.approx(high, abs=result.sigma[RISE])
-    known = calibrate(believed, seen, REFERENCE, UP, {key: value for key, value in PRIOR.items() if key != RISE})
+    known = calibrate(believed, views, REFERENCE, UP, {key: value for key, value in PRIOR.items() if key != RISE})
     difference = known.parameters["height"]
     assert difference == pytest.approx(mounted - high, abs=4 * known.sigma["height"])
     assert result.parameters["height"] - result.parameters[RISE] == pytest.approx(difference, rel=0.02)
@@ -195,9 +195,9 @@ def test_a_height_is_the_surface_s_more_than_the_camera_s() -> None:
 def test_the_bend_of_the_surface_is_told_from_lens_and_distance(bend: float) -> None:
     """A surface that rises or falls by 4 mm over 0.1 m: taken for flat it is found as focal length."""
     rng, believed, true = wrong(9)
-    told = observations(true, rng, surface=(0.0, bend))
-    result = calibrate(believed, told, REFERENCE, UP, BENT)
+    views = observations(true, rng, surface=(0.0, bend))
+    result = calibrate(believed, views, REFERENCE, UP, BENT)
     assert result.parameters[BEND] == pytest.approx(bend, abs=4 * result.sigma[BEND])
     assert np.abs(measuring_error(true, result)).mean() < 2e-5
-    flat = calibrate(believed, told, REFERENCE, UP)
+    flat = calibrate(believed, views, REFERENCE, UP)
     assert abs(result.camera.K[0, 0] - true.K[0, 0]) < 1.0 < 3.0 < abs(flat.camera.K[0, 0] - true.K[0, 0])

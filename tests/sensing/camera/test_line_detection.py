@@ -55,21 +55,21 @@ def with_stroke(second: GrayAt, where: Array | None = None) -> GrayAt:
 def test_clean_line_to_ten_micrometres() -> None:
     errors = []
     for i in range(20):
-        found = look(CLEAN, predicted(0.0003 * (i % 7 - 3), 0.003 * (i % 5 - 2)))
-        assert found.seen
-        assert found.used.all()
-        assert found.reason == ""
-        assert found.quality.min() > 0.9
-        errors.append(error(found))
+        detection = look(CLEAN, predicted(0.0003 * (i % 7 - 3), 0.003 * (i % 5 - 2)))
+        assert detection.seen
+        assert detection.used.all()
+        assert detection.reason == ""
+        assert detection.quality.min() > 0.9
+        errors.append(error(detection))
     assert np.mean(errors) < 10e-6
     assert np.max(errors) < 40e-6
 
 
 def test_lateral_is_the_distance_from_the_prediction() -> None:
-    found = look(CLEAN, predicted(0.0007))
+    detection = look(CLEAN, predicted(0.0007))
     # normal × tangent points to the tool's -y here; the line lies 0.7 mm beside its prediction.
     expected = 0.0007 / np.hypot(1.0, slope(X))
-    np.testing.assert_allclose(found.lateral, expected, atol=3e-5)
+    np.testing.assert_allclose(detection.lateral, expected, atol=3e-5)
 
 
 def test_line_across_the_image_is_scanned_along_columns() -> None:
@@ -79,9 +79,9 @@ def test_line_across_the_image_is_scanned_along_columns() -> None:
     prediction = predicted(0.0005)
     windows = search_windows(camera, prediction)
     assert all(w.height > w.width for w in windows)
-    found = detect_line(make_field(camera, windows, CLEAN), camera, prediction)
-    assert found.used.all()
-    assert error(found).max() < 30e-6
+    detection = detect_line(make_field(camera, windows, CLEAN), camera, prediction)
+    assert detection.used.all()
+    assert error(detection).max() < 30e-6
 
 
 @pytest.mark.parametrize("noise", [3.0, 5.0, 10.0])
@@ -89,9 +89,9 @@ def test_gray_noise_and_stated_sigma(noise: float) -> None:
     settings = DetectionSettings(noise=noise)
     lateral, sigma = [], []
     for seed in range(60):
-        found = look(CLEAN, predicted(0.0004), noise, seed, settings)
-        lateral.append(error(found)[found.used])
-        sigma.append(found.sigma[found.used])
+        detection = look(CLEAN, predicted(0.0004), noise, seed, settings)
+        lateral.append(error(detection)[detection.used])
+        sigma.append(detection.sigma[detection.used])
     scaled = np.concatenate(lateral) / np.concatenate(sigma)
     # Sigma holds a hundredth of a pixel for sampling, which this renderer does not have: it may be too large, by less
     # than a factor of two.
@@ -100,11 +100,11 @@ def test_gray_noise_and_stated_sigma(noise: float) -> None:
 
 
 def test_gap_leaves_out_its_points() -> None:
-    found = look(lambda xy: np.where(np.abs(xy[:, 0] - X[2]) < 0.006, 200.0, CLEAN(xy)))
-    assert found.used.tolist() == [True, True, False, True, True]
-    assert np.isnan(found.points_tcp[2]).all()
-    assert found.quality[2] == 0.0
-    assert found.seen
+    detection = look(lambda xy: np.where(np.abs(xy[:, 0] - X[2]) < 0.006, 200.0, CLEAN(xy)))
+    assert detection.used.tolist() == [True, True, False, True, True]
+    assert np.isnan(detection.points_tcp[2]).all()
+    assert detection.quality[2] == 0.0
+    assert detection.seen
 
 
 @pytest.mark.parametrize("angle", [0.5, 0.9, 1.57, 2.2, 2.7])
@@ -115,27 +115,27 @@ def test_crossing_line_harms_no_point_that_is_used(angle: float) -> None:
             d = np.abs((xy[:, 0] - X[2] - shift) * np.sin(angle) - (xy[:, 1] - y(X[2:3])) * np.cos(angle))
             return np.asarray(200.0 - 160.0 * np.clip(0.5 + (0.0015 - d) / 0.001, 0.0, 1.0))
 
-        found = look(with_stroke(crossing))
-        assert found.seen
-        assert found.used.sum() >= 4 or angle in (0.5, 2.7)
-        worst = max(worst, float(error(found)[found.used].max()))
+        detection = look(with_stroke(crossing))
+        assert detection.seen
+        assert detection.used.sum() >= 4 or angle in (0.5, 2.7)
+        worst = max(worst, float(error(detection)[detection.used].max()))
     assert worst < 0.25e-3
 
 
 @pytest.mark.parametrize("offset", [-0.012, -0.009, 0.009, 0.012])
 def test_parallel_line_is_not_taken_for_the_line(offset: float) -> None:
-    found = look(with_stroke(stroke(lambda x: y(x) + offset, slope)), predicted(0.0008, 0.01, sigma=0.003))
-    assert found.used.all()
-    assert error(found).max() < 50e-6
+    detection = look(with_stroke(stroke(lambda x: y(x) + offset, slope)), predicted(0.0008, 0.01, sigma=0.003))
+    assert detection.used.all()
+    assert error(detection).max() < 50e-6
 
 
 def test_a_wrong_line_in_one_window_is_outvoted() -> None:
     """Window 1 shows only a decoy, a short parallel piece 2.5 mm beside the line."""
     decoy = stroke(lambda x: y(x) + 0.0025, slope)
-    found = look(lambda xy: np.where(np.abs(xy[:, 0] - X[1]) < 0.006, decoy(xy), CLEAN(xy)), predicted(sigma=0.002))
-    assert found.used.tolist() == [True, False, True, True, True]
-    assert error(found)[1] == pytest.approx(0.0025 / np.hypot(1.0, slope(X[1])), rel=0.1)
-    assert found.quality[1] > 0.8
+    detection = look(lambda xy: np.where(np.abs(xy[:, 0] - X[1]) < 0.006, decoy(xy), CLEAN(xy)), predicted(sigma=0.002))
+    assert detection.used.tolist() == [True, False, True, True, True]
+    assert error(detection)[1] == pytest.approx(0.0025 / np.hypot(1.0, slope(X[1])), rel=0.1)
+    assert detection.quality[1] > 0.8
 
 
 def test_scratch_glare_and_shade() -> None:
@@ -145,10 +145,10 @@ def test_scratch_glare_and_shade() -> None:
         scratch = np.abs(xy[:, 1] - y(X[4:5]) - 0.5 * (xy[:, 0] - X[4] + 0.01)) < 0.0004
         return np.asarray(np.where(scratch, 240.0, CLEAN(xy) * (1.0 - 0.6 * shade)) + 120.0 * bump)
 
-    found = look(spoiled, noise=3.0)
-    assert found.seen
-    assert found.used.sum() >= 4
-    assert error(found)[found.used].max() < 0.2e-3
+    detection = look(spoiled, noise=3.0)
+    assert detection.seen
+    assert detection.used.sum() >= 4
+    assert error(detection)[detection.used].max() < 0.2e-3
 
 
 @pytest.mark.parametrize(("gray", "reason"), [
@@ -158,9 +158,9 @@ def test_scratch_glare_and_shade() -> None:
     (lambda xy: np.where(xy[:, 0] > 0.05, 200.0, CLEAN(xy)), "only 2 of 5 points agree, 3 are needed"),
 ])  # fmt: skip
 def test_too_little_is_no_measurement_and_says_why(gray: GrayAt, reason: str) -> None:
-    found = look(gray, noise=3.0)
-    assert not found.seen
-    assert reason in found.reason
+    detection = look(gray, noise=3.0)
+    assert not detection.seen
+    assert reason in detection.reason
 
 
 @pytest.mark.parametrize("prediction", [predicted(0.3), replace(predicted(), points=np.column_stack(
@@ -168,15 +168,15 @@ def test_too_little_is_no_measurement_and_says_why(gray: GrayAt, reason: str) ->
 def test_line_outside_the_image(prediction: PredictedLine) -> None:
     windows = search_windows(CAMERA, prediction)
     assert all(w.width == 0 and w.height == 0 for w in windows)
-    found = detect_line(make_field(CAMERA, windows, CLEAN), CAMERA, prediction)
-    assert not found.seen
-    assert "outside the image" in found.reason
+    detection = detect_line(make_field(CAMERA, windows, CLEAN), CAMERA, prediction)
+    assert not detection.seen
+    assert "outside the image" in detection.reason
 
 
 def test_partly_outside_the_image() -> None:
     x = np.array([0.03, 0.09, 0.15, 0.2, 0.3])
-    found = look(CLEAN, predicted(x=x))
-    assert found.used.tolist() == [True, True, True, False, False]
+    detection = look(CLEAN, predicted(x=x))
+    assert detection.used.tolist() == [True, True, True, False, False]
 
 
 def test_windows_grow_with_the_uncertainty() -> None:
@@ -188,15 +188,15 @@ def test_windows_grow_with_the_uncertainty() -> None:
 
 def test_a_better_prediction_than_the_windows_is_allowed() -> None:
     windows = search_windows(CAMERA, predicted(0.003, sigma=0.002))
-    found = detect_line(make_field(CAMERA, windows, CLEAN), CAMERA, predicted(0.0, sigma=0.0005))
-    assert found.used.all()
-    assert error(found).max() < 40e-6
+    detection = detect_line(make_field(CAMERA, windows, CLEAN), CAMERA, predicted(0.0, sigma=0.0005))
+    assert detection.used.all()
+    assert error(detection).max() < 40e-6
 
 
 def test_bright_line() -> None:
-    found = look(lambda xy: 240.0 - CLEAN(xy), settings=DetectionSettings(dark=False))
-    assert found.used.all()
-    assert error(found).max() < 40e-6
+    detection = look(lambda xy: 240.0 - CLEAN(xy), settings=DetectionSettings(dark=False))
+    assert detection.used.all()
+    assert error(detection).max() < 40e-6
 
 
 def test_field_and_prediction_must_match() -> None:
@@ -219,11 +219,11 @@ def test_whatever_the_picture_shows_the_answer_is_sound(seed: int) -> None:
              lambda shape: 255 * (rng.random(shape) < 0.5),
              lambda shape: 255 * (np.arange(shape[1]) % 5 < 2) + np.zeros(shape))
     patches = tuple(np.asarray(kinds[rng.integers(4)]((w.height, w.width))).astype(np.uint8) for w in windows)
-    found = detect_line(Field(0.0, 0.04, windows, patches), CAMERA, prediction)
-    assert found.seen == (found.used.sum() >= 3) == (found.reason == "")
-    assert np.isfinite(found.points_tcp[found.used]).all()
-    assert (found.sigma[found.used] > 0).all()
-    assert ((found.quality >= 0) & (found.quality <= 1)).all()
+    detection = detect_line(Field(0.0, 0.04, windows, patches), CAMERA, prediction)
+    assert detection.seen == (detection.used.sum() >= 3) == (detection.reason == "")
+    assert np.isfinite(detection.points_tcp[detection.used]).all()
+    assert (detection.sigma[detection.used] > 0).all()
+    assert ((detection.quality >= 0) & (detection.quality <= 1)).all()
 
 
 # A point is held against the line of the other points, not against one that it has drawn itself.
@@ -237,8 +237,8 @@ RIGID = np.zeros((5, 5))
 
 def test_points_on_a_line_confirm_each_other_whichever_are_there() -> None:
     noise = 1e-4 * np.array([1.0, -1.0, 0.5, -0.5, 1.0])
-    for there in ([0, 1, 2, 3, 4], [0, 3, 4], [0, 2, 4], [1, 2, 3]):
-        used = np.isin(np.arange(5), there)
+    for indices in ([0, 1, 2, 3, 4], [0, 3, 4], [0, 2, 4], [1, 2, 3]):
+        used = np.isin(np.arange(5), indices)
         assert np.array_equal(confirmed_points(ALONG, LINE + 0.2 * noise, used, TOLERANCE, RIGID), used)
 
 
@@ -257,8 +257,8 @@ def test_the_wrong_one_of_five_is_found_wherever_it_is() -> None:
     for i in range(5):
         deviation = LINE.copy()
         deviation[i] += 1.2e-3
-        kept = confirmed_points(ALONG, deviation, np.ones(5, dtype=bool), TOLERANCE, RIGID)
-        assert np.array_equal(np.flatnonzero(~kept), [i])
+        confirmed = confirmed_points(ALONG, deviation, np.ones(5, dtype=bool), TOLERANCE, RIGID)
+        assert np.array_equal(np.flatnonzero(~confirmed), [i])
 
 
 def test_a_line_may_bend_by_what_its_prediction_leaves_open_and_no_more() -> None:
@@ -290,17 +290,17 @@ def gray(image: Array) -> NDArray[np.uint8]:
 
 @given(u0=st.floats(12.0, 18.0), width=st.floats(2.5, 7.0), slant=st.floats(-1.0, 1.0), tilt=st.floats(-1.0, 1.0))
 def test_a_clean_section_is_found_to_a_hundredth_of_a_pixel(u0: float, width: float, slant: float, tilt: float) -> None:
-    found = find_sections(gray(section(u0, width, slant, tilt=tilt)), 15.0, slant, width, LOOK)
-    assert len(found) == 1
-    assert found[0, 0] == pytest.approx(u0, abs=0.01)
-    assert found[0, 1] == pytest.approx(width, abs=0.03)
-    assert found[0, 2] == pytest.approx(160.0, rel=0.02)
+    sections = find_sections(gray(section(u0, width, slant, tilt=tilt)), 15.0, slant, width, LOOK)
+    assert len(sections) == 1
+    assert sections[0, 0] == pytest.approx(u0, abs=0.01)
+    assert sections[0, 1] == pytest.approx(width, abs=0.03)
+    assert sections[0, 2] == pytest.approx(160.0, rel=0.02)
 
 
 @given(u0=st.floats(12.0, 18.0))
 def test_bright_line_on_dark_ground(u0: float) -> None:
-    found = find_sections(gray(255.0 - section(u0, 4.0)), 15.0, 0.0, 4.0, DetectionSettings(dark=False).look)
-    assert found[0, 0] == pytest.approx(u0, abs=0.01)
+    sections = find_sections(gray(255.0 - section(u0, 4.0)), 15.0, 0.0, 4.0, DetectionSettings(dark=False).look)
+    assert sections[0, 0] == pytest.approx(u0, abs=0.01)
     assert len(find_sections(gray(255.0 - section(u0, 4.0)), 15.0, 0.0, 4.0, LOOK)) == 0
 
 
@@ -315,8 +315,8 @@ def test_width_and_contrast_gates() -> None:
 def test_two_lines_give_two_candidates_nearest_to_the_prediction_first() -> None:
     image = section(9.3, 4.0) + section(21.6, 4.0) - 200.0
     for near, order in ((11.0, [9.3, 21.6]), (20.0, [21.6, 9.3])):
-        found = find_sections(gray(image), near, 0.0, 4.0, LOOK)
-        np.testing.assert_allclose(found[:, 0], order, atol=0.02)
+        sections = find_sections(gray(image), near, 0.0, 4.0, LOOK)
+        np.testing.assert_allclose(sections[:, 0], order, atol=0.02)
 
 
 @pytest.mark.parametrize("image", [np.full((3, 31), 90), np.zeros((3, 31)), np.full((3, 4), 7), np.zeros((1, 1))])
@@ -341,8 +341,8 @@ def test_stated_standard_deviation_is_the_true_one(noise: float) -> None:
     for _ in range(400):
         u0 = rng.uniform(14.0, 16.0)
         image = section(u0, 4.0, 0.2) + noise * rng.standard_normal((3, 31))
-        found, _, _, residual, spread = _fit_section(gray(image), u0 + rng.uniform(-0.5, 0.5), 0.2, 4.0, 0.5, 1.0)
-        scaled.append((found - u0) / (spread * residual))
+        middle, _, _, residual, spread = _fit_section(gray(image), u0 + rng.uniform(-0.5, 0.5), 0.2, 4.0, 0.5, 1.0)
+        scaled.append((middle - u0) / (spread * residual))
     assert np.std(scaled) == pytest.approx(1.0, abs=0.12)
     assert abs(np.mean(scaled)) < 0.2
 

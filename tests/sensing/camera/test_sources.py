@@ -166,11 +166,11 @@ def test_a_stream_of_another_clock_is_translated_without_any_delay_given() -> No
 
 
 def test_questions_that_wait_at_the_device_do_not_shift_its_clock() -> None:
-    asked = []
+    questions = []
 
     def clock() -> float:
-        asked.append(1)
-        if len(asked) < 6:
+        questions.append(1)
+        if len(questions) < 6:
             time.sleep(0.02)
         return time.perf_counter() - 5000.0
 
@@ -179,10 +179,10 @@ def test_questions_that_wait_at_the_device_do_not_shift_its_clock() -> None:
         end = time.perf_counter() + 1.2
         while time.perf_counter() < end:
             camera.read(0.1)
-        at = time.perf_counter()
-        error = camera.clock.host(at - 5000.0) - at
+        now = time.perf_counter()
+        error = camera.clock.host(now - 5000.0) - now
         camera.close()
-    assert len(asked) > 8
+    assert len(questions) > 8
     assert abs(error) < 0.003
 
 
@@ -215,8 +215,8 @@ def test_what_opencv_says_of_a_broken_film_does_not_stand_beside_our_one_line(
     """FFmpeg's complaint about the header, and that of OpenCV's own reader about a film of nothing."""
     film = synthetic.film(tmp_path / "film.avi", [np.zeros((120, 160), np.uint8)])
     raw = film.read_bytes()
-    at = raw.find(b"JUNK")
-    film.write_bytes(raw[:at] + b"\0\0\0L\xff\xff\xff\xf0" + raw[at + 8 :])
+    start = raw.find(b"JUNK")
+    film.write_bytes(raw[:start] + b"\0\0\0L\xff\xff\xff\xf0" + raw[start + 8 :])
     VideoCapture(str(film)).close()
     film.write_bytes(raw[:12] + bytes(200))
     with pytest.raises(InputError):

@@ -63,9 +63,9 @@ def test_elasticity_by_moving() -> None:
     rng = np.random.default_rng(1)
     position = np.linspace(0.004, -0.008, 200)
     force = np.maximum(0.0, 4000 * (0.001 - position)) + 0.3 * rng.standard_normal(200)
-    found = identify_elasticity(position, force)
-    assert abs(found.stiffness - 4000) < 3 * found.std
-    assert found.touch == pytest.approx(0.001, abs=5e-5)
+    fit = identify_elasticity(position, force)
+    assert abs(fit.stiffness - 4000) < 3 * fit.std
+    assert fit.touch == pytest.approx(0.001, abs=5e-5)
     with pytest.raises(SensingError, match="press harder"):
         identify_elasticity(position, 0.1 * np.abs(force) / 4)
     with pytest.raises(SensingError, match="does not rise"):
@@ -90,13 +90,13 @@ def test_the_deviation_is_as_sure_as_its_noise_and_the_stiffness_let_it_be(force
     """Over contacts whose true stiffness is about the assumed one: what is left scatters as the deviation says."""
     rng, up, wanted, assumed, sigma, error = np.random.default_rng(6), np.array([0.0, 0.0, 1.0]), 20.0, 5e3, 0.3, 0.1
     true = (force - wanted) / assumed
-    left, said = [], []
+    errors, sigmas = [], []
     for _ in range(4000):
         felt = wanted + true * assumed / (1.0 + error * rng.standard_normal()) + sigma * rng.standard_normal()
-        seen = force_deviation(felt * up, up, wanted, assumed, sigma=sigma, elasticity_error=error)
-        left.append(seen.value - true)
-        said.append(seen.sigma)
-    assert np.median(said) == pytest.approx(np.std(left), rel=0.06)
+        deviation = force_deviation(felt * up, up, wanted, assumed, sigma=sigma, elasticity_error=error)
+        errors.append(deviation.value - true)
+        sigmas.append(deviation.sigma)
+    assert np.median(sigmas) == pytest.approx(np.std(errors), rel=0.06)
 
 
 # Force sensors as devices: NetFT's records over UDP, and our own stream.
@@ -109,46 +109,46 @@ def record(rdt: int, ft: int, status: int = 0, counts: tuple[int, ...] = (1_000_
 @contextmanager
 def sensor(packets: list[bytes]) -> Iterator[tuple[tuple[str, int], list[bytes]]]:
     """Waits for a request, answers with the packets one every 4 ms; yields its address and the requests."""
-    asked: list[bytes] = []
+    requests: list[bytes] = []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.bind(("127.0.0.1", 0))
         link.settimeout(2.0)
 
         def serve() -> None:
             request, client = link.recvfrom(64)
-            asked.append(request)
+            requests.append(request)
             for packet in packets:
                 link.sendto(packet, client)
                 time.sleep(0.004)
             link.settimeout(1.0)
             try:
-                asked.append(link.recv(64))
+                requests.append(link.recv(64))
             except OSError:
                 return
 
         thread = threading.Thread(target=serve, daemon=True)
         thread.start()
-        yield link.getsockname(), asked
+        yield link.getsockname(), requests
         thread.join(5.0)
 
 
 def readings(source: WrenchSource, wanted: int, seconds: float = 2.0) -> list[Reading]:
-    end, found = time.perf_counter() + seconds, []
-    while len(found) < wanted and time.perf_counter() < end:
-        found += source.read(0.02)
-    return found
+    end, received = time.perf_counter() + seconds, []
+    while len(received) < wanted and time.perf_counter() < end:
+        received += source.read(0.02)
+    return received
 
 
 def test_records_become_newtons_with_the_sensors_own_clock() -> None:
     packets = [record(2**32 - 3 + k, 2**32 - 100 + 28 * k) for k in range(10)]
-    with sensor(packets) as ((host, port), asked):
+    with sensor(packets) as ((host, port), requests):
         netft = open_force(f"netft://{host}:{port}?rate=7000&counts_torque=5e5")
-        found = readings(netft, 10)
+        received = readings(netft, 10)
         netft.close()
-    assert asked == [bytes.fromhex("1234000200000000"), bytes.fromhex("1234000000000000")]
-    assert len(found) == 10
-    np.testing.assert_allclose(found[0].wrench, [1.0, -2.0, 0.0, 0.0, 0.0, 1.0])
-    np.testing.assert_allclose(np.diff([one.stamp for one in found]), 28 / 7000)
+    assert requests == [bytes.fromhex("1234000200000000"), bytes.fromhex("1234000000000000")]
+    assert len(received) == 10
+    np.testing.assert_allclose(received[0].wrench, [1.0, -2.0, 0.0, 0.0, 0.0, 1.0])
+    np.testing.assert_allclose(np.diff([reading.stamp for reading in received]), 28 / 7000)
 
 
 def test_lost_doubled_wrong_and_cut_records_are_counted_and_not_handed_on() -> None:
@@ -156,10 +156,10 @@ def test_lost_doubled_wrong_and_cut_records_are_counted_and_not_handed_on() -> N
                record(7, 168)[:-1], b"", b"x" * 3000, record(7, 168) + record(8, 196)]
     with sensor(packets) as ((host, port), _):
         netft = NetFT(host, port)
-        found = readings(netft, 5)
+        received = readings(netft, 5)
         netft.close()
     counts = netft.counts
-    assert len(found) == 5
+    assert len(received) == 5
     assert (counts.lost, counts.outdated, counts.invalid, counts.refused) == (2, 2, 1, 3)
     assert "0x80000000" in counts.last_invalid
 
@@ -168,10 +168,10 @@ def test_packets_of_another_sender_do_not_count() -> None:
     with sensor([record(1, 0)]) as ((host, port), _), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as foreign:
         netft = NetFT(host, port)
         foreign.sendto(record(9, 9, 0, (9, 9, 9, 9, 9, 9)), netft._socket.getsockname())
-        found = readings(netft, 2, seconds=0.3)
+        received = readings(netft, 2, seconds=0.3)
         netft.close()
-    assert len(found) == 1
-    assert found[0].wrench[0] == 1.0
+    assert len(received) == 1
+    assert received[0].wrench[0] == 1.0
 
 
 def test_ten_thousand_mutated_packets_raise_nothing() -> None:
@@ -199,12 +199,12 @@ def test_a_stream_of_wrenches(values: tuple[float, ...], sound: bool) -> None:
 
     with device(package(3, 0.0, struct.pack(">d", 250.0)), message) as (host, port):
         source: WrenchSource = StreamForce(host, port)
-        found = readings(source, 10, seconds=0.4)
+        received = readings(source, 10, seconds=0.4)
         source.close()
-    assert bool(found) == sound
+    assert bool(received) == sound
     assert sound or source.counts.refused > 3
     if sound:
-        np.testing.assert_allclose(found[0].wrench, values)
+        np.testing.assert_allclose(received[0].wrench, values)
 
 
 @pytest.mark.parametrize("address", ["netft://", "netft://h:1?rate=0", "netft://h:1?speed=3", "serial:/dev/tty",

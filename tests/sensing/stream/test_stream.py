@@ -26,10 +26,10 @@ from sensing.stream import HEADER, LARGEST, Kind, Reader, StreamConnection, Stre
 @given(st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=60)), max_size=8), st.integers(1, 50))
 def test_any_cut_gives_the_same_packages(sent: list[tuple[int, bytes]], size: int) -> None:
     wire = b"".join(HEADER.pack(b"IR", 1, kind, len(load), 0.5) + load for kind, load in sent)
-    reader, found = Reader(), []
+    reader, messages = Reader(), []
     for i in range(0, len(wire), size):
-        found += reader.feed(wire[i : i + size])
-    assert [(one.kind, one.payload) for one in found] == sent
+        messages += reader.feed(wire[i : i + size])
+    assert [(message.kind, message.payload) for message in messages] == sent
 
 
 @pytest.mark.parametrize("wire", [b"GET / HTTP/1.1\r\n\r\n", HEADER.pack(b"IR", 2, 1, 0, 0.0),
@@ -153,14 +153,14 @@ def device(hello: bytes, messages: Callable[[int], bytes | None], *, clock: Call
         with client:
             while not stopped.is_set():
                 try:
-                    asked = client.recv(4096)
+                    questions = client.recv(4096)
                 except OSError:
                     return
-                if not asked:
+                if not questions:
                     return
-                for i in range(0, len(asked) - 23, 24):
+                for i in range(0, len(questions) - 23, 24):
                     try:
-                        client.sendall(package(6, clock(), asked[i + 16 : i + 24]))
+                        client.sendall(package(6, clock(), questions[i + 16 : i + 24]))
                     except OSError:
                         return
 

@@ -301,12 +301,12 @@ def test_rows_in_memory_are_bounded_and_all_rows_are_there() -> None:
     early = history.columns()
     fill(history, KEPT)
     assert history.kept <= KEPT
-    found = history.columns()
+    late = history.columns()
     assert len(early["t"]) == rows
-    assert len(found["t"]) == rows + KEPT
-    np.testing.assert_allclose(found["t"], 0.002 * np.arange(rows + KEPT))
+    assert len(late["t"]) == rows + KEPT
+    np.testing.assert_allclose(late["t"], 0.002 * np.arange(rows + KEPT))
     for i, name in enumerate(LOGGED):
-        np.testing.assert_array_equal(found[name][:, 0], np.arange(rows + KEPT) + (1 + i) / 100.0)
+        np.testing.assert_array_equal(late[name][:, 0], np.arange(rows + KEPT) + (1 + i) / 100.0)
 
 
 def test_a_pose_of_long_ago_is_known() -> None:
@@ -314,8 +314,8 @@ def test_a_pose_of_long_ago_is_known() -> None:
     fill(history, KEPT + 100)
     now = np.zeros(1)
     for row in (3, KEPT - 1, KEPT, KEPT + 50):
-        at = history.pose(row * 0.002, 1e9, now, now)
-        np.testing.assert_allclose(at, row + (1 + LOGGED.index("q_a")) / 100.0, atol=1e-9)
+        angles = history.pose(row * 0.002, 1e9, now, now)
+        np.testing.assert_allclose(angles, row + (1 + LOGGED.index("q_a")) / 100.0, atol=1e-9)
 
 
 def test_a_recording_of_many_pieces_is_that_of_one(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -367,9 +367,9 @@ def test_posture_must_fit() -> None:
 def test_an_arm_without_shapes_is_drawn_as_rods(tmp_path: Path) -> None:
     robot = Robot.load(written(tmp_path, urdf(6)))
     view = View(240, 180, distance=2.0, target=[0.3, 0.0, 0.5])
-    one = picture(robot, robot.home, view)
-    other = picture(robot, robot.home + np.array([1.0, 0, 0, 0, 0, 0]), view)
-    assert (np.abs(one.astype(int) - other).max(axis=2) > 40).sum() > 200
+    at_home = picture(robot, robot.home, view)
+    turned = picture(robot, robot.home + np.array([1.0, 0, 0, 0, 0, 0]), view)
+    assert (np.abs(at_home.astype(int) - turned).max(axis=2) > 40).sum() > 200
 
 
 @pytest.mark.parametrize(("key", "value"), [("body", -1), ("body", [1.0, 2.0]), ("residual", [[1.0, 2.0]]),

@@ -136,7 +136,7 @@ def test_a_lag_of_the_controller_shows_and_none_is_none(constant: str) -> None:
     """Each of the three low-passes delays what goes through it; at zero it is not there."""
     path = smooth(60)
     without, short, long = (play(World.ideal("kr6").replace(**{constant: value}), path) for value in (0.0, 1e-3, 4e-3))
-    near, far = (float(np.abs(one["q"] - without["q"]).max()) for one in (short, long))
+    near, far = (float(np.abs(run["q"] - without["q"]).max()) for run in (short, long))
     assert 1e-6 < near < 0.6 * far
 
 
@@ -285,10 +285,10 @@ def test_masses_and_rotors_use_the_whole_of_their_tolerance_and_no_more() -> Non
     tolerance, nominal = 0.15, ROBOT.pinocchio.inertias
     world = IDEAL.replace(inertia_tolerance=tolerance)
     arms = [draw_specimen(ROBOT, world.replace(individual=seed)) for seed in range(1, 61)]
-    mass = np.array([[one.model.inertias[j].mass / nominal[j].mass - 1.0 for j in range(1, 7)] for one in arms])
-    rotor = np.array([one.rotor_inertia / ROBOT.rotor_inertia - 1.0 for one in arms])
-    lever = np.array([[one.model.inertias[j].lever / np.where(nominal[j].lever == 0.0, np.nan, nominal[j].lever) - 1.0
-                       for j in range(1, 7)] for one in arms])
+    mass = np.array([[arm.model.inertias[j].mass / nominal[j].mass - 1.0 for j in range(1, 7)] for arm in arms])
+    rotor = np.array([arm.rotor_inertia / ROBOT.rotor_inertia - 1.0 for arm in arms])
+    lever = np.array([[arm.model.inertias[j].lever / np.where(nominal[j].lever == 0.0, np.nan, nominal[j].lever) - 1.0
+                       for j in range(1, 7)] for arm in arms])
     for off, most in ((mass, tolerance), (rotor, tolerance / 3.0), (lever, tolerance / 3.0)):
         assert 0.93 * most < np.nanmax(np.abs(off)) <= most
         assert 0.85 * most < np.nanmax(off)
@@ -300,29 +300,29 @@ def test_more_mass_of_the_same_shape_has_as_much_more_inertia() -> None:
     for seed in range(1, 6):
         arm = draw_specimen(ROBOT, IDEAL.replace(inertia_tolerance=0.2, individual=seed))
         for j in range(1, 7):
-            here, there = ROBOT.pinocchio.inertias[j], arm.model.inertias[j]
-            factor = there.mass / here.mass
-            second, after = (0.5 * np.trace(one.inertia) * np.eye(3) - one.inertia for one in (here, there))
+            nominal, drawn = ROBOT.pinocchio.inertias[j], arm.model.inertias[j]
+            factor = drawn.mass / nominal.mass
+            second, after = (0.5 * np.trace(body.inertia) * np.eye(3) - body.inertia for body in (nominal, drawn))
             stretch = np.diag(after) / (factor * np.diag(second))
             assert np.all(np.abs(np.sqrt(stretch) - 1.0) <= 0.2 / 3.0 + 1e-9)
-            moved = here.lever != 0.0
-            np.testing.assert_allclose(there.lever[moved] / here.lever[moved], np.sqrt(stretch)[moved], rtol=1e-6)
+            moved = nominal.lever != 0.0
+            np.testing.assert_allclose(drawn.lever[moved] / nominal.lever[moved], np.sqrt(stretch)[moved], rtol=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["kinematic_error", "zero_error", "twist_error"])
 def test_every_joint_is_displaced_within_its_error_and_in_its_own_way(kind: str) -> None:
     error = 1e-3
     nominal = ROBOT.pinocchio.jointPlacements
-    found = []
+    sizes = []
     for seed in range(1, 21):
         model = draw_specimen(ROBOT, IDEAL.replace(individual=seed, **{kind: error})).model
         moved = [(nominal[j].rotation.T @ (model.jointPlacements[j].translation - nominal[j].translation),
                   pin.log3(model.jointPlacements[j].rotation @ nominal[j].rotation.T),
                   pin.log3(nominal[j].rotation.T @ model.jointPlacements[j].rotation)) for j in range(1, 7)]
-        offset, in_parent, own = (np.array(one) for one in zip(*moved, strict=True))
+        offset, in_parent, own = (np.array(column) for column in zip(*moved, strict=True))
         size = {"kinematic_error": np.linalg.norm(offset, axis=1), "zero_error": np.linalg.norm(own, axis=1),
                 "twist_error": np.linalg.norm(in_parent, axis=1)}[kind]
-        found.append(size)
+        sizes.append(size)
         if kind == "zero_error":
             # About the joint's own axis.
             axes = [ROBOT.pinocchio.joints[j].shortname() for j in range(1, 7)]
@@ -332,12 +332,12 @@ def test_every_joint_is_displaced_within_its_error_and_in_its_own_way(kind: str)
             np.testing.assert_allclose(offset, 0.0, atol=1e-12)
         else:
             np.testing.assert_allclose(own, 0.0, atol=1e-12)
-    most = np.max(found, axis=0)
+    most = np.max(sizes, axis=0)
     bound = error * (1.0 if kind == "zero_error" else np.sqrt(3.0))
     assert np.all(most <= bound + 1e-12)
     assert np.all(most > 0.6 * error)
     # No two joints share their draw.
-    assert len(np.unique(np.round(found[0], 9))) == 6
+    assert len(np.unique(np.round(sizes[0], 9))) == 6
 
 
 def test_a_plate_lies_under_the_corners_of_the_paper() -> None:

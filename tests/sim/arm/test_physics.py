@@ -323,14 +323,14 @@ def test_what_cannot_be_commanded_is_refused_and_nothing_moves(interface: RobotI
 def test_behind_a_controller_the_same_arm_moves_the_same(kind: str) -> None:
     """Same world, same seed: only the six decimals of a degree in the messages differ, and they must not add up."""
     world = World.default("kr6").replace(quantisation=False)
-    seen = []
+    runs = []
     for which in ("simulated", kind):
         with ExitStack() as stack:
             arm = opened(which, world, stack)
             if (which, kind) == ("simulated", "rtde"):
                 # Until the registers are written, a cycle has passed behind RTDE.
                 arm.cycle(ROBOT.home)
-            seen.append([arm.cycle(q_c) for q_c in ramp(60)])
-    direct, behind = seen
+            runs.append([arm.cycle(q_c) for q_c in ramp(60)])
+    direct, behind = runs
     np.testing.assert_allclose([s.q for s in behind], [s.q for s in direct], atol=1e-7)
     np.testing.assert_allclose([s.tau for s in behind], [s.tau for s in direct], atol=0.05)

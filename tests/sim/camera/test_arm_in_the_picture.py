@@ -49,11 +49,11 @@ def test_a_link_in_view_covers_what_its_corners_enclose() -> None:
     robot = Robot.load("kr6").with_tool(0.2)
     q, pose, line = over_the_line(robot)
     with BulletCamera(PLAIN, line, QUIET, np.random.default_rng(0), arm=robot) as camera:
-        share, seen = covered_by_arm(camera, q, pose), picture(camera, pose, q)
+        share, shown = covered_by_arm(camera, q, pose), picture(camera, pose, q)
     with BulletCamera(PLAIN, line, QUIET, np.random.default_rng(0)) as camera:
         bare = picture(camera, pose, q)
     beside = cv2.dilate((share > 0.0).astype(np.uint8), np.ones((5, 5))) == 0
-    np.testing.assert_array_equal(seen[beside], bare[beside])
+    np.testing.assert_array_equal(shown[beside], bare[beside])
     data = robot.pinocchio.createData()
     pin.forwardKinematics(robot.pinocchio, data, q)
     middle, half = BRACKET
@@ -82,11 +82,11 @@ def test_no_shadow_and_no_mirror_image_fall_on_the_arm_in_the_picture() -> None:
 def along(cell: Cell) -> Sequence[tuple[Array, pin.SE3]]:
     """Angles and TCP every 50 mm of the reference."""
     kinematics, pose, q = InverseKinematics(cell.known.robot), cell.known.robot.fk(), cell.known.robot.home
-    found: list[tuple[Array, pin.SE3]] = []
+    postures: list[tuple[Array, pin.SE3]] = []
     for s in np.arange(0.0, cell.known.reference.length, 0.05):
         q = kinematics.search(cell.known.reference.pose(s), q)
-        found.append((q, pose(q)))
-    return found
+        postures.append((q, pose(q)))
+    return postures
 
 
 @pytest.mark.parametrize("name", LINES)
@@ -121,8 +121,8 @@ def test_what_a_window_cannot_show_is_left_out_without_a_trace(monkeypatch: pyte
                 monkeypatch.setattr(camera, "_tool_in", lambda *_: True)
             camera._stand(q, pose)
             gray, bare = camera._sampled(windows, poses, 2)
-            seen = camera.arm.shown(windows) if camera.arm is not None else []
-            return [bool(bodies) for bodies in seen], gray, np.asarray(bare)
+            by_window = camera.arm.shown(windows) if camera.arm is not None else []
+            return [bool(bodies) for bodies in by_window], gray, np.asarray(bare)
 
     shown, gray, bare = drawn(False)
     _, gray_all, bare_all = drawn(True)
@@ -140,9 +140,9 @@ def test_a_tool_behind_the_camera_is_in_no_picture() -> None:
     _, pose, line = over_the_line(Robot.load("kr6"))
     higher = pin.SE3(pose.rotation, pose.translation + np.array([0.0, 0.0, 0.2]))
     with BulletCamera(model, line, QUIET, np.random.default_rng(0), tool=True) as camera:
-        seen = camera.frame(higher)
+        frame = camera.frame(higher)
     with BulletCamera(model, line, QUIET, np.random.default_rng(0)) as camera:
-        np.testing.assert_array_equal(seen, camera.frame(higher))
+        np.testing.assert_array_equal(frame, camera.frame(higher))
 
 
 def covered_by_arm(camera: BulletCamera, q: Array, pose: pin.SE3) -> Array:
@@ -193,9 +193,9 @@ def test_the_lamp_is_mirrored_half_way_to_an_eye_of_the_same_height_and_moves_wi
     x = np.linspace(-1.0, 1.0, 401)
     points = np.column_stack([x, np.zeros_like(x), np.zeros_like(x)])
     for eye in (0.4, 0.8):
-        seen = mirrored(LAMP, points, UP, np.array([eye, 0.0, 2.0]), np.zeros(len(x)))
-        assert x[np.argmax(seen)] == pytest.approx(0.5 * eye, abs=0.006)
-        assert seen.max() == pytest.approx(LAMP.glare, rel=1e-3)
+        glare = mirrored(LAMP, points, UP, np.array([eye, 0.0, 2.0]), np.zeros(len(x)))
+        assert x[np.argmax(glare)] == pytest.approx(0.5 * eye, abs=0.006)
+        assert glare.max() == pytest.approx(LAMP.glare, rel=1e-3)
     assert not mirrored(LAMP, points, UP, np.array([0.4, 0.0, 2.0]), np.ones(len(x))).any()
 
 

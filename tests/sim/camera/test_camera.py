@@ -42,8 +42,8 @@ def camera(texture: Texture, settings: CameraSettings, seed: int = 0) -> Rendere
 
 def noted() -> tuple[list[float], Callable[[float], pin.SE3]]:
     """Times at which the pose of a tool at rest was asked for, and what tells it."""
-    asked: list[float] = []
-    return asked, lambda t: (asked.append(t), tool_over(0.0))[1]
+    instants: list[float] = []
+    return instants, lambda t: (instants.append(t), tool_over(0.0))[1]
 
 
 def test_fields_are_due_when_their_exposure_ends(texture: Texture) -> None:
@@ -135,13 +135,13 @@ def test_motion_blurs_along_the_motion_only(texture: Texture) -> None:
 
 
 def test_poses_are_asked_for_within_the_exposure_only(texture: Texture) -> None:
-    asked, pose_at = noted()
+    instants, pose_at = noted()
     with camera(texture, CameraSettings(exposure=0.006, sub_exposures=5)) as cam:
         cam.windows(0.105, pose_at, [Window(0, 0, 3, 3)])
-    assert len(asked) == 5
-    assert min(asked) >= 0.102
-    assert max(asked) <= 0.108
-    assert np.mean(asked) == pytest.approx(0.105)
+    assert len(instants) == 5
+    assert min(instants) >= 0.102
+    assert max(instants) <= 0.108
+    assert np.mean(instants) == pytest.approx(0.105)
 
 
 def test_empty_windows_give_empty_patches_and_wrong_ones_are_refused(texture: Texture) -> None:
@@ -181,9 +181,9 @@ def test_rendered_and_detected_line_points_lie_on_the_analytic_line(texture: Tex
             aside = points + np.array([0.0, 0.0005, 0.0])
             prediction = PredictedLine.from_base(aside, tangents, UP, tool, 0.001)
             field = cam.windows(0.005, lambda t, tool=tool: tool, search_windows(model, prediction))
-            found = detect_line(field, model, prediction)
-            assert found.used.all()
-            errors.append(LINE.distance(found.points_tcp @ tool.rotation.T + tool.translation))
+            detection = detect_line(field, model, prediction)
+            assert detection.used.all()
+            errors.append(LINE.distance(detection.points_tcp @ tool.rotation.T + tool.translation))
     assert np.mean(errors) < 15e-6
     assert np.max(errors) < 60e-6
 
@@ -212,9 +212,9 @@ def errors(settings: CameraSettings, told: float) -> Array:
     prediction = ahead.seen_by(model, T0, moving)
     with RenderedCamera(model, READ_LINE, settings, np.random.default_rng(0)) as camera:
         field = camera.windows(T0, moving, search_windows(model, prediction))
-    seen = at_middle_row(detect_line(field, model, prediction), model, moving)
+    detected = at_middle_row(detect_line(field, model, prediction), model, moving)
     pose = moving(field.t_stamp)
-    return np.where(seen.used, READ_LINE.distance(seen.points_tcp @ pose.rotation.T + pose.translation), np.nan)
+    return np.where(detected.used, READ_LINE.distance(detected.points_tcp @ pose.rotation.T + pose.translation), np.nan)
 
 
 def test_points_seen_on_the_way_are_as_exact_as_those_of_one_instant_where_the_readout_is_told() -> None:
@@ -234,8 +234,8 @@ def test_what_does_not_move_looks_the_same(kind: type[RenderedCamera]) -> None:
     for settings in (gray, replace(gray, rolling=READOUT)):
         with kind(CameraModel.default(), READ_LINE, settings, np.random.default_rng(0)) as camera:
             patches.append(camera.windows(0.025, lambda t: tool_over(0.05), windows + tall).patches)
-    for one, other in zip(*patches, strict=True):
-        np.testing.assert_array_equal(one, other)
+    for at_once, rolling in zip(*patches, strict=True):
+        np.testing.assert_array_equal(at_once, rolling)
 
 
 @pytest.mark.parametrize("kind", [RenderedCamera, BulletCamera])
@@ -252,21 +252,21 @@ def test_each_row_shows_the_arm_where_it_is_then(kind: type[RenderedCamera]) -> 
 
 
 def test_no_pose_is_asked_for_before_the_start_or_behind_the_end_of_the_readout() -> None:
-    asked, pose_at = noted()
+    instants, pose_at = noted()
     with RenderedCamera(CameraModel.default(), READ_LINE, ROLLING, np.random.default_rng(0)) as camera:
         for k in range(20):
             for t in camera.due(0.012 * k, 0.012 * (k + 1)):
                 field = camera.windows(t, pose_at, [Window(0, 0, 20, 3), Window(0, 237, 20, 3)])
-                assert max(asked) <= 0.012 * (k + 1)
-                assert field.t_arrival >= max(asked)
-    assert min(asked) >= 0.0
-    assert np.ptp(asked[-6:]) > 0.9 * READOUT
+                assert max(instants) <= 0.012 * (k + 1)
+                assert field.t_arrival >= max(instants)
+    assert min(instants) >= 0.0
+    assert np.ptp(instants[-6:]) > 0.9 * READOUT
 
 
 def test_calibration_by_moving_takes_each_point_at_its_own_time() -> None:
     rng = np.random.default_rng(5)
     true = replace(CameraModel.default(), readout=READOUT)
-    found = []
+    views = []
     for pose in calibration_poses(ORIGIN, np.array([1.0, 0.3, 0.0]) / np.hypot(1.0, 0.3), NORMAL, 0.065):
         velocity = 0.3 * pin.exp3(rng.uniform(0, 2 * np.pi) * NORMAL)[:, 0]
         middle = DRAWN.nearest(pose.act(np.array([0.065, 0.0, 0.0]))[None], NORMAL).s
@@ -276,8 +276,8 @@ def test_calibration_by_moving_takes_each_point_at_its_own_time() -> None:
             late = pose.translation + true.row_delay(pixels)[:, None] * velocity
             pixels = true.project_tool((points - late) @ pose.rotation)
         inside = np.all((pixels > 5) & (pixels < (true.width - 5, true.height - 5)), axis=1)
-        found.append(Observation(pose, pixels[inside], np.full(inside.sum(), 2e-5), velocity))
-    told, untold = (calibrate(replace(true, readout=one), found, REFERENCE, NORMAL) for one in (READOUT, 0.0))
+        views.append(Observation(pose, pixels[inside], np.full(inside.sum(), 2e-5), velocity))
+    told, untold = (calibrate(replace(true, readout=readout), views, REFERENCE, NORMAL) for readout in (READOUT, 0.0))
     assert told.residual_after < 5e-6
     assert untold.residual_after > 1e-4
 
@@ -312,10 +312,10 @@ def test_both_cameras_see_the_line_in_the_same_place(relief: bool) -> None:
     with rendered:
         for turn, x in ((0.0, -0.1), (0.05, 0.0), (-0.05, 0.1)):
             pose = rendered.surface.plane * pin.SE3(pin.rpy.rpyToMatrix(np.pi, 0.03, turn), np.array([x, 0.0, 0.003]))
-            one, other = rendered.frame(pose), live.picture([pose])
+            frame, picture = rendered.frame(pose), live.picture([pose])
             rows = slice(20, -20)
-            assert np.abs(middle(one)[rows] - middle(other)[rows]).max() < 0.15
-            assert np.abs(one.astype(float) - other.astype(float))[rows].mean() < 1.0
+            assert np.abs(middle(frame)[rows] - middle(picture)[rows]).max() < 0.15
+            assert np.abs(frame.astype(float) - picture.astype(float))[rows].mean() < 1.0
 
 
 def test_a_relief_looks_as_if_it_were_in_one_piece(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -330,9 +330,9 @@ def test_a_relief_looks_as_if_it_were_in_one_piece(monkeypatch: pytest.MonkeyPat
         assert (len(whole._pieces), len(pieces._pieces)) == (1, 20)
         for x, y, lean, turn in rng.uniform([-0.4, -0.1, -0.3, -3.0], [0.4, 0.1, 0.3, 3.0], (6, 4)):
             pose = whole.surface.plane * pin.SE3(pin.rpy.rpyToMatrix(np.pi + lean, 0.03, turn), np.array([x, y, 0.01]))
-            one, other = pieces.frame(pose).astype(int), whole.frame(pose).astype(int)
+            in_pieces, in_one = pieces.frame(pose).astype(int), whole.frame(pose).astype(int)
             # A texel's edge is rounded otherwise where the texture is cut.
-            assert (np.abs(one - other) > 1).mean() < 2e-3
+            assert (np.abs(in_pieces - in_one) > 1).mean() < 2e-3
         assert 0 < sum(piece._shown for piece in pieces._pieces) < 20
 
 

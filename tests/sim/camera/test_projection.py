@@ -32,9 +32,9 @@ def marks() -> Texture:
     """Dark round spots with the smooth profile (1 - r²/R²)², centres at ``MARKS``."""
     n = 1300
     image = np.full((n, n), 220.0)
-    at = (np.arange(n) + 0.5 - n / 2) * RESOLUTION
+    places = (np.arange(n) + 0.5 - n / 2) * RESOLUTION
     for x, y in MARKS:
-        r2 = (at[None, :] - x) ** 2 + (-at[:, None] - y) ** 2
+        r2 = (places[None, :] - x) ** 2 + (-places[:, None] - y) ** 2
         image -= 200.0 * np.clip(1.0 - r2 / RADIUS**2, 0.0, None) ** 2
     return Texture(np.rint(image).astype(np.uint8), -n / 2 * RESOLUTION, n / 2 * RESOLUTION, RESOLUTION)
 
@@ -82,17 +82,17 @@ def test_rendered_marks_lie_where_opencv_projects_them(
     half = int(1.35 * RADIUS / 0.24 * camera.K[0, 0]) + 2
     windows, expected = [], []
     for mark in MARKS:
-        at = expected_centroid(camera, T_camera_plane, mark)
-        u, v = (int(i) - half for i in np.rint(at))
+        centre = expected_centroid(camera, T_camera_plane, mark)
+        u, v = (int(i) - half for i in np.rint(centre))
         if u >= 0 and v >= 0 and u + 2 * half < size[0] and v + 2 * half < size[1]:
             windows.append(Window(u, v, 2 * half + 1, 2 * half + 1))
-            expected.append(at)
+            expected.append(centre)
     assert len(windows) >= 7
     with RenderedCamera(camera, surface, QUIET, np.random.default_rng(0), marks()) as rendered:
         field = rendered.windows(0.1, lambda t: tool, windows)
-        found = np.array([centroid(p.astype(float), w) for p, w in zip(field.patches, windows, strict=True)])
+        centroids = np.array([centroid(p.astype(float), w) for p, w in zip(field.patches, windows, strict=True)])
         frame = rendered.frame(tool)
-    off = np.linalg.norm(found - np.array(expected), axis=1)
+    off = np.linalg.norm(centroids - np.array(expected), axis=1)
     assert off.max() < 0.01
     # The whole image holds the same, to what two samples a pixel can do.
     for window, patch in zip(windows, field.patches, strict=True):
@@ -278,12 +278,12 @@ def test_a_mosaic_makes_noise_alike_in_neighbours_and_keeps_the_gray_value() -> 
 
 @pytest.mark.parametrize("radius", [0.5, 1.0, 3.0, 7.3])
 def test_a_point_out_of_focus_becomes_a_disc_of_that_radius(radius: float) -> None:
-    seen = disc(radius)
-    x = np.arange(len(seen)) - len(seen) // 2
-    assert seen.sum() == pytest.approx(1.0)
-    np.testing.assert_array_equal(seen, seen.T)
+    kernel = disc(radius)
+    x = np.arange(len(kernel)) - len(kernel) // 2
+    assert kernel.sum() == pytest.approx(1.0)
+    np.testing.assert_array_equal(kernel, kernel.T)
     # An even disc's mean square distance along one direction is a quarter of its radius squared; pixels add a twelfth.
-    assert seen.sum(axis=0) @ x**2 == pytest.approx(radius**2 / 4 + 1 / 12, abs=0.15)
+    assert kernel.sum(axis=0) @ x**2 == pytest.approx(radius**2 / 4 + 1 / 12, abs=0.15)
 
 
 def test_vignetting_takes_its_share_in_the_corners_and_nothing_in_the_middle() -> None:
@@ -315,6 +315,6 @@ def test_the_quick_camera_develops_its_pictures_alike() -> None:
     model, rng = CameraModel.default(), np.random.default_rng(1)
     tool = tool_over(0.0, 0.004, 0.3)
     with RenderedCamera(model, STRAIGHT, ALL, rng) as camera:
-        one = camera.frame(tool).astype(float)
-    other = LiveCamera(model, STRAIGHT, ALL, rng).picture([tool]).astype(float)
-    assert np.abs(one - other).mean() < 2.0
+        rendered = camera.frame(tool).astype(float)
+    live = LiveCamera(model, STRAIGHT, ALL, rng).picture([tool]).astype(float)
+    assert np.abs(rendered - live).mean() < 2.0

@@ -202,8 +202,8 @@ def test_force_control_pushes_along_z_alone() -> None:
 
 
 def test_friction_opposes_motion_and_is_a_loop() -> None:
-    way = np.concatenate([np.linspace(0, 1e-3, 200), np.linspace(1e-3, 0, 200)])[:, None]
-    torque = _dry_friction(way, np.array([50.0]), 2e-5)
+    motion = np.concatenate([np.linspace(0, 1e-3, 200), np.linspace(1e-3, 0, 200)])[:, None]
+    torque = _dry_friction(motion, np.array([50.0]), 2e-5)
     assert torque[199, 0] == pytest.approx(50.0, rel=1e-6)
     assert torque[-1, 0] == pytest.approx(-50.0, rel=1e-6)
 
@@ -220,8 +220,8 @@ def test_payload_bends_gears_as_a_body_of_its_mass_does(lever: np.ndarray) -> No
     q = Q.copy()
     for _ in range(30):
         q = Q - pin.computeGeneralizedGravity(carrying, carrying.createData(), q) / world.stiffness
-    seen = robot.fk()(q).inverse() * _loaded_pose(robot, world, Q, 200.0, lever)
-    np.testing.assert_allclose(pin.log6(seen).vector, 0.0, atol=1e-8)
+    offset = robot.fk()(q).inverse() * _loaded_pose(robot, world, Q, 200.0, lever)
+    np.testing.assert_allclose(pin.log6(offset).vector, 0.0, atol=1e-8)
     recording = hang_payloads(robot, world, postures, masses, lever, np.random.default_rng(0), tracker=(0.0, 0.0))
-    found = {one.joint: one.stiffness for one in identify_from_payloads([recording], robot)}
-    np.testing.assert_allclose([found[joint] for joint in (2, 3, 4, 5)], world.stiffness[1:5], rtol=3e-3)
+    stiffness = {fit.joint: fit.stiffness for fit in identify_from_payloads([recording], robot)}
+    np.testing.assert_allclose([stiffness[joint] for joint in (2, 3, 4, 5)], world.stiffness[1:5], rtol=3e-3)

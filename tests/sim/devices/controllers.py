@@ -97,14 +97,14 @@ class LaggingController:
 
     def run(self, address: tuple[str, int]) -> None:
         """Plays until it is stopped or no answer comes."""
-        position, at, step, missed = self.start.copy(), self.start.copy(), np.zeros(len(self.start)), 0
+        position, actual, step, missed = self.start.copy(), self.start.copy(), np.zeros(len(self.start)), 0
         share, waiting = 1.0 - np.exp(-self.cycle / self.lag), []
         rise = round(1e3 * self.cycle) if self.rise is None else self.rise
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
             link.settimeout(0.05)
             for k in range(10**7):
                 stamp = (self.first_stamp + k * rise) % 2**32
-                packet = self._packet(self.measured(k, at.copy()), missed, stamp)
+                packet = self._packet(self.measured(k, actual.copy()), missed, stamp)
                 answer = None
                 if self.held_back(k):
                     waiting.append(packet)
@@ -125,7 +125,7 @@ class LaggingController:
                     step = self.start + self.gain * answer - position
                 position = position + step
                 self.commanded.append(position)
-                at = at + share * (position - at)
+                actual = actual + share * (position - actual)
 
     def _packet(self, at: Array, missed: int, stamp: int) -> bytes:
         def axes(tag: str, values: Array) -> str:
@@ -145,9 +145,9 @@ class LaggingController:
                 continue
             if f"<IPOC>{stamp}</IPOC>" in text:
                 self.answers += 1
-                found = re.search(f"<{self.tag} ([^>]*)/>", text)
-                return np.zeros(len(self.start)) if found is None else np.array(
-                    [float(value) for value in re.findall(r'"([^"]+)"', found[1])])
+                match = re.search(f"<{self.tag} ([^>]*)/>", text)
+                return np.zeros(len(self.start)) if match is None else np.array(
+                    [float(value) for value in re.findall(r'"([^"]+)"', match[1])])
         self.stopped.set()
         return None
 
@@ -174,18 +174,18 @@ def mutated(packet: bytes, rng: np.random.Generator) -> bytes:
     """One to four changes: bytes flipped, cut, doubled, or pieces of XML put in."""
     data = bytearray(packet)
     for _ in range(int(rng.integers(1, 5))):
-        at, length = int(rng.integers(0, len(data) + 1)), int(rng.integers(1, 40))
+        start, length = int(rng.integers(0, len(data) + 1)), int(rng.integers(1, 40))
         kind = int(rng.integers(0, 5))
-        if kind == 0 and at < len(data):
-            data[at] ^= 1 << int(rng.integers(0, 8))
+        if kind == 0 and start < len(data):
+            data[start] ^= 1 << int(rng.integers(0, 8))
         elif kind == 1:
-            del data[at : at + length]
+            del data[start : start + length]
         elif kind == 2:
-            data[at:at] = data[at : at + length]
+            data[start:start] = data[start : start + length]
         elif kind == 3:
-            data[at:at] = _PIECES[int(rng.integers(0, len(_PIECES)))]
+            data[start:start] = _PIECES[int(rng.integers(0, len(_PIECES)))]
         else:
-            data[at:at] = rng.bytes(length)
+            data[start:start] = rng.bytes(length)
     return bytes(data)
 
 

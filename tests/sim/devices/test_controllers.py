@@ -90,7 +90,7 @@ def ended(address: tuple[str, int], said: bytes) -> bool:
     AGREED + command(*ROBOT.home, recipe=2), AGREED + command(*ROBOT.home, recipe=0),
     AGREED + package("U", b"\1" + bytes(20)), AGREED + package("U", b"\1"),
     package("O", struct.pack(">d", 125.0) + ",".join(
-        f"{way}_double_register_{i}" for way in ("input", "output") for i in range(48)).encode()) * 300 + b"\0\0\0",
+        f"{side}_double_register_{i}" for side in ("input", "output") for i in range(48)).encode()) * 300 + b"\0\0\0",
     package("I", b"input_int_register_0") * 300])
 def test_a_client_that_cannot_be_understood_is_let_go_and_the_others_are_served(said: bytes) -> None:
     with served() as (cell, sessions):
@@ -135,12 +135,12 @@ def test_a_client_that_falls_silent_is_braked_and_let_go() -> None:
 def test_who_only_looks_neither_leads_nor_holds_the_clock_up() -> None:
     with served() as (cell, sessions), socket.create_connection(cell.address, 10.0) as client:
         client.sendall(VERSION + OUTPUTS + START)
-        begun, told = time.perf_counter(), b""
+        begun, received = time.perf_counter(), b""
         while time.perf_counter() < begun + 1.0:
-            told += client.recv(4096)
+            received += client.recv(4096)
         took = time.perf_counter() - begun
-    data = [told[i + 4 : i + 60] for i in range(len(told) - 59) if told[i : i + 4] == b"\0<U\1"]
-    stamps = [struct.unpack_from(">d", one)[0] for one in data]
+    data = [received[i + 4 : i + 60] for i in range(len(received) - 59) if received[i : i + 4] == b"\0<U\1"]
+    stamps = [struct.unpack_from(">d", payload)[0] for payload in data]
     assert not sessions
     # Its own clock stands still where this computer does; without commands to wait for it is never behind for long.
     assert stamps[-1] - stamps[0] > 0.7 * (took - 0.2)
@@ -155,23 +155,23 @@ def test_registers_belong_to_one_client_until_it_leaves() -> None:
         while not controller.led:
             time.sleep(0.01)
         second.sendall(VERSION + package("I", REGISTERS))
-        said = b""
-        while said.count(b"IN_USE") < 7:
-            said += second.recv(4096)
+        answer = b""
+        while answer.count(b"IN_USE") < 7:
+            answer += second.recv(4096)
 
 
 def test_every_published_field_has_a_type_and_a_value() -> None:
     """What ``ur_rtde`` asks for by itself, beside fields that no controller has."""
-    asked = b"timestamp,joint_mode,actual_digital_input_bits,payload_cog,output_int_register_2,input_double_register_7,"
+    names = b"timestamp,joint_mode,actual_digital_input_bits,payload_cog,output_int_register_2,input_double_register_7,"
     with served() as (cell, _), socket.create_connection(cell.address, 10.0) as client:
-        client.sendall(VERSION + package("O", struct.pack(">d", 500.0) + asked) + START)
-        told = b""
-        while told.count(b"\0PU\1") < 3:
-            told += client.recv(4096)
-        assert b"O\1DOUBLE,VECTOR6INT32,UINT64,VECTOR3D,INT32,DOUBLE" in told
+        client.sendall(VERSION + package("O", struct.pack(">d", 500.0) + names) + START)
+        answer = b""
+        while answer.count(b"\0PU\1") < 3:
+            answer += client.recv(4096)
+        assert b"O\1DOUBLE,VECTOR6INT32,UINT64,VECTOR3D,INT32,DOUBLE" in answer
         client.sendall(package("O", struct.pack(">d", 500.0) + b"timestamp,output_int_register_48,no_such"))
-        while b"O\1DOUBLE,NOT_FOUND,NOT_FOUND" not in told:
-            told += client.recv(4096)
+        while b"O\1DOUBLE,NOT_FOUND,NOT_FOUND" not in answer:
+            answer += client.recv(4096)
 
 
 # Our RSI controller: only a sound answer to the very cycle moves the arm, and nobody holds up its clock.
@@ -234,10 +234,10 @@ def test_a_session_that_has_ended_is_not_gone_on_with() -> None:
             SimulatedArm(ROBOT, World.ideal("kr6"), np.random.default_rng(1)) as arm:
         cell = ServedArm(arm, follower.address, relative=True, unkind=Unkindness(), rng=np.random.default_rng(1),
                          carried=(), sign=np.ones(6))
-        with playing(cell) as said:
+        with playing(cell) as sessions:
             q = follower.connect().q
             play(follower, [q] * 5)
             time.sleep(0.3)
             with pytest.raises(RsiError, match="no packet"):
                 play(follower, [q] * 500)
-    assert [one.ended for one in said] == ["no answer for 100 ms"]
+    assert [session.ended for session in sessions] == ["no answer for 100 ms"]
