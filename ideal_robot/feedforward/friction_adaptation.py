@@ -47,7 +47,7 @@ from ideal_robot.feedforward.friction_estimator import (
     friction_of,
     noise_variance,
     table_terms,
-    terms_along,
+    terms_at,
     unknown_mass,
     wandered,
     with_terms,
@@ -260,23 +260,21 @@ def _row(known: _Known, motion: Smoothed, torques: Array, i: int, h: Array) -> t
     What the joint's parameters count is written to ``h (p,)``; ``torques (3, n)`` [N m] are of the rigid body, of it
     without acceleration, and of 1 kg at the tool.
     """
-    v, z, dry = motion.motor_v[0, i], motion.z[0, i], known.dry[i]
+    v, speed, z, dry = motion.motor_v[0, i], abs(motion.motor_v[0, i]), motion.z[0, i], known.dry[i]
     table, per_load, per_driven = known.friction
     accelerating = torques[0, i] - torques[1, i] + known.rotor_inertia[i] * motion.motor_a[0, i]
     by_load = friction_of_load(per_load[i], per_driven[i], torques[0, i], v)
-    sides = table[0 if v > 0.0 else 1, :, i]
-    of_speed = between(abs(v), known.friction_velocity[:, i], sides) - sides[0]
+    sliding = between(speed, known.friction_velocity[:, i], table[0 if v > 0.0 else 1, :, i]) + by_load
     own, common = h[i * _OWN :], h[len(h) - _COMMON :]
-    terms_along(v / known.v_max[0, i], z, own)
-    own[0] += z * by_load / dry
+    terms_at(speed / known.v_max[0, i], own)
+    own[0] += by_load / dry
     for k in range(TERMS):
-        own[k] *= dry
+        own[k] *= z * dry
     own[TERMS], common[2] = known.apparent[i] * motion.motor_a[0, i], known.mass * torques[2, i]
     for k in range(2):
         common[k] = SHARED[k] * own[k]
         own[k] *= OWN[k]
-    friction = z * (sides[0] + by_load) + np.sign(v) * of_speed
-    return motion.tau[0, i] - torques[1, i] - accelerating - known.offset[i] - friction, accelerating
+    return motion.tau[0, i] - torques[1, i] - accelerating - known.offset[i] - z * sliding, accelerating
 
 
 @jit()

@@ -92,19 +92,18 @@ def _of_joint(loop: LoopModel, s: FilteredSignals, load: Array, residual: Array,
     sides = [np.interp(np.abs(v), loop.friction_velocity[:, j], side) for side in loop.friction_torque[:, :, j]]
     by_load = np.array([friction_of_load(loop.friction_load[j], loop.friction_driven[j], a, b)
                         for a, b in zip(load, v, strict=True)])
-    at_rest = np.where(v > 0, *loop.friction_torque[:, 0, j])
-    of_speed = np.sign(v) * (np.where(v > 0, *sides) - at_rest)
+    friction = np.where(v > 0, *sides) + by_load
+    terms = dry * friction_terms(np.abs(v) / largest_speeds(loop.v_max)[j])
+    terms[:, 0] += by_load
+    terms[:, :2] *= ALONE
     weight = np.full(len(v), WEIGHT * dry)
     std = np.sqrt(noise_variance(dry, s.factor * s.dt))
     best, values, factor = -np.inf, np.zeros(TERMS), 1.0
     bend = float(loop.friction_bend[j])
     for tried in BENDS if bend > 0.0 else (1.0,):
         z = sliding_direction(q, s.qd[:, [j]], np.array([tried * bend]))[:, 0] if bend > 0.0 else np.sign(v)
-        terms = dry * friction_terms(v / largest_speeds(loop.v_max)[j], z)
-        terms[:, 0] += z * by_load
-        terms[:, :2] *= ALONE
-        columns = s.decimate(np.column_stack([terms, weight])) / std
-        solution = solved(columns, (residual - s.decimate(z * (at_rest + by_load) + of_speed)) / std)
+        columns = s.decimate(np.column_stack([z[:, None] * terms, weight])) / std
+        solution = solved(columns, (residual - s.decimate(z * friction)) / std)
         evidence = solution.evidence - 0.5 * (np.log(tried) / BELIEVED) ** 2
         if evidence > best:
             best, values, factor = evidence, np.clip(solution.x[:TERMS], -FAR, FAR), tried

@@ -15,7 +15,6 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
-from ideal_robot.friction.presliding import turned
 from ideal_robot.jit import jit
 
 
@@ -71,8 +70,7 @@ class LoopModel:
         friction_load: friction in proportion to the torque the gear transmits ``(n,)`` [-].
         friction_driven: the same of torque that the motor drives the load with, on top ``(n,)`` [-]; 0 if not given.
         friction_bend: angle over which friction of size ``friction_dry`` turns after a reversal ``(n,)`` [rad]; 0 for a
-            jump. More dry friction takes as much longer: bristles are as stiff as they were. What speed adds acts at
-            once.
+            jump. What more there is at standstill takes as much longer: bristles are as stiff as they were.
         friction_dry: dry friction that ``friction_bend`` belongs to ``(n,)`` [N m]; that of the table if not given.
         offset: constant torque of the drive ``(n,)`` [N m].
         stiffness: of the gears ``(n,)`` [N m/rad]; ``inf`` where they count as rigid.
@@ -219,58 +217,27 @@ def friction_of_load(per_load: float, per_driven: float, load: float, sense: flo
     Args:
         per_load, per_driven: friction per torque, and the same on top where the motor drives the load [-].
         load: torque that the gear transmits [N m].
-        sense: direction of sliding, or the torque that is about to move a joint at rest; only its sign counts.
+        sense: velocity, or the torque that is about to move a joint at rest; only its sign counts.
     """
     return (per_load + (per_driven if load * sense > 0.0 else 0.0)) * abs(load)
 
 
 @jit()
-def friction_of(drives: Drives, i: int, z: float, v: float, load: float) -> tuple[float, float]:
-    """Friction of a joint [N m]: dry friction, which acts with the direction of sliding, and what speed adds to it.
+def bristles(bent: float, v: float, dt: float, friction: float, dry: float, bend: float) -> float:
+    """Dry and sliding friction over its dry size after ``dt`` at constant velocity, -… to … (Dahl's model, exact).
+
+        dF/dq = (dry / bend) (1 - F sign(v) / friction)
 
     Args:
-        drives, i: joint, from 0.
-        z, v: direction of sliding, of which only the sign counts, and velocity [rad/s].
-        load: torque that the gear transmits [N m].
+        bent: before.
+        v, dt: velocity [rad/s], and the step [s].
+        friction: that sliding at this velocity brakes with [N m].
+        dry, bend: friction [N m] that turns over an angle [rad].
     """
-    table = drives.friction_torque[0 if v >= 0.0 else 1, :, i]
-    dry = (drives.friction_torque[0 if z >= 0.0 else 1, 0, i]
-           + friction_of_load(drives.friction_load[i], drives.friction_driven[i], load, z))
-    return dry, between(abs(v), drives.friction_velocity[:, i], table) - table[0]
-
-
-@jit()
-def bend_of(drives: Drives, i: int, dry: float) -> float:
-    """Angle over which dry friction turns [rad]: bristles are as stiff as the identified ones.
-
-    Args:
-        drives, i: joint, from 0.
-        dry: size of its dry friction now [N m].
-    """
-    return drives.friction_bend[i] * min(max(dry / drives.friction_dry[i], 0.2), 5.0)
-
-
-@jit()
-def friction_along(drives: Drives, v: Array, load: Array, dt: float, z: Array, still: float) -> tuple[Array, Array]:
-    """Friction torque [N m] and direction of sliding along a motion, both ``(m, n)``.
-
-    Args:
-        drives: of the loop.
-        v, load: of the motors [rad/s], and torque that each gear transmits [N m], ``(m, n)``.
-        dt, z: time between two of them [s], and the direction of sliding before ``(n,)``, -1 to 1.
-        still: velocity [rad/s] within which friction that jumps passes zero; else rounding at rest would switch it.
-    """
-    torque, sliding = np.empty_like(v), np.empty_like(v)
-    for i in range(v.shape[1]):
-        before, bends = z[i], drives.friction_bend[i] > 0.0
-        for j in range(len(v)):
-            direction = before if bends else min(max(v[j, i] / still, -1.0), 1.0)
-            dry, of_speed = friction_of(drives, i, direction, v[j, i], load[j, i])
-            if bends:
-                direction = before = turned(before, v[j, i] * dt, bend_of(drives, i, dry))
-            torque[j, i] = dry * direction + np.sign(v[j, i]) * of_speed
-            sliding[j, i] = direction
-    return torque, sliding
+    if v == 0.0:
+        return bent
+    settled = np.sign(v) * friction / dry
+    return settled + (bent - settled) * np.exp(-abs(v) * dt / bend * min(max(dry / max(friction, 1e-12), 0.2), 5.0))
 
 
 @jit()
