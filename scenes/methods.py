@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ideal_robot.errors import InputError, raised_by
+from ideal_robot.errors import InputError, RaisedBy
 from ideal_robot.feedforward.base import Feedforward, tried
 from ideal_robot.feedforward.method import Factory, Method, Needs, Setting
 from ideal_robot.feedforward.registry import method as registered
@@ -57,7 +57,7 @@ class SceneMethod:
 
     def feedforward(self, setting: Setting) -> Feedforward:
         """Makes the feedforward; InputError where something that it needs is missing, or this arm cannot play it."""
-        with raised_by(f"method {self.key}, as it is made and tried"):
+        with RaisedBy(f"method {self.key}, as it is made and tried"):
             if isinstance(self.made, Feedforward):
                 feedforward = self.made
             elif self.made is not None:

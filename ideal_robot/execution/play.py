@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.arrays import Array, held
-from ideal_robot.errors import IdealRobotError, InputError, LimitError, raised_by
+from ideal_robot.errors import IdealRobotError, InputError, LimitError, RaisedBy
 from ideal_robot.execution.command_governor import CommandGovernor, check_limits, stopping_rows, stops_at_once
 from ideal_robot.feedforward.base import Feedforward, tried
 from ideal_robot.progress import Progress, silent
@@ -164,11 +164,11 @@ class PathCommands:
 
     def observe(self, measured: RobotState) -> None:
         """Gives the feedforward what the controller reported at the end of a cycle."""
-        with raised_by(f"feedforward {type(self.feedforward).__name__}: observe"):
+        with RaisedBy(f"feedforward {type(self.feedforward).__name__}: observe"):
             self.state = self.feedforward.observe(self.state, measured)
 
     def _step(self, horizon: Array) -> tuple[Array, Any]:
-        with raised_by(f"feedforward {type(self.feedforward).__name__}: step"):
+        with RaisedBy(f"feedforward {type(self.feedforward).__name__}: step"):
             return self.feedforward.step(self.state, horizon)
 
     def _handed_over(self, q_d: Array, q_c: Array, after: Any) -> tuple[Array, Array]:

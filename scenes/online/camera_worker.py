@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ideal_robot.errors import IdealRobotError, InputError, described, raised_by
+from ideal_robot.errors import IdealRobotError, InputError, RaisedBy, described
 from scenes.online.camera_process import Header
 from scenes.online.processes import give_back
 from sensing.camera.camera_device import Field
@@ -123,7 +123,7 @@ class _Worker:
 
     def _evaluated(self, frame: Frame, t: float, prediction: PredictedLine, detection: DetectionSettings) -> LineField:
         field = Field.cut(t, frame.image, search_windows(self.camera, prediction, detection))
-        with raised_by(f"detector {self.detector.name}: detect"):
+        with RaisedBy(f"detector {self.detector.name}: detect"):
             return self.detector.detect(field, self.camera, prediction, detection)
 
     def _send(self, kind: str, content: Any) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.effects.force import ForceErrors
 from ideal_robot.elasticity.observer import ArmObserver
-from ideal_robot.errors import raised_by
+from ideal_robot.errors import RaisedBy
 from ideal_robot.feedforward.corrected_arm import CorrectedArm
 from ideal_robot.feedforward.friction_at_work import FrictionAtWork
 from ideal_robot.feedforward.method import Setting
@@ -292,7 +292,7 @@ class ForceTask:
         if self._direct is not None:
             return self._direct.command(t, q_d)
         n_d = self.feedforward.n_d
-        with raised_by(f"method {self.method.key}: step"):
+        with RaisedBy(f"method {self.method.key}: step"):
             q_c, self._state = self.feedforward.step(self._state, q_d[:n_d], self._torque[:n_d])
         return q_c
 
@@ -304,7 +304,7 @@ class ForceTask:
 
     def collect(self, t0: float, t1: float, measured: RobotState) -> None:
         """See ``Task.collect``: a feedforward that adapts learns from the cycle."""
-        with raised_by(f"method {self.method.key}: observe"):
+        with RaisedBy(f"method {self.method.key}: observe"):
             self._state = self.feedforward.observe(self._state, measured)
 
     def speed(self, t: float) -> float:

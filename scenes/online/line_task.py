@@ -11,7 +11,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.effects.camera import CameraErrors
 from ideal_robot.elasticity.observer import GearDeflection
-from ideal_robot.errors import IdealRobotError, InputError, raised_by
+from ideal_robot.errors import IdealRobotError, InputError, RaisedBy
 from ideal_robot.feedforward.corrected_arm import CorrectedArm
 from ideal_robot.feedforward.method import Setting
 from ideal_robot.model.model import Model
@@ -82,7 +82,7 @@ class LineTask:
 
     def learn(self, moved: Iterable[RobotState]) -> None:
         """A feedforward that adapts learns from what the controller reported when the arm moved last."""
-        with raised_by(f"method {self.method.key}: observe"):
+        with RaisedBy(f"method {self.method.key}: observe"):
             for measured in moved:
                 self._state = self.feedforward.observe(self._state, measured)
 
@@ -127,7 +127,7 @@ class LineTask:
             if seen.seen and not np.isfinite(self.log.first_used):
                 self.log.first_used = t
         for sensor in self.sensors:
-            with raised_by(f"sensor {sensor.name}: arrived"):
+            with RaisedBy(f"sensor {sensor.name}: arrived"):
                 readings = sensor.arrived(t)
             expect(readings, Sequence, f"{sensor.name}: arrived", "return a list of Readings, empty where none is new")
             for reading in (candidate for candidate in readings if np.isfinite(candidate.value)):
@@ -146,7 +146,7 @@ class LineTask:
         pose = follower.history.row_pose(arrived.t_stamp)
         ahead = self.cell.predicted(arrived.t_stamp)
         detector = self.cell.detector
-        with raised_by(f"detector {detector.name}: detect"):
+        with RaisedBy(f"detector {detector.name}: detect"):
             seen = detector.detect(arrived, self.cell.camera, ahead, self.cell.detection)
         expect(seen, LineField, f"detector {detector.name}", "return one from detect, also where no line is seen")
         seen = replace(seen, points_tcp=self._known.points(seen.points_tcp, self.cell.camera.axis_on_surface))
@@ -163,7 +163,7 @@ class LineTask:
         """Commanded joint positions ``(n,)``."""
         if self._direct is not None:
             return self._direct.command(t)
-        with raised_by(f"method {self.method.key}: step"):
+        with RaisedBy(f"method {self.method.key}: step"):
             q_c, self._state = self.feedforward.step(self._state, q_d[: self.feedforward.n_d])
         return q_c
 

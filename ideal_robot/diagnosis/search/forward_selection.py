@@ -16,7 +16,7 @@ from ideal_robot.diagnosis.statistics.least_squares import TOLD, Fit, standard_e
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.effects import Effect, Signals
 from ideal_robot.effects.loads import AngleLaw
-from ideal_robot.errors import raised_by
+from ideal_robot.errors import RaisedBy
 from ideal_robot.progress import Progress, silent
 
 
@@ -61,7 +61,7 @@ def candidates(effects: Sequence[Effect], signals: Signals, undecided: dict[int,
     for effect in effects:
         if effect.absorbed_by_base and not absorbed:
             continue
-        with raised_by(f"effect {effect.key}, as its starts are found"):
+        with RaisedBy(f"effect {effect.key}, as its starts are found"):
             for joint in effect.joints(signals):
                 if joint not in undecided and effect.usable(signals, joint):
                     starts = [()] if effect.scanned else effect.starts(signals, joint)

@@ -19,7 +19,7 @@ from ideal_robot.effects import TCP_POSITION
 from ideal_robot.effects.base import Theta
 from ideal_robot.effects.drive import DeadTime
 from ideal_robot.effects.kinematics import GeometryChange
-from ideal_robot.errors import raised_by
+from ideal_robot.errors import RaisedBy
 
 
 class Scoring:
@@ -226,7 +226,7 @@ class Scoring:
             first = starts[0]
             if not first.effect.scanned and any(_forms_of_one(first, other) for other in chosen):
                 continue
-            with raised_by(f"effect {first.effect.key} at joint {first.joint}"):
+            with RaisedBy(f"effect {first.effect.key} at joint {first.joint}"):
                 if first.effect.scanned:
                     thetas, tries = first.effect.starts_from_residual(self.at_rows, first.joint, residual,
                                                                       self.model.problem.products.use)
