@@ -10,5 +10,5 @@ t = np.arange(0.0, 30.0, 0.004)
 q = robot.home + sum(np.sin(np.outer(t, rng.uniform(0.6, 3.8, 6)) + rng.uniform(0.0, 6.3, 6)) for _ in range(5)) / 6.0
 sticking = [0.0, 0.0, 0.0, 6.0, 0.0, 0.0] * np.sign(qd := np.gradient(q, t, axis=0)) * np.exp(-abs(qd) / 0.2)
 tau = model.inverse_dynamics(q, qd, np.gradient(qd, t, axis=0)) + sticking + rng.normal(0.0, 0.3, q.shape)
-print(found := ir.diagnose(ir.Recording.from_arrays(t, q=q, tau=tau), robot, model=model))
-found.plot().savefig("diagnosis.png")
+print(diagnosis := ir.diagnose(ir.Recording.from_arrays(t, q=q, tau=tau), robot, model=model))
+diagnosis.plot().savefig("diagnosis.png")

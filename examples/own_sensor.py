@@ -11,8 +11,8 @@ class ProfileSensor:
 
     def arrived(self, t: float) -> list[Reading]:
         """One reading a cycle: when, from where in the tool frame, how far [m], and its variance [m²]."""
-        seen = max(t - 0.02, 0.0)
-        return [Reading(seen, self.looks, self.world.distance(seen, self.looks), 1e-4**2)]
+        stamp = max(t - 0.02, 0.0)
+        return [Reading(stamp, self.looks, self.world.distance(stamp, self.looks), 1e-4**2)]
 
 
 calibrated = {"by_moving": False, "roll_deg": 0, "pitch_deg": 0, "yaw_deg": 0, "lateral_mm": 0, "principal_px": 0}

@@ -40,9 +40,9 @@ class Page:
                 return dict(answer["result"])
 
     def _heard(self) -> dict[str, Any]:
-        said: dict[str, Any] = json.loads(self._link.recv(timeout=120))
-        self._happened.add(said.get("method", ""))
-        return said
+        message: dict[str, Any] = json.loads(self._link.recv(timeout=120))
+        self._happened.add(message.get("method", ""))
+        return message
 
     def open(self, address: str, width: int, height: int) -> None:
         """Opens an address as a screen of that size shows it [px], and waits until it is loaded."""
@@ -74,15 +74,15 @@ def chromium(folder: Path) -> Iterator[Page]:
          "--disable-sync", "--hide-scrollbars", "--remote-debugging-port=0", f"--user-data-dir={profile}",
          "about:blank"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        said = profile / "DevToolsActivePort"
+        port_file = profile / "DevToolsActivePort"
         until = time.monotonic() + 60.0
-        while not (said.is_file() and said.read_text().strip()):
+        while not (port_file.is_file() and port_file.read_text().strip()):
             assert browser.poll() is None, "the browser ended"
             assert time.monotonic() < until, "the browser does not come up"
             time.sleep(0.1)
-        port = said.read_text().split()[0]
+        port = port_file.read_text().split()[0]
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/json", timeout=30) as answer:
-            address = next(one for one in json.load(answer) if one["type"] == "page")["webSocketDebuggerUrl"]
+            address = next(target for target in json.load(answer) if target["type"] == "page")["webSocketDebuggerUrl"]
         with connect(address, max_size=100_000_000) as link:
             yield Page(link)
     finally:

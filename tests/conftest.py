@@ -23,8 +23,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leaves out what is not in the part."""
-    if asked := config.getoption("--part"):
-        part, parts = map(int, asked.split("/"))
+    if share := config.getoption("--part"):
+        part, parts = map(int, share.split("/"))
         left_out = [item for item in items if not in_part(item.nodeid, part, parts)]
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if item not in left_out]

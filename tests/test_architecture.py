@@ -45,13 +45,13 @@ RUN_NOT_IMPORTED = {"mypy", "pandas-stubs", "pytest-xdist", "ruff", "import-lint
 @cache
 def imports(tree: ast.AST) -> list[str]:
     """Full names of what is imported anywhere in a tree, whole modules and what is taken from them."""
-    found = []
+    names = []
     for node in statements(tree):
         if isinstance(node, ast.Import):
-            found += [alias.name for alias in node.names]
+            names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
-            found += [f"{node.module}.{alias.name}" for alias in node.names]
-    return found
+            names += [f"{node.module}.{alias.name}" for alias in node.names]
+    return names
 
 
 def files() -> dict[str, ast.Module]:
@@ -69,12 +69,12 @@ def circle(graph: dict[str, set[str]]) -> list[str]:
             return [*way[way.index(name) :], name]
         if name not in done:
             for other in sorted(graph[name]):
-                if found := visit(other, [*way, name]):
-                    return found
+                if path := visit(other, [*way, name]):
+                    return path
             done.add(name)
         return []
 
-    return next((found for name in sorted(graph) if (found := visit(name, []))), [])
+    return next((path for name in sorted(graph) if (path := visit(name, []))), [])
 
 
 def test_no_file_imports_itself_over_others() -> None:
@@ -93,28 +93,28 @@ def test_imports_stand_at_the_top() -> None:
         if f"{name}.".startswith(STARTS_FAST):
             continue
         functions = [node for node in statements(tree) if isinstance(node, ast.FunctionDef)]
-        found = {module for function in functions for module in imports(function)}
+        modules = {module for function in functions for module in imports(function)}
         if not any(isinstance(node, ast.FunctionDef) and node.name == "__getattr__" for node in tree.body):
-            late += [f"{name}: {module}" for module in sorted(found) if module.split(".")[0] not in IMPORTED_LATE]
+            late += [f"{name}: {module}" for module in sorted(modules) if module.split(".")[0] not in IMPORTED_LATE]
     assert late == []
 
 
 def third_party_imports() -> dict[str, str]:
     """Top-level modules that are neither ours nor Python's, each with a file that imports it."""
-    found: dict[str, str] = {}
+    importers: dict[str, str] = {}
     for folder in sorted(OURS):
         for path, tree in trees(folder).items():
             for name in {name.split(".")[0] for name in imports(tree)}:
                 if name not in OURS and name not in sys.stdlib_module_names:
-                    found.setdefault(name, str(path.relative_to(ROOT)))
-    return found
+                    importers.setdefault(name, str(path.relative_to(ROOT)))
+    return importers
 
 
 def declared() -> set[str]:
     """Modules of the packages that pyproject.toml asks for, its tools left out."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    asked = [*project["dependencies"], *(line for group in project["optional-dependencies"].values() for line in group)]
-    names = {re.split(r"[<>=~! ]", line)[0] for line in asked}
+    lines = [*project["dependencies"], *(line for group in project["optional-dependencies"].values() for line in group)]
+    names = {re.split(r"[<>=~! ]", line)[0] for line in lines}
     return {IMPORTED_AS.get(name, name) for name in names - RUN_NOT_IMPORTED}
 
 
@@ -139,14 +139,14 @@ def test_importing_the_packages_is_cheap() -> None:
 @cache
 def functions() -> list[tuple[str, ast.FunctionDef]]:
     """All functions, named by file, class and name."""
-    found = []
+    named = []
     for folder in sorted(OURS):
         for path, tree in trees(folder).items():
             every = list(statements(tree))
-            of = {node: f"{one.name}." for one in every if isinstance(one, ast.ClassDef) for node in one.body}
-            found += [(f"{path.relative_to(ROOT)}:{of.get(node, '')}{node.name}", node) for node in every
+            of = {node: f"{owner.name}." for owner in every if isinstance(owner, ast.ClassDef) for node in owner.body}
+            named += [(f"{path.relative_to(ROOT)}:{of.get(node, '')}{node.name}", node) for node in every
                       if isinstance(node, ast.FunctionDef)]
-    return found
+    return named
 
 
 def test_files_and_functions_are_short() -> None:
@@ -162,8 +162,8 @@ def test_what_travels_together_is_one_parameter() -> None:
     """Parameters that always come together are an object; typer's and pytest's functions are no exception."""
     many = set()
     for name, node in functions():
-        given = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
-        count = sum(one.arg not in ("self", "cls") for one in given) + bool(node.args.vararg) + bool(node.args.kwarg)
+        args = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+        count = sum(arg.arg not in ("self", "cls") for arg in args) + bool(node.args.vararg) + bool(node.args.kwarg)
         if count > MOST_PARAMETERS:
             many.add(name)
     assert many == MORE_PARAMETERS, "a new one: make an object of what travels together; one less: take it out here"
@@ -177,10 +177,10 @@ def test_a_number_says_what_it_is_or_where_it_comes_from() -> None:
         for node, below in zip(tree.body, [*tree.body[1:], None], strict=True):
             if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
                 continue
-            told = [one.value for one in ast.walk(node.value) if isinstance(one, ast.Constant)]
+            constants = [part.value for part in ast.walk(node.value) if isinstance(part, ast.Constant)]
             paragraph = "\n".join(lines[: node.end_lineno]).rpartition("\n\n")[2]
-            if not (all(type(one) not in (int, float) or one in (0, 1) for one in told)
-                    or any(isinstance(one, str) and " " in one for one in told)
+            if not (all(type(constant) not in (int, float) or constant in (0, 1) for constant in constants)
+                    or any(isinstance(constant, str) and " " in constant for constant in constants)
                     or (isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant))
                     or re.search("^# ", paragraph, re.MULTILINE)
                     or any("  # " in line for line in lines[node.lineno - 1 : node.end_lineno])):

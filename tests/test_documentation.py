@@ -57,10 +57,10 @@ def name_exists(dotted: str) -> bool:
     for part in parts:
         if not isinstance(tree, ast.Module | ast.ClassDef):
             return False
-        found = defined(tree).get(part)
-        if found is None:
+        member = defined(tree).get(part)
+        if member is None:
             return False
-        tree = found
+        tree = member
     return True
 
 
@@ -119,9 +119,9 @@ Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 def parameters(function: Function) -> list[str]:
     """Names of all parameters but ``self`` and ``cls``."""
-    given = function.args
-    every = [*given.posonlyargs, *given.args, *given.kwonlyargs, *filter(None, (given.vararg, given.kwarg))]
-    return [one.arg for one in every if one.arg not in ("self", "cls")]
+    args = function.args
+    every = [*args.posonlyargs, *args.args, *args.kwonlyargs, *filter(None, (args.vararg, args.kwarg))]
+    return [arg.arg for arg in every if arg.arg not in ("self", "cls")]
 
 
 def documented(docstring: str) -> set[str]:
@@ -145,8 +145,8 @@ def says(annotation: ast.expr) -> bool:
 
 def helped(function: Function) -> set[str]:
     """Names of the parameters whose annotations say what they are."""
-    return {one.arg for one in (*function.args.args, *function.args.kwonlyargs)
-            if one.annotation and says(one.annotation)}
+    return {parameter.arg for parameter in (*function.args.args, *function.args.kwonlyargs)
+            if parameter.annotation and says(parameter.annotation)}
 
 
 def public(tree: ast.Module) -> Iterator[tuple[str, Function, str]]:
@@ -169,7 +169,7 @@ def methods() -> set[str]:
 
 def undocumented(folder: str) -> list[str]:
     """File, function and missing names of all functions that the rule is broken by."""
-    found = []
+    lacking = []
     for path, tree in trees(folder).items():
         for name, function, docstring in public(tree):
             if any(getattr(mark, "id", "") == "overload" for mark in function.decorator_list):
@@ -180,8 +180,8 @@ def undocumented(folder: str) -> list[str]:
                 continue
             missing = [parameter for parameter in names if parameter not in documented(docstring) | helped(function)]
             if missing:
-                found.append(f"{path.relative_to(ROOT)}:{function.lineno} {name}: {', '.join(missing)}")
-    return found
+                lacking.append(f"{path.relative_to(ROOT)}:{function.lineno} {name}: {', '.join(missing)}")
+    return lacking
 
 
 @pytest.mark.parametrize("folder", PUBLIC)

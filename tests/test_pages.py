@@ -75,8 +75,8 @@ def test_the_course_has_eight_lessons_with_a_notebook_each() -> None:
     assert {path.name for path in NOTEBOOKS} <= set(re.findall(r"notebooks/(\w+\.ipynb)", text))
 
 
-@pytest.mark.parametrize("path", [pytest.param(one, marks=() if is_quick(one) else pytest.mark.slow)
-                                  for one in NOTEBOOKS], ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [pytest.param(notebook, marks=() if is_quick(notebook) else pytest.mark.slow)
+                                  for notebook in NOTEBOOKS], ids=lambda path: path.stem)
 def test_a_notebook_runs_and_knows_right_from_wrong(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from docs import execute_notebooks
 
@@ -134,14 +134,14 @@ def test_every_command_works_as_printed(arm: str, tmp_path: Path) -> None:
 
 def assert_table_of_diagnosis(made: dict[str, Any]) -> None:
     """The tutorial's table of what was found is what its command finds: names, and errors to two per cent."""
-    named = {one["joint"]: one["effect"].replace("_", " ") for one in made["effects"]}
-    named |= {one["joint"]: "`unknown`" for one in made["unknown"]}
-    errors = {one["channel"]: one for one in made["channels"]}
+    named = {effect["joint"]: effect["effect"].replace("_", " ") for effect in made["effects"]}
+    named |= {finding["joint"]: "`unknown`" for finding in made["unknown"]}
+    errors = {channel["channel"]: channel for channel in made["channels"]}
     rows = re.findall(r"^\| (\d) \| ([^|:]+)[^|]*" + 3 * r"\| ([\d.]+) N m " + r"\|$", PAGE, flags=re.MULTILINE)
     assert {int(joint): name.strip() for joint, name, *_ in rows} == named
-    for joint, _, *said in rows:
-        found = [errors[f"tau_{joint}"][key] for key in ("rms_before", "rms_after", "noise_floor")]
-        assert [float(one) for one in said] == pytest.approx(found, rel=0.02, abs=0.005)
+    for joint, _, *printed in rows:
+        figures = [errors[f"tau_{joint}"][key] for key in ("rms_before", "rms_after", "noise_floor")]
+        assert [float(text) for text in printed] == pytest.approx(figures, rel=0.02, abs=0.005)
 
 
 # The documentation site is built without a warning, and holds tutorial, scene keys and API.
@@ -150,12 +150,12 @@ def assert_table_of_diagnosis(made: dict[str, Any]) -> None:
 @pytest.mark.parametrize("rooms", [{"SITE_ROOMS": "ideal_robot.friction"}, {}], ids=["one room's API", "whole"])
 def test_the_site_is_built_without_warnings(rooms: dict[str, str], tmp_path: Path) -> None:
     # The command of ``make docs``, which has no path to the root but the one that it gives itself.
-    asked = re.search(r"^docs:.*\n\t(\w+)=1 \$\(BIN\)/(.+)$", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
-    assert asked is not None
-    program, *words = asked[2].split()
-    kept = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    recipe = re.search(r"^docs:.*\n\t(\w+)=1 \$\(BIN\)/(.+)$", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
+    assert recipe is not None
+    program, *words = recipe[2].split()
+    inherited = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run([Path(sys.executable).parent / program, *words, "-d", str(tmp_path / "site")], cwd=ROOT,
-                          capture_output=True, text=True, check=False, env={**kept, **rooms, asked[1]: "1"})
+                          capture_output=True, text=True, check=False, env={**inherited, **rooms, recipe[1]: "1"})
     assert done.returncode == 0, done.stdout + done.stderr
     assert "WARNING" not in done.stderr
     pages = {str(path.relative_to(tmp_path / "site")) for path in (tmp_path / "site").rglob("index.html")}
@@ -201,15 +201,15 @@ def test_every_entry_finds_its_numbers_on_its_page_and_names_a_verb() -> None:
     from scenes.cli import VERBS
     from studies.__main__ import STUDIES
 
-    found = published_numbers.published()
-    assert len(found) > 150
-    printing = {one.command for one in found if one.command.startswith("python ")}
+    numbers = published_numbers.published()
+    assert len(numbers) > 150
+    printing = {number.command for number in numbers if number.command.startswith("python ")}
     assert all(command.startswith("python -m studies ") for command in printing)
     assert {command.split()[3] for command in printing} <= set(STUDIES)
-    assert {one.command.split()[0] for one in found if one.command not in printing} <= set(VERBS)
-    assert {one.page for one in found} >= {"README.md", "docs/ideal_robot.md", "docs/line_following.md",
-                                           "docs/contact.md"}
-    assert any(one.quick for one in found)
+    assert {number.command.split()[0] for number in numbers if number.command not in printing} <= set(VERBS)
+    assert {number.page for number in numbers} >= {"README.md", "docs/ideal_robot.md", "docs/line_following.md",
+                                                   "docs/contact.md"}
+    assert any(number.quick for number in numbers)
 
 
 def test_numbers_are_read_out_of_json_by_path() -> None:
@@ -232,10 +232,10 @@ def numbers_of(folder: Path, page: str, entry: str) -> list[published_numbers.Pu
 def test_a_study_prints_the_table_of_its_page(tmp_path: Path) -> None:
     table = "| arm | mm | far |\n| --- | --- | --- |\n| a | 0.5 | 7 (9) |\n| b | 2.0 | |\n| b | −3.0 | 4 |\n"
     numbers = numbers_of(tmp_path, table, 'header = "| arm | mm"\nfirst = true\ncommand = "python -m studies it"\n')
-    assert [one.text for one in numbers] == ["0.5", "7", "2.0", "−3.0", "4"]
+    assert [cell.text for cell in numbers] == ["0.5", "7", "2.0", "−3.0", "4"]
     printed = {"printed": table.replace("| 2.0 |", "| 2.5 |").replace("| 4 |", "| |")}
-    found = [published_numbers.value_of(printed, one.value) for one in numbers]
-    assert [one.holds(value) for one, value in zip(numbers, found, strict=True)] == [True, True, False, True, False]
+    values = [published_numbers.value_of(printed, cell.value) for cell in numbers]
+    assert [cell.holds(value) for cell, value in zip(numbers, values, strict=True)] == [True, True, False, True, False]
 
 
 def test_numbers_are_read_out_of_what_a_study_prints(tmp_path: Path) -> None:
@@ -245,7 +245,7 @@ rows = { "`a`" = "a", "`b`" = "b" }
 command = "python -c 'print(\\"a: 0.52 mm, 7 ms\\\\nb: 2.3 mm, 9 ms\\")'"
 printed = ['{row}: ([0-9.]+) mm', '{row}: .* ([0-9]+) ms']
 """)
-    assert [(found, word) for _, found, word in published_numbers.compare(numbers)] == [
+    assert [(value, word) for _, value, word in published_numbers.compare(numbers)] == [
         (0.52, "same"), (7.0, "same"), (2.3, "DIFFERS"), (9.0, "same")]
     with pytest.raises(ValueError, match="nothing printed"):
         published_numbers.value_of({"printed": "words"}, "~c: ([0-9]+)")
@@ -259,9 +259,9 @@ rows = { "`a`" = "a", "`b`" = "b" }
 command = "run it"
 values = ["{row}.first", "{row}.second"]
 """)
-    assert [one.text for one in numbers] == ["0.50", "7", "2.0", "9"]
-    made = {"a": {"first": 0.504, "second": 7.2}, "b": {"first": 2.3, "second": None}}
-    monkeypatch.setattr(published_numbers, "made", lambda command, folder: made)
+    assert [number.text for number in numbers] == ["0.50", "7", "2.0", "9"]
+    figures = {"a": {"first": 0.504, "second": 7.2}, "b": {"first": 2.3, "second": None}}
+    monkeypatch.setattr(published_numbers, "made", lambda command, folder: figures)
     assert [word for *_, word in published_numbers.compare(numbers)] == ["same", "same", "DIFFERS", "DIFFERS"]
     monkeypatch.setattr(published_numbers, "published", lambda: numbers)
     assert published_numbers.main([]) == 1
@@ -278,7 +278,7 @@ def test_a_table_without_the_row_is_refused(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_quick_number_is_made_anew() -> None:
     """One command from the table, run as `make docs-figures` runs it: the paths lead to these figures, in this unit."""
-    numbers = [one for one in published_numbers.published() if one.command == "run contour"]
+    numbers = [number for number in published_numbers.published() if number.command == "run contour"]
     assert len(numbers) == 3
-    for one, found, _ in published_numbers.compare(numbers):
-        assert found == pytest.approx(one.number, rel=0.3), one.what
+    for number, value, _ in published_numbers.compare(numbers):
+        assert value == pytest.approx(number.number, rel=0.3), number.what

@@ -65,8 +65,8 @@ def recording() -> ir.Recording:
 
 
 def diagnosis() -> Diagnosis:
-    t, one = np.arange(50.0), np.ones((50, 1))
-    traces = Traces(t, one, one, 0.5 * one, one > 0, one > 0, one, one)
+    t, ones = np.arange(50.0), np.ones((50, 1))
+    traces = Traces(t, ones, ones, 0.5 * ones, ones > 0, ones > 0, ones, ones)
     channel = ChannelResult("tau_1", "N m", 1.0, 1.0, 0.5, 0.1, 0.0)
     return Diagnosis("none", (channel,), (), (), "every fourth block", 3.0, traces=((("tau_1",), traces),))
 
@@ -143,9 +143,9 @@ OTHERS = {"scenes.closing.loop:Comparison", "ideal_robot.diagnosis.validation.re
 
 
 def results(base: type) -> list[type]:
-    found = [sub for one in base.__subclasses__() for sub in (one, *results(one))]
-    return sorted({one for one in found if one not in (ShownRun, ShownTable)
-                   and one.__module__.startswith(("ideal_robot.", "scenes."))}, key=lambda one: one.__qualname__)
+    classes = [sub for subclass in base.__subclasses__() for sub in (subclass, *results(subclass))]
+    return sorted({cls for cls in classes if cls not in (ShownRun, ShownTable)
+                   and cls.__module__.startswith(("ideal_robot.", "scenes."))}, key=lambda cls: cls.__qualname__)
 
 
 def said_by(result: type, **told: Any) -> Any:
@@ -157,14 +157,14 @@ LONG = "a reason in many words\nwith a second line " * 40
 MANY = [("first", LONG), *((f"figure {i}", f"{i} N m\nand more") for i in range(60))]
 
 
-@pytest.mark.parametrize("result", [*results(Summarised), *results(ShownTable)], ids=lambda one: one.__name__)
+@pytest.mark.parametrize("result", [*results(Summarised), *results(ShownTable)], ids=lambda kind: kind.__name__)
 def test_a_result_is_three_lines(result: type) -> None:
     scene = SimpleNamespace(name="line")
     shown = said_by(result, scene=scene, failure=LONG, summary=lambda self: MANY,
                  rows=lambda self: (("method", "mean mm"), [[f"method_{i}", value] for i in range(40)
                                                             for value in (0.12345678, None, "-")]))
-    for one in (shown, [shown]):
-        text = repr(one)
+    for view in (shown, [shown]):
+        text = repr(view)
         assert len(text.splitlines()) <= 3
         assert max(map(len, text.splitlines())) < 300
     assert repr(shown).startswith(f"{result.__name__}(")
@@ -173,15 +173,15 @@ def test_a_result_is_three_lines(result: type) -> None:
 
 def test_no_result_is_shown_otherwise() -> None:
     for module in MODULES:
-        for name, one in vars(module).items():
-            if isinstance(one, type) and one.__module__ == module.__name__ and RESULT.search(name) \
-                    and not getattr(one, "_is_protocol", False) and f"{module.__name__}:{name}" not in OTHERS:
-                assert issubclass(one, Summarised | ShownTable), f"{module.__name__}.{name}"
+        for name, member in vars(module).items():
+            if isinstance(member, type) and member.__module__ == module.__name__ and RESULT.search(name) \
+                    and not getattr(member, "_is_protocol", False) and f"{module.__name__}:{name}" not in OTHERS:
+                assert issubclass(member, Summarised | ShownTable), f"{module.__name__}.{name}"
 
 
 def test_what_a_result_says_is_of_its_content() -> None:
-    found = Fastest(0.71, 2e-4, 1.9e-4, ((0.5, 1e-4), (0.8, 2.5e-4)))
-    assert repr(found) == "Fastest(0.71 m/s within 0.2 mm)\n  95 % predicted 0.19 mm; trials 2"
+    fastest = Fastest(0.71, 2e-4, 1.9e-4, ((0.5, 1e-4), (0.8, 2.5e-4)))
+    assert repr(fastest) == "Fastest(0.71 m/s within 0.2 mm)\n  95 % predicted 0.19 mm; trials 2"
 
 
 NAMES = st.text("abcdefgh_123 é[]", min_size=1, max_size=8).filter(lambda name: name.strip() == name and name != "t")
@@ -255,14 +255,14 @@ def test_seeds_that_do_not_enter_are_one_run_without_a_chance() -> None:
                            for seed in range(seeds)])
 
     for factor, verdict in ((1.0, SAME), (1.005, SAME), (1.5, WORSE), (0.5, BETTER)):
-        found = compared(of(1.0), of(factor))
-        (row,) = found.rows
-        assert (found.verdict, row.verdict, row.pairs) == (verdict, verdict, 1)
+        comparison = compared(of(1.0), of(factor))
+        (row,) = comparison.rows
+        assert (comparison.verdict, row.verdict, row.pairs) == (verdict, verdict, 1)
         assert np.isnan(row.p)
         assert np.isnan(row.corrected)
         assert "the seed does not enter" in row.why
         assert row.why in sentence(row)
-        assert any(row.why in str(cell) for line in found.table()[1] for cell in line)
+        assert any(row.why in str(cell) for line in comparison.table()[1] for cell in line)
     # One figure alone, such as a count, may be the same by chance; and a single seed tells nothing.
     counts = compared(runs(0, fields={"used": 7}), runs(1, fields={"used": 8}), figures=["fields.used"])
     assert not any("does not enter" in row.why for row in counts.rows)

@@ -64,12 +64,12 @@ def build(folder: Path) -> None:
 def carry_compiled(target: Path) -> None:
     """Gives the installed sources the compiled code of these, which takes a minute to make; their times tell it."""
     for path in (path for name in PACKAGES for path in (ROOT / name).rglob("*")):
-        there, times = target / path.relative_to(ROOT), path.stat()
+        copy, times = target / path.relative_to(ROOT), path.stat()
         if path.suffix == ".nbc":
-            there.parent.mkdir(exist_ok=True)
-            shutil.copy2(path, there)
+            copy.parent.mkdir(exist_ok=True)
+            shutil.copy2(path, copy)
         elif path.suffix == ".py":
-            os.utime(there, ns=(times.st_atime_ns, times.st_mtime_ns))
+            os.utime(copy, ns=(times.st_atime_ns, times.st_mtime_ns))
 
 
 def run(command: list[str], folder: Path, path: Path | None = None) -> str:
@@ -123,8 +123,8 @@ def test_the_wheel_holds_everything(installed: Path, tmp_path: Path) -> None:
     assert [place for place in places if not Path(place).is_relative_to(installed)] == []
 
 
-@pytest.mark.parametrize("example", [pytest.param(one, marks=() if one.stem in QUICK else pytest.mark.slow)
-                                     for one in EXAMPLES], ids=lambda path: path.stem)
+@pytest.mark.parametrize("example", [pytest.param(example, marks=() if example.stem in QUICK else pytest.mark.slow)
+                                     for example in EXAMPLES], ids=lambda path: path.stem)
 def test_runs_from_the_wheel(example: Path, installed: Path, tmp_path: Path) -> None:
     assert SHOWS[example.stem] in run([sys.executable, str(example)], tmp_path, installed)
 
@@ -159,9 +159,9 @@ def test_it_has_only_known_instructions_and_a_python_the_package_takes() -> None
 
 def test_what_it_makes_are_targets_of_the_makefile_and_what_it_starts_is_readmes_first_command() -> None:
     targets = set(re.findall(r"^([.\w/-]+):", MAKEFILE, re.M))
-    made = [word for step, text in STEPS if step == "RUN" for word in re.findall(r"\bmake ([.\w/-]+)", text)]
-    assert made == [".venv/installed"]
-    assert set(made) <= targets
+    goals = [word for step, text in STEPS if step == "RUN" for word in re.findall(r"\bmake ([.\w/-]+)", text)]
+    assert goals == [".venv/installed"]
+    assert set(goals) <= targets
     start = json.loads(next(text for step, text in STEPS if step == "CMD"))
     first = re.search(r"```sh\n(make \w+)", README)
     assert first is not None
@@ -194,10 +194,10 @@ def test_readme_says_the_commands_of_its_heading_and_nothing_private_goes_in() -
 
 def test_every_test_is_in_one_part() -> None:
     names = [f"tests/test_{i}.py::test" for i in range(500)]
-    found = [[part for part in range(20) if in_part(name, part, 20)] for name in names]
-    assert all(len(one) == 1 for one in found)
-    assert {one[0] for one in found} == set(range(20))
-    assert in_part(names[0], found[0][0] + 20, 20)
+    memberships = [[part for part in range(20) if in_part(name, part, 20)] for name in names]
+    assert all(len(parts) == 1 for parts in memberships)
+    assert {parts[0] for parts in memberships} == set(range(20))
+    assert in_part(names[0], memberships[0][0] + 20, 20)
 
 
 def test_continuous_integration_runs_both_targets_and_the_part_changes_with_the_commit() -> None:
@@ -268,17 +268,17 @@ def test_from_the_wheel(installed: Path, folder: Path, words: tuple[str, ...]) -
     """Baseline, the same from the cache, and worse against a baseline that was better."""
     misses_its_baseline(run_tests(folder, installed, *words).stdout)
     run_tests(folder, installed, "--update-path-errors", *words)
-    kept = sorted((folder / "baselines").iterdir())
-    assert len(kept) == 2
+    baselines = sorted((folder / "baselines").iterdir())
+    assert len(baselines) == 2
     same = run_tests(folder, installed, *words)
     assert "2 passed, 2 errors" in same.stdout, same.stdout
-    for file in kept:
-        told = json.loads(file.read_text())
+    for file in baselines:
+        baseline = json.loads(file.read_text())
         # By as much for each seed: three seeds tell no change that scatters with them.
-        by = 0.2 * min(run["control_error_mm.mean"] for run in told["runs"])
-        for run in told["runs"]:
+        by = 0.2 * min(run["control_error_mm.mean"] for run in baseline["runs"])
+        for run in baseline["runs"]:
             run["control_error_mm.mean"] -= by
-        file.write_text(json.dumps(told))
+        file.write_text(json.dumps(baseline))
     worse = run_tests(folder, installed, *words)
     assert "Path error: worse" in worse.stdout
     assert "2 failed, 2 errors" in worse.stdout

@@ -212,12 +212,12 @@ def test_one_of_each_is_one_file_and_at_most_a_line_in_a_registry(tmp_path: Path
             (package / name).write_text(text, encoding="utf-8")
     done = ended(tmp_path, PROGRAM, REGISTRY)
     assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    coefficients, lacks, named = found["a friction law"]
+    answers = json.loads(done.stdout)
+    coefficients, lacks, named = answers["a friction law"]
     assert [round(value, 9) for value in coefficients] == [3.0, 2.0, 0.5]
     assert (lacks, named) == (2.0, True)
-    assert found["a camera effect"] == [[1.0, 0.9, 1.0]]
-    assert found["a method"] == [True, [6.0, 7.0, 8.0, 9.0, 10.0, 11.0]]
-    assert found["a scene kind"] == "Seam"
-    assert found["a robot"] == [6, 0.008]
-    assert found["a control period"] == 0.004
+    assert answers["a camera effect"] == [[1.0, 0.9, 1.0]]
+    assert answers["a method"] == [True, [6.0, 7.0, 8.0, 9.0, 10.0, 11.0]]
+    assert answers["a scene kind"] == "Seam"
+    assert answers["a robot"] == [6, 0.008]
+    assert answers["a control period"] == 0.004

@@ -172,7 +172,7 @@ def _options(rng: np.random.Generator, folder: Path) -> Case:
     verbs = typer.main.get_command(scenes.cli.app).commands  # type: ignore[attr-defined]
     name = tuple(CALLS)[rng.integers(len(CALLS))]
     words = CALLS[name].split()
-    options = [one for one in verbs[name].params if one.param_type_name == "option" and one.name not in SLOW]
+    options = [param for param in verbs[name].params if param.param_type_name == "option" and param.name not in SLOW]
     for _ in range(int(rng.integers(1, 3))):
         if rng.random() < 0.15:
             words[0] = VALUES[rng.integers(len(VALUES))]

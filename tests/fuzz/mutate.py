@@ -30,11 +30,11 @@ JUNK = (b"\0", b"\xff\xfe", b"\r", b"[/red]", b"<!--", b"../", b"\x1b[31m", "\u2
 
 def _replaced(text: bytes, rng: np.random.Generator, new: Callable[[bytes], bytes]) -> bytes:
     """The text with one of its numbers made another thing."""
-    found = list(NUMBER.finditer(text))
-    if not found:
+    numbers = list(NUMBER.finditer(text))
+    if not numbers:
         return text
-    one = found[rng.integers(len(found))]
-    return text[: one.start()] + new(one.group()) + text[one.end():]
+    number = numbers[rng.integers(len(numbers))]
+    return text[: number.start()] + new(number.group()) + text[number.end():]
 
 
 def _number(text: bytes, rng: np.random.Generator) -> bytes:
@@ -47,11 +47,11 @@ def _scaled(text: bytes, rng: np.random.Generator) -> bytes:
 
 
 def _word(text: bytes, rng: np.random.Generator) -> bytes:
-    found = list(WORD.finditer(text))
-    if len(found) < 2:
+    words = list(WORD.finditer(text))
+    if len(words) < 2:
         return text
-    one, other = found[rng.integers(len(found))], found[rng.integers(len(found))]
-    return text[: one.start()] + other.group() + text[one.end():]
+    word, other = words[rng.integers(len(words))], words[rng.integers(len(words))]
+    return text[: word.start()] + other.group() + text[word.end():]
 
 
 def _line(text: bytes, rng: np.random.Generator) -> bytes:
@@ -124,8 +124,8 @@ def mutated_table(columns: dict[str, Any], required: tuple[str, ...], rng: np.ra
     for _ in range(int(rng.integers(1, 3))):
         kind = int(rng.integers(9))
         if kind == 0:
-            columns, gone = _dropped(columns, required, rng)
-            lost = lost or gone
+            columns, dropped = _dropped(columns, required, rng)
+            lost = lost or dropped
         elif kind in (1, 2, 3, 4, 5, 7):
             # The second change may meet a column that the first has made no numbers of: that one is broken enough.
             with suppress(TypeError, ValueError):

@@ -257,10 +257,10 @@ def bag(folder: Path, *, mcap: bool) -> bytes:
         mcap: the one or the other.
     """
     recording = Recording(dict(motion(folder)), {}, "small arm")
-    with tempfile.TemporaryDirectory() as there:
+    with tempfile.TemporaryDirectory() as scratch:
         if mcap:
-            return write_mcap(recording, Path(there) / "r.mcap").read_bytes()
-        return next(write_rosbag2(recording, Path(there) / "bag").glob("*.db3")).read_bytes()
+            return write_mcap(recording, Path(scratch) / "r.mcap").read_bytes()
+        return next(write_rosbag2(recording, Path(scratch) / "bag").glob("*.db3")).read_bytes()
 
 
 def broken_replay(folder: Path, rng: np.random.Generator) -> bytes:
@@ -276,24 +276,24 @@ def broken_replay(folder: Path, rng: np.random.Generator) -> bytes:
     with np.load(io.BytesIO(raw)) as file:
         arrays = dict(file)
     name = list(arrays)[rng.integers(len(arrays))]
-    others = (np.zeros(0), np.zeros(3), np.zeros((2, 2)), np.full((500, 3), np.nan), np.zeros((500, 7)), np.array("x"),
+    values = (np.zeros(0), np.zeros(3), np.zeros((2, 2)), np.full((500, 3), np.nan), np.zeros((500, 7)), np.array("x"),
               np.array("{}"), np.arange(500.0)[::-1], np.full(500, 1e300), np.zeros((1, 1, 1)))
-    arrays[name] = others[rng.integers(len(others))]
+    arrays[name] = values[rng.integers(len(values))]
     if rng.random() < 0.2:
         del arrays[name]
-    made = io.BytesIO()
-    np.savez_compressed(made, **arrays)
-    return made.getvalue()
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    return buffer.getvalue()
 
 
 @cache
 def _replay(folder: Path) -> bytes:
-    with tempfile.TemporaryDirectory() as there:
-        (Path(there) / "r.csv").write_bytes(mutate.csv_bytes(motion(folder)))
-        recording = Recording.read(Path(there) / "r.csv")
+    with tempfile.TemporaryDirectory() as scratch:
+        (Path(scratch) / "r.csv").write_bytes(mutate.csv_bytes(motion(folder)))
+        recording = Recording.read(Path(scratch) / "r.csv")
         replay = replace(replay_of_columns(arm(folder), recording), pictures=((0.0, picture(".png")),),
                          surface=np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]))
-        return write_replay(replay, Path(there) / "r.replay.npz", recording).read_bytes()
+        return write_replay(replay, Path(scratch) / "r.replay.npz", recording).read_bytes()
 
 
 def _drawn(shift: int) -> np.ndarray:
@@ -308,9 +308,9 @@ def _still(folder: Path) -> dict[str, Any]:
 
 
 def _mat() -> bytes:
-    made, t = io.BytesIO(), 1e-3 * np.arange(200.0)[:, None]
-    savemat(made, {name: t for name in ("t", "qm", "qg", "vir")} | {"gtau": 35.15})
-    return made.getvalue()
+    buffer, t = io.BytesIO(), 1e-3 * np.arange(200.0)[:, None]
+    savemat(buffer, {name: t for name in ("t", "qm", "qg", "vir")} | {"gtau": 35.15})
+    return buffer.getvalue()
 
 
 TABLES: dict[str, Callable[[Path], dict[str, Any]]] = {

@@ -194,12 +194,12 @@ def _says_why(figures: Path) -> bool:
 
     Of an arm that was stopped on its path, of a sweep without a success, of pictures without a line.
     """
-    found = json.loads(figures.read_text())
-    if "runs" in found:
-        return all(run["failure"] for run in found["runs"])
-    if "pictures" in found:
-        return not any(one["found"] for one in found["pictures"])
-    return bool(found.get("failure"))
+    content = json.loads(figures.read_text())
+    if "runs" in content:
+        return all(run["failure"] for run in content["runs"])
+    if "pictures" in content:
+        return not any(picture["found"] for picture in content["pictures"])
+    return bool(content.get("failure"))
 
 
 def _rows_say_why(table: Path) -> bool:
@@ -226,18 +226,18 @@ def _broken(case: Case, folder: Path, code: int, took: float, peak: int, err: st
     lines = [line for line in err.splitlines() if line.strip()]
     if code == 2 and "Usage:" not in err and len(lines) != 1:
         return f"{len(lines)} lines on standard error"
-    left = {path.name for path in folder.iterdir()} - {Path(name).parts[0] for name in case.files} \
+    leftovers = {path.name for path in folder.iterdir()} - {Path(name).parts[0] for name in case.files} \
         - {".out", ".err"}
-    if code and "kept" in left and list((folder / "kept").glob("*.json")):
+    if code and "kept" in leftovers and list((folder / "kept").glob("*.json")):
         # A model that was prepared is not lost with the scene for which it was.
-        left.remove("kept")
-    if code == 1 and "j.json" in left and left <= {"j.json", "o", "t.csv"} and _says_why(folder / "j.json"):
+        leftovers.remove("kept")
+    if code == 1 and "j.json" in leftovers and leftovers <= {"j.json", "o", "t.csv"} and _says_why(folder / "j.json"):
         return None
     if code == 1 and case.words[0] == "sweep" and "--csv" in case.words:
         table = folder / case.words[case.words.index("--csv") + 1]
-        left -= {table.name} if table.is_file() and _rows_say_why(table) else set()
-    if code and left:
-        return f"left {', '.join(sorted(left))} after a failure"
-    if any(name.startswith(".") for name in left):
-        return f"left {', '.join(sorted(left))}"
+        leftovers -= {table.name} if table.is_file() and _rows_say_why(table) else set()
+    if code and leftovers:
+        return f"left {', '.join(sorted(leftovers))} after a failure"
+    if any(name.startswith(".") for name in leftovers):
+        return f"left {', '.join(sorted(leftovers))}"
     return None

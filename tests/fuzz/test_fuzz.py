@@ -50,11 +50,11 @@ def test_a_broken_recording_is_read_and_checked_or_refused(seed: int, sound: Pat
     raw, lost = mutate.mutated_table(originals.motion(sound), ("t", "q_1", "q_2", "tau_1"), rng, csv=seed % 2 == 0)
     path = tmp_path / ("r.csv" if seed % 2 == 0 else "r.parquet")
     path.write_bytes(raw)
-    found = unless_refused(lambda: checked([Recording.read(path)], originals.arm(sound)))
-    if found is None:
+    answer = unless_refused(lambda: checked([Recording.read(path)], originals.arm(sound)))
+    if answer is None:
         return
     assert not lost
-    ((usable,), _) = found
+    ((usable,), _) = answer
     assert np.all(np.isfinite(usable.joints("q")))
     assert np.all(np.isfinite(usable.joints("tau")))
     assert np.all(np.diff(usable.t) > 0)

@@ -23,29 +23,29 @@ from studies.strangers.trial import LATE, Trial, draw_trial
 def diagnosed(seed: int) -> tuple[Trial, Any, Score]:
     trial = draw_trial(seed, size=(3.0, 10.0))
     with robot_of(trial.urdf) as robot:
-        found = diagnose(trial.recording, robot, model=known_before(trial, robot))
-    return trial, found, score(trial, found)
+        diagnosis = diagnose(trial.recording, robot, model=known_before(trial, robot))
+    return trial, diagnosis, score(trial, diagnosis)
 
 
 @pytest.mark.slow
 def test_a_payload_that_refitting_could_swallow_is_said() -> None:
-    trial, found, result = diagnosed(50051)
+    trial, diagnosis, result = diagnosed(50051)
     assert [cause.name for cause in trial.causes] == ["payload"]
     assert result.right
-    tau_2 = next(c for c in found.channels if c.channel == "tau_2")
+    tau_2 = next(c for c in diagnosis.channels if c.channel == "tau_2")
     # Refitted parameters alone explain as much; that is why the load was once left out.
     assert tau_2.rms_refit < 0.1 * tau_2.rms_before
 
 
 @pytest.mark.slow
 def test_an_uneven_gear_keeps_its_order_beside_elastic_ones() -> None:
-    trial, found, result = diagnosed(50004)
+    trial, diagnosis, result = diagnosed(50004)
     assert [cause.name for cause in trial.causes] == ["transmission_error"]
     assert result.found == (True,)
     # Once its order was that found before the gears' bending was known, and the difference was named twice more.
-    assert [e.fitted.name for e in found.effects].count("transmission_error") == 1
+    assert [e.fitted.name for e in diagnosis.effects].count("transmission_error") == 1
     assert not result.unknown
-    qa_2 = next(c for c in found.channels if c.channel == "qa_2")
+    qa_2 = next(c for c in diagnosis.channels if c.channel == "qa_2")
     assert qa_2.rms_after < 0.02 * qa_2.rms_before
 
 
@@ -62,9 +62,9 @@ AGAIN_WRONG = pytest.mark.xfail(strict=True, reason="of the one in ten strangers
 
 @pytest.mark.slow
 def test_one_lag_of_all_torques_comes_before_delays_of_three_joints() -> None:
-    trial, found, result = diagnosed(731095)
+    trial, diagnosis, result = diagnosed(731095)
     assert "dead_time" not in {name for name, _ in result.named}
-    lag = next(e.fitted.parameters[0] for e in found.effects if e.fitted.name in LATE)
+    lag = next(e.fitted.parameters[0] for e in diagnosis.effects if e.fitted.name in LATE)
     assert abs(lag.value - trial.late) < 2.0 * lag.std
 
 
@@ -84,12 +84,12 @@ def test_a_clock_that_is_late_for_all_torques_is_a_common_delay(seed: int, delay
     assert trial.late == 0.0
     with robot_of(trial.urdf) as robot:
         for delay in delays:
-            found = [e for e in diagnose(_late_by(trial.recording, delay), robot).effects
-                     if isinstance(e.fitted.effect, CommonDelay)]
-            assert [e.fitted.name for e in found] == (["common_delay"] if delay else [])
-            for one in found:
-                assert one.indistinguishable_from == ("torque_filter",)
-                assert one.fitted.parameters[0].value == pytest.approx(delay, abs=4e-4)
+            effects = [e for e in diagnose(_late_by(trial.recording, delay), robot).effects
+                       if isinstance(e.fitted.effect, CommonDelay)]
+            assert [e.fitted.name for e in effects] == (["common_delay"] if delay else [])
+            for effect in effects:
+                assert effect.indistinguishable_from == ("torque_filter",)
+                assert effect.fitted.parameters[0].value == pytest.approx(delay, abs=4e-4)
 
 
 @pytest.mark.slow
@@ -159,8 +159,8 @@ def test_what_was_once_wrong(seed: int) -> None:
 def test_nothing_is_said_against_the_model_of_another_healthy_recording(seed: int) -> None:
     trial = draw_trial(seed, "known")
     with robot_of(trial.urdf) as robot:
-        found = diagnose(trial.recording, robot, model=identify([trial.reference], robot).model)
-    assert score(trial, found).right
+        diagnosis = diagnose(trial.recording, robot, model=identify([trial.reference], robot).model)
+    assert score(trial, diagnosis).right
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])

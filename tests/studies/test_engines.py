@@ -24,17 +24,17 @@ def inverse_dynamics(plant: Plant, run: Run) -> np.ndarray:
     v = np.diff(run.qa, axis=0) / STEP
     a = np.diff(v, axis=0) / STEP
     rows = np.arange(2000, len(a) - 5, 50)
-    taken = torques(plant.model, run.qa[rows], v[rows - 1], a[rows - 1]) + plant.rotor * a[rows - 1]
-    return np.array([taken, run.tau[rows]])
+    needed = torques(plant.model, run.qa[rows], v[rows - 1], a[rows - 1]) + plant.rotor * a[rows - 1]
+    return np.array([needed, run.tau[rows]])
 
 
 @pytest.mark.parametrize("engine", sorted(ENGINES))
 def test_bare_arm_obeys_inverse_dynamics(engine: str) -> None:
     plant = a_plant(ARM, friction=False, engine=engine)
-    taken, acted = inverse_dynamics(plant, ENGINES[engine](plant, a_motion(ARM)))
+    needed, acted = inverse_dynamics(plant, ENGINES[engine](plant, a_motion(ARM)))
     scale = np.std(acted, axis=0)
     # PyBullet's torque is the mean over its step, and its angles are one step ahead of the row's torque.
-    assert np.all(np.std(taken - acted, axis=0) < (0.05 if engine == "pybullet" else 0.01) * scale)
+    assert np.all(np.std(needed - acted, axis=0) < (0.05 if engine == "pybullet" else 0.01) * scale)
 
 
 def test_engines_agree_with_friction_off() -> None:
@@ -52,9 +52,9 @@ def test_engines_agree_with_friction_off() -> None:
 def test_mujoco_and_integrator_agree_with_friction(kind: int, stiffness: float) -> None:
     """Different ways through standstill: the torques of a whole motion still differ by little."""
     plant, motion = a_plant(ARM, kind=kind, stiffness=stiffness), a_motion(ARM)
-    one, two = (ENGINES[name](plant, motion) for name in ("mujoco", "integrator"))
-    assert np.all(np.std(one.tau - two.tau, axis=0) < 0.05 * np.std(one.tau, axis=0))
-    twist = np.abs(one.q - one.qa).max()
+    by_mujoco, by_integrator = (ENGINES[name](plant, motion) for name in ("mujoco", "integrator"))
+    assert np.all(np.std(by_mujoco.tau - by_integrator.tau, axis=0) < 0.05 * np.std(by_mujoco.tau, axis=0))
+    twist = np.abs(by_mujoco.q - by_mujoco.qa).max()
     assert twist > 1e-5 if np.isfinite(stiffness) else twist == 0.0
 
 
@@ -91,10 +91,10 @@ def test_tilted_base_changes_torque_by_gravity_alone(engine: str) -> None:
     model = plant.model.copy()
     model.gravity.linear = pin.exp3(np.deg2rad(3.0) * np.array([1.0, 0.0, 0.0])) @ model.gravity.linear
     tilted = dataclasses.replace(plant, model=model)
-    one, two = ENGINES[engine](plant, motion), ENGINES[engine](tilted, motion)
-    rows = np.arange(2000, len(one.t), 100)
-    expected = np.array([tilted.holding(one.q[k]) - plant.holding(one.q[k]) for k in rows])
-    change = (two.tau - one.tau)[rows]
+    level_run, tilted_run = ENGINES[engine](plant, motion), ENGINES[engine](tilted, motion)
+    rows = np.arange(2000, len(level_run.t), 100)
+    expected = np.array([tilted.holding(level_run.q[k]) - plant.holding(level_run.q[k]) for k in rows])
+    change = (tilted_run.tau - level_run.tau)[rows]
     assert np.std(change - expected) < 0.1 * np.std(expected)
 
 
@@ -177,11 +177,11 @@ def test_arm_under_an_observer_follows_and_tells_the_torque_of_its_motion(stiffn
     a, a_arm = (np.gradient(speed, STEP, axis=0) for speed in (v, v_arm))
     body = torques(plant.model, run.qa, v_arm, a_arm)
     friction = plant.block[drive.COULOMB] * np.sign(v) + plant.block[drive.VISCOUS] * v
-    left = signal.sosfiltfilt(smooth, run.tau - body - plant.rotor * a - friction, axis=0)
+    remainder = signal.sosfiltfilt(smooth, run.tau - body - plant.rotor * a - friction, axis=0)
     for j in range(ARM.n):
         fast = np.flatnonzero(np.abs(v[:, j]) > 0.3 * np.abs(v[:, j]).max())
         fast = fast[(fast > 1000) & (fast < len(v) - 500)]
-        assert np.std(left[fast, j]) < 1e-3 * np.std(run.tau[:, j])
+        assert np.std(remainder[fast, j]) < 1e-3 * np.std(run.tau[:, j])
     expected = 0.0 if np.isinf(stiffness) else body / stiffness
     assert np.abs(signal.sosfiltfilt(smooth, run.q - run.qa - expected, axis=0)[1000:-500]).max() < 2e-5
 
@@ -202,5 +202,5 @@ def test_maxwells_elements_follow_dahls_curve_after_a_reversal_and_close_their_l
     assert np.abs(force(back) - 2.0 * (2.0 * np.exp(back[1:] / 1e-3) - 1.0)).max() < 0.25
     before = out[0]
     # A small loop inside is forgotten once it is closed, which one state, as Dahl's, cannot.
-    there, back = np.linspace(0.0, 5e-4, 100), np.linspace(5e-4, 0.0, 100)
-    assert force(np.concatenate([there, back]))[-1] == pytest.approx(before)
+    forth, back = np.linspace(0.0, 5e-4, 100), np.linspace(5e-4, 0.0, 100)
+    assert force(np.concatenate([forth, back]))[-1] == pytest.approx(before)

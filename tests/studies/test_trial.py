@@ -29,10 +29,10 @@ ARM = an_arm()
 def test_a_seed_gives_the_same_recording_bit_for_bit(engine: str) -> None:
     if engine == "dart":
         pytest.importorskip("dartpy", exc_type=ImportError)
-    one, two = (draw_trial(7, "none", engine, seconds=(4.0, 5.0)) for _ in range(2))
-    assert one.recording.hash == two.recording.hash
-    assert one.urdf == two.urdf
-    assert draw_trial(10, "none", engine, seconds=(4.0, 5.0)).recording.hash != one.recording.hash
+    first, second = (draw_trial(7, "none", engine, seconds=(4.0, 5.0)) for _ in range(2))
+    assert first.recording.hash == second.recording.hash
+    assert first.urdf == second.urdf
+    assert draw_trial(10, "none", engine, seconds=(4.0, 5.0)).recording.hash != first.recording.hash
 
 
 def test_an_engine_that_was_left_out_is_drawn_only_by_its_name() -> None:
@@ -113,9 +113,9 @@ def test_filter_of_all_torques_is_late_by_its_time_constant() -> None:
     run = ENGINES["integrator"](setup.plant, a_motion(ARM, 8.0))
     effect = NEW["torque_filter"](rng, setup, 0)
     assert effect is not None
-    one, two = (record(s.logger, s.plant, run) for s in (setup, effect.apply(setup, 2.0)))
-    slope = np.gradient(one.joints("tau"), one.t, axis=0)
-    change = two.joints("tau") - one.joints("tau")
+    plain, filtered = (record(s.logger, s.plant, run) for s in (setup, effect.apply(setup, 2.0)))
+    slope = np.gradient(plain.joints("tau"), plain.t, axis=0)
+    change = filtered.joints("tau") - plain.joints("tau")
     lag = -np.sum(change * slope, axis=0) / np.sum(slope**2, axis=0)
     assert np.all(lag > 0.0)
     assert effect.values(2.0)["torque_filter", 0, "time constant"] == pytest.approx(6e-3)
@@ -206,8 +206,8 @@ def test_the_size_that_is_found_half_of_the_time_comes_back_from_what_was_found(
     every = []
     for size in np.exp(rng.uniform(np.log(0.1), np.log(5.0), 2000)):
         # Half of them from 0.8 on, nine tenths from 0.8 * 9 ** 0.5 = 2.4.
-        seen = rng.uniform() < 1.0 / (1.0 + (size / 0.8) ** -2.0)
-        every.append(dataclasses.replace(right, causes=(("stribeck", 2, float(size)),), found=(bool(seen),)))
+        detected = rng.uniform() < 1.0 / (1.0 + (size / 0.8) ** -2.0)
+        every.append(dataclasses.replace(right, causes=(("stribeck", 2, float(size)),), found=(bool(detected),)))
     cells = detection(every, lambda cause: "friction").splitlines()[2].split("|")
     half, nine = (float(cells[k].split()[0]) for k in (4, 6))
     assert half == pytest.approx(0.8, rel=0.1)
@@ -247,9 +247,9 @@ def test_causes_said_with_a_probability_are_counted_where_it_was_asked_for() -> 
         effect.indistinguishable_from = rivals
     answer.arguments = [SimpleNamespace(name=name, sets=(Weighed("", 0, np.log(odds), 0.0),)) for name, odds in (
         ("stribeck", 24.0), ("unknown", 1.0), ("dead_time", 1.5))]
-    made = score(trial, answer)
-    assert made.probabilities == (pytest.approx((0.96, True)), pytest.approx((0.6, False)))
-    lines = reliability([made, score(a_trial(), said("none"))]).splitlines()
+    result = score(trial, answer)
+    assert result.probabilities == (pytest.approx((0.96, True)), pytest.approx((0.6, False)))
+    lines = reliability([result, score(a_trial(), said("none"))]).splitlines()
     assert lines[2].startswith("| 0.5 … 0.8 | 1 | 0.600 | 0 | 0.00 ±")
     assert lines[3].startswith("| 0.95 … 0.99 | 1 | 0.960 | 1 | 1.00 ±")
     # (0.04² + 0.6²) / 2, and half of them are there.
@@ -263,17 +263,17 @@ def test_a_name_is_as_probable_as_it_was_right_in_other_recordings() -> None:
     trial = a_trial(("stribeck", 2))
     answers = [*[(("stribeck", 2),)] * 30, *[(("backlash", 2),)] * 10, *[(("stribeck", 2), ("backlash", 2))] * 10]
     right = dataclasses.replace(trial, healthy=frozenset({("backlash", 2)}))
-    made = by_name([score(right if k >= 40 else trial, said("effects", *named)) for k, named in enumerate(answers)])
-    (often, there), = made[0].probabilities
-    assert there
+    scores = by_name([score(right if k >= 40 else trial, said("effects", *named)) for k, named in enumerate(answers)])
+    (often, was_right), = scores[0].probabilities
+    assert was_right
     assert often > 0.97
     # Ten of twenty were right; an answer's own is not among those that it is judged by.
-    (_, _), (one_right, _) = made[-1].probabilities
-    (one_wrong, there), = made[30].probabilities
-    assert not there
+    (_, _), (one_right, _) = scores[-1].probabilities
+    (one_wrong, was_right), = scores[30].probabilities
+    assert not was_right
     assert one_right < 0.5 < one_wrong < 0.56
     # Of a name that no other recording has, as much is known as of all names.
-    alone = by_name([*made, score(trial, said("effects", ("payload", 0)))])[-1].probabilities[0][0]
+    alone = by_name([*scores, score(trial, said("effects", ("payload", 0)))])[-1].probabilities[0][0]
     assert 0.5 < alone < 0.97
     assert by_name([score(trial, said("none"))])[0].probabilities == ()
 
@@ -286,8 +286,8 @@ def test_a_load_is_a_payload_only_next_to_the_flange(joint: int, allowed: bool) 
 def test_an_engine_left_out_is_judged_by_the_factor_of_the_others() -> None:
     def empty(engine: str, *margins: float) -> Score:
         names = tuple(("degressive", j + 1) for j in range(len(margins)))
-        made = dataclasses.replace(score(a_trial(), said("effects", *names)), engine=engine, margins=margins)
-        return dataclasses.replace(made, right=not margins)
+        result = dataclasses.replace(score(a_trial(), said("effects", *names)), engine=engine, margins=margins)
+        return dataclasses.replace(result, right=not margins)
 
     # Played with halved shares: a margin of 3 is one and a half times the usual share.
     every = [empty("mujoco", 3.0), empty("mujoco"), empty("pybullet", 1.2), empty("pybullet")]
@@ -329,8 +329,8 @@ def test_what_cannot_be_played_is_said_in_a_line(words: list[str], capsys: pytes
         main(words)
     # A text is printed by the interpreter, which then ends with 1.
     assert isinstance(ended.value.code, str) or ended.value.code in (1, 2)
-    assert "Traceback" not in (said := capsys.readouterr().err)
-    assert said.strip() or str(ended.value.code).strip()
+    assert "Traceback" not in (message := capsys.readouterr().err)
+    assert message.strip() or str(ended.value.code).strip()
 
 
 # Numbers of modules that are halved and doubled.
@@ -340,9 +340,9 @@ def test_numbers_of_a_module_are_found_and_scaled_each_for_itself(tmp_path):
     (tmp_path / "m.py").write_text('A, _B = 1.5, 3\nC = (0.25, -2.0)\nD = 2 * _B\nUNITS = ("kg", 1)\nlower = 4.0\n'
                                    'E: float = np.radians(30.0)\n"""Ü."""\nF = {"x": 1e-3}\nG = True\n')
     source = (tmp_path / "m.py").read_bytes()
-    found = {one.name: one for one in numbers_of(tmp_path, "m.py")}
-    assert list(found) == ["A", "_B", "C", "E"]
-    halved = {name: one.times(0.5, source).decode() for name, one in found.items()}
+    numbers = {number.name: number for number in numbers_of(tmp_path, "m.py")}
+    assert list(numbers) == ["A", "_B", "C", "E"]
+    halved = {name: number.times(0.5, source).decode() for name, number in numbers.items()}
     assert halved["A"].startswith("A, _B = 0.75, 3\n")
     assert halved["_B"].startswith("A, _B = 1.5, 2\n")
     assert "C = (0.125, (-2.0) * 0.5,)\n" in halved["C"]
