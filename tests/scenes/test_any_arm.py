@@ -73,13 +73,13 @@ def test_paths_in_a_file_are_as_seen_from_its_folder(tmp_path: Path, monkeypatch
     file.write_text(text.replace('robot = "kr6"', f'robot = "{path.name}"\nmodel = "own.json"'))
     monkeypatch.chdir(tmp_path)
     scenes = [load_scene("cell/weld.toml"), load_scene(file)]
-    assert [Path(one.robot).resolve() for one in scenes] == [path, path]
-    assert [Path(one.model).resolve() for one in scenes] == [tmp_path / "cell/own.json"] * 2
+    assert [Path(scene.robot).resolve() for scene in scenes] == [path, path]
+    assert [Path(scene.model).resolve() for scene in scenes] == [tmp_path / "cell/own.json"] * 2
     assert identity(scenes[0]) == identity(scenes[1])
     suite = tmp_path / "cell/suite.toml"
     suite.write_text('title = "of the cell"\n[[case]]\nscenes = ["weld.toml"]\n')
     (tmp_path / "weld.toml").write_text(text)
-    assert [one.scene.folder for one, _ in Suite(suite).work] == [scenes[0].folder]  # type: ignore[union-attr]
+    assert [task.scene.folder for task, _ in Suite(suite).work] == [scenes[0].folder]  # type: ignore[union-attr]
     file.unlink()
     with pytest.raises(InputError, match=r"case.0.scenes: no such scene file \(got 'weld.toml'"):
         Suite(suite)
@@ -94,8 +94,8 @@ def test_what_is_calibrated_once_for_all_methods_is_of_the_scene_in_its_folder(t
 
 def test_a_ready_posture_is_inside_the_limits_and_touches_nothing(tmp_path: Path) -> None:
     path = written(tmp_path, urdf(7, limit='lower="-3.0" upper="-0.05" effort="0" velocity="0"'))
-    for one in (path, written(tmp_path, urdf(6), "six")):
-        robot = arm_of(str(one))
+    for file in (path, written(tmp_path, urdf(6), "six")):
+        robot = arm_of(str(file))
         assert ((robot.home > robot.q_min) & (robot.home < robot.q_max)).all()
     assert Shapes(robot).first_touch(robot.home[None]) is None
     assert robot.fk()(robot.home).rotation[2, 2] == pytest.approx(-1.0)
@@ -136,10 +136,10 @@ def test_what_the_arm_would_hit_is_said_before_it_moves(tmp_path: Path) -> None:
     low = resized(scene, 0.3, (place.origin[0], -0.15, -0.3))
     far = resized(scene, 0.3, (0.82, -0.15, place.origin[2])).changed(
         displacement={"lateral_mm": 60.0, "turn_deg": 20.0})
-    for one, says in ((low, "base plane"), (far, "beside its reference")):
-        reference = ReferencePath(reference_points(one), up=np.array([0.0, 0.0, 1.0]), turning=1.0)
+    for variant, says in ((low, "base plane"), (far, "beside its reference")):
+        reference = ReferencePath(reference_points(variant), up=np.array([0.0, 0.0, 1.0]), turning=1.0)
         with pytest.raises(InputError, match=says):
-            check_way(one, one.arm, reference, JointPath.of(one.arm, reference))
+            check_way(variant, variant.arm, reference, JointPath.of(variant.arm, reference))
 
 
 def test_a_model_that_is_not_shipped_names_the_key_that_helps(tmp_path: Path) -> None:
@@ -229,17 +229,17 @@ def test_poses_of_the_calibration_keep_off_a_box_also_on_their_way() -> None:
     outermost = wrists[np.argmax(wrists[:, 1])]
     standing = Obstacle("box 1", pin.SE3(np.eye(3), outermost + np.array([0.0, 0.2, 0.0])), (0.3, 0.3, 0.3))
     shapes = Shapes(cell.robot, boxes=[standing])
-    kept = calibration_postures(cell.robot, cell.reference, cell.camera, 0.7, shapes=shapes)
-    assert len(free) // 2 <= len(kept) < len(free)
-    assert shapes.first_touch(np.array(kept)) is None
-    assert all(shapes.touch_between(one, other) is None for one, other in pairwise(kept))
+    clear = calibration_postures(cell.robot, cell.reference, cell.camera, 0.7, shapes=shapes)
+    assert len(free) // 2 <= len(clear) < len(free)
+    assert shapes.first_touch(np.array(clear)) is None
+    assert all(shapes.touch_between(posture, other) is None for posture, other in pairwise(clear))
 
 
 def test_paths_and_forces_are_checked_as_lines_are() -> None:
     path = scene_of(PathScene, "iso9283_1")
     robot = arm_of(path.robot)
-    way = joint_path(path, robot, robot.t_ipo)
-    middle = way.x_d[len(way.x_d) // 2].tolist()
+    planned = joint_path(path, robot, robot.t_ipo)
+    middle = planned.x_d[len(planned.x_d) // 2].tolist()
     with pytest.raises(InputError, match=r"touches box 2 .* s from the path's begin"):
         joint_path(path.changed(box=[BESIDE, {"middle": middle, "size": [0.1, 0.1, 0.1]}]), robot, robot.t_ipo)
     force = scene_of(ForceScene, "force_wave")
@@ -253,9 +253,9 @@ def test_paths_and_forces_are_checked_as_lines_are() -> None:
 def test_no_pose_of_a_shipped_calibration_is_given_up(name: str) -> None:
     scene = scene_of(LineScene, name)
     known = set_up(scene).known
-    free, kept = (calibration_postures(known.robot, known.reference, known.camera, 0.7, shapes=shapes)
-                  for shapes in (None, shapes_about(scene, known.robot)))
-    np.testing.assert_array_equal(free, kept)
+    free, clear = (calibration_postures(known.robot, known.reference, known.camera, 0.7, shapes=shapes)
+                   for shapes in (None, shapes_about(scene, known.robot)))
+    np.testing.assert_array_equal(free, clear)
 
 
 def test_the_base_may_stand_in_a_box_and_its_edges_are_where_it_is() -> None:
@@ -267,7 +267,7 @@ def test_the_base_may_stand_in_a_box_and_its_edges_are_where_it_is() -> None:
     edges = turned.edges()
     np.testing.assert_allclose([edges.min(axis=0), edges.max(axis=0)], [[0.8, -0.1, 0.2], [1.2, 0.1, 0.8]], atol=1e-12)
     lengths = np.linalg.norm(np.diff(edges, axis=0), axis=1)
-    assert all(np.abs(one - np.array([0.2, 0.4, 0.6])).min() < 1e-9 for one in lengths)
+    assert all(np.abs(length - np.array([0.2, 0.4, 0.6])).min() < 1e-9 for length in lengths)
     assert len({frozenset(map(tuple, ends)) for ends in pairwise(edges.round(6).tolist())}) == 12
 
 
@@ -285,8 +285,8 @@ def test_identification_motions_keep_off_the_cell_also_on_the_way_to_them(method
     box = {"middle": [float(x) for x in data.oMi[5].translation], "size": [0.2, 0.2, 0.2]}
     shapes = shapes_in(load_scene("iso9283_1").changed(box=[box]), robot)
     assert shapes.first_touch(free.commands) is not None
-    kept = plan(robot, method, seed=1, workspace=replace(Workspace.of(robot), cell=shapes))
-    assert shapes.first_touch(kept.commands) is None
+    clear = plan(robot, method, seed=1, workspace=replace(Workspace.of(robot), cell=shapes))
+    assert shapes.first_touch(clear.commands) is None
 
 
 def test_a_joint_that_a_finger_follows_closes_a_gripper_whatever_it_is_called(tmp_path: Path) -> None:
@@ -336,9 +336,9 @@ def test_postures_in_which_the_tool_is_weighed_keep_off_a_box(name: str) -> None
     shapes = shapes_about(boxed, known.robot)
     assert shapes.first_touch(np.array(free)) is not None
     assert shapes.touch_between(start, free[0]) is None
-    kept = postures_to_weigh(replace(known, scene=boxed), start)
-    assert LEAST <= len(kept) < len(free)
-    assert all(shapes.touch_between(one, other) is None for one, other in pairwise([start, *kept, kept[0]]))
+    clear = postures_to_weigh(replace(known, scene=boxed), start)
+    assert LEAST <= len(clear) < len(free)
+    assert all(shapes.touch_between(posture, other) is None for posture, other in pairwise([start, *clear, clear[0]]))
 
 
 def turned_within_limits(robot: Robot, lifted: np.ndarray) -> list[bool]:

@@ -105,9 +105,9 @@ def test_a_run_that_loses_the_line_ends_with_one_and_keeps_its_recording(program
 
 @pytest.mark.parametrize("verb", ["rsi", "precorrect"])
 def test_the_help_lists_the_methods_of_the_registry(program, verb: str) -> None:
-    told = " ".join(program(verb, "--help").out.replace("│", " ").split())
-    assert ", ".join(methods_of(verb)) in told
-    assert "Example" in told
+    text = " ".join(program(verb, "--help").out.replace("│", " ").split())
+    assert ", ".join(methods_of(verb)) in text
+    assert "Example" in text
     assert completed(verb, "id") == ["ideal"]
 
 
@@ -155,14 +155,14 @@ def test_tables_lose_no_word_and_no_number(width: int | None, monkeypatch: pytes
     if width is not None:
         monkeypatch.setenv("COLUMNS", str(width))
     show_table("errors on held-out data", COLUMNS, ROWS)
-    said = capsys.readouterr().out
+    printed = capsys.readouterr().out
     words = {word for row in ROWS for cell in row if isinstance(cell, str) for word in cell.split()}
     for word in {*words, "12.3", "0.0679", "1.23e+05", "1.5e-09", "depends", "held-out"}:
-        assert word in said, (word, said)
+        assert word in printed, (word, printed)
     if width is not None:
-        assert max(map(len, said.splitlines())) <= width
+        assert max(map(len, printed.splitlines())) <= width
     else:
-        assert "position and velocity of that joint" in said
+        assert "position and velocity of that joint" in printed
 
 
 def test_many_columns_become_blocks_of_lines(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
@@ -227,10 +227,10 @@ def test_a_parameter_is_a_line_where_its_longest_words_fit(width: int, monkeypat
                [["presliding_4", 4, 0.000346, 130.0, 3.77e7, "rad"], ["a4_1", 1, 300.0, 2891.0, 962.0, "1 / (rad/s)"]])
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= width
-    found = next(line for line in lines if "presliding_4" in line)
-    assert all(word in found for word in ("4", "0.000346", "130", "3.77e+07", "rad"))
-    assert ("│" in found) == (width == 70)
-    assert found.rstrip().endswith("│") == (width == 70)
+    row = next(line for line in lines if "presliding_4" in line)
+    assert all(word in row for word in ("4", "0.000346", "130", "3.77e+07", "rad"))
+    assert ("│" in row) == (width == 70)
+    assert row.rstrip().endswith("│") == (width == 70)
 
 
 @pytest.mark.parametrize("width", [40, 60, 120])
@@ -240,8 +240,8 @@ def test_the_bar_keeps_its_numbers_whatever_its_text(width: int, monkeypatch: py
         monkeypatch.setenv(name, value)
     with progress_bar("line") as move:
         move(0.42, "searching the gain at which direct feedback overshoots, in words for which there is no room")
-    said = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", capsys.readouterr().err)
-    line = next(one for one in re.split(r"[\r\n]+", said) if "42 %" in one)
+    printed = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", capsys.readouterr().err)
+    line = next(text for text in re.split(r"[\r\n]+", printed) if "42 %" in text)
     assert line.startswith("line: s")
     assert re.search(r"42 % \d:\d\d:\d\d ", line)
     assert len(line) <= width
@@ -270,13 +270,13 @@ class Heard:
 
 
 def declared() -> list[tuple[str, dict[str, float]]]:
-    found = []
+    tables = []
     for package in (ideal_robot, scenes):
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
-            found += [(f"{module.name}.{name}", shares) for name, shares in
-                      vars(importlib.import_module(module.name)).items()
-                      if name.startswith("SHARES") and isinstance(shares, dict)]
-    return found
+            tables += [(f"{module.name}.{name}", shares) for name, shares in
+                       vars(importlib.import_module(module.name)).items()
+                       if name.startswith("SHARES") and isinstance(shares, dict)]
+    return tables
 
 
 @pytest.mark.parametrize(("where", "shares"), declared())

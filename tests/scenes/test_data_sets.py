@@ -108,12 +108,12 @@ def test_a_file_in_a_zip_is_taken_out_of_it_and_a_page_of_words_is_not_a_zip(ser
 
 
 def test_every_shipped_set_has_licence_origin_and_checksum() -> None:
-    for one in data_sets().values():
-        assert one.licence
-        assert one.cite
-        assert one.page.startswith("https://")
-        assert len(one.sha256 or one.values_sha256) == 64
-        assert one.url.startswith("https://")
+    for data_set in data_sets().values():
+        assert data_set.licence
+        assert data_set.cite
+        assert data_set.page.startswith("https://")
+        assert len(data_set.sha256 or data_set.values_sha256) == 64
+        assert data_set.url.startswith("https://")
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs the public data sets beside the repository")
@@ -121,8 +121,8 @@ def test_the_checksums_are_those_of_the_recordings_the_documentation_uses(tmp_pa
     """The original's form, made of the recording here, passes the check and gives the same columns."""
     sets = data_sets()
     here = Recording.read(DATA / "ur10e" / "ptp_10_points.parquet")
-    one = sets["ur10e_ptp"]
-    np.savetxt(tmp_path / "ur.csv", np.column_stack([here.columns[name] for name in one.columns]), fmt="%.4f",
+    data_set = sets["ur10e_ptp"]
+    np.savetxt(tmp_path / "ur.csv", np.column_stack([here.columns[name] for name in data_set.columns]), fmt="%.4f",
                delimiter=",")
     again = Recording.read(fetch("ur10e_ptp", tmp_path, file=tmp_path / "ur.csv"))
     for name in here.columns:

@@ -216,6 +216,6 @@ def test_a_full_folder_for_temporary_files_is_named_with_what_helps() -> None:
 def test_a_full_disk_that_nobody_foresaw_is_told_with_what_helps(capsys: pytest.CaptureFixture[str]) -> None:
     """E.g. where numba keeps compiled code; the system's error has no name then."""
     assert ended_by(OSError(errno.ENOSPC, "No space left on device")) == 1
-    said = capsys.readouterr().err
-    assert "NUMBA_CACHE_DIR" in said
-    assert "make room" in said
+    message = capsys.readouterr().err
+    assert "NUMBA_CACHE_DIR" in message
+    assert "make room" in message

@@ -294,8 +294,8 @@ def test_a_verb_whose_disk_is_full_keeps_the_previous_result_and_says_so_in_one_
         monkeypatch.setattr(f"{module}.synchronise", no_room)
     done = program(*words, "--out", "o", "--json", "j.json")
     assert done.code == 1
-    (said,) = [line for line in done.lines if line.startswith("ideal-robot:")]
-    assert "No space left on device" in said
+    (message,) = [line for line in done.lines if line.startswith("ideal-robot:")]
+    assert "No space left on device" in message
     assert (tmp_path / "o" / "report.html").read_text() == (tmp_path / "j.json").read_text() == "previous"
     assert sorted(path.name for path in tmp_path.rglob("*")) == before
 

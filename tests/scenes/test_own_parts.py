@@ -136,8 +136,8 @@ class Profile:
         self.world = world
 
     def arrived(self, t: float) -> list[Reading]:
-        seen, at = max(t - 0.02, 0.0), (0.03, 0.0, 0.0)
-        return [Reading(seen, at, self.world.distance(seen, at) + self.error, self.std**2)]
+        stamp, place = max(t - 0.02, 0.0), (0.03, 0.0, 0.0)
+        return [Reading(stamp, place, self.world.distance(stamp, place) + self.error, self.std**2)]
 
 
 def test_an_own_sensor_is_fused_with_the_camera() -> None:
@@ -230,13 +230,13 @@ def test_it_is_viewed_as_rods_where_its_meshes_are_missing(own: Path) -> None:
 
 def test_the_address_said_is_the_one_served(program: Callable[..., Ended]) -> None:
     """On a taken port the viewer moves to another; the command must not print the taken one."""
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
         done = program("view", "kr6", "--once", "--port", str(port))
     assert done.code == 0, done.err
-    found = re.search(r"http://127\.0\.0\.1:(\d+)", (done.out + done.err).partition("open ")[2])
-    assert found is not None
-    assert int(found[1]) != port
+    address = re.search(r"http://127\.0\.0\.1:(\d+)", (done.out + done.err).partition("open ")[2])
+    assert address is not None
+    assert int(address[1]) != port
 
 
 UR10E = DATA / "ur10e" / "ur10e.urdf"
@@ -269,11 +269,11 @@ class Example(NamedTuple):
 
 def example(verb: str) -> Example:
     paragraphs = re.split(r"\n\n", inspect.getdoc(function_of(verb)) or "")
-    text = next(" ".join(one.split()) for one in paragraphs if one.startswith("Example"))
+    text = next(" ".join(paragraph.split()) for paragraph in paragraphs if paragraph.startswith("Example"))
     head = re.match(r"Example(?:, after that of `([\w-]+)`|, with [\w ]+)?:", text)
     assert head is not None, text
     commands = re.findall(r"`(ideal-robot .*?)`", text)
-    return Example(head[1] or "", tuple(tuple(shlex.split(one)[1:]) for one in commands), "another terminal" in text)
+    return Example(head[1] or "", tuple(tuple(shlex.split(line)[1:]) for line in commands), "another terminal" in text)
 
 
 def chain(verb: str) -> list[str]:
@@ -293,12 +293,12 @@ def test_six_verbs_come_first() -> None:
 
 @pytest.mark.parametrize("verb", VERBS)
 def test_the_first_example_of_a_verb_has_its_options(verb: str) -> None:
-    found = example(verb)
-    assert verb in [words[0] for words in found.commands]
-    for name, *words in found.commands:
+    printed = example(verb)
+    assert verb in [words[0] for words in printed.commands]
+    for name, *words in printed.commands:
         assert {word for word in words if word.startswith("-")} <= options_of(name)
     assert chain(verb)[-1] == verb
-    assert found.beside == (verb in ("follow", "simulate"))
+    assert printed.beside == (verb in ("follow", "simulate"))
 
 
 @pytest.mark.parametrize("verb", sorted(QUICK))
@@ -315,23 +315,23 @@ def test_a_quick_example_runs_as_printed(verb: str, program: Callable[..., Ended
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("verb", [pytest.param(one, marks=pytest.mark.real_time if example(one).beside else ())
-                                  for one in ENDS])
+@pytest.mark.parametrize("verb", [pytest.param(verb, marks=pytest.mark.real_time if example(verb).beside else ())
+                                  for verb in ENDS])
 def test_an_example_runs_as_printed(verb: str, tmp_path: Path) -> None:
     shutil.copytree(ROOT / "examples", tmp_path / "examples")  # A baseline is written beside its suite.
-    told = {**os.environ, "PYTHONPATH": str(ROOT), "IDEAL_ROBOT_CACHE": str(tmp_path / "cache")}
+    environ = {**os.environ, "PYTHONPATH": str(ROOT), "IDEAL_ROBOT_CACHE": str(tmp_path / "cache")}
 
     def begun(words: tuple[str, ...]) -> subprocess.Popen[str]:
         return subprocess.Popen([sys.executable, "-m", "scenes.cli", *words, *ADDITION.get(words[0], [])],
-                                cwd=tmp_path, env=told, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+                                cwd=tmp_path, env=environ, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
-    for one in chain(verb):
-        found = example(one)
-        aside = [begun(words) for words in found.commands[:-1]] if found.beside else []
-        for words in found.commands[-1:] if found.beside else found.commands:
+    for step in chain(verb):
+        printed = example(step)
+        aside = [begun(words) for words in printed.commands[:-1]] if printed.beside else []
+        for words in printed.commands[-1:] if printed.beside else printed.commands:
             process = begun(words)
-            said, _ = process.communicate(timeout=1800)
-            assert process.returncode == 0, f"{' '.join(words)}\n{said[-3000:]}"
+            output, _ = process.communicate(timeout=1800)
+            assert process.returncode == 0, f"{' '.join(words)}\n{output[-3000:]}"
         for process in aside:
             process.send_signal(signal.SIGINT)
             process.communicate(timeout=60)
@@ -349,7 +349,7 @@ def options_of(verb: str) -> set[str]:
     """All options of a verb, as its own parser has them."""
     app = typer.Typer()
     app.command()(function_of(verb))
-    return {option for one in typer.main.get_command(app).params for option in (*one.opts, *one.secondary_opts)}
+    return {option for param in typer.main.get_command(app).params for option in (*param.opts, *param.secondary_opts)}
 
 
 def test_the_questions_are_a_click_from_the_index() -> None:
@@ -375,8 +375,8 @@ def test_a_page_is_one_screen_of_commands_that_exist(page: Path) -> None:
     for line in lines:
         program, *words = shlex.split(line.removesuffix("&"))
         if program == "ideal-robot":
-            given = {word for word in words if word.startswith("-") and len(word) > 1}
-            assert given <= options_of(words[0]), line
+            options = {word for word in words if word.startswith("-") and len(word) > 1}
+            assert options <= options_of(words[0]), line
 
 
 @pytest.mark.slow
@@ -389,10 +389,10 @@ def test_a_page_runs_as_printed(page: Path, tmp_path: Path) -> None:
     for name, words in (("ideal-robot", "-m scenes.cli"), ("python", "")):
         (programs / name).write_text(f'#!/bin/sh\nexec {sys.executable} {words} "$@"\n', encoding="utf-8")
         (programs / name).chmod(0o755)
-    told = {**os.environ, "PYTHONPATH": str(ROOT), "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}"}
+    environ = {**os.environ, "PYTHONPATH": str(ROOT), "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}"}
     for kind, code in BLOCK.findall(page.read_text(encoding="utf-8")):
         # A viewer waits for the user otherwise; what runs beside another command is waited for.
         script = re.sub(r"^(ideal-robot view .*)$", r"\1 --once", code, flags=re.MULTILINE) + "\nwait\n"
         call = ["bash", "-e", "-c", script] if kind == "sh" else [sys.executable, "-c", code]
-        done = subprocess.run(call, cwd=tmp_path, env=told, capture_output=True, text=True, check=False)
+        done = subprocess.run(call, cwd=tmp_path, env=environ, capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"{code}\n{done.stdout[-1500:]}\n{done.stderr[-3000:]}"

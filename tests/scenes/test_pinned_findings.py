@@ -242,9 +242,9 @@ def test_a_camera_s_process_ends_without_a_word_where_its_parent_has_ended(monke
 
 def test_a_mat_file_that_its_reader_does_not_survive_is_refused(tmp_path: Path) -> None:
     """Numbers of no type end SciPy's compiled reader, and its process, by a segmentation fault."""
-    made, place = io.BytesIO(), tmp_path / "emps.mat"
-    savemat(made, {name: np.arange(200.0) for name in ("t", "qm", "qg", "vir")})
-    content = bytearray(made.getvalue())
+    buffer, place = io.BytesIO(), tmp_path / "emps.mat"
+    savemat(buffer, {name: np.arange(200.0) for name in ("t", "qm", "qg", "vir")})
+    content = bytearray(buffer.getvalue())
     assert content[176] == 9  # the first variable's numbers are doubles
     content[176] = 0
     place.write_bytes(content)
@@ -270,7 +270,7 @@ def test_the_give_of_a_clamp_is_asked_of_six_joints_only(tmp_path: Path) -> None
     """By default it is left out where it cannot be told apart; asked for, it is refused."""
     arm = originals.arm(tmp_path)
     pushed = [Recording(originals.pushes(tmp_path)) for _ in range(2)]
-    assert {one.joint for one in analyse_stiffness(pushed, arm).joints} <= {1, 2}
+    assert {estimate.joint for estimate in analyse_stiffness(pushed, arm).joints} <= {1, 2}
     with pytest.raises(InputError, match="six joints"):
         analyse_stiffness(pushed, arm, clamp=True)
 
@@ -282,7 +282,7 @@ def test_an_arm_whose_file_has_moments_of_no_body_can_be_drawn(tmp_path: Path) -
         (tmp_path / "arm.urdf").write_bytes(originals.URDF.replace(b'ixx="0.1"', b"ixx=" + ixx))
         robot = Robot.load(tmp_path / "arm.urdf")
         drawn.append(draw_specimen(robot, World.from_table(robot, {"inertia_tolerance": 0.15, "individual": 2})))
-    masses = [one.model.inertias[2].mass for one in drawn]
+    masses = [specimen.model.inertias[2].mass for specimen in drawn]
     assert masses[0] == pytest.approx(masses[1])
     assert masses[0] != pytest.approx(3.0)
 

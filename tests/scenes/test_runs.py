@@ -109,8 +109,8 @@ def test_a_long_motion_is_compared_piece_by_piece(monkeypatch: pytest.MonkeyPatc
     assert len(FINE) > 300
     assert pieces.delay == pytest.approx(whole.delay, abs=1e-7)
     for kind in ("time_matched", "aligned", "geometric"):
-        one, other = getattr(whole, kind), getattr(pieces, kind)
-        assert other.E_car == pytest.approx(one.E_car, rel=1e-6)
+        at_once, piecewise = getattr(whole, kind), getattr(pieces, kind)
+        assert piecewise.E_car == pytest.approx(at_once.E_car, rel=1e-6)
     np.testing.assert_allclose(pieces.time_matched.deviation, whole.time_matched.deviation, atol=1e-12)
 
 
@@ -185,7 +185,7 @@ def test_the_model_is_identified_once_and_kept_by_what_it_depends_on(tmp_path: P
     other = models.prepared_model(ROBOT, world.replace(individual=3))
     assert (first.fresh, again.fresh, other.fresh) == (True, False, True)
     assert first.path == again.path != other.path
-    assert [one.individual for one in worlds] == [2, 3]
+    assert [world.individual for world in worlds] == [2, 3]
     scene = load_scene("line").changed(world={"base": "bench", "individual": 3}, model="own")
     assert model_for(scene, ROBOT) is not None
     assert len(worlds) == 2
@@ -236,9 +236,9 @@ print("compiled", sorted({e.data["dispatcher"].py_func.__qualname__ for _, e in 
 def test_nothing_is_left_to_compile(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path)}
     subprocess.run([sys.executable, "-m", "scenes.compiled"], cwd=tmp_path, env=environment, check=True)
-    said = subprocess.run([sys.executable, "-c", COUNT], cwd=tmp_path, env=environment, check=True,
-                          capture_output=True, text=True).stdout
-    assert "compiled []" in said
+    output = subprocess.run([sys.executable, "-c", COUNT], cwd=tmp_path, env=environment, check=True,
+                            capture_output=True, text=True).stdout
+    assert "compiled []" in output
 
 
 @pytest.mark.parametrize(("name", "changes"), [

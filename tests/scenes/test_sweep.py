@@ -88,9 +88,9 @@ def _poisoned_in_its_way(way: str) -> str:
         faulthandler.disable()
         ctypes.string_at(0)
     if way == "takes all memory":
-        taken = []
+        blocks = []
         while True:
-            taken.append(np.empty(2**27))
+            blocks.append(np.empty(2**27))
     return way
 
 
@@ -323,13 +323,13 @@ def _killed_once_job(job: Job) -> dict[str, Any]:
 
 def test_a_data_set_grows_can_be_queried_and_gone_on_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("scenes.regression.results.PART", 2)
-    folder, seen = tmp_path / "runs", []
+    folder, counts = tmp_path / "runs", []
 
     def look(count: int, answer: dict[str, Any]) -> None:
-        seen.append(sum(len(pd.read_parquet(path)) for path in folder.rglob("*.parquet")))
+        counts.append(sum(len(pd.read_parquet(path)) for path in folder.rglob("*.parquet")))
 
     rows = sweep(WORK[:3], processes=1, function=measured, file=RunSet(folder, resume=False), done=look)
-    assert seen == [0, 2, 2]
+    assert counts == [0, 2, 2]
     assert read_results(folder).runs["control_error_mm.mean"].tolist() == [1 / 3, 2 / 3, 1 / 3]
     with pytest.raises(InputError, match="--resume"):
         RunSet(folder, resume=False)

@@ -65,7 +65,7 @@ def test_frames_of_a_video(program, tmp_path: Path) -> None:
     assert [name for name, _ in pictures(str(path), every=2)] == ["frame 0", "frame 2"]
     done = program("detect", "line.avi", "--json", "line.json", "--out", "out")
     assert done.code == 0, done.err
-    states = [one["state"] for one in json.loads((tmp_path / "line.json").read_text())["pictures"]]
+    states = [picture["state"] for picture in json.loads((tmp_path / "line.json").read_text())["pictures"]]
     assert states == ["found", *["followed"] * 3]
 
 
@@ -121,7 +121,7 @@ def test_no_format_or_another_ending_is_refused(program, words: list[str], recor
                                                 monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
     assert program("export", "in.parquet", *words).code == 2
-    assert [one.name for one in tmp_path.iterdir()] == ["in.parquet"]
+    assert [entry.name for entry in tmp_path.iterdir()] == ["in.parquet"]
 
 
 def test_rerun_reads_its_file_back(recording: Path, tmp_path: Path) -> None:
@@ -185,9 +185,9 @@ def test_a_commented_file_is_the_example_and_names_every_key(kind: str, tmp_path
     text = commented_scene("mine", kind, (library() / f"{EXAMPLES[kind]}.toml").read_text(encoding="utf-8"))
     path = tmp_path / "mine.toml"
     path.write_text(text, encoding="utf-8")
-    made, shipped = load_scene(path), load_scene(EXAMPLES[kind])
+    scene, shipped = load_scene(path), load_scene(EXAMPLES[kind])
     same = {"name", "title"}
-    assert made.model_dump(exclude=same) == shipped.model_dump(exclude=same)
+    assert scene.model_dump(exclude=same) == shipped.model_dump(exclude=same)
     for key in scene_keys(kind):
         if key.name not in ("name", "kind", "world"):
             assert re.search(rf"^(# )?{key.name} = ", text, flags=re.M) or key.name in text, key
@@ -199,10 +199,10 @@ def test_every_commented_default_is_accepted(kind: str, tmp_path: Path) -> None:
     example = (library() / f"{EXAMPLES[kind]}.toml").read_text(encoding="utf-8")
     lines = commented_scene("mine", kind, example).splitlines()
     end = lines.index("# [world]")
-    kept = [line[2:] if re.match(r"# [a-z_0-9]+ = (?!…)", line) else line for line in lines[:end]]
+    uncommented = [line[2:] if re.match(r"# [a-z_0-9]+ = (?!…)", line) else line for line in lines[:end]]
     header = None
     alive = []
-    for line in kept:
+    for line in uncommented:
         if re.match(r"# \[+[a-z_.]+\]+$", line):
             header = line
         elif re.match(r"\[", line):
@@ -211,8 +211,8 @@ def test_every_commented_default_is_accepted(kind: str, tmp_path: Path) -> None:
         alive.append(line if header is None or line.startswith("#") or not line else f"# {line}")
     path = tmp_path / "mine.toml"
     path.write_text("\n".join(alive), encoding="utf-8")
-    made, shipped = load_scene(path), load_scene(EXAMPLES[kind])
-    assert made.model_dump(exclude={"name", "title"}) == shipped.model_dump(exclude={"name", "title"})
+    scene, shipped = load_scene(path), load_scene(EXAMPLES[kind])
+    assert scene.model_dump(exclude={"name", "title"}) == shipped.model_dump(exclude={"name", "title"})
 
 
 def test_the_pages_name_every_kind_and_key() -> None:
@@ -249,7 +249,7 @@ def test_new_writes_once(program, tmp_path: Path) -> None:
         done = program("new", *words)
         assert done.code == 2
         assert message in done.err
-    assert [one.name for one in tmp_path.iterdir()] == ["seam.toml"]
+    assert [entry.name for entry in tmp_path.iterdir()] == ["seam.toml"]
 
 
 # Shapes of lines: lengths and roundings known in closed form, and clear words for broken ones.

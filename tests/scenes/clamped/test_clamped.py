@@ -52,13 +52,13 @@ def test_six_joints_in_forty_runs(kr500: Robot) -> None:
         recordings, truths = record(scene, kr500, world, postures, np.random.default_rng(seed))
         analysis = analyse_stiffness(recordings, kr500)
         assert set(analysis.by("motor")) == set(analysis.by("wrench")) == set(range(1, 7))
-        for one in analysis.joints:
-            truth = float(world.stiffness[one.joint - 1])
-            error = one.stiffness / truth - 1
-            gain = 1 / truths[0].gain_factor[one.joint - 1] - 1 if one.method == "motor" else 0.0
+        for estimate in analysis.joints:
+            truth = float(world.stiffness[estimate.joint - 1])
+            error = estimate.stiffness / truth - 1
+            gain = 1 / truths[0].gain_factor[estimate.joint - 1] - 1 if estimate.method == "motor" else 0.0
             assert abs(error) <= abs(gain) + 0.03
             assert abs(error - gain) <= 0.03
-            covered[one.method].append(one.interval[0] <= truth <= one.interval[1])
+            covered[estimate.method].append(estimate.interval[0] <= truth <= estimate.interval[1])
     assert np.mean(covered["motor"]) >= 0.9
     assert np.mean(covered["wrench"]) >= 0.9
 
@@ -69,8 +69,8 @@ def test_payloads_agree_where_they_can(kr500: Robot) -> None:
     hung = result.analysis.by("payload")
     assert set(hung) == {2, 3, 4, 5, 6}
     truth = result.truths[0].stiffness
-    for joint, one in hung.items():
-        assert 0.94 * truth[joint - 1] < one.stiffness < 1.02 * truth[joint - 1]
+    for joint, estimate in hung.items():
+        assert 0.94 * truth[joint - 1] < estimate.stiffness < 1.02 * truth[joint - 1]
 
 
 def test_chosen_configurations_beat_random_ones(kr500: Robot) -> None:
@@ -102,11 +102,11 @@ def test_run_writes_what_the_command_reads(program, tmp_path: Path) -> None:
     done = program("stiffness", content["recording"], "--robot", content["urdf"], "--json", "again.json",
                    "--drive-data", "drive.toml", "--out", "again")
     assert done.code == 0, done.err
-    found = json.loads((tmp_path / "again.json").read_text())
-    amperes = next(one for one in found["joints"] if one["method"] == "motor")["stiffness"]
+    figures = json.loads((tmp_path / "again.json").read_text())
+    amperes = next(joint for joint in figures["joints"] if joint["method"] == "motor")["stiffness"]
     assert amperes * robot.drive_gain[0] == pytest.approx(again.by("motor")[1].stiffness, rel=1e-9)
-    for said in (done.out + done.err, str(found["warnings"]), (tmp_path / "again" / "report.html").read_text()):
-        assert "unknown-drive-gain" in said
+    for text in (done.out + done.err, str(figures["warnings"]), (tmp_path / "again" / "report.html").read_text()):
+        assert "unknown-drive-gain" in text
 
 
 def test_other_units_are_refused_or_said(kr500: Robot) -> None:

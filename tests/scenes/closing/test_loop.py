@@ -40,7 +40,7 @@ def effect(joint: int, size: float = 1.0) -> FittedEffect:
 
 def form(*effects: FittedEffect) -> Form:
     """What adds it."""
-    return Form.adding(" and ".join(f"joint {one.joint}" for one in effects), effects)
+    return Form.adding(" and ".join(f"joint {effect.joint}" for effect in effects), effects)
 
 
 class World(Subject[Array]):
@@ -55,10 +55,10 @@ class World(Subject[Array]):
     def play(self, model: Model) -> Array:
         self.played += 1
         missing = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
-        for one in model.effects:
-            if one.coefficients[0] > 5.0:
+        for effect in model.effects:
+            if effect.coefficients[0] > 5.0:
                 raise InputError("too much", field="model")
-            missing[one.joint - 1] -= one.coefficients[0]
+            missing[effect.joint - 1] -= effect.coefficients[0]
         return np.full((100, 6), missing) + 0.1
 
     def find(self, model: Model, run: Array, progress: Any) -> Found:
@@ -80,7 +80,7 @@ def closed(*rounds: Found, **more: Any) -> Closed[Array]:
 
 
 def joints(done: Closed[Array]) -> list[int]:
-    return [one.joint for one in done.model.effects]
+    return [effect.joint for effect in done.model.effects]
 
 
 def test_what_is_found_in_several_rounds_stays() -> None:
@@ -195,23 +195,23 @@ def along(sizes: np.ndarray, noise: float = 0.02) -> np.ndarray:
 
 def test_the_standard_error_is_that_of_what_happens() -> None:
     """Pieces of very different size, each as likely to gain as to lose: one standard error is a sixth of the trials."""
-    kept = [0, 0]
+    counts = [0, 0]
     for _ in range(600):
         sizes = RNG.lognormal(sigma=1.0, size=40)
         for k, spread in enumerate((0.3, 0.0)):
             gain = np.exp(spread * RNG.normal(size=(2, 40)))
-            kept[k] += Comparison.of(along(sizes * gain[0]), along(sizes * gain[1])).falls
-    assert 0.08 < kept[0] / 600 < 0.24
+            counts[k] += Comparison.of(along(sizes * gain[0]), along(sizes * gain[1])).falls
+    assert 0.08 < counts[0] / 600 < 0.24
     # What noise alone changes is less than what no arm repeats.
-    assert kept[1] == 0
+    assert counts[1] == 0
 
 
 @pytest.mark.parametrize(("share", "falls"), [(0.99, False), (0.95, True), (0.5, True)])
 def test_a_change_that_acts_alike_everywhere_has_to_do_more_than_the_arm_repeats(share: float, falls: bool) -> None:
     sizes = RNG.lognormal(size=40)
-    found = Comparison.of(along(sizes, 0.001), share * along(sizes, 0.001))
-    assert found.falls is falls
-    assert found.after == pytest.approx(share * found.before, rel=0.01)
+    comparison = Comparison.of(along(sizes, 0.001), share * along(sizes, 0.001))
+    assert comparison.falls is falls
+    assert comparison.after == pytest.approx(share * comparison.before, rel=0.01)
 
 
 def test_a_change_where_friction_turns_round_is_kept() -> None:
@@ -227,25 +227,25 @@ def test_what_one_piece_gains_and_another_loses_is_not_kept() -> None:
     sizes[3], sizes[20] = 6.0, 2.0
     other = np.ones(40)
     other[3], other[20] = 3.0, 5.0
-    found = Comparison.of(along(sizes), along(other))
-    assert found.after < found.before
-    assert not found.falls
-    assert "one is asked for" in found.reason(1e3, "mm")
+    comparison = Comparison.of(along(sizes), along(other))
+    assert comparison.after < comparison.before
+    assert not comparison.falls
+    assert "one is asked for" in comparison.reason(1e3, "mm")
 
 
 def test_a_change_for_the_worse_is_never_kept() -> None:
     sizes = RNG.lognormal(size=40)
-    found = Comparison.of(along(sizes), 1.1 * along(sizes))
-    assert found.rises
-    assert not found.falls
-    assert "does not fall" in found.reason(1.0, "N")
+    comparison = Comparison.of(along(sizes), 1.1 * along(sizes))
+    assert comparison.rises
+    assert not comparison.falls
+    assert "does not fall" in comparison.reason(1.0, "N")
 
 
 def test_vectors_count_by_their_length_and_other_counts_of_rows_by_their_share() -> None:
     before = np.abs(RNG.normal(size=(400, 3)))
-    found = Comparison.of(before, 0.5 * before[::2])
-    assert found.before == pytest.approx(np.sqrt(np.mean(np.sum(before**2, axis=1))))
-    assert found.falls
+    comparison = Comparison.of(before, 0.5 * before[::2])
+    assert comparison.before == pytest.approx(np.sqrt(np.mean(np.sum(before**2, axis=1))))
+    assert comparison.falls
 
 
 def test_what_cannot_be_measured_does_not_fall() -> None:
@@ -267,10 +267,10 @@ def test_a_delay_of_the_stamps_is_named_with_its_size() -> None:
     """Of a camera whose stamps are 8 ms late."""
     result = close_loop(scene_of(LineScene, "close_latency"))
     closes(result, 0.5, 1.25)
-    found = {e.fitted.name: e.fitted for e in result.diagnosis.effects if e.fitted.channel == "line"}
+    fits = {e.fitted.name: e.fitted for e in result.diagnosis.effects if e.fitted.channel == "line"}
     # Calibrated by moving, with the same wrong stamps, the camera's scale is off by what the stamps are worth.
-    assert set(found) <= {"camera_latency", "camera_scale"}
-    assert found["camera_latency"].coefficients[0] == pytest.approx(-0.008, abs=3e-4)
+    assert set(fits) <= {"camera_latency", "camera_scale"}
+    assert fits["camera_latency"].coefficients[0] == pytest.approx(-0.008, abs=3e-4)
 
 
 @pytest.mark.slow

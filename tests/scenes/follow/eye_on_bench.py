@@ -102,14 +102,14 @@ class Eye:
     def see(self, arm: SimulatedArm) -> None:
         """Exposes and hands on what has come by the arm's time."""
         s = self.settings
-        while (at := self._number / s.rate) + 0.5 * s.exposure < arm.t:
+        while (instant := self._number / s.rate) + 0.5 * s.exposure < arm.t:
             self._number += 1
-            poses = [arm.tcp_at(max(at + ((i + 0.5) / s.sub_exposures - 0.5) * s.exposure, 0.0))
+            poses = [arm.tcp_at(max(instant + ((i + 0.5) / s.sub_exposures - 0.5) * s.exposure, 0.0))
                      for i in range(s.sub_exposures)]
-            gray = self._drawn.picture(poses, at)  # type: ignore[union-attr]
-            gray = gray if self._picture is None else self._picture(at, gray)
-            stamp = at if self._stamp is None else self._stamp(at)
-            self._due.append((at + s.latency, Frame(self._number, stamp, at + s.latency, gray)))
+            gray = self._drawn.picture(poses, instant)  # type: ignore[union-attr]
+            gray = gray if self._picture is None else self._picture(instant, gray)
+            stamp = instant if self._stamp is None else self._stamp(instant)
+            self._due.append((instant + s.latency, Frame(self._number, stamp, instant + s.latency, gray)))
         while self._due and self._due[0][0] <= arm.t:
             arrived, frame = self._due.popleft()
             if self.clock.add(frame.stamp, arrived):
@@ -122,9 +122,9 @@ class Eye:
 
     def poll(self) -> list[Any]:
         """See ``CameraProcess``."""
-        found = list(self.messages)
+        messages = list(self.messages)
         self.messages.clear()
-        return found
+        return messages
 
     def ask(self, *asked: Any) -> None:
         """See ``CameraProcess``."""

@@ -170,7 +170,7 @@ def followed(scene: ForceScene, folder: Path, before: dict[str, Any] | None = No
         force.close()
         history, begun = bench.contact.history(), bench.since if np.isfinite(bench.since) else 0.0
         since = history["t"] >= begun
-        way = np.linalg.norm(np.diff(history["tip"][since], axis=0), axis=1).sum()
+        length = np.linalg.norm(np.diff(history["tip"][since], axis=0), axis=1).sum()
         largest = float(history["normal"][since].max(initial=0.0))
-        return SimpleNamespace(failure=failure, force=largest, left=float(history["normal"][-1]), moved=float(way),
+        return SimpleNamespace(failure=failure, force=largest, left=float(history["normal"][-1]), moved=float(length),
                                after=arm.t - begun, job=job, recording=journal.recording())

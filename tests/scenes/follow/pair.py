@@ -60,16 +60,16 @@ class Cell:
         file, end = self.folder / "truth.json", time.monotonic() + seconds
         while time.monotonic() < end:
             if file.exists():
-                found: dict[str, Any] = json.loads(file.read_text())
-                if found["session"] >= session:
-                    return found
+                truth: dict[str, Any] = json.loads(file.read_text())
+                if truth["session"] >= session:
+                    return truth
             time.sleep(0.2)
         raise TimeoutError(f"no session {session} within {seconds} s")
 
     def figures(self) -> dict[str, Any]:
         """The follower's figures."""
-        found: dict[str, Any] = json.loads((self.folder / "follow.json").read_text())
-        return found
+        figures: dict[str, Any] = json.loads((self.folder / "follow.json").read_text())
+        return figures
 
 
 def started(*words: str) -> subprocess.Popen[str]:
@@ -117,10 +117,10 @@ def rows(folder: Path) -> int:
 
 def children(pid: int) -> list[int]:
     """Processes that a process has started."""
-    found = []
+    pids = []
     for folder in Path(f"/proc/{pid}/task").glob("*/children"):
-        found += [int(word) for word in folder.read_text().split()]
-    return found
+        pids += [int(word) for word in folder.read_text().split()]
+    return pids
 
 
 # An arm that does what it is told, without a wire, for tests of what leads it.

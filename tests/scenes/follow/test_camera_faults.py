@@ -85,20 +85,20 @@ class Told(list[tuple[str, Any]]):
 @pytest.mark.parametrize("error", [ValueError("cannot reshape array of size 307199"), OSError("no such device")])
 def test_whatever_a_camera_fails_with_the_arms_side_is_told(error: Exception) -> None:
     """An incomplete picture of a GenICam camera, and a device that was unplugged."""
-    told = Told()
+    messages = Told()
 
     def read(timeout: float) -> Frame:
         raise error
 
     source: Any = SimpleNamespace(read=read)
-    _Worker(CameraModel.default(), "edge_pairs", told).read(source)  # type: ignore[arg-type]
-    assert [kind for kind, _ in told] == ["ended"]
-    assert str(error) in told[0][1]
+    _Worker(CameraModel.default(), "edge_pairs", messages).read(source)  # type: ignore[arg-type]
+    assert [kind for kind, _ in messages] == ["ended"]
+    assert str(error) in messages[0][1]
 
 
 def test_a_picture_that_comes_while_another_is_looked_for_is_no_error() -> None:
-    told = Told()
-    worker: Any = _Worker(CameraModel.default(), "edge_pairs", told)  # type: ignore[arg-type]
+    messages = Told()
+    worker: Any = _Worker(CameraModel.default(), "edge_pairs", messages)  # type: ignore[arg-type]
 
     class Seen:
         """During whose comparison the other thread hands in a picture."""
@@ -110,5 +110,5 @@ def test_a_picture_that_comes_while_another_is_looked_for_is_no_error() -> None:
 
     worker._frames += [Seen(), Seen()]
     worker.answer("detect", (2, 0.0, None, None))
-    assert [kind for kind, _ in told] == ["seen"]
-    assert told[0][1].reason == "the picture was gone"
+    assert [kind for kind, _ in messages] == ["seen"]
+    assert messages[0][1].reason == "the picture was gone"

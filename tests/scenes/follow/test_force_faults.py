@@ -118,9 +118,9 @@ def test_no_wrench_is_recorded_of_times_at_which_none_was_measured() -> None:
     for t in (2.0, 1.0):
         job.log.samples.append((t, 10.0 * t, 0.0, 1.0))
     job._force = SimpleNamespace(samples=[(t, *(t * np.arange(6.0))) for t in (1.0, 2.0)])
-    found = job.columns(np.array([-3.0, 0.9, 1.0, 1.5, 2.0, 2.1]))
-    np.testing.assert_array_equal(found["f_normal"], [np.nan, np.nan, 10.0, 15.0, 20.0, np.nan])
-    np.testing.assert_array_equal(found["mz"], [np.nan, np.nan, 5.0, 7.5, 10.0, np.nan])
+    columns = job.columns(np.array([-3.0, 0.9, 1.0, 1.5, 2.0, 2.1]))
+    np.testing.assert_array_equal(columns["f_normal"], [np.nan, np.nan, 10.0, 15.0, 20.0, np.nan])
+    np.testing.assert_array_equal(columns["mz"], [np.nan, np.nan, 5.0, 7.5, 10.0, np.nan])
 
 
 def test_a_sensor_is_given_back_where_no_arm_comes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -60,8 +60,8 @@ def _arm(link: Tame, tmp_path: Path) -> LiveArm:
                  ("pandas", "pyarrow", "matplotlib", "scipy.signal", "cv2"),
                  id="who leads the arm loads neither tables nor plots")])
 def test_what_a_process_does_not_load(program: str, unknown: tuple[str, ...]) -> None:
-    asked = f"{program}; import sys; raise SystemExit(str([m for m in {unknown} if m in sys.modules] or ''))"
-    done = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=False)
+    code = f"{program}; import sys; raise SystemExit(str([m for m in {unknown} if m in sys.modules] or ''))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stderr.strip() == ""
 
 
@@ -94,7 +94,7 @@ def test_where_the_controller_went_on_the_path_goes_on_with_it(link: Tame, arm: 
 def test_pictures_are_recorded_by_the_clock_of_the_motor_angles(repeats: bool, link: Tame, tmp_path: Path) -> None:
     """Whatever came before the run, and whatever packets are lost on the way: poses are looked up at ``cam_t``."""
     journal = Journal(tmp_path, link.robot, {})
-    arm, log, at, T = LiveArm(link, journal), LineLog(), [], link.t_ipo
+    arm, log, instants, T = LiveArm(link, journal), LineLog(), [], link.t_ipo
     link.repeats, link.lost = repeats, (60, 64, 68, 90)
     arm.lead(np.tile(link.robot.home, (50, 1)))
     arm.begin()
@@ -102,23 +102,23 @@ def test_pictures_are_recorded_by_the_clock_of_the_motor_angles(repeats: bool, l
         log.t.append(k * T)
         arm.cycle(link.robot.home)
         if k % 3 == 2 and arm.steps == 1:
-            at.append(arm.controller_time - 0.25 * T)
+            instants.append(arm.controller_time - 0.25 * T)
             log.add_field(LineField(arm.t - 0.25 * T, np.zeros((1, 3)), *np.zeros((4, 1)), np.ones(1, dtype=bool), True,
                                     ""), 1)
     job: Any = SimpleNamespace(log=log, columns=lambda t: dict(log.field_columns(t, 1)))
-    found = _recorded(journal, job)
-    seen = np.isfinite(found.columns["cam_t"])
-    np.testing.assert_allclose(found.columns["cam_t"][seen], at, atol=1e-9)
-    assert np.all((at <= found.t[seen]) & (found.t[seen] < np.add(at, 2.0 * T)))
-    assert found.meta["run_begins_at"] == pytest.approx(50 * T)
+    recording = _recorded(journal, job)
+    seen = np.isfinite(recording.columns["cam_t"])
+    np.testing.assert_allclose(recording.columns["cam_t"][seen], instants, atol=1e-9)
+    assert np.all((instants <= recording.t[seen]) & (recording.t[seen] < np.add(instants, 2.0 * T)))
+    assert recording.meta["run_begins_at"] == pytest.approx(50 * T)
 
 
 @pytest.mark.parametrize("repeats", [False, True])
 def test_torques_behind_lost_cycles_belong_to_no_motion(repeats: bool, link: Tame, arm: LiveArm) -> None:
     link.lost, link.repeats = (20,), repeats
-    told = [(bool(np.isfinite(arm.cycle(link.robot.home).tau).all()), arm.steps) for _ in range(30)]
+    cycles = [(bool(np.isfinite(arm.cycle(link.robot.home).tau).all()), arm.steps) for _ in range(30)]
     # Where the controller goes on, states are thought of between those before and after: none is a cycle too far.
-    assert told == [(True, 1) if repeats or k != 19 else (False, 2) for k in range(30)]
+    assert cycles == [(True, 1) if repeats or k != 19 else (False, 2) for k in range(30)]
 
 
 @pytest.mark.parametrize(("every", "ends"), [(2, True), (5, False)])
@@ -179,8 +179,8 @@ def test_an_arm_that_stands_elsewhere_is_not_moved(link: Tame, arm: LiveArm) -> 
 
 def test_moves_keep_their_share_of_the_limits(link: Tame) -> None:
     robot = link.robot
-    way = moves(robot, [robot.home, robot.home + 0.5, robot.home - 0.2], 0.1)
-    speed = np.diff(way, axis=0) / robot.t_ipo
+    motion = moves(robot, [robot.home, robot.home + 0.5, robot.home - 0.2], 0.1)
+    speed = np.diff(motion, axis=0) / robot.t_ipo
     assert (np.abs(speed).max(axis=0) <= 0.36 * robot.v_max).all()
     assert (np.abs(np.diff(speed, axis=0)).max(axis=0) / robot.t_ipo <= 0.27 * robot.a_max).all()
 
@@ -201,14 +201,14 @@ def test_a_journal_survives_its_program(tmp_path: Path) -> None:
                "[arm.cycle(link.robot.home + 0.001 * k) for k in range(50)];"
                "os.kill(os.getpid(), 9)")
     assert subprocess.run([sys.executable, "-c", program], check=False, cwd=ROOT).returncode == -9
-    found = left_behind(tmp_path)
-    assert found is not None
-    assert len(found.t) == 50
-    assert found.meta["scene"] == "x"
-    np.testing.assert_allclose(found.joints("q_c")[:, 0] - found.joints("q_c")[0, 0], 0.001 * np.arange(50), atol=1e-12)
+    saved = left_behind(tmp_path)
+    assert saved is not None
+    assert len(saved.t) == 50
+    assert saved.meta["scene"] == "x"
+    np.testing.assert_allclose(saved.joints("q_c")[:, 0] - saved.joints("q_c")[0, 0], 0.001 * np.arange(50), atol=1e-12)
     place = rescue(tmp_path)
     assert place is not None
-    assert Recording.read(place).hash == found.hash
+    assert Recording.read(place).hash == saved.hash
     assert left_behind(tmp_path) is None
 
 
@@ -250,10 +250,10 @@ def test_rows_that_a_full_disk_takes_in_part_are_missing_and_spoil_no_other(tmp_
     for k in range(4):
         arm.cycle(link.robot.home + 0.001 * k)
     shutil.rmtree(tmp_path / "run")
-    found = journal.recording()
-    np.testing.assert_allclose(found.joints("q_c")[:, 0] - link.robot.home[0], [0.0, 0.003], atol=1e-12)
+    recording = journal.recording()
+    np.testing.assert_allclose(recording.joints("q_c")[:, 0] - link.robot.home[0], [0.0, 0.003], atol=1e-12)
     assert journal.unwritten == 2
-    assert arm.controller_time == found.t[-1]
+    assert arm.controller_time == recording.t[-1]
 
 
 def test_a_run_to_which_no_arm_came_leaves_nothing(tmp_path: Path) -> None:
@@ -269,9 +269,9 @@ class Handmade:
         self.given: list[Reading] = []
 
     def read(self, timeout: float) -> list[Reading]:
-        given, self.given = self.given, []
+        readings, self.given = self.given, []
         time.sleep(0.001)
-        return given
+        return readings
 
     def close(self) -> None:
         return
@@ -361,23 +361,23 @@ def test_a_camera_that_cannot_be_opened_is_named_once(monkeypatch: pytest.Monkey
     monkeypatch.setattr(signal, "signal", lambda *_: None)
     monkeypatch.setattr(multiprocessing, "get_context",
                         lambda _: SimpleNamespace(Pipe=multiprocessing.Pipe, Process=here))
-    with pytest.raises(InputError) as said:
+    with pytest.raises(InputError) as refusal:
         CameraProcess("stream:host:port", 0.0, believed_camera(CameraTable()), "edge_pairs")
-    assert str(said.value) == "--camera: expected an address such as stream://192.168.1.30:50000 (got 'host:port')"
+    assert str(refusal.value) == "--camera: expected an address such as stream://192.168.1.30:50000 (got 'host:port')"
 
 
 def test_a_calibration_is_kept_and_wrong_files_are_refused(tmp_path: Path) -> None:
     by_hand, file = believed_camera(CameraTable()), tmp_path / "camera.json"
     assert calibrated_camera(by_hand, None).wanted is False
     assert calibrated_camera(by_hand, file).wanted is True
-    kept = CalibratedCamera(by_hand.perturbed(roll=0.01, height=0.002), file, time_offset=0.002)
-    file.write_text(json.dumps(kept.json()))
+    calibrated = CalibratedCamera(by_hand.perturbed(roll=0.01, height=0.002), file, time_offset=0.002)
+    file.write_text(json.dumps(calibrated.json()))
     read = calibrated_camera(by_hand, file)
     assert (read.wanted, read.time_offset) == (False, 0.002)
-    np.testing.assert_allclose(read.camera.T_tool_camera.homogeneous, kept.camera.T_tool_camera.homogeneous)
-    for text in ("", "[]", json.dumps({**kept.json(), "rotation": [[1, 0], [0, 1]]}),
-                 json.dumps({**kept.json(), "time_offset_s": 9}), json.dumps({**kept.json(), "width": 64}),
-                 json.dumps({**kept.json(), "residual_mm": [0.1]})):
+    np.testing.assert_allclose(read.camera.T_tool_camera.homogeneous, calibrated.camera.T_tool_camera.homogeneous)
+    for text in ("", "[]", json.dumps({**calibrated.json(), "rotation": [[1, 0], [0, 1]]}),
+                 json.dumps({**calibrated.json(), "time_offset_s": 9}), json.dumps({**calibrated.json(), "width": 64}),
+                 json.dumps({**calibrated.json(), "residual_mm": [0.1]})):
         file.write_text(text)
         with pytest.raises(InputError):
             calibrated_camera(by_hand, file)

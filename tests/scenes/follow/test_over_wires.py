@@ -37,8 +37,8 @@ MIDDLE = 150
 
 
 def finished(follower: subprocess.Popen[str], seconds: float = 120.0) -> tuple[int, str]:
-    _, said = follower.communicate(timeout=seconds)
-    return follower.returncode, said
+    _, output = follower.communicate(timeout=seconds)
+    return follower.returncode, output
 
 
 def resting_within_limits(cell: Cell, session: int) -> None:
@@ -62,8 +62,8 @@ def test_the_job_is_done_over_wires(scene: str, figure: Callable[[dict], float],
     """The camera of ``line`` is as mounted by hand, with its errors of millimetres; that of ``glue`` calibrated."""
     options = ("--calibration", str(tmp_path / "camera.json")) if scene == "glue" else ()
     with served(scene, tmp_path) as cell:
-        code, said = finished(cell.follow(scene, *options), 300.0)
-        assert code == 0, said
+        code, output = finished(cell.follow(scene, *options), 300.0)
+        assert code == 0, output
         assert figure(cell.truth(1)) < most
         resting_within_limits(cell, 1)
         whole(tmp_path, 250)
@@ -90,17 +90,17 @@ def test_whatever_happens_to_the_follower_the_arm_rests_and_the_next_start_works
             if session == len(faults) - 1:
                 resting_within_limits(cell, session)
                 follower.send_signal(signal.SIGCONT)
-            ended, said = finished(follower)
-            assert ended == code, said
-            assert reason in said
+            ended, output = finished(follower)
+            assert ended == code, output
+            assert reason in output
             resting_within_limits(cell, session)
             if code == 1:
                 assert cell.figures()["failure"]
                 assert reason in (tmp_path / "out" / "report.html").read_text().replace("&#39;", "'")
                 whole(tmp_path, MIDDLE)
         follower = cell.follow("line")
-        ended, said = finished(follower, 300.0)
-        assert ended == 0, said
+        ended, output = finished(follower, 300.0)
+        assert ended == 0, output
     # The run that was killed had left a journal, of which the next one made a recording.
     assert len(Recording.read(tmp_path / "out" / "recording_killed.parquet").t) >= MIDDLE
 
@@ -111,19 +111,19 @@ def test_a_cell_that_is_gone_ends_the_run_and_its_recording_is_whole(number: int
         follower = cell.follow("line")
         wait_until(lambda: rows(tmp_path) >= MIDDLE, 240.0)
         cell.process.send_signal(number)
-        code, said = finished(follower)
+        code, output = finished(follower)
         assert code == 1
-        assert "no packet from the controller within 1 s" in said
+        assert "no packet from the controller within 1 s" in output
         whole(tmp_path, MIDDLE)
     with served("line", tmp_path) as cell:
-        code, said = finished(cell.follow("line"), 300.0)
-        assert code == 0, said
+        code, output = finished(cell.follow("line"), 300.0)
+        assert code == 0, output
 
 
 def test_the_line_is_followed_by_an_arm_behind_rtde(tmp_path: Path) -> None:
     with served("line", tmp_path, protocol="rtde") as cell:
-        code, said = finished(cell.follow("line"), 300.0)
-        assert code == 0, said
+        code, output = finished(cell.follow("line"), 300.0)
+        assert code == 0, output
         assert cell.truth(1)["control_error_mm"]["mean"] < 3.0
         resting_within_limits(cell, 1)
         assert cell.figures()["devices"]["arm"]["link"]["cycles"] > 250
@@ -132,8 +132,8 @@ def test_the_line_is_followed_by_an_arm_behind_rtde(tmp_path: Path) -> None:
 def test_lost_late_and_doubled_packets_are_survived_within_the_limits(tmp_path: Path) -> None:
     with served("line", tmp_path, "--loss", "0.02", "--late", "0.003", "--late-by", "30", "--doubled", "0.02",
                 "--drift", "50") as cell:
-        code, said = finished(cell.follow("line"), 300.0)
-        assert code == 0, said
+        code, output = finished(cell.follow("line"), 300.0)
+        assert code == 0, output
         resting_within_limits(cell, 1)
         assert cell.truth(1)["control_error_mm"]["mean"] < 3.0
         link = cell.figures()["devices"]["arm"]["link"]
@@ -162,11 +162,11 @@ def test_pictures_come_from_a_process_of_their_own_which_may_end() -> None:
     tool = pin.SE3(np.diag([1.0, -1.0, -1.0]), np.array([0.1, 0.0, 0.0]))
     camera = ServedCamera(camera_device(), CameraSettings(), lambda t: tool, lambda t: NOTHING,
                           np.random.default_rng(1))
-    seen = StreamCamera(*camera.address)
+    stream = StreamCamera(*camera.address)
     frames, begun = [], time.perf_counter()
     while len(frames) < 5 and time.perf_counter() < begun + 20.0:
         camera.carry(0.0, 0.01, time.perf_counter())
-        if (frame := seen.read(0.01)) is not None:
+        if (frame := stream.read(0.01)) is not None:
             frames.append(frame)
     assert len(frames) == 5
     assert np.ptp(frames[-1].image) > 50.0
@@ -176,13 +176,13 @@ def test_pictures_come_from_a_process_of_their_own_which_may_end() -> None:
     camera._process.join()
     for _ in range(20):
         camera.carry(0.0, 0.01, time.perf_counter())
-    seen.close()
+    stream.close()
     camera.close()
 
 
 def test_a_port_that_is_taken_is_said() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        device = replace(camera_device(), address=taken.getsockname())
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        device = replace(camera_device(), address=listener.getsockname())
         with pytest.raises(OSError, match="in use"):
             ServedCamera(device, CameraSettings(), lambda t: pin.SE3.Identity(), lambda t: NOTHING,
                          np.random.default_rng(1))

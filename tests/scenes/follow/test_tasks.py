@@ -111,11 +111,11 @@ def _played(tmp_path: Path, *, ahead: bool, later: int = 0, failing: int = -1) -
 
 def test_between_packet_and_answer_there_is_no_field(tmp_path: Path) -> None:
     link, log = _played(tmp_path, ahead=True)
-    fields = [i for i, said in enumerate(link.said) if said == "field"]
+    fields = [i for i, event in enumerate(link.said) if event == "field"]
     assert len(fields) >= _CYCLES // _EVERY - 2
     assert {link.said[i - 2 : i] == ["answer", "plan"] for i in fields} == {True}
     # Nor is a plan made there, not even the first.
-    assert not [i for i, said in enumerate(link.said) if said == "plan" and link.said[i - 1] != "answer"]
+    assert not [i for i, event in enumerate(link.said) if event == "plan" and link.said[i - 1] != "answer"]
     assert log.failure is not None
     assert "not done" in log.failure
 
@@ -184,13 +184,13 @@ def test_fields_of_a_surface_are_fused_between_packets_too(tmp_path: Path, fails
     job = glue()
     link = Waited(robot=job.robot)
     _glued(tmp_path, link, job, Seen(job.robot.t_ipo, 0), fails=fails)
-    before = [link.said[i - 1] for i, said in enumerate(link.said) if said == "field"]
+    before = [link.said[i - 1] for i, event in enumerate(link.said) if event == "field"]
     assert set(before) == {"answer"}
     assert len(before) >= 6 or fails
     # Nor is anything planned there but in the first cycle, and what was fused has no plan beside it.
-    planned_behind = [link.said[i - 1] for i, said in enumerate(link.said) if said == "plan"][1:]
+    planned_behind = [link.said[i - 1] for i, event in enumerate(link.said) if event == "plan"][1:]
     assert set(planned_behind) <= {"answer", "felt"}
-    assert fails or {link.said[i + 1] for i, said in enumerate(link.said) if said == "field"} == {"goes on"}
+    assert fails or {link.said[i + 1] for i, event in enumerate(link.said) if event == "field"} == {"goes on"}
     assert str(job.log.failure).startswith("nothing to be seen" if fails else "not done")
     assert link.said.count("packet") > 12
 
@@ -200,10 +200,10 @@ def test_one_thing_is_done_between_two_packets_and_what_is_felt_is_fused_behind_
     job = glue()
     link = Waited(robot=job.robot)
     _glued(tmp_path, link, job, Seen(job.robot.t_ipo, 0))
-    between = [[one for one in said.split() if one in ("felt", "force", "field")]
-               for said in " ".join(link.said).split("packet")]
+    between = [[event for event in cycle.split() if event in ("felt", "force", "field")]
+               for cycle in " ".join(link.said).split("packet")]
     assert max(map(len, between)) == 1
-    felt = [i for i, one in enumerate(between) if one == ["felt"]]
+    felt = [i for i, events in enumerate(between) if events == ["felt"]]
     assert len(felt) > 8
     assert all(between[i + 1] == ["force"] for i in felt if i + 1 < len(between))
 
@@ -248,7 +248,7 @@ def test_no_answer_waits_for_a_field_and_a_field_waits_where_answers_are_late(
     link.spare = spare
     camera = Bursts(job.robot.t_ipo, 0)
     _glued(tmp_path, link, job, camera)
-    before = [link.said[i - 1] for i, said in enumerate(link.said) if said == "field"]
+    before = [link.said[i - 1] for i, event in enumerate(link.said) if event == "field"]
     assert (before == []) == waits
     assert before == camera.times * ["answer"]
     assert link.said.count("answer") >= 40
@@ -284,7 +284,7 @@ def test_progress_is_shown_when_nobody_waits() -> None:
 def test_a_feedforward_that_adapts_knows_what_the_arm_has_shown_before_the_line(tmp_path: Path) -> None:
     """Else it begins each run on devices anew, and leaves half as much again as in simulation."""
     jobs = [_job(load_cell("line"), Devices("rsi:"), None, None) for _ in range(2)]
-    job, other = (one for one in jobs if isinstance(one, LineJob))
+    job, other = (line_job for line_job in jobs if isinstance(line_job, LineJob))
     assert job.method.key == "adapted"
     T, q = job.robot.t_ipo, job.q_start
     rng = np.random.default_rng(0)
@@ -296,10 +296,10 @@ def test_a_feedforward_that_adapts_knows_what_the_arm_has_shown_before_the_line(
     camera = SimpleNamespace(use=lambda *_: None, fused=lambda _: None)
     job.ready(arm, camera, None)  # type: ignore[arg-type]
     other._task.learn(shown)
-    found, expected, cold = (one._state.factors.values for one in (job._task, other._task, LineJob(
+    learned, expected, cold = (task._state.factors.values for task in (job._task, other._task, LineJob(
         job.scene, job.robot, job.model, job.method, 0, 0.3, job.calibration)._task))
-    np.testing.assert_array_equal(found, expected)
-    assert np.abs(found - cold).max() > 0.01
+    np.testing.assert_array_equal(learned, expected)
+    assert np.abs(learned - cold).max() > 0.01
 
 
 # Calibration over wires: the camera is found from the piece of the line, whatever is seen on the way there.
@@ -327,9 +327,9 @@ class SeeingCamera:
             points[:, 1] += 0.005 * np.sign(np.sin(20.0 * t))
         pixels = self.true.project_tool(points)
         count = len(points)
-        seen = LineField(t - LATE, points, pixels, np.zeros(count), np.full(count, 2e-5), np.ones(count),
-                         np.ones(count, dtype=bool), True, "")
-        return [EvaluatedField(t - LATE, t, (), (), seen)]
+        field = LineField(t - LATE, points, pixels, np.zeros(count), np.full(count, 2e-5), np.ones(count),
+                          np.ones(count, dtype=bool), True, "")
+        return [EvaluatedField(t - LATE, t, (), (), field)]
 
     def calibrate(self, camera, observations, near, normal, prior) -> None:
         self.hand_eye = calibrate(camera, observations, near, normal, prior)
@@ -352,7 +352,7 @@ def test_what_is_seen_on_the_way_to_the_piece_does_not_spoil_the_calibration(mis
     camera = SeeingCamera(true, arm, away)
     motion = CalibrationMotion.over(Piece(reference, middle, follower.q_start), by_hand,
                                     Model.load(shipped_model(robot.name)), robot, camera.detection)
-    found = calibrated_by_moving(motion, arm, camera)  # type: ignore[arg-type]
+    calibrated = calibrated_by_moving(motion, arm, camera)  # type: ignore[arg-type]
     assert np.abs(measuring_error(true, by_hand)).mean() > 1e-4
-    assert np.abs(measuring_error(true, found)).max() < 1e-5
-    assert found.residual_after < 1e-5
+    assert np.abs(measuring_error(true, calibrated)).max() < 1e-5
+    assert calibrated.residual_after < 1e-5

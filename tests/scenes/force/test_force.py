@@ -71,8 +71,8 @@ def test_the_tip_does_not_plunge_when_the_travel_begins_on_a_stiff_surface() -> 
 def test_a_dry_run_above_the_path_tells_friction_where_the_job_works() -> None:
     """At hundredths of a radian per second the model's law is off by a tenth; joints 1, 2, 3 and 5 carry the tip."""
     scene = load_scene("force_wave")
-    cell, found = set_up(scene), friction_shown(scene)
-    assert found is not None
+    cell, friction = set_up(scene), friction_shown(scene)
+    assert friction is not None
     loop = loop_model(cell.known.model, cell.known.robot, delay=cell.known.delay)
     gain = draw_specimen(cell.known.robot, cell.world).drive_gain
     speeds, carry = np.array([0.005, 0.01, 0.03, 0.06, 0.1]), [0, 1, 2, 4]
@@ -84,7 +84,7 @@ def test_a_dry_run_above_the_path_tells_friction_where_the_job_works() -> None:
         return float(np.sqrt(np.mean((np.column_stack(table) / true - 1.0)[:, carry] ** 2)))
 
     assert off(loop) > 0.06
-    assert off(found.in_loop(loop)) < 0.5 * off(loop)
+    assert off(friction.in_loop(loop)) < 0.5 * off(loop)
 
 
 def test_no_dry_run_where_no_path_is_known_or_a_camera_helps() -> None:
@@ -148,9 +148,9 @@ def test_glue_follows_line_and_force_at_once() -> None:
 
 def test_camera_and_looks_of_a_line_on_a_bent_surface_are_found_by_moving() -> None:
     scene = load_scene("glue")
-    cell, found = set_up(scene), camera_shown(scene)
-    assert found is not None
-    calibrated, detection = found
+    cell, calibration = set_up(scene), camera_shown(scene)
+    assert calibration is not None
+    calibrated, detection = calibration
     true = glue_line(cell)[1]
     # Ahead of the tip: how high the surface lies, which scales what is beside, the map tells later.
     assert np.abs(measuring_error(true, cell.known.camera, aside=0.0)).mean() > 1e-3
@@ -172,7 +172,7 @@ def test_glue_survives_a_bad_camera(trouble: dict[str, object]) -> None:
     assert result.figures.lost == 0.0
     if "garbage" in str(trouble):
         start = result.log.t[result.log.phase.index("travel")]
-        lied = [one for one in result.log.fields if start + 1.0 <= one[0] < start + 1.5]
+        lied = [field for field in result.log.fields if start + 1.0 <= field[0] < start + 1.5]
         assert len(lied) == 25
         assert sum(dof > 0 for _, dof, _ in lied) <= 1
 
@@ -232,8 +232,8 @@ def test_garbage_leaves_the_noise_of_the_pictures_as_it_is() -> None:
     known, pictures = set_up(load_scene("glue")).known, np.random.default_rng(1)
     camera = GlueCamera(known, known.follower(4e3), pictures)
     points = np.zeros((5, 3))
-    seen = LineField(0.0, points, points[:, :2], *np.zeros((3, 5)), np.ones(5, dtype=bool), True, "")
-    assert np.ptp(camera._garbage(seen).points_tcp[:, 1]) > 0.0
+    field = LineField(0.0, points, points[:, :2], *np.zeros((3, 5)), np.ones(5, dtype=bool), True, "")
+    assert np.ptp(camera._garbage(field).points_tcp[:, 1]) > 0.0
     np.testing.assert_array_equal(pictures.standard_normal(9), np.random.default_rng(1).standard_normal(9))
 
 
@@ -254,15 +254,15 @@ def test_the_whole_contour_is_followed_in_contact() -> None:
     assert result.figures.rms <= 2.0
     assert result.figures.largest <= 60.0
     tip, moving = result.history["tip"], result.history["normal"] > 1.0
-    way = np.sum(np.linalg.norm(np.diff(tip[moving][::20], axis=0), axis=1))
-    assert way == pytest.approx(0.5, rel=0.06)
+    length = np.sum(np.linalg.norm(np.diff(tip[moving][::20], axis=0), axis=1))
+    assert length == pytest.approx(0.5, rel=0.06)
     # There and back: the contour leaves the straight line by far more than a reference would have allowed for.
     assert np.ptp(tip[moving, 2]) > 0.04
     # Its published figures stand where the table of published numbers says, in the unit that it says.
-    published = [one for one in published_numbers.published() if one.command == "run contour"]
+    published = [row for row in published_numbers.published() if row.command == "run contour"]
     assert len(published) == 3
-    for one in published:
-        assert one.factor * published_numbers.value_of(result.json(), one.value) == pytest.approx(one.number, rel=0.3)
+    for row in published:
+        assert row.factor * published_numbers.value_of(result.json(), row.value) == pytest.approx(row.number, rel=0.3)
 
 
 def test_direct_feedback_has_no_reference_to_go_along() -> None:

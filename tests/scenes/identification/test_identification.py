@@ -135,19 +135,19 @@ def test_shipped_models_are_made_again(name: str) -> None:
     twice that. k_P by itself is known to 20 % only: a motion without steps hardly tells it from the integrator.
     """
     shipped = Model.load(MODELS / f"{name}.json")
-    made, recordings = identified_model(name)
-    laws = [[(one.key, one.loaded) for one in model.friction.laws] for model in (made, shipped)]
+    identified, recordings = identified_model(name)
+    laws = [[(law.key, law.loaded) for law in model.friction.laws] for model in (identified, shipped)]
     assert laws[0] == laws[1]
-    assert [one.name for one in made.effects] == [one.name for one in shipped.effects]
-    assert made.controller is not None
+    assert [effect.name for effect in identified.effects] == [effect.name for effect in shipped.effects]
+    assert identified.controller is not None
     assert shipped.controller is not None
-    np.testing.assert_allclose(made.controller.k_d, shipped.controller.k_d, rtol=0.046)
-    np.testing.assert_allclose(made.controller.k_p * made.controller.k_i,
+    np.testing.assert_allclose(identified.controller.k_d, shipped.controller.k_d, rtol=0.046)
+    np.testing.assert_allclose(identified.controller.k_p * identified.controller.k_i,
                                shipped.controller.k_p * shipped.controller.k_i, rtol=0.01)
-    np.testing.assert_allclose(made.stiffness, shipped.stiffness, rtol=0.014)
+    np.testing.assert_allclose(identified.stiffness, shipped.stiffness, rtol=0.014)
     for recording in recordings:
         tau = shipped.predict(recording).tau
-        error = made.predict(recording).tau - tau
+        error = identified.predict(recording).tau - tau
         assert np.all(np.sqrt(np.mean(error**2, axis=0)) < 0.016 * np.sqrt(np.mean(tau**2, axis=0)))
 
 
@@ -244,12 +244,12 @@ def test_of_an_axis_that_slides_forces_are_in_newtons(made: TwinResult, tmp_path
 
 
 def test_what_the_recording_tells_comes_back(made: TwinResult) -> None:
-    found = made.twin.table
-    assert found["current_noise"][0] == pytest.approx(0.004, rel=0.2)
+    table = made.twin.table
+    assert table["current_noise"][0] == pytest.approx(0.004, rel=0.2)
     # Of one sliding joint motion tells the mass and the rotor together.
-    assert found["body"][0] + found["body"][10] == pytest.approx(made.analysis.model.base_values[0], rel=0.01)
-    assert found["spread"] == {}
-    residual = np.sqrt(np.sum(np.square(found["residual"])))
+    assert table["body"][0] + table["body"][10] == pytest.approx(made.analysis.model.base_values[0], rel=0.01)
+    assert table["spread"] == {}
+    residual = np.sqrt(np.sum(np.square(table["residual"])))
     assert residual == pytest.approx(np.sqrt(1.0 + 1.5**2 + 1.0), rel=0.4)
 
 
@@ -258,12 +258,12 @@ def test_without_commands_the_controller_is_of_a_class_and_each_individual_draws
         axis: Path, recording: Recording) -> None:
     silent = Recording({name: values for name, values in recording.columns.items() if not name.startswith("q_c")},
                        dict(recording.meta), recording.source)
-    found = make_twin([silent], str(axis))
-    assert any(text.startswith("controllers") for text in found.twin.assumed)
-    gains = {World.from_table(str(axis), {**found.twin.table, "individual": k}).per_joint("position_gain", 1)[0]
+    result = make_twin([silent], str(axis))
+    assert any(text.startswith("controllers") for text in result.twin.assumed)
+    gains = {World.from_table(str(axis), {**result.twin.table, "individual": k}).per_joint("position_gain", 1)[0]
              for k in (1, 2, 2, 3)}
     assert len(gains) == 3
-    np.testing.assert_allclose(found.rms[1], found.rms[0], rtol=0.2)
+    np.testing.assert_allclose(result.rms[1], result.rms[0], rtol=0.2)
 
 
 def test_a_file_of_one_axis_holds_its_world_and_says_what_was_assumed(made: TwinResult, axis: Path,
@@ -291,16 +291,16 @@ def test_the_twin_has_the_geometry_that_poses_show() -> None:
 
     def poses(world: World, q: np.ndarray) -> list[pin.SE3]:
         fk = replace(robot, pinocchio=draw_specimen(robot, world).model).fk()
-        return [device * fk(one) for one in q]
+        return [device * fk(posture) for posture in q]
 
     uncalibrated = World.default("kr6").replace(individual=4, **ARM)
     qa = 0.6 * rng.uniform(robot.q_min, robot.q_max, (400, robot.n))
     measured = np.array([pin.SE3ToXYZQUAT(pose) for pose in poses(uncalibrated, qa)])
     measured[:, :3] += 2e-5 * rng.standard_normal((400, 3))
-    seen = Recording({**Recording.from_arrays(np.arange(400.0), q=qa, tau=qa, qa=qa).columns,
-                      **dict(zip(POSE, measured.T, strict=True))})
-    assert has_geometry(seen)
-    twin = World.default("kr6").replace(geometry=measured_geometry([seen], robot, (2e-4, 3e-4)))
+    posed = Recording({**Recording.from_arrays(np.arange(400.0), q=qa, tau=qa, qa=qa).columns,
+                       **dict(zip(POSE, measured.T, strict=True))})
+    assert has_geometry(posed)
+    twin = World.default("kr6").replace(geometry=measured_geometry([posed], robot, (2e-4, 3e-4)))
     q = rng.uniform(robot.q_min, robot.q_max, (50, robot.n))
     true, own, sheet = (poses(world, q) for world in (uncalibrated, twin, World.default("kr6")))
     off, before = (np.array([(a[0].actInv(a[k]).translation - b[0].actInv(b[k]).translation) for k in range(1, 50)])
@@ -316,8 +316,8 @@ def test_a_sensor_behind_the_gears_does_not_feel_what_turns_the_rotors() -> None
     felt = Recording.from_arrays(t, q=q, tau=-(links + rotors) * w**2 * q)
     filters = {"cutoff": 20.0, "cutoff_decimation": 50.0}
     inside = slice(500, -500)
-    found = behind_gears(felt, Twin({"extra_rotor_inertia": rotors.tolist()}, (), ()), filters).joints("tau")
-    np.testing.assert_allclose(found[inside], (-links * w**2 * q)[inside], atol=2e-3)
+    torque = behind_gears(felt, Twin({"extra_rotor_inertia": rotors.tolist()}, (), ()), filters).joints("tau")
+    np.testing.assert_allclose(torque[inside], (-links * w**2 * q)[inside], atol=2e-3)
     assert behind_gears(felt, Twin({"extra_rotor_inertia": [0.0, 0.0]}, (), ()), filters) is felt
 
 
@@ -333,9 +333,9 @@ def test_bodies_take_the_place_of_the_data_sheets() -> None:
     robot = Robot.load("kr6")
     sheet = np.concatenate([link_parameters(robot.pinocchio), robot.rotor_inertia, np.zeros(6)])
     plain, same = World.default("kr6"), World.default("kr6").replace(body=tuple(sheet))
-    for one, other in zip(draw_specimen(robot, plain).model.inertias, draw_specimen(robot, same).model.inertias,
-                          strict=True):
-        np.testing.assert_allclose(one.toDynamicParameters(), other.toDynamicParameters(), atol=1e-12)
+    for inertia, other in zip(draw_specimen(robot, plain).model.inertias, draw_specimen(robot, same).model.inertias,
+                              strict=True):
+        np.testing.assert_allclose(inertia.toDynamicParameters(), other.toDynamicParameters(), atol=1e-12)
     with pytest.raises(InputError, match="expected 72 numbers"):
         draw_specimen(robot, plain.replace(body=(1.0, 2.0)))
 
@@ -347,23 +347,23 @@ def test_a_residual_has_its_spectrum_and_is_another_one_each_time() -> None:
     for seed in (1, 2):
         torque = residual_torque(world, 6, np.random.default_rng(seed))
         assert torque is not None
-        drawn.append(np.array([torque(at, t[:6], t[:6], t[:6]) for at in t]))
+        drawn.append(np.array([torque(instant, t[:6], t[:6], t[:6]) for instant in t]))
     f, density = welch(drawn[0], 50.0, nperseg=5000, axis=0)
     for (low, high), size in zip(np.column_stack([octave_edges(5)[:-1], octave_edges(5)[1:]]), (0, 0, 0.5, 0, 2.0),
                                  strict=True):
         inside = (f >= 0.98 * low) & (f < 1.02 * high)
-        found = np.sqrt(np.sum(density[inside], axis=0) * f[1])
-        np.testing.assert_allclose(found, size, rtol=0.15, atol=0.3)
+        rms = np.sqrt(np.sum(density[inside], axis=0) * f[1])
+        np.testing.assert_allclose(rms, size, rtol=0.15, atol=0.3)
     assert abs(np.corrcoef(drawn[0][:, 0], drawn[1][:, 0])[0, 1]) < 0.2
     assert residual_torque(World.default("kr6"), 6, np.random.default_rng(1)) is None
 
 
 def test_the_individual_draws_what_nobody_measured() -> None:
     spread = {"stiffness": 0.4, "velocity_feedforward": 0.5}
-    one, same, other = (World.from_table("kr6", {"spread": spread, "individual": k}) for k in (1, 1, 2))
-    assert one == same
-    assert one.stiffness != other.stiffness
-    assert np.all((one.per_joint("velocity_feedforward", 6) >= 0) & (one.per_joint("velocity_feedforward", 6) <= 1))
+    first, same, other = (World.from_table("kr6", {"spread": spread, "individual": k}) for k in (1, 1, 2))
+    assert first == same
+    assert first.stiffness != other.stiffness
+    assert np.all((first.per_joint("velocity_feedforward", 6) >= 0) & (first.per_joint("velocity_feedforward", 6) <= 1))
     assert World.from_table("kr6", {"spread": {}}) == World.default("kr6")
     for wrong in ({"stiffness": -1.0}, {"thermal": 0.1}, {"colour": 0.1}, 3.0):
         with pytest.raises(InputError, match=r"world\.spread"):
@@ -376,9 +376,9 @@ def test_the_individual_draws_what_nobody_measured() -> None:
     ("emps/emps.urdf", "emps/emps_estimation.parquet"), ("ur10e/ur10e.urdf", "ur10e/free_12harm_50s.parquet"),
     ("panda/panda.urdf", "panda/panda_a.parquet")])
 def test_twins_of_measured_arms_play_their_torques(urdf: str, file: str) -> None:
-    found = make_twin([Recording.read(DATA / file)], str(DATA / urdf))
-    np.testing.assert_allclose(found.rms[1], found.rms[0], rtol=0.2)
-    assert np.all(found.spectrum < 0.2)
+    result = make_twin([Recording.read(DATA / file)], str(DATA / urdf))
+    np.testing.assert_allclose(result.rms[1], result.rms[0], rtol=0.2)
+    assert np.all(result.spectrum < 0.2)
 
 
 @pytest.mark.slow
@@ -386,8 +386,8 @@ def test_twins_of_measured_arms_play_their_torques(urdf: str, file: str) -> None
 def test_the_twin_of_an_arm_with_torque_sensors_behind_its_gears_follows_a_line(tmp_path: Path) -> None:
     """Once it had no rotors: loops on slim links alone were not stable, and its own controller not to be identified."""
     robot = str(DATA / "panda/panda.urdf")
-    found = make_twin([Recording.read(DATA / "panda/panda_a.parquet")], robot)
-    assert any(text.startswith("rotors: those of a class") for text in found.twin.assumed)
+    result = make_twin([Recording.read(DATA / "panda/panda_a.parquet")], robot)
+    assert any(text.startswith("rotors: those of a class") for text in result.twin.assumed)
     file = tmp_path / "mine.toml"
-    file.write_text(twin_text(found.twin, robot, file), encoding="utf-8")
+    file.write_text(twin_text(result.twin, robot, file), encoding="utf-8")
     assert play(scene_of(LineScene, str(file)), "adapted").control_error.mean < 0.2e-3

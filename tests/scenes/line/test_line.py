@@ -224,13 +224,13 @@ def test_the_law_of_the_trials_is_recovered() -> None:
 def test_the_speed_found_keeps_the_tolerance() -> None:
     scene = short()
     with prepared(scene) as shared:
-        found = fastest(scene, 8e-5, shared=shared)
-        result = play(scene.changed(speed=found.speed), "ideal", shared=shared)
+        answer = fastest(scene, 8e-5, shared=shared)
+        result = play(scene.changed(speed=answer.speed), "ideal", shared=shared)
         with pytest.raises(SceneError, match="allow more"):
             fastest(scene, 1e-6, shared=shared)
     assert result.control_error.p95 <= 8e-5
-    assert dict(found.trials)[found.speed] <= 8e-5
-    assert 0.0 < found.predicted < 2e-4
+    assert dict(answer.trials)[answer.speed] <= 8e-5
+    assert 0.0 < answer.predicted < 2e-4
 
 
 def test_a_speed_is_found_where_every_faster_trial_ended_early(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -240,9 +240,9 @@ def test_a_speed_is_found_where_every_faster_trial_ended_early(monkeypatch: pyte
 
     monkeypatch.setattr(compare, "play", played)
     monkeypatch.setattr(compare, "_possible", lambda _, speed: speed)
-    found = fastest(load_scene("line"), 2e-4, shared=SimpleNamespace())  # type: ignore[arg-type]
-    assert (found.speed, found.predicted) == (compare.FIRST, 1e-4)
-    assert len(found.trials) > 1
+    answer = fastest(load_scene("line"), 2e-4, shared=SimpleNamespace())  # type: ignore[arg-type]
+    assert (answer.speed, answer.predicted) == (compare.FIRST, 1e-4)
+    assert len(answer.trials) > 1
 
 
 def test_of_a_line_that_is_never_seen_no_gain_is_small_enough() -> None:
@@ -314,13 +314,13 @@ def test_a_camera_whose_stamps_are_early_shows_the_line() -> None:
 
 def test_windows_are_asked_for_at_the_camera_s_own_time() -> None:
     scene = short(camera={"stamp_offset": 0.03})
-    asked: list[float] = []
+    stamps: list[float] = []
     with prepared(scene) as cell:
         carried = CarriedCamera(cell.camera, cell.camera)  # type: ignore[arg-type]
-        carried.request(0.1, 0.2, lambda t: asked.append(t))  # type: ignore[func-returns-value]
+        carried.request(0.1, 0.2, lambda t: stamps.append(t))  # type: ignore[func-returns-value]
         exposed = cell.camera.due(0.1, 0.2)
-    assert len(asked) == len(exposed) == 5
-    np.testing.assert_allclose(asked, np.array(exposed) + 0.03, atol=5e-4)
+    assert len(stamps) == len(exposed) == 5
+    np.testing.assert_allclose(stamps, np.array(exposed) + 0.03, atol=5e-4)
 
 
 # The camera calibrated by moving the simulated arm over the line, with everything on that disturbs it.
@@ -356,14 +356,14 @@ def test_pictures_tell_a_copy_of_the_reference_where_they_show_all_of_it(
     scene = load_scene("line").changed(
         line={"formula": None, "length": None, "points": np.column_stack([x, bent]).tolist()}, feature=gaps,
         reference={"shape": {"points": np.column_stack([x, y]).tolist()}})
-    with prepared(scene) as seen:
-        assert seen.shape == told
+    with prepared(scene) as cell:
+        assert cell.shape == told
 
 
 @pytest.mark.parametrize("camera", [{"rate": 500}, {"stamp_offset": -0.03}])
 def test_a_camera_is_calibrated_whose_first_picture_is_stamped_before_the_arm_moves(camera: dict[str, float]) -> None:
-    with prepared(load_scene("line").changed(camera=camera)) as seen:
-        assert seen.hand_eye is not None
+    with prepared(load_scene("line").changed(camera=camera)) as cell:
+        assert cell.hand_eye is not None
 
 
 def test_a_clock_that_drifts_is_refused_where_the_camera_is_calibrated_by_moving() -> None:

@@ -28,12 +28,12 @@ from tests.sensing.camera.synthetic import tool_over
 
 
 def test_a_displaced_surface_moves_the_line_and_not_the_reference() -> None:
-    told = set_up(short())
+    nominal = set_up(short())
     moved = set_up(short(displacement={"height_mm": 4.0, "tilt_deg": 2.0}))
-    up = told.geometry.plane.rotation[:, 2]
-    np.testing.assert_array_equal(moved.geometry.reference, told.geometry.reference)
-    np.testing.assert_allclose(moved.known.reference.frames(0.3).up, told.known.reference.frames(0.3).up)
-    middle = (moved.line.points.mean(axis=0) - told.line.points.mean(axis=0)) @ up
+    up = nominal.geometry.plane.rotation[:, 2]
+    np.testing.assert_array_equal(moved.geometry.reference, nominal.geometry.reference)
+    np.testing.assert_allclose(moved.known.reference.frames(0.3).up, nominal.known.reference.frames(0.3).up)
+    middle = (moved.line.points.mean(axis=0) - nominal.line.points.mean(axis=0)) @ up
     assert 1.9e-3 < abs(middle) < 4.1e-3
     angle = np.degrees(np.arccos(moved.geometry.plane.rotation[:, 2] @ up))
     assert 1.4 < angle < 2.9
@@ -107,14 +107,14 @@ def test_the_workshop_holds_where_a_scene_says_nothing() -> None:
 
 def test_wear_is_drawn_by_the_seed_and_changes_what_is_painted() -> None:
     scene = short(wear={"width_percent": 20.0, "fade_percent": 30.0, "gaps": 2})
-    line, again, other = (set_up(one).line for one in (scene, scene, scene.changed(seed=2)))
+    line, again, other = (set_up(variant).line for variant in (scene, scene, scene.changed(seed=2)))
     assert line.widths is not None
     assert line.grays is not None
     np.testing.assert_array_equal(line.widths, again.widths)
     assert not np.array_equal(line.widths, other.widths)
     assert np.ptp(line.widths) > 0.15 * line.width
     assert line.grays.min() >= line.gray
-    assert [one.kind for one in line.features] == ["gap", "gap"]
+    assert [feature.kind for feature in line.features] == ["gap", "gap"]
     # Dark texels across the line are as many as its width there says.
     texture = paint(line)
     wide, narrow = np.argmax(line.widths[100:-100]) + 100, np.argmin(line.widths[100:-100]) + 100
@@ -249,8 +249,8 @@ def test_the_camera_sees_the_line_where_the_bent_surface_lifts_it() -> None:
     """Seen from aside, a place 2 mm higher looks nearer to the point below the camera by 2 mm of 250."""
     bent = scene(bow_mm=2.0)
     where = geometry(bent, np.random.default_rng(3))
-    surface = next(one for one in (bent_surface(bent, where, np.random.default_rng(k)) for k in range(9))
-                   if one is not None and one.waves[0].amplitude > 0)
+    surface = next(candidate for candidate in (bent_surface(bent, where, np.random.default_rng(k)) for k in range(9))
+                   if candidate is not None and candidate.waves[0].amplitude > 0)
     line, model = DrawnLine(where.drawn, where.plane), CameraModel.default()
     points, tangents = line.at(0.5 * line.length + np.linspace(-0.03, 0.03, 5))
     up = where.plane.rotation[:, 2]
@@ -265,6 +265,6 @@ def test_the_camera_sees_the_line_where_the_bent_surface_lifts_it() -> None:
     settings = CameraSettings(exposure=0.0, noise=0.0, jitter=0.0, stamp_noise=0.0)
     with BulletCamera(model, line, settings, np.random.default_rng(0), relief=surface, strips=STRIPS) as camera:
         field = camera.windows(0.025, lambda t: tool, search_windows(model, prediction))
-    found = detect_line(field, model, prediction)
-    assert found.used.all()
-    assert np.abs(found.lateral[2]) == pytest.approx(aside * lift / (0.25 - lift), rel=0.15)
+    detected = detect_line(field, model, prediction)
+    assert detected.used.all()
+    assert np.abs(detected.lateral[2]) == pytest.approx(aside * lift / (0.25 - lift), rel=0.15)

@@ -50,8 +50,8 @@ class Case:
 @lru_cache(maxsize=1)
 def signals() -> Signals:
     """Along the motion of ``kind_arm.recording`` of the exact arm."""
-    made = torque_regression(arm.recording(arm.WORLD), arm.ROBOT, arm.model(), payload=True).signals
-    return dataclasses.replace(made, frames=frames_along(arm.ROBOT, made.q))
+    plain = torque_regression(arm.recording(arm.WORLD), arm.ROBOT, arm.model(), payload=True).signals
+    return dataclasses.replace(plain, frames=frames_along(arm.ROBOT, plain.q))
 
 
 def visible(key: str, joint: int, unit: tuple[float, ...], theta: tuple[float, ...] = ()) -> FittedEffect:
@@ -75,8 +75,8 @@ Torque = Callable[[float, Array, Array, Array], float]
 
 def _with_torque(true: FittedEffect, torque: Torque, joint: int = arm.JOINT) -> Case:
     """The arm with a torque on one motor, against what the motor has to give."""
-    at = np.eye(arm.ROBOT.n)[joint - 1]
-    return Case(arm.WORLD.replace(extra_torque=lambda *moved: -torque(*moved) * at), true)
+    unit = np.eye(arm.ROBOT.n)[joint - 1]
+    return Case(arm.WORLD.replace(extra_torque=lambda *moved: -torque(*moved) * unit), true)
 
 
 def _own(joint: int, value: float, other: float = 0.0) -> list[float]:

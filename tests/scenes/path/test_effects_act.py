@@ -59,9 +59,9 @@ def test_every_acting_effect_has_a_case() -> None:
 def test_extended_model_is_worth_the_true_number(key: str) -> None:
     case = CASES[key]()
     known = dataclasses.replace(arm.model(), friction=friction_of(case))
-    found = fitted(arm.recording(case.world, of=case.individual), known, case.true) if case.shown else case.true
+    fit = fitted(arm.recording(case.world, of=case.individual), known, case.true) if case.shown else case.true
     ignored, extended, true = (arm.played(case.world, model, of=case.individual) for model in (
-        known, known.with_effects((found,)), known.with_effects((case.true,))))
+        known, known.with_effects((fit,)), known.with_effects((case.true,))))
     assert extended.errors.aligned.E_car <= 1.25 * true.errors.aligned.E_car + SMALLEST
     # What the effect does to the path, beside what the exact model leaves of an arm without it.
     aim = arm.aim()
@@ -84,14 +84,14 @@ def fitted(recording: Recording, known: Model, true: FittedEffect) -> FittedEffe
         columns = {name: values for name, values in recording.columns.items() if not name.startswith("qa_")}
         recording = dataclasses.replace(recording, columns=columns)
     torque = torque_regression(recording, arm.ROBOT, known, payload=True)
-    made = {MOTOR_TORQUE: lambda: torque,
-            ARM_POSITION: lambda: arm_angle_regression(recording, arm.ROBOT, torque, known.stiffness),
-            TCP_POSITION: lambda: tool_regression(recording, arm.ROBOT, torque, known.stiffness)}[true.domain]()
-    assert made is not None
-    shape = made.filtered.decimate(true.effect.columns(made.signals, true.joint, true.theta))
+    problem = {MOTOR_TORQUE: lambda: torque,
+               ARM_POSITION: lambda: arm_angle_regression(recording, arm.ROBOT, torque, known.stiffness),
+               TCP_POSITION: lambda: tool_regression(recording, arm.ROBOT, torque, known.stiffness)}[true.domain]()
+    assert problem is not None
+    shape = problem.filtered.decimate(true.effect.columns(problem.signals, true.joint, true.theta))
     shown = np.flatnonzero(np.any(np.abs(shape) > 1e-12, axis=(0, 1)))
-    rows = shape[..., shown] if true.domain == MOTOR_TORQUE else np.concatenate([shape[..., shown], made.W], axis=2)
-    size = np.linalg.lstsq(rows[made.use], made.y[made.use], rcond=1e-9)[0]
+    rows = shape[..., shown] if true.domain == MOTOR_TORQUE else np.concatenate([shape[..., shown], problem.W], axis=2)
+    size = np.linalg.lstsq(rows[problem.use], problem.y[problem.use], rcond=1e-9)[0]
     coefficients = np.zeros(shape.shape[2])
     coefficients[shown] = size[: len(shown)]
     return dataclasses.replace(true, coefficients=tuple(float(value) for value in coefficients))
@@ -145,8 +145,8 @@ def test_time_stamps_of_a_drifting_clock_are_put_right() -> None:
     known = CameraErrors.of((FittedEffect("camera_latency", 0, "line", (-0.008,)),
                              FittedEffect("clock_drift", 0, "line", (0.001,))))
     stamps = np.array([0.0, 1.0, 10.0])
-    taken = stamps - 0.008 + 0.001 * stamps
-    np.testing.assert_allclose([t + known.late_by(float(t)) for t in stamps], taken, atol=1e-12)
+    exposed = stamps - 0.008 + 0.001 * stamps
+    np.testing.assert_allclose([t + known.late_by(float(t)) for t in stamps], exposed, atol=1e-12)
 
 
 def test_force_reading_and_contact_are_put_right() -> None:

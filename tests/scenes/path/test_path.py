@@ -119,10 +119,10 @@ def test_whole_comparisons(name, tmp_path):
     comparison = compare(load_scene(name), out=tmp_path)
     written = json.loads(write_json(tmp_path / "compare.json", comparison.json()).read_text())
     less = {method: values["reduction_percent"]["E_car"]["weaker"] for method, values in written["methods"].items()}
-    wanted = {"ideal": 85.0, "ideal_delay": 80.0}
+    bounds = {"ideal": 85.0, "ideal_delay": 80.0}
     if name != "iso9283_1":
-        wanted = {"precorrected": 80.0, "learned_4": 95.0, "trained": 60.0, "ideal": 85.0}
-    assert {method: less[method] for method, bound in wanted.items() if less[method] < bound} == {}
+        bounds = {"precorrected": 80.0, "learned_4": 95.0, "trained": 60.0, "ideal": 85.0}
+    assert {method: less[method] for method, bound in bounds.items() if less[method] < bound} == {}
 
 
 def test_bad_scenes_are_refused():
@@ -255,8 +255,8 @@ def test_arm_error_of_the_kr15_with_clamped_stiffness() -> None:
     clamped = ClampedScene(name="kr15", kind="clamped", title="KR 15 clamped", robot="kr15", clamp={"hold": 0.8})
     rng = np.random.default_rng(5)
     recordings, _ = record(clamped, robot, ClampWorld.from_table(robot, {}), configurations(clamped, robot, rng), rng)
-    found = analyse_stiffness(recordings, robot, "wrench").by("wrench")
-    stiffness = np.array([found[joint].stiffness for joint in range(1, robot.n + 1)])
+    by_joint = analyse_stiffness(recordings, robot, "wrench").by("wrench")
+    stiffness = np.array([by_joint[joint].stiffness for joint in range(1, robot.n + 1)])
     place = set_up(load_scene("iso9283_1"), delay=False)
     loop = replace(place.loop(), stiffness=stiffness)
     motors_only = place.play(IdealRobot(loop, 30, elastic=False)).errors

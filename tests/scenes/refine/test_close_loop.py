@@ -171,15 +171,15 @@ def test_path_is_nearly_as_good_as_with_a_tracker():
     assert aligned["after"] < 0.1 * aligned["before"]
     # An error of the data sheet's drive gains goes into it in full, and the interval says so.
     joints, oracle = result.json()["clamped"]["joints"], np.array(result.json()["stiffness"]["oracle"])
-    low, high = np.array([one["interval_95"] for one in sorted(joints, key=lambda one: one["joint"])]).T
+    low, high = np.array([joint["interval_95"] for joint in sorted(joints, key=lambda joint: joint["joint"])]).T
     assert np.all((low < oracle) & (oracle < high))
 
 
 @pytest.mark.slow
 def test_wrench_at_the_clamp_tells_the_stiffness_without_the_drives() -> None:
     scene = scene_of(CloseClampedScene, "close_clamped")
-    found = close_clamped(scene, measured="tcp").json()["stiffness"]
-    np.testing.assert_allclose(found["after"], found["oracle"], rtol=0.03)
+    stiffness = close_clamped(scene, measured="tcp").json()["stiffness"]
+    np.testing.assert_allclose(stiffness["after"], stiffness["oracle"], rtol=0.03)
 
 
 # What closing a path is made of: what an arm believes, what is suggested, foreseen, and moved to be diagnosed.
@@ -231,8 +231,8 @@ def test_what_explains_a_recording_with_the_model_as_it_was_is_tried_too() -> No
     case = CASES["payload/tau"]()
     moved = arm.recording(case.world, of=case.individual)
     offset = FittedEffect("current_offset", 1, "tau_1", (1.0,))
-    found = Diagnosis("unknown", (), (), (), "", 0.0, beside_known=((case.true, offset),))
-    (of_arm, of_tool), refused = Candidates(arm.model(), found, moved, moved, arm.ROBOT, "tcp").groups()
+    diagnosis = Diagnosis("unknown", (), (), (), "", 0.0, beside_known=((case.true, offset),))
+    (of_arm, of_tool), refused = Candidates(arm.model(), diagnosis, moved, moved, arm.ROBOT, "tcp").groups()
     (together,), (alone, of_offset) = of_arm.together, of_arm.apart
     assert of_tool == Group((), ())
     assert together.places == (("payload", 0), ("current_offset", 1))

@@ -45,14 +45,14 @@ def test_baseline_then_same_then_worse_then_a_missed_bound(program: Any, suite: 
                                                            monkeypatch: pytest.MonkeyPatch) -> None:
     # Played in this process, which has loaded the program.
     monkeypatch.setattr("scenes.sweep.work_off", lambda tasks, play, *_: enumerate(map(play, tasks)))
-    made = program("check", "suite.toml", "--update-baseline", "--processes", "1")
-    assert made.code == 0, made.err
-    assert "verdict: bounds kept, no baseline" in made.out
+    ended = program("check", "suite.toml", "--update-baseline", "--processes", "1")
+    assert ended.code == 0, ended.err
+    assert "verdict: bounds kept, no baseline" in ended.out
     baseline = (tmp_path / "suite.baseline.json").read_bytes()
-    told = json.loads(baseline)
-    assert {"version", "commit", "digest"} == set(told["program"])
-    assert {"task_hash", "world_hash", "model_hash"} <= set(told["runs"][0])
-    assert not {"real_time_factor", "urdf", "report", "recording"} & set(told["runs"][0])
+    content = json.loads(baseline)
+    assert {"version", "commit", "digest"} == set(content["program"])
+    assert {"task_hash", "world_hash", "model_hash"} <= set(content["runs"][0])
+    assert not {"real_time_factor", "urdf", "report", "recording"} & set(content["runs"][0])
     again = program("check", "suite.toml", "--processes", "1", "--runs", "runs")
     assert again.code == 0, again.err
     assert "verdict: same" in again.out
@@ -88,7 +88,7 @@ def _files_say_the_same(folder: Path) -> None:
     for element in root.iter():
         assert set(element.attrib) <= JUNIT[element.tag]
     worse = [row for row in lines if row["verdict"] == "worse"]
-    assert len(root.findall(".//failure")) == len(worse) == sum(int(one.get("failures", 0)) for one in root)
+    assert len(root.findall(".//failure")) == len(worse) == sum(int(testsuite.get("failures", 0)) for testsuite in root)
     assert len(pd.read_parquet(folder / "results.parquet")) == 3
     assert "svg" in (folder / "report.html").read_text()
 
@@ -109,8 +109,8 @@ def test_results_of_a_sweep_are_compared_with_those_of_a_check(program: Any, sui
     swept = program("sweep", "short.toml", "--seeds", "1-3", "--world", "bench", "--processes", "1", "--json", "s.json",
                     "--csv", "s.csv", "--lines", "s.jsonl")
     assert swept.code == 0, swept.err
-    told, baseline = (json.loads((tmp_path / name).read_text()) for name in ("s.json", "suite.baseline.json"))
-    assert (told["schema"], told["program"]) == (1, baseline["program"])
+    swept_results, baseline = (json.loads((tmp_path / name).read_text()) for name in ("s.json", "suite.baseline.json"))
+    assert (swept_results["schema"], swept_results["program"]) == (1, baseline["program"])
     assert "control_error_mm.mean" in pd.read_csv(tmp_path / "s.csv")
     for name in ("s.json", "s.csv", "s.jsonl", "suite.baseline.json"):
         done = program("compare-results", name, "s.json")
@@ -152,10 +152,10 @@ def test_results_are_read_in_every_form(tmp_path: Path) -> None:
     (tmp_path / "s.jsonl").write_text("\n".join(json.dumps(answer) for answer in answers))
     pd.json_normalize(answers).to_csv(tmp_path / "s.csv", index=False)
     for name in ("s.json", "s.jsonl", "s.csv"):
-        found = read_results(tmp_path / name)
-        assert len(found.runs) == 3
-        assert "control_error_mm.mean" in found.figures
-        assert compared(found, read_results(tmp_path / "s.json")).verdict == SAME
+        results = read_results(tmp_path / name)
+        assert len(results.runs) == 3
+        assert "control_error_mm.mean" in results.figures
+        assert compared(results, read_results(tmp_path / "s.json")).verdict == SAME
 
 
 @pytest.mark.parametrize(("before", "says"), [
@@ -251,33 +251,33 @@ def test_two_means_and_their_difference_are_those_of_a_paired_t_test() -> None:
 
 
 def test_a_method_against_another_one_is_paired_where_each_side_has_one() -> None:
-    found = compared(runs(0), runs(1, factor={scene: 0.7 for scene, _ in CASES}, method="adapted"))
-    assert found.verdict == BETTER
-    assert all("adapted" in row.case for row in found.rows if row.case != SUITE)
+    comparison = compared(runs(0), runs(1, factor={scene: 0.7 for scene, _ in CASES}, method="adapted"))
+    assert comparison.verdict == BETTER
+    assert all("adapted" in row.case for row in comparison.rows if row.case != SUITE)
 
 
 def test_a_new_failure_is_worse_and_its_pair_takes_no_part() -> None:
     after = runs(0)
     after.runs.loc[3, "failure"] = "line lost"
-    found = compared(runs(0), after)
-    assert found.verdict == WORSE
-    (row,) = (row for row in found.rows if row.verdict == WORSE)
+    comparison = compared(runs(0), after)
+    assert comparison.verdict == WORSE
+    (row,) = (row for row in comparison.rows if row.verdict == WORSE)
     assert (row.case, row.why) == ("line, 0.7 m/s, ideal, bench", "line lost")
     assert compared(after, runs(0)).verdict == BETTER
 
 
 @pytest.mark.parametrize("name", ["task_hash", "world_hash"])
 def test_another_task_or_world_is_not_comparable(name: str) -> None:
-    found = compared(runs(0, **{name: "a"}), runs(0, **{name: "b"}))
-    assert found.verdict == NOT_COMPARABLE
-    assert "--update-baseline" in found.rows[0].why
+    comparison = compared(runs(0, **{name: "a"}), runs(0, **{name: "b"}))
+    assert comparison.verdict == NOT_COMPARABLE
+    assert "--update-baseline" in comparison.rows[0].why
 
 
 def test_one_pair_that_differs_cannot_tell() -> None:
-    one = [Results(results.runs[results.runs["seed"] == 1]) for results in (runs(0), runs(1, noise=0.2))]
-    found = compared(*one)
-    assert {row.verdict for row in found.rows} <= {SAME, NOT_COMPARABLE}
-    assert found.verdict in (SAME, NOT_COMPARABLE)
+    single = [Results(results.runs[results.runs["seed"] == 1]) for results in (runs(0), runs(1, noise=0.2))]
+    comparison = compared(*single)
+    assert {row.verdict for row in comparison.rows} <= {SAME, NOT_COMPARABLE}
+    assert comparison.verdict in (SAME, NOT_COMPARABLE)
 
 
 def test_what_shares_no_pair_or_is_of_another_arm_or_twice_is_refused() -> None:
@@ -291,12 +291,12 @@ def test_what_shares_no_pair_or_is_of_another_arm_or_twice_is_refused() -> None:
 
 def test_cases_of_one_label_keep_their_own_bounds() -> None:
     results, figure = runs(0), "control_error_mm.mean"
-    asked: list[dict[str, float]] = [{figure: 0.01} if i % 2 else {} for i in range(len(results.runs))]
-    asked[-1] = {figure: 10.0}
-    bounds = bounds_of(results, asked)
+    limits: list[dict[str, float]] = [{figure: 0.01} if i % 2 else {} for i in range(len(results.runs))]
+    limits[-1] = {figure: 10.0}
+    bounds = bounds_of(results, limits)
     for label in {bound.case for bound in bounds}:
         assert [bound.limit for bound in bounds if bound.case == label].count(0.01) == 1
-    assert sum(bound.seeds for bound in bounds) == sum(map(bool, asked))
+    assert sum(bound.seeds for bound in bounds) == sum(map(bool, limits))
     assert [bound.seeds for bound in bounds if bound.limit == 10.0] == [1]
 
 
@@ -305,9 +305,9 @@ def test_a_bound_says_how_many_seeds_it_needs() -> None:
     label = results.runs["scene"] == "corner"
     values = results.runs.loc[label, "control_error_mm.mean"]
     near, far = values.mean() * 1.005, values.mean() * 2.0
-    close, kept = (bounds_of(results, [{"control_error_mm.mean": limit}] * len(results.runs))[-1]
+    close, wide = (bounds_of(results, [{"control_error_mm.mean": limit}] * len(results.runs))[-1]
                    for limit in (near, far))
-    assert (close.kept, kept.kept, kept.remark) == (True, True, "")
+    assert (close.kept, wide.kept, wide.remark) == (True, True, "")
     assert "flaky" in close.remark
     assert close.needed is None or close.needed > 100
     with pytest.raises(InputError, match="no run has this figure"):
@@ -352,9 +352,9 @@ def test_a_case_without_any_compared_figure_is_named() -> None:
     other = runs(0, scene="other", speed_m_s=None, force_error_N={"rms": 1.0}).runs.head(3)
     without = other.drop(columns=[name for name in other if name.startswith("control_error_mm")])
     both = Results(pd.concat([runs(0).runs, without], ignore_index=True))
-    found = compared(both, both, figures=["control_error_mm.mean"])
-    assert found.verdict == NOT_COMPARABLE
-    (row,) = (row for row in found.rows if row.verdict != SAME)
+    comparison = compared(both, both, figures=["control_error_mm.mean"])
+    assert comparison.verdict == NOT_COMPARABLE
+    (row,) = (row for row in comparison.rows if row.verdict != SAME)
     assert row.case.startswith("other")
     assert "none of the figures compared" in row.why
 
@@ -365,13 +365,13 @@ def test_a_suite_whose_runs_all_fail_fails_and_says_why(program: Any, suite: Pat
     monkeypatch.setattr("scenes.sweep.work_off", lambda tasks, *_: enumerate(
         {**run_of(seed=task.seed, failure="line lost"), "control_error_mm": {}} for task in tasks))
     suite.write_text(SUITE_FILE.partition("bounds")[0])
-    kept = Results.of([run_of(seed=seed) for seed in (1, 2, 3)]).write(tmp_path / "suite.baseline.json").read_bytes()
+    before = Results.of([run_of(seed=seed) for seed in (1, 2, 3)]).write(tmp_path / "suite.baseline.json").read_bytes()
     for words in (["--update-baseline"], []):
         done = program("check", "suite.toml", *words)
         assert done.code == 1
-        assert all(said in done.out for said in ("verdict: failed", "line lost"))
+        assert all(text in done.out for text in ("verdict: failed", "line lost"))
         assert ("no baseline was written: all runs failed of s" in done.err) == bool(words)
-        assert (tmp_path / "suite.baseline.json").read_bytes() == kept
+        assert (tmp_path / "suite.baseline.json").read_bytes() == before
         folder = tmp_path / "out" / "check_suite"
         (failure,) = ET.parse(folder / "junit.xml").getroot().findall(".//failure")
         assert failure.get("message") == "3 of 3 runs failed: line lost"
@@ -392,9 +392,9 @@ def test_a_run_without_its_figures_is_not_passed_over(change: dict[str, Any], ve
 def test_runs_that_fail_as_before_are_told_and_the_others_decide() -> None:
     results = runs(0)
     results.runs.loc[3, "failure"] = "line lost"
-    found = compared(results, results)
-    assert found.verdict == SAME
-    (row,) = (row for row in found.rows if row.verdict != SAME)
+    comparison = compared(results, results)
+    assert comparison.verdict == SAME
+    (row,) = (row for row in comparison.rows if row.verdict != SAME)
     assert (row.verdict, row.before, row.after, row.why) == (NOT_COMPARABLE, 1, 1, "line lost")
     results.runs.loc[results.runs["scene"] == "corner", "failure"] = "line lost"
     assert compared(results, results).verdict == compared(runs(0), results).verdict == FAILED

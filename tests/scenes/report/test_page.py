@@ -132,25 +132,25 @@ def diagnosis(*effects: FoundEffect) -> Diagnosis:
     t = 0.01 * np.arange(n)
     qd = np.sin(1.7 * t) + 0.3 * np.sin(0.31 * t)
     added = 2.0 * np.abs(np.sign(qd))[:, None] * (qd > 0)[:, None]
-    left = 0.2 * rng.standard_normal((n, 1))
-    traces = Traces(t, added + left, added + left, left, np.ones((n, 1), bool), t > 20, np.cumsum(qd)[:, None] * 0.01,
+    rest = 0.2 * rng.standard_normal((n, 1))
+    traces = Traces(t, added + rest, added + rest, rest, np.ones((n, 1), bool), t > 20, np.cumsum(qd)[:, None] * 0.01,
                     qd[:, None], tuple(added for _ in effects))
     return Diagnosis("effects", (ChannelResult("tau_1", "N m", 2.0, 2.0, 0.2, 0.19, 3.0),), effects, (), "blocks", 20.0,
                      traces=((("tau_1",), traces),))
 
 
 def test_the_effect_is_drawn_over_the_signal_it_depends_on() -> None:
-    one = found(2.0, 0.2)
-    whole = diagnosis(one)
+    effect = found(2.0, 0.2)
+    whole = diagnosis(effect)
     traces = whole.traces[0][1]
-    figure, said = effect_figure(one, (("tau_1",), traces, 0, traces.added[0][:, 0]), "N m")
+    figure, caption = effect_figure(effect, (("tau_1",), traces, 0, traces.added[0][:, 0]), "N m")
     (axes,) = figure.axes
     assert axes.get_xlabel() == "velocity of joint 1 [rad/s]"
     assert axes.get_ylabel() == "tau_1 [N m]"
     x, y = next(line for line in axes.lines if line.get_label() == "asymmetric friction").get_data()
     np.testing.assert_allclose(y[x > 0.1], 2.0, atol=1e-9)
     np.testing.assert_allclose(y[x < -0.1], 0.0, atol=1e-9)
-    assert "asymmetric friction" in said
+    assert "asymmetric friction" in caption
 
 
 def test_the_ladder_has_a_step_an_effect_and_the_noise() -> None:
@@ -161,8 +161,8 @@ def test_the_ladder_has_a_step_an_effect_and_the_noise() -> None:
 
 
 def test_an_effect_reported_under_another_name_is_drawn_where_it_acts() -> None:
-    one = found(2.0, 0.2)
-    late = dataclasses.replace(one, fitted=dataclasses.replace(one.fitted, name="dead_time", channel="q_1"))
+    effect = found(2.0, 0.2)
+    late = dataclasses.replace(effect, fitted=dataclasses.replace(effect.fitted, name="dead_time", channel="q_1"))
     (shown,) = contributions(diagnosis(late))
     assert shown[0] is late
     assert shown[1][2] == 0
@@ -172,12 +172,12 @@ def test_effects_stand_in_the_order_in_which_they_were_taken() -> None:
     first, second = (dataclasses.replace(found(2.0, 0.2), taken=k) for k in range(2))
     # A learned term that was taken first: each with what it adds, and not with what another one does.
     whole = dataclasses.replace(diagnosis(second, first), effects=(second,), unknown=(first,))
-    assert [one for one, _ in contributions(whole)] == [first, second]
+    assert [effect for effect, _ in contributions(whole)] == [first, second]
 
 
 def test_an_effect_that_two_channels_show_is_missing_once() -> None:
-    one = found(2.0, 0.9)
-    assert summary(diagnosis(one, found(0.9, 0.2))).count(f" {one.fitted.joint}") == 1
+    effect = found(2.0, 0.9)
+    assert summary(diagnosis(effect, found(0.9, 0.2))).count(f" {effect.fitted.joint}") == 1
 
 
 def test_the_error_that_is_told_is_that_of_the_channel_with_the_effect() -> None:
@@ -252,9 +252,9 @@ def _replay(n: int = 1000, script: str = "") -> Replay:
 
 def test_a_long_run_is_thinned_out_and_stays_small() -> None:
     html = _replay(20000).html()
-    found = re.search(r"const DATA = (.*);\n", html)
-    assert found is not None
-    assert len(json.loads(found[1].replace("<\\/", "</"))["t"]) <= FRAMES
+    match = re.search(r"const DATA = (.*);\n", html)
+    assert match is not None
+    assert len(json.loads(match[1].replace("<\\/", "</"))["t"]) <= FRAMES
     assert len(html) < 2_000_000
 
 
@@ -375,7 +375,7 @@ def test_a_film_can_be_played(ending: str, tmp_path: Path) -> None:
         film = cv2.VideoCapture(str(path))
         assert int(film.get(cv2.CAP_PROP_FRAME_COUNT)) == 5
         film.release()
-    assert [one.name for one in tmp_path.iterdir()] == [path.name]
+    assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
 
 
 def test_another_ending_is_refused_before_anything_is_drawn(tmp_path: Path) -> None:

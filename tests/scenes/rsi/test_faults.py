@@ -74,14 +74,14 @@ def test_an_arm_that_does_something_else_is_stopped_and_the_cause_named(tmp_path
 
 
 def test_an_arm_measured_elsewhere_than_commanded_is_not_moved(tmp_path: Path) -> None:
-    controller = LaggingController(HOME, measured=lambda _, at: at + 30.0 * np.eye(6)[2])
+    controller = LaggingController(HOME, measured=lambda _, angles: angles + 30.0 * np.eye(6)[2])
     with pytest.raises(IdealRobotError, match=r"axis 3 is measured at .* before anything was sent"):
         played(tmp_path, controller)
     assert all(np.array_equal(row, HOME) for row in controller.commanded)
 
 
 def test_one_reading_that_cannot_be_is_missing_and_said(tmp_path: Path) -> None:
-    run = played(tmp_path, LaggingController(HOME, measured=lambda k, at: at + (40.0 * (k == 70))))
+    run = played(tmp_path, LaggingController(HOME, measured=lambda k, angles: angles + (40.0 * (k == 70))))
     assert run.failure is None
     assert run.counts["implausible"] == 1
 
@@ -216,22 +216,22 @@ def test_sigterm_brakes_like_ctrl_c(tmp_path: Path) -> None:
 
 def test_nothing_is_collected_while_an_arm_waits_and_nothing_is_left_to_collect(tmp_path: Path) -> None:
     before = gc.isenabled()
-    seen = []
+    states = []
     with rsi_server(written(tmp_path, motion()), robot="kr6", method="ideal", port=0, rest=0.4) as server:
         server.link.timeout = PATIENCE
         receive = server.link.receive
 
         def counted():
             if server.link.counts.cycles in (60, 120):
-                seen.append((gc.isenabled(), gc.collect()))
+                states.append((gc.isenabled(), gc.collect()))
             return receive()
 
         server.link.receive = counted  # type: ignore[method-assign]
         with playing(LaggingController(HOME), server.link.address):
             assert server.play(patience=PATIENCE).failure is None
-    assert [enabled for enabled, _ in seen] == [False, False]
+    assert [enabled for enabled, _ in states] == [False, False]
     # Sixty cycles leave no more circles than one could: garbage by the cycle would need the collection.
-    assert seen[1][1] < 20
+    assert states[1][1] < 20
     assert gc.isenabled() == before
 
 
@@ -257,19 +257,19 @@ def test_an_hour_at_four_milliseconds_has_no_end_of_our_own_making() -> None:
 
 def test_twenty_thousand_mutated_packets_are_refused_or_wholly_sound() -> None:
     rng = np.random.default_rng(16)
-    sound, said = 0, set()
+    sound, messages = 0, set()
     for _ in range(20_000):
         try:
             message = parse_rob(mutated(PACKET, rng), 6)
         except PacketError as error:
-            said.add(str(error))
+            messages.add(str(error))
             continue
         sound += 1
         assert 0 <= message.ipoc < 10**18
         assert all(v is None or (v.shape == (6,) and np.isfinite(v).all())
                    for v in (message.actual, message.setpoint, message.current))
     # What a terminal will show has to be short and without control characters.
-    assert all(len(text) < 300 and text.isprintable() for text in said)
+    assert all(len(text) < 300 and text.isprintable() for text in messages)
     # The mutator must leave some sound, or nothing beyond the first check was tried.
     assert 20 < sound < 18_000
 
@@ -279,17 +279,17 @@ def run_of(folder: Path, controller: LaggingController, attacked: bool) -> RsiRu
     with (rsi_server(written(folder, motion()), robot="kr6", method="none", port=0, rest=0.4) as server,
           socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger):
         server.link.timeout = PATIENCE
-        address, seen = server.link.address, [b""] * 8
+        address, last = server.link.address, [b""] * 8
 
         def beside(k: int, packet: bytes) -> list[bytes]:
             if not attacked or k == 0:
                 return []
-            seen[k % 8] = packet
+            last[k % 8] = packet
             for _ in range(40):
                 stranger.sendto(mutated(packet, rng), address)
             stranger.sendto(packet, address)
             # From the controller's own address: what is broken, and what is old, in any order.
-            return [packet[:200], b"<Rob>" + b"<a>" * 500, *(seen[i] for i in rng.permutation(8) if seen[i] != packet)]
+            return [packet[:200], b"<Rob>" + b"<a>" * 500, *(last[i] for i in rng.permutation(8) if last[i] != packet)]
 
         controller.beside = beside
         with playing(controller, address):

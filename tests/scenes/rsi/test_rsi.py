@@ -69,17 +69,17 @@ def played(path: Path, *, start: Array = ROBOT.home, cycles: int | None = None, 
 @pytest.mark.parametrize("relative", [False, True])
 def test_the_arm_behind_rsi_follows_better_than_without(tmp_path: Path, relative: bool) -> None:
     path = written(tmp_path, motion())
-    run, seen = played(path, relative=relative)
+    run, controller = played(path, relative=relative)
     plain, _ = played(path, relative=relative, method="none")
     assert run.failure is None
     assert plain.failure is None
-    assert seen.answered.all()
+    assert controller.answered.all()
     assert run.counts == {**run.counts, "lost": 0, "repeated": 0, "refused": 0, "late": 0, "foreign": 0, "outdated": 0}
-    assert len(run.recording.t) == run.rows == len(seen.commands) - 1
+    assert len(run.recording.t) == run.rows == len(controller.commands) - 1
     # The model is of the motor and the gear; what the controller tells are motor angles.
     assert np.all(run.errors_mrad() < 0.5 * plain.errors_mrad())
     q_c = run.recording.joints("q_c") * [-1, 1, 1, -1, 1, -1]
-    np.testing.assert_allclose(np.radians(seen.commands[1:]), q_c, atol=1e-8)
+    np.testing.assert_allclose(np.radians(controller.commands[1:]), q_c, atol=1e-8)
     back = Recording.read(run.recording.write(tmp_path / "moved.parquet"))
     assert back.has("tau")
     assert back.has("current")
@@ -107,9 +107,9 @@ def test_lost_and_repeated_packets_delay_the_path_and_skip_nothing(tmp_path: Pat
         return [] if cycle in (60, 70, 71) else [packet, packet] if cycle % 40 == 7 else [b"<Rob/>", packet]
 
     path = written(tmp_path, motion())
-    run, seen = played(path, cycles=REST + 100 + 25 + 4, method="none", disturbance=disturbance)
+    run, controller = played(path, cycles=REST + 100 + 25 + 4, method="none", disturbance=disturbance)
     assert run.failure is None
-    assert run.counts["lost"] == seen.answered.size - seen.answered.sum() == 3
+    assert run.counts["lost"] == controller.answered.size - controller.answered.sum() == 3
     assert run.counts["repeated"] > 0
     assert run.counts["refused"] > 100
     np.testing.assert_allclose(run.recording.joints("q_d")[REST:REST + 100], motion(), atol=1e-9)
@@ -144,13 +144,13 @@ def rest_reached(run: RsiRun) -> None:
 
 
 def test_a_command_outside_the_limits_stops_the_arm_on_the_path_and_says_why(tmp_path: Path) -> None:
-    run, seen = played(written(tmp_path, motion()), cycles=ENDLESS,
-                       server_change=lambda server: setattr(server, "feedforward", Jump(T)))
+    run, controller = played(written(tmp_path, motion()), cycles=ENDLESS,
+                             server_change=lambda server: setattr(server, "feedforward", Jump(T)))
     assert run.failure is not None
     assert "stopped on the path at 0.960 s: joint" in run.failure
     assert "velocity" in run.failure
     assert 80 < len(run.recording.t) < run.rows
-    assert seen.answered[:-1].all()
+    assert controller.answered[:-1].all()
     rest_reached(run)
 
 

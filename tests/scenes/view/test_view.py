@@ -193,11 +193,11 @@ def test_the_arm_its_way_and_the_words_are_seen(tmp_path: Path) -> None:
           chromium(tmp_path) as browser):
         page.update()
         browser.open(f"http://127.0.0.1:{page.viewer.port}/", 1000, 900)
-        picture, said = seen(browser, there), browser.value("document.body.innerText")
+        picture, words = seen(browser, there), browser.value("document.body.innerText")
     journal.close()
     assert there(picture), "the arm and its way"
-    assert "running" in said
-    assert "200 cycles of 12 ms" in said
+    assert "running" in words
+    assert "200 cycles of 12 ms" in words
 
 
 # The viewer of recordings: what is in the scene's tree, and that slider, picture and ghost follow.
