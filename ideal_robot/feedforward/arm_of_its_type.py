@@ -153,7 +153,7 @@ def _friction(s: FilteredSignals, turned: Array, dry: Array, robot: Robot) -> Ar
     n, v_max = len(dry), largest_speeds(robot.v_max)
     columns = np.zeros((len(s.qd), n, 2 + n * TERMS))
     for i in range(n):
-        terms = dry[i] * turned[:, i, None] * friction_terms(np.abs(s.qd[:, i]) / v_max[i])
+        terms = dry[i] * friction_terms(s.qd[:, i] / v_max[i], turned[:, i])
         columns[:, i, :2] = SHARED * terms[:, :2]
         terms[:, :2] *= OWN
         columns[:, i, 2 + i * TERMS : 2 + (i + 1) * TERMS] = terms

@@ -47,7 +47,7 @@ from ideal_robot.feedforward.friction_estimator import (
     friction_of,
     noise_variance,
     table_terms,
-    terms_at,
+    terms_along,
     unknown_mass,
     wandered,
     with_terms,
@@ -56,7 +56,7 @@ from ideal_robot.feedforward.ideal import Carried, IdealRobot, IdealState
 from ideal_robot.feedforward.smoothed_window import CYCLES, Drive, Smoothed, noted, smoothed
 from ideal_robot.jit import jit
 from ideal_robot.loop.from_model import further_torque
-from ideal_robot.loop.loop_model import Drives, LoopModel, between, friction_of_load, largest_speeds
+from ideal_robot.loop.loop_model import Drives, LoopModel, dry_and_fluid, friction_of_load, largest_speeds, turns_of
 from ideal_robot.robots.interface import RobotState
 
 _APPARENT = 12.0**-0.5
@@ -108,6 +108,7 @@ class _Known(NamedTuple):
     Attributes:
         place: where in the last joint's frame the mass is ``(3,)`` [m].
         friction: of the loop: the fields ``FRICTION``.
+        turns: what turns of it, see ``turns_of``.
         terms: of ``table_terms``.
         dry: dry friction ``(n,)`` [N m].
         v_max: largest speeds that friction is looked at over, and that can be ``(2, n)`` [rad/s].
@@ -124,6 +125,7 @@ class _Known(NamedTuple):
     gain: Array
     friction_velocity: Array
     friction: tuple[Array, Array, Array]
+    turns: Array
     terms: Array
     dry: Array
     v_max: Array
@@ -151,7 +153,7 @@ class FrictionAdaptation:
         self._apart = max(1, round(INTERVAL / spacing))
         self._known = _Known(
             loop.chain, np.zeros(3) if tool is None else tool, loop.rotor_inertia, loop.offset, loop.gain,
-            loop.friction_velocity, friction_of(loop), table_terms(loop), dry,
+            loop.friction_velocity, friction_of(loop), turns_of(loop.friction_torque), table_terms(loop), dry,
             np.stack([largest_speeds(loop.v_max), 1.5 * loop.v_max]), _APPARENT * loop.k_p * loop.t_ipo,
             0.0 if tool is None else unknown_mass(dry), noise_variance(dry, self._apart * spacing, noise_std),
             wandered(self._apart * spacing))
@@ -260,21 +262,23 @@ def _row(known: _Known, motion: Smoothed, torques: Array, i: int, h: Array) -> t
     What the joint's parameters count is written to ``h (p,)``; ``torques (3, n)`` [N m] are of the rigid body, of it
     without acceleration, and of 1 kg at the tool.
     """
-    v, speed, z, dry = motion.motor_v[0, i], abs(motion.motor_v[0, i]), motion.z[0, i], known.dry[i]
+    v, z, dry = motion.motor_v[0, i], motion.z[0, i], known.dry[i]
     table, per_load, per_driven = known.friction
     accelerating = torques[0, i] - torques[1, i] + known.rotor_inertia[i] * motion.motor_a[0, i]
     by_load = friction_of_load(per_load[i], per_driven[i], torques[0, i], v)
-    sliding = between(speed, known.friction_velocity[:, i], table[0 if v > 0.0 else 1, :, i]) + by_load
+    side = 0 if v > 0.0 else 1
+    turns, fluid = dry_and_fluid(abs(v), known.friction_velocity[:, i], known.turns[side, :, i], table[side, :, i])
     own, common = h[i * _OWN :], h[len(h) - _COMMON :]
-    terms_at(speed / known.v_max[0, i], own)
-    own[0] += by_load / dry
+    terms_along(v / known.v_max[0, i], z, own)
+    own[0] += z * by_load / dry
     for k in range(TERMS):
-        own[k] *= z * dry
+        own[k] *= dry
     own[TERMS], common[2] = known.apparent[i] * motion.motor_a[0, i], known.mass * torques[2, i]
     for k in range(2):
         common[k] = SHARED[k] * own[k]
         own[k] *= OWN[k]
-    return motion.tau[0, i] - torques[1, i] - accelerating - known.offset[i] - z * sliding, accelerating
+    friction = z * (turns + by_load) + np.sign(v) * fluid
+    return motion.tau[0, i] - torques[1, i] - accelerating - known.offset[i] - friction, accelerating
 
 
 @jit()
@@ -344,7 +348,7 @@ class AdaptedIdeal(Feedforward):
         if self.adapted is not None:
             known = {name: np.where(self.adapted, value, getattr(self.ideal.drives, name))
                      for name, value in known.items()}
-        return self.ideal.drives._replace(**known)
+        return self.ideal.drives._replace(**known, friction_turns=turns_of(known["friction_torque"]))
 
     def observe(self, state: AdaptedState, measured: RobotState) -> AdaptedState:
         """Takes what the controller reported at the end of a cycle."""

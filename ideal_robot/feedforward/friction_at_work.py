@@ -32,7 +32,7 @@ from ideal_robot.feedforward.friction_estimator import (
 )
 from ideal_robot.friction.presliding import sliding_direction
 from ideal_robot.loop.from_model import further_torque
-from ideal_robot.loop.loop_model import LoopModel, friction_of_load, largest_speeds, ripple_torque
+from ideal_robot.loop.loop_model import LoopModel, friction_of_load, largest_speeds, ripple_torque, turns_of
 from ideal_robot.signals.preprocess import FilteredSignals, preprocess
 from ideal_robot.signals.recording import Recording
 
@@ -89,21 +89,23 @@ def _of_joint(loop: LoopModel, s: FilteredSignals, load: Array, residual: Array,
     """Values of friction's terms ``(TERMS,)`` of joint ``j`` and factor on the angle over which friction turns."""
     q, v = s.q[:, [j]], s.qd[:, j]
     dry = dry_friction(loop)[j]
-    sides = [np.interp(np.abs(v), loop.friction_velocity[:, j], side) for side in loop.friction_torque[:, :, j]]
+    whole, turns = (np.where(v > 0, *(np.interp(np.abs(v), loop.friction_velocity[:, j], side)
+                                      for side in table[:, :, j]))
+                    for table in (loop.friction_torque, turns_of(loop.friction_torque)))
     by_load = np.array([friction_of_load(loop.friction_load[j], loop.friction_driven[j], a, b)
                         for a, b in zip(load, v, strict=True)])
-    friction = np.where(v > 0, *sides) + by_load
-    terms = dry * friction_terms(np.abs(v) / largest_speeds(loop.v_max)[j])
-    terms[:, 0] += by_load
-    terms[:, :2] *= ALONE
+    fluid = np.sign(v) * (whole - turns)
     weight = np.full(len(v), WEIGHT * dry)
     std = np.sqrt(noise_variance(dry, s.factor * s.dt))
     best, values, factor = -np.inf, np.zeros(TERMS), 1.0
     bend = float(loop.friction_bend[j])
     for tried in BENDS if bend > 0.0 else (1.0,):
         z = sliding_direction(q, s.qd[:, [j]], np.array([tried * bend]))[:, 0] if bend > 0.0 else np.sign(v)
-        columns = s.decimate(np.column_stack([z[:, None] * terms, weight])) / std
-        solution = solved(columns, (residual - s.decimate(z * friction)) / std)
+        terms = dry * friction_terms(v / largest_speeds(loop.v_max)[j], z)
+        terms[:, 0] += z * by_load
+        terms[:, :2] *= ALONE
+        columns = s.decimate(np.column_stack([terms, weight])) / std
+        solution = solved(columns, (residual - s.decimate(z * (turns + by_load) + fluid)) / std)
         evidence = solution.evidence - 0.5 * (np.log(tried) / BELIEVED) ** 2
         if evidence > best:
             best, values, factor = evidence, np.clip(solution.x[:TERMS], -FAR, FAR), tried

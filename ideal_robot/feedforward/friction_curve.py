@@ -42,7 +42,7 @@ from ideal_robot.feedforward.friction_estimator import (
     dry_friction,
     noise_variance,
     remembered,
-    terms_at,
+    terms_along,
     wandered,
 )
 from ideal_robot.feedforward.ideal import IdealState
@@ -210,9 +210,9 @@ def _cycle(known: _Known, v_before: Array, plan: tuple[Array, Array, Array], err
         integral[i] += known.k_i[i] * step
         if abs(turned[i]) < SLIDES or abs(v[i]) < SLOWEST * known.v_max[i]:
             continue
-        terms_at(abs(v[i]) / known.v_max[i], h)
-        for k in range(TERMS):
-            h[k] *= turned[i] * (ALONE[k] if k < 2 else 1.0)
+        terms_along(v[i] / known.v_max[i], turned[i], h)
+        for k in range(2):
+            h[k] *= ALONE[k]
         h[TERMS] = WEIGHT
         for j in range(n):
             h[TERMS + 1 + j] = known.unit[i, j] / known.dry[i] * (v[j] - v_before[j]) / T

@@ -4,12 +4,13 @@ What the model of an arm lacks shows in the torque of its joint i as
 
 .. math::
 
-    \tau_i - \tau_{i,model} = F_i \Big( z_i \big(\theta_{i1} + \theta_{i2} \sqrt{s_i} + \sum_k c_{ik} \phi_k(s_i)\big)
-        + o_i \Big) + \sum_j J_{ij} \ddot q_j + m\, y_i + \sum_r (a_{ir} \cos k_r q_i + b_{ir} \sin k_r q_i)
+    \tau_i - \tau_{i,model} = F_i \Big( \theta_{i1} z_i + \theta_{i2} \sqrt{|s_i|} \, \mathrm{sign}\, s_i
+        + \sum_k c_{ik} \big(\phi_k(0) z_i + (\phi_k(|s_i|) - \phi_k(0))\, \mathrm{sign}\, s_i\big) + o_i \Big)
+        + \sum_j J_{ij} \ddot q_j + m\, y_i + \sum_r (a_{ir} \cos k_r q_i + b_{ir} \sin k_r q_i)
         + Y_i \Delta p + \varepsilon_i
 
-with F the dry friction, z how far friction has turned to the direction of motion (-1 to 1), s the speed over the
-largest, o an offset, J inertia, y the torque of 1 kg at the tool, k the orders of the ripple, and Y the regressor of
+with F the dry friction, z how far it has turned to the direction of motion (-1 to 1), s the velocity over the largest
+speed, o an offset, J inertia, y the torque of 1 kg at the tool, k the orders of the ripple, and Y the regressor of
 links and rotors [G] (6). The first three are friction's terms: dry, rising with speed, and a curve that is smooth over
 the logarithm of speed; its :math:`\phi_k` are the principal components of curves whose values at two speeds correlate
 as ``likeness`` says. Each use asks for friction's terms and for a part of the rest:
@@ -91,6 +92,8 @@ def _components() -> Array:
 _CURVE = _components()
 TERMS = 2 + _CURVE.shape[1]
 """Of friction: dry, rising, the curve's components."""
+_DRY = np.array([1.0, 0.0, *_CURVE[0]])
+"""What they count at speed 0."""
 
 
 @jit()
@@ -107,11 +110,32 @@ def terms_at(share: float, h: Array) -> None:
 
 
 @jit()
-def friction_terms(share: Array) -> Array:
-    """What friction's terms count over dry friction ``(m, TERMS)`` at speeds ``(m,)`` over the largest one."""
+def terms_along(share: float, z: float, h: Array) -> None:
+    """The same of torque, written to ``h[:TERMS]``: what is dry acts with the direction of sliding z, the rest at once.
+
+    Args:
+        share: velocity over the largest speed.
+        z, h: see above.
+    """
+    terms_at(abs(share), h)
+    for k in range(TERMS):
+        h[k] = z * _DRY[k] + np.sign(share) * (h[k] - _DRY[k])
+
+
+def friction_terms(share: Array, z: Array | None = None) -> Array:
+    """What friction's terms count of torque over dry friction ``(m, TERMS)``: see ``terms_along``.
+
+    Args:
+        share, z: velocities over the largest speed, and directions of sliding ``(m,)``; 1 if not given.
+    """
+    return np.asarray(_terms(share, np.ones(len(share)) if z is None else z))
+
+
+@jit()
+def _terms(share: Array, z: Array) -> Array:
     terms = np.empty((len(share), TERMS))
     for k in range(len(share)):
-        terms_at(share[k], terms[k])
+        terms_along(share[k], z[k], terms[k])
     return terms
 
 

@@ -29,9 +29,7 @@ from ideal_robot.loop.loop_model import (
     Drives,
     LoopModel,
     behind_uneven_gears,
-    between,
-    bristles,
-    friction_of_load,
+    friction_along,
     ripple_torque,
     unevenness,
 )
@@ -47,6 +45,8 @@ _AFTER = 4
 """Desired positions wanted beyond the last one used, for the same reason."""
 _CUTOFF = 14.0
 """Frequencies of the desired path above this are not asked of the arm [Hz]."""
+_STILL = 1e-3
+"""Velocity below which a joint counts as at rest, where its friction jumps [rad/s]."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class IdealState:
         q_d: desired positions of the cycles before ``(_BEFORE, n)``.
         q_c: commands of the cycles before ``(P, n)``, newest last.
         u, tau: velocity-loop error and motor torque planned so far ``(n,)``.
-        preslide: friction over its dry size ``(n,)``: how far its bristles are bent.
+        bent: dry friction over its identified size ``(n,)``: how far its bristles are bent.
         q_m, v_m, turned: motor angles and velocities planned for the end of the cycle in which the last command acts,
             and how far friction has turned since the last reversal then, -1 to 1, each ``(n,)`` [rad, rad/s, 1].
         sag: gear deflection under gravity at the start, not yet compensated ``(n,)`` [rad].
@@ -68,10 +68,10 @@ class IdealState:
     q_c: Array
     u: Array
     tau: Array
-    preslide: Array
     q_m: Array
     v_m: Array
     turned: Array
+    bent: Array
     sag: Array
     cycle: int
 
@@ -140,8 +140,8 @@ class IdealRobot(Feedforward):
         sag -= [unevenness(loop.uneven, i, float(q))[0] for i, q in enumerate(q0)]
         return IdealState(
             q_d=np.tile(q0, (_BEFORE, 1)), q_c=np.tile(q0, (self._inverse.n_past, 1)), u=np.zeros(loop.n),
-            tau=loop.gain * (held + loop.offset) + further, preslide=np.zeros(loop.n), q_m=q0, v_m=np.zeros(loop.n),
-            turned=np.zeros(loop.n), sag=sag, cycle=0)
+            tau=loop.gain * (held + loop.offset) + further, q_m=q0, v_m=np.zeros(loop.n),
+            turned=np.zeros(loop.n), bent=np.zeros(loop.n), sag=sag, cycle=0)
 
     def step(self, state: IdealState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, IdealState]:
         """See ``Feedforward.step``."""
@@ -183,7 +183,7 @@ class IdealRobot(Feedforward):
             smooth = smooth + a_m @ inertia.T
         if more is not None:
             smooth = smooth + self._torque.value @ more
-        friction, bent, turned = _friction(drives, v_m, gear, loop.t_position, state.preslide)
+        friction, bent, turned = friction_along(drives, v_m, gear, loop.t_position, state.bent, _STILL)
         further = further_torque(loop, state.cycle * self.t_ipo + self._t_fine, q_m, v_m, a_m, gear, turned)
         signal, u, tau = _position_loop_signal(drives, (q_m, v_m, a_m), (smooth + friction, further), self._lag,
                                                loop.t_position, loop.steps_ipo, (state.u, state.tau))
@@ -193,7 +193,7 @@ class IdealRobot(Feedforward):
         q_c = _command(self._inverse.wanted, signal, self._inverse.past, state.q_c, self._step_max, loop.q_min,
                        loop.q_max)
         return q_c, IdealState(np.concatenate([state.q_d[1:], q_d[:1]]), np.concatenate([state.q_c[1:], q_c[None]]),
-                               u, tau, bent[last], reached, v_m[last], turned[last], state.sag, state.cycle + 1)
+                               u, tau, reached, v_m[last], turned[last], bent[last], state.sag, state.cycle + 1)
 
     def _checked(self, q_d: Array) -> Array:
         """A horizon's positions ``(n_d, n)``; InputError where they are none."""
@@ -259,30 +259,6 @@ def _command(wanted: Array, signal: Array, past: Array, q_c: Array, step_max: Ar
         within = min(max(ahead + behind, before - step_max[i]), before + step_max[i])
         command[i] = min(max(within, q_min[i]), q_max[i])
     return command
-
-
-@jit()
-def _friction(drives: Drives, v_m: Array, load: Array, t_position: float, preslide: Array
-              ) -> tuple[Array, Array, Array]:
-    """Friction torque, the bend of its bristles, and how far it has turned since the last reversal, all ``(m, n)``."""
-    torque, bent, turned, still = np.empty_like(v_m), np.empty_like(v_m), np.empty_like(v_m), 1e-3
-    for i in range(v_m.shape[1]):
-        z, dry = preslide[i], drives.friction_dry[i]
-        for j in range(len(v_m)):
-            v = v_m[j, i]
-            sliding = (between(abs(v), drives.friction_velocity[:, i],
-                               drives.friction_torque[0 if v >= 0.0 else 1, :, i])
-                       + friction_of_load(drives.friction_load[i], drives.friction_driven[i], load[j, i], v))
-            if drives.friction_bend[i] > 0.0:
-                z = bristles(z, v, t_position, sliding, dry, drives.friction_bend[i])
-                torque[j, i] = dry * z
-                turned[j, i] = min(max(dry * z / max(sliding, 1e-12), -1.0), 1.0)
-            else:
-                # The jump at rest is passed within ±1e-3 rad/s, else rounding at standstill would switch it.
-                turned[j, i] = min(max(v / still, -1.0), 1.0)
-                torque[j, i] = sliding * turned[j, i]
-            bent[j, i] = z
-    return torque, bent, turned
 
 
 @jit()

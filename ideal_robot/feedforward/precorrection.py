@@ -25,7 +25,7 @@ from ideal_robot.dynamics.newton_euler import inverse_dynamics
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import SETTLE, Feedforward
 from ideal_robot.loop.from_model import further_torque, loop_model
-from ideal_robot.loop.loop_model import LoopModel, behind_uneven_gears, bristles, low_pass_taps, ripple_torque
+from ideal_robot.loop.loop_model import LoopModel, behind_uneven_gears, friction_along, low_pass_taps, ripple_torque
 from ideal_robot.model.arm_with_effects import side_of_gap
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import ControllerModel
@@ -70,7 +70,7 @@ def spline_operators(t_samples: Array, t_out: Array, spacing: float, cutoff: flo
 _BEFORE, _AFTER = 4, 4
 """Desired positions used on either side of the instant that counts, for its derivatives."""
 _STILL = 1e-4
-"""Below this speed a joint counts as at rest [rad/s]: rounding at standstill must not switch friction."""
+"""Velocity below which a joint counts as at rest, where its friction jumps [rad/s]."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class PrecorrectionState:
     Attributes:
         q_d: desired positions before ``(4, n)`` [rad].
         motor: motor position planned last ``(n,)`` [rad].
-        bent: friction over its dry size ``(n,)``: how far its bristles are bent.
+        bent: dry friction over its identified size ``(n,)``: how far its bristles are bent.
         tau, u, correction: last ``τ_d`` [N m], ``u_d`` and ``Δq`` [rad], each ``(n,)``.
         sag: deflection under gravity at the start ``(n,)`` [rad].
         cycle: cycles since the start.
@@ -123,6 +123,7 @@ class Precorrection(Feedforward):
         self._loop = loop_model(model, robot, delay=0)
         if elastic and not self._loop.compliance.any():
             raise InputError("the model holds no stiffness of the gears", field="stiffness")
+        self._drives = self._loop.drives(self._loop.stiffness, self._loop.damping)
         self._compliance = self._loop.compliance if elastic else np.zeros(robot.n)
         self._gap = self._loop.half_gap if elastic else np.zeros(robot.n)
         self._lead = lead
@@ -175,14 +176,14 @@ class Precorrection(Feedforward):
         rest = 1.0 - np.clip(begun, 0.0, 1.0)
         motor = self._motor(arm, speed, load) - state.sag * rest**3 * (10.0 - 15.0 * rest + 6.0 * rest**2)
         qd, qdd = (motor[2] - motor[0]) / (2 * T), (motor[2] - 2 * motor[1] + motor[0]) / T**2
-        bent = self._bent(state, motor[1], qd, load[1])
-        tau = self._torque(state.cycle * T + self._lead, motor[1], qd, qdd, load[1], bent)
+        friction = friction_along(self._drives, qd[None], load[1:2], T, state.bent, _STILL)
+        tau = self._torque(state.cycle * T + self._lead, motor[1], qd, qdd, load[1], friction)
         u = (tau - state.tau + state.u) / (1 + gains.k_i)
         correction = ((u + gains.k_d * state.correction / T - gains.k_1 * qd - gains.k_2 * qdd)
                       / (gains.k_p + gains.k_d / T))
         q_c = np.clip(motor[1] + correction, *self._range)
-        return q_c, PrecorrectionState(np.concatenate([state.q_d[1:], q_d[:1]]), motor[1], bent, tau, u, correction,
-                                       state.sag, state.cycle + 1)
+        return q_c, PrecorrectionState(np.concatenate([state.q_d[1:], q_d[:1]]), motor[1], friction[1][0], tau, u,
+                                       correction, state.sag, state.cycle + 1)
 
     def _motor(self, arm: Array, speed: Array, load: Array) -> Array:
         """Motor angles ``(m, n)`` for arm angles, behind elastic and uneven gears with play."""
@@ -194,32 +195,15 @@ class Precorrection(Feedforward):
             output = behind_uneven_gears(self._loop.uneven, output, still, still)[0]
         return output
 
-    def _torque(self, t: float, q: Array, qd: Array, qdd: Array, load: Array, bent: Array) -> Array:
-        """Motor torque ``(n,)`` [N m], [G] (8), with ripple and further effects."""
+    def _torque(self, t: float, q: Array, qd: Array, qdd: Array, load: Array,
+                friction: tuple[Array, Array, Array]) -> Array:
+        """Motor torque ``(n,)`` [N m], [G] (8), with ripple and further effects; friction as of ``friction_along``."""
         loop = self._loop
-        acting = load + loop.rotor_inertia * qdd + loop.offset + loop.friction_dry * bent
+        acting = load + loop.rotor_inertia * qdd + loop.offset + friction[0][0]
         if len(loop.ripple):
             acting = acting + [ripple_torque(loop.ripple, i, float(angle)) for i, angle in enumerate(q)]
-        turned = np.clip(bent, -1.0, 1.0)
-        further = further_torque(loop, np.array([t]), q[None], qd[None], qdd[None], load[None], turned[None])[0]
+        further = further_torque(loop, np.array([t]), q[None], qd[None], qdd[None], load[None], friction[2])[0]
         return np.asarray(loop.gain * acting + further)
-
-    def _bent(self, state: PrecorrectionState, motor: Array, qd: Array, load: Array) -> Array:
-        """Friction over its dry size ``(n,)``: at once, or over the presliding distance where one is known."""
-        step, loop, T = motor - state.motor, self._loop, self.t_ipo
-        sliding = self._friction(qd, load)
-        at_once = np.where(np.abs(qd) < _STILL, 0.0, np.sign(qd)) * sliding / loop.friction_dry
-        return np.array([bristles(before, move / T, T, most, dry, bend) if bend > 0.0 else jump
-                         for before, move, most, dry, bend, jump in
-                         zip(state.bent, step, sliding, loop.friction_dry, loop.friction_bend, at_once, strict=True)])
-
-    def _friction(self, qd: Array, load: Array) -> Array:
-        """Size of sliding friction ``(n,)`` [N m]."""
-        loop = self._loop
-        table = loop.friction_torque[np.where(qd < 0, 1, 0), :, np.arange(loop.n)]
-        sliding = [np.interp(abs(v), loop.friction_velocity[:, i], table[i]) for i, v in enumerate(qd)]
-        per_load = loop.friction_load + np.where(load * qd > 0.0, loop.friction_driven, 0.0)
-        return np.asarray(sliding) + per_load * np.abs(load)
 
 
 def at_cycle(controller: ControllerModel, t_cycle: float) -> ControllerModel:

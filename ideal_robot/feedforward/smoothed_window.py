@@ -24,6 +24,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.feedforward.friction_estimator import dry_friction
+from ideal_robot.friction.presliding import turned
 from ideal_robot.jit import jit
 from ideal_robot.loop.loop_model import LoopModel, ripple_torque
 
@@ -100,20 +101,6 @@ def noted(window: Array, rows: int, measured: Array, drive: Drive) -> int:
             window[2, -1, i] = turned(window[2, -1, i], step, drive.friction_bend[i]) if rows > 0 else 0.0
         rows += 1
     return rows
-
-
-@jit()
-def turned(z: float, step: float, bend: float) -> float:
-    """How far friction has turned, -1 to 1, a step of the motor after it was at ``z``.
-
-    Args:
-        z, step: before, and of the motor [rad].
-        bend: angle over which friction turns [rad]; 0 where it jumps.
-    """
-    if step == 0.0:
-        return z
-    decay = np.exp(-abs(step) / bend) if bend > 0.0 else 0.0
-    return np.sign(step) + (z - np.sign(step)) * decay
 
 
 @jit()

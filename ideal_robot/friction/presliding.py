@@ -46,7 +46,7 @@ def dahl(q: Array, distance: float) -> Array:
     """Direction of sliding ``(N,)`` along exact positions ``(N,)`` of one joint, unbent at first: without the band."""
     z = np.zeros(len(q))
     for k in range(1, len(q)):
-        z[k] = _bent(z[k - 1], q[k] - q[k - 1], distance)
+        z[k] = turned(z[k - 1], q[k] - q[k - 1], distance)
     return z
 
 
@@ -64,14 +64,21 @@ def _follow(q: Array, start: Array, distance: Array) -> Array:
             z[k, j] = z[k - 1, j]
             if step != 0.0:
                 last += step
-                z[k, j] = _bent(z[k - 1, j], step, distance[j])
+                z[k, j] = turned(z[k - 1, j], step, distance[j])
     return z
 
 
 @jit()
-def _bent(z: float, step: float, distance: float) -> float:
-    """Dahl's model over one step."""
+def turned(z: float, step: float, distance: float) -> float:
+    """Dahl's model over one step of position: the direction of sliding, -1 to 1.
+
+    Args:
+        z, step: direction before, and how far it goes [rad or m].
+        distance: presliding distance [rad or m]; 0 where the direction jumps.
+    """
+    if step == 0.0:
+        return z
     s = 1.0 if step > 0.0 else -1.0
     behind = z - s
     # In gross sliding nothing is behind, and the exponential is what costs time.
-    return s + behind * np.exp(-abs(step) / distance) if behind != 0.0 else s
+    return s + behind * np.exp(-abs(step) / distance) if behind != 0.0 and distance > 0.0 else s

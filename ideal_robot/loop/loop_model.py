@@ -15,6 +15,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
+from ideal_robot.friction.presliding import turned
 from ideal_robot.jit import jit
 
 
@@ -29,7 +30,7 @@ def velocity_grid(v_max: Array) -> Array:
 
 
 class Drives(NamedTuple):
-    """What compiled code needs of the drives; the fields are those of ``LoopModel``."""
+    """What compiled code needs of the drives; the fields are those of ``LoopModel``, and ``turns_of`` its friction."""
 
     rotor_inertia: Array
     friction_velocity: Array
@@ -51,6 +52,7 @@ class Drives(NamedTuple):
     half_gap: Array
     uneven: Array
     friction_dry: Array
+    friction_turns: Array
 
 
 @dataclass(frozen=True)
@@ -65,12 +67,12 @@ class LoopModel:
         chain: rigid body of the arm side.
         rotor_inertia: reflected to the joint side ``(n,)`` [kg m²].
         friction_velocity: speeds ≥ 0 at which friction is tabled ``(m, n)`` [rad/s].
-        friction_torque: what sliding friction brakes with at them, forward and backward ``(2, m, n)`` [N m]; at speed 0
-            the dry friction.
+        friction_torque: what sliding friction brakes with at them, forward and backward ``(2, m, n)`` [N m]. What
+            falls with speed is dry and turns over an angle, what rises with speed is the lubricant's and acts at once.
         friction_load: friction in proportion to the torque the gear transmits ``(n,)`` [-].
         friction_driven: the same of torque that the motor drives the load with, on top ``(n,)`` [-]; 0 if not given.
         friction_bend: angle over which friction of size ``friction_dry`` turns after a reversal ``(n,)`` [rad]; 0 for a
-            jump. What more there is at standstill takes as much longer: bristles are as stiff as they were.
+            jump. More dry friction takes as much longer: bristles are as stiff as they were.
         friction_dry: dry friction that ``friction_bend`` belongs to ``(n,)`` [N m]; that of the table if not given.
         offset: constant torque of the drive ``(n,)`` [N m].
         stiffness: of the gears ``(n,)`` [N m/rad]; ``inf`` where they count as rigid.
@@ -166,8 +168,10 @@ class LoopModel:
         Copies that may be written: numba compiles anew for every field that is read-only or is not.
         """
         limit = np.where(np.isfinite(self.tau_max), self.tau_max, 1e12)
-        changed = {"stiffness": stiffness, "damping": damping, "tau_max": limit}
-        return Drives(**{name: np.array(changed.get(name, getattr(self, name)), order="C") for name in Drives._fields})
+        changed = {"stiffness": stiffness, "damping": damping, "tau_max": limit,
+                   "friction_turns": turns_of(self.friction_torque)}
+        return Drives(**{name: np.array(changed[name] if name in changed else getattr(self, name), order="C")
+                         for name in Drives._fields})
 
     def replace(self, **changes: Any) -> LoopModel:
         """A copy with some fields changed."""
@@ -190,54 +194,89 @@ def ripple_torque(ripple: Array, i: int, q: float) -> float:
 
 
 @jit()
-def between(x: float, xs: Array, ys: Array) -> float:
-    """``np.interp`` of one number, which compiled takes several times as long.
-
-    Args:
-        x, xs, ys: where, and values ``(m,)`` at rising places ``(m,)``.
-    """
-    low, high = 0, len(xs) - 1
-    if x <= xs[low]:
-        return ys[low]
-    if x >= xs[high]:
-        return ys[high]
-    while high - low > 1:
-        middle = (low + high) // 2
-        if x < xs[middle]:
-            high = middle
-        else:
-            low = middle
-    return (ys[high] - ys[low]) / (xs[high] - xs[low]) * (x - xs[low]) + ys[low]
-
-
-@jit()
 def friction_of_load(per_load: float, per_driven: float, load: float, sense: float) -> float:
     """What the load on a gear's teeth adds to its sliding friction [N m].
 
     Args:
         per_load, per_driven: friction per torque, and the same on top where the motor drives the load [-].
         load: torque that the gear transmits [N m].
-        sense: velocity, or the torque that is about to move a joint at rest; only its sign counts.
+        sense: direction of sliding, or the torque that is about to move a joint at rest; only its sign counts.
     """
     return (per_load + (per_driven if load * sense > 0.0 else 0.0)) * abs(load)
 
 
-@jit()
-def bristles(bent: float, v: float, dt: float, friction: float, dry: float, bend: float) -> float:
-    """Dry and sliding friction over its dry size after ``dt`` at constant velocity, -… to … (Dahl's model, exact).
+def turns_of(table: Array) -> Array:
+    """What turns over the presliding distance of friction ``(2, m, n)`` at rising speeds [N m]: what has not risen."""
+    return np.asarray(np.minimum.accumulate(table, axis=1))
 
-        dF/dq = (dry / bend) (1 - F sign(v) / friction)
+
+@jit()
+def dry_and_fluid(speed: float, speeds: Array, turns: Array, table: Array) -> tuple[float, float]:
+    """Sizes of a joint's friction [N m]: dry friction, which turns over, and the lubricant's, which acts at once.
 
     Args:
-        bent: before.
-        v, dt: velocity [rad/s], and the step [s].
-        friction: that sliding at this velocity brakes with [N m].
-        dry, bend: friction [N m] that turns over an angle [rad].
+        speed: of the motor [rad/s]; compiled, ``np.interp`` of one number takes several times as long.
+        speeds, turns, table: of the table of friction ``(m,)``, what ``turns_of`` leaves of it, and itself.
     """
-    if v == 0.0:
-        return bent
-    settled = np.sign(v) * friction / dry
-    return settled + (bent - settled) * np.exp(-abs(v) * dt / bend * min(max(dry / max(friction, 1e-12), 0.2), 5.0))
+    low, high = 0, len(speeds) - 1
+    if speed >= speeds[high]:
+        return turns[high], table[high] - turns[high]
+    while high - low > 1:
+        middle = (low + high) // 2
+        if speed < speeds[middle]:
+            high = middle
+        else:
+            low = middle
+    share = (speed - speeds[low]) / (speeds[high] - speeds[low])
+    dry = turns[low] + share * (turns[high] - turns[low])
+    whole = table[low] + share * (table[high] - table[low])
+    return dry, whole - dry
+
+
+@jit()
+def bristles(bent: float, step: float, size: float, bend: float) -> float:
+    """Dry friction of a joint over its identified size after a step: dF/dq = σ (1 - F sign(q̇) / dry) (Dahl).
+
+    Bristles are as stiff as the identified ones, σ; so dry friction that has grown takes longer to turn.
+
+    Args:
+        bent: before; its share of ``size`` is the direction of sliding.
+        step: of the motor [rad].
+        size: dry friction now over its identified size.
+        bend: angle over which friction of that size turns [rad].
+    """
+    size = max(size, 1e-12)
+    return size * turned(bent / size, step, bend * min(max(size, 0.2), 5.0))
+
+
+@jit()
+def friction_along(drives: Drives, v: Array, load: Array, dt: float, bent: Array, still: float
+                   ) -> tuple[Array, Array, Array]:
+    """Friction torque [N m] along a motion, the bend of its bristles and the direction of sliding, all ``(m, n)``.
+
+    Args:
+        drives: of the loop.
+        v, load: of the motors [rad/s], and torque that each gear transmits [N m], ``(m, n)``.
+        dt, bent: time between two of them [s], and the bend before ``(n,)``, see ``bristles``.
+        still: velocity [rad/s] within which friction that jumps passes zero; else rounding at rest would switch it.
+    """
+    torque, bend, sliding = np.empty_like(v), np.empty_like(v), np.empty_like(v)
+    for i in range(v.shape[1]):
+        now, unit = bent[i], drives.friction_dry[i]
+        for j in range(len(v)):
+            side = 0 if v[j, i] >= 0.0 else 1
+            dry, fluid = dry_and_fluid(abs(v[j, i]), drives.friction_velocity[:, i],
+                                       drives.friction_turns[side, :, i], drives.friction_torque[side, :, i])
+            dry += friction_of_load(drives.friction_load[i], drives.friction_driven[i], load[j, i], v[j, i])
+            if drives.friction_bend[i] > 0.0:
+                now = bristles(now, v[j, i] * dt, dry / unit, drives.friction_bend[i])
+                sliding[j, i] = min(max(now * unit / max(dry, 1e-12), -1.0), 1.0)
+            else:
+                sliding[j, i] = min(max(v[j, i] / still, -1.0), 1.0)
+                now = sliding[j, i] * dry / unit
+            torque[j, i] = now * unit + np.sign(v[j, i]) * fluid
+            bend[j, i] = now
+    return torque, bend, sliding
 
 
 @jit()

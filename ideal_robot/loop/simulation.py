@@ -16,7 +16,15 @@ from ideal_robot.dynamics.newton_euler import Chain, joint_frames, mass_matrix, 
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.jit import jit
 from ideal_robot.loop.from_model import further_torque
-from ideal_robot.loop.loop_model import Drives, LoopModel, bristles, friction_of_load, ripple_torque, unevenness
+from ideal_robot.loop.loop_model import (
+    Drives,
+    LoopModel,
+    bristles,
+    dry_and_fluid,
+    friction_of_load,
+    ripple_torque,
+    unevenness,
+)
 
 
 @dataclass(frozen=True)
@@ -124,7 +132,7 @@ class _Motion(NamedTuple):
     filtered: Array
     previous: Array
     reference: Array
-    preslide: Array
+    bent: Array
     tau: Array
     load: Array
 
@@ -167,17 +175,17 @@ def _played(loop: LoopModel, drives: Drives, reference: Array, external: Array, 
         if loop.terms and start:
             acceleration = (state.v_m - before) / loop.t_position
             further = _further(loop, start * loop.t_position, state.q_m, state.v_m, acceleration, state.load,
-                               state.preslide)
+                               state.bent)
         before = state.v_m.copy()
         _play(loop.chain, drives, _Inputs(reference, external, further), state, out, clock,
               (start, min(start + stride, cycles * steps)))
     return out[0], out[1], out[2]
 
 
-def _further(loop: LoopModel, t: float, q: Array, qd: Array, qdd: Array, load: Array, preslide: Array) -> Array:
+def _further(loop: LoopModel, t: float, q: Array, qd: Array, qdd: Array, load: Array, bent: Array) -> Array:
     if not loop.terms:
         return np.zeros(loop.n)
-    direction = np.where(loop.friction_bend > 0.0, np.clip(preslide, -1.0, 1.0), np.clip(qd / 1e-3, -1.0, 1.0))
+    direction = np.where(loop.friction_bend > 0.0, np.clip(bent, -1.0, 1.0), np.clip(qd / 1e-3, -1.0, 1.0))
     return further_torque(loop, np.array([t]), q[None], qd[None], qdd[None], load[None], direction[None])[0]
 
 
@@ -246,11 +254,7 @@ def _motors_step(drives: Drives, state: _Motion, v_ref: Array, further: Array, d
         load[i] = stiffness[i] * twist + give * damping[i] * (slope * v_m[i] - v_a[i])
         net = ((tau[i] - further[i]) / drives.gain[i] - drives.offset[i] - slope * load[i]
                - ripple_torque(drives.ripple, i, q_m[i]))
-        side = 0 if v_m[i] > 0.0 or (v_m[i] == 0.0 and net > 0.0) else 1
-        friction = (np.interp(abs(v_m[i]), drives.friction_velocity[:, i], drives.friction_torque[side, :, i])
-                    + friction_of_load(drives.friction_load[i], drives.friction_driven[i], load[i],
-                                       v_m[i] if v_m[i] != 0.0 else net))
-        v_m[i] = _sliding(v_m[i], net, dt, friction, drives, state.preslide, i)
+        v_m[i] = _rubbed(v_m[i], net, dt, load[i], drives, state.bent, i)
         rise[i] = give * 0.5 * dt * stiffness[i] * (slope * v_m[i] - v_a[i])
 
 
@@ -269,14 +273,19 @@ def _solve_cholesky(L: np.ndarray, x: Array) -> None:
 
 
 @jit()
-def _sliding(v: float, torque: float, dt: float, friction: float, drives: Drives, preslide: Array, i: int) -> float:
+def _rubbed(v: float, torque: float, dt: float, load: float, drives: Drives, bent: Array, i: int) -> float:
     """Velocity after one step under ``torque`` and friction, which stops a joint but never drives it."""
-    inertia = drives.rotor_inertia[i]
-    if drives.friction_bend[i] > 0.0:
-        preslide[i] = bristles(preslide[i], v, dt, friction, drives.friction_dry[i], drives.friction_bend[i])
-        return v + (torque - drives.friction_dry[i] * preslide[i]) / inertia * dt
+    inertia, bends = drives.rotor_inertia[i], drives.friction_bend[i] > 0.0
+    sense = v if v != 0.0 else torque
+    side = 0 if sense > 0.0 else 1
+    dry, fluid = dry_and_fluid(abs(v), drives.friction_velocity[:, i], drives.friction_turns[side, :, i],
+                               drives.friction_torque[side, :, i])
+    dry += friction_of_load(drives.friction_load[i], drives.friction_driven[i], load, sense)
+    if bends:
+        bent[i] = bristles(bent[i], v * dt, dry / drives.friction_dry[i], drives.friction_bend[i])
+        return v + (torque - drives.friction_dry[i] * bent[i] - np.sign(v) * fluid) / inertia * dt
     free = v + torque / inertia * dt
-    slow = friction / inertia * dt
+    slow = (dry + fluid) / inertia * dt
     if abs(free) <= slow:
         return 0.0
     return free - np.sign(free) * slow

@@ -15,8 +15,9 @@ from ideal_robot.feedforward.base import PassThrough
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.learning import AXES, joint_errors, pose_errors
 from ideal_robot.feedforward.precorrection import Precorrection, at_cycle, command_inverse, spline_operators
-from ideal_robot.feedforward.smoothed_window import CYCLES, Drive, Smoothed, noted, smoothed, turned
+from ideal_robot.feedforward.smoothed_window import CYCLES, Drive, Smoothed, noted, smoothed
 from ideal_robot.feedforward.training import LinearInverse, train
+from ideal_robot.friction.presliding import turned
 from ideal_robot.loop.from_model import cascade_gains, loop_model
 from ideal_robot.loop.impulse_response import InformationFilter, LinearLoop
 from ideal_robot.loop.simulation import interpolated, low_passed, simulate

@@ -14,8 +14,9 @@ from ideal_robot.dynamics.regressor import regressor
 from ideal_robot.effects import FittedEffect
 from ideal_robot.effects.fitted import Unknown
 from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.friction.laws import Arctan, CubeRoot, ViscousCoulomb
 from ideal_robot.loop.from_model import further_torque, with_effects, with_rotors
-from ideal_robot.loop.loop_model import between, bristles, low_pass_taps
+from ideal_robot.loop.loop_model import LoopModel, dry_and_fluid, friction_along, low_pass_taps, turns_of
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.arm_with_effects import chain_with, changes_of
 from ideal_robot.model.model import Model
@@ -127,16 +128,59 @@ def test_taps_have_the_lag_and_gain_they_should(time, order, dead):
     assert 0.002 * np.arange(len(taps)) @ taps[:, 0] == pytest.approx(order * 0.002 * a / (1 - a) + dead, rel=1e-3)
 
 
+def _reversal(loop: LoopModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """``friction_along`` of a motion over 40 mrad forward and 4 mrad back, every 10 µrad, without load."""
+    v = np.concatenate([np.full(4000, 0.1), np.full(400, -0.1)])[:, None] * np.ones(loop.n)
+    drives = loop.drives(loop.stiffness, loop.damping)
+    return friction_along(drives, v, np.zeros_like(v), 1e-4, np.zeros(loop.n), 1e-3)
+
+
+@pytest.mark.parametrize(("kind", "coefficients", "shape"), [
+    (ViscousCoulomb, (40.0, 30.0), ()), (CubeRoot, (5.0, 30.0, 20.0), ()), (Arctan, (5.0, 30.0, 12.0), (40.0,))])
+def test_friction_of_the_loop_is_that_of_the_identified_law(kind, coefficients, shape):
+    """Dry friction turns over the presliding distance, what rises with speed acts at once: in law and loop."""
+    law = kind(np.array(coefficients)[:, None], np.array([*shape, 1e-3])[:, None], presliding=True)
+    loop = plant(elastic=False).replace(friction_bend=np.full(6, 1e-3))
+    table = law.torque(np.maximum(loop.friction_velocity[:, :1], 1e-9))
+    loop = loop.replace(friction_torque=np.tile(table, (2, 1, 6)), friction_dry=np.full(6, 30.0))
+    v = np.concatenate([np.full(4000, 0.1), np.full(400, -0.1)])[:, None]
+    q = 1e-4 * np.cumsum(v, axis=0)
+    # The law follows a twentieth of the distance behind, on either side.
+    np.testing.assert_allclose(_reversal(loop)[0][1000:, :1], law.torque(v, q=q)[1000:], atol=0.1 * 2 * 30.0)
+
+
+def test_friction_that_falls_with_speed_is_dry_and_what_rises_again_is_the_lubricants():
+    speeds, table = np.array([0.0, 0.1, 0.2]), np.array([50.0, 30.0, 45.0])
+    turns = turns_of(np.tile(table[:, None], (2, 1, 6)))[0, :, 0]
+    for speed, parts in ((0.0, (50.0, 0.0)), (0.05, (40.0, 0.0)), (0.1, (30.0, 0.0)), (0.15, (30.0, 7.5)),
+                         (0.3, (30.0, 15.0))):
+        assert dry_and_fluid(speed, speeds, turns, table) == pytest.approx(parts)
+
+
+def test_bristles_keep_their_force_until_the_joint_has_moved():
+    """The level of dry friction jumps, under load, without a motion: the force follows over the presliding distance."""
+    loop = plant(elastic=False)
+    loop = loop.replace(friction_load=np.full(6, 0.5), friction_bend=np.full(6, 1e-3),
+                        friction_torque=np.full_like(loop.friction_torque, 30.0), friction_dry=np.full(6, 30.0))
+    v, load = np.full((4000, 6), 0.1), np.zeros((4000, 6))
+    load[2000:] = 40.0
+    force = friction_along(loop.drives(loop.stiffness, loop.damping), v, load, 1e-4, np.zeros(6), 1e-3)[0][:, 0]
+    assert force[1999] == pytest.approx(30.0)
+    assert force[2000] == pytest.approx(30.0, rel=0.01)
+    assert force[-1] == pytest.approx(50.0, rel=1e-4)
+
+
 def test_bristles_are_as_stiff_at_standstill_as_they_are_while_sliding():
-    """After a reversal friction rises along dF/dq = sigma (1 - F sign(v) / g), whatever surplus g has (Dahl)."""
-    dry, surplus, bend, v = 55.0, 75.0, 3e-4, 0.01
-    level, sigma, force, bent = dry + surplus, dry / bend, -(dry + surplus), -(dry + surplus) / dry
-    for _ in range(400):
-        force += sigma * (1.0 - force / level) * v * 1e-4
-        bent = bristles(bent, v, 1e-4, level, dry, bend)
-    assert dry * bent == pytest.approx(force, rel=0.02, abs=0.5)
-    # The way to 90 % of what is between the two directions grows with the surplus.
-    assert abs(dry * bent) < level
+    """After a reversal dry friction rises along dF/dq = sigma (1 - F sign(v) / g), whatever surplus g has (Dahl)."""
+    loop = plant(elastic=False)
+    dry, bend = 30.0, 1e-3
+    for surplus in (0.0, 40.0):
+        now = loop.replace(friction_torque=np.full_like(loop.friction_torque, dry + surplus),
+                           friction_dry=np.full(6, dry), friction_bend=np.full(6, bend))
+        force = _reversal(now)[0][:, 0]
+        assert force[3999] == pytest.approx(dry + surplus)
+        # From the one direction to the other with twice the slope at which friction begins.
+        assert force[4000] - force[3999] == pytest.approx(-2.0 * dry / bend * 1e-5, rel=0.02)
 
 
 def test_bodies_that_are_none_are_no_traceback():
@@ -153,11 +197,14 @@ def test_drives_are_of_one_type_whatever_the_loop_was_made_of():
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_values_between_those_of_a_table_are_numpys(seed: int) -> None:
+def test_friction_between_the_speeds_of_a_table_is_numpys(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    xs, ys = np.sort(rng.uniform(0.0, 3.0, 40)), rng.standard_normal(40)
-    for x in (*rng.uniform(-0.5, 3.5, 20), xs[0], xs[7], xs[-1]):
-        assert between(float(x), xs, ys) == np.interp(x, xs, ys)
+    speeds, table = np.concatenate([[0.0], np.sort(rng.uniform(0.0, 3.0, 39))]), rng.standard_normal(40)
+    turns = np.minimum.accumulate(table)
+    for speed in (0.0, *speeds[1:3], *rng.uniform(0.0, 4.0, 20)):
+        dry, fluid = dry_and_fluid(float(speed), speeds, turns, table)
+        assert (dry, dry + fluid) == pytest.approx((np.interp(speed, speeds, turns), np.interp(speed, speeds, table)))
+
 
 
 # Effects in the simulated drives: each changes what it says, the others change nothing.
