@@ -87,7 +87,9 @@ def test_a_surface_does_not_leave_a_map_that_a_stuck_sensor_goes_on_with(begins:
     scene = load_scene("glue")
     monkeypatch.setattr(Bench, "begins", begins)
     run = followed(scene, tmp_path, spoil=FAULTS["stuck, with its usual noise"](), stage="travel")
-    assert "of what the tip's swing on the surface makes" in str(run.failure)
+    # Whichever is noticed first: what comes at 1.2 s hangs on the last digits of the motion.
+    assert any(says in str(run.failure) for says in ("of what the tip's swing on the surface makes",
+                                                     "does not change as the arm moves"))
     assert run.force <= most_force(scene.force)
 
 
