@@ -162,7 +162,7 @@ def _figure(minutes: Array, results: dict[str, Array], temperature: Array) -> Fi
         axes.plot(minutes, 1e3 * values, label=name, color=colours[name], lw=1.6, ls="--" if name == "oracle" else "-")
     axes.set(xlabel="minutes since switch-on", ylabel="E_car of each circle, time-matched [mm]")
     axes.set_ylim(bottom=0.0)
-    axes.legend(frameon=False, loc="lower right")
+    axes.legend(frameon=False, loc="center right")
     axes.spines[["top"]].set_visible(False)
     warm = axes.twinx()
     warm.plot(minutes, temperature, color="#c2255c", lw=1, ls=":")
