@@ -26,17 +26,6 @@ IMPORTED_LATE = {"rerun", "rosbags", "lz4", "matplotlib", "dask", "viser", "trim
 STARTS_FAST = ("scenes.commands.", "scenes.pytest_plugin.", "scenes.scene_file.")
 """The verbs import what they need when they are called, and a scene's file is looked for before what plays it is
 loaded: ``ideal-robot --help`` must not load the whole program, nor may every pytest of a user's."""
-MOST_LINES = {"file": 400, "function": 50}
-MOST_FILES = 520
-MOST_PARAMETERS = 7
-MORE_PARAMETERS = {
-    "ideal_robot/diagnosis/diagnose.py:diagnose", "ideal_robot/diagnosis/next_motion/plan.py:plan_diagnosis",
-    "ideal_robot/execution/precorrect.py:precorrect", "ideal_robot/feedforward/registry.py:feedforward",
-    "ideal_robot/identification/whole_model.py:identify_model", "ideal_robot/rsi/robot.py:RsiRobot.__init__",
-    "scenes/rsi/server.py:rsi_server", "sensing/camera/camera_model.py:CameraModel.perturbed",
-    "sim/arm/kernel.py:drive_step", "sim/camera/bullet_camera.py:BulletCamera.__init__",
-}
-"""The ten functions with more parameters; none may join them."""
 RUN_NOT_IMPORTED = {"mypy", "pandas-stubs", "pytest-xdist", "ruff", "import-linter", "mkdocs-material",
                     "mkdocstrings[python]", "setuptools", "ipykernel", "ipywidgets", "jupyterlab", "RSIPI", "ur-rtde"}
 """Tools of development, and counterparts in tests, that are started as programs."""
@@ -134,58 +123,6 @@ def test_importing_the_packages_is_cheap() -> None:
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-
-
-@cache
-def functions() -> list[tuple[str, ast.FunctionDef]]:
-    """All functions, named by file, class and name."""
-    named = []
-    for folder in sorted(OURS):
-        for path, tree in trees(folder).items():
-            every = list(statements(tree))
-            of = {node: f"{owner.name}." for owner in every if isinstance(owner, ast.ClassDef) for node in owner.body}
-            named += [(f"{path.relative_to(ROOT)}:{of.get(node, '')}{node.name}", node) for node in every
-                      if isinstance(node, ast.FunctionDef)]
-    return named
-
-
-def test_files_and_functions_are_short() -> None:
-    files_of_ours = [path for folder in OURS for path in trees(folder)]
-    lines = {str(path.relative_to(ROOT)): path.read_text(encoding="utf-8").count("\n") for path in files_of_ours}
-    assert {name: count for name, count in lines.items() if count > MOST_LINES["file"]} == {}
-    assert len(lines) <= MOST_FILES, "put it where the other half of its idea stands"
-    long = {name for name, node in functions() if (node.end_lineno or 0) - node.lineno >= MOST_LINES["function"]}
-    assert long == set(), "split it"
-
-
-def test_what_travels_together_is_one_parameter() -> None:
-    """Parameters that always come together are an object; typer's and pytest's functions are no exception."""
-    many = set()
-    for name, node in functions():
-        args = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
-        count = sum(arg.arg not in ("self", "cls") for arg in args) + bool(node.args.vararg) + bool(node.args.kwarg)
-        if count > MOST_PARAMETERS:
-            many.add(name)
-    assert many == MORE_PARAMETERS, "a new one: make an object of what travels together; one less: take it out here"
-
-
-def test_a_number_says_what_it_is_or_where_it_comes_from() -> None:
-    """Below it, behind it, in its own words, or in a comment over the paragraph that it stands in."""
-    bare = []
-    for path, tree in ((path, tree) for folder in PACKAGES[:-1] for path, tree in trees(folder).items()):
-        lines = path.read_text(encoding="utf-8").splitlines()
-        for node, below in zip(tree.body, [*tree.body[1:], None], strict=True):
-            if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
-                continue
-            constants = [part.value for part in ast.walk(node.value) if isinstance(part, ast.Constant)]
-            paragraph = "\n".join(lines[: node.end_lineno]).rpartition("\n\n")[2]
-            if not (all(type(constant) not in (int, float) or constant in (0, 1) for constant in constants)
-                    or any(isinstance(constant, str) and " " in constant for constant in constants)
-                    or (isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant))
-                    or re.search("^# ", paragraph, re.MULTILINE)
-                    or any("  # " in line for line in lines[node.lineno - 1 : node.end_lineno])):
-                bare.append(f"{path.relative_to(ROOT)}:{node.lineno}")
-    assert bare == []
 
 
 # The picture of the architecture is what its generator draws from today's imports.
