@@ -1,0 +1,126 @@
+"""The linear Gaussian estimator: parameters of whitened rows, with a prior, from products of columns.
+
+With rows in units of their noise, ``y = X β + v``, and β of precision Λ about zero beforehand,
+
+    p(β | y) = N( A⁻¹ X'y , A⁻¹ ) ,      A = Λ + X'X .
+
+All it needs are the products of ``[X, y]`` with themselves, which are small, add up over channels and blocks of time,
+and are kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import linalg
+
+from ideal_robot.arrays import Array
+
+ROUNDING = 1e-9
+"""Share of a column's own squares that is added to them: what lies below is rounding of double precision's products."""
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Parameters given rows and a prior.
+
+    Attributes:
+        mean: ``(P,)``.
+        root: lower Cholesky factor of the scaled precision ``(P, P)``.
+        scale: by which parameters were multiplied before ``(P,)``.
+        squares: whitened squares of the residual.
+        logarithm: of the determinant of the precision A.
+    """
+
+    mean: Array
+    root: Array
+    scale: Array
+    squares: float
+    logarithm: float
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance ``(P, P)``."""
+        inverse = linalg.cho_solve((self.root, True), np.eye(len(self.mean)))
+        return np.asarray(inverse * np.outer(self.scale, self.scale))
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations ``(P,)``."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def solve(self, right: Array) -> Array:
+        """``A⁻¹ right`` for ``(P,)`` or ``(P, k)``."""
+        scale = self.scale if right.ndim == 1 else self.scale[:, None]
+        return np.asarray(scale * linalg.cho_solve((self.root, True), scale * right))
+
+
+def posterior(products: Array, precision: Array | None = None) -> Posterior:
+    """Parameters from products of whitened columns.
+
+    Args:
+        products: ``[X, y]' [X, y]`` ``(P + 1, P + 1)``.
+        precision: of the parameters beforehand, about zero ``(P, P)``; None where nothing is known.
+    """
+    P = len(products) - 1
+    A = products[:P, :P] + (0.0 if precision is None else precision)
+    own = np.maximum(np.diag(A), 1e-12 * (np.max(np.diag(A), initial=0.0) + 1e-300))
+    scale = 1.0 / np.sqrt(own)
+    scaled = A * np.outer(scale, scale)
+    scaled[np.diag_indices(P)] = np.diag(scaled) + ROUNDING
+    root = _root(scaled)
+    mean = scale * linalg.cho_solve((root, True), scale * products[:P, P])
+    squares = float(products[P, P] - 2.0 * mean @ products[:P, P] + mean @ products[:P, :P] @ mean)
+    logarithm = float(2.0 * np.log(np.diag(root)).sum() - 2.0 * np.log(scale).sum())
+    return Posterior(mean, root, scale, max(squares, 0.0), logarithm)
+
+
+def _root(scaled: Array) -> Array:
+    """Lower Cholesky factor of a matrix with a diagonal of one; of a singular one with as much more as it takes."""
+    more = 0.0
+    for _ in range(8):
+        try:
+            return np.asarray(linalg.cholesky(scaled + more * np.eye(len(scaled)), lower=True, check_finite=False))
+        except linalg.LinAlgError:
+            more = max(10.0 * more, ROUNDING)
+    raise linalg.LinAlgError("products of columns that are not positive: a column is not finite")
+
+
+@dataclass(frozen=True)
+class Joined:
+    """One more group of columns beside others.
+
+    Attributes:
+        mean, covariance: of its coefficients ``(m,)``, ``(m, m)``, everything else fitted anew.
+        evidence: logarithm of the density of all rows with it over that without it, its prior included.
+    """
+
+    mean: Array
+    covariance: Array
+    evidence: float
+
+
+def joined(present: Posterior, with_others: Array, with_itself: Array, with_y: Array, std: Array) -> Joined:
+    """One more group whose coefficients have standard deviations ``std (m,)`` beforehand.
+
+    With M = C'C − C'X A⁻¹ X'C and g = C'(y − X β), S the prior's standard deviations,
+
+        ln p(y | with) − ln p(y | without) = ½ g'S (1 + SMS)⁻¹ S g − ½ ln |1 + SMS| .
+
+    Args:
+        present: the others.
+        with_others: products with the others' columns ``(m, P)``.
+        with_itself: products with itself ``(m, m)``.
+        with_y: products with the measurement ``(m,)``.
+        std: prior standard deviations of the coefficients ``(m,)``.
+    """
+    M = with_itself - with_others @ present.solve(with_others.T)
+    g = with_y - with_others @ present.mean
+    inner = np.eye(len(g)) + M * np.outer(std, std)
+    root = _root(0.5 * (inner + inner.T))
+    x = linalg.solve_triangular(root, std * g, lower=True, check_finite=False)
+    inverse = linalg.cho_solve((root, True), np.eye(len(g)))
+    covariance = inverse * np.outer(std, std)
+    return Joined(covariance @ g, covariance, float(0.5 * x @ x - np.log(np.diag(root)).sum()))

@@ -1,0 +1,109 @@
+"""The estimator against direct computation, and noise that is found again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import linalg, signal, stats
+
+from ideal_robot.estimate.gaussian import joined, posterior
+from ideal_robot.estimate.noise import ColouredNoise, position_in_stretch, without_kicks
+from ideal_robot.estimate.score import left_out
+
+
+def problem(seed: int, blocks: int = 6) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    X = rng.normal(size=(20 * blocks, 4))
+    y = X @ rng.normal(size=4) + rng.normal(size=len(X))
+    precision = np.diag(rng.uniform(0.1, 3.0, 4))
+    stacked = np.column_stack([X, y]).reshape(blocks, 20, 5)
+    return X, y, precision, np.swapaxes(stacked, 1, 2) @ stacked
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_score_is_the_density_of_each_block_given_the_others(seed: int) -> None:
+    X, y, precision, products = problem(seed)
+    whole = np.eye(len(y)) + X @ np.linalg.inv(precision) @ X.T
+    expected = []
+    for b in range(len(products)):
+        own = np.zeros(len(y), dtype=bool)
+        own[20 * b : 20 * (b + 1)] = True
+        gain = whole[np.ix_(own, ~own)] @ np.linalg.inv(whole[np.ix_(~own, ~own)])
+        covariance = whole[np.ix_(own, own)] - gain @ whole[np.ix_(~own, own)]
+        expected.append(stats.multivariate_normal.logpdf(y[own], gain @ y[~own], covariance))
+    constant = -0.5 * 20 * np.log(2.0 * np.pi)
+    assert left_out(products, precision) + constant == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_one_more_group_is_the_ratio_of_two_densities(seed: int) -> None:
+    X, y, precision, _ = problem(seed)
+    rng = np.random.default_rng(seed + 100)
+    C, std = rng.normal(size=(len(y), 2)), np.array([0.3, 2.0])
+
+    def density(columns: np.ndarray, prior: np.ndarray) -> float:
+        covariance = np.eye(len(y)) + columns @ prior @ columns.T
+        return float(stats.multivariate_normal.logpdf(y, np.zeros(len(y)), covariance))
+
+    before = np.linalg.inv(precision)
+    both = linalg.block_diag(before, np.diag(std**2))
+    expected = density(np.column_stack([X, C]), both) - density(X, before)
+    rows = np.column_stack([X, y])
+    one = joined(posterior(rows.T @ rows, precision), C.T @ X, C.T @ C, C.T @ y, std)
+    assert one.evidence == pytest.approx(expected, rel=1e-6)
+    together = np.column_stack([X, C])
+    A = np.linalg.inv(both) + together.T @ together
+    assert one.mean == pytest.approx(np.linalg.solve(A, together.T @ y)[4:], rel=1e-6)
+    assert one.covariance == pytest.approx(np.linalg.inv(A)[4:, 4:], rel=1e-6)
+
+
+def test_numbers_have_the_scatter_that_they_say_under_coloured_noise() -> None:
+    """RMS of (estimate − truth)/σ over many draws of noise with a memory of ten rows."""
+    rng = np.random.default_rng(3)
+    t = np.arange(3000)
+    X = np.column_stack([np.sin(0.05 * t), np.sign(np.sin(0.013 * t)), np.ones(len(t))])
+    use = (t % 500) > 20
+    ratios = []
+    for _ in range(60):
+        noise = signal.lfilter([1.0], [1.0, -0.9], rng.normal(size=len(t)))
+        y = X @ np.array([1.0, -2.0, 0.5]) + noise
+        rough = y - X @ np.linalg.lstsq(X[use], y[use], rcond=None)[0]
+        model = ColouredNoise.fit(rough, use)
+        rows = model.whiten(np.column_stack([X, y]), use)
+        fitted = posterior(rows.T @ rows)
+        ratios.append((fitted.mean - [1.0, -2.0, 0.5]) / fitted.std)
+    rms = np.sqrt(np.mean(np.square(ratios), axis=0))
+    assert np.all((rms > 0.75) & (rms < 1.3)), rms
+
+
+def test_innovations_are_white_and_of_unit_size() -> None:
+    rng = np.random.default_rng(5)
+    true = [1.0, -1.3, 0.6]
+    noise = 0.2 * signal.lfilter([1.0], true, rng.normal(size=20000))
+    use = np.ones(len(noise), dtype=bool)
+    model = ColouredNoise.fit(noise, use)
+    assert model.predictors[2] == pytest.approx([1.3, -0.6, 0.0, 0.0], abs=0.03)
+    assert model.std == pytest.approx(float(np.std(noise)), rel=0.02)
+    white = model.whiten(noise, use)
+    assert np.std(white) == pytest.approx(1.0, rel=0.03)
+    assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 0.03
+    assert model.colour == pytest.approx((1.0 / 0.3) ** 2 * 0.04 / np.var(noise), rel=0.15)
+
+
+def test_a_stretch_begins_anew() -> None:
+    use = np.array([0, 1, 1, 0, 0, 1, 1, 1], dtype=bool)
+    assert position_in_stretch(use).tolist() == [-1, 0, 1, -1, -1, 0, 1, 2]
+    model = ColouredNoise.of_autocovariance(np.array([2.0, 1.0, 0.5]))
+    values = np.array([9.0, 1.0, 2.0, 9.0, 9.0, 3.0, 1.0, 1.0])
+    white = model.whiten(values, use)
+    altered = model.whiten(np.where(use, values, -50.0), use)
+    assert white == pytest.approx(altered)
+    assert white[[0, 3, 4]] == pytest.approx(0.0)
+    assert white[1] == pytest.approx(1.0 / np.sqrt(2.0))
+
+
+def test_kicks_are_no_noise() -> None:
+    rng = np.random.default_rng(6)
+    values, use = rng.normal(size=2000), np.ones(2000, dtype=bool)
+    values[[100, 700]] = 40.0, -25.0
+    assert np.flatnonzero(~without_kicks(values, use)).tolist() == [100, 700]
