@@ -56,6 +56,7 @@ THEMES = {
     "Devices": {
         "detect": "devices:detect",
         "follow": "devices:follow",
+        "play": "devices:play",
         "rsi": "devices:rsi",
         "simulate": "devices:simulate",
     },

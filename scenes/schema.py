@@ -23,6 +23,7 @@ import pydantic
 
 from ideal_robot.effects.registry import library
 from ideal_robot.feedforward.registry import method, methods
+from ideal_robot.interfaces import INTERFACES, ArmInterface
 from ideal_robot.robots import SHIPPED
 from ideal_robot.robots.robot import Robot
 from scenes.kind import KINDS
@@ -253,7 +254,7 @@ def _comment(key: Key) -> str:
 
 
 def catalogue(what: str, kind: str = "line") -> tuple[list[str], list[list[Any]]]:
-    """Titles and rows of the list of ``scenes``, ``robots``, ``methods``, ``effects``, ``detectors`` or ``keys``.
+    """Titles and rows of the list of ``scenes``, ``robots``, ``methods``, ``effects``, ``detectors``, ``interfaces`` or ``keys``.
 
     Raises:
         InputError: no such kind.
@@ -275,9 +276,19 @@ def catalogue(what: str, kind: str = "line") -> tuple[list[str], list[list[Any]]
     if what == "detectors":
         return ["detector", "how it works"], [[name, (detector.__doc__ or "").strip().partition("\n")[0]]
                                               for name, detector in DETECTORS]
+    if what == "interfaces":
+        return ["interface", "address", "library", "cycle", "reports", "tried against"], [
+            [each.title, each.example, _library(each), each.cycles, each.reports, each.tried] for _, each in INTERFACES]
     return ["table", "key", "default", "allowed", "meaning"], [
         [key.table, key.name, "required" if key.required else key.default, key.allowed, key.meaning]
         for key in scene_keys(kind)]
+
+
+def _library(interface: ArmInterface) -> str:
+    """What speaks an interface's wire, and how it is installed where it is not there."""
+    if not interface.library:
+        return "own"
+    return interface.library if interface.installed else f"pip install 'ideal-robot[{interface.extra}]'"
 
 
 if __name__ == "__main__":

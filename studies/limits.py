@@ -267,7 +267,9 @@ def _through_rsi(law: Feedforward, robot: Robot, kind: str, cycles: int) -> Shar
             arm.send = _stopping(arm.send, server, stop_at)  # type: ignore[method-assign,assignment]
         # A run that ends with a reason has commanded something all the same.
         with suppress(IdealRobotError):
-            server._answer(q_d, RowLog(1 + 4 * robot.n), silent)
+            arm.send(arm.commanded)
+            # Beside the arm's own quantities the link reports currents.
+            server._answer(q_d, arm.receive(), RowLog(1 + 5 * robot.n), silent)
         shares.add(_at_rest(wire.commands))
     return shares
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from array import array
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 
@@ -24,11 +25,14 @@ class RobotState:
         t: controller time at which ``q`` and ``tau`` were valid [s].
         q: motor angles on the joint side, shape ``(n,)`` [rad]. Not the arm angles: gears are elastic ([L] 2.1).
         tau: motor torque on the joint side, measured current times drive gain, shape ``(n,)`` [N m].
+        columns: what else the controller reports, by the recording's name of the column: a number, or one a joint
+            ``(n,)``. The same names in every state of an arm.
     """
 
     t: float
     q: Array
     tau: Array
+    columns: Mapping[str, float | Array] = field(default_factory=dict)
 
 
 class RobotInterface(Protocol):
@@ -326,7 +330,12 @@ class LinkedRobot(ABC):
         fault: why the arm does not do what it was commanded; None while it does. Bring it to rest then.
         gone_on: cycles before the last packet in which the controller had none of ours and went on as before.
         missed: whether the controller had to do without a command of ours since the last one.
+        counts: what happened on the link.
+        arrived: when the last packet was read, by ``time.perf_counter`` [s].
     """
+
+    counts: Any
+    arrived: float = math.nan
 
     def __init__(self, robot: Robot, bridge: float, answers_within: float, relative: bool = False) -> None:
         self.robot, self.t_ipo = robot, robot.t_ipo
@@ -372,6 +381,20 @@ class LinkedRobot(ABC):
             self.missed = False
         back = self._catch_up.active
         return np.clip(q_c + self._catch_up.next(self._step), self.robot.q_min, self.robot.q_max) if back else q_c
+
+    @property
+    def settled(self) -> bool:
+        """Whether what is in force is what was wanted: nothing missed and not yet made good."""
+        return not (self.missed or self._catch_up.active)
+
+    @property
+    def meta(self) -> dict[str, Any]:
+        """What a recording's metadata shall say of the link."""
+        return {}
+
+    @abstractmethod
+    def connect(self, patience: float = 60.0) -> RobotState:
+        """Waits for the controller up to ``patience`` [s]; the state at rest, ``commanded`` is where it is held."""
 
     @abstractmethod
     def send(self, q_c: Array) -> None:

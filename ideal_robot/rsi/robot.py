@@ -7,12 +7,15 @@ before the next. ``cycle`` answers the last packet with the command and waits fo
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.deadline import Deadline
 from ideal_robot.errors import InputError
+from ideal_robot.interfaces import LinkSettings
+from ideal_robot.robots.address import Address
 from ideal_robot.robots.interface import LinkedRobot, RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi.link import PacketLink, Stamps
@@ -137,14 +140,19 @@ class RsiRobot(LinkedRobot):
         return self._link.address
 
     @property
-    def arrived(self) -> float:
+    def arrived(self) -> float:  # type: ignore[override]
         """When the last packet came, by ``time.perf_counter`` [s]."""
         return self._link.arrived
 
     @property
     def settled(self) -> bool:
         """Whether what is in force is what was wanted: nothing missed and not yet found or made good."""
-        return not (self.missed or self._catch_up.active or self._in_doubt)
+        return super().settled and not self._in_doubt
+
+    @property
+    def meta(self) -> dict[str, Any]:
+        """How corrections are taken."""
+        return {"corrections": "relative" if self.relative else "absolute"}
 
     def connect(self, patience: float = 60.0) -> RobotState:
         """Waits for the controller's first packet; who sends it is the controller from then on.
@@ -313,7 +321,25 @@ class RsiRobot(LinkedRobot):
             self.counts.implausible = self._watch.missing
         else:
             self.fault = self._watch.stopping(self.commanded, self._measured) or self.fault
-        tau = np.full(self.robot.n, np.nan)
+        current = np.full(self.robot.n, np.nan)
         if message.current is not None:
-            tau = self.axes.sign * message.current * self.robot.drive_gain
-        return RobotState(self.t_ipo * self._elapsed, self._measured, tau)
+            current = self.axes.sign * message.current
+        return RobotState(self.t_ipo * self._elapsed, self._measured, current * self.robot.drive_gain,
+                          {"current": current})
+
+
+PORT = 49152
+"""Of KUKA's example of RSI."""
+
+
+def opened(address: Address, robot: Robot, settings: LinkSettings) -> RsiRobot:
+    """Listens on ``rsi://host:port`` of this computer for a controller; raises InputError where it cannot.
+
+    Args:
+        address, robot, settings: see ``ideal_robot.interfaces``.
+    """
+    address.knows()
+    host, port = address.at(PORT)
+    form = settings.form or RsiFormat(hold_on=True if settings.relative else None)
+    return RsiRobot(robot, host=host, port=port, relative=settings.relative, form=form, controller=settings.controller,
+                    **settings.given())

@@ -15,6 +15,8 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.deadline import Deadline
 from ideal_robot.errors import InputError
+from ideal_robot.interfaces import LinkSettings
+from ideal_robot.robots.address import Address
 from ideal_robot.robots.interface import LinkedRobot, RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rtde.wire import Recipe, RtdeConnection, RtdeError, Values
@@ -194,5 +196,20 @@ class RtdeRobot(LinkedRobot):
         if self.fault is None:
             self.fault = self._watch.check(self.commanded, measured)
             self.counts.implausible = self._watch.missing
-        tau = np.array(data["actual_current"]) * self.robot.drive_gain
-        return RobotState(self._last - self._begun, measured, tau)
+        current = np.array(data["actual_current"])
+        return RobotState(self._last - self._begun, measured, current * self.robot.drive_gain, {"current": current})
+
+
+PORT = 30004
+"""On which UR's controllers listen."""
+
+
+def opened(address: Address, robot: Robot, settings: LinkSettings) -> RtdeRobot:
+    """The link to the controller at ``rtde://host:port``, not yet connected; raises InputError.
+
+    Args:
+        address, robot, settings: see ``ideal_robot.interfaces``.
+    """
+    address.knows()
+    host, port = address.at(PORT)
+    return RtdeRobot(robot, host, port=port, **settings.given())

@@ -1,4 +1,4 @@
-"""Verbs on devices: follow, simulate, detect, rsi."""
+"""Verbs on devices: follow, play, simulate, detect, rsi."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from scenes.commands.common import (
     Rest,
     Seed,
     Speed,
+    arm_there,
     closed,
     completed,
     progress_bar,
@@ -34,6 +35,7 @@ from scenes.scene_file import load_scene
 if TYPE_CHECKING:
     from ideal_robot.rsi.message import RsiFormat
     from scenes.online.devices import Devices
+    from scenes.played_path import PlaySettings
     from scenes.serve.cell import Places
     from sim.devices.stream_server import Unkindness
 
@@ -45,8 +47,9 @@ class FollowOptions:
     scene: Annotated[str, typer.Argument(help="Scene of kind line or force: name of a shipped one, or path (.toml); of "
                                          "its tables those of the world are not looked at.",
                                          callback=scenes_there)]
-    arm: Annotated[str, typer.Option(help="rsi://host:port where this computer listens for the controller, or "
-                                     "rtde://host:port of the controller.")] = "rsi://127.0.0.1:49152"
+    arm: Annotated[str, typer.Option(help="Address of the arm's interface, see `ideal-robot list interfaces`: "
+                                     "rsi://host:port where this computer listens for the controller, "
+                                     "rtde://host:port of the controller, …")] = "rsi://127.0.0.1:49152"
     camera: Annotated[str | None, typer.Option(help="usb:0, rtsp://…, http://… (MJPEG), genicam:producer.cti#serial, "
                                                "stream://host:port or file:film.mp4.")] = None
     force: Annotated[str | None, typer.Option(help="netft://host?rate=7000&counts_force=1e6&counts_torque=1e6 or "
@@ -104,6 +107,87 @@ def follow(options: FollowOptions) -> None:
                         progress=progress)
     write_signed(options.json, result.json())
     closed(result)
+
+
+@dataclass(kw_only=True)
+class PlayOptions:
+    """Options of ``play``."""
+
+    path: Annotated[Path, typer.Argument(help="CSV or Parquet with t [s] and q_c_i, q_d_i or q_i [rad].")]
+    arm: Annotated[str, typer.Option(help="Address of the arm's interface, see `ideal-robot list interfaces`.")]
+    robot: Annotated[str | None, typer.Option("--robot", "--urdf", help="Arm: name of a shipped robot, or path of a "
+                                              "URDF; default: the one that the path's file, or the model, names.",
+                                              callback=arm_there)] = None
+    method: Annotated[str, typer.Option(
+        help="How the path is corrected while it is played: none (the file's commands as they are), ideal, …",
+        autocompletion=lambda incomplete: completed("rsi", incomplete))] = "none"
+    model: Annotated[Path | None, typer.Option(help="Identified model (JSON) for --method; default: the shipped one.")
+                     ] = None
+    compare: Annotated[bool, typer.Option("--compare", help="Play the path as it is desired first, then as it is "
+                                          "corrected, and print the errors of both.")] = False
+    cycle: Annotated[float | None, typer.Option(help="Interpolation cycle [s]; default: the interface's, or the "
+                                                "robot's.")] = None
+    rest: Rest = 0.6
+    wait: Annotated[float, typer.Option(help="How long to wait for the controller [s].", min=0.1,
+                                        max=86_400.0)] = 60.0
+    bridge: Bridge = 0.1
+    core: Core = None
+    relative: Annotated[bool, typer.Option("--relative/--absolute", help="How an RSI controller takes corrections."
+                                           )] = False
+    rsi_config: Annotated[Path | None, typer.Option(help="The controller's RSI ethernet XML.")] = None
+    controller: ControllerAddress = None
+    out: Annotated[Path, typer.Option("--out", "-o", help="Recording (CSV or Parquet); with --compare that of the path "
+                                      "as it is desired stands beside it, with _before in its name.")
+                   ] = Path("out/play/recording.parquet")
+    json: JsonFigures = None
+
+    def settings(self) -> PlaySettings:
+        """How the path is played."""
+        from scenes.played_path import PlaySettings
+
+        same = ("arm", "robot", "method", "model", "cycle", "rest", "relative", "rsi_config", "controller", "bridge",
+                "core", "compare")
+        return PlaySettings(patience=self.wait, **{name: getattr(self, name) for name in same})
+
+
+def play(options: PlayOptions) -> None:
+    """Plays a joint path on an arm behind its maker's interface: slowly to the start, the path, to rest, recorded.
+
+    The recording has the commands as they were sent and what the controller reported, by the controller's clock. The
+    arm is led to the start of the path on the joints' straight way: look that it is free. Ctrl-C, SIGTERM, any limit
+    and an arm that does not follow bring it to rest on the path. `plan-identification`, `play`, `identify`,
+    `precorrect` and `play --compare` are what makes an arm ideal. Not yet tried on a real controller: read
+    docs/interfaces.md first.
+
+    Example, with a controller that listens:
+    `ideal-robot play out/plan/commands.csv --robot kr6 --arm rtde://127.0.0.1:30004 -o moved.parquet`
+    """
+    from ideal_robot.signals.recording import WRITTEN
+    from scenes.played_path import planned_path, played_path
+
+    before = options.out.with_stem(f"{options.out.stem}_before")
+    check_outputs(out=options.out, json=options.json, before=before if options.compare else None)
+    if options.out.suffix not in WRITTEN:
+        raise InputError(f"expected a name ending in {' or '.join(WRITTEN)}", field="--out", value=str(options.out))
+    settings = options.settings()
+    planned = planned_path(options.path, settings)
+    for warning in planned.warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    with progress_bar("play", rate=2.0) as progress:
+        done = played_path(planned, settings, progress)
+    show_table("", *done.run.table())
+    show_table("desired minus measured motor positions", *done.table())
+    with whole_files(options.out, before if done.before is not None else None, options.json) as (out, plain, figures):
+        done.run.recording.write(out)
+        if done.before is not None and plain is not None:
+            done.before.recording.write(plain)
+        write_signed(figures, {**done.json(), "recording": options.out})
+    typer.echo(f"recording: {options.out}")
+    if done.failure is not None:
+        typer.echo(f"ideal-robot: {done.failure}", err=True)
+        raise typer.Exit(1)
+    if done.before is None:
+        typer.echo(f"next: ideal-robot identify {options.out} --robot {settings.robot or planned.arm.name}")
 
 
 @dataclass(kw_only=True)

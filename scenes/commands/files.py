@@ -41,16 +41,18 @@ class What(StrEnum):
     METHODS = "methods"
     EFFECTS = "effects"
     DETECTORS = "detectors"
+    INTERFACES = "interfaces"
     KEYS = "keys"
 
 
 def list_(
-    what: Annotated[What, typer.Argument(help="scenes, robots, methods, effects, detectors, or keys of scene files.")],
+    what: Annotated[What, typer.Argument(help="scenes, robots, methods, effects, detectors, "
+                                             "interfaces, or keys of scene files.")],
     kind: Annotated[str, typer.Option(help="With keys: of which kind of scene.")] = "line",
     json: Annotated[Path | None, typer.Option(help="Write the list as JSON to this file; with keys, the JSON Schema.",
                                               )] = None,
 ) -> None:
-    """Lists the scenes, robots, methods, effects and detectors there are, those of other packages included.
+    """Lists scenes, robots, methods, effects, detectors and arms' interfaces, those of other packages included.
 
     Example: `ideal-robot list scenes`
     """

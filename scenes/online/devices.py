@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,14 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from ideal_robot.arrays import Array
-from ideal_robot.deadline import Deadline
-from ideal_robot.errors import InputError
+from ideal_robot.interfaces import LinkSettings, connected_arm
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
-from ideal_robot.rsi import RsiRobot
 from ideal_robot.rsi.message import RsiFormat
-from ideal_robot.rtde import RtdeRobot
-from ideal_robot.rtde.wire import RtdeError
 from scenes.methods import SceneMethod
 from scenes.online.camera_process import CalibratedCamera
 from scenes.online.cell_check import CalibrationMotion, Look, Piece
@@ -33,9 +28,6 @@ from scenes.placing import shapes_about
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
 from sensing.camera.camera_model import CameraModel
-from sensing.stream import host_and_port
-
-RSI_PORT, RTDE_PORT = 49152, 30004  # of KUKA's example of RSI, and the one that UR's controllers listen on
 
 
 @dataclass(frozen=True)
@@ -43,8 +35,7 @@ class Devices:
     """Addresses and what has to be known of the devices.
 
     Attributes:
-        arm: ``rsi://host:port``, where this computer listens for the controller, or ``rtde://host:port``, where the
-            controller listens.
+        arm: address of the arm's interface, see ``ideal_robot.interfaces``.
         camera: see ``sensing.camera.cameras.open_camera``; None without one.
         force: see ``sensing.force.sensors.open_force``; None without one.
         camera_delay: from mid-exposure to the picture's arrival, at least [s]; not needed for ``stream``.
@@ -87,39 +78,12 @@ def opened_arm(devices: Devices, robot: Robot, answers_within: float) -> Iterato
 
     Raises:
         InputError: an address that cannot be used.
-        RsiError, RtdeError: no controller there.
+        IdealRobotError: no controller there.
     """
-    scheme, _, rest = devices.arm.partition(":")
-    if scheme == "rsi":
-        host, port = host_and_port(rest, "--arm", RSI_PORT)
-        form = RsiFormat(hold_on=True if devices.relative else None)
-        if devices.rsi_config is not None:
-            form = RsiFormat.read(devices.rsi_config, robot.n)
-        with RsiRobot(robot, host=host, port=port, relative=devices.relative, form=form, bridge=devices.bridge,
-                      controller=devices.controller, answers_within=answers_within) as rsi:
-            rsi.connect(devices.patience)
-            yield rsi
-    elif scheme == "rtde":
-        host, port = host_and_port(rest, "--arm", RTDE_PORT)
-        with RtdeRobot(robot, host, port=port, bridge=devices.bridge, answers_within=answers_within) as rtde:
-            _connect(rtde, devices.patience)
-            yield rtde
-    else:
-        raise InputError("expected an address such as rsi://127.0.0.1:49152 or rtde://192.168.1.30", field="--arm",
-                         value=devices.arm[:80])
-
-
-def _connect(rtde: RtdeRobot, patience: float) -> None:
-    """Connects as soon as somebody listens and the program there runs, up to ``patience`` [s]."""
-    deadline = Deadline.within(patience)
-    while True:
-        try:
-            rtde.connect(deadline.left)
-            return
-        except RtdeError as error:
-            if not isinstance(error.__cause__, OSError) or deadline.passed:
-                raise
-        time.sleep(0.2)
+    form = None if devices.rsi_config is None else RsiFormat.read(devices.rsi_config, robot.n)
+    settings = LinkSettings(devices.bridge, answers_within, devices.relative, form, devices.controller)
+    with connected_arm(devices.arm, robot, settings, devices.patience) as link:
+        yield link
 
 
 # What following a line and following a surface have in common, for whoever runs them on devices.

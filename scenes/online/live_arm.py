@@ -227,7 +227,7 @@ class LiveArm:
         self._told.append(state.t)
         self._played.append(self.t)
         self._last = state
-        counted = RobotState(self.t, state.q, state.tau if self.steps == 1 else np.full_like(state.q, np.nan))
+        counted = replace(state, t=self.t, tau=state.tau if self.steps == 1 else np.full_like(state.q, np.nan))
         self.reported.append(counted)
         return counted
 
@@ -239,8 +239,8 @@ class LiveArm:
         first, steps = self._last, self.link.gone_on + 1
         for i in range(self.link.gone_on + 1 - count, steps):
             share = i / steps
-            self._passed.append(RobotState(first.t + share * (state.t - first.t), first.q + share * (state.q - first.q),
-                                           state.tau))
+            self._passed.append(replace(state, t=first.t + share * (state.t - first.t),
+                                        q=first.q + share * (state.q - first.q)))
         self._passed.append(state)
         return self._passed.popleft()
 

@@ -149,7 +149,7 @@ CALLS = {
     "stiffness": f"pushes.csv {URDF}", "plan-identification": f"{URDF} --period 2 --z-min -5",
     "diagnose": f"motion.csv {URDF}", "plan-diagnosis": f"motion.csv {URDF} --result absent.json",
     "close-loop": "path.toml", "precorrect": "path.csv --model shipped.json -o c.csv",
-    "rsi": f"path.csv {RSI}", "detect": "absent.png",
+    "rsi": f"path.csv {RSI}", "play": "path.csv --robot kr6 --arm rsi://127.0.0.1:41999 --wait 0.1 -o c.csv", "detect": "absent.png",
     "follow": f"ideal_line.toml {NOBODY}", "simulate": f"ideal_line.toml {SERVE} --sessions 1",
     "export": "motion.csv --csv e.csv", "fetch": "emps --file emps.mat", "list": "keys", "new": "mine",
     "view": f"motion.csv {URDF} --once",

@@ -235,7 +235,7 @@ def test_the_schema_is_one_and_has_the_limits() -> None:
     assert schema["additionalProperties"] is False
 
 
-@pytest.mark.parametrize("what", ["scenes", "robots", "methods", "effects", "detectors", "keys"])
+@pytest.mark.parametrize("what", ["scenes", "robots", "methods", "effects", "detectors", "interfaces", "keys"])
 def test_lists_have_a_word_in_every_row(what: str) -> None:
     columns, rows = catalogue(what)
     assert rows

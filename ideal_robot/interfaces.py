@@ -1,0 +1,167 @@
+"""The makers' interfaces by the scheme of their address, and how an arm behind one of them is opened.
+
+A package outside adds one by ``INTERFACES.register`` or an entry point of the group ``ideal_robot.interfaces``.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, cast
+
+from ideal_robot.deadline import Deadline
+from ideal_robot.errors import IdealRobotError, InputError, did_you_mean
+from ideal_robot.registry import Registry, imported
+from ideal_robot.robots.address import Address
+from ideal_robot.robots.interface import LinkedRobot
+from ideal_robot.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from ideal_robot.rsi.message import RsiFormat
+
+
+@dataclass(frozen=True)
+class LinkSettings:
+    """What is known of a controller beside its address.
+
+    Attributes:
+        bridge: how long packets may be lost in a row [s].
+        answers_within: time in which the arm's loop answers a command [s]; None for the interface's usual one.
+        relative: whether an RSI controller takes corrections as relative.
+        form: how an RSI controller calls the parts of its messages; None for the usual names.
+        controller: address of the controller behind RSI; None for whoever sends first.
+    """
+
+    bridge: float = 0.1
+    answers_within: float | None = None
+    relative: bool = False
+    form: RsiFormat | None = None
+    controller: str | None = None
+
+    def given(self) -> dict[str, Any]:
+        """The settings of every link, those that are given."""
+        return {"bridge": self.bridge} | ({} if self.answers_within is None
+                                          else {"answers_within": self.answers_within})
+
+
+Opener = Callable[[Address, Robot, LinkSettings], LinkedRobot]
+"""Makes the link to an address for a robot; it is connected by whoever asked for it."""
+
+
+@dataclass(frozen=True)
+class ArmInterface:
+    """A maker's positional interface.
+
+    Attributes:
+        title: what it is called.
+        opened: ``"module:function"`` of an ``Opener``, imported when it is asked for.
+        example: an address.
+        cycles: interpolation cycles, in words.
+        reports: what the controller reports, in words.
+        tried: what it was tried against, in words.
+        library: package of the wire, as it is imported; empty where the wire is ours.
+        extra: of ``pip install 'ideal-robot[…]'``; empty where none is needed.
+        cycle: the interpolation cycle where there is only one [s]; None where the robot's data or ``--cycle`` say it.
+    """
+
+    title: str
+    opened: str
+    example: str
+    cycles: str
+    reports: str
+    tried: str
+    library: str = ""
+    extra: str = ""
+    cycle: float | None = None
+
+    @property
+    def installed(self) -> bool:
+        """Whether its library can be imported."""
+        try:
+            self.require()
+        except InputError:
+            return False
+        return True
+
+    def require(self, option: str = "--arm") -> None:
+        """Raises InputError where its library is not installed, with the command that installs it."""
+        if not self.library:
+            return
+        try:
+            import_module(self.library)
+        except ImportError as error:
+            raise InputError(f"{self.title} needs {self.library} ({error}); pip install 'ideal-robot[{self.extra}]'",
+                             field=option) from error
+
+
+RSI = ArmInterface(
+    "KUKA RSI", "ideal_robot.rsi.robot:opened", "rsi://127.0.0.1:49152", "4 or 12 ms", "angles, currents, late answers",
+    "own and four public simulators")
+RTDE = ArmInterface(
+    "Universal Robots RTDE", "ideal_robot.rtde.robot:opened", "rtde://192.168.1.30", "2 or 8 ms",
+    "angles, currents, safety state", "own simulator; ur_rtde as client")
+
+INTERFACES: Registry[ArmInterface] = Registry("interface", "ideal_robot.interfaces", {
+    "rsi": "ideal_robot.interfaces:RSI",
+    "rtde": "ideal_robot.interfaces:RTDE",
+})
+"""Interfaces by the scheme of their address."""
+
+
+def interface_of(address: str, option: str = "--arm") -> tuple[ArmInterface, Address]:
+    """The interface that an address names, whose library is there, and the address.
+
+    Args:
+        address: ``scheme://…``.
+        option: the command line's name of it, for messages.
+
+    Raises:
+        InputError: no address, an unknown scheme, a library that is not installed.
+    """
+    example = "rsi://127.0.0.1:49152 or rtde://192.168.1.30"
+    place = Address.parse(address, option, example)
+    if place.scheme not in INTERFACES:
+        raise InputError(f"{did_you_mean(place.scheme, INTERFACES.names())}expected an address such as {example}; "
+                         f"interfaces are {', '.join(INTERFACES.names())}", field=option, value=address[:80])
+    interface = INTERFACES.get(place.scheme)
+    interface.require(option)
+    return interface, place
+
+
+@contextmanager
+def connected_arm(address: str, robot: Robot, settings: LinkSettings, patience: float, option: str = "--arm"
+                  ) -> Iterator[LinkedRobot]:
+    """The arm at an address, connected and at rest; the link is closed at the end of the block.
+
+    Args:
+        address: ``scheme://…``.
+        robot: with the cycle of the controller.
+        settings: what is known of it besides.
+        patience: how long it is waited for [s].
+        option: the command line's name of the address, for messages.
+
+    Raises:
+        InputError: an address that cannot be used, or a robot that does not fit the interface.
+        IdealRobotError: no controller there, or one that does not let itself be led.
+    """
+    interface, place = interface_of(address, option)
+    opened: Opener = imported(cast(Any, interface.opened))
+    with opened(place, robot, settings) as link:
+        _connect(link, patience)
+        yield link
+
+
+def _connect(link: LinkedRobot, patience: float) -> None:
+    """Connects as soon as somebody listens there, up to ``patience`` [s]."""
+    deadline = Deadline.within(patience)
+    while True:
+        try:
+            link.connect(max(deadline.left, 0.01))
+            return
+        except IdealRobotError as error:
+            if not isinstance(error.__cause__, OSError) or deadline.passed:
+                raise
+        time.sleep(0.2)
