@@ -254,7 +254,11 @@ def _comment(key: Key) -> str:
 
 
 def catalogue(what: str, kind: str = "line") -> tuple[list[str], list[list[Any]]]:
-    """Titles and rows of the list of ``scenes``, ``robots``, ``methods``, ``effects``, ``detectors``, ``interfaces`` or ``keys``.
+    """Titles and rows of a list.
+
+    Args:
+        what: ``scenes``, ``robots``, ``methods``, ``effects``, ``detectors``, ``interfaces`` or ``keys``.
+        kind: of scene, with ``keys``.
 
     Raises:
         InputError: no such kind.
