@@ -10,7 +10,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, cast
+from pathlib import Path
+from typing import Any, cast
 
 from ideal_robot.deadline import Deadline
 from ideal_robot.errors import IdealRobotError, InputError, did_you_mean
@@ -18,9 +19,6 @@ from ideal_robot.registry import Registry, imported
 from ideal_robot.robots.address import Address
 from ideal_robot.robots.interface import LinkedRobot
 from ideal_robot.robots.robot import Robot
-
-if TYPE_CHECKING:
-    from ideal_robot.rsi.message import RsiFormat
 
 
 @dataclass(frozen=True)
@@ -31,14 +29,14 @@ class LinkSettings:
         bridge: how long packets may be lost in a row [s].
         answers_within: time in which the arm's loop answers a command [s]; None for the interface's usual one.
         relative: whether an RSI controller takes corrections as relative.
-        form: how an RSI controller calls the parts of its messages; None for the usual names.
+        rsi_config: an RSI controller's ethernet XML; None for the usual names.
         controller: address of the controller behind RSI; None for whoever sends first.
     """
 
     bridge: float = 0.1
     answers_within: float | None = None
     relative: bool = False
-    form: RsiFormat | None = None
+    rsi_config: Path | None = None
     controller: str | None = None
 
     def given(self) -> dict[str, Any]:

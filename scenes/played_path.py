@@ -19,7 +19,6 @@ from ideal_robot.feedforward.registry import method as described
 from ideal_robot.interfaces import LinkSettings, connected_arm, interface_of
 from ideal_robot.robots import SHIPPED
 from ideal_robot.robots.robot import Robot
-from ideal_robot.rsi.message import RsiFormat
 from ideal_robot.signals.recording import Recording
 from scenes.metrics import PathErrors, path_errors
 from scenes.online.live_arm import answers_within, at_cycle
@@ -228,8 +227,8 @@ def played_path(planned: PlannedPath, settings: PlaySettings, progress: Progress
     if settings.compare and not planned.corrected:
         raise InputError("the path is sent as it is desired, there is nothing to compare; give a path that precorrect "
                          "wrote, or --method", field="--compare")
-    form = None if settings.rsi_config is None else RsiFormat.read(settings.rsi_config, planned.arm.n)
-    link_settings = LinkSettings(settings.bridge, planned.within, settings.relative, form, settings.controller)
+    link_settings = LinkSettings(settings.bridge, planned.within, settings.relative, settings.rsi_config,
+                                 settings.controller)
     with (undisturbed(settings.core) as granted,
           connected_arm(settings.arm, planned.arm, link_settings, settings.patience) as link):
         players = [plan.player(link) for plan in ([planned.plain()] if settings.compare else []) + [planned]]

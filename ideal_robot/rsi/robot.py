@@ -340,6 +340,8 @@ def opened(address: Address, robot: Robot, settings: LinkSettings) -> RsiRobot:
     """
     address.knows()
     host, port = address.at(PORT)
-    form = settings.form or RsiFormat(hold_on=True if settings.relative else None)
+    form = RsiFormat(hold_on=True if settings.relative else None)
+    if settings.rsi_config is not None:
+        form = RsiFormat.read(settings.rsi_config, robot.n)
     return RsiRobot(robot, host=host, port=port, relative=settings.relative, form=form, controller=settings.controller,
                     **settings.given())

@@ -13,7 +13,6 @@ from ideal_robot.arrays import Array
 from ideal_robot.interfaces import LinkSettings, connected_arm
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
-from ideal_robot.rsi.message import RsiFormat
 from scenes.methods import SceneMethod
 from scenes.online.camera_process import CalibratedCamera
 from scenes.online.cell_check import CalibrationMotion, Look, Piece
@@ -80,8 +79,7 @@ def opened_arm(devices: Devices, robot: Robot, answers_within: float) -> Iterato
         InputError: an address that cannot be used.
         IdealRobotError: no controller there.
     """
-    form = None if devices.rsi_config is None else RsiFormat.read(devices.rsi_config, robot.n)
-    settings = LinkSettings(devices.bridge, answers_within, devices.relative, form, devices.controller)
+    settings = LinkSettings(devices.bridge, answers_within, devices.relative, devices.rsi_config, devices.controller)
     with connected_arm(devices.arm, robot, settings, devices.patience) as link:
         yield link
 
