@@ -22,8 +22,9 @@ import typer
 from ideal_robot.arrays import Array, G
 from ideal_robot.effects import FittedEffect, Signals
 from ideal_robot.errors import IdealRobotError, InputError
-from ideal_robot.feedforward.ideal import IdealRobot
-from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.feedforward.inverse import Inverse
+from ideal_robot.friction.presliding import bristle_stiffness
+from ideal_robot.loop.loop import Loop
 from ideal_robot.results import plain
 from ideal_robot.robots.robot import Robot
 from scenes import load_scene
@@ -318,7 +319,7 @@ def close_outside(scene: PathScene, cell: PathCell, cause: Outside, *, measured:
         rounds: at most.
     """
     loop = cell.loop()
-    oracle = IdealRobot(loop.replace(terms=(*loop.terms, Told("told", cause.joint, "tau", (), cause=cause))))
+    oracle = Inverse(loop.changed(terms=(*loop.terms, Told("told", cause.joint, "tau", (), cause=cause))))
     subject = ArmOnPath(_with_cause(cell, cause), checked_measured(measured))
     return closed(scene, subject, ((cause.name, cause.joint),), oracle=oracle, rounds_at_most=rounds)
 
@@ -342,8 +343,8 @@ def outside(size_mm: float = 250.0, rounds: int = 2, measured: str = "tcp") -> N
             f"{time.process_time() - begun:.0f}")
 
 
-def with_true_friction(loop: LoopModel, robot: Robot, world: World, joints: list[int],
-                       temperature: Array | None = None) -> LoopModel:
+def with_true_friction(loop: Loop, robot: Robot, world: World, joints: list[int],
+                       temperature: Array | None = None) -> Loop:
     """The identified loop with the true friction of some joints (from 1), in the units of the measured torque.
 
     Args:
@@ -354,15 +355,21 @@ def with_true_friction(loop: LoopModel, robot: Robot, world: World, joints: list
         temperature: of the gears ``(n,)`` [°C]; as the arm starts if None.
     """
     gain, n = draw_specimen(robot, world).drive_gain, robot.n
-    speeds = np.maximum(loop.friction_velocity, 1e-9)
+    speeds = np.maximum(loop.friction.speeds, 1e-9).T
     warm = world.per_joint("start_temperature", n) if temperature is None else temperature
-    sides = [sign * steady_friction(world, n, sign * speeds, temperature=warm) / gain for sign in (1.0, -1.0)]
+    whole = np.stack([sign * steady_friction(world, n, sign * speeds, temperature=warm).T / gain[:, None]
+                      for sign in (1.0, -1.0)], axis=1)
+    # What falls with speed is dry (Stribeck), what rises is the lubricant's.
+    falling = np.minimum.accumulate(whole, axis=2)
+    sizes, per_load = loop.friction.sizes.copy(), loop.friction.per_load.copy()
+    load = (np.exp(-world.dry_temperature * (warm - world.reference_temperature)) * world.per_joint("coulomb", n)
+            * world.per_joint("load_friction", n) / robot.tau_max)
     mask = np.isin(np.arange(n) + 1, joints)
-    dry = np.exp(-world.dry_temperature * (warm - world.reference_temperature))
-    load = dry * world.per_joint("coulomb", n) * world.per_joint("load_friction", n) / robot.tau_max
-    return loop.replace(friction_torque=np.where(mask, np.stack(sides), loop.friction_torque),
-                        friction_load=np.where(mask, load, loop.friction_load),
-                        friction_bend=np.where(mask, world.per_joint("presliding", n), loop.friction_bend))
+    sizes[mask] = np.stack([falling, whole - falling], axis=3)[mask]
+    per_load[mask, 0] = load[mask]
+    sigma_0 = np.where(mask, bristle_stiffness(loop.friction.dry, world.per_joint("presliding", n)),
+                       loop.friction.sigma_0)
+    return loop.changed(sizes=sizes, per_load=per_load, sigma_0=sigma_0)
 
 
 def true_friction(scene: str = "close_stribeck", world: str = "{}") -> None:
@@ -381,5 +388,5 @@ def true_friction(scene: str = "close_stribeck", world: str = "{}") -> None:
     for name, joints in (("none: the model as it was", []), (f"true in joint {', '.join(map(str, changed))}", changed),
                          ("true in all joints", list(range(1, cell.robot.n + 1)))):
         loop = with_true_friction(cell.loop(), cell.robot, cell.world, joints) if joints else cell.loop()
-        error = cell.play(IdealRobot(loop)).errors.aligned
+        error = cell.play(Inverse(loop)).errors.aligned
         row(name, f"{1e3 * error.E_car:.3f} mm", f"{1e3 * error.E_max:.3f} mm")

@@ -13,8 +13,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal, FrictionAdaptation
 from ideal_robot.feedforward.friction_curve import FrictionCurve
-from ideal_robot.feedforward.ideal import IdealRobot
-from ideal_robot.feedforward.precorrection import Precorrection
+from ideal_robot.feedforward.inverse import AHEAD, Inverse
 from ideal_robot.feedforward.training import LinearInverse
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.impulse_response import LinearLoop
@@ -50,10 +49,10 @@ def cycle(cycles: int = 20000) -> None:
     tool = robot.tool_place
     laws: dict[str, Feedforward] = {
         "`linear`": LinearInverse(LinearLoop.of(loop, robot.home), N_D),
-        "`precorrected`": Precorrection.complete(model, robot, delay=1),
-        "`ideal`": IdealRobot(loop, N_D),
-        "`adapted`, a line": AdaptedIdeal(IdealRobot(loop, N_D), FrictionAdaptation(loop, tool=tool)),
-        "`adapted`, a known path": AdaptedIdeal(IdealRobot(loop, N_D), FrictionAdaptation(loop, tool=tool),
+        "`precorrected`": Inverse(loop, None, AHEAD),
+        "`ideal`": Inverse(loop, N_D),
+        "`adapted`, a line": AdaptedIdeal(Inverse(loop, N_D), FrictionAdaptation(loop, tool=tool)),
+        "`adapted`, a known path": AdaptedIdeal(Inverse(loop, N_D), FrictionAdaptation(loop, tool=tool),
                                                 curve=FrictionCurve(loop)),
     }
     elapsed, busy = (1e3 * seconds for seconds in _timed(list(laws.values()), q_d, cycles))

@@ -13,7 +13,7 @@ from scipy.interpolate import UnivariateSpline
 
 from ideal_robot.arrays import Array
 from ideal_robot.feedforward.base import Feedforward
-from ideal_robot.feedforward.ideal import IdealRobot
+from ideal_robot.feedforward.inverse import Inverse
 from ideal_robot.feedforward.method import Setting
 from planning.force.contact import ContactSettings, Phase
 from planning.force.surface_forecast import LENGTHS, SmoothSurface
@@ -221,7 +221,7 @@ def _knowing_friction(scene: ForceScene) -> Any:
 
     def ideal_with_true_friction(setting: Setting) -> Feedforward:
         every = list(range(1, cell.known.robot.n + 1))
-        return IdealRobot(with_true_friction(setting.loop(), cell.known.robot, cell.world, every), setting.horizon(30))
+        return Inverse(with_true_friction(setting.loop(), cell.known.robot, cell.world, every), setting.horizon(30))
 
     return ideal_with_true_friction
 

@@ -12,11 +12,12 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import inverse_dynamics, point_mass
 from ideal_robot.feedforward.friction_adaptation import FrictionAdaptation
+from ideal_robot.friction.table import friction_sizes
 from ideal_robot.identification.checks import checked
 from ideal_robot.identification.idim import identify
 from ideal_robot.identification.whole_model import identify_model
 from ideal_robot.loop.from_model import loop_model
-from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.loop.loop import Loop
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.robots.interface import RobotState
@@ -156,19 +157,20 @@ def _usual_controller(robot: Robot, q: Array) -> ControllerModel:
     return ControllerModel(robot.t_ipo, 15.0 * gain, gain, zero, zero, np.full(robot.n, 0.2), zero)
 
 
-def _learned_on_the_way(model: Model, loop: LoopModel, adaptation: FrictionAdaptation, recording: Recording,
+def _learned_on_the_way(model: Model, loop: Loop, adaptation: FrictionAdaptation, recording: Recording,
                         s: FilteredSignals) -> Array:
     """Torque beyond the model's that was known before each cycle, between cycles by straight lines ``(N, n)`` [N m]."""
     times = np.arange(recording.t[0], recording.t[-1], loop.t_ipo)
     q, tau = (np.array([np.interp(times, recording.t, column) for column in recording.joints(name).T]).T
               for name in ("q", "tau"))
     moved = [np.array([np.interp(times, s.t, column) for column in values.T]).T
-             for values in (s.q, s.qd, s.qdd, model.friction.turned(s.q, s.qd))]
+             for values in (s.q, s.qd, s.qdd, model.friction.direction(s.q, s.qd))]
     more, state = np.zeros_like(q), adaptation.init()
-    for k, (angles, v, a, turned) in enumerate(zip(*moved, strict=True)):
-        friction = state.friction[0] - loop.friction_torque
-        more[k] = [z * np.interp(abs(speed), loop.friction_velocity[:, i], friction[int(speed < 0.0), :, i])
-                   for i, (z, speed) in enumerate(zip(turned, v, strict=True))]
+    for k, (angles, v, a, direction) in enumerate(zip(*moved, strict=True)):
+        now, before = ([friction_sizes(friction, i, speed, 0.0) for i, speed in enumerate(v)]
+                       for friction in (state.friction, loop.friction))
+        dry, fluid = (np.array(now) - np.array(before)).T
+        more[k] = direction * dry + np.sign(v) * fluid
         carried = adaptation.carried(state)
         if carried is not None:
             kilogram = point_mass(loop.chain, carried.place)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from ideal_robot.arrays import Array, interpolated
 from ideal_robot.feedforward.base import Feedforward
-from ideal_robot.feedforward.ideal import IdealRobot
+from ideal_robot.feedforward.inverse import Inverse
 from ideal_robot.robots.robot import Robot
 from planning.path.kinematics import InverseKinematics
 from scenes.arms import arm_of
@@ -107,10 +107,10 @@ def _hour(scene: PathScene, minutes: float, compression: float, figure: Path | N
     # Back to the start without a jump: the circle ends where it began.
     once = np.concatenate([circle, np.tile(circle[0], (round(REST / world.t_ipo), 1))])
     count = max(2, round(60.0 * minutes / compression / (len(once) * world.t_ipo)))
-    ideal, every = IdealRobot(loop), list(range(1, robot.n + 1))
+    ideal, every = Inverse(loop), list(range(1, robot.n + 1))
     results = {}
     for name, law in (("fixed model", ideal), ("adapted", place.feedforward(ADAPTED)), ("oracle", ideal)):
-        informed = (lambda warm: IdealRobot(with_true_friction(loop, robot, world, every, warm))
+        informed = (lambda warm: Inverse(with_true_friction(loop, robot, world, every, warm))
                     ) if name == "oracle" else None
         results[name], temperature = _circles(robot, world, law, once, count, len(circle), informed)
     minute = (np.arange(count, dtype=float) + 0.5) * len(once) * world.t_ipo * compression / 60.0

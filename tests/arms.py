@@ -12,7 +12,8 @@ import pytest
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import chain_of
 from ideal_robot.feedforward.base import Feedforward
-from ideal_robot.loop.loop_model import LoopModel, low_pass_taps, velocity_grid
+from ideal_robot.friction.table import Friction, speed_grid
+from ideal_robot.loop.loop import Cascade, CommandPath, Drives, Loop, checked, low_pass_taps
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.robots.robot import Robot
 from studies.strangers import drive
@@ -109,24 +110,31 @@ ROBOT = Robot.load("kr15")
 
 
 def plant(*, inertia: float = 1.0, friction: float = 1.0, stiffness: float = 1.0, delay: int = 1,
-          elastic: bool = True) -> LoopModel:
+          elastic: bool = True) -> Loop:
     """The loop, or one whose inertias, friction and stiffness are wrong by factors."""
     chain = chain_of(ROBOT.pinocchio)
     n = ROBOT.n
-    grid = velocity_grid(ROBOT.v_max)
+    speeds = speed_grid(ROBOT.v_max)
     dry = np.array([90.0, 100.0, 55.0, 8.0, 8.0, 4.0])
-    sliding = friction * (dry + 0.5 * dry * np.sqrt(grid))
     k = stiffness * np.array([4e5, 5e5, 2.5e5, 4e4, 4e4, 2e4])
     k_p = np.array([4500.0, 3500.0, 1400.0, 100.0, 95.0, 26.0])
-    return LoopModel(
-        chain=chain._replace(mass=inertia * chain.mass, inertia=inertia * chain.inertia),
-        rotor_inertia=np.array(ROBOT.rotor_inertia), friction_velocity=grid,
-        friction_torque=np.stack([sliding, sliding]), friction_load=np.zeros(n), friction_bend=np.full(n, 3e-4),
-        offset=np.zeros(n), stiffness=k if elastic else np.full(n, np.inf), damping=1.5e-3 * k, k_v=np.full(n, 20.0),
-        k_ff=np.full(n, 0.93), k_p=k_p, k_i=k_p / 0.05, t_filter=np.full(n, 1e-3),
-        command_filter=low_pass_taps(1.5e-3, 2, 0.002, n), delay=delay, t_ipo=T, t_position=0.002, t_velocity=0.0005,
-        tau_max=np.array(ROBOT.tau_max), q_min=np.array(ROBOT.q_min), q_max=np.array(ROBOT.q_max),
-        v_max=np.array(ROBOT.v_max))
+    none = np.zeros((0, 3, n))
+    return checked(Loop(
+        chain._replace(mass=inertia * chain.mass, inertia=inertia * chain.inertia),
+        Drives(ROBOT.rotor_inertia, np.zeros(n), np.ones(n), none, k if elastic else np.full(n, np.inf), 1.5e-3 * k,
+               none, np.zeros(n), np.zeros(n)),
+        a_friction(speeds, friction * np.tile(dry[:, None], speeds.shape[1]), 0.5 * friction * dry[:, None]
+                   * np.sqrt(speeds), 3e-4),
+        Cascade(np.full(n, 20.0), np.full(n, 0.93), k_p, k_p / 0.05, np.full(n, 1e-3), ROBOT.tau_max),
+        CommandPath(low_pass_taps(1.5e-3, 2, 0.002, n), delay, T, 0.002, 0.0005, ROBOT.q_min, ROBOT.q_max,
+                    ROBOT.v_max)))
+
+
+def a_friction(speeds: Array, dry: Array, fluid: Array, distance: float) -> Friction:
+    """Friction that is alike in both directions, of sizes ``(n, m)`` at these speeds, turning over a distance [rad]."""
+    n = len(speeds)
+    sizes = np.ascontiguousarray(np.tile(np.stack([dry, fluid], axis=2)[:, None], (1, 2, 1, 1)))
+    return Friction(speeds, sizes, np.zeros((n, 2)), np.ones(n)).with_distance(np.full(n, distance))
 
 
 def motion(amplitude: float = 0.2, duration: float = 1.6, lead: int = 45, tail: int = 25) -> Array:
@@ -155,6 +163,6 @@ def rms(error: Array) -> float:
     return float(np.sqrt(np.mean(error**2)))
 
 
-def off(arm: LoopModel, feedforward: Feedforward, q_d: Array, lead: int = 40) -> float:
+def off(arm: Loop, feedforward: Feedforward, q_d: Array, lead: int = 40) -> float:
     """How far an arm is from where it should be, from cycle ``lead`` on, by the commands of a feedforward [rad]."""
     return rms(simulate(arm, commands(feedforward, q_d)).q_a[lead:-1] - q_d[lead:])

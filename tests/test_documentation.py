@@ -123,8 +123,13 @@ def parameters(function: Function) -> list[str]:
 
 def documented(docstring: str) -> set[str]:
     """Names that the section ``Args:`` has lines for; several may share one: ``q, qd: …``."""
-    section = re.search(r"^Args:\n((?:[ ]+.*\n|\n)*)", docstring + "\n", flags=re.MULTILINE)
-    lines = re.findall(r"^ {4}([\w*, ]+):", section.group(1), flags=re.MULTILINE) if section else []
+    return named(docstring, "Args")
+
+
+def named(docstring: str, section: str) -> set[str]:
+    """Names that a section of a docstring, ``Args`` or ``Attributes``, has lines for."""
+    found = re.search(rf"^{section}:\n((?:[ ]+.*\n|\n)*)", docstring + "\n", flags=re.MULTILINE)
+    lines = re.findall(r"^ {4}([\w*][\w*, ]*):", found.group(1), flags=re.MULTILINE) if found else []
     return {name.strip().lstrip("*") for line in lines for name in line.split(",")}
 
 
@@ -184,6 +189,63 @@ def undocumented(folder: str) -> list[str]:
 @pytest.mark.parametrize("folder", PUBLIC)
 def test_parameters_are_described(folder: str) -> None:
     assert undocumented(folder) == []
+
+
+# And a docstring says nothing of a parameter or field that is no longer there.
+
+def fields_of(class_: ast.ClassDef) -> set[str]:
+    """Names of annotated, assigned or computed attributes of a class, and of those that its ``__init__`` sets."""
+    fields = {target.id for node in class_.body for target in (
+        node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else [])
+        if isinstance(target, ast.Name)}
+    fields |= {node.name for node in class_.body if isinstance(node, Function)}
+    return fields | {node.attr for node in ast.walk(class_) if isinstance(node, ast.Attribute)
+                     and isinstance(node.ctx, ast.Store) and getattr(node.value, "id", "") == "self"}
+
+
+def outdated_in(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """Line, and names in docstrings that the function has no parameter, or the class no field of."""
+    for node in ast.walk(tree):
+        docstring = (ast.get_docstring(node) or "") if isinstance(node, (Function, ast.ClassDef)) else ""
+        if isinstance(node, Function):
+            gone = named(docstring, "Args") - set(parameters(node))
+        elif isinstance(node, ast.ClassDef):
+            made = [method for method in node.body if isinstance(method, Function) and method.name == "__init__"]
+            gone = named(docstring, "Args") - set(parameters(made[0])) if made else set()
+            if not any(getattr(base, "id", "") not in ("ABC", "NamedTuple") for base in node.bases):
+                gone |= named(docstring, "Attributes") - fields_of(node)
+        else:
+            continue
+        if gone:
+            yield node.lineno, f"{node.name}: {', '.join(sorted(gone))}"
+
+
+@pytest.mark.parametrize("folder", [*PUBLIC, "studies"])
+def test_docstrings_name_parameters_that_exist(folder: str) -> None:
+    assert [f"{path.relative_to(ROOT)}:{line} {text}" for path, tree in trees(folder).items()
+            for line, text in outdated_in(tree)] == []
+
+
+def test_a_parameter_that_is_gone_is_noticed() -> None:
+    text = """
+def function(a, *, b):
+    \"\"\"Does.
+
+    Args:
+        a, c: one of them is gone.
+        b: stays.
+    \"\"\"
+
+class Record(NamedTuple):
+    \"\"\"Holds.
+
+    Attributes:
+        x, y: one of them is gone.
+    \"\"\"
+
+    x: float
+"""
+    assert [words for _, words in outdated_in(ast.parse(text))] == ["function: c", "Record: y"]
 
 
 def test_an_option_without_help_is_noticed() -> None:

@@ -16,8 +16,8 @@ from ideal_robot.execution.command_governor import check_limits, require_within_
 from ideal_robot.feedforward.corrected_arm import CorrectedArm
 from ideal_robot.feedforward.method import Needs
 from ideal_robot.feedforward.registry import feedforward, methods
+from ideal_robot.friction.table import largest_speeds
 from ideal_robot.loop.from_model import loop_model
-from ideal_robot.loop.loop_model import largest_speeds
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.cascade import Cascade
 from ideal_robot.model.model import Model

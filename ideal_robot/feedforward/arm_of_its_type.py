@@ -42,7 +42,8 @@ from ideal_robot.feedforward.friction_estimator import (
     solved,
     unknown_mass,
 )
-from ideal_robot.loop.loop_model import largest_speeds
+from ideal_robot.friction.presliding import CREEP
+from ideal_robot.friction.table import largest_speeds
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.filters import lowpass
@@ -75,10 +76,10 @@ def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
     ripple = tuple(effect for effect in model.effects if effect.name == RIPPLE)
     bare = replace(model, effects=tuple(effect for effect in model.effects if effect.name != RIPPLE))
     dry = _dry(model)
-    turned = model.friction.turned(s.q, s.qd)
-    slides = np.abs(s.decimate(turned)) > SLIDES
+    direction = model.friction.direction(s.q, s.qd)
+    slides = np.abs(s.decimate(direction)) > SLIDES
     std = np.broadcast_to(np.sqrt(noise_variance(dry, s.factor * s.dt, model.noise_std)), slides.shape)[slides]
-    arm = _behind_gears(s, model, turned * dry)
+    arm = _behind_gears(s, model, direction * dry)
     bend = model.rigid_body(*arm) - model.rigid_body(s.q, s.qd, s.qdd)
     residuals = [s.decimate(s.tau - bend - variant.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0]))[slides] / std
                  for variant in (model, bare)]
@@ -87,7 +88,7 @@ def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
     size = np.repeat([np.linalg.norm(effect.coefficients) / np.sqrt(2.0) for effect in ripple], 2)
     counts = s.decimate_motion(lambda rows: _bodies(s, model, arm, rows))[slides] / std[:, None]
     bodies = counts @ root
-    friction = s.decimate(_friction(s, turned, dry, robot))[slides] / std[:, None]
+    friction = s.decimate(_friction(s, direction, dry, robot))[slides] / std[:, None]
     waves = s.decimate(_waves(s, ripple))[slides] / std[:, None] * size
     other = solved(np.hstack([bodies, friction, waves]), residuals[1])
     # The very arm: what its model leaves open, an offset, friction and a heavier tool explain what is left.
@@ -124,8 +125,8 @@ def _nearby(model: Model, change: Array, heavier: Array) -> Array:
 
 def _dry(model: Model) -> Array:
     """Dry friction ``(n,)`` [N m]."""
-    slow = np.full((1, model.n), 1e-9)
-    return np.asarray(np.maximum(0.5 * (model.friction.torque(slow) - model.friction.torque(-slow))[0], 1e-6))
+    slow = np.full((2, model.n), CREEP) * np.array([[1.0], [-1.0]])
+    return np.asarray(np.maximum(model.friction.sizes(slow)[0].mean(axis=0), 1e-6))
 
 
 def _behind_gears(s: FilteredSignals, model: Model, friction: Array) -> tuple[Array, Array, Array]:
@@ -148,12 +149,12 @@ def _bodies(s: FilteredSignals, model: Model, arm: tuple[Array, Array, Array], r
     return counts
 
 
-def _friction(s: FilteredSignals, turned: Array, dry: Array, robot: Robot) -> Array:
+def _friction(s: FilteredSignals, direction: Array, dry: Array, robot: Robot) -> Array:
     """What friction's terms count, those that joints share and each joint's own ``(N, n, 2 + n TERMS)`` [N m]."""
     n, v_max = len(dry), largest_speeds(robot.v_max)
     columns = np.zeros((len(s.qd), n, 2 + n * TERMS))
     for i in range(n):
-        terms = dry[i] * friction_terms(s.qd[:, i] / v_max[i], turned[:, i])
+        terms = dry[i] * friction_terms(s.qd[:, i] / v_max[i], direction[:, i])
         columns[:, i, :2] = SHARED * terms[:, :2]
         terms[:, :2] *= OWN
         columns[:, i, 2 + i * TERMS : 2 + (i + 1) * TERMS] = terms

@@ -13,10 +13,9 @@ from ideal_robot.feedforward.base import Feedforward, PassThrough
 from ideal_robot.feedforward.corrected_arm import CorrectedArm, for_arm
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal, FrictionAdaptation
 from ideal_robot.feedforward.friction_curve import FrictionCurve
-from ideal_robot.feedforward.ideal import IdealRobot
+from ideal_robot.feedforward.inverse import AHEAD, COMPLETE, PRINTED, Inverse, Options
 from ideal_robot.feedforward.learning import Playback, learn_on_model
 from ideal_robot.feedforward.method import ITERATIONS, Method, Needs, Setting
-from ideal_robot.feedforward.precorrection import Precorrection
 from ideal_robot.feedforward.training import LinearInverse, train
 from ideal_robot.loop.impulse_response import LinearLoop
 
@@ -51,12 +50,13 @@ def _trained(setting: Setting, weighs_torques: bool = True) -> Feedforward:
                  limits=(robot.q_min, robot.q_max))
 
 
-def _ideal(setting: Setting) -> IdealRobot:
-    return IdealRobot(setting.loop(), setting.horizon(HORIZON))
+def _inverse(setting: Setting, options: Options = COMPLETE) -> Inverse:
+    # As printed it looks ahead as far as the command takes to act, or not at all.
+    return Inverse(setting.loop(), setting.horizon(HORIZON) if options.path else None, options)
 
 
 def _precorrected(setting: Setting) -> Feedforward:
-    return _corrected(setting, Precorrection.complete(setting.identified(), setting.robot, delay=setting.delay))
+    return _corrected(setting, _inverse(setting, AHEAD))
 
 
 def _adapted(setting: Setting) -> Feedforward:
@@ -90,7 +90,7 @@ def _adapted(setting: Setting) -> Feedforward:
 
 def _adapting(setting: Setting, curve: FrictionCurve | None = None) -> AdaptedIdeal:
     """The ideal robot that knows nothing beyond the model yet."""
-    ideal = _ideal(setting)
+    ideal = _inverse(setting)
     adaptation = FrictionAdaptation(ideal.loop, tool=setting.robot.tool_place,
                                     noise_std=setting.identified().noise_std)
     return AdaptedIdeal(ideal, adaptation, curve=curve)
@@ -117,13 +117,13 @@ LINEAR_1 = Method(_linear_printed, "the same of responses from measured sinusoid
 TRAINED_1 = Method(lambda setting: _trained(setting, weighs_torques=False),
                    "weights trained on another motion on the arm, as printed ([G] (13))", Needs.PLAYS)
 TRAINED = Method(_trained, "the same, and weights of the rigid-body torques ([G] (13) and more)", Needs.PLAYS)
-PRECORRECTED_1 = Method(lambda setting: _corrected(setting, Precorrection(setting.identified(), setting.robot)),
+PRECORRECTED_1 = Method(lambda setting: _corrected(setting, _inverse(setting, PRINTED)),
                         "nonlinear precorrection as printed: no look ahead, no gear elasticity ([G] (16) to (20))")
 PRECORRECTED = Method(_precorrected,
                       "nonlinear precorrection with look ahead and gear elasticity ([G] (16) to (20), [L] 2.2)")
 MODEL_LEARNED = Method(_model_learned, "learning on the identified loop, before the arm moves", Needs.PATH)
 LEARNED_1, LEARNED_2, LEARNED_3, LEARNED_4 = (_learned(step) for step in range(1, ITERATIONS + 1))
-IDEAL = Method(lambda setting: _corrected(setting, _ideal(setting)),
+IDEAL = Method(lambda setting: _corrected(setting, _inverse(setting)),
                "inverse of the whole identified loop over the horizon ([L] 2.2)")
 ADAPTED = Method(_adapted, "the ideal robot, friction and tool mass adapted before and while the path is played",
                  Needs.PLAYS)

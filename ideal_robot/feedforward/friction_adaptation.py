@@ -4,7 +4,7 @@ Friction changes with temperature and lubricant, and a tool may be heavier than 
 From motor angles and torques, smoothed alike (``smoothed_window``), adaptation learns by the recursion of
 ``friction_estimator`` friction's terms of every joint, an apparent inertia per joint, and one mass at the tool:
 
-    τ_a - τ_rigid - J q̈_m - τ_offset - z F(|q̇_m|) = z (F(0) f(s) + θ_1 F_load) + c k_p T q̈_m
+    τ_a - τ_rigid - J q̈_m - τ_offset - τ_f(q̇_m) = z (F(0) f(s) + θ_1 F_load) + c k_p T q̈_m
                                                     + m y(q, q̇, q̈)
     f(s) = θ_1 + θ_2 √s + Σ_k c_k φ_k(s)
 
@@ -34,7 +34,6 @@ from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics, joint_fra
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.friction_curve import CurveState, FrictionCurve
 from ideal_robot.feedforward.friction_estimator import (
-    FRICTION,
     INTERVAL,
     OWN,
     SHARED,
@@ -44,7 +43,6 @@ from ideal_robot.feedforward.friction_estimator import (
     aged,
     counted,
     dry_friction,
-    friction_of,
     noise_variance,
     table_terms,
     terms_along,
@@ -52,11 +50,13 @@ from ideal_robot.feedforward.friction_estimator import (
     wandered,
     with_terms,
 )
-from ideal_robot.feedforward.ideal import Carried, IdealRobot, IdealState
+from ideal_robot.feedforward.inverse import Carried, Inverse, InverseState
 from ideal_robot.feedforward.smoothed_window import CYCLES, Drive, Smoothed, noted, smoothed
+from ideal_robot.friction.presliding import LEAST
+from ideal_robot.friction.table import Friction, friction_sizes, friction_step, largest_speeds
 from ideal_robot.jit import jit
 from ideal_robot.loop.from_model import further_torque
-from ideal_robot.loop.loop_model import Drives, LoopModel, dry_and_fluid, friction_of_load, largest_speeds, turns_of
+from ideal_robot.loop.loop import Loop
 from ideal_robot.robots.interface import RobotState
 
 _APPARENT = 12.0**-0.5
@@ -81,6 +81,7 @@ class FrictionFactors(NamedTuple):
         values: of friction's terms ``(n, TERMS)``.
         mass: that the tool has beyond the model's [kg].
         friction: of the loop with them, see ``friction_estimator.with_terms``.
+        load: torque that the gears transmitted in the middle of the last window ``(n,)`` [N m].
         used: measurements that counted, per joint ``(n,)``.
         window: last measurements, see ``smoothed_window.noted``.
         rows: measurements in the window.
@@ -93,7 +94,8 @@ class FrictionFactors(NamedTuple):
     covariance: Array
     values: Array
     mass: float
-    friction: tuple[Array, Array, Array]
+    friction: Friction
+    load: Array
     used: Array
     window: Array
     rows: int = 0
@@ -103,12 +105,11 @@ class FrictionFactors(NamedTuple):
 
 
 class _Known(NamedTuple):
-    """What the compiled recursion needs; names as in ``LoopModel`` where they stand there.
+    """What the compiled recursion needs; names as in the loop's records where they stand there.
 
     Attributes:
         place: where in the last joint's frame the mass is ``(3,)`` [m].
-        friction: of the loop: the fields ``FRICTION``.
-        turns: what turns of it, see ``turns_of``.
+        friction: of the loop.
         terms: of ``table_terms``.
         dry: dry friction ``(n,)`` [N m].
         v_max: largest speeds that friction is looked at over, and that can be ``(2, n)`` [rad/s].
@@ -123,9 +124,7 @@ class _Known(NamedTuple):
     rotor_inertia: Array
     offset: Array
     gain: Array
-    friction_velocity: Array
-    friction: tuple[Array, Array, Array]
-    turns: Array
+    friction: Friction
     terms: Array
     dry: Array
     v_max: Array
@@ -146,15 +145,16 @@ class FrictionAdaptation:
             ``friction_estimator.noise_variance``.
     """
 
-    def __init__(self, loop: LoopModel, *, tool: Array | None = None, noise_std: Array | None = None) -> None:
+    def __init__(self, loop: Loop, *, tool: Array | None = None, noise_std: Array | None = None) -> None:
         self.loop = loop
         self._every = max(1, round(_CYCLE / loop.t_ipo))
         spacing, dry = self._every * loop.t_ipo, dry_friction(loop)
         self._apart = max(1, round(INTERVAL / spacing))
         self._known = _Known(
-            loop.chain, np.zeros(3) if tool is None else tool, loop.rotor_inertia, loop.offset, loop.gain,
-            loop.friction_velocity, friction_of(loop), turns_of(loop.friction_torque), table_terms(loop), dry,
-            np.stack([largest_speeds(loop.v_max), 1.5 * loop.v_max]), _APPARENT * loop.k_p * loop.t_ipo,
+            loop.chain, np.zeros(3) if tool is None else tool, loop.drives.rotor_inertia, loop.drives.offset,
+            loop.drives.gain, loop.friction, table_terms(loop), dry,
+            np.stack([largest_speeds(loop.path.v_max), 1.5 * loop.path.v_max]),
+            _APPARENT * loop.cascade.k_p * loop.t_ipo,
             0.0 if tool is None else unknown_mass(dry), noise_variance(dry, self._apart * spacing, noise_std),
             wandered(self._apart * spacing))
         self._drive, self._still = Drive.of(loop, spacing), np.zeros(loop.n)
@@ -163,14 +163,14 @@ class FrictionAdaptation:
         """Friction as identified, and no mass."""
         n = self.loop.n
         p = n * _OWN + _COMMON
-        return FrictionFactors(np.zeros(p), np.eye(p), np.zeros((n, TERMS)), 0.0, self._known.friction, np.zeros(n),
-                               np.zeros((3, CYCLES, n)))
+        return FrictionFactors(np.zeros(p), np.eye(p), np.zeros((n, TERMS)), 0.0, self._known.friction,
+                               np.zeros(n), np.zeros(n), np.zeros((3, CYCLES, n)))
 
     def begun(self, state: FrictionFactors) -> FrictionFactors:
         """What is known, without the last measurements: before another motion, or after a hole in this one."""
         return state._replace(rows=0, waiting=(), cycle=0, t=np.nan)
 
-    def more(self, friction: tuple[Array, Array, Array], values: Array) -> tuple[Array, Array, Array]:
+    def more(self, friction: Friction, values: Array) -> Friction:
         """Friction of the loop with further values of friction's terms ``(n, TERMS)``."""
         return with_terms(friction, self._known.terms, values)
 
@@ -197,21 +197,23 @@ class FrictionAdaptation:
             waiting = (*waiting, (q, tau, self._still if tau_ext is None else tau_ext))
         if len(waiting) == self._apart:
             return self._with_window(state, np.array(waiting), measured.t)
-        return FrictionFactors(*state[:-3], waiting, state.cycle + 1, measured.t)
+        return state._replace(waiting=waiting, cycle=state.cycle + 1, t=measured.t)
 
     def _with_window(self, state: FrictionFactors, measured: Array, t: float) -> FrictionFactors:
-        x, covariance, used, window = (array.copy() for array in (state.x, state.covariance, state.used, state.window))
+        x, covariance, used = state.x.copy(), state.covariance.copy(), state.used.copy()
+        load, window = state.load.copy(), state.window.copy()
         values, mass, friction = state.values, state.mass, state.friction
-        further = self._further(window, state.rows, measured) if self.loop.terms else self._still
-        rows, informed = _told(self._known, self._drive, (window, state.rows, measured), further, (x, covariance, used))
+        further = self._further(state, measured) if self.loop.terms else self._still
+        rows, informed = _told(self._known, self._drive, (window, state.rows, measured), further,
+                                (x, covariance, used, load))
         if informed:
             values, mass, friction = _applied(self._known, x)
-        return FrictionFactors(x, covariance, values, mass, friction, used, window, rows, (), state.cycle + 1, t)
+        return FrictionFactors(x, covariance, values, mass, friction, load, used, window, rows, (), state.cycle + 1, t)
 
-    def _further(self, window: Array, rows: int, measured: Array) -> Array:
+    def _further(self, state: FrictionFactors, measured: Array) -> Array:
         """Torque of further effects in the middle of the window that measurements make ``(n,)`` [N m]."""
-        loop, window = self.loop, window.copy()
-        noted(window, rows, measured, self._drive)
+        loop, window = self.loop, state.window.copy()
+        noted(window, state.rows, measured, self._drive, loop.friction, state.load)
         motion = smoothed(window, self._drive)
         rigid = inverse_dynamics(loop.chain, motion.q, motion.v, motion.a)
         sliding = np.sign(motion.motor_v)
@@ -220,14 +222,15 @@ class FrictionAdaptation:
 
 @jit()
 def _told(known: _Known, drive: Drive, measured: tuple[Array, int, Array], further: Array,
-          state: tuple[Array, Array, Array]) -> tuple[int, bool]:
+          state: tuple[Array, Array, Array, Array]) -> tuple[int, bool]:
     """Takes measurements into the window, and counts it; measurements in it now, and whether any joint told something.
 
-    The window in ``measured`` (as of ``smoothed_window.noted``) and ``state``, ``x``, ``covariance`` and ``used`` of
-    ``FrictionFactors``, are written to; ``further (n,)`` [N m] is the torque of further effects in the window's middle.
+    The window in ``measured`` (as of ``smoothed_window.noted``) and ``state``, ``x``, ``covariance``, ``used`` and
+    ``load`` of ``FrictionFactors``, are written to; ``further (n,)`` [N m] is the torque of further effects in the
+    middle of the window.
     """
-    window, (x, covariance, used) = measured[0], state
-    rows, informed = noted(window, measured[1], measured[2], drive), False
+    window, (x, covariance, used, load) = measured[0], state
+    rows, informed = noted(window, measured[1], measured[2], drive, known.friction, load), False
     if rows < CYCLES:
         return rows, informed
     motion, n = smoothed(window, drive), window.shape[2]
@@ -240,14 +243,16 @@ def _told(known: _Known, drive: Drive, measured: tuple[Array, int, Array], furth
     torque_at(known.chain, R, p, motion.v[0], motion.a[0], 1.0, torques[0])
     torque_at(known.chain, R, p, motion.v[0], np.zeros(n), 1.0, torques[1])
     torque_at(point_mass(known.chain, known.place), R, p, motion.v[0], motion.a[0], 1.0, torques[2])
+    load[:] = torques[0]
     h, own = np.zeros(len(x)), 0
     aged(x, covariance, known.left)
     for i in range(n):
-        if abs(speed[i]) < SLOWEST * known.v_max[0, i] or motion.z[0, i] * np.sign(speed[i]) < SLIDES:
+        z = motion.force[0, i] / max(friction_sizes(known.friction, i, speed[i], load[i])[0], LEAST)
+        if abs(speed[i]) < SLOWEST * known.v_max[0, i] or z * np.sign(speed[i]) < SLIDES:
             continue
         h[own : own + _OWN] = 0.0
         own = i * _OWN
-        residual, accelerating = _row(known, motion, torques, i, h)
+        residual, accelerating = _row(known, motion, torques, i, z, h)
         variance = known.variance[i] + (_ACCELERATING * accelerating) ** 2
         if counted(x, covariance, h, residual - further[i] / known.gain[i], variance):
             used[i] += 1.0
@@ -256,18 +261,16 @@ def _told(known: _Known, drive: Drive, measured: tuple[Array, int, Array], furth
 
 
 @jit()
-def _row(known: _Known, motion: Smoothed, torques: Array, i: int, h: Array) -> tuple[float, float]:
+def _row(known: _Known, motion: Smoothed, torques: Array, i: int, z: float, h: Array) -> tuple[float, float]:
     """What the model leaves of joint ``i``'s torque, and its torque for acceleration [N m].
 
     What the joint's parameters count is written to ``h (p,)``; ``torques (3, n)`` [N m] are of the rigid body, of it
-    without acceleration, and of 1 kg at the tool.
+    without acceleration, and of 1 kg at the tool; ``z`` is the direction of sliding.
     """
-    v, z, dry = motion.motor_v[0, i], motion.z[0, i], known.dry[i]
-    table, per_load, per_driven = known.friction
-    accelerating = torques[0, i] - torques[1, i] + known.rotor_inertia[i] * motion.motor_a[0, i]
-    by_load = friction_of_load(per_load[i], per_driven[i], torques[0, i], v)
-    side = 0 if v > 0.0 else 1
-    turns, fluid = dry_and_fluid(abs(v), known.friction_velocity[:, i], known.turns[side, :, i], table[side, :, i])
+    v, dry, load = motion.motor_v[0, i], known.dry[i], torques[0, i]
+    accelerating = load - torques[1, i] + known.rotor_inertia[i] * motion.motor_a[0, i]
+    friction, _ = friction_step(known.friction, i, v, load, motion.force[0, i], 0.0)
+    by_load = friction_sizes(known.friction, i, v, load)[0] - friction_sizes(known.friction, i, v, 0.0)[0]
     own, common = h[i * _OWN :], h[len(h) - _COMMON :]
     terms_along(v / known.v_max[0, i], z, own)
     own[0] += z * by_load / dry
@@ -277,12 +280,11 @@ def _row(known: _Known, motion: Smoothed, torques: Array, i: int, h: Array) -> t
     for k in range(2):
         common[k] = SHARED[k] * own[k]
         own[k] *= OWN[k]
-    friction = z * (turns + by_load) + np.sign(v) * fluid
     return motion.tau[0, i] - torques[1, i] - accelerating - known.offset[i] - friction, accelerating
 
 
 @jit()
-def _applied(known: _Known, x: Array) -> tuple[Array, float, tuple[Array, Array, Array]]:
+def _applied(known: _Known, x: Array) -> tuple[Array, float, Friction]:
     """Values of friction's terms ``(n, TERMS)``, the mass [kg], and friction with them."""
     n, common = len(known.dry), x[len(x) - _COMMON :]
     values = np.empty((n, TERMS))
@@ -299,14 +301,14 @@ class AdaptedState(NamedTuple):
         ideal: of the ideal robot.
         factors: learned from torques.
         curve: learned from following errors; None where nothing is.
-        drives: that follow from both.
+        friction: that follows from both.
         tau_ext: contact torque that it was last told ``(n,)`` [N m].
     """
 
-    ideal: IdealState
+    ideal: InverseState
     factors: FrictionFactors
     curve: CurveState | None
-    drives: Drives
+    friction: Friction
     tau_ext: Array | None = None
 
 
@@ -325,7 +327,7 @@ class AdaptedIdeal(Feedforward):
         adapted: joints ``(n,)`` in which what is learned of friction and inertia is used; all if None.
     """
 
-    def __init__(self, ideal: IdealRobot, adaptation: FrictionAdaptation | None = None,
+    def __init__(self, ideal: Inverse, adaptation: FrictionAdaptation | None = None,
                  known: FrictionFactors | None = None, curve: FrictionCurve | None = None,
                  known_curve: CurveState | None = None, adapted: NDArray[np.bool_] | None = None) -> None:
         self.ideal, self.known, self.curve, self.known_curve = ideal, known, curve, known_curve
@@ -338,29 +340,29 @@ class AdaptedIdeal(Feedforward):
         factors = self.known if factors is None else factors
         factors = self.adaptation.init() if factors is None else self.adaptation.begun(factors)
         curve = None if self.curve is None else self.curve.init(self.known_curve)
-        return AdaptedState(self.ideal.init(q0), factors, curve, self._drives(factors, curve))
+        return AdaptedState(self.ideal.init(q0), factors, curve, self._friction(factors, curve))
 
-    def _drives(self, factors: FrictionFactors, curve: CurveState | None) -> Drives:
-        friction = factors.friction
+    def _friction(self, factors: FrictionFactors, curve: CurveState | None) -> Friction:
+        friction, identified = factors.friction, self.ideal.loop.friction
         if self.curve is not None and curve is not None:
             friction = self.adaptation.more(friction, self.curve.values(curve))
-        known = dict(zip(FRICTION, friction, strict=True))
         if self.adapted is not None:
-            known = {name: np.where(self.adapted, value, getattr(self.ideal.drives, name))
-                     for name, value in known.items()}
-        return self.ideal.drives._replace(**known, friction_turns=turns_of(known["friction_torque"]))
+            friction = friction._replace(
+                sizes=np.where(self.adapted[:, None, None, None], friction.sizes, identified.sizes),
+                per_load=np.where(self.adapted[:, None], friction.per_load, identified.per_load))
+        return friction
 
     def observe(self, state: AdaptedState, measured: RobotState) -> AdaptedState:
         """Takes what the controller reported at the end of a cycle."""
         factors = self.adaptation.update(state.factors, measured, state.tau_ext)
-        curve, drives = state.curve, state.drives
+        curve, friction = state.curve, state.friction
         changed = factors.friction is not state.factors.friction
         if self.curve is not None and curve is not None:
             before, curve = curve.x, self.curve.update(curve, measured.q)
             changed = changed or curve.x is not before
         if changed:
-            drives = self._drives(factors, curve)
-        return AdaptedState(state.ideal, factors, curve, drives, state.tau_ext)
+            friction = self._friction(factors, curve)
+        return AdaptedState(state.ideal, factors, curve, friction, state.tau_ext)
 
     def step(self, state: AdaptedState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, AdaptedState]:
         """See ``Feedforward.step``."""
@@ -372,8 +374,8 @@ class AdaptedIdeal(Feedforward):
         inertia = None if curve is None else curve.inertia
         if inertia is not None and self.adapted is not None:
             inertia = self.adapted[:, None] * inertia
-        q_c, inner = self.ideal.step_with(state.drives, inner, q_d, tau_ext_d, carried, inertia)
+        q_c, inner = self.ideal.step_with(state.friction, inner, q_d, tau_ext_d, carried, inertia)
         if self.curve is not None and curve is not None:
             curve = self.curve.planned(curve, inner)
-        return q_c, AdaptedState(inner, factors, curve, state.drives,
+        return q_c, AdaptedState(inner, factors, curve, state.friction,
                                  None if tau_ext_d is None else np.array(tau_ext_d[0]))

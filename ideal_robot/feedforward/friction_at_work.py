@@ -19,20 +19,19 @@ from ideal_robot.errors import InputError
 from ideal_robot.feedforward.friction_estimator import (
     ALONE,
     FAR,
-    FRICTION,
     TERMS,
     WEIGHT,
     dry_friction,
-    friction_of,
     friction_terms,
     noise_variance,
     solved,
     table_terms,
     with_terms,
 )
-from ideal_robot.friction.presliding import sliding_direction
+from ideal_robot.friction.presliding import first_direction, measured_steps
+from ideal_robot.friction.table import Friction, friction_along, friction_sizes, largest_speeds
 from ideal_robot.loop.from_model import further_torque
-from ideal_robot.loop.loop_model import LoopModel, friction_of_load, largest_speeds, ripple_torque, turns_of
+from ideal_robot.loop.loop import Loop, ripple_torque
 from ideal_robot.signals.preprocess import FilteredSignals, preprocess
 from ideal_robot.signals.recording import Recording
 
@@ -54,13 +53,13 @@ class FrictionAtWork:
     values: Array
     bend: Array
 
-    def in_loop(self, loop: LoopModel) -> LoopModel:
+    def in_loop(self, loop: Loop) -> Loop:
         """The loop that it was found for, with it."""
-        friction = with_terms(friction_of(loop), table_terms(loop), self.values)
-        return loop.replace(**dict(zip(FRICTION, friction, strict=True)), friction_bend=self.bend * loop.friction_bend)
+        friction = with_terms(loop.friction, table_terms(loop), self.values)
+        return loop.changed(friction=friction._replace(sigma_0=loop.friction.sigma_0 / self.bend))
 
 
-def friction_at_work(recording: Recording, loop: LoopModel) -> FrictionAtWork:
+def friction_at_work(recording: Recording, loop: Loop) -> FrictionAtWork:
     """Friction of every joint along a motion in free space that goes both ways at the speeds of the job.
 
     The recording has ``t`` [s], ``q_i`` [rad], ``tau_i`` [N m], ``loop`` is the identified one. Raises InputError for
@@ -78,36 +77,47 @@ def friction_at_work(recording: Recording, loop: LoopModel) -> FrictionAtWork:
     return FrictionAtWork(np.array([values for values, _ in fits]), np.array([bend for _, bend in fits]))
 
 
-def _left(loop: LoopModel, s: FilteredSignals, rigid: Array) -> Array:
+def _left(loop: Loop, s: FilteredSignals, rigid: Array) -> Array:
     """What is left of the torque for friction ``(M, n)`` [N m], decimated."""
-    ripple = np.array([[ripple_torque(loop.ripple, j, q) for j, q in enumerate(row)] for row in s.q])
+    ripple = np.array([[ripple_torque(loop.drives.ripple, j, q) for j, q in enumerate(row)] for row in s.q])
     further = further_torque(loop, s.t - s.t[0], s.q, s.qd, s.qdd, rigid, np.sign(s.qd))
-    return s.decimate((s.tau - further) / loop.gain - rigid - loop.rotor_inertia * s.qdd - loop.offset - ripple)
+    return s.decimate((s.tau - further) / loop.drives.gain - rigid - loop.drives.rotor_inertia * s.qdd
+                      - loop.drives.offset - ripple)
 
 
-def _of_joint(loop: LoopModel, s: FilteredSignals, load: Array, residual: Array, j: int) -> tuple[Array, float]:
+def _of_joint(loop: Loop, s: FilteredSignals, load: Array, residual: Array, j: int) -> tuple[Array, float]:
     """Values of friction's terms ``(TERMS,)`` of joint ``j`` and factor on the angle over which friction turns."""
-    q, v = s.q[:, [j]], s.qd[:, j]
-    dry = dry_friction(loop)[j]
-    whole, turns = (np.where(v > 0, *(np.interp(np.abs(v), loop.friction_velocity[:, j], side)
-                                      for side in table[:, :, j]))
-                    for table in (loop.friction_torque, turns_of(loop.friction_torque)))
-    by_load = np.array([friction_of_load(loop.friction_load[j], loop.friction_driven[j], a, b)
-                        for a, b in zip(load, v, strict=True)])
-    fluid = np.sign(v) * (whole - turns)
+    v, dry = s.qd[:, j], dry_friction(loop)[j]
+    by_load = np.array([friction_sizes(loop.friction, j, *at)[0] - friction_sizes(loop.friction, j, at[0], 0.0)[0]
+                        for at in zip(v, load, strict=True)])
     weight = np.full(len(v), WEIGHT * dry)
     std = np.sqrt(noise_variance(dry, s.factor * s.dt))
     best, values, factor = -np.inf, np.zeros(TERMS), 1.0
-    bend = float(loop.friction_bend[j])
-    for tried in BENDS if bend > 0.0 else (1.0,):
-        z = sliding_direction(q, s.qd[:, [j]], np.array([tried * bend]))[:, 0] if bend > 0.0 else np.sign(v)
-        terms = dry * friction_terms(v / largest_speeds(loop.v_max)[j], z)
+    bristles = loop.friction.sigma_0[j]
+    for tried in BENDS if np.isfinite(bristles) else (1.0,):
+        friction, z = _along(loop, s, load, j, tried)
+        terms = dry * friction_terms(v / largest_speeds(loop.path.v_max)[j], z)
         terms[:, 0] += z * by_load
         terms[:, :2] *= ALONE
         columns = s.decimate(np.column_stack([terms, weight])) / std
-        solution = solved(columns, (residual - s.decimate(z * (turns + by_load) + fluid)) / std)
+        solution = solved(columns, (residual - s.decimate(friction)) / std)
         evidence = solution.evidence - 0.5 * (np.log(tried) / BELIEVED) ** 2
         if evidence > best:
             best, values, factor = evidence, np.clip(solution.x[:TERMS], -FAR, FAR), tried
     values[:2] *= ALONE
     return values, factor
+
+
+def _along(loop: Loop, s: FilteredSignals, load: Array, j: int, bend: float) -> tuple[Array, Array]:
+    """Friction of joint ``j`` [N m] and its direction of sliding ``(N,)``, with bristles softer by a factor."""
+    own = loop.friction._replace(sigma_0=loop.friction.sigma_0 / bend)
+    friction = Friction(*(np.ascontiguousarray(values[j : j + 1]) for values in own))
+    v, load = np.ascontiguousarray(s.qd[:, [j]]), np.ascontiguousarray(load[:, None])
+    distance = friction.dry / friction.sigma_0
+    if distance[0] > 0.0:
+        steps = measured_steps(np.ascontiguousarray(s.q[:, [j]]), distance)
+        start = first_direction(v[0], distance) * friction_sizes(friction, 0, v[0, 0], load[0, 0])[0]
+    else:
+        steps, start = np.zeros_like(v), np.zeros(1)
+    torque, _, direction = friction_along(friction, v, load, steps, start)
+    return torque[:, 0], direction[:, 0]

@@ -45,9 +45,10 @@ from ideal_robot.feedforward.friction_estimator import (
     terms_along,
     wandered,
 )
-from ideal_robot.feedforward.ideal import IdealState
+from ideal_robot.feedforward.inverse import InverseState
+from ideal_robot.friction.table import largest_speeds
 from ideal_robot.jit import jit
-from ideal_robot.loop.loop_model import LoopModel, largest_speeds
+from ideal_robot.loop.loop import Loop
 
 INERTIA, COUPLED = 0.1, 0.05
 """Standard deviations of a joint's inertia over ``k_p T``, which is about what a drive feels, and of that between two
@@ -61,7 +62,7 @@ class Planned(NamedTuple):
 
     q: Array
     v: Array
-    turned: Array
+    direction: Array
     x: Array
 
 
@@ -91,7 +92,7 @@ class CurveState(NamedTuple):
 
 
 class _Known(NamedTuple):
-    """What is known of the loop; names as in ``LoopModel`` where they stand there.
+    """What is known of the loop; names as in ``Cascade`` where they stand there.
 
     Attributes:
         dry: dry friction ``(n,)`` [N m].
@@ -115,14 +116,15 @@ class _Known(NamedTuple):
 class FrictionCurve:
     """Friction and inertia of every joint from its following error, against the loop's controller and dry friction."""
 
-    def __init__(self, loop: LoopModel) -> None:
+    def __init__(self, loop: Loop) -> None:
         self.loop = loop
         n, T, dry = loop.n, loop.t_ipo, dry_friction(loop)
-        root = np.sqrt(loop.k_p * T)
+        root = np.sqrt(loop.cascade.k_p * T)
         unit = np.where(np.eye(n, dtype=bool), INERTIA, COUPLED) * np.outer(root, root)
         variance = float(noise_variance(np.ones(1), T)[0])
         self._together = max(1, round(INTERVAL / T))
-        self._known = _Known(loop.k_p, loop.k_i, loop.k_v, T, dry, largest_speeds(loop.v_max), unit, variance,
+        self._known = _Known(loop.cascade.k_p, loop.cascade.k_i, loop.cascade.k_v, T, dry,
+                             largest_speeds(loop.path.v_max), unit, variance,
                              wandered(self._together * T))
         self._size = TERMS + 1 + n
 
@@ -152,18 +154,18 @@ class FrictionCurve:
         values[:, :2] *= ALONE
         return values
 
-    def planned(self, state: CurveState, ideal: IdealState) -> CurveState:
+    def planned(self, state: CurveState, ideal: InverseState) -> CurveState:
         """Takes note of what the ideal robot planned in a cycle with what this state knows."""
         plans, measured, error = state.plans, state.measured, state.error
-        if len(plans) > self.loop.delay + 1 + len(measured):  # the cycle before was not measured
+        if len(plans) > self.loop.path.delay + 1 + len(measured):  # the cycle before was not measured
             measured, error = (), None
-        plan = Planned(ideal.q_m, ideal.v_m, ideal.turned, state.x)
-        plans = (*plans, plan)[-self.loop.delay - 2 - len(measured) :]
+        plan = Planned(ideal.q_m, ideal.v_m, ideal.direction, state.x)
+        plans = (*plans, plan)[-self.loop.path.delay - 2 - len(measured) :]
         return state._replace(plans=plans, measured=measured, error=error)
 
     def update(self, state: CurveState, q: Array) -> CurveState:
         """Takes the motor angles ``(n,)`` [rad] that the controller reported at the end of a cycle."""
-        if len(state.plans) <= self.loop.delay + 1 + len(state.measured):
+        if len(state.plans) <= self.loop.path.delay + 1 + len(state.measured):
             return state
         measured = (*state.measured, np.array(q, dtype=float))
         # The first following error tells no torque yet.
@@ -187,7 +189,7 @@ class FrictionCurve:
         else:
             errors.insert(0, state.error)
         x, covariance, integral = state.x.copy(), state.covariance.copy(), state.integral.copy()
-        _learned(self._known, np.array([plan.v for plan in now]), np.array([plan.turned for plan in now]),
+        _learned(self._known, np.array([plan.v for plan in now]), np.array([plan.direction for plan in now]),
                  (np.array([plan.x for plan in now]), np.array(errors)), (x, covariance, integral))
         return CurveState(x, covariance, self._inertia(x), plans, (), errors[-1], integral, strayed)
 
@@ -201,16 +203,16 @@ def _cycle(known: _Known, v_before: Array, plan: tuple[Array, Array, Array], err
     of this one. Over the cycles in which a joint told something ``together (n, p + 2)`` sums what the parameters count,
     the torque, and how many they were.
     """
-    v, turned, used = plan
+    v, direction, used = plan
     n, p, T = len(integral), used.shape[1], known.t_ipo
     h = np.zeros(p)
     for i in range(n):
         step = errors[0][i] - errors[1][i] - 0.5 * T * known.k_v[i] * (errors[0][i] + errors[1][i])
         torque = known.k_p[i] * step / T + integral[i] + 0.5 * known.k_i[i] * step
         integral[i] += known.k_i[i] * step
-        if abs(turned[i]) < SLIDES or abs(v[i]) < SLOWEST * known.v_max[i]:
+        if abs(direction[i]) < SLIDES or abs(v[i]) < SLOWEST * known.v_max[i]:
             continue
-        terms_along(v[i] / known.v_max[i], turned[i], h)
+        terms_along(v[i] / known.v_max[i], direction[i], h)
         for k in range(2):
             h[k] *= ALONE[k]
         h[TERMS] = WEIGHT
@@ -225,7 +227,7 @@ def _cycle(known: _Known, v_before: Array, plan: tuple[Array, Array, Array], err
 
 
 @jit()
-def _learned(known: _Known, v: Array, turned: Array, told: tuple[Array, Array], state: tuple[Array, Array, Array]
+def _learned(known: _Known, v: Array, direction: Array, told: tuple[Array, Array], state: tuple[Array, Array, Array]
              ) -> None:
     """Counts the mean of some cycles; ``state``, of ``x``, ``covariance`` and ``integral``, is written to.
 
@@ -236,7 +238,7 @@ def _learned(known: _Known, v: Array, turned: Array, told: tuple[Array, Array], 
     n, p = x.shape
     together = np.zeros((n, p + 2))
     for k in range(1, len(v)):
-        _cycle(known, v[k - 1], (v[k], turned[k], used[k]), (errors[k - 1], errors[k]), integral, together)
+        _cycle(known, v[k - 1], (v[k], direction[k], used[k]), (errors[k - 1], errors[k]), integral, together)
     for i in range(n):
         count = together[i, -1]
         aged(x[i], covariance[i], known.left)

@@ -46,8 +46,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ideal_robot.arrays import Array, G
+from ideal_robot.friction.table import Friction, largest_speeds
 from ideal_robot.jit import jit
-from ideal_robot.loop.loop_model import LoopModel, largest_speeds
+from ideal_robot.loop.loop import Loop
 
 SPEEDS = np.array([0.0, 0.002, 0.005, 0.01, 0.015, 0.022, 0.035, 0.06, 0.12, 0.25, 0.5, 1.0])
 """Between these shares of the largest speed the curve is linear."""
@@ -139,9 +140,9 @@ def _terms(share: Array, z: Array) -> Array:
     return terms
 
 
-def dry_friction(loop: LoopModel) -> Array:
-    """Dry friction of a loop, of both directions ``(n,)`` [N m]."""
-    return np.asarray(np.maximum(loop.friction_torque[:, 0].mean(axis=0), 1e-6))
+def dry_friction(loop: Loop) -> Array:
+    """Dry friction of a loop, mean of both directions ``(n,)`` [N m]."""
+    return np.asarray(np.maximum(loop.friction.dry, 1e-6))
 
 
 def noise_variance(dry: Array, spacing: float, noise_std: Array | None = None) -> Array:
@@ -248,39 +249,33 @@ def remembered(x: Array, covariance: Array, places: Array) -> tuple[Array, Array
     return values, uncertain
 
 
-FRICTION = ("friction_torque", "friction_load", "friction_driven")
-"""The fields of a ``LoopModel`` that friction's terms change."""
-
-
-def friction_of(loop: LoopModel) -> tuple[Array, Array, Array]:
-    """The fields ``FRICTION`` of a loop; copies that may be written, see ``LoopModel.drives``."""
-    return np.array(loop.friction_torque, order="C"), np.array(loop.friction_load), np.array(loop.friction_driven)
-
-
-def table_terms(loop: LoopModel) -> Array:
-    """What friction's terms count in the loop's table of friction ``(n, TERMS, m)`` [N m]."""
-    shares = loop.friction_velocity / largest_speeds(loop.v_max)
-    return np.array([dry * friction_terms(share).T for dry, share in zip(dry_friction(loop), shares.T, strict=True)])
+def table_terms(loop: Loop) -> Array:
+    """What a unit of each of friction's terms adds to dry and fluid friction over speed ``(n, TERMS, m, 2)`` [N m]."""
+    shares = loop.friction.speeds / largest_speeds(loop.path.v_max)[:, None]
+    dry, terms = dry_friction(loop), np.stack([friction_terms(share).T for share in shares])
+    sizes = np.stack([np.broadcast_to(_DRY[None, :, None], terms.shape), terms - _DRY[None, :, None]], axis=3)
+    return np.ascontiguousarray(dry[:, None, None, None] * sizes)
 
 
 @jit()
-def with_terms(friction: tuple[Array, Array, Array], terms: Array, values: Array) -> tuple[Array, Array, Array]:
-    """Friction with its terms: the fields ``FRICTION``.
+def with_terms(friction: Friction, terms: Array, values: Array) -> Friction:
+    """Friction with its terms; what would drive in place of braking is none.
 
     Args:
-        friction: these fields without.
+        friction: without.
         terms: of ``table_terms``.
         values: of the terms ``(n, TERMS)``; the dry one is a factor of friction by load as well.
     """
-    table, by_load, driven = friction
-    changed, more = np.empty_like(table), np.empty(table.shape[1])
-    for i in range(len(by_load)):
-        more[:] = 0.0
-        for k in range(TERMS):
-            for j in range(len(more)):
-                more[j] += values[i, k] * terms[i, k, j]
-        for side in range(2):
-            for j in range(len(more)):
-                changed[side, j, i] = max(table[side, j, i] + more[j], 0.0)
-    factor = 1.0 + values[:, 0]
-    return changed, factor * by_load, factor * driven
+    sizes, per_load = friction.sizes.copy(), friction.per_load.copy()
+    for i in range(len(values)):
+        for k in range(sizes.shape[2]):
+            dry, fluid = 0.0, 0.0
+            for term in range(TERMS):
+                dry += values[i, term] * terms[i, term, k, 0]
+                fluid += values[i, term] * terms[i, term, k, 1]
+            for side in range(2):
+                sizes[i, side, k, 0] = max(sizes[i, side, k, 0] + dry, 0.0)
+                sizes[i, side, k, 1] = max(sizes[i, side, k, 1] + fluid, -sizes[i, side, k, 0])
+        for which in range(2):
+            per_load[i, which] *= 1.0 + values[i, 0]
+    return Friction(friction.speeds, sizes, per_load, friction.sigma_0)

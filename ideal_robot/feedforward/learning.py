@@ -21,7 +21,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.loop.impulse_response import LinearLoop
-from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.loop.loop import Loop
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.results import Summarised
 from ideal_robot.robots.robot import Robot
@@ -127,7 +127,7 @@ def learn(play: Callable[[Array], Array], q_c: Array, law: LearningLaw, *, itera
     return Learned(best, tuple(history), tuple(paths), stopped)
 
 
-def learn_on_model(loop: LoopModel, q_d: Array, q_c: Array | None = None) -> Learned:
+def learn_on_model(loop: Loop, q_d: Array, q_c: Array | None = None) -> Learned:
     """Learns a path on the identified closed loop, before the arm moves at all.
 
     Args:
@@ -138,7 +138,7 @@ def learn_on_model(loop: LoopModel, q_d: Array, q_c: Array | None = None) -> Lea
     start = q_d if q_c is None else q_c
     law = LearningLaw(LinearLoop.of(loop, q_d[len(q_d) // 2]), len(q_d), smoothness=0.05)
     return learn(lambda commands: np.asarray(q_d - simulate(loop, commands).q_a[:-1]), start, law,
-                 iterations=8, limits=(loop.q_min, loop.q_max), step_max=1.5 * loop.v_max * loop.t_ipo)
+                 iterations=8, limits=(loop.path.q_min, loop.path.q_max), step_max=1.5 * loop.path.v_max * loop.t_ipo)
 
 
 def _slew(commands: Array, step_max: Array) -> Array:

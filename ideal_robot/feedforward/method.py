@@ -17,7 +17,7 @@ from ideal_robot.feedforward.learning import Learned, LearningLaw, Playback, lea
 from ideal_robot.feedforward.training import training_motion
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.impulse_response import LinearLoop
-from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.loop.loop import Loop
 from ideal_robot.model.model import Model
 from ideal_robot.progress import Progress, silent
 from ideal_robot.robots.robot import Robot
@@ -64,7 +64,7 @@ class Practice:
         self._learned: tuple[Array, Learned] | None = None
         self._trained: tuple[Array, Array, Array] | None = None
 
-    def learned(self, q_d: Array, loop: LoopModel, progress: Progress = silent) -> Learned:
+    def learned(self, q_d: Array, loop: Loop, progress: Progress = silent) -> Learned:
         """Learning of a path on the arm, [G] (10), (11), from the uncorrected path.
 
         Args:
@@ -93,7 +93,7 @@ class Practice:
         swell = np.sin(np.pi * np.clip(t / DURATION, 0.0, 1.0)) ** 2
         return np.asarray(middle + size * swell[:, None] * np.sin(2.0 * np.pi * t[:, None] * frequency))
 
-    def training(self, q_d: Array, loop: LoopModel, progress: Progress = silent) -> tuple[Array, Array]:
+    def training(self, q_d: Array, loop: Loop, progress: Progress = silent) -> tuple[Array, Array]:
         """A motion ``(M, n)`` about a path that is not the path, and the commands learned for it ``(M, n)`` [rad].
 
         Args:
@@ -104,7 +104,7 @@ class Practice:
             self._trained = q_d, motion, self._learn(motion, loop, progress).q_c
         return self._trained[1:]
 
-    def _learn(self, q_d: Array, loop: LoopModel, progress: Progress) -> Learned:
+    def _learn(self, q_d: Array, loop: Loop, progress: Progress) -> Learned:
         robot, done = self.robot, 0
 
         def attempt(commands: Array) -> Array:
@@ -167,7 +167,7 @@ class Setting:
             raise InputError("this method needs an identified model; identify one, or use method none", field="model")
         return self.model
 
-    def loop(self) -> LoopModel:
+    def loop(self) -> Loop:
         """The identified closed loop; raises InputError for no model, another arm's, or one without a controller."""
         loop = loop_model(self.identified(), self.robot, delay=self.delay)
         return loop if self.friction is None else self.friction.in_loop(loop)

@@ -11,9 +11,9 @@ The torque is the one that acts, less ripple, which acts as well and is read wit
 
 The arm does not move as its motors do: behind a gear of compliance 1/k it lags by the gear's torque,
 
-    q_a = q - (τ_a - J q̈ - z F(0) - τ_offset) / k
+    q_a = q - (τ_a - J q̈ - F - τ_offset) / k
 
-with dry friction F(0), which z has turned to the direction of motion.
+with the presliding state F (``ideal_robot.friction.presliding``).
 """
 
 from __future__ import annotations
@@ -23,10 +23,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.feedforward.friction_estimator import dry_friction
-from ideal_robot.friction.presliding import turned
+from ideal_robot.friction.table import Friction, friction_step
 from ideal_robot.jit import jit
-from ideal_robot.loop.loop_model import LoopModel, ripple_torque
+from ideal_robot.loop.loop import Loop, ripple_torque
 
 _MEAN = np.array([1.0, 6.0, 15.0, 20.0, 15.0, 6.0, 1.0]) / 64.0
 """Weights of the mean of neighbours."""
@@ -39,22 +38,20 @@ _BEND = np.convolve(_MEAN, [1.0, -2.0, 1.0])
 
 
 class Drive(NamedTuple):
-    """What a window needs of the identified loop: fields of ``LoopModel``, its mean dry friction, and the cycle [s]."""
+    """What a window needs of the identified loop: fields of its records, compliance ``(n,)``, and the spacing [s]."""
 
     gain: Array
     ripple: Array
-    friction_bend: Array
     compliance: Array
     rotor_inertia: Array
     offset: Array
-    dry: Array
     spacing: float
 
     @classmethod
-    def of(cls, loop: LoopModel, spacing: float) -> Drive:
+    def of(cls, loop: Loop, spacing: float) -> Drive:
         """Of the identified loop, for measurements that are ``spacing`` apart [s]."""
-        return cls(loop.gain, loop.ripple, loop.friction_bend, loop.compliance, loop.rotor_inertia, loop.offset,
-                   dry_friction(loop), spacing)
+        drives = loop.drives
+        return cls(drives.gain, drives.ripple, loop.compliance, drives.rotor_inertia, drives.offset, spacing)
 
 
 class Smoothed(NamedTuple):
@@ -64,7 +61,7 @@ class Smoothed(NamedTuple):
         q, v, a: of the arm [rad, rad/s, rad/s²].
         motor_v, motor_a: of the motors [rad/s, rad/s²].
         tau: torque that acts, less ripple [N m].
-        z: how far friction has turned since the last reversal, -1 to 1.
+        force: presliding state [N m].
     """
 
     q: Array
@@ -73,19 +70,20 @@ class Smoothed(NamedTuple):
     motor_v: Array
     motor_a: Array
     tau: Array
-    z: Array
+    force: Array
 
 
 @jit()
-def noted(window: Array, rows: int, measured: Array, drive: Drive) -> int:
-    """Takes measurements into a window ``(3, CYCLES, n)``: motor angles, torque that acts, how friction has turned.
+def noted(window: Array, rows: int, measured: Array, drive: Drive, friction: Friction, load: Array) -> int:
+    """Takes measurements into a window ``(3, CYCLES, n)``: motor angles, torque that acts, presliding state.
 
     Returns measurements in it now; after one that is not finite it starts anew.
 
     Args:
         window, rows: written to, the newest comes last; measurements in it.
         measured: motor angles, motor torques that are read, joint torques of contact, oldest first ``(m, 3, n)``.
-        drive: of the identified loop.
+        drive, friction: of the identified loop.
+        load: torque that the gears transmitted when it was last known ``(n,)`` [N m].
     """
     for q, tau, tau_ext in measured:
         if not (np.isfinite(q).all() and np.isfinite(tau).all()):
@@ -98,7 +96,8 @@ def noted(window: Array, rows: int, measured: Array, drive: Drive) -> int:
             step = q[i] - window[0, -1, i]
             window[0, -1, i] = q[i]
             window[1, -1, i] = tau[i] / drive.gain[i] + tau_ext[i] - ripple_torque(drive.ripple, i, q[i])
-            window[2, -1, i] = turned(window[2, -1, i], step, drive.friction_bend[i]) if rows > 0 else 0.0
+            window[2, -1, i] = (friction_step(friction, i, step / drive.spacing, load[i], window[2, -1, i], step)[1]
+                                if rows > 0 else 0.0)
         rows += 1
     return rows
 
@@ -110,9 +109,9 @@ def smoothed(window: Array, drive: Drive) -> Smoothed:
     rows, T = np.zeros((7, 1, n)), drive.spacing
     for i in range(n):
         for k in range(1, count - 1):
-            q, tau, z = window[0, k, i], window[1, k, i], window[2, k, i]
+            q, tau, force = window[0, k, i], window[1, k, i], window[2, k, i]
             a = (window[0, k + 1, i] - 2.0 * q + window[0, k - 1, i]) / (T * T)
-            arm = q - drive.compliance[i] * (tau - drive.rotor_inertia[i] * a - z * drive.dry[i] - drive.offset[i])
+            arm = q - drive.compliance[i] * (tau - drive.rotor_inertia[i] * a - force - drive.offset[i])
             value, slope, bend = _VALUE[k - 1], _SLOPE[k - 1] / T, _BEND[k - 1] / (T * T)
             rows[0, 0, i] += value * arm
             rows[1, 0, i] += slope * arm
@@ -120,5 +119,5 @@ def smoothed(window: Array, drive: Drive) -> Smoothed:
             rows[3, 0, i] += slope * q
             rows[4, 0, i] += bend * q
             rows[5, 0, i] += value * tau
-            rows[6, 0, i] += value * z
+            rows[6, 0, i] += value * force
     return Smoothed(rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6])

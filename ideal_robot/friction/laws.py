@@ -16,7 +16,15 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.friction.presliding import sliding_direction
+from ideal_robot.friction.presliding import (
+    CREEP,
+    LEAST,
+    bristle_stiffness,
+    first_direction,
+    friction_of_sizes,
+    measured_steps,
+    sliding_direction,
+)
 from ideal_robot.registry import Registry
 
 
@@ -26,9 +34,10 @@ class FrictionModel(ABC):
     A law is linear in its ``coefficients`` and may have ``shape`` parameters in which it is not. Parameters do not
     claim to be physical; they force the sum of all losses of a multistage gear into a formula ([G] 3.1.1).
 
-    Two refinements go with every law. *Presliding*: its ``sign(qd)`` becomes a direction with memory, which turns over
-    only after the joint has moved some distance and stays when it rests. *Load*: dry friction in proportion to the
-    torque the gear transmits, ``a_load |load| sign(qd)``; tooth forces rub.
+    Two refinements go with every law. *Presliding*: what goes with its ``sign(qd)`` is dry friction with memory, which
+    turns round only after the joint has moved some distance and stays when it rests
+    (``ideal_robot.friction.presliding``). *Load*: dry friction in proportion to the torque the gear transmits,
+    ``a_load |load| sign(qd)``; tooth forces rub.
 
     Args:
         coefficients: ``(m, n)``, one row per name in ``names_of``.
@@ -93,7 +102,7 @@ class FrictionModel(ABC):
     def regressor(self, qd: Array, load: Array | None = None, q: Array | None = None,
                   direction: Array | None = None) -> Array:
         """See ``FrictionModel.torque``. Regressor ``(…, n, m)`` of the ``m`` coefficients of each joint."""
-        return np.stack(self._columns(qd, load, q, direction), axis=-1)
+        return np.stack(self._columns(np.asarray(qd, dtype=float), load, q, direction), axis=-1)
 
     def torque(self, qd: Array, load: Array | None = None, q: Array | None = None,
                direction: Array | None = None) -> Array:
@@ -106,13 +115,43 @@ class FrictionModel(ABC):
                 the direction is that of gross sliding, ``sign(qd)``.
             direction: of motion ``(…, n)``, -1 to 1, of who knows how sharply it changes; laws with presliding know it.
         """
-        columns = self._columns(qd, load, q, direction)
+        if self.presliding and q is not None:
+            return self._along(np.asarray(qd, dtype=float), load, q)[0]
+        columns = self._columns(np.asarray(qd, dtype=float), load, None, direction)
         return np.sum([c * column for c, column in zip(self.coefficients, columns, strict=True)], axis=0)
 
-    def _columns(self, qd: Array, load: Array | None, q: Array | None, direction: Array | None) -> list[Array]:
+    def sizes(self, qd: Array, load: Array | None = None) -> tuple[Array, Array]:
+        """Sizes of dry friction, which goes with the direction of sliding, and of the rest ``(…, n)`` each [N m].
+
+        Args:
+            qd: joint velocity ``(…, n)`` [rad/s]; at rest it is forward.
+            load: torque the gear transmits ``(…, n)`` [N m]; zero if not given.
+        """
         qd = np.asarray(qd, dtype=float)
+        side = np.where(qd < 0.0, -1.0, 1.0)
+        fluid = side * self.torque(qd, direction=np.zeros_like(qd))
+        dry = side * self.torque(qd, direction=side) - fluid
+        return (dry + self.coefficients[-1] * np.abs(load) if self.loaded and load is not None else dry), fluid
+
+    @property
+    def sigma_0(self) -> Array:
+        """Stiffness of the bristles ``(n,)`` [N m/rad]; infinite without presliding."""
+        slow = np.full((2, self.n), CREEP) * np.array([[1.0], [-1.0]])
+        distance = self.shape[-1] if self.presliding else np.zeros(self.n)
+        return np.asarray(bristle_stiffness(self.sizes(slow)[0].mean(axis=0), distance))
+
+    def _along(self, qd: Array, load: Array | None, q: Array) -> tuple[Array, Array]:
+        """Torque and presliding state ``(N, n)`` [N m] along measured positions."""
+        dry, fluid = (np.ascontiguousarray(size) for size in self.sizes(qd, load))
+        steps = measured_steps(np.ascontiguousarray(q, dtype=float), self.shape[-1])
+        start = first_direction(qd[0], self.shape[-1]) * np.maximum(dry[0], LEAST)
+        return friction_of_sizes(dry, fluid, np.ascontiguousarray(qd), steps, start, self.sigma_0)
+
+    def _columns(self, qd: Array, load: Array | None, q: Array | None, direction: Array | None) -> list[Array]:
         if self.presliding and q is not None:
-            direction = sliding_direction(q, qd, self.shape[-1])
+            force = self._along(qd, load, q)[1]
+            side = np.copysign(np.maximum(np.abs(qd), LEAST), force)
+            direction = force / np.maximum(self.sizes(side, load)[0], LEAST)
         elif direction is None:
             direction = np.sign(qd)
         columns = self.columns(qd, direction, self.shape)
@@ -327,10 +366,24 @@ class PerJointFriction:
                 result[:, [j]] = sliding_direction(q[:, [j]], qd[:, [j]], law.shape[-1])
         return result
 
-    def turned(self, q: Array, qd: Array) -> Array:
-        """How far friction has turned ``(N, n)``, -1 to 1: as ``sliding`` says, in other joints at once."""
+    def direction(self, q: Array, qd: Array) -> Array:
+        """Direction of sliding ``(N, n)``, -1 to 1: as ``sliding`` says, in other joints the sign of velocity."""
         sliding = self.sliding(q, qd)
         return np.where(np.isnan(sliding), np.sign(qd), sliding)
+
+    def sizes(self, qd: Array, load: Array | None = None) -> tuple[Array, Array]:
+        """See ``FrictionModel.sizes``."""
+        qd = np.asarray(qd, dtype=float)
+        dry, fluid = np.empty(qd.shape), np.empty(qd.shape)
+        for joints, law in self._together:
+            dry[..., joints], fluid[..., joints] = law.sizes(qd[..., joints],
+                                                             None if load is None else load[..., joints])
+        return dry, fluid
+
+    @property
+    def sigma_0(self) -> Array:
+        """See ``FrictionModel.sigma_0``."""
+        return np.concatenate([law.sigma_0 for law in self.laws])
 
     def to_dict(self) -> list[dict[str, Any]]:
         """Plain values for the model file, one entry per joint."""

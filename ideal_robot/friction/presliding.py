@@ -1,13 +1,24 @@
-"""Direction of sliding with memory: what takes the place of ``sign(qd)`` near a reversal and at rest.
+r"""Friction of one joint over one step of its motor: the only place where dry and fluid friction are put together.
 
-Before a contact slides it bends. Dahl's model of that (P. R. Dahl 1968), ``dz/dt = (qd - |qd| z) / x_s``, solved for
-one step of position, is ::
+**Convention.** Friction is positive where it brakes positive motion. It has two parts, each of a size that velocity
+and load give:
 
-    z(k) = s + (z(k-1) - s) exp(-|q(k) - q(k-1)| / x_s) ,   s = sign(q(k) - q(k-1))
+* *dry* friction of size :math:`D(\dot q, \tau_g) \ge 0`, which goes with the *direction of sliding*. Before a contact
+  slides it bends: the force F of its bristles follows Dahl's model (P. R. Dahl 1968) over the position q,
 
-with the presliding distance x_s: ±1 in gross sliding, in between after a reversal, unchanged at rest. It needs no
-time and no velocity. Position noise would still wear it down at rest, step by step; so in a law only what leaves a band
-of a twentieth of x_s about the last position counts as motion.
+  .. math:: \frac{dF}{dq} = \sigma_0 \Big(1 - \frac{F}{D}\,\mathrm{sign}\,\dot q\Big)
+            \quad\Rightarrow\quad
+            F(k) = s D + \big(F(k-1) - s D\big)\, e^{-\sigma_0 |\Delta q| / D}, \qquad s = \mathrm{sign}\,\Delta q
+
+  with the stiffness :math:`\sigma_0` of the bristles. F is the **presliding state** [N m]. It needs no time and no
+  velocity, stays at rest as it is, and does not jump where D does. Where no presliding is known, :math:`\sigma_0` is
+  infinite and the force jumps with the direction of motion;
+* *fluid* friction of size :math:`V(|\dot q|)`, which acts at once,
+
+.. math:: \tau_f = F + V \,\mathrm{sign}\,\dot q .
+
+The share z = F/D, -1 to 1, is the direction of sliding that laws which are linear in their coefficients know:
+:math:`\tau_f = z D + V\,\mathrm{sign}\,\dot q`.
 """
 
 from __future__ import annotations
@@ -17,68 +28,127 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.jit import jit
 
+STILL = 1e-4
+"""Velocity within which friction that jumps passes through zero [rad/s]: rounding would switch it back and forth."""
+LEAST = 1e-12
+"""Dry friction below which there is none [N m]; keeps divisions by it finite."""
+
+CREEP = 1e-300
+"""Speed at which friction is that of standstill in the direction of the speed [rad/s]."""
+
 _BEFORE = 0.1
 """How long a motion is taken to have lasted before its first sample [s]."""
 
 _BAND = 0.05
-"""Half width of the band within which the position may be noisy, in presliding distances."""
+"""Half width of the band within which a measured position may be noisy, in presliding distances."""
+
+
+@jit()
+def friction_torque(dry: float, fluid: float, v: float, force: float, step: float, sigma_0: float
+                    ) -> tuple[float, float]:
+    """Friction torque of a joint and its presliding state after a step; the equations stand above.
+
+    Args:
+        dry, fluid: sizes D and V at the velocity and load of the step [N m].
+        v: velocity of the motor [rad/s]; its sign is the direction of fluid friction.
+        force: presliding state before the step [N m].
+        step: how far the motor goes [rad].
+        sigma_0: stiffness of the bristles [N m/rad]; infinite where dry friction jumps.
+    """
+    dry = max(dry, LEAST)
+    if sigma_0 == np.inf:
+        force = dry * min(max(v / STILL, -1.0), 1.0)
+    elif step != 0.0:
+        end = dry if step > 0.0 else -dry
+        behind = force - end
+        # In gross sliding nothing is behind, and the exponential is what costs time.
+        force = end + behind * np.exp(-sigma_0 * abs(step) / dry) if behind != 0.0 else end
+    return force + (fluid if v > 0.0 else -fluid if v < 0.0 else 0.0), force
+
+
+def bristle_stiffness(dry: Array, distance: Array) -> Array:
+    """Stiffness of the bristles ``(n,)`` [N m/rad] of friction that turns round over a presliding distance.
+
+    Args:
+        dry: dry friction that the distance belongs to ``(n,)`` [N m]; where there is none, 1 N m.
+        distance: presliding distance ``(n,)`` [rad]; 0 where friction jumps.
+    """
+    some = np.where(dry > 0.0, dry, 1.0)
+    return np.where(distance > 0.0, some / np.where(distance > 0.0, distance, 1.0), np.inf)
+
+
+@jit()
+def friction_of_sizes(dry: Array, fluid: Array, v: Array, steps: Array, start: Array, sigma_0: Array
+                      ) -> tuple[Array, Array]:
+    """Friction torques and presliding states along a motion, ``(N, n)`` each [N m]: ``friction_torque`` row by row.
+
+    Args:
+        dry, fluid, v, steps: of ``friction_torque``, ``(N, n)`` each; the first step is not taken.
+        start: presliding state in the first row ``(n,)`` [N m].
+        sigma_0: ``(n,)`` [N m/rad].
+    """
+    torque, force = np.empty_like(v), np.empty_like(v)
+    for i in range(v.shape[1]):
+        state = start[i]
+        for k in range(len(v)):
+            torque[k, i], state = friction_torque(dry[k, i], fluid[k, i], v[k, i], state,
+                                                  steps[k, i] if k > 0 else 0.0, sigma_0[i])
+            force[k, i] = state
+    return torque, force
+
+
+# Measured positions.
+
+def first_direction(qd: Array, distance: Array) -> Array:
+    """Direction of sliding ``(n,)``, -1 to 1, in the first row of a motion.
+
+    The joint is taken to have moved for a tenth of a second before as in that row; at rest the direction is zero, for
+    nobody knows it.
+
+    Args:
+        qd: velocities in the first row ``(n,)`` [rad/s].
+        distance: presliding distance ``(n,)`` [rad].
+    """
+    # Squared, so that the noise of a velocity at rest is without influence.
+    return np.asarray(np.sign(qd) * -np.expm1(-((qd * _BEFORE / distance) ** 2)))
+
+
+@jit()
+def measured_steps(q: Array, distance: Array) -> Array:
+    """Steps ``(N, n)`` [rad] of measured positions, without what noise makes of them; the first one is zero.
+
+    Noise wears the presliding state down at rest, step by step. So a motion is what leaves a band of a twentieth of the
+    presliding distance about the last position.
+
+    Args:
+        q: positions ``(N, n)`` [rad], consecutive in time.
+        distance: presliding distance ``(n,)`` [rad].
+    """
+    steps = np.zeros_like(q)
+    for j in range(q.shape[1]):
+        band, last = _BAND * distance[j], q[0, j]
+        for k in range(1, len(q)):
+            away = q[k, j] - last
+            steps[k, j] = max(away - band, 0.0) + min(away + band, 0.0)
+            last += steps[k, j]
+    return steps
 
 
 def sliding_direction(q: Array, qd: Array, distance: Array) -> Array:
-    """Direction of sliding along a motion, each within [-1, 1].
+    """Direction of sliding ``(N, n)``, -1 to 1, of constant dry friction along measured positions.
 
     Args:
         q: positions ``(N, n)`` [rad or m], consecutive in time.
-        qd: velocities ``(N, n)``; only the first row counts. The joint is taken to have moved like that for a tenth
-            of a second before; at rest the direction starts at zero, for nobody knows it.
+        qd: velocities ``(N, n)``; only the first row is used, see ``first_direction``.
         distance: presliding distance ``(n,)`` [rad or m].
     """
-    q = np.ascontiguousarray(q, dtype=float)
-    distance = np.asarray(distance, dtype=float)
-    v = np.asarray(qd, dtype=float)[0]
-    # Squared, so that the noise of a velocity at rest counts for nothing.
-    start = np.sign(v) * -np.expm1(-((v * _BEFORE / distance) ** 2))
-    return np.asarray(_follow(q, start, distance))
+    q, distance = np.ascontiguousarray(q, dtype=float), np.asarray(distance, dtype=float)
+    one, steps = np.ones_like(q), measured_steps(q, distance)
+    start = first_direction(np.asarray(qd, dtype=float)[0], distance)
+    return friction_of_sizes(one, 0.0 * one, steps, steps, start, 1.0 / distance)[1]
 
 
-@jit()
 def dahl(q: Array, distance: float) -> Array:
-    """Direction of sliding ``(N,)`` along exact positions ``(N,)`` of one joint, unbent at first: without the band."""
-    z = np.zeros(len(q))
-    for k in range(1, len(q)):
-        z[k] = turned(z[k - 1], q[k] - q[k - 1], distance)
-    return z
-
-
-@jit()
-def _follow(q: Array, start: Array, distance: Array) -> Array:
-    count, n = q.shape
-    z = np.empty((count, n))
-    for j in range(n):
-        z[0, j] = start[j]
-        band = _BAND * distance[j]
-        last = q[0, j]
-        for k in range(1, count):
-            away = q[k, j] - last
-            step = max(away - band, 0.0) + min(away + band, 0.0)
-            z[k, j] = z[k - 1, j]
-            if step != 0.0:
-                last += step
-                z[k, j] = turned(z[k - 1, j], step, distance[j])
-    return z
-
-
-@jit()
-def turned(z: float, step: float, distance: float) -> float:
-    """Dahl's model over one step of position: the direction of sliding, -1 to 1.
-
-    Args:
-        z, step: direction before, and how far it goes [rad or m].
-        distance: presliding distance [rad or m]; 0 where the direction jumps.
-    """
-    if step == 0.0:
-        return z
-    s = 1.0 if step > 0.0 else -1.0
-    behind = z - s
-    # In gross sliding nothing is behind, and the exponential is what costs time.
-    return s + behind * np.exp(-abs(step) / distance) if behind != 0.0 and distance > 0.0 else s
+    """Direction of sliding ``(N,)`` along exact positions ``(N,)`` of one joint, zero at first: without the band."""
+    one, steps = np.ones((len(q), 1)), np.diff(q, prepend=q[:1])[:, None]
+    return np.asarray(friction_of_sizes(one, 0.0 * one, steps, steps, np.zeros(1), np.array([1.0 / distance]))[1][:, 0])

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, chain_of, inverse_dynamics, joint_frames, mass_matrix
 from ideal_robot.effects import FittedEffect, Signals
 from ideal_robot.errors import InputError
-from ideal_robot.loop.loop_model import LoopModel, low_pass_taps, velocity_grid
+from ideal_robot.friction.presliding import CREEP, bristle_stiffness
+from ideal_robot.friction.table import DRY, FLUID, Friction
+from ideal_robot.loop.loop import Cascade, CommandPath, Drives, Loop, checked, low_pass_taps
 from ideal_robot.model.arm_with_effects import chain_with, changes_of, stiffness_with
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import ControllerModel
@@ -53,14 +57,14 @@ def _least_inertia(chain: Chain, q_min: Array, q_max: Array) -> Array:
     return np.asarray(least)
 
 
-def further_torque(loop: LoopModel, t: Array, q: Array, qd: Array, qdd: Array, load: Array, sliding: Array) -> Array:
+def further_torque(loop: Loop, t: Array, q: Array, qd: Array, qdd: Array, load: Array, sliding: Array) -> Array:
     """Sum of the torques of ``loop.terms`` along a motion of the motors ``(N, n)`` [N m].
 
     Args:
         loop, t: the identified loop, and instants ``(N,)`` [s].
         q, qd, qdd: motor angles, velocities and accelerations ``(N, n)`` [rad, rad/s, rad/s²].
         load: torque at the gear outputs [N m].
-        sliding: how far dry friction has turned since the last reversal, -1 to 1.
+        sliding: direction of sliding, -1 to 1.
     """
     if not loop.terms:
         return np.zeros_like(q)
@@ -69,22 +73,20 @@ def further_torque(loop: LoopModel, t: Array, q: Array, qd: Array, qdd: Array, l
     return np.asarray(np.sum([effect.contribution(signals) for effect in loop.terms], axis=0))
 
 
-def with_effects(loop: LoopModel, effects: tuple[FittedEffect, ...]) -> LoopModel:
+def with_effects(loop: Loop, effects: tuple[FittedEffect, ...]) -> Loop:
     """The loop with the effects added that act in it: each says where and by how much (``Effect.loop_change``)."""
-    torque, load, bend = loop.friction_torque.copy(), loop.friction_load.copy(), loop.friction_bend.copy()
-    driven = loop.friction_driven.copy()
-    offset, rotor, gain = loop.offset.copy(), loop.rotor_inertia.copy(), loop.gain.copy()
-    half_gap, gap_load = loop.half_gap.copy(), loop.gap_load.copy()
-    ripples, uneven = [loop.ripple], [loop.uneven]
+    drives, friction = loop.drives, loop.friction
+    sizes, per_load, distance = friction.sizes.copy(), friction.per_load.copy(), np.zeros(loop.n)
+    offset, rotor, gain = drives.offset.copy(), drives.rotor_inertia.copy(), drives.gain.copy()
+    half_gap, gap_load = drives.half_gap.copy(), drives.gap_load.copy()
+    ripples, uneven = [drives.ripple], [drives.uneven]
     changes = changes_of(effects)
     for effect, change in changes:
         j = effect.joint - 1
         if change.friction_curve:
-            for side, sense in enumerate((1.0, -1.0)):
-                torque[side] += sense * _curve(effect, sense * loop.friction_velocity)
-        load[j] += change.friction_per_load
-        driven[j] += change.friction_per_driven_load
-        bend[j] = max(bend[j], change.presliding)
+            sizes[j] += _curve(effect, friction.speeds)
+        per_load[j] += change.friction_per_load, change.friction_per_driven_load
+        distance[j] = max(distance[j], change.presliding)
         offset[j] += change.offset
         gain[j] *= 1.0 + change.gain
         if change.rotor_inertia:
@@ -95,29 +97,41 @@ def with_effects(loop: LoopModel, effects: tuple[FittedEffect, ...]) -> LoopMode
             if wave is not None:
                 rows.append(np.zeros((1, 3, loop.n)))
                 rows[-1][0, :, j] = wave
-    stiffness = stiffness_with(loop.stiffness, changes)
-    return loop.replace(
-        chain=chain_with(loop.chain, changes), friction_torque=np.maximum(torque, 0.0),
-        friction_load=np.maximum(load, 0.0), friction_driven=np.maximum(driven, 0.0), friction_bend=bend,
-        offset=offset, rotor_inertia=rotor, gain=gain, stiffness=stiffness, half_gap=half_gap, gap_load=gap_load,
-        ripple=_joined(ripples, loop.n), uneven=_joined(uneven, loop.n),
-        # Where there was no dry friction, what is found is all of it.
-        friction_dry=np.where(loop.friction_torque[:, 0].mean(axis=0) > 0.0, loop.friction_dry,
-                              np.where(torque[:, 0].mean(axis=0) > 0.0, torque[:, 0].mean(axis=0), 1.0)),
+    sizes[..., DRY] = np.maximum(sizes[..., DRY], 0.0)
+    sizes[..., FLUID] = np.maximum(sizes[..., FLUID], -sizes[..., DRY])
+    return loop.changed(
+        chain=chain_with(loop.chain, changes),
+        friction=Friction(friction.speeds, sizes, np.maximum(per_load, 0.0),
+                          _bristles(friction, friction._replace(sizes=sizes), distance)),
+        drives=Drives(rotor, offset, gain, np.concatenate(ripples), stiffness_with(drives.stiffness, changes),
+                      drives.damping, np.concatenate(uneven), half_gap, gap_load),
         terms=(*loop.terms, *(effect for effect, change in changes if change.torque)))
 
 
-def _joined(rows: list[Array], n: int) -> Array:
-    parts = [row for row in rows if len(row)]
-    return np.concatenate(parts) if parts else np.zeros((0, 3, n))
+def _bristles(before: Friction, after: Friction, distance: Array) -> Array:
+    """Stiffness of the bristles ``(n,)`` [N m/rad] of friction that turns round over ``distance (n,)`` [rad] at least.
+
+    More dry friction has more of the same bristles; where there was none, what is found is all of it.
+    """
+    dry = np.where(before.dry > 0.0, before.dry, after.dry)
+    known = np.where(before.dry > 0.0, before.dry, 1.0) / before.sigma_0
+    return bristle_stiffness(dry, np.maximum(known, distance))
 
 
 def _curve(effect: FittedEffect, speeds: Array) -> Array:
-    """The effect's torque at constant speeds ``(m, n)``; at speed zero the limit from the side that was asked for."""
-    sense = 1.0 if float(speeds.sum()) >= 0.0 else -1.0
-    qd = np.where(speeds == 0.0, sense * 1e-9, speeds)
-    still = np.zeros_like(qd)
-    return effect.contribution(Signals(np.arange(float(len(qd))), still, qd, still, still, still, still))
+    """Dry and fluid friction of the effect at constant speeds ``(n, m)``, forward and backward ``(2, m, 2)`` [N m].
+
+    At speed zero it is the limit from the side of the motion.
+    """
+    sizes = np.empty((2, speeds.shape[1], 2))
+    for side, sense in enumerate((1.0, -1.0)):
+        qd = sense * np.maximum(speeds, CREEP).T
+        still = np.zeros_like(qd)
+        signals = Signals(np.arange(float(len(qd))), still, qd, still, still, still, still)
+        whole, fluid = (sense * effect.contribution(replace(signals, sliding=np.full_like(qd, direction)))
+                        [:, effect.joint - 1] for direction in (sense, 0.0))
+        sizes[side] = np.column_stack([whole - fluid, fluid])
+    return sizes
 
 
 _LAG_MAX = 0.01
@@ -126,7 +140,7 @@ _FASTEST = 150.0
 """A gear on which the rotor would oscillate faster than this counts as rigid [Hz]."""
 
 
-def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> LoopModel:
+def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> Loop:
     """The identified closed loop of an arm.
 
     Args:
@@ -143,46 +157,28 @@ def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> LoopM
     if controller is None:
         raise InputError("the model holds no controller; identify it from recordings with commands (q_c_i)",
                          field="controller")
-    n, laws = model.n, model.friction.laws
-    grid = velocity_grid(robot.v_max)
+    n = model.n
     k_v, k_ff, k_p, k_i = cascade_gains(controller)
     whole = round(controller.delay / robot.t_ipo) if delay is None else delay
     # What the delay has beyond whole cycles, and the low-pass, make the command filter.
     rest = max(0.0, controller.delay - round(controller.delay / robot.t_ipo) * robot.t_ipo)
     chain, rotor_inertia = with_rotors(chain_of(model.dynamics), np.array(model.rotor_inertia), robot.q_min,
                                        robot.q_max)
-    loop = LoopModel(
-        chain=chain,
-        rotor_inertia=rotor_inertia,
-        friction_velocity=grid,
-        friction_torque=_unloaded_friction(model, grid),
-        friction_load=np.array([law.coefficients[-1, 0] if law.loaded else 0.0 for law in laws]),
-        friction_bend=np.array([law.shape[-1, 0] if law.presliding else 0.0 for law in laws]),
-        offset=np.array(model.offset),
-        stiffness=_elastic(model, rotor_inertia),
-        damping=np.zeros(n) if model.damping is None else np.array(model.damping),
-        k_v=k_v, k_ff=k_ff, k_p=k_p, k_i=k_i,
-        t_filter=np.clip(controller.k_2 / k_p, 0.0, _LAG_MAX),
-        command_filter=low_pass_taps(controller.filter_time, controller.filter_order, robot.t_position, n,
-                                     dead_time=rest),
-        delay=whole,
-        t_ipo=robot.t_ipo, t_position=robot.t_position, t_velocity=robot.t_velocity,
-        tau_max=np.array(robot.tau_max), q_min=np.array(robot.q_min), q_max=np.array(robot.q_max),
-        v_max=np.array(robot.v_max), ripple=np.zeros((0, 3, n)),
-    )
-    if not model.effects:
-        return loop
-    loop = with_effects(loop, model.effects)
-    chain, rotor_inertia = with_rotors(loop.chain, loop.rotor_inertia, robot.q_min, robot.q_max)
-    return loop.replace(chain=chain, rotor_inertia=rotor_inertia)
-
-
-def _unloaded_friction(model: Model, grid: Array) -> Array:
-    """What friction brakes with at the speeds ``grid (m, n)``, forward and backward ``(2, m, n)`` [N m]."""
-    # At speed 0 the table holds the limit from above: what the joint has to overcome.
-    speeds = np.maximum(grid, 1e-9)
-    unloaded = np.stack([model.friction.torque(speeds), -model.friction.torque(-speeds)])
-    return np.maximum(unloaded, 0.0)
+    none = np.zeros((0, 3, n))
+    loop = Loop(
+        chain,
+        Drives(rotor_inertia, np.array(model.offset), np.ones(n), none, _elastic(model, rotor_inertia),
+               np.zeros(n) if model.damping is None else np.array(model.damping), none, np.zeros(n), np.zeros(n)),
+        Friction.of(model.friction, robot.v_max),
+        Cascade(k_v, k_ff, k_p, k_i, np.clip(controller.k_2 / k_p, 0.0, _LAG_MAX), robot.tau_max),
+        CommandPath(low_pass_taps(controller.filter_time, controller.filter_order, robot.t_position, n,
+                                  dead_time=rest),
+                    whole, robot.t_ipo, robot.t_position, robot.t_velocity, robot.q_min, robot.q_max, robot.v_max))
+    if model.effects:
+        loop = with_effects(loop, model.effects)
+        chain, rotor_inertia = with_rotors(loop.chain, loop.drives.rotor_inertia, robot.q_min, robot.q_max)
+        loop = loop.changed(chain=chain, rotor_inertia=rotor_inertia)
+    return checked(loop)
 
 
 def _elastic(model: Model, rotor_inertia: Array) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.loop.loop import Loop
 from ideal_robot.loop.simulation import simulate
 
 # Least squares in information form: the inverse-covariance Kalman filter [G] names for every linear fit.
@@ -85,7 +85,7 @@ class LinearLoop:
         return np.where(inside, self.g[np.clip(lag, 0, len(self.g) - 1), joint], 0.0)
 
     @classmethod
-    def of(cls, loop: LoopModel, q: Array, length: int = 40, step: float = 2e-3) -> LinearLoop:
+    def of(cls, loop: Loop, q: Array, length: int = 40, step: float = 2e-3) -> LinearLoop:
         """Linearises the identified loop at ``q``: answer of the arm to a small step.
 
         Args:
@@ -95,10 +95,9 @@ class LinearLoop:
         """
         # Friction, ripple, play and uneven gears are left out: about a point they would count as springs that a motion
         # does not meet.
-        none = np.zeros((0, 3, loop.n))
-        smooth = loop.replace(friction_torque=np.zeros_like(loop.friction_torque), friction_load=np.zeros(loop.n),
-                              friction_driven=np.zeros(loop.n), ripple=none, uneven=none, half_gap=np.zeros(loop.n),
-                              terms=())
+        none, friction = np.zeros((0, 3, loop.n)), loop.friction
+        smooth = loop.changed(sizes=np.zeros_like(friction.sizes), per_load=np.zeros_like(friction.per_load),
+                              ripple=none, uneven=none, half_gap=np.zeros(loop.n), terms=())
         rest = np.tile(np.asarray(q, dtype=float), (length + 2, 1))
         still = simulate(smooth, rest).q_a
         g = np.empty((length + 1, loop.n))

@@ -14,17 +14,11 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, joint_frames, mass_matrix, torque_at
 from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.friction.presliding import STILL
+from ideal_robot.friction.table import Friction, friction_along, friction_step
 from ideal_robot.jit import jit
 from ideal_robot.loop.from_model import further_torque
-from ideal_robot.loop.loop_model import (
-    Drives,
-    LoopModel,
-    bristles,
-    dry_and_fluid,
-    friction_of_load,
-    ripple_torque,
-    unevenness,
-)
+from ideal_robot.loop.loop import Cascade, Drives, Loop, ripple_torque, unevenness
 
 
 @dataclass(frozen=True)
@@ -43,7 +37,7 @@ class LoopMotion:
     tau: Array
 
 
-def interpolated(q_c: Array, q0: Array, loop: LoopModel) -> Array:
+def interpolated(q_c: Array, q0: Array, loop: Loop) -> Array:
     """The command as the position loop gets it before its low-pass: delayed, linearly interpolated ``(N s, n)`` [rad].
 
     Row ``j`` belongs to the time ``j t_position``.
@@ -53,7 +47,7 @@ def interpolated(q_c: Array, q0: Array, loop: LoopModel) -> Array:
         loop: the identified loop.
     """
     s, N = loop.steps_ipo, len(q_c)
-    knots = np.vstack([np.tile(q0, (loop.delay + 1, 1)), q_c])[: N + 1]
+    knots = np.vstack([np.tile(q0, (loop.path.delay + 1, 1)), q_c])[: N + 1]
     weight = (np.arange(s) / s)[None, :, None]
     return np.asarray((knots[:-1, None] * (1 - weight) + knots[1:, None] * weight).reshape(N * s, -1))
 
@@ -71,7 +65,7 @@ def low_passed(command: Array, q0: Array, taps: Array) -> Array:
     return out
 
 
-def simulate(loop: LoopModel, q_c: Array, *, tau_ext: Array | None = None) -> LoopMotion:
+def simulate(loop: Loop, q_c: Array, *, tau_ext: Array | None = None) -> LoopMotion:
     """Plays commands on the identified loop, from rest at the first one.
 
     At rest at the start means: arm and motor in equilibrium with gravity, integrators carrying it, the motor where
@@ -89,28 +83,14 @@ def simulate(loop: LoopModel, q_c: Array, *, tau_ext: Array | None = None) -> Lo
     if q_c.ndim != 2 or q_c.shape[1] != loop.n or not np.all(np.isfinite(q_c)):
         raise InputError(f"expected finite commands of shape (N, {loop.n})", field="q_c", value=q_c.shape)
     q0 = q_c[0]
-    reference = low_passed(interpolated(q_c, q0, loop), q0, loop.command_filter)
+    reference = low_passed(interpolated(q_c, q0, loop), q0, loop.path.command_filter)
     external = np.zeros_like(q_c) if tau_ext is None else np.ascontiguousarray(tau_ext, dtype=float)
-    elastic = np.isfinite(loop.stiffness)
-    R, p, M = np.empty((loop.n, 3, 3)), np.empty((loop.n, 3)), np.empty((loop.n, loop.n))
+    loop = _with_gears(loop, q0)
+    R, p, tau0 = np.empty((loop.n, 3, 3)), np.empty((loop.n, 3)), np.empty(loop.n)
     joint_frames(loop.chain, q0, R, p)
-    mass_matrix(loop.chain, R, p, M)
-    # Rigid gears are played as gears whose own oscillation (80 Hz, well damped) nobody sees at the arm. Behind a rigid
-    # gear it does not matter who has the inertia: a link much lighter than its rotor gets a share of it, else it would
-    # sag; a rotor much lighter than its link must stand the gear at this step.
-    added = np.where(~elastic & (np.diag(M) < 0.1 * loop.rotor_inertia), 0.1 * loop.rotor_inertia, 0.0)
-    loop = loop.replace(chain=loop.chain._replace(armature=loop.chain.armature + added),
-                        rotor_inertia=loop.rotor_inertia - added)
-    link = np.diag(M) + added
-    held = np.minimum((2 * np.pi * 80) ** 2 * link, loop.rotor_inertia / loop.t_velocity**2)
-    stiffness = np.where(elastic, loop.stiffness, held)
-    damping = np.where(elastic, loop.damping, np.minimum(2 * 0.5 * np.sqrt(held * link),
-                                                         0.8 * loop.rotor_inertia / loop.t_velocity))
-    tau0 = np.empty(loop.n)
     torque_at(loop.chain, R, p, np.zeros(loop.n), np.zeros(loop.n), 1.0, tau0)
-    drives = loop.drives(stiffness, damping)
     try:
-        q_a, q_m, tau = _played(loop, drives, reference, external, tau0, q0)
+        q_a, q_m, tau = _played(loop, reference, external, tau0, q0)
     except np.linalg.LinAlgError:
         raise IdealRobotError("the model's masses and inertias are those of no body (its mass matrix is not positive "
                               "definite), so its loop cannot be simulated; identify them with physical consistency, or "
@@ -121,8 +101,33 @@ def simulate(loop: LoopModel, q_c: Array, *, tau_ext: Array | None = None) -> Lo
     return LoopMotion(np.asarray(np.arange(len(q_a)) * loop.t_ipo, dtype=float), q_a, q_m, tau)
 
 
+def _with_gears(loop: Loop, q: Array) -> Loop:
+    """The loop with a spring for every gear, at a posture ``(n,)`` [rad].
+
+    Rigid gears are simulated as gears whose own oscillation (80 Hz, well damped) nobody sees at the arm. Behind a rigid
+    gear it does not matter which side has the inertia: a link much lighter than its rotor gets a share of it, else it
+    would sag; a rotor much lighter than its link must withstand the gear at this step.
+    """
+    drives, dt = loop.drives, loop.path.t_velocity
+    rigid, rotor = np.isinf(drives.stiffness), drives.rotor_inertia
+    R, p, M = np.empty((loop.n, 3, 3)), np.empty((loop.n, 3)), np.empty((loop.n, loop.n))
+    joint_frames(loop.chain, q, R, p)
+    mass_matrix(loop.chain, R, p, M)
+    added = np.where(rigid & (np.diag(M) < 0.1 * rotor), 0.1 * rotor, 0.0)
+    rotor, link = rotor - added, np.diag(M) + added
+    stiffness = np.minimum((2 * np.pi * 80) ** 2 * link, rotor / dt**2)
+    damping = np.minimum(2 * 0.5 * np.sqrt(stiffness * link), 0.8 * rotor / dt)
+    return loop.changed(armature=loop.chain.armature + added, rotor_inertia=rotor,
+                        stiffness=np.where(rigid, stiffness, drives.stiffness),
+                        damping=np.where(rigid, damping, drives.damping))
+
+
 class _Motion(NamedTuple):
-    """State of the loop between position cycles, ``(n,)`` each; changed in place."""
+    """State of the loop between position cycles, ``(n,)`` each; changed in place.
+
+    Arm and motor angles and velocities, integrator, filtered velocity and angle before of the velocity loop, reference
+    before, presliding state, motor torque, and torque of the gears.
+    """
 
     q_a: Array
     v_a: Array
@@ -132,7 +137,7 @@ class _Motion(NamedTuple):
     filtered: Array
     previous: Array
     reference: Array
-    bent: Array
+    force: Array
     tau: Array
     load: Array
 
@@ -153,45 +158,43 @@ class _Clock(NamedTuple):
     steps_ipo: int
 
 
-def _played(loop: LoopModel, drives: Drives, reference: Array, external: Array, tau0: Array,
-            q0: Array) -> tuple[Array, Array, Array]:
+def _played(loop: Loop, reference: Array, external: Array, tau0: Array, q0: Array) -> tuple[Array, Array, Array]:
     """Arm angles, motor angles and motor torques at the cycles' ends."""
-    n, steps = loop.n, loop.steps_ipo
+    n, steps, drives = loop.n, loop.steps_ipo, loop.drives
     cycles = len(reference) // steps
     still = np.zeros(n)
-    further = _further(loop, 0.0, q0, still, still, tau0, still)
+    further = further_torque(loop, np.zeros(1), q0[None], still[None], still[None], tau0[None], still[None])[0]
     side = np.sign(tau0) * np.minimum(1.0, np.abs(tau0) / 1e-9)
-    q_a = np.array([q + unevenness(loop.uneven, i, q)[0] for i, q in enumerate(q0)])
+    q_a = np.array([q + unevenness(drives.uneven, i, q)[0] for i, q in enumerate(q0)])
     q_a = q_a - tau0 / drives.stiffness - side * drives.half_gap
-    holding = loop.gain * (tau0 + loop.offset) + further
+    holding = drives.gain * (tau0 + drives.offset) + further
     state = _Motion(q_a, still.copy(), q0.copy(), still.copy(), holding, still.copy(), q0.copy(), q0.copy(),
                     still.copy(), holding.copy(), tau0.copy())
     out = np.empty((3, cycles + 1, n))
     out[:, 0] = state.q_a, state.q_m, state.tau
     # Without further torques all is one compiled call; they are computed anew in every position cycle.
     stride = 1 if loop.terms else len(reference)
-    before, clock = still, _Clock(loop.t_position, loop.t_velocity, steps)
+    before, clock = still, _Clock(loop.path.t_position, loop.path.t_velocity, steps)
     for start in range(0, cycles * steps, stride):
         if loop.terms and start:
-            acceleration = (state.v_m - before) / loop.t_position
-            further = _further(loop, start * loop.t_position, state.q_m, state.v_m, acceleration, state.load,
-                               state.bent)
+            acceleration = (state.v_m - before) / loop.path.t_position
+            further = _further(loop, start * loop.path.t_position, state, acceleration)
         before = state.v_m.copy()
-        _play(loop.chain, drives, _Inputs(reference, external, further), state, out, clock,
-              (start, min(start + stride, cycles * steps)))
+        _play(loop.chain, drives, loop.friction, loop.cascade, _Inputs(reference, external, further), state, out,
+              clock, (start, min(start + stride, cycles * steps)))
     return out[0], out[1], out[2]
 
 
-def _further(loop: LoopModel, t: float, q: Array, qd: Array, qdd: Array, load: Array, bent: Array) -> Array:
-    if not loop.terms:
-        return np.zeros(loop.n)
-    direction = np.where(loop.friction_bend > 0.0, np.clip(bent, -1.0, 1.0), np.clip(qd / 1e-3, -1.0, 1.0))
-    return further_torque(loop, np.array([t]), q[None], qd[None], qdd[None], load[None], direction[None])[0]
+def _further(loop: Loop, t: float, state: _Motion, acceleration: Array) -> Array:
+    """Torque of further effects ``(n,)`` [N m] in a state of the motion."""
+    v, load = state.v_m[None], state.load[None]
+    direction = friction_along(loop.friction, v, load, np.zeros_like(v), state.force)[2]
+    return further_torque(loop, np.array([t]), state.q_m[None], v, acceleration[None], load, direction)[0]
 
 
 @jit()
-def _play(chain: Chain, drives: Drives, inputs: _Inputs, state: _Motion, out: Array, clock: _Clock,
-          span: tuple[int, int]) -> None:
+def _play(chain: Chain, drives: Drives, friction: Friction, cascade: Cascade, inputs: _Inputs, state: _Motion,
+          out: Array, clock: _Clock, span: tuple[int, int]) -> None:
     """Plays the position cycles of ``span``; ``out (3, cycles + 1, n)`` gets arm and motor angles and motor torques."""
     n = len(state.q_m)
     reference, external, further = inputs
@@ -204,7 +207,7 @@ def _play(chain: Chain, drives: Drives, inputs: _Inputs, state: _Motion, out: Ar
         cycle = step // steps_ipo
         r = reference[step]
         for i in range(n):
-            v_ref[i] = drives.k_v[i] * (r[i] - q_m[i]) + drives.k_ff[i] * (r[i] - state.reference[i]) / t_position
+            v_ref[i] = cascade.k_v[i] * (r[i] - q_m[i]) + cascade.k_ff[i] * (r[i] - state.reference[i]) / t_position
             state.reference[i] = r[i]
         joint_frames(chain, q_a, R, p)
         mass_matrix(chain, R, p, M)
@@ -216,7 +219,14 @@ def _play(chain: Chain, drives: Drives, inputs: _Inputs, state: _Motion, out: Ar
             if sub > 0:
                 joint_frames(chain, q_a, R, p)
             torque_at(chain, R, p, v_a, zero, 1.0, bias)
-            _motors_step(drives, state, v_ref, further, dt, rise)
+            for i in range(n):
+                tau = _velocity_loop(cascade, state, v_ref[i], dt, i)
+                mesh, slope = _gear(drives, state, i)
+                net = ((tau - further[i]) / drives.gain[i] - drives.offset[i] - slope * load[i]
+                       - ripple_torque(drives.ripple, i, q_m[i]))
+                v_m[i] = _rotor(friction, drives.rotor_inertia[i], state, net, dt, i)
+                # What the gear's torque gains in half a step.
+                rise[i] = mesh * 0.5 * dt * drives.stiffness[i] * (slope * v_m[i] - v_a[i])
             for i in range(n):
                 acceleration[i] = load[i] - bias[i] + external[cycle, i] + rise[i]
             _solve_cholesky(L, acceleration)
@@ -228,34 +238,49 @@ def _play(chain: Chain, drives: Drives, inputs: _Inputs, state: _Motion, out: Ar
             out[0, cycle + 1], out[1, cycle + 1], out[2, cycle + 1] = q_a, q_m, state.tau
 
 
-@jit()
-def _motors_step(drives: Drives, state: _Motion, v_ref: Array, further: Array, dt: float, rise: Array) -> None:
-    """One step of velocity loops, gears and rotors; ``rise`` gets what each gear's load gains in half a step."""
-    q_m, v_m, q_a, v_a, tau, load = state.q_m, state.v_m, state.q_a, state.v_a, state.tau, state.load
-    stiffness, damping, k_p, k_i = drives.stiffness, drives.damping, drives.k_p, drives.k_i
-    for i in range(len(q_m)):
-        # Velocity loop, [G] (17) at its own cycle, with the low-pass differentiator.
-        speed = (q_m[i] - state.previous[i]) / dt
-        state.previous[i] = q_m[i]
-        state.filtered[i] += dt / (dt + drives.t_filter[i]) * (speed - state.filtered[i])
-        u = v_ref[i] - state.filtered[i]
-        wanted = k_p[i] * u + state.integral[i] + k_i[i] * u * dt
-        tau[i] = min(max(wanted, -drives.tau_max[i]), drives.tau_max[i])
-        if wanted == tau[i]:
-            state.integral[i] += k_i[i] * u * dt
-        ahead, steeper, _ = unevenness(drives.uneven, i, q_m[i])
-        slope = 1.0 + steeper
-        twist = q_m[i] + ahead - q_a[i]
-        gap = drives.half_gap[i]
-        give = 1.0
-        if gap > 0.0:
-            give = 0.0 if abs(twist) <= gap else 1.0
-            twist -= min(max(twist, -gap), gap)
-        load[i] = stiffness[i] * twist + give * damping[i] * (slope * v_m[i] - v_a[i])
-        net = ((tau[i] - further[i]) / drives.gain[i] - drives.offset[i] - slope * load[i]
-               - ripple_torque(drives.ripple, i, q_m[i]))
-        v_m[i] = _rubbed(v_m[i], net, dt, load[i], drives, state.bent, i)
-        rise[i] = give * 0.5 * dt * stiffness[i] * (slope * v_m[i] - v_a[i])
+@jit(inline="always")
+def _velocity_loop(cascade: Cascade, state: _Motion, v_ref: float, dt: float, i: int) -> float:
+    """Motor torque [N m] of a joint's velocity loop, [G] (17) at its own cycle, with the low-pass differentiator."""
+    speed = (state.q_m[i] - state.previous[i]) / dt
+    state.previous[i] = state.q_m[i]
+    state.filtered[i] += dt / (dt + cascade.t_filter[i]) * (speed - state.filtered[i])
+    u = v_ref - state.filtered[i]
+    wanted = cascade.k_p[i] * u + state.integral[i] + cascade.k_i[i] * u * dt
+    state.tau[i] = min(max(wanted, -cascade.tau_max[i]), cascade.tau_max[i])
+    if wanted == state.tau[i]:
+        state.integral[i] += cascade.k_i[i] * u * dt
+    return state.tau[i]
+
+
+@jit(inline="always")
+def _gear(drives: Drives, state: _Motion, i: int) -> tuple[float, float]:
+    """Whether a joint's gear is in mesh (1 or 0), and its speed over the motor's; its torque goes to ``load``."""
+    ahead, steeper, _ = unevenness(drives.uneven, i, state.q_m[i])
+    slope = 1.0 + steeper
+    twist = state.q_m[i] + ahead - state.q_a[i]
+    gap = drives.half_gap[i]
+    mesh = 1.0
+    if gap > 0.0:
+        mesh = 0.0 if abs(twist) <= gap else 1.0
+        twist -= min(max(twist, -gap), gap)
+    state.load[i] = drives.stiffness[i] * twist + mesh * drives.damping[i] * (slope * state.v_m[i] - state.v_a[i])
+    return mesh, slope
+
+
+@jit(inline="always")
+def _rotor(friction: Friction, inertia: float, state: _Motion, net: float, dt: float, i: int) -> float:
+    """Velocity of a joint's rotor after a step under a torque [N m] and friction, which stops but never drives."""
+    v = state.v_m[i]
+    if friction.sigma_0[i] < np.inf:
+        torque, state.force[i] = friction_step(friction, i, v, state.load[i], state.force[i], v * dt)
+        return v + (net - torque) / inertia * dt
+    # What jumps is full friction against the motion, or against the torque that is about to move a joint at rest.
+    speed = max(abs(v), STILL)
+    torque, _ = friction_step(friction, i, speed if (v if v != 0.0 else net) > 0.0 else -speed, state.load[i], 0.0, 0.0)
+    free, slow = v + net / inertia * dt, abs(torque) / inertia * dt
+    if abs(free) <= slow:
+        return 0.0
+    return free - np.sign(free) * slow
 
 
 @jit(inline="always")
@@ -270,22 +295,3 @@ def _solve_cholesky(L: np.ndarray, x: Array) -> None:
         for j in range(i + 1, n):
             x[i] -= L[j, i] * x[j]
         x[i] /= L[i, i]
-
-
-@jit()
-def _rubbed(v: float, torque: float, dt: float, load: float, drives: Drives, bent: Array, i: int) -> float:
-    """Velocity after one step under ``torque`` and friction, which stops a joint but never drives it."""
-    inertia, bends = drives.rotor_inertia[i], drives.friction_bend[i] > 0.0
-    sense = v if v != 0.0 else torque
-    side = 0 if sense > 0.0 else 1
-    dry, fluid = dry_and_fluid(abs(v), drives.friction_velocity[:, i], drives.friction_turns[side, :, i],
-                               drives.friction_torque[side, :, i])
-    dry += friction_of_load(drives.friction_load[i], drives.friction_driven[i], load, sense)
-    if bends:
-        bent[i] = bristles(bent[i], v * dt, dry / drives.friction_dry[i], drives.friction_bend[i])
-        return v + (torque - drives.friction_dry[i] * bent[i] - np.sign(v) * fluid) / inertia * dt
-    free = v + torque / inertia * dt
-    slow = (dry + fluid) / inertia * dt
-    if abs(free) <= slow:
-        return 0.0
-    return free - np.sign(free) * slow

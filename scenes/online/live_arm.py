@@ -18,7 +18,7 @@ import numpy as np
 from ideal_robot.arrays import Array, eased_way
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.loop.impulse_response import LinearLoop
-from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.loop.loop import Loop
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from planning import PlanningError
@@ -336,7 +336,7 @@ def at_cycle(arm: Robot, cycle: float) -> Robot:
     return replace(arm, t_ipo=cycle, t_position=grid * position, t_velocity=grid * velocity)
 
 
-def answers_within(loop: LoopModel, arm: Robot) -> float:
+def answers_within(loop: Loop, arm: Robot) -> float:
     """Time in which the identified loop answers a command to 97 %, and half of it more [s]."""
     response = LinearLoop.of(loop, arm.home, length=math.ceil(_ANSWER_MAX / arm.t_ipo))
     open_until = (np.abs(np.cumsum(response.g, axis=0) - 1.0) > 0.03).any(axis=1)

@@ -21,7 +21,7 @@ from ideal_robot.feedforward.method import Practice, Rehearsed, Setting
 from ideal_robot.feedforward.registry import methods
 from ideal_robot.feedforward.training import REST_AFTER, REST_BEFORE, training_motion
 from ideal_robot.loop.from_model import loop_model
-from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.loop.loop import Loop
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
@@ -212,7 +212,7 @@ class PathCell:
         """Cycles between hand-over of a command and the start of its interpolation."""
         return int(self.world.correction_delay)
 
-    def loop(self) -> LoopModel:
+    def loop(self) -> Loop:
         """The identified closed loop in this world's mode of the path planner."""
         return loop_model(self.model, self.robot, delay=self.delay)
 

@@ -21,7 +21,7 @@ from ideal_robot.feedforward.registry import feedforward
 from ideal_robot.feedforward.registry import method as described
 from ideal_robot.feedforward.registry import methods as known
 from ideal_robot.loop.from_model import loop_model
-from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.loop.loop import Loop
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
@@ -129,7 +129,7 @@ def rsi_server(path: Path, *, robot: str | None = None, model: Path | None = Non
 
 
 def prepared(*, robot: str | None = None, model: Path | None = None, method: str = "ideal",
-             cycle: float | None = None, delay: bool = False) -> tuple[Robot, Feedforward, LoopModel | None, Path]:
+             cycle: float | None = None, delay: bool = False) -> tuple[Robot, Feedforward, Loop | None, Path]:
     """Arm, feedforward and identified loop at one cycle, and the file of the model.
 
     Args:
@@ -152,7 +152,7 @@ def prepared(*, robot: str | None = None, model: Path | None = None, method: str
     return arm, law, None if identified is None else loop_model(identified, arm, delay=int(delay)), file
 
 
-def _require_better(law: Feedforward, loop: LoopModel, q_d: Array, file: Path) -> None:
+def _require_better(law: Feedforward, loop: Loop, q_d: Array, file: Path) -> None:
     """Refuses another cycle than the robot's where on the identified loop the correction makes the path worse."""
     part = q_d[: round(_TRIED / law.t_ipo)]
     wanted = law.arm.from_rest(part, law.t_ipo) if isinstance(law, ForCorrectedArm) else part

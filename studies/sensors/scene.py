@@ -21,7 +21,6 @@ class Trial:
     """One trial.
 
     Attributes:
-        kind: ``none``, or what was drawn.
         recording: for the diagnosis.
         urdf: text of the URDF for the diagnosis.
         truth: the effect drawn, name and joint from 1 (0 for the whole arm); None for none.

@@ -11,7 +11,8 @@ import pytest
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal, FrictionAdaptation
 from ideal_robot.feedforward.friction_curve import FrictionCurve
 from ideal_robot.feedforward.friction_estimator import FAR, OWN, SHARED, TERMS
-from ideal_robot.feedforward.ideal import IdealRobot
+from ideal_robot.feedforward.inverse import Inverse
+from ideal_robot.friction.table import DRY
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.robots.interface import RobotState
 from tests.arms import ROBOT, T, commands, motion, off, plant, rms
@@ -20,7 +21,7 @@ from tests.arms import ROBOT, T, commands, motion, off, plant, rms
 def states(loop, q_d, repeat=3, rng=None):
     """What the controller of ``loop`` would tell along a motion that is repeated."""
     q_d = np.concatenate([q_d] * repeat)
-    done = simulate(loop, commands(IdealRobot(loop), q_d))
+    done = simulate(loop, commands(Inverse(loop), q_d))
     tau = done.tau if rng is None else done.tau + rng.normal(scale=0.03, size=done.tau.shape) * np.ptp(done.tau, axis=0)
     return [RobotState(t, q, torque) for t, q, torque in zip(done.t[1:], done.q_m[1:], tau[1:], strict=True)]
 
@@ -32,8 +33,8 @@ def fed(adaptation, measured, state=None):
 def sliding_ratio(loop, known, speeds=(0.3, 0.8)):
     """Adapted over identified friction at speeds ``(m, n)``: terms trade, what counts is their sum."""
     adapted, identified = (np.array([[np.interp(speed, v, table) for v, table in
-                                      zip(loop.friction_velocity.T, tables[0].T, strict=True)] for speed in speeds])
-                           for tables in (known.friction[0], loop.friction_torque))
+                                      zip(friction.speeds, friction.sliding[:, 0], strict=True)] for speed in speeds])
+                           for friction in (known.friction, loop.friction))
     return adapted / identified
 
 
@@ -46,7 +47,7 @@ def loaded(loop, mass=2.0, com=(0.05, 0.0, 0.15)):
     for m, offset in ((chain.mass[-1], chain.com[-1] - centre), (mass, com - centre)):
         inertia[-1] += m * (offset @ offset * np.eye(3) - np.outer(offset, offset))
     masses[-1], coms[-1] = whole, centre
-    return loop.replace(chain=chain._replace(mass=masses, com=coms, inertia=inertia))
+    return loop.changed(chain=chain._replace(mass=masses, com=coms, inertia=inertia))
 
 
 TOOL = np.array([0.0, 0.0, 0.15])
@@ -66,7 +67,7 @@ def test_inertias_that_are_wrong_are_not_taken_for_a_mass():
     """Rotors 5 % heavier than identified, where all is fast; -0.4 kg if all samples counted alike."""
     loop = plant()
     factors = fed(FrictionAdaptation(loop, tool=TOOL),
-                  states(loop.replace(rotor_inertia=1.05 * loop.rotor_inertia), motion()))
+                  states(loop.changed(rotor_inertia=1.05 * loop.drives.rotor_inertia), motion()))
     assert abs(factors.mass) < 0.3
     np.testing.assert_allclose(sliding_ratio(loop, factors), 1.0, atol=0.1)
 
@@ -90,7 +91,8 @@ def test_contact_that_is_expected_is_not_taken_for_a_lighter_tool():
     for state in states(loop, motion(), repeat=1):
         tau_ext = rng.normal(scale=20.0, size=loop.n)
         free = adaptation.update(free, state)
-        pressed = adaptation.update(pressed, RobotState(state.t, state.q, state.tau - loop.gain * tau_ext), tau_ext)
+        tau = state.tau - loop.drives.gain * tau_ext
+        pressed = adaptation.update(pressed, RobotState(state.t, state.q, tau), tau_ext)
     np.testing.assert_allclose(pressed.mass, free.mass, atol=1e-9)
     np.testing.assert_allclose(pressed.values, free.values, atol=1e-9)
 
@@ -100,8 +102,8 @@ def test_what_was_learned_before_the_start_does_not_jerk_the_arm():
     loop, q_d = plant(), np.tile(ROBOT.home, (60, 1))
     adaptation = FrictionAdaptation(loop, tool=TOOL)
     known = adaptation.init()._replace(mass=2.0)
-    heavier = commands(AdaptedIdeal(IdealRobot(loop), adaptation, known), q_d)
-    np.testing.assert_allclose(heavier, commands(IdealRobot(loop), q_d), atol=2e-6)
+    heavier = commands(AdaptedIdeal(Inverse(loop), adaptation, known), q_d)
+    np.testing.assert_allclose(heavier, commands(Inverse(loop), q_d), atol=2e-6)
 
 
 def test_it_makes_the_path_better_when_the_tool_is_heavier():
@@ -109,9 +111,9 @@ def test_it_makes_the_path_better_when_the_tool_is_heavier():
     heavier = loaded(loop, mass=6.0)
     adaptation = FrictionAdaptation(loop, tool=TOOL)
     known = fed(adaptation, states(heavier, q_d))
-    wanted = simulate(loop, commands(IdealRobot(loop), q_d)).q_m[40:-1]
+    wanted = simulate(loop, commands(Inverse(loop), q_d)).q_m[40:-1]
     fixed, adapted = (rms(simulate(heavier, commands(feedforward, q_d)).q_m[40:-1] - wanted) for feedforward in
-                      (IdealRobot(loop), AdaptedIdeal(IdealRobot(loop), adaptation, known)))
+                      (Inverse(loop), AdaptedIdeal(Inverse(loop), adaptation, known)))
     assert adapted < 0.5 * fixed
 
 
@@ -149,8 +151,8 @@ def test_noise_does_not_move_it_away_from_the_truth():
 
 def test_without_a_recording_it_is_the_ideal_robot():
     loop, q_d = plant(), motion()
-    adapts = AdaptedIdeal(IdealRobot(loop), FrictionAdaptation(loop, tool=TOOL))
-    np.testing.assert_array_equal(commands(adapts, q_d), commands(IdealRobot(loop), q_d))
+    adapts = AdaptedIdeal(Inverse(loop), FrictionAdaptation(loop, tool=TOOL))
+    np.testing.assert_array_equal(commands(adapts, q_d), commands(Inverse(loop), q_d))
 
 
 def test_what_is_learned_is_used_in_the_adapted_joints_alone():
@@ -161,10 +163,10 @@ def test_what_is_learned_is_used_in_the_adapted_joints_alone():
     inertia = curve.init()
     inertia = inertia._replace(inertia=inertia.inertia + 0.1)
     some = np.arange(loop.n) % 2 == 0
-    none, all_, mixed = (AdaptedIdeal(IdealRobot(loop), adaptation, known, curve, adapted=joints)
+    none, all_, mixed = (AdaptedIdeal(Inverse(loop), adaptation, known, curve, adapted=joints)
                          for joints in (~some & some, None, some))
     after = [law.step(law.init(q_d[0])._replace(curve=inertia), q_d[60:90])[1].ideal for law in (none, all_, mixed)]
-    plain = IdealRobot(loop)
+    plain = Inverse(loop)
     np.testing.assert_array_equal(after[0].tau, plain.step(plain.init(q_d[0]), q_d[60:90])[1].tau)
     np.testing.assert_array_equal(after[2].tau, np.where(some, after[1].tau, after[0].tau))
     assert np.all(after[1].tau != after[0].tau)
@@ -173,7 +175,7 @@ def test_what_is_learned_is_used_in_the_adapted_joints_alone():
 def test_a_motor_that_does_not_follow_at_all_strays_farther_than_one_that_follows_badly():
     """Cycles that tell nothing of friction were left out of the sum: the worst play looked like the best."""
     loop, q_d = plant(), motion()
-    ideal, curve, sums = IdealRobot(loop), FrictionCurve(loop), []
+    ideal, curve, sums = Inverse(loop), FrictionCurve(loop), []
     for apart in (0.0, 1.0):
         planned, known = ideal.init(q_d[0]), curve.init()
         for k in range(100):
@@ -189,7 +191,7 @@ def test_where_nothing_tells_anything_it_is_the_ideal_robot_bit_for_bit(amplitud
     """An arm that stands, and one that stirs by less than friction turns over, pushed by torques of any size."""
     loop, rng = plant(), np.random.default_rng(3)
     q_d = ROBOT.home + amplitude * np.sin(0.5 * T * np.arange(300))[:, None]
-    ideal = IdealRobot(loop)
+    ideal = Inverse(loop)
     adapts = AdaptedIdeal(ideal, FrictionAdaptation(loop, tool=TOOL))
     known, plain = adapts.init(q_d[0]), ideal.init(q_d[0])
     for k in range(len(q_d) - 30):
@@ -201,9 +203,10 @@ def test_where_nothing_tells_anything_it_is_the_ideal_robot_bit_for_bit(amplitud
 
 def falling(loop, share=0.3):
     """The loop with friction that falls by a share of the dry one before it rises."""
-    speed = loop.friction_velocity / loop.v_max
-    return loop.replace(friction_torque=loop.friction_torque - share * loop.friction_torque[:, :1]
-                        * (1.0 - np.exp(-((speed / 0.01) ** 2))))
+    speed = loop.friction.speeds / loop.path.v_max[:, None]
+    sizes = loop.friction.sizes.copy()
+    sizes[..., DRY] -= share * sizes[:, :, :1, DRY] * (1.0 - np.exp(-((speed / 0.01) ** 2)))[:, None]
+    return loop.changed(sizes=sizes)
 
 
 @pytest.mark.parametrize("factor", [0.8, 1.3])
@@ -212,8 +215,8 @@ def test_friction_that_falls_before_it_rises_is_found_in_the_torques(factor):
     loop, slow = plant(), motion(0.05)
     true = falling(plant(friction=factor))
     known = fed(FrictionAdaptation(loop), [*states(true, motion()), *states(true, slow)])
-    missed = [np.abs([np.interp(share * loop.v_max[i], loop.friction_velocity[:, i],
-                                (known.friction[0] - true.friction_torque)[0, :, i]) / true.friction_torque[0, 0, i]
+    missed = [np.abs([np.interp(share * loop.path.v_max[i], true.friction.speeds[i],
+                                (known.friction.sliding - true.friction.sliding)[i, 0]) / true.friction.dry[i]
                       for i in range(loop.n)]).max() for share in (0.005, 0.03, 0.2)]
     assert np.all(np.array(missed) < (0.1, 0.05, 0.05)), missed
 
@@ -222,14 +225,14 @@ def test_an_arm_whose_friction_falls_before_it_rises_is_where_it_should_be():
     loop, q_d = plant(), motion()
     true, adaptation = falling(loop), FrictionAdaptation(loop)
     known = fed(adaptation, [*states(true, q_d), *states(true, motion(0.05))])
-    adapted = AdaptedIdeal(IdealRobot(loop), adaptation, known)
-    assert off(true, adapted, q_d) < 0.25 * off(true, IdealRobot(loop), q_d)
+    adapted = AdaptedIdeal(Inverse(loop), adaptation, known)
+    assert off(true, adapted, q_d) < 0.25 * off(true, Inverse(loop), q_d)
 
 
 def test_where_the_model_leaves_more_than_friction_little_is_learned():
     """A joint torque sensor behind the gear shows hardly any friction: what is left there is not friction's."""
     loop = plant()
-    dry, rng = loop.friction_torque[0, 0], np.random.default_rng(5)
+    dry, rng = loop.friction.dry, np.random.default_rng(5)
     measured = [replace(s, tau=s.tau + 2.0 * dry * rng.standard_normal(loop.n)) for s in states(loop, motion())]
     off = [np.abs(fed(FrictionAdaptation(loop, noise_std=floor), measured).values).max() for floor in (None, dry)]
     assert off[1] < 0.5 * off[0]
@@ -255,13 +258,13 @@ def test_a_poisoned_recording_leaves_it_bounded(kind):
     assert np.all(np.abs(state.values) <= FAR * np.concatenate([SHARED + OWN, np.ones(TERMS - 2)]))
     assert np.all(np.linalg.eigvalsh(state.covariance) > 0.0)
     assert np.isfinite(state.mass)
-    feedforward = AdaptedIdeal(IdealRobot(loop), adaptation)
+    feedforward = AdaptedIdeal(Inverse(loop), adaptation)
     begun = feedforward.init(q_d[0], state)
     q_c = []
     for k in range(len(q_d) - 30):
         command, begun = feedforward.step(begun, q_d[k : k + 30])
         q_c.append(command)
-    plain = commands(IdealRobot(loop), q_d)[: len(q_c)]
+    plain = commands(Inverse(loop), q_d)[: len(q_c)]
     assert np.max(np.abs(np.array(q_c) - plain)) < 0.05
 
 
@@ -276,5 +279,5 @@ def test_good_measurements_after_bad_ones_count_again():
 
 def test_it_makes_the_path_better_when_friction_has_grown():
     loop, worn, q_d = plant(), plant(friction=1.4), motion()
-    follows = AdaptedIdeal(IdealRobot(loop), known=fed(FrictionAdaptation(loop), states(worn, q_d)))
-    assert off(worn, follows, q_d) < 0.5 * off(worn, IdealRobot(loop), q_d)
+    follows = AdaptedIdeal(Inverse(loop), known=fed(FrictionAdaptation(loop), states(worn, q_d)))
+    assert off(worn, follows, q_d) < 0.5 * off(worn, Inverse(loop), q_d)

@@ -19,7 +19,6 @@ from ideal_robot.feedforward.friction_estimator import (
     WARMING,
     aged,
     counted,
-    friction_of,
     friction_terms,
     likeness,
     noise_variance,
@@ -29,9 +28,9 @@ from ideal_robot.feedforward.friction_estimator import (
     wandered,
     with_terms,
 )
-from ideal_robot.feedforward.ideal import IdealRobot
+from ideal_robot.feedforward.inverse import Inverse
 from ideal_robot.feedforward.method import Setting
-from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.loop.loop import Loop
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.signals.recording import Recording
 from scenes.arms import model_at
@@ -130,18 +129,16 @@ def test_samples_that_are_nearer_say_no_more(spacing):
 def test_terms_are_added_to_the_table_and_dry_friction_scales_what_grows_with_load() -> None:
     """Zero changes nothing; a tenth more of dry friction is a tenth more by load; friction is never negative."""
     loop = plant()
-    loop = loop.replace(friction_load=np.full(loop.n, 0.04), friction_driven=np.full(loop.n, -0.02))
-    friction, terms = friction_of(loop), table_terms(loop)
+    friction, terms = loop.friction._replace(per_load=np.tile([0.04, -0.02], (loop.n, 1))), table_terms(loop)
     none = np.zeros((loop.n, TERMS))
     for before, after in zip(friction, with_terms(friction, terms, none), strict=True):
         np.testing.assert_array_equal(before, after)
     more = none.copy()
     more[:, 0] = 0.1
-    table, load, driven = with_terms(friction, terms, more)
-    np.testing.assert_allclose(table, friction[0] + 0.1 * terms[:, 0].T, atol=1e-12)
-    np.testing.assert_allclose(load, 1.1 * friction[1])
-    np.testing.assert_allclose(driven, 1.1 * friction[2])
-    assert np.all(with_terms(friction, terms, -100.0 * np.ones_like(none))[0] >= 0.0)
+    changed = with_terms(friction, terms, more)
+    np.testing.assert_allclose(changed.sizes, friction.sizes + 0.1 * terms[:, None, 0], atol=1e-12)
+    np.testing.assert_allclose(changed.per_load, 1.1 * friction.per_load)
+    assert np.all(with_terms(friction, terms, -100.0 * np.ones_like(none)).sliding >= 0.0)
 
 
 # The friction curve: it finds a shape and an inertia that the model has not, from motor angles, and stays bounded.
@@ -150,15 +147,15 @@ SLOW = 0.02
 """Where the sticky arm differs most, in gross sliding [rad/s]."""
 
 
-def sticky(loop: LoopModel) -> LoopModel:
+def sticky(loop: Loop) -> Loop:
     """The loop with a quarter more dry friction at rest, which is gone from 0.1 rad/s on."""
-    more = 1.0 + 0.25 * np.exp(-((loop.friction_velocity / 0.05) ** 2))
-    return loop.replace(friction_torque=loop.friction_torque * more, friction_dry=loop.friction_dry)
+    more = 1.0 + 0.25 * np.exp(-((loop.friction.speeds / 0.05) ** 2))
+    return loop.changed(sizes=loop.friction.sizes * more[:, None, :, None])
 
 
-def learned(loop: LoopModel, true: LoopModel, q_d: Array, repeat: int = 4, scale: float = 1.0) -> CurveState:
+def learned(loop: Loop, true: Loop, q_d: Array, repeat: int = 4, scale: float = 1.0) -> CurveState:
     """What is learned while the ideal robot, which does not know, moves the true arm again and again."""
-    ideal, curves = IdealRobot(loop), FrictionCurve(loop)
+    ideal, curves = Inverse(loop), FrictionCurve(loop)
     q_d = np.concatenate([q_d] * repeat)
     done = simulate(true, commands(ideal, q_d))
     state, known = ideal.init(q_d[0]), curves.init()
@@ -178,19 +175,20 @@ def test_friction_that_falls_with_speed_is_found_in_the_motor_angles(delay: int)
     loop = plant(delay=delay)
     true = sticky(loop)
     estimate = FrictionCurve(loop).values(learned(loop, true, motion(amplitude=0.05)))
-    more = (true.friction_torque - loop.friction_torque)[0]
+    more = (true.friction.sliding - loop.friction.sliding)[:, 0]
     ratio = np.array([dry * friction_terms(np.array([SLOW / most]))[0] @ values / np.interp(SLOW, v, theirs)
-                      for dry, most, values, v, theirs in zip(loop.friction_torque[0, 0], loop.v_max, estimate,
-                                                              loop.friction_velocity.T, more.T, strict=True)])
+                      for dry, most, values, v, theirs in zip(loop.friction.dry, loop.path.v_max, estimate,
+                                                              loop.friction.speeds, more, strict=True)])
     assert np.all((ratio > 0.5) & (ratio < 1.2)), ratio
 
 
 @pytest.mark.parametrize("delay", [0, 1])
 def test_inertia_that_the_model_has_not_is_found_in_the_motor_angles(delay: int) -> None:
     loop = plant(delay=delay)
-    more = np.array([0.08, -0.08, 0.08, -0.08, 0.08, -0.08]) * loop.k_p * loop.t_ipo
-    heavier = loop.replace(rotor_inertia=np.maximum(loop.rotor_inertia + more, 0.2 * loop.rotor_inertia))
-    more = heavier.rotor_inertia - loop.rotor_inertia
+    more = np.array([0.08, -0.08, 0.08, -0.08, 0.08, -0.08]) * loop.cascade.k_p * loop.t_ipo
+    rotor = loop.drives.rotor_inertia
+    heavier = loop.changed(rotor_inertia=np.maximum(rotor + more, 0.2 * rotor))
+    more = heavier.drives.rotor_inertia - rotor
     estimates = [learned(loop, true, motion()).inertia for true in (loop, heavier)]
     # Where joints move together it is not told apart whose acceleration it is; the torque is what counts.
     qdd = accelerations(loop, motion())
@@ -198,7 +196,7 @@ def test_inertia_that_the_model_has_not_is_found_in_the_motor_angles(delay: int)
         assert rms(qdd @ (estimates[1] - estimates[0])[i] - qdd[:, i] * more[i]) < 0.35 * rms(qdd[:, i] * more[i])
 
 
-def accelerations(loop: LoopModel, q: Array) -> Array:
+def accelerations(loop: Loop, q: Array) -> Array:
     return np.asarray(np.gradient(np.gradient(q, loop.t_ipo, axis=0), loop.t_ipo, axis=0))
 
 
@@ -207,7 +205,7 @@ def test_links_that_other_joints_accelerate_are_found_in_the_motor_angles() -> N
     loop, q_d = plant(), motion()
     mass = loop.chain.mass.copy()
     mass[2] *= 1.3
-    heavier = loop.replace(chain=loop.chain._replace(mass=mass))
+    heavier = loop.changed(chain=loop.chain._replace(mass=mass))
     middle = np.median(q_d, axis=0)
     estimate = learned(loop, heavier, q_d).inertia - learned(loop, loop, q_d).inertia
     q, still = np.tile(middle, (loop.n, 1)), np.zeros((loop.n, loop.n))
@@ -222,23 +220,23 @@ def test_links_that_other_joints_accelerate_are_found_in_the_motor_angles() -> N
 
 def test_with_the_inertia_of_another_motion_the_arm_is_where_it_should_be() -> None:
     loop = plant()
-    heavier = loop.replace(rotor_inertia=loop.rotor_inertia + 0.08 * loop.k_p * loop.t_ipo)
+    heavier = loop.changed(rotor_inertia=loop.drives.rotor_inertia + 0.08 * loop.cascade.k_p * loop.t_ipo)
     curves = FrictionCurve(loop)
     known = curves.inertia_alone(learned(loop, heavier, motion(amplitude=0.05)))
     assert not known.x[:, : TERMS + 1].any()
     assert known.inertia.any()
     q_d = motion()
     knew, fixed, adapted = (off(heavier, feedforward, q_d) for feedforward in (
-        IdealRobot(heavier), IdealRobot(loop), AdaptedIdeal(IdealRobot(loop), curve=curves, known_curve=known)))
+        Inverse(heavier), Inverse(loop), AdaptedIdeal(Inverse(loop), curve=curves, known_curve=known)))
     assert adapted - knew < 0.35 * (fixed - knew), (knew, fixed, adapted)
 
 
 @pytest.mark.parametrize(("true", "least"), [(sticky(plant()), 0.6), (plant(), 1.03)], ids=["sticky", "as modelled"])
-def test_with_the_curve_the_arm_is_where_it_should_be(true: LoopModel, least: float) -> None:
+def test_with_the_curve_the_arm_is_where_it_should_be(true: Loop, least: float) -> None:
     """And an arm as the model has it is moved no worse."""
     loop, q_d = plant(), motion(amplitude=0.05)
-    curve = AdaptedIdeal(IdealRobot(loop), curve=FrictionCurve(loop), known_curve=learned(loop, true, q_d))
-    assert off(true, curve, q_d) < least * off(true, IdealRobot(loop), q_d)
+    curve = AdaptedIdeal(Inverse(loop), curve=FrictionCurve(loop), known_curve=learned(loop, true, q_d))
+    assert off(true, curve, q_d) < least * off(true, Inverse(loop), q_d)
 
 
 def test_of_another_motion_the_curve_stays_and_the_following_error_does_not() -> None:
@@ -266,27 +264,26 @@ LOW_SPEEDS = np.array([0.01, 0.02, 0.04, 0.08])
 """At which friction is looked at [rad/s]."""
 
 
-def sticky_and_bent(loop: LoopModel) -> LoopModel:
+def sticky_and_bent(loop: Loop) -> Loop:
     """The loop with a fifth more dry friction at rest, gone from 0.1 rad/s on, that turns over half the angle."""
-    more = 1.0 + 0.2 * np.exp(-((loop.friction_velocity / 0.05) ** 2))
-    return loop.replace(friction_torque=loop.friction_torque * more, friction_bend=0.5 * loop.friction_bend,
-                        friction_dry=loop.friction_dry)
+    more = 1.0 + 0.2 * np.exp(-((loop.friction.speeds / 0.05) ** 2))
+    return loop.changed(sizes=loop.friction.sizes * more[:, None, :, None], sigma_0=2.0 * loop.friction.sigma_0)
 
 
-def recorded(loop: LoopModel) -> Recording:
+def recorded(loop: Loop) -> Recording:
     """Twelve seconds of all joints but the last, back and forth at up to 0.1 rad/s, with noise of the currents."""
     t = T * np.arange(1000)
     moves = np.append(0.1 / np.array([2.1, 2.7, 3.3, 3.9, 4.5]), 0.0)
     q_d = ROBOT.home + moves * (1.0 - np.cos(np.outer(t, [2.1, 2.7, 3.3, 3.9, 4.5, 1.0])))
     done = simulate(loop, q_d)
-    noise = 0.005 * loop.tau_max * np.random.default_rng(5).standard_normal(done.tau.shape)
+    noise = 0.005 * loop.cascade.tau_max * np.random.default_rng(5).standard_normal(done.tau.shape)
     return Recording.from_arrays(T * np.arange(len(done.q_m)), q=done.q_m, tau=done.tau + noise)
 
 
-def at_speeds(loop: LoopModel) -> Array:
+def at_speeds(loop: Loop) -> Array:
     """Friction at ``LOW_SPEEDS`` over dry friction of the joints ``(4, n)``."""
-    dry = loop.friction_dry
-    return np.column_stack([np.interp(LOW_SPEEDS, loop.friction_velocity[:, j], loop.friction_torque[0, :, j]) / dry[j]
+    friction, dry = loop.friction, plant().friction.dry
+    return np.column_stack([np.interp(LOW_SPEEDS, friction.speeds[j], friction.sliding[j, 0]) / dry[j]
                             for j in range(loop.n)])
 
 
@@ -327,8 +324,8 @@ def test_methods_are_made_with_it(found: FrictionAtWork) -> None:
     model = model_at("shipped", ROBOT)
     plain = Setting(ROBOT, model, 20).loop()
     other = Setting(ROBOT, model, 20, friction=found).loop()
-    np.testing.assert_array_equal(other.friction_torque, found.in_loop(plain).friction_torque)
-    assert not np.allclose(other.friction_torque, plain.friction_torque)
+    np.testing.assert_array_equal(other.friction.sizes, found.in_loop(plain).friction.sizes)
+    assert not np.allclose(other.friction.sizes, plain.friction.sizes)
 
 
 def test_a_recording_without_torques_is_refused() -> None:
@@ -343,8 +340,8 @@ def test_a_recording_without_torques_is_refused() -> None:
 def test_ripple_that_the_loop_knows_is_no_friction() -> None:
     """Two thirds of dry friction, over three of its periods at most: taken for friction it bends the curve."""
     loop = plant()
-    waves = np.stack([np.full(loop.n, 25.0), 0.6 * loop.friction_dry, 0.3 * loop.friction_dry])[None]
-    rippled = loop.replace(ripple=waves)
+    waves = np.stack([np.full(loop.n, 25.0), 0.6 * loop.friction.dry, 0.3 * loop.friction.dry])[None]
+    rippled = loop.changed(ripple=waves)
     same = friction_at_work(recorded(rippled), rippled).in_loop(rippled)
     moving = slice(0, loop.n - 1)
     np.testing.assert_allclose(at_speeds(same)[:, moving], at_speeds(loop)[:, moving], atol=0.03)

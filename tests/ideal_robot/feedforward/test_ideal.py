@@ -11,7 +11,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.execution.precorrect import precorrect
 from ideal_robot.feedforward.base import PassThrough
 from ideal_robot.feedforward.corrected_arm import CorrectedArm, ForCorrectedArm
-from ideal_robot.feedforward.ideal import IdealRobot
+from ideal_robot.feedforward.inverse import Inverse, Options
 from ideal_robot.feedforward.learning import LearningLaw, Playback, learn, learn_on_model
 from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.simulation import simulate
@@ -25,31 +25,31 @@ from tests.arms import ROBOT, T, commands, motion, off, plant, rms
 def test_inverts_the_loop_it_knows(delay):
     loop, q_d = plant(delay=delay), motion()
     # What is left is what a linear interpolation over 12 ms cannot command at reversals of friction.
-    assert off(loop, IdealRobot(loop), q_d) < 0.01 * off(loop, PassThrough(T), q_d)
+    assert off(loop, Inverse(loop), q_d) < 0.01 * off(loop, PassThrough(T), q_d)
 
 
 def test_the_planners_delay_does_not_matter():
     q_d = motion()
     loops = plant(delay=0), plant(delay=1)
-    arms = [simulate(loop, commands(IdealRobot(loop), q_d)).q_a[40:-1] for loop in loops]
+    arms = [simulate(loop, commands(Inverse(loop), q_d)).q_a[40:-1] for loop in loops]
     assert rms(arms[0] - arms[1]) < 1e-5
 
 
 def test_wrong_inertias_friction_and_stiffness_cost_little():
     loop, q_d = plant(), motion()
-    wrong = IdealRobot(plant(inertia=1.1, friction=0.9, stiffness=1.1))
+    wrong = Inverse(plant(inertia=1.1, friction=0.9, stiffness=1.1))
     assert off(loop, wrong, q_d) < 0.05 * off(loop, PassThrough(T), q_d)
 
 
 def test_gears_that_are_known_to_be_elastic_are_compensated():
     loop, q_d = plant(), motion()
-    assert off(loop, IdealRobot(loop), q_d) < 0.2 * off(loop, IdealRobot(loop, elastic=False), q_d)
+    assert off(loop, Inverse(loop), q_d) < 0.2 * off(loop, Inverse(loop, options=Options(elastic=False)), q_d)
 
 
 def test_at_rest_the_arm_and_not_the_motor_is_where_it_shall_be():
     loop = plant()
     q_d = np.tile(motion()[0], (250, 1))
-    done = simulate(loop, commands(IdealRobot(loop), q_d))
+    done = simulate(loop, commands(Inverse(loop), q_d))
     assert np.max(np.abs(done.q_a[-1] - q_d[-1])) < 2e-5
     assert np.max(np.abs(done.q_m[-1] - q_d[-1])) > 3e-4
 
@@ -60,7 +60,7 @@ def test_expected_contact_torques_are_carried():
     t = np.arange(len(q_d))
     torque = np.zeros_like(q_d)
     torque[:, 1] = 150.0 * np.clip((t - 60) / 40, 0, 1)
-    feedforward = IdealRobot(loop)
+    feedforward = Inverse(loop)
     ahead = np.concatenate([torque, np.tile(torque[-1], (30, 1))])
     errors = {}
     for known in (True, False):
@@ -78,7 +78,7 @@ def test_a_path_that_a_sensor_bends_under_way_is_followed():
     shift = np.zeros(len(planned) + 40)
     for start in range(0, len(shift), 2):
         shift[start:] += rng.normal(scale=5e-5)
-    feedforward = IdealRobot(loop)
+    feedforward = Inverse(loop)
     state, q_c, desired = feedforward.init(planned[0]), np.empty_like(planned), np.empty_like(planned)
     ahead = np.concatenate([planned, np.tile(planned[-1], (40, 1))])
     for k in range(len(planned)):
@@ -95,20 +95,20 @@ def test_a_path_that_a_sensor_bends_under_way_is_followed():
 def test_noise_on_the_desired_path_is_not_amplified_beyond_the_arms_means():
     loop, q_d = plant(), motion()
     noisy = q_d + np.random.default_rng(2).normal(scale=2e-5, size=q_d.shape)
-    difference = commands(IdealRobot(loop), noisy) - commands(IdealRobot(loop), q_d)
+    difference = commands(Inverse(loop), noisy) - commands(Inverse(loop), q_d)
     assert rms(difference) < 2e-3
 
 
 @pytest.mark.parametrize("bad", [np.full((30, 6), np.nan), np.zeros((30, 5)), np.zeros((0, 6)), np.zeros(6)])
 def test_bad_horizons_are_refused(bad):
-    feedforward = IdealRobot(plant())
+    feedforward = Inverse(plant())
     with pytest.raises(InputError, match="finite desired positions"):
         feedforward.step(feedforward.init(motion()[0]), bad)
 
 
 def test_horizon_must_have_a_row():
     with pytest.raises(InputError, match="at least one row"):
-        IdealRobot(plant(), 0)
+        Inverse(plant(), 0)
 
 
 # An arm whose geometry is not the drawn one: its tool where the path wants it, and where a follower believes it.
@@ -184,7 +184,7 @@ def test_learning_on_the_model_needs_no_arm():
 
 def test_learning_on_the_model_improves_on_the_flat_inverse():
     loop, q_d = plant(), motion()
-    done = learn_on_model(loop, q_d, commands(IdealRobot(loop), q_d))
+    done = learn_on_model(loop, q_d, commands(Inverse(loop), q_d))
     assert done.best < 0.7 * done.criterion[0]
 
 

@@ -15,10 +15,9 @@ from ideal_robot.arrays import eased
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward, PassThrough
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal
-from ideal_robot.feedforward.ideal import IdealRobot
+from ideal_robot.feedforward.inverse import AHEAD, PRINTED, Inverse, Options
 from ideal_robot.feedforward.learning import Playback
 from ideal_robot.feedforward.method import Needs, Practice, Rehearsed, Setting
-from ideal_robot.feedforward.precorrection import Precorrection
 from ideal_robot.feedforward.registry import _REGISTRY, feedforward, method, methods, register, unregister
 from ideal_robot.feedforward.training import LinearInverse, train
 from ideal_robot.loop.from_model import loop_model
@@ -37,11 +36,12 @@ LIMITS = ROBOT.q_min, ROBOT.q_max
 def nominal_model() -> Model:
     """The data sheet's model with the plant's controller and gears."""
     loop = plant()
+    own = loop.cascade
     controller = ControllerModel(
-        t_cycle=0.002, k_p=loop.k_p * loop.k_v, k_d=loop.k_p * loop.k_ff, k_1=loop.k_p * (loop.k_ff - 1),
-        k_2=loop.k_p * loop.t_filter, k_i=loop.k_i / loop.k_p * 0.002, filter_time=np.full(6, 1.5e-3), filter_order=2)
-    return dataclasses.replace(Model.nominal(ROBOT), controller=controller, stiffness=np.array(loop.stiffness),
-                               damping=np.array(loop.damping))
+        t_cycle=0.002, k_p=own.k_p * own.k_v, k_d=own.k_p * own.k_ff, k_1=own.k_p * (own.k_ff - 1),
+        k_2=own.k_p * own.t_filter, k_i=own.k_i / own.k_p * 0.002, filter_time=np.full(6, 1.5e-3), filter_order=2)
+    return dataclasses.replace(Model.nominal(ROBOT), controller=controller, stiffness=np.array(loop.drives.stiffness),
+                               damping=np.array(loop.drives.damping))
 
 
 def trained():
@@ -53,12 +53,12 @@ MAKERS = {
     "none": lambda: PassThrough(T),
     "linear": lambda: LinearInverse(LinearLoop.of(plant(), ROBOT.home), limits=LIMITS),
     "trained": trained,
-    "precorrected_1": lambda: Precorrection(nominal_model(), ROBOT),
-    "precorrected": lambda: Precorrection.complete(nominal_model(), ROBOT, delay=1),
+    "precorrected_1": lambda: Inverse.of(nominal_model(), ROBOT, None, options=PRINTED),
+    "precorrected": lambda: Inverse.of(nominal_model(), ROBOT, None, delay=1, options=AHEAD),
     "learned": lambda: Playback(motion(), T),
-    "ideal": lambda: IdealRobot(plant()),
-    "ideal_rigid": lambda: IdealRobot(plant(), elastic=False),
-    "adapted": lambda: AdaptedIdeal(IdealRobot(plant())),
+    "ideal": lambda: Inverse(plant()),
+    "ideal_rigid": lambda: Inverse(plant(), options=Options(elastic=False)),
+    "adapted": lambda: AdaptedIdeal(Inverse(plant())),
 }
 RIGID = ("none", "linear", "trained", "precorrected_1", "learned", "ideal_rigid")
 """Those that do not compensate the gears' deflection, so that at rest nothing may be left of the correction."""
@@ -144,7 +144,7 @@ def path() -> np.ndarray:
 def practice() -> Practice:
     """An arm to play on: the identified loop itself, with gears a little softer."""
     loop = loop_model(MODEL, KR6, delay=0)
-    arm = loop.replace(stiffness=0.9 * loop.stiffness)
+    arm = loop.changed(stiffness=0.9 * loop.drives.stiffness)
 
     def play(law: Feedforward, q_d: np.ndarray) -> Rehearsed:
         return Rehearsed(law.init(q_d[0]), lambda: np.asarray(q_d - simulate(arm, law.along(q_d)).q_a[:-1]))

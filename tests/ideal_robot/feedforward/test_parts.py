@@ -12,12 +12,10 @@ from ideal_robot.arrays import eased
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import PassThrough
-from ideal_robot.feedforward.ideal import IdealRobot
+from ideal_robot.feedforward.inverse import AHEAD, PRINTED, Inverse, command_inverse, spline_operators
 from ideal_robot.feedforward.learning import AXES, joint_errors, pose_errors
-from ideal_robot.feedforward.precorrection import Precorrection, at_cycle, command_inverse, spline_operators
 from ideal_robot.feedforward.smoothed_window import CYCLES, Drive, Smoothed, noted, smoothed
 from ideal_robot.feedforward.training import LinearInverse, train
-from ideal_robot.friction.presliding import turned
 from ideal_robot.loop.from_model import cascade_gains, loop_model
 from ideal_robot.loop.impulse_response import InformationFilter, LinearLoop
 from ideal_robot.loop.simulation import interpolated, low_passed, simulate
@@ -49,10 +47,10 @@ def test_smoothing_passes_slow_and_stops_fast():
 def test_command_inverse_undoes_interpolation_and_low_pass(delay):
     loop = plant(delay=delay)
     inverse = command_inverse(loop, 7)
-    t = np.arange(0.0, 2.0, loop.t_position)
+    t = np.arange(0.0, 2.0, loop.path.t_position)
     desired = 0.2 * np.sin(2 * np.pi * 1.5 * np.clip(t - 0.3, 0, None)) ** 2
-    rate = np.diff(desired, prepend=desired[0]) / loop.t_position
-    signal = loop.k_v[0] * desired + loop.k_ff[0] * rate
+    rate = np.diff(desired, prepend=desired[0]) / loop.path.t_position
+    signal = loop.cascade.k_v[0] * desired + loop.cascade.k_ff[0] * rate
     past = np.zeros(inverse.n_past)
     q_c: list[float] = []
     for k in range(140):
@@ -60,7 +58,7 @@ def test_command_inverse_undoes_interpolation_and_low_pass(delay):
         q_c.append(inverse.wanted[0] @ signal[start : start + inverse.wanted.shape[1]] + inverse.past[0] @ past)
         past = np.append(past[1:], q_c[-1])
     commands_ = np.tile(np.array(q_c)[:, None], (1, 6))
-    filtered = low_passed(interpolated(commands_, np.zeros(6), loop), np.zeros(6), loop.command_filter)[:, 0]
+    filtered = low_passed(interpolated(commands_, np.zeros(6), loop), np.zeros(6), loop.path.command_filter)[:, 0]
     # A linear interpolation over a cycle cannot be closer to a curve than its chord's sagitta, ẍ T²/8.
     sagitta = 0.1 * (2 * np.pi * 3.0) ** 2 * T**2 / 8
     assert np.max(np.abs(filtered - desired[: len(filtered)])) < sagitta
@@ -68,7 +66,7 @@ def test_command_inverse_undoes_interpolation_and_low_pass(delay):
 
 def test_command_inverse_is_exact_at_rest():
     inverse = command_inverse(plant(), 7)
-    still = plant().k_v[:, None] * np.ones((6, inverse.wanted.shape[1]))
+    still = plant().cascade.k_v[:, None] * np.ones((6, inverse.wanted.shape[1]))
     total = np.sum(inverse.wanted * still, axis=1) + np.sum(inverse.past, axis=1)
     np.testing.assert_allclose(total, 1.0, atol=1e-12)
 
@@ -107,7 +105,7 @@ def test_unknown_axes_are_refused():
 def test_training_carries_over_to_another_motion():
     """Trained where learning got it right, used on a motion of other size and duration, as [G] 4.2.2 wants it."""
     loop, q_d, other = plant(), motion(), motion(amplitude=-0.15, duration=1.9)
-    learned = commands(IdealRobot(loop), q_d)
+    learned = commands(Inverse(loop), q_d)
     for chain, factor in ((None, 0.2), (loop.chain, 0.1)):
         trained = train([(q_d, learned)], T, chain=chain)
         assert off(loop, trained, other, 0) < factor * off(loop, PassThrough(T), other, 0)
@@ -123,10 +121,11 @@ def test_training_wants_matching_paths():
 def test_precorrection_is_the_equations_of_the_paper():
     """[G] (18)–(20) cycle by cycle on a motion of constant acceleration, where the smoothing is exact."""
     model = dataclasses.replace(nominal_model(), stiffness=None, damping=None)
-    gains = at_cycle(model.controller, T)
+    own = model.controller
+    k_p, k_d, k_1, k_2, k_i = own.k_p, own.k_d, own.k_1, own.k_2, own.k_i * T / own.t_cycle
     t = T * np.arange(60)
     q_d = ROBOT.home + 0.4 * t[:, None] ** 2 / 2
-    feedforward = Precorrection(model, ROBOT)
+    feedforward = Inverse.of(model, ROBOT, None, delay=0, options=PRINTED)
     state = feedforward.init(q_d[0])
     for k in range(40):
         before = state
@@ -136,8 +135,8 @@ def test_precorrection_is_the_equations_of_the_paper():
         qd, qdd = np.full(6, 0.4 * t[k]), np.full(6, 0.4)
         tau = model.inverse_dynamics(q_d[k], qd, qdd)[0]
         np.testing.assert_allclose(state.tau, tau, rtol=1e-5, atol=1e-6)
-        u = (state.tau - before.tau + before.u) / (1 + gains.k_i)
-        dq = (u + gains.k_d * before.correction / T - gains.k_1 * qd - gains.k_2 * qdd) / (gains.k_p + gains.k_d / T)
+        u = (state.tau - before.tau + before.u) / (1 + k_i)
+        dq = (u + k_d * (before.q_c[-1] - before.q_m) / T - k_1 * qd - k_2 * qdd) / (k_p + k_d / T)
         np.testing.assert_allclose(q_c, q_d[k] + dq, atol=1e-8)
 
 
@@ -148,7 +147,7 @@ def test_friction_of_load_that_is_driven_counts_from_the_least_power_on(speed):
     q_d = ROBOT.home + np.array([0.0, speed, 0.0, 0.0, 0.0, 0.0]) * (T * np.arange(80))[:, None]
     torques = []
     for arm in (model, driven):
-        feedforward = Precorrection(arm, ROBOT)
+        feedforward = Inverse.of(arm, ROBOT, None, delay=0, options=PRINTED)
         state = feedforward.init(q_d[0])
         for k in range(60):
             _, state = feedforward.step(state, q_d[k : k + 10])
@@ -158,12 +157,13 @@ def test_friction_of_load_that_is_driven_counts_from_the_least_power_on(speed):
     assert torques[1] - torques[0] == pytest.approx(expected, rel=0.15, abs=1e-9)
 
 
-@pytest.mark.parametrize("elastic", [False, True])
-def test_a_short_horizon_goes_on_straight(elastic):
+@pytest.mark.parametrize("options", [PRINTED, AHEAD])
+def test_a_short_horizon_goes_on_straight(options):
     """Where the path is a straight one anyway, rows that are missing at the horizon's end change nothing."""
-    feedforward = Precorrection(nominal_model(), ROBOT, lead=0.03, elastic=elastic)
+    feedforward = Inverse.of(nominal_model(), ROBOT, None, delay=1, options=options)
     q_d = ROBOT.home + 0.2 * T * np.arange(60.0)[:, None]
-    for missing in (1, 3, feedforward.n_d - 2):
+    # Three rows that are left say how the path goes on.
+    for missing in (1, feedforward.n_d - 3):
         whole = short = feedforward.init(q_d[0])
         for k in range(40):
             expected, whole = feedforward.step(whole, q_d[k : k + feedforward.n_d])
@@ -172,15 +172,14 @@ def test_a_short_horizon_goes_on_straight(elastic):
 
 
 def test_models_without_controller_are_refused():
-    for use in (Precorrection, loop_model):
+    for use in (Inverse.of, loop_model):
         with pytest.raises(InputError, match="no controller"):
             use(Model.nominal(ROBOT), ROBOT)
 
 
 def test_gains_survive_the_way_through_the_papers_form():
-    loop = plant()
-    k_v, k_ff, k_p, k_i = cascade_gains(nominal_model().controller)
-    for gain, true in ((k_v, loop.k_v), (k_ff, loop.k_ff), (k_p, loop.k_p), (k_i, loop.k_i)):
+    # The first four of the record: k_v, k_ff, k_p, k_i.
+    for gain, true in zip(cascade_gains(nominal_model().controller), plant().cascade[:4], strict=True):
         np.testing.assert_allclose(gain, true, rtol=1e-9)
 
 
@@ -264,13 +263,13 @@ def test_information_filter_without_information_says_zero():
 
 # Motion and torque smoothed alike: they keep to each other whatever the frequency.
 
-def seen(loop, q, tau, z=None):
-    """Motion and torque in the middle of measurements ``(CYCLES, n)``; friction turned as they say, or as ``z``."""
+def seen(loop, q, tau, force=None):
+    """Motion and torque in the middle of measurements ``(CYCLES, n)``; presliding as they say, or of a state."""
     window, drive = np.zeros((3, CYCLES, loop.n)), Drive.of(loop, T)
     measured = np.stack([q, tau, np.zeros_like(q)], axis=1)
-    assert noted(window, 0, measured, drive) == CYCLES
-    if z is not None:
-        window[2] = z
+    assert noted(window, 0, measured, drive, loop.friction, np.zeros(loop.n)) == CYCLES
+    if force is not None:
+        window[2] = force
     return Smoothed(*(values[0] for values in smoothed(window, drive)))
 
 
@@ -282,8 +281,8 @@ def test_inertia_is_the_same_at_every_frequency(frequency):
     """The second derivative of a cubic through nine positions lacks a tenth at 4 Hz."""
     loop, omega = plant(elastic=False), 2.0 * np.pi * frequency
     q = 0.01 * np.cos(omega * AT) * np.ones(loop.n)
-    middle = seen(loop, q, -loop.rotor_inertia * omega**2 * q)
-    np.testing.assert_allclose(middle.tau, loop.rotor_inertia * middle.motor_a, rtol=0.01)
+    middle = seen(loop, q, -loop.drives.rotor_inertia * omega**2 * q)
+    np.testing.assert_allclose(middle.tau, loop.drives.rotor_inertia * middle.motor_a, rtol=0.01)
     np.testing.assert_allclose(middle.a, middle.motor_a)
 
 
@@ -291,17 +290,10 @@ def test_the_arm_lags_behind_its_gears():
     """Arm and motor swing at 2.5 Hz, with 30 kg m² behind each gear."""
     loop, omega, inertia = plant(), 2.0 * np.pi * 2.5, 30.0
     arm = 0.01 * np.cos(omega * AT) * np.ones(loop.n)
-    motor = arm * (1.0 - inertia * omega**2 / loop.stiffness)
-    tau = -inertia * omega**2 * arm - loop.rotor_inertia * omega**2 * motor
+    motor = arm * (1.0 - inertia * omega**2 / loop.drives.stiffness)
+    tau = -inertia * omega**2 * arm - loop.drives.rotor_inertia * omega**2 * motor
     lagging, rigid = seen(loop, motor, tau, 0.0), seen(plant(elastic=False), arm, tau, 0.0)
     np.testing.assert_allclose(lagging.a, rigid.a, rtol=2e-3)
-
-
-def test_friction_turns_over_the_bend_and_jumps_without():
-    assert turned(1.0, 0.0, 3e-4) == 1.0
-    np.testing.assert_allclose(turned(1.0, -3e-4, 3e-4), 2.0 * np.exp(-1.0) - 1.0)
-    assert turned(1.0, -1e-9, 0.0) == -1.0
-    assert turned(1.0, 0.0, 0.0) == 1.0
 
 
 def test_ripple_is_taken_out_behind_the_gain():
@@ -309,7 +301,7 @@ def test_ripple_is_taken_out_behind_the_gain():
     ripple = np.zeros((1, 3, 6))
     ripple[0, :, 1] = 20.0, 3.0, 4.0
     gain = np.full(6, 1.2)
-    loop = plant(elastic=False).replace(ripple=ripple, gain=gain)
+    loop = plant(elastic=False).changed(ripple=ripple, gain=gain)
     q = 0.3 + 0.1 * AT * np.ones(loop.n)
     waves = np.zeros_like(q)
     waves[:, 1] = 3.0 * np.cos(20.0 * q[:, 1]) + 4.0 * np.sin(20.0 * q[:, 1])
@@ -320,4 +312,5 @@ def test_a_hole_starts_the_window_anew():
     loop = plant()
     measured = np.zeros((CYCLES + 2, 3, loop.n))
     measured[3, 1, 2] = np.nan
-    assert noted(np.zeros((3, CYCLES, loop.n)), 0, measured, Drive.of(loop, T)) == CYCLES - 2
+    assert noted(np.zeros((3, CYCLES, loop.n)), 0, measured, Drive.of(loop, T), loop.friction,
+                 np.zeros(loop.n)) == CYCLES - 2

@@ -10,7 +10,7 @@ from scipy import optimize
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.feedforward.ideal import IdealRobot
+from ideal_robot.feedforward.inverse import Inverse
 from ideal_robot.friction import LAWS, Arctan, CubeRoot, FrictionModel, ViscousCoulomb
 from ideal_robot.identification.friction_choice import fit_warm_up
 from ideal_robot.identification.friction_runs import FoldEquations, FrictionProjection, choose_law, fit_law, fit_ripple
@@ -173,10 +173,10 @@ def test_finds_nothing_where_there_is_nothing():
 def test_the_ideal_robot_carries_it():
     model = nominal_model()
     effects = fit_ripple([recording(Model.nominal(ROBOT), 10.0)], Model.nominal(ROBOT), ROBOT)
-    ripple = loop_model(dataclasses.replace(model, effects=effects), ROBOT).ripple
+    ripple = loop_model(dataclasses.replace(model, effects=effects), ROBOT).drives.ripple
     # Slow enough that the arm can answer: 0.3 rad/s make 12 Hz of two periods per motor turn.
     q_d = motion(amplitude=0.05)
-    arm = plant().replace(ripple=ripple)
-    error = {known: rms(simulate(arm, commands(IdealRobot(loop), q_d)).q_a[40:-1, 0] - q_d[40:, 0])
+    arm = plant().changed(ripple=ripple)
+    error = {known: rms(simulate(arm, commands(Inverse(loop), q_d)).q_a[40:-1, 0] - q_d[40:, 0])
              for known, loop in ((True, arm), (False, plant()))}
     assert error[True] < 0.6 * error[False]

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numba import typeof
 
 from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics, joint_frames, joint_places, mass_matrix
@@ -14,9 +12,9 @@ from ideal_robot.dynamics.regressor import regressor
 from ideal_robot.effects import FittedEffect
 from ideal_robot.effects.fitted import Unknown
 from ideal_robot.errors import IdealRobotError, InputError
-from ideal_robot.friction.laws import Arctan, CubeRoot, ViscousCoulomb
+from ideal_robot.friction.table import DRY, FLUID
 from ideal_robot.loop.from_model import further_torque, with_effects, with_rotors
-from ideal_robot.loop.loop_model import LoopModel, dry_and_fluid, friction_along, low_pass_taps, turns_of
+from ideal_robot.loop.loop import checked, low_pass_taps
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.arm_with_effects import chain_with, changes_of
 from ideal_robot.model.model import Model
@@ -86,14 +84,14 @@ def test_constant_velocity_is_followed_with_the_lag_of_the_cascade():
     q_c = np.tile(ROBOT.home, (250, 1))
     q_c[:, 0] += 0.2 * np.clip(t - 0.5, 0, None)
     lag = float((q_c[:, 0] - simulate(loop, q_c).q_m[:-1, 0])[-20:].mean() / 0.2)
-    taps = loop.command_filter[:, 0]
-    expected = 0.07 / 20 + T + loop.t_position * float(np.arange(len(taps)) @ taps)
+    taps = loop.path.command_filter[:, 0]
+    expected = 0.07 / 20 + T + loop.path.t_position * float(np.arange(len(taps)) @ taps)
     # The integrator makes the mean error of the velocity loop vanish; sampling costs up to a position cycle.
-    assert lag == pytest.approx(expected, abs=loop.t_position)
+    assert lag == pytest.approx(expected, abs=loop.path.t_position)
 
 
 def test_friction_stops_but_does_not_drive():
-    loop = plant().replace(friction_bend=np.zeros(6))
+    loop = plant().changed(sigma_0=np.full(6, np.inf))
     done = simulate(loop, np.tile(ROBOT.home, (150, 1)))
     np.testing.assert_array_equal(done.q_m, np.tile(done.q_m[0], (151, 1)))
 
@@ -104,7 +102,7 @@ def test_it_is_deterministic_and_refuses_nonsense():
     with pytest.raises(InputError, match="finite commands"):
         simulate(plant(), np.full((10, 6), np.nan))
     with pytest.raises(InputError, match="must be positive"):
-        plant().replace(k_v=np.zeros(6))
+        checked(plant().changed(k_v=np.zeros(6)))
 
 
 def test_rigid_gears_are_the_limit_of_stiff_ones():
@@ -128,83 +126,25 @@ def test_taps_have_the_lag_and_gain_they_should(time, order, dead):
     assert 0.002 * np.arange(len(taps)) @ taps[:, 0] == pytest.approx(order * 0.002 * a / (1 - a) + dead, rel=1e-3)
 
 
-def _reversal(loop: LoopModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """``friction_along`` of a motion over 40 mrad forward and 4 mrad back, every 10 µrad, without load."""
-    v = np.concatenate([np.full(4000, 0.1), np.full(400, -0.1)])[:, None] * np.ones(loop.n)
-    drives = loop.drives(loop.stiffness, loop.damping)
-    return friction_along(drives, v, np.zeros_like(v), 1e-4, np.zeros(loop.n), 1e-3)
-
-
-@pytest.mark.parametrize(("kind", "coefficients", "shape"), [
-    (ViscousCoulomb, (40.0, 30.0), ()), (CubeRoot, (5.0, 30.0, 20.0), ()), (Arctan, (5.0, 30.0, 12.0), (40.0,))])
-def test_friction_of_the_loop_is_that_of_the_identified_law(kind, coefficients, shape):
-    """Dry friction turns over the presliding distance, what rises with speed acts at once: in law and loop."""
-    law = kind(np.array(coefficients)[:, None], np.array([*shape, 1e-3])[:, None], presliding=True)
-    loop = plant(elastic=False).replace(friction_bend=np.full(6, 1e-3))
-    table = law.torque(np.maximum(loop.friction_velocity[:, :1], 1e-9))
-    loop = loop.replace(friction_torque=np.tile(table, (2, 1, 6)), friction_dry=np.full(6, 30.0))
-    v = np.concatenate([np.full(4000, 0.1), np.full(400, -0.1)])[:, None]
-    q = 1e-4 * np.cumsum(v, axis=0)
-    # The law follows a twentieth of the distance behind, on either side.
-    np.testing.assert_allclose(_reversal(loop)[0][1000:, :1], law.torque(v, q=q)[1000:], atol=0.1 * 2 * 30.0)
-
-
-def test_friction_that_falls_with_speed_is_dry_and_what_rises_again_is_the_lubricants():
-    speeds, table = np.array([0.0, 0.1, 0.2]), np.array([50.0, 30.0, 45.0])
-    turns = turns_of(np.tile(table[:, None], (2, 1, 6)))[0, :, 0]
-    for speed, parts in ((0.0, (50.0, 0.0)), (0.05, (40.0, 0.0)), (0.1, (30.0, 0.0)), (0.15, (30.0, 7.5)),
-                         (0.3, (30.0, 15.0))):
-        assert dry_and_fluid(speed, speeds, turns, table) == pytest.approx(parts)
-
-
-def test_bristles_keep_their_force_until_the_joint_has_moved():
-    """The level of dry friction jumps, under load, without a motion: the force follows over the presliding distance."""
-    loop = plant(elastic=False)
-    loop = loop.replace(friction_load=np.full(6, 0.5), friction_bend=np.full(6, 1e-3),
-                        friction_torque=np.full_like(loop.friction_torque, 30.0), friction_dry=np.full(6, 30.0))
-    v, load = np.full((4000, 6), 0.1), np.zeros((4000, 6))
-    load[2000:] = 40.0
-    force = friction_along(loop.drives(loop.stiffness, loop.damping), v, load, 1e-4, np.zeros(6), 1e-3)[0][:, 0]
-    assert force[1999] == pytest.approx(30.0)
-    assert force[2000] == pytest.approx(30.0, rel=0.01)
-    assert force[-1] == pytest.approx(50.0, rel=1e-4)
-
-
-def test_bristles_are_as_stiff_at_standstill_as_they_are_while_sliding():
-    """After a reversal dry friction rises along dF/dq = sigma (1 - F sign(v) / g), whatever surplus g has (Dahl)."""
-    loop = plant(elastic=False)
-    dry, bend = 30.0, 1e-3
-    for surplus in (0.0, 40.0):
-        now = loop.replace(friction_torque=np.full_like(loop.friction_torque, dry + surplus),
-                           friction_dry=np.full(6, dry), friction_bend=np.full(6, bend))
-        force = _reversal(now)[0][:, 0]
-        assert force[3999] == pytest.approx(dry + surplus)
-        # From the one direction to the other with twice the slope at which friction begins.
-        assert force[4000] - force[3999] == pytest.approx(-2.0 * dry / bend * 1e-5, rel=0.02)
-
-
 def test_bodies_that_are_none_are_no_traceback():
     loop = plant()
     with pytest.raises(IdealRobotError, match="mass matrix"):
-        simulate(loop.replace(chain=loop.chain._replace(mass=-loop.chain.mass, inertia=-loop.chain.inertia)), motion())
+        simulate(loop.changed(chain=loop.chain._replace(mass=-loop.chain.mass, inertia=-loop.chain.inertia)), motion())
 
 
-def test_drives_are_of_one_type_whatever_the_loop_was_made_of():
+def test_loops_are_of_one_type_whatever_they_were_made_of():
     """What is read-only in one loop and not in another would be compiled twice, the second time while an arm moves."""
     loop = plant()
-    own = loop.replace(k_v=np.array(loop.k_v)[::-1][::-1], friction_torque=np.array(loop.friction_torque, order="F"))
-    assert typeof(own.drives(own.stiffness, own.damping)) == typeof(loop.drives(loop.stiffness, np.array(loop.damping)))
+    frozen = np.array(loop.cascade.k_p)
+    frozen.setflags(write=False)
+    own = checked(loop.changed(k_v=np.array(loop.cascade.k_v)[::-1][::-1], k_p=frozen,
+                               sizes=np.array(loop.friction.sizes, order="F")))
+    assert typeof(own[:-1]) == typeof(loop[:-1])
 
 
-@given(st.integers(0, 2**32 - 1))
-def test_friction_between_the_speeds_of_a_table_is_numpys(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    speeds, table = np.concatenate([[0.0], np.sort(rng.uniform(0.0, 3.0, 39))]), rng.standard_normal(40)
-    turns = np.minimum.accumulate(table)
-    for speed in (0.0, *speeds[1:3], *rng.uniform(0.0, 4.0, 20)):
-        dry, fluid = dry_and_fluid(float(speed), speeds, turns, table)
-        assert (dry, dry + fluid) == pytest.approx((np.interp(speed, speeds, turns), np.interp(speed, speeds, table)))
-
+def test_a_field_that_no_record_has_is_refused():
+    with pytest.raises(TypeError, match="friction_torque"):
+        plant().changed(friction_torque=1.0)
 
 
 # Effects in the simulated drives: each changes what it says, the others change nothing.
@@ -215,16 +155,17 @@ def test_friction_curve_and_constants_go_into_the_drive():
         FittedEffect("viscous", 1, "tau_1", (3.0,)), FittedEffect("current_offset", 1, "tau_1", (0.7,)),
         FittedEffect("rotor_inertia", 1, "tau_1", (0.2,)), FittedEffect("torque_ripple", 1, "tau_1", (1.0, 2.0), (),
                                                                         (40.0,))))
-    np.testing.assert_allclose(changed.friction_torque[:, :, 0] - loop.friction_torque[:, :, 0],
-                               np.tile(3.0 * loop.friction_velocity[:, 0], (2, 1)), atol=1e-6)
-    assert changed.offset[0] - loop.offset[0] == pytest.approx(0.7)
-    assert changed.rotor_inertia[0] - loop.rotor_inertia[0] == pytest.approx(0.2)
-    assert changed.ripple[-1, :, 0].tolist() == [40.0, 1.0, 2.0]
+    more = changed.friction.sizes[0] - loop.friction.sizes[0]
+    np.testing.assert_allclose(more[..., FLUID], np.tile(3.0 * loop.friction.speeds[0], (2, 1)), atol=1e-6)
+    np.testing.assert_allclose(more[..., DRY], 0.0, atol=1e-6)
+    assert changed.drives.offset[0] - loop.drives.offset[0] == pytest.approx(0.7)
+    assert changed.drives.rotor_inertia[0] - loop.drives.rotor_inertia[0] == pytest.approx(0.2)
+    assert changed.drives.ripple[-1, :, 0].tolist() == [40.0, 1.0, 2.0]
 
 
 def test_measured_arm_angles_say_more_of_a_gear_than_its_torque():
     """And a gear that is found again from torques is a change of what was found."""
-    loop = plant().replace(stiffness=np.full(6, 1000.0))
+    loop = plant().changed(stiffness=np.full(6, 1000.0))
     torque, again, angle, beyond = (FittedEffect("joint_elasticity", 1, channel, (size,)) for channel, size in (
         ("tau_1", 2e-3), ("tau_1", -3e-4), ("qa_1", 1e-3), ("tcp_1", 5e-4)))
     for effects, compliance in (((torque,), 2e-3), ((angle,), 2e-3), ((torque, angle), 2e-3), ((beyond,), 1.5e-3),
@@ -238,13 +179,10 @@ def test_measured_arm_angles_say_more_of_a_gear_than_its_torque():
 def test_what_acts_nowhere_leaves_the_loop(effect):
     loop = plant()
     changed = with_effects(loop, (effect,))
-    for name, value in vars(loop).items():
-        if name == "chain":
-            assert all(np.array_equal(a, b) for a, b in zip(value, changed.chain, strict=True))
-        elif np.size(value):
-            np.testing.assert_array_equal(getattr(changed, name), value)
-        else:
-            assert not np.size(getattr(changed, name))
+    for before, after in zip(loop[:-1], changed[:-1], strict=True):
+        for a, b in zip(before, after, strict=True):
+            np.testing.assert_array_equal(a, b)
+    assert not changed.terms
 
 
 @pytest.mark.parametrize(("name", "size", "most"), [("viscous", 150.0, 0.1), ("load_dependent_friction", 0.3, 0.25),
@@ -252,7 +190,7 @@ def test_what_acts_nowhere_leaves_the_loop(effect):
 def test_friction_in_the_drives_is_the_effects_torque_beside_them(name, size, most):
     loop, q_c = plant(delay=0), motion()
     effects = (FittedEffect(name, 2, "tau_2", (size,)),)
-    inside, beside = with_effects(loop, effects), loop.replace(terms=effects)
+    inside, beside = with_effects(loop, effects), loop.changed(terms=effects)
     moved = np.abs(simulate(inside, q_c).q_a - simulate(loop, q_c).q_a).max()
     apart = np.abs(simulate(inside, q_c).q_a - simulate(beside, q_c).q_a).max()
     assert apart < most * moved
@@ -336,12 +274,12 @@ def test_an_arm_without_known_rotors_is_simulated_as_the_one_it_is(elastic: bool
     """Once the identified loop of a URDF without drive data was "unstable in simulation"."""
     whole = plant(elastic=elastic)
     # All inertia of the base joint counted to the link, as identification leaves it where nothing tells them apart.
-    unknown, missing = np.array(whole.rotor_inertia), whole.rotor_inertia[0]
+    unknown, missing = np.array(whole.drives.rotor_inertia), whole.drives.rotor_inertia[0]
     unknown[0] = 0.0
     armature = np.array([missing, 0.0, 0.0, 0.0, 0.0, 0.0])
     chain, rotor = with_rotors(whole.chain._replace(armature=armature), unknown, *LIMITS)
     q_c = motion()
-    error = simulate(whole.replace(chain=chain, rotor_inertia=rotor), q_c).q_a - simulate(whole, q_c).q_a
+    error = simulate(whole.changed(chain=chain, rotor_inertia=rotor), q_c).q_a - simulate(whole, q_c).q_a
     assert rms(error) < 0.05 * rms(simulate(whole, q_c).q_a[:-1] - q_c)
 
 
@@ -350,5 +288,5 @@ def test_a_rotor_with_hardly_a_link_behind_a_rigid_gear() -> None:
     whole = plant(elastic=False)
     light = whole.chain._replace(mass=whole.chain.mass * np.array([1, 1, 1, 1, 1, 1e-3]), inertia=whole.chain.inertia
                                  * np.array([1, 1, 1, 1, 1, 1e-3])[:, None, None])
-    done = simulate(whole.replace(chain=light), motion())
+    done = simulate(whole.changed(chain=light), motion())
     assert np.max(np.abs(done.q_a[:, 5] - done.q_m[:, 5])) < 2e-4

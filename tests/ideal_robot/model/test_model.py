@@ -13,8 +13,7 @@ import pytest
 
 from ideal_robot.errors import InputError
 from ideal_robot.execution.precorrect import DRAWS, precorrect
-from ideal_robot.feedforward.ideal import IdealRobot
-from ideal_robot.feedforward.precorrection import Precorrection
+from ideal_robot.feedforward.inverse import Inverse
 from ideal_robot.feedforward.registry import feedforward
 from ideal_robot.identification.friction_runs import fit_ripple
 from ideal_robot.loop.from_model import cascade_gains, loop_model
@@ -77,9 +76,9 @@ RECORDING = Recording.from_arrays(np.arange(200) * 0.012, q=np.zeros((200, 6)), 
 
 
 @pytest.mark.parametrize("meet", [
-    IdealRobot.of, Precorrection, loop_model, lambda model, robot: feedforward("ideal", model, robot),
+    Inverse.of, loop_model, lambda model, robot: feedforward("ideal", model, robot),
     lambda model, robot: fit_ripple([RECORDING], model, robot),
-], ids=["ideal", "precorrection", "loop", "registry", "ripple"])
+], ids=["inverse", "loop", "registry", "ripple"])
 def test_a_model_of_another_arm_is_refused(meet: Callable[[Model, Robot], object]) -> None:
     with pytest.raises(InputError, match="sits elsewhere than that of") as caught:
         meet(KR15, ROBOT)
@@ -159,4 +158,4 @@ def test_a_rigid_gear_is_rigid_and_an_unknown_one_unknown_after_a_round_trip(tmp
     again = Model.load(dataclasses.replace(MODEL, stiffness=k).save(tmp_path / "model.json"))
     np.testing.assert_array_equal(again.stiffness, k)
     # A gear that nobody knows counts as rigid.
-    np.testing.assert_array_equal(np.isinf(loop_model(again, ROBOT).stiffness[:4]), [True, False, True, False])
+    np.testing.assert_array_equal(np.isinf(loop_model(again, ROBOT).drives.stiffness[:4]), [True, False, True, False])

@@ -13,7 +13,7 @@ import pytest
 from docs import published_numbers
 from ideal_robot.errors import InputError
 from ideal_robot.loop.from_model import loop_model
-from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.loop.loop import Loop
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from planning.line.deviation_model import Stand
@@ -78,9 +78,9 @@ def test_a_dry_run_above_the_path_tells_friction_where_the_job_works() -> None:
     speeds, carry = np.array([0.005, 0.01, 0.03, 0.06, 0.1]), [0, 1, 2, 4]
     true = steady_friction(cell.world, cell.known.robot.n, np.tile(speeds[:, None], cell.known.robot.n)) / gain
 
-    def off(known: LoopModel) -> float:
-        table = [np.interp(speeds, v, torque) for v, torque in zip(known.friction_velocity.T,
-                                                                   known.friction_torque[0].T, strict=True)]
+    def off(known: Loop) -> float:
+        table = [np.interp(speeds, v, torque) for v, torque in zip(known.friction.speeds, known.friction.sliding[:, 0],
+                                                                   strict=True)]
         return float(np.sqrt(np.mean((np.column_stack(table) / true - 1.0)[:, carry] ** 2)))
 
     assert off(loop) > 0.06

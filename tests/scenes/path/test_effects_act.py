@@ -19,9 +19,9 @@ from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, SENSOR, TCP_POSITION
 from ideal_robot.effects.camera import CameraErrors
 from ideal_robot.effects.force import ForceErrors
 from ideal_robot.effects.kinematics import GeometryChange
-from ideal_robot.feedforward.ideal import IdealRobot
+from ideal_robot.feedforward.inverse import Inverse
 from ideal_robot.loop.from_model import loop_model, with_effects
-from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.loop.loop import Loop
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.model import Model
 from ideal_robot.signals.recording import Recording
@@ -108,8 +108,8 @@ def test_play_crossed_with_the_motion_is_taken_up(key: str) -> None:
     name, prefix = key.split("/")
     known = with_effects(bare, (FittedEffect(name, 1, f"{prefix}_1", (1.0,), (), (gap,)),))
 
-    def error(loop: LoopModel, plant: LoopModel) -> float:
-        law = IdealRobot(loop)
+    def error(loop: Loop, plant: Loop) -> float:
+        law = Inverse(loop)
         state, commands = law.init(path[0]), np.empty_like(path)
         ahead = held(path, after=law.n_d)
         torque = held(dragged, after=law.n_d)

@@ -18,7 +18,7 @@ from ideal_robot.execution.command_governor import check_limits
 from ideal_robot.execution.precorrect import precorrect
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal, FrictionAdaptation
-from ideal_robot.feedforward.ideal import IdealRobot
+from ideal_robot.feedforward.inverse import Inverse, Options
 from ideal_robot.feedforward.method import Setting
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
@@ -212,7 +212,7 @@ def test_a_path_that_cannot_be_is_refused(shape, speed, acceleration, says):
 
 def torques_alone(setting: Setting) -> Feedforward:
     """What `adapted` would be without what it learns from following errors."""
-    ideal = IdealRobot(setting.loop(), setting.horizon(30))
+    ideal = Inverse(setting.loop(), setting.horizon(30))
     start = AdaptedIdeal(ideal, FrictionAdaptation(ideal.loop, tool=setting.robot.tool_place))
     practice = setting.plays()
     known = practice.play(start, practice.motion(setting.path())).state
@@ -259,8 +259,8 @@ def test_arm_error_of_the_kr15_with_clamped_stiffness() -> None:
     stiffness = np.array([by_joint[joint].stiffness for joint in range(1, robot.n + 1)])
     place = set_up(load_scene("iso9283_1"), delay=False)
     loop = replace(place.loop(), stiffness=stiffness)
-    motors_only = place.play(IdealRobot(loop, 30, elastic=False)).errors
-    with_gears = place.play(IdealRobot(loop, 30)).errors
+    motors_only = place.play(Inverse(loop, 30, Options(elastic=False))).errors
+    with_gears = place.play(Inverse(loop, 30)).errors
     assert with_gears.time_matched.E_car <= 0.4 * motors_only.time_matched.E_car
     assert with_gears.geometric.E_car <= 0.4 * motors_only.geometric.E_car
 

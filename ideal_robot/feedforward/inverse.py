@@ -1,0 +1,501 @@
+r"""The inverse of the identified closed loop: from desired positions over a horizon to the command.
+
+An arm with elastic gears under a cascaded controller is flat: the wanted arm angles and their derivatives decide all
+the rest, from the gear torque back to the command. Step by step, along [G] (8), (18)-(20) and [L] 2.2:
+
+    τ_g = M(q_d) q̈_d + c + g - τ_ext            gear torque, [G] (5)
+    q_m = q_d + τ_g / k                          motor angle behind the elastic gear; with play, and turned unevenly
+    τ_d = τ_g + J q̈_m + τ_f(q̇_m) + τ_r(q_m)       motor torque, [G] (8), with ripple and further effects where known
+
+What comes then is a setting.
+
+*Complete* (``COMPLETE``): the loops at their own cycles, and the command path,
+
+    τ̇_d = k_p u̇ + k_i u                         velocity loop inverted, [G] (17), (18)
+    k_v r + k_ff ṙ = u + q̇_m + k_v q_m           position loop inverted, [G] (16), (19)
+    r = low-pass(interpolation(q_c(k - delay)))  command path inverted by least squares over the horizon
+
+*As printed* (``PRINTED``): the controller at the interpolation cycle T, the command path left out,
+
+    u_d(k) = (τ_d(k) - τ_d(k-1) + u_d(k-1)) / (1 + k_I)                              [G] (18)
+    Δq(k) = (u_d(k) + k_D Δq(k-1)/T - k_1 q̇_d(k) - k_2 q̈_d(k)) / (k_P + k_D/T)      [G] (19)
+    q_c(k) = q_d(k) + Δq(k)                                                          [G] (20)
+
+At rest τ_d is constant, so u_d and with it Δq fade to zero: the static accuracy is the controller's own. [G] takes all
+this at the instant at which the command is handed over, and the gears for rigid. ``AHEAD`` takes it at the instant at
+which the command acts, behind delay, interpolation and low-pass, and with elastic gears.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy import linalg
+from scipy.interpolate import BSpline
+
+from ideal_robot.arrays import Array, interpolated
+from ideal_robot.dynamics.newton_euler import inverse_dynamics, inverse_dynamics_with_point
+from ideal_robot.errors import InputError
+from ideal_robot.feedforward.base import SETTLE, Feedforward
+from ideal_robot.friction.table import Friction, friction_along
+from ideal_robot.jit import jit
+from ideal_robot.loop.from_model import further_torque, loop_model
+from ideal_robot.loop.loop import Cascade, Drives, Loop, behind_uneven_gears, ripple_torque, unevenness
+from ideal_robot.model.arm_with_effects import side_of_gap
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+
+
+class Options(NamedTuple):
+    """What the inverse takes into account.
+
+    Attributes:
+        elastic: whether gear deflection is compensated. Then the command at rest differs from the desired position by
+            the deflection under gravity; without, by nothing.
+        path: whether the loops are inverted at their own cycles and the command path with them; else as printed.
+        ahead: whether the controller as printed is right for the instant at which the command acts, or for the one at
+            which it is handed over. The command path, inverted, knows.
+    """
+
+    elastic: bool = True
+    path: bool = True
+    ahead: bool = True
+
+
+COMPLETE = Options()
+"""All that is known of the loop."""
+AHEAD = Options(path=False)
+"""[G] (8), (16) to (20) with look ahead and elastic gears ([L] 2.2)."""
+PRINTED = Options(elastic=False, path=False, ahead=False)
+"""[G] (8), (9), (16) to (20)."""
+
+_CYCLES = 7
+"""Commands solved for together: what lies further ahead changes the first one by less than 1e-4 of itself."""
+_BEFORE = 6
+"""Desired positions kept from the cycles before, for the derivatives."""
+_AFTER = 4
+"""Desired positions wanted beyond the last one used, for the same reason."""
+_CUTOFF = 14.0
+"""Frequencies of the desired path above this are not asked of the arm [Hz]."""
+
+
+class _Grid(NamedTuple):
+    """Where the inverse evaluates a path, and the linear operators that do it.
+
+    Attributes:
+        rows: desired positions ahead that it looks at, the current one included.
+        coarse: instants of the gear torques ``(c,)`` [s] after the command is handed over.
+        fine: instants of the motors' motion ``(f,)`` [s].
+        step: time between two of them [s].
+        last: index of the last one within the cycle in which the command acts.
+        at_coarse: from rows of the path to value and two derivatives at the coarse instants.
+        at_fine: the same at the fine instants.
+        torque: from coarse to fine instants.
+    """
+
+    rows: int
+    coarse: Array
+    fine: Array
+    step: float
+    last: int
+    at_coarse: list[Array]
+    at_fine: _Operators
+    torque: _Operators
+
+
+class _Operators:
+    """Matrices that give a spline's values (``value``) and its first two derivatives, applied together."""
+
+    def __init__(self, value: Array, first: Array, second: Array) -> None:
+        self.value, self._together = value, np.concatenate([value, first, second])
+
+    def of(self, rows: Array) -> Array:
+        """Values and derivatives of rows ``(m, n)``, shape ``(3, k, n)``."""
+        return (self._together @ rows).reshape(3, -1, rows.shape[1])
+
+
+def _complete_grid(loop: Loop) -> _Grid:
+    """Over the cycles in which the next commands act: torques every half cycle, motors at the position loop's."""
+    T, fine, delay = loop.t_ipo, loop.path.t_position, loop.path.delay
+    rows = delay + _CYCLES + _AFTER + 1
+    t_rows = T * np.arange(-_BEFORE, rows, dtype=float)
+    # A cycle wider than needed: the derivatives of torques follow from them.
+    t_coarse = T * (delay - 2 + 0.5 * np.arange(2.0 * (_CYCLES + 4) + 1))
+    # A position-loop output acts on average half its cycle later: torques are wanted there.
+    t_fine = T * delay + fine * (np.arange(float(loop.steps_ipo * _CYCLES)) + 0.5)
+    return _Grid(rows, t_coarse, t_fine, fine, loop.steps_ipo - 1, spline_operators(t_rows, t_coarse, T, _CUTOFF),
+                 _Operators(*spline_operators(t_rows, t_fine, T, _CUTOFF)),
+                 _Operators(*spline_operators(t_coarse, t_fine, T, _CUTOFF)))
+
+
+def _printed_grid(loop: Loop, lead: float) -> _Grid:
+    """One instant, ``lead`` [s] after the command is handed over, with differences over an interpolation cycle."""
+    T = loop.t_ipo
+    rows = int(np.ceil(lead / T)) + _AFTER + 1
+    t_coarse = lead + T * np.array([-1.0, 0.0, 1.0])
+    at_coarse = spline_operators(T * np.arange(-_BEFORE, rows, dtype=float), t_coarse, T, _PRINTED_CUTOFF)
+    differences = [np.array([[0.0, 1.0, 0.0]]), np.array([[-0.5, 0.0, 0.5]]) / T, np.array([[1.0, -2.0, 1.0]]) / T**2]
+    return _Grid(rows, t_coarse, t_coarse[1:2], T, 0, at_coarse,
+                 _Operators(*(difference @ at_coarse[0] for difference in differences)), _Operators(*differences))
+
+
+_PRINTED_CUTOFF = 16.0
+"""As ``_CUTOFF`` where the controller is inverted as printed, which does not amplify what the command path damps."""
+
+
+def command_lag(loop: Loop) -> float:
+    """Time from the hand-over of a command to its effect [s]: delay, interpolation and low-pass."""
+    taps = loop.path.command_filter
+    # A command is reached one cycle after its interpolation began.
+    return (loop.path.delay + 1) * loop.t_ipo + loop.path.t_position * float(np.mean(np.arange(len(taps)) @ taps))
+
+
+@dataclass(frozen=True)
+class InverseState:
+    """What one cycle hands to the next.
+
+    Attributes:
+        q_d: desired positions of the cycles before ``(_BEFORE, n)``.
+        q_c: commands of the cycles before ``(P, n)``, newest last.
+        u, tau: velocity-loop error and motor torque planned so far ``(n,)``.
+        q_m, v_m, direction: motor angles, velocities and directions of sliding planned for the end of the cycle in
+            which the last command acts, each ``(n,)`` [rad, rad/s, -1 to 1].
+        force: presliding state then ``(n,)`` [N m].
+        deflection: of the gears under gravity at the start, not yet compensated ``(n,)`` [rad].
+        cycle: cycles since the start.
+    """
+
+    q_d: Array
+    q_c: Array
+    u: Array
+    tau: Array
+    q_m: Array
+    v_m: Array
+    direction: Array
+    force: Array
+    deflection: Array
+    cycle: int
+
+
+class Carried(NamedTuple):
+    """A mass [kg] at a place of the last joint's frame ``(3,)`` [m]."""
+
+    mass: float
+    place: Array
+
+
+class Inverse(Feedforward):
+    """Inverse of the identified closed loop over the horizon.
+
+    Args:
+        loop: the identified closed loop; see :func:`ideal_robot.loop.from_model.loop_model`.
+        n_d: length of the horizon it is given; with fewer than ``n_d_needed`` rows the path is continued with constant
+            acceleration. None for ``n_d_needed``.
+        options: what is taken into account.
+    """
+
+    def __init__(self, loop: Loop, n_d: int | None = 30, options: Options = COMPLETE) -> None:
+        if n_d is not None and n_d < 1:
+            raise InputError("the horizon needs at least one row", field="n_d", value=n_d)
+        self.loop, self.t_ipo, self.options = loop, loop.t_ipo, options
+        drives = loop.drives
+        lead = command_lag(loop) if options.ahead else 0.0
+        grid = _complete_grid(loop) if options.path else _printed_grid(loop, lead)
+        self._grid, self.n_d_needed = grid, grid.rows
+        self.n_d = grid.rows if n_d is None else n_d
+        self._inverse = command_inverse(loop, _CYCLES)
+        self._printed = _printed_gains(loop.cascade, loop.t_ipo)
+        self._compliance = loop.compliance if options.elastic else np.zeros(loop.n)
+        self._damped = drives.damping * self._compliance**2
+        self._gap = drives.half_gap if options.elastic else np.zeros(loop.n)
+        self._gaps = bool(self._gap.any())
+        self._lag = loop.cascade.t_filter + 0.5 * loop.path.t_velocity
+        self._step_max = 1.5 * loop.path.v_max * loop.t_ipo
+
+    @classmethod
+    def of(cls, model: Model, robot: Robot, n_d: int | None = 30, *, delay: int | None = None,
+           options: Options = COMPLETE) -> Inverse:
+        """From an identified model: see ``loop_model`` for ``delay`` and the class for ``n_d`` and ``options``.
+
+        Args:
+            model, robot, delay: as of ``loop_model``.
+            n_d, options: as of the class.
+        """
+        return cls(loop_model(model, robot, delay=delay), n_d, options)
+
+    def init(self, q0: Array, carried: Carried | None = None) -> InverseState:
+        """See ``Feedforward.init``; ``carried`` as in ``step_with``."""
+        q0 = np.array(q0, dtype=float)
+        loop, still = self.loop, np.zeros((1, self.loop.n))
+        load, more = self._load(q0[None], still, still, carried)
+        further = further_torque(loop, np.zeros(1), q0[None], still, still, load, still)[0]
+        holding = load[0] if more is None else load[0] + more[0]
+        deflection = load[0] * self._compliance + self._gap * side_of_gap(load[0], still[0], loop.drives.gap_load)
+        deflection -= [unevenness(loop.drives.uneven, i, float(q))[0] for i, q in enumerate(q0)]
+        return InverseState(
+            q_d=np.tile(q0, (_BEFORE, 1)), q_c=np.tile(q0, (self._inverse.n_past, 1)), u=still[0],
+            tau=loop.drives.gain * (holding + loop.drives.offset) + further, q_m=q0, v_m=still[0], direction=still[0],
+            force=still[0], deflection=deflection, cycle=0)
+
+    def step(self, state: InverseState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, InverseState]:
+        """See ``Feedforward.step``."""
+        return self.step_with(self.loop.friction, state, q_d, tau_ext_d)
+
+    def step_with(self, friction: Friction, state: InverseState, q_d: Array, tau_ext_d: Array | None = None,
+                  carried: Carried | None = None, inertia: Array | None = None) -> tuple[Array, InverseState]:
+        """``step`` with other friction than the identified one, for adaptation.
+
+        Args:
+            friction: of every joint.
+            state, q_d, tau_ext_d: as of ``step``.
+            carried: what the motors carry beyond the model's bodies. How far it bends the gears is left out.
+            inertia: what the drives feel of the joints' accelerations beyond the model's ``(n, n)`` [kg m²].
+        """
+        loop, drives, grid = self.loop, self.loop.drives, self._grid
+        q_d = self._checked(q_d)
+        rows = np.concatenate([state.q_d, self._horizon(q_d, state.q_d)])
+        q, qd, qdd = (operator @ rows for operator in grid.at_coarse)
+        load, more = self._load(q, qd, qdd, carried)
+        if tau_ext_d is not None:
+            external = np.asarray(tau_ext_d, dtype=float)
+            # Linear in between and constant beyond the horizon.
+            load -= interpolated(grid.coarse, np.arange(len(external)) * self.t_ipo, external)
+        gears = grid.torque.of(load)
+        motors = grid.at_fine.of(rows) + self._compliance * gears
+        if self.options.elastic:
+            motors[0] -= self._damped * gears[1]
+        if self._gaps:
+            motors += grid.torque.of(self._gap * side_of_gap(load, qd, drives.gap_load))
+        gear, (q_m, v_m, a_m) = gears[0], motors
+        reflected = gear
+        if len(drives.uneven):
+            output = v_m
+            q_m, v_m, a_m = behind_uneven_gears(drives.uneven, q_m, v_m, a_m)
+            # A gear that turns faster than its motor hands more of its torque on to it.
+            reflected = gear * np.divide(output, v_m, out=np.ones_like(v_m), where=np.abs(v_m) > 1e-6)
+        self._take_up(state, q_m, v_m)
+        smooth = reflected + drives.rotor_inertia * a_m + drives.offset
+        if inertia is not None:
+            smooth = smooth + a_m @ inertia.T
+        if more is not None:
+            smooth = smooth + grid.torque.value @ more
+        rubbing, force, direction = friction_along(friction, v_m, gear, grid.step * v_m, state.force)
+        further = further_torque(loop, state.cycle * self.t_ipo + grid.fine, q_m, v_m, a_m, gear, direction)
+        q_c, u, tau = self._command(state, (q_m, v_m, a_m), smooth + rubbing, further)
+        k = grid.last
+        # Half a step on from the middle of the last one; as printed there is one instant, which is its own end.
+        reached = q_m[k] + 0.5 * grid.step * v_m[k] if self.options.path else q_m[k]
+        return q_c, InverseState(np.concatenate([state.q_d[1:], q_d[:1]]), np.concatenate([state.q_c[1:], q_c[None]]),
+                                 u, tau, reached, v_m[k], direction[k], force[k], state.deflection, state.cycle + 1)
+
+    def _command(self, state: InverseState, motion: tuple[Array, Array, Array], acting: Array, further: Array
+                 ) -> tuple[Array, Array, Array]:
+        """The command ``(n,)`` [rad], and u and τ one cycle on, for the motors' motion and the torques it takes."""
+        loop, path = self.loop, self.loop.path
+        if self.options.path:
+            signal, u, tau = _position_loop_signal(loop.drives, loop.cascade, motion, (acting, further), self._lag,
+                                                   path.t_position, loop.steps_ipo, (state.u, state.tau))
+            q_c = _command(self._inverse.wanted, signal, self._inverse.past, state.q_c, self._step_max, path.q_min,
+                           path.q_max)
+            return q_c, u, tau
+        (q, qd, qdd), gains, T = (rows[0] for rows in motion), self._printed, self.t_ipo
+        ripple = np.array([ripple_torque(loop.drives.ripple, i, float(angle)) for i, angle in enumerate(q)])
+        tau = loop.drives.gain * (acting[0] + ripple) + further[0]
+        u = (tau - state.tau + state.u) / (1.0 + gains.k_i)
+        before = state.q_c[-1] - state.q_m
+        correction = (u + gains.k_d * before / T - gains.k_1 * qd - gains.k_2 * qdd) / (gains.k_p + gains.k_d / T)
+        return np.clip(q + correction, path.q_min, path.q_max), u, tau
+
+    def _checked(self, q_d: Array) -> Array:
+        """A horizon's positions ``(n_d, n)``; InputError where they are none."""
+        q_d = np.asarray(q_d, dtype=float)
+        if q_d.ndim != 2 or q_d.shape[1] != self.loop.n or len(q_d) == 0 or not np.isfinite(q_d).all():
+            raise InputError(f"expected finite desired positions of shape (n_d, {self.loop.n})", field="q_d",
+                             value=q_d.shape)
+        return q_d
+
+    def _take_up(self, state: InverseState, q_m: Array, v_m: Array) -> None:
+        """Takes the deflection at the start up smoothly, from nothing to all, in the motors' motion ``(N, n)``."""
+        begun = (state.cycle * self.t_ipo + self._grid.fine) / SETTLE
+        if begun[0] < 1.0:
+            remaining = 1.0 - np.minimum(begun, 1.0)[:, None]
+            q_m -= state.deflection * remaining**3 * (10.0 - 15.0 * remaining + 6.0 * remaining**2)
+            v_m += state.deflection * 30.0 * remaining**2 * (1.0 - remaining) ** 2 / SETTLE
+
+    def _load(self, q: Array, qd: Array, qdd: Array, carried: Carried | None) -> tuple[Array, Array | None]:
+        """Torques of the model's bodies and of what is carried beyond them, each ``(N, n)`` [N m]."""
+        if carried is None:
+            return inverse_dynamics(self.loop.chain, q, qd, qdd), None
+        load, kilogram = inverse_dynamics_with_point(self.loop.chain, carried.place, q, qd, qdd)
+        return load, carried.mass * kilogram
+
+    def _horizon(self, q_d: Array, before: Array) -> Array:
+        if len(q_d) >= self.n_d_needed:
+            return q_d[: self.n_d_needed]
+        last = np.concatenate([before, q_d])[-3:]
+        speed, bend = last[2] - last[1], last[2] - 2.0 * last[1] + last[0]
+        ahead = np.arange(1, self.n_d_needed - len(q_d) + 1)[:, None]
+        return np.concatenate([q_d, q_d[-1] + ahead * speed + 0.5 * ahead * (ahead + 1) * bend])
+
+
+class _PrintedGains(NamedTuple):
+    """Gains of [G] (16), (17) at the interpolation cycle, ``(n,)`` each; ``k_i`` is a share per cycle."""
+
+    k_p: Array
+    k_d: Array
+    k_1: Array
+    k_2: Array
+    k_i: Array
+
+
+def _printed_gains(cascade: Cascade, T: float) -> _PrintedGains:
+    """Of the cascade: ``k_P = k_p k_v``, ``k_D = k_p k_ff``, ``k_1 = k_D - k_p``, ``k_2 = k_p t_filter``."""
+    k_d = cascade.k_p * cascade.k_ff
+    return _PrintedGains(cascade.k_p * cascade.k_v, k_d, k_d - cascade.k_p, cascade.k_p * cascade.t_filter,
+                         cascade.k_i * T / cascade.k_p)
+
+
+@jit()
+def _command(wanted: Array, signal: Array, past: Array, q_c: Array, step_max: Array, q_min: Array, q_max: Array
+             ) -> Array:
+    """The command ``(n,)`` [rad] that makes the position loop see its signal ``(N, n)``, within the limits."""
+    command = np.empty(len(q_min))
+    for i in range(len(q_min)):
+        ahead, behind = 0.0, 0.0
+        for j in range(wanted.shape[1]):
+            ahead += wanted[i, j] * signal[j, i]
+        for j in range(past.shape[1]):
+            behind += past[i, j] * q_c[j, i]
+        before = q_c[len(q_c) - 1, i]
+        within = min(max(ahead + behind, before - step_max[i]), before + step_max[i])
+        command[i] = min(max(within, q_min[i]), q_max[i])
+    return command
+
+
+@jit()
+def _position_loop_signal(drives: Drives, cascade: Cascade, motion: tuple[Array, Array, Array],
+                          torques: tuple[Array, Array], lag: Array, t_position: float, steps: int,
+                          before: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+    """The signal ``k_v r + k_ff ṙ`` the position loop must see, and the recursions' values one cycle on.
+
+    ``motion`` is that of the motors; ``torques`` the motor torque with friction, without ripple, and that of other
+    effects, all ``(m, n)``; ``before`` the recursions' values u and τ.
+    """
+    (q_m, v_m, a_m), (acting, further), (u0, tau0) = motion, torques, before
+    N, n = q_m.shape
+    signal = np.empty((N, n))
+    u_next, tau_next = u0.copy(), tau0.copy()
+    k_p, k_i = cascade.k_p, cascade.k_i
+    for i in range(n):
+        u, tau = u0[i], tau0[i]
+        half = 0.5 * k_i[i] * t_position
+        for j in range(N):
+            v = v_m[j, i]
+            wanted = drives.gain[i] * (acting[j, i] + ripple_torque(drives.ripple, i, q_m[j, i])) + further[j, i]
+            # [G] (18) with the trapezoidal rule: k_p Δu + k_i T (u + u_before)/2 = Δτ.
+            u = (wanted - tau + u * (k_p[i] - half)) / (k_p[i] + half)
+            tau = wanted
+            # [G] (19), half a position cycle back to the instant at which the position is compared.
+            measured = v - lag[i] * a_m[j, i]
+            signal[j, i] = u + measured + cascade.k_v[i] * (q_m[j, i] - 0.5 * t_position * v)
+            if j == steps - 1:
+                u_next[i], tau_next[i] = u, tau
+    return signal, u_next, tau_next
+
+
+# Linear operators that turn samples of a path into its smoothed value and derivatives at other instants.
+#
+# A penalised B-spline (degree 5, a knot per sample) is fitted to the samples. Fit and evaluation are linear, so for
+# fixed instants they are one matrix, made once and multiplied every cycle.
+
+_DEGREE, _PENALTY_ORDER = 5, 4
+"""A quintic has continuous third derivatives; differences of order 4 make the gain ``1/(1 + (f/cutoff)^8)``."""
+
+
+def spline_operators(t_samples: Array, t_out: Array, spacing: float, cutoff: float, orders: int = 3) -> list[Array]:
+    """Matrices ``(len(t_out), len(t_samples))``: from samples to value, derivative, … of the smoothed path.
+
+    Args:
+        t_samples, t_out: instants of the samples, evenly spaced, and of the result, within the samples [s].
+        spacing: distance of the spline's knots [s].
+        cutoff: frequency at which a sinusoid is halved [Hz]; the gain is 1/(1 + (f/cutoff)^8), so a quarter of it
+            passes unharmed (1e-5).
+        orders: how many matrices, value included.
+    """
+    start, end = float(t_samples[0]), float(t_samples[-1])
+    pieces = max(1, round((end - start) / spacing))
+    knots = start + (end - start) / pieces * np.arange(-_DEGREE, pieces + _DEGREE + 1)
+    size = len(knots) - _DEGREE - 1
+    basis = BSpline(knots, np.eye(size), _DEGREE, extrapolate=True)
+    B = basis(t_samples)
+    differences = np.diff(np.eye(size), _PENALTY_ORDER, axis=0)
+    # A sinusoid of coefficients is penalised by (2 sin(ω h/2))^8 and appears in the samples with the basis' own gain
+    # sinc(f h)^6; both terms shall weigh the same at the cut-off.
+    h = (end - start) / pieces
+    seen = len(t_samples) / (pieces + 1) * np.sinc(cutoff * h) ** (2 * (_DEGREE + 1))
+    weight = seen / (2 * np.sin(min(np.pi * cutoff * h, 1.5))) ** (2 * _PENALTY_ORDER)
+    fit = np.linalg.solve(B.T @ B + weight * differences.T @ differences, B.T)
+    return [np.ascontiguousarray(basis.derivative(order)(t_out) @ fit if order else basis(t_out) @ fit)
+            for order in range(orders)]
+
+
+# Inverse of the command path: which commands make the position loop see a wanted signal.
+#
+# Delay, linear interpolation, command low-pass and the position loop's gain and feedforward are linear, so the commands
+# over the horizon are one regularised least-squares problem with a fixed matrix. Only the first command is used; what
+# was commanded before enters as the free response. Systems whose low-pass is not minimum phase are no special case.
+
+@dataclass(frozen=True)
+class CommandInverse:
+    """Gains of the first command.
+
+    Those ``wanted (n, m s)`` are of the signal ``k_v r + k_ff ṙ`` at the position cycles of the ``m`` next
+    interpolation cycles in which the command can act, ``past (n, P)`` of the commands before, oldest first.
+    """
+
+    wanted: Array
+    past: Array
+
+    @property
+    def n_past(self) -> int:
+        """How many past commands are needed."""
+        return self.past.shape[1]
+
+
+_SMOOTHNESS = 0.02
+"""Weight of the commands' second differences against a position error of the same size: keeps the inverse of the
+low-pass from amplifying what the interpolation cannot pass anyway."""
+
+
+def command_inverse(loop: Loop, cycles: int) -> CommandInverse:
+    """Solves for the first of ``cycles`` commands, which are solved for together, once and for all."""
+    s, n = loop.steps_ipo, loop.n
+    taps, cascade = loop.path.command_filter, loop.cascade
+    n_past = int(np.ceil(len(taps) / s)) + 2
+    knots = n_past + cycles
+    # Linear interpolation: from the knots to the fine grid, which ends just before the last knot.
+    fine = s * (knots - 1)
+    interpolation = np.zeros((fine, knots))
+    for j in range(fine):
+        interpolation[j, j // s] = 1 - (j % s) / s
+        interpolation[j, j // s + 1] = (j % s) / s
+    wanted, past = np.zeros((n, s * cycles)), np.zeros((n, n_past))
+    second = np.diff(np.eye(cycles + 2), 2, axis=0)
+    for i in range(n):
+        answer = np.zeros(fine)
+        answer[: len(taps)] = taps[:fine, i]
+        response = linalg.toeplitz(answer, np.zeros(fine))
+        # Before the oldest knot the command counts as constant.
+        response[:, 0] += 1.0 - response.sum(axis=1)
+        position = response @ interpolation
+        signal = cascade.k_v[i] * position
+        signal[1:] += cascade.k_ff[i] / loop.path.t_position * np.diff(position, axis=0)
+        signal = signal[-s * cycles :] / cascade.k_v[i]
+        free, forced, weight = signal[:, :n_past], signal[:, n_past:], _SMOOTHNESS * np.sqrt(s)
+        first = np.linalg.pinv(np.vstack([forced, weight * second[:, 2:]]))[0]
+        wanted[i] = first[: s * cycles] / cascade.k_v[i]
+        past[i] = -first[: s * cycles] @ free
+        past[i, -2:] -= first[s * cycles :] @ (weight * second[:, :2])
+    return CommandInverse(wanted, past)

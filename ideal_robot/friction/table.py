@@ -1,0 +1,135 @@
+"""Friction of all joints of an arm as compiled code takes it: dry and fluid friction over speed, load, presliding."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.friction.laws import PerJointFriction
+from ideal_robot.friction.presliding import CREEP, LEAST, bristle_stiffness, friction_torque
+from ideal_robot.jit import jit
+
+FORWARD, BACKWARD = 0, 1
+DRY, FLUID = 0, 1
+
+
+class Friction(NamedTuple):
+    """Friction of ``n`` joints over ``m`` speeds; the equations stand in ``ideal_robot.friction.presliding``.
+
+    Attributes:
+        speeds: rising from 0 ``(n, m)`` [rad/s]; linear in between, constant beyond.
+        sizes: dry and fluid friction of an unloaded gear, forward and backward ``(n, 2, m, 2)`` [N m].
+        per_load: dry friction per torque that the gear transmits, and what is added to it where the motor drives the
+            load ``(n, 2)`` [1].
+        sigma_0: stiffness of the bristles ``(n,)`` [N m/rad]; infinite where dry friction jumps.
+    """
+
+    speeds: Array
+    sizes: Array
+    per_load: Array
+    sigma_0: Array
+
+    @classmethod
+    def of(cls, law: PerJointFriction, v_max: Array) -> Friction:
+        """Friction of an identified law, tabled.
+
+        Args:
+            law: of every joint.
+            v_max: speed limits ``(n,)`` [rad/s].
+        """
+        speeds = speed_grid(v_max)
+        v = np.maximum(speeds, CREEP).T
+        sizes = np.stack([np.stack(law.sizes(sign * v), axis=-1) for sign in (1.0, -1.0)]).transpose(2, 0, 1, 3)
+        # What drives in place of braking is no friction.
+        sizes[..., DRY] = np.maximum(sizes[..., DRY], 0.0)
+        sizes[..., FLUID] = np.maximum(sizes[..., FLUID], -sizes[..., DRY])
+        per_load = np.array([(one.coefficients[-1, 0] if one.loaded else 0.0, 0.0) for one in law.laws])
+        return cls(speeds, np.ascontiguousarray(sizes), per_load, law.sigma_0)
+
+    @property
+    def dry(self) -> Array:
+        """Dry friction at standstill, mean of both directions ``(n,)`` [N m]."""
+        return np.asarray(self.sizes[:, :, 0, DRY].mean(axis=1))
+
+    @property
+    def sliding(self) -> Array:
+        """What sliding friction of an unloaded gear brakes with, forward and backward ``(n, 2, m)`` [N m]."""
+        return np.asarray(self.sizes.sum(axis=3))
+
+    def with_distance(self, distance: Array) -> Friction:
+        """The same friction, turning round over other presliding distances ``(n,)`` [rad]."""
+        return self._replace(sigma_0=bristle_stiffness(self.dry, distance))
+
+
+def largest_speeds(v_max: Array) -> Array:
+    """Speeds that friction is looked at over ``(n,)`` [rad/s]: the limits, 10 rad/s where an arm has none."""
+    return np.where(np.isfinite(v_max), v_max, 10.0)
+
+
+def speed_grid(v_max: Array) -> Array:
+    """Speeds ``(n, 161)`` [rad/s] at which friction is tabled: dense near zero, up to 1.2 × the limit."""
+    return np.ascontiguousarray(1.2 * largest_speeds(v_max)[:, None] * np.linspace(0.0, 1.0, 161) ** 3)
+
+
+@jit()
+def friction_sizes(friction: Friction, joint: int, v: float, load: float) -> tuple[float, float]:
+    """Sizes of dry and fluid friction of a joint [N m].
+
+    Args:
+        friction, joint: of the arm, and which joint, from 0.
+        v: velocity of the motor [rad/s]. At rest it is forward.
+        load: torque that the gear transmits [N m].
+    """
+    speed, side, low, high = abs(v), 0 if v >= 0.0 else 1, 0, friction.speeds.shape[1] - 1
+    dry, fluid = friction.sizes[joint, side, high, 0], friction.sizes[joint, side, high, 1]
+    if speed < friction.speeds[joint, high]:
+        while high - low > 1:
+            middle = (low + high) // 2
+            if speed < friction.speeds[joint, middle]:
+                high = middle
+            else:
+                low = middle
+        share = ((speed - friction.speeds[joint, low])
+                 / (friction.speeds[joint, high] - friction.speeds[joint, low]))
+        dry, fluid = friction.sizes[joint, side, low, 0], friction.sizes[joint, side, low, 1]
+        dry += share * (friction.sizes[joint, side, high, 0] - dry)
+        fluid += share * (friction.sizes[joint, side, high, 1] - fluid)
+    per_load = friction.per_load[joint, 0]
+    if load * v > 0.0:
+        per_load += friction.per_load[joint, 1]
+    return dry + per_load * abs(load), fluid
+
+
+@jit()
+def friction_step(friction: Friction, joint: int, v: float, load: float, force: float, step: float
+                  ) -> tuple[float, float]:
+    """Friction torque of a joint, and its presliding state after a step [N m]; the equations: ``friction_torque``.
+
+    Args:
+        friction, joint, v, load: as of ``friction_sizes``.
+        force: presliding state before the step [N m].
+        step: how far the motor goes [rad].
+    """
+    dry, fluid = friction_sizes(friction, joint, v, load)
+    return friction_torque(dry, fluid, v, force, step, friction.sigma_0[joint])
+
+
+@jit()
+def friction_along(friction: Friction, v: Array, load: Array, steps: Array, force: Array
+                   ) -> tuple[Array, Array, Array]:
+    """Friction torques, presliding states [N m] and directions of sliding along a motion, ``(m, n)`` each.
+
+    Args:
+        friction, v, load, steps: of ``friction_step``, ``(m, n)`` each but the first.
+        force: presliding state before ``(n,)`` [N m].
+    """
+    torque, forces, direction = np.empty_like(v), np.empty_like(v), np.empty_like(v)
+    for i in range(v.shape[1]):
+        state, sigma_0 = force[i], friction.sigma_0[i]
+        for k in range(len(v)):
+            dry, fluid = friction_sizes(friction, i, v[k, i], load[k, i])
+            torque[k, i], state = friction_torque(dry, fluid, v[k, i], state, steps[k, i], sigma_0)
+            forces[k, i], direction[k, i] = state, min(max(state / max(dry, LEAST), -1.0), 1.0)
+    return torque, forces, direction

@@ -1,0 +1,244 @@
+"""Everything the model side knows of one closed loop: rigid body, friction, drives, controller and command path.
+
+``Loop`` is one record of arrays for Python and for compiled code; :func:`ideal_robot.loop.from_model.loop_model` builds
+it from an identified model, and :func:`ideal_robot.loop.loop.checked` holds what every loop has to be.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.dynamics.newton_euler import Chain
+from ideal_robot.effects import FittedEffect
+from ideal_robot.errors import InputError
+from ideal_robot.friction.table import Friction
+from ideal_robot.jit import jit
+
+
+class Drives(NamedTuple):
+    """Motors and gears of ``n`` joints, reflected to the joint side.
+
+    Attributes:
+        rotor_inertia: ``(n,)`` [kg m²].
+        offset: constant torque of the drive ``(n,)`` [N m].
+        gain: torque that is read over the torque that acts ``(n,)`` [1].
+        ripple: torque the motor needs for its ripple, ``a cos(k q) + b sin(k q)``: ``(m, 3, n)`` of k [1/rad], a and b
+            [N m]; ``m`` may be 0.
+        stiffness: of the gears ``(n,)`` [N m/rad]; infinite where they are rigid.
+        damping: of the gears ``(n,)`` [N m s/rad].
+        uneven: what the gear's output turns beyond the motor, in the form of ``ripple`` [1/rad, rad, rad].
+        half_gap: half the backlash of each gear ``(n,)`` [rad].
+        gap_load: load over which the backlash is crossed ``(n,)`` [N m]; 0 where the direction of motion decides.
+    """
+
+    rotor_inertia: Array
+    offset: Array
+    gain: Array
+    ripple: Array
+    stiffness: Array
+    damping: Array
+    uneven: Array
+    half_gap: Array
+    gap_load: Array
+
+
+class Cascade(NamedTuple):
+    """Position and velocity loops of ``n`` joints, [G] (16), (17), at their own cycles.
+
+    Position loop ``u = k_v (r - q) + k_ff ṙ - q̇`` and velocity loop ``τ = k_p u + k_i ∫u``. (16) in these terms:
+    ``k_P = k_v``, ``k_D = k_ff``, ``k_1 = k_ff - 1``.
+
+    Attributes:
+        k_v, k_ff: position loop ``(n,)`` [1/s], [-].
+        k_p, k_i: velocity loop ``(n,)`` [N m s/rad], [N m/rad].
+        t_filter: time constant of the low-pass differentiator ``(n,)`` [s].
+        tau_max: torque limit ``(n,)`` [N m]; infinite for none.
+    """
+
+    k_v: Array
+    k_ff: Array
+    k_p: Array
+    k_i: Array
+    t_filter: Array
+    tau_max: Array
+
+
+class CommandPath(NamedTuple):
+    """From a command that is handed over to the reference that the position loop gets, and the cycles.
+
+    Attributes:
+        command_filter: impulse response of the command low-pass at the position loop's cycle ``(L, n)``, sums to 1.
+        delay: cycles between hand-over of a command and the start of the interpolation towards it (0 or 1).
+        t_ipo, t_position, t_velocity: cycle times [s].
+        q_min, q_max, v_max: limits of commands ``(n,)`` [rad, rad/s].
+    """
+
+    command_filter: Array
+    delay: int
+    t_ipo: float
+    t_position: float
+    t_velocity: float
+    q_min: Array
+    q_max: Array
+    v_max: Array
+
+
+class Loop(NamedTuple):
+    """The identified closed loop of ``n`` joints, [G] Fig. 15.
+
+    Attributes:
+        chain: rigid body of the arm side.
+        drives: motors and gears.
+        friction: of every joint.
+        cascade: position and velocity loops.
+        path: from a command to the position loop.
+        terms: effects whose torque the motor has to give as well; compiled code takes the records before them.
+    """
+
+    chain: Chain
+    drives: Drives
+    friction: Friction
+    cascade: Cascade
+    path: CommandPath
+    terms: tuple[FittedEffect, ...] = ()
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.drives.rotor_inertia)
+
+    @property
+    def t_ipo(self) -> float:
+        """Interpolation cycle [s]."""
+        return self.path.t_ipo
+
+    @property
+    def steps_ipo(self) -> int:
+        """Position-loop cycles in one interpolation cycle."""
+        return round(self.path.t_ipo / self.path.t_position)
+
+    @property
+    def compliance(self) -> Array:
+        """1/stiffness ``(n,)`` [rad/(N m)]; 0 for rigid gears."""
+        return np.asarray(1.0 / self.drives.stiffness)
+
+    def changed(self, **fields: Any) -> Loop:
+        """The loop with some fields of its records, or whole records, changed.
+
+        Args:
+            fields: by name; each name stands in one record only.
+        """
+        for name in [name for name in fields if name in Loop._fields]:
+            self = self._replace(**{name: fields.pop(name)})
+        for record in ("chain", "drives", "friction", "cascade", "path"):
+            values: Any = getattr(self, record)
+            own = {name: fields.pop(name) for name in list(fields) if name in values._fields}
+            if own:
+                self = self._replace(**{record: values._replace(**own)})
+        if fields:
+            raise TypeError(f"no record of the loop has {', '.join(fields)}")
+        return self
+
+
+def checked(loop: Loop) -> Loop:
+    """The loop, all its arrays in one piece as compiled code wants them; InputError where it can be none."""
+    values = {"k_v": loop.cascade.k_v, "k_p": loop.cascade.k_p, "stiffness": loop.drives.stiffness}
+    for name, value in values.items():
+        if not np.all(value > 0.0):
+            raise InputError("must be positive for every joint; identify the closed loop first", field=name,
+                             value=np.round(value, 6).tolist())
+    if not np.all(loop.drives.rotor_inertia >= 0.0):
+        raise InputError("must not be negative for any joint; identify the closed loop first", field="rotor_inertia",
+                         value=np.round(loop.drives.rotor_inertia, 6).tolist())
+    path = loop.path
+    ratios = path.t_ipo / path.t_position, path.t_position / path.t_velocity
+    if any(abs(ratio - round(ratio)) > 1e-6 or ratio < 0.999 for ratio in ratios):
+        raise InputError("cycle times must be whole multiples of each other", field="t_ipo",
+                         value=(path.t_ipo, path.t_position, path.t_velocity))
+    return Loop(_in_one_piece(loop.chain), _in_one_piece(loop.drives), _in_one_piece(loop.friction),
+                _in_one_piece(loop.cascade), _in_one_piece(path), loop.terms)
+
+
+def _in_one_piece(record: Any) -> Any:
+    """A record whose arrays are contiguous and may be written: code is compiled anew for every other kind."""
+    return record._make(np.require(value, requirements=("C", "W")) if isinstance(value, np.ndarray) else value
+                        for value in record)
+
+
+@jit()
+def ripple_torque(ripple: Array, i: int, q: float) -> float:
+    """Ripple of a joint [N m].
+
+    Args:
+        ripple: order, cosine and sine amplitude of each component ``(m, 3, n)`` [1, N m, N m].
+        i, q: joint, from 0, and its motor angle [rad].
+    """
+    torque = 0.0
+    for m in range(ripple.shape[0]):
+        phase = ripple[m, 0, i] * q
+        torque += ripple[m, 1, i] * np.cos(phase) + ripple[m, 2, i] * np.sin(phase)
+    return torque
+
+
+@jit()
+def unevenness(uneven: Array, i: int, q: float) -> tuple[float, float, float]:
+    """What a joint turns beyond its motor, and its two derivatives by the motor angle.
+
+    Args:
+        uneven: order, cosine and sine part of each component ``(m, 3, n)`` [1/rad, rad, rad].
+        i, q: joint, from 0, and its motor angle [rad].
+    """
+    value, slope, bend = 0.0, 0.0, 0.0
+    for m in range(uneven.shape[0]):
+        k, a, b = uneven[m, 0, i], uneven[m, 1, i], uneven[m, 2, i]
+        c, s = np.cos(k * q), np.sin(k * q)
+        value += a * c + b * s
+        slope += k * (b * c - a * s)
+        bend -= k * k * (a * c + b * s)
+    return value, slope, bend
+
+
+@jit()
+def behind_uneven_gears(uneven: Array, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
+    """Motor angles, velocities and accelerations ``(N, n)`` for wanted gear outputs.
+
+    Args:
+        uneven: see ``unevenness``.
+        q, v, a: wanted outputs ``(N, n)`` [rad], their velocities and accelerations.
+    """
+    q_m, v_m, a_m = q.copy(), v.copy(), a.copy()
+    for i in range(q.shape[1]):
+        for k in range(len(q)):
+            for _ in range(3):
+                q_m[k, i] = q[k, i] - unevenness(uneven, i, q_m[k, i])[0]
+            _, slope, bend = unevenness(uneven, i, q_m[k, i])
+            v_m[k, i] = v[k, i] / (1.0 + slope)
+            a_m[k, i] = (a[k, i] - bend * v_m[k, i] ** 2) / (1.0 + slope)
+    return q_m, v_m, a_m
+
+
+def low_pass_taps(time_constant: Array | float, order: int, t_position: float, n: int, *,
+                  dead_time: float = 0.0) -> Array:
+    """Impulse response ``(L, n)`` of ``order`` equal first-order stages ``r += (1 - a)(x - r)``, ``a = exp(-T/time)``.
+
+    Args:
+        time_constant: of each stage, for all joints or per joint ``(n,)`` [s]; 0 for none.
+        order, n: number of stages and of joints.
+        t_position: cycle at which the filter runs [s].
+        dead_time: before it, spread over two taps where it is no whole number of cycles [s].
+    """
+    times = np.broadcast_to(np.asarray(time_constant, dtype=float), (n,))
+    length = 2 + int(np.ceil(dead_time / t_position) + np.ceil((12 + 3 * order) * max(times.max(), 0) / t_position))
+    taps = np.zeros((length, n))
+    whole, part = divmod(dead_time / t_position, 1.0)
+    taps[int(whole)] = 1 - part
+    taps[int(whole) + 1] = part
+    for i, time in enumerate(times):
+        for _ in range(order if time > 0 else 0):
+            a = np.exp(-t_position / time)
+            taps[:, i] = np.convolve(taps[:, i], (1 - a) * a ** np.arange(length))[:length]
+    # The tail that is cut off is below 1e-5; the static gain must be 1 exactly.
+    return np.asarray(taps / taps.sum(axis=0))
