@@ -88,7 +88,8 @@ def play(robot: Robot, world: World, path: JointPath, feedforward: Feedforward, 
             raise played.error
         history = arm.history()
         recording = arm.recording(external=True)
-        tcp, of_motors = (np.array([arm.tcp_of(q).translation for q in history[name]]) for name in ("q_a", "q_m"))
+        tcp = arm.tcp_path()[1]
+        of_motors = np.array([arm.tcp_of(q).translation for q in history["q_m"]])
     every = round(world.t_ipo / (history["t"][1] - history["t"][0]))
     # Between the cycles the path goes on: the desired position of a cycle is a wrong one for the rows after it.
     wanted = interpolated(recording.t, path.t, q_d)

@@ -18,10 +18,12 @@ from ideal_robot.signals.recording import Recording
 from sim import SimError
 from sim.arm import kernel
 from sim.arm.body import RigidRotors, load_links, start_physics
-from sim.arm.drive import drive_parameters, drive_start
+from sim.arm.drive import beside_gears, drive_parameters, drive_start, hysteresis_stiffness, output_of
 from sim.arm.history import History, recording_of
 from sim.arm.kernel import P_ELASTIC, P_ROTOR, P_STIFFNESS
+from sim.arm.schedule import GainSchedule
 from sim.arm.specimen import draw_specimen, residual_torque
+from sim.arm.structure import Structure, moved
 from sim.arm.world import STEP, World
 from sim.bullet import pybullet
 
@@ -51,7 +53,7 @@ def _require_integrable(model: pin.Model, q: Array, p: Array) -> None:
     if np.linalg.matrix_rank(mass, hermitian=True) < len(mass):
         raise InputError("a joint turns nothing that has inertia; give the links moments of inertia, or use inf for "
                          "rigid gears", field="inertial")
-    root = np.sqrt(p[P_STIFFNESS])
+    root = np.sqrt(p[P_STIFFNESS] + hysteresis_stiffness(p))
     rotor = np.where(elastic, 1.0 / np.where(elastic, p[P_ROTOR], 1.0), 0.0)
     fastest = float(np.sqrt(np.linalg.eigvalsh(root[:, None] * (np.linalg.inv(mass) + np.diag(rotor)) * root).max()))
     if fastest * STEP > 1.2:
@@ -107,8 +109,7 @@ class SimulatedArm:
         self._extra_torque = residual_torque(world, robot.n, rng)
         self._specimen = draw_specimen(robot, world)
         self._model = self._specimen.model
-        self._p, self._shared, self._counts = drive_parameters(
-            world, robot, self._specimen.rotor_inertia, self._specimen.drive_gain, self._specimen.phase)
+        self._p, self._shared, self._counts = drive_parameters(world, robot, self._specimen)
         self._elastic = self._p[kernel.P_ELASTIC] > 0.0
         self._kinematics = self._model.createData()
         _require_integrable(self._model, robot.home, self._p)
@@ -118,6 +119,8 @@ class SimulatedArm:
         self.tool_link = int(frame.parentJoint) - 1
         self.tool_offset: pin.SE3 = frame.placement.copy()
         self.step_hook: Callable[[float], None] | None = None
+        self._structure = Structure.of(robot, self._model, world, int(self._counts[kernel.N_LOG]) * STEP)
+        self._schedule = GainSchedule.of(robot, world, self._p)
         self._touchable = tool_radius is not None
         self.client = start_physics()
         self.body = load_links(self._model, self.client, self.tool_offset if tool_radius else None, tool_radius or 0.0)
@@ -130,14 +133,17 @@ class SimulatedArm:
         """
         q0 = _checked_posture(self.robot, q0)
         n = self.robot.n
-        stiffness = np.where(self._elastic, self.world.per_joint("stiffness", n), np.inf)
-        output = q0 + self._p[kernel.P_UNEVEN] * np.sin(self._p[kernel.P_UNEVEN_ORDER] * q0 + self._p[kernel.P_PHASE])
+        stiffness = np.where(self._elastic, self._p[kernel.P_STIFFNESS], np.inf)
+        output = output_of(self._p, q0)
         q_a = output.copy()
         for _ in range(30):
-            holding = pin.computeGeneralizedGravity(self._model, self._kinematics, q_a)
+            holding = pin.computeGeneralizedGravity(self._model, self._kinematics, q_a) - beside_gears(self._p, q_a)
             q_a = output - holding / stiffness
         q_a = q_a - np.sign(holding) * 0.5 * np.where(np.isfinite(stiffness), self.world.per_joint("backlash", n), 0.0)
-        self._x = drive_start(self._p, q0, holding, self.world.per_joint("start_temperature", n))
+        temperature = self.world.per_joint("start_temperature", n)
+        self._x = drive_start(self._p, q0, q_a, holding, temperature)
+        if self._structure is not None:
+            self._structure.reset(q_a, temperature)
         rigid = np.where(self._elastic, 0.0, self._specimen.rotor_inertia)
         self._rotors = RigidRotors(self._model, rigid) if rigid.any() else None
         self._tick = 0
@@ -166,6 +172,8 @@ class SimulatedArm:
         self._pending = q_c.copy()
         noise = self._rng.standard_normal((self._steps_per_cycle + 1, self.robot.n))
         self._history.reserve(self._steps_per_cycle + 1)
+        if self._schedule is not None:
+            self._schedule.follow(self._p, x[kernel.X_ENCODER])
         try:
             self._run(noise)
         except (ZeroDivisionError, OverflowError) as error:  # numbers without end, before the posture shows it
@@ -181,6 +189,7 @@ class SimulatedArm:
         every, rotors, history = int(counts[kernel.N_LOG]), self._rotors, self._history
         extra_torque, hook = self._extra_torque, self.step_hook
         touched = hook is not None or self._touchable
+        structure = self._structure
         set_torques, step, get_states, mode = (pybullet.setJointMotorControlArray, pybullet.stepSimulation,
                                                pybullet.getJointStates, pybullet.TORQUE_CONTROL)
         drive_step = kernel.drive_step
@@ -192,6 +201,8 @@ class SimulatedArm:
             drive_step(tick, p, s, counts, x, links, line, history.next_row)
             if tick % every == 0:
                 history.rows += 1
+                if structure is not None:
+                    structure.update(q_a, qd_a, x[kernel.X_TEMPERATURE])
             if rotors is not None:
                 rotors.share(q_a, qd_a, torque)
             set_torques(body, joints, mode, forces=torque.tolist(), physicsClientId=client)
@@ -228,10 +239,21 @@ class SimulatedArm:
     def truth(self) -> TrueState:
         """The true arm now."""
         q_m = np.where(self._elastic, self._x[kernel.X_MOTOR], self.q_a)
-        return TrueState(self.t, self.q_a.copy(), q_m, self.tcp_of(self.q_a))
+        return TrueState(self.t, self.q_a.copy(), q_m, self.tcp)
+
+    @property
+    def tcp(self) -> pin.SE3:
+        """Pose of the tool frame now."""
+        pose = self.tcp_of(self.q_a)
+        return pose if self._structure is None else moved(pose, self._structure.off)
+
+    def touch(self, force: Array) -> None:
+        """Tells what bends between base and tool of a force on the tool ``(3,)`` [N, base frame]."""
+        if self._structure is not None:
+            self._structure.touch = np.array(force)
 
     def tcp_of(self, q_a: Array) -> pin.SE3:
-        """Pose of the tool frame at arm angles ``(n,)``."""
+        """Pose of the tool frame at arm angles ``(n,)`` of an arm whose links and base are rigid."""
         pin.framesForwardKinematics(self._model, self._kinematics, np.asarray(q_a, dtype=float))
         return self._kinematics.oMf[self.robot.tool_id].copy()
 
@@ -240,7 +262,12 @@ class SimulatedArm:
 
         Raises ``SimError`` where ``t`` lies before the start or in the future.
         """
-        return self.tcp_of(self.q_at(t))
+        return self.tcp_with(t, self.q_at(t))
+
+    def tcp_with(self, t: float, q_a: Array) -> pin.SE3:
+        """True pose of the tool frame with the arm angles ``(n,)`` of a time ``t`` [s] within the history."""
+        pose = self.tcp_of(q_a)
+        return pose if self._structure is None else moved(pose, self._structure.at(t))
 
     def q_at(self, t: float) -> Array:
         """True arm angles ``(n,)`` [rad] at a time ``t`` [s] within the history, as ``tcp_at``."""
@@ -259,8 +286,8 @@ class SimulatedArm:
         t, place = new_array(self._history.rows), new_array(self._history.rows, 3)
         for first, logged in self._history.parts():
             t[first : first + len(logged["t"])] = logged["t"]
-            for i, q in enumerate(logged["q_a"], start=first):
-                place[i] = self.tcp_of(q).translation
+            for i, (at, q) in enumerate(zip(logged["t"], logged["q_a"], strict=True), start=first):
+                place[i] = self.tcp_with(float(at), q).translation
             let_go(t, place)
         return t, place
 
@@ -271,7 +298,7 @@ class SimulatedArm:
         the joint controllers see it: after the planner's delay and the interpolation, before the low-pass.
         ``external`` adds ``qa_i`` and ``x y z qx qy qz qw`` from an external measuring device with the world's noise.
         """
-        return recording_of(self.robot, self.world, self._history, self.tcp_of if external else None)
+        return recording_of(self.robot, self.world, self._history, self.tcp_with if external else None)
 
     def close(self) -> None:
         """Ends the physics client; history and recording stay."""

@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from sim.arm import kernel
+from sim.arm.specimen import Specimen
 from sim.arm.world import STEP, World
 
 # The industrial controller of the simulated arm: the KRC1 of [G] Fig. 15.
@@ -22,6 +25,8 @@ _PER_JOINT = {
     kernel.P_V_STRIBECK: "stribeck_velocity", kernel.P_ASYMMETRY: "friction_asymmetry",
     kernel.P_V_DEGRESSIVE: "degressive_velocity", kernel.P_LUBRICATION: "lubrication",
     kernel.P_UNEVEN: "transmission_error", kernel.P_UNEVEN_ORDER: "transmission_order",
+    kernel.P_ONCE: "transmission_once", kernel.P_TWICE: "transmission_twice",
+    kernel.P_HOSE: "hose", kernel.P_HOSE_FRICTION: "hose_friction",
 }
 """Rows of the parameter block that a key of the world fills as it is."""
 
@@ -31,18 +36,18 @@ def motor_torque_limit(robot: Robot) -> Array:
     return np.where(np.isfinite(robot.tau_max), robot.tau_max, 1.0e12)
 
 
-def drive_parameters(world: World, robot: Robot, rotor_inertia: Array, drive_gain: Array,
-                     phase: Array) -> tuple[Array, Array, NDArray[np.int64]]:
+def drive_parameters(world: World, robot: Robot, specimen: Specimen) -> tuple[Array, Array, NDArray[np.int64]]:
     """Packs a world for ``drive_step``: parameters ``(PARAMETERS, n)``, shared numbers ``(11,)``, step counts ``(4,)``.
 
     Args:
         world: the true world.
         robot: data sheet of the arm.
-        rotor_inertia: true rotor inertias on the joint side ``(n,)`` [kg m²].
-        drive_gain: true torque per ampere relative to the data sheet's ``(n,)``.
-        phase: of torque ripple and transmission error ``(n,)`` [rad].
+        specimen: which arm of the type it is.
+
+    Raises:
+        InputError: a balancer at an arm without a second joint that turns.
     """
-    n = robot.n
+    n, rotor_inertia = robot.n, specimen.rotor_inertia
     limit = motor_torque_limit(robot)
     p = np.zeros((kernel.PARAMETERS, n))
     for row, name in _PER_JOINT.items():
@@ -52,18 +57,28 @@ def drive_parameters(world: World, robot: Robot, rotor_inertia: Array, drive_gai
     if world.quantisation:
         p[kernel.C_INCREMENT] = 2.0 * math.pi / (world.per_joint("encoder_increments", n) * robot.gear_ratio)
     p[kernel.P_ROTOR] = rotor_inertia
-    stiffness = world.per_joint("stiffness", n)
+    stiffness = world.per_joint("stiffness", n) * world.per_joint("stiffness_scale", n)
     elastic = np.isfinite(stiffness) if world.elasticity else np.zeros(n, dtype=bool)
     p[kernel.P_ELASTIC] = elastic
     p[kernel.P_STIFFNESS] = np.where(elastic, stiffness, 0.0)
+    p[kernel.P_HYSTERESIS] = 0.5 * p[kernel.P_STIFFNESS] * world.per_joint("hysteresis", n)
+    p[kernel.P_HYSTERESIS_WAY] = HYSTERESIS_WAY * world.per_joint("hysteresis", n)
     p[kernel.P_DAMPING] = np.where(elastic, world.per_joint("damping", n), 0.0)
     p[kernel.P_BACKLASH] = np.where(elastic, world.per_joint("backlash", n), 0.0)
     _pack_friction(p, world, rotor_inertia, limit)
-    p[kernel.P_GAIN] = drive_gain
+    p[kernel.P_GAIN] = specimen.drive_gain
     p[kernel.P_RIPPLE] = world.per_joint("torque_ripple", n) * np.where(np.isfinite(robot.tau_max), limit, 0.0)
     p[kernel.P_RIPPLE_ORDER] = world.per_joint("ripple_order", n) * robot.gear_ratio
-    p[kernel.P_PHASE] = phase
+    p[kernel.P_PHASE] = specimen.phase
+    p[kernel.P_TURNS] = (p[kernel.P_ONCE] > 0.0) | (p[kernel.P_TWICE] > 0.0)
+    p[kernel.P_ONCE_PHASE], p[kernel.P_TWICE_PHASE] = specimen.turn_phase
+    p[kernel.P_HOSE_REST] = robot.home
+    if world.balancer > 0.0:
+        p[kernel.P_BALANCER, 1], p[kernel.P_BALANCER_TOP, 1] = world.balancer, top_of(robot)
     p[kernel.P_NOISE] = world.per_joint("current_noise", n) * np.where(np.isfinite(robot.tau_max), limit, 0.0)
+    frequency = world.per_joint("notch_frequency", n)
+    p[kernel.C_NOTCH] = frequency > 0.0
+    p[kernel.C_NOTCH_B0 : kernel.C_NOTCH_A2 + 1] = notch(frequency, world.t_velocity)
     shared = np.zeros(kernel.S_LUBRICANT_RATE + 1)
     for row, value in {
         kernel.S_DT: STEP, kernel.S_LOW_PASS: _share(world.t_position, world.low_pass),
@@ -90,6 +105,8 @@ def _pack_friction(p: Array, world: World, rotor_inertia: Array, limit: Array) -
     p[kernel.P_SIGMA0] = p[kernel.P_COULOMB] / world.per_joint("presliding", n)
     # Bristles damped to a fifth of critical on the rotor: they neither ring nor dominate the torque.
     p[kernel.P_SIGMA1] = 0.4 * np.sqrt(p[kernel.P_SIGMA0] * np.maximum(rotor_inertia, 1.0e-6))
+    # What a drive compensates is what its maker knew: dry friction of the type at the reference temperature.
+    p[kernel.C_COMPENSATION] = world.per_joint("friction_compensation", n) * world.per_joint("coulomb", n)
     p[kernel.P_VISCOUS] = scale * world.per_joint("viscous", n)
     p[kernel.P_DEGRESSIVE] = scale * world.per_joint("degressive", n)
     p[kernel.P_LOAD] = world.per_joint("load_friction", n) / limit
@@ -98,17 +115,80 @@ def _pack_friction(p: Array, world: World, rotor_inertia: Array, limit: Array) -
         p[kernel.P_THERMAL_RATE] = world.time_compression / world.per_joint("thermal_time_constant", n)
 
 
+HYSTERESIS_WAY = 2.0
+"""Twist over which a gear's hysteresis turns round, in widths of its loop: its largest stiffness beside the gear's own
+is then a quarter of that, which the 0.5 ms step still follows."""
+
+
+def hysteresis_stiffness(p: Array) -> Array:
+    """Stiffness ``(n,)`` [N m/rad] that hysteresis adds to the gears just after a reversal; ``p``: parameter block."""
+    way = p[kernel.P_HYSTERESIS_WAY]
+    return np.asarray(np.divide(p[kernel.P_HYSTERESIS], way, out=np.zeros_like(way), where=way > 0.0))
+
+
+def top_of(robot: Robot) -> float:
+    """Angle of joint 2 [rad] at which its gravity torque vanishes and the arm stands upright, the others at home.
+
+    Raises ``InputError`` for an arm whose second joint does not turn, or turns about the vertical.
+    """
+    if robot.n < 2 or robot.prismatic[1]:
+        raise InputError("only an arm whose second joint turns can have a balancer", field="world.balancer")
+    model, data, q = robot.pinocchio, robot.pinocchio.createData(), np.array(robot.home, dtype=float)
+    weight = np.empty(2)
+    for i in range(2):
+        q[1] = 0.5 * math.pi * i
+        weight[i] = pin.computeGeneralizedGravity(model, data, q)[1]
+    # g(q) = g(0) cos q + g(90°) sin q; upright it is zero and falls.
+    if np.hypot(*weight) < 1e-6:
+        raise InputError("gravity does nothing in joint 2, so nothing is balanced", field="world.balancer")
+    return math.atan2(weight[0], -weight[1])
+
+
+def notch(frequency: Array, cycle: float) -> Array:
+    """Coefficients b0, b1, b2, a1, a2 ``(5, n)`` of notches in the velocity loop's torque; ``frequency (n,)`` [Hz].
+
+    The bilinear transform, warped to the frequency, of (s² + 2 d_z ω s + ω²) / (s² + 2 d_n ω s + ω²) with
+    ``NOTCH`` = d_z, d_n: common drives let width and depth be set; these take away 80 % over half an octave.
+    """
+    k = np.tan(math.pi * np.minimum(frequency * cycle, 0.45))
+    zeros, poles = (2.0 * d * k for d in NOTCH)
+    scale = 1.0 / (1.0 + poles + k * k)
+    middle = 2.0 * (k * k - 1.0) * scale
+    return np.array([(1.0 + zeros + k * k) * scale, middle, (1.0 - zeros + k * k) * scale, middle,
+                     (1.0 - poles + k * k) * scale])
+
+
+NOTCH = (0.1, 0.5)
+"""Damping of a notch's zeros and poles."""
+
+
 def _share(cycle: float, time_constant: float) -> float:
     """By how much of the difference a first-order low-pass moves in one cycle."""
     return 1.0 - math.exp(-cycle / time_constant) if time_constant > 0.0 else 1.0
 
 
-def drive_start(p: Array, q0: Array, holding_torque: Array, temperature: Array) -> Array:
+def output_of(p: Array, q: Array) -> Array:
+    """Where the gears' outputs stand ``(n,)`` [rad] with motors at ``q (n,)``: turned unevenly, not twisted."""
+    output = q + p[kernel.P_UNEVEN] * np.sin(p[kernel.P_UNEVEN_ORDER] * q + p[kernel.P_PHASE])
+    if p[kernel.P_TURNS].any():
+        output = output + p[kernel.P_ONCE] * np.sin(q + p[kernel.P_ONCE_PHASE])
+        output = output + p[kernel.P_TWICE] * np.sin(2.0 * q + p[kernel.P_TWICE_PHASE])
+    return np.asarray(output)
+
+
+def beside_gears(p: Array, q: Array) -> Array:
+    """Torques ``(n,)`` [N m] of balancer and hose on the links at rest at arm angles ``q (n,)`` [rad]."""
+    shapes = [kernel.balancer_shape(angle) for angle in q - p[kernel.P_BALANCER_TOP]]
+    return np.asarray(-p[kernel.P_BALANCER] * shapes - p[kernel.P_HOSE] * (q - p[kernel.P_HOSE_REST]))
+
+
+def drive_start(p: Array, q0: Array, q_a: Array, holding_torque: Array, temperature: Array) -> Array:
     """State block ``(STATES, n)`` of drives that hold ``holding_torque (n,)`` at rest with motors at ``q0``.
 
     Args:
         p: parameter block ``(PARAMETERS, n)``.
         q0: motor angles ``(n,)`` [rad].
+        q_a: arm angles ``(n,)`` [rad].
         holding_torque: that holds the arm at rest ``(n,)`` [N m].
         temperature: of the gears ``(n,)`` [°C].
     """
@@ -117,8 +197,13 @@ def drive_start(p: Array, q0: Array, holding_torque: Array, temperature: Array) 
        kernel.X_MOTOR]] = q0
     x[[kernel.X_INTEGRAL, kernel.X_TORQUE, kernel.X_CURRENT]] = holding_torque / p[kernel.P_GAIN]
     x[kernel.X_GEAR] = holding_torque
+    still = x[kernel.X_TORQUE]
+    x[kernel.X_NOTCH2] = (p[kernel.C_NOTCH_B2] - p[kernel.C_NOTCH_A2]) * still
+    x[kernel.X_NOTCH1] = x[kernel.X_NOTCH2] + (p[kernel.C_NOTCH_B1] - p[kernel.C_NOTCH_A1]) * still
     x[kernel.X_TEMPERATURE] = temperature
     x[kernel.X_LUBRICANT] = 1.0
+    x[kernel.X_HOSE_ANGLE] = q_a
+    x[kernel.X_TWIST] = output_of(p, q0) - q_a
     return x
 
 

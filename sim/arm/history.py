@@ -85,29 +85,32 @@ class History(RowLog):
                 + u * u * (3 - 2 * u) * q1 + u * u * (u - 1) * h * v1)
 
 
-def recording_of(robot: Robot, world: World, history: History, tcp_of: Callable[[Array], pin.SE3] | None) -> Recording:
+PoseAt = Callable[[float, Array], pin.SE3]
+"""True pose of the tool frame at a time [s] with its arm angles ``(n,)`` [rad]."""
+
+
+def recording_of(robot: Robot, world: World, history: History, pose_at: PoseAt | None) -> Recording:
     """What a controller would have logged, every ``world.log_cycle``.
 
     Args:
         robot: data sheet of the arm.
         world: the true world.
         history: of the run.
-        tcp_of: true pose of the tool frame at arm angles ``(n,)`` [rad], for the columns of an external measuring
-            device; None leaves them out.
+        pose_at: where the tool was, for the columns of an external measuring device; None leaves them out.
     """
     every = max(1, round(world.log_cycle / history.step))
     length, n = -(-history.rows // every), robot.n
-    names = ["q_c", "q", "tau", "current", *(["temp"] if world.thermal else []), *([] if tcp_of is None else ["qa"])]
+    names = ["q_c", "q", "tau", "current", *(["temp"] if world.thermal else []), *([] if pose_at is None else ["qa"])]
     columns = new_columns(["t", *(f"{name}_{i + 1}" for name in names for i in range(n)),
-                           *([] if tcp_of is None else POSE)], length)
-    device = None if tcp_of is None else _ExternalDevice(world, tcp_of, length, n)
+                           *([] if pose_at is None else POSE)], length)
+    device = None if pose_at is None else _ExternalDevice(world, pose_at, length, n)
     for first, logged in history.parts(every):
         values: dict[str, Array] = {"q_c": logged["q_c"], "q": logged["q"], "tau": logged["tau"],
                                     "current": logged["tau"] / robot.drive_gain, "temp": logged["temperature"]}
         piece = slice(first, first + len(logged["t"]))
         columns["t"][piece] = logged["t"]
         if device is not None:
-            values["qa"], pose = device.measured(logged["q_a"])
+            values["qa"], pose = device.measured(logged["t"], logged["q_a"])
             for name, column in zip(POSE, pose.T, strict=True):
                 columns[name][piece] = column
         for name in names:
@@ -125,8 +128,8 @@ def recording_of(robot: Robot, world: World, history: History, tcp_of: Callable[
 class _ExternalDevice:
     """A measuring device's view of the arm, piece by piece; its noise is the same however often and in what pieces."""
 
-    def __init__(self, world: World, tcp_of: Callable[[Array], pin.SE3], length: int, n: int) -> None:
-        self._world, self._tcp_of, self._n = world, tcp_of, n
+    def __init__(self, world: World, pose_at: PoseAt, length: int, n: int) -> None:
+        self._world, self._pose_at, self._n = world, pose_at, n
         # First all draws of positions, then those of rotations, then those of angles.
         self._position, self._rotation, self._angles = (
             np.random.default_rng([world.individual, length, 104729]) for _ in range(3))
@@ -134,10 +137,15 @@ class _ExternalDevice:
             for first in range(0, before, KEPT):
                 rng.standard_normal(min(KEPT, before - first))
 
-    def measured(self, q_a: Array) -> tuple[Array, Array]:
-        """Angles ``(m, n)`` [rad] and poses ``x y z qx qy qz qw (m, 7)`` of the next ``m`` rows."""
+    def measured(self, t: Array, q_a: Array) -> tuple[Array, Array]:
+        """Angles ``(m, n)`` [rad] and poses ``x y z qx qy qz qw (m, 7)`` of the next ``m`` rows.
+
+        Args:
+            t: their times ``(m,)`` [s].
+            q_a: true arm angles then ``(m, n)`` [rad].
+        """
         world, m = self._world, len(q_a)
-        poses = np.array([self._tcp_of(q).homogeneous for q in q_a])
+        poses = np.array([self._pose_at(float(at), q).homogeneous for at, q in zip(t, q_a, strict=True)])
         position = poses[:, :3, 3] + world.external_position_noise * self._position.standard_normal((m, 3))
         turned = Rotation.from_rotvec(world.external_rotation_noise * self._rotation.standard_normal((m, 3)))
         quaternion = (turned * Rotation.from_matrix(poses[:, :3, :3])).as_quat()

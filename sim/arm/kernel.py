@@ -1,7 +1,7 @@
 """The compiled step of the simulated arm: controller, motors, gears and friction of all joints in one call.
 
     J q̈_m = τ_m + τ_ripple + τ_extra - τ_f(q̇_m, z, T, load) - τ_g
-    τ_g = K gap(q_m + uneven(q_m) - q_a) + D (q̇_m - q̇_a)         on the link: τ_g
+    τ_g = K gap(q_m + uneven(q_m) - q_a) + D (q̇_m - q̇_a) + H h     on the link: τ_g + τ_balancer + τ_hose
 
 Motors and links are integrated semi-implicitly with the step of PyBullet and exchange the same gear torque, so no
 energy comes from the splitting. Where a gear is rigid, q_m = q_a and the rotor is carried by ``SimulatedArm``.
@@ -24,12 +24,16 @@ from ideal_robot.jit import jit
 (C_KV, C_KFF, C_KP, C_KI, C_LIMIT, C_INCREMENT,
  P_ROTOR, P_STIFFNESS, P_DAMPING, P_BACKLASH, P_ELASTIC, P_COULOMB, P_SURPLUS, P_V_STRIBECK, P_SIGMA0, P_SIGMA1,
  P_ASYMMETRY, P_VISCOUS, P_DEGRESSIVE, P_V_DEGRESSIVE, P_LOAD, P_FRICTION, P_THERMAL_RESISTANCE, P_THERMAL_RATE,
- P_LUBRICATION, P_GAIN, P_RIPPLE, P_RIPPLE_ORDER, P_PHASE, P_NOISE, P_UNEVEN, P_UNEVEN_ORDER) = range(32)
-PARAMETERS = P_UNEVEN_ORDER + 1
+ P_LUBRICATION, P_GAIN, P_RIPPLE, P_RIPPLE_ORDER, P_PHASE, P_NOISE, P_UNEVEN, P_UNEVEN_ORDER,
+ P_TURNS, P_ONCE, P_ONCE_PHASE, P_TWICE, P_TWICE_PHASE, P_HYSTERESIS, P_HYSTERESIS_WAY, P_HOSE, P_HOSE_REST,
+ P_HOSE_FRICTION, P_BALANCER, P_BALANCER_TOP, C_COMPENSATION, C_NOTCH, C_NOTCH_B0, C_NOTCH_B1, C_NOTCH_B2, C_NOTCH_A1,
+ C_NOTCH_A2) = range(51)
+PARAMETERS = C_NOTCH_A2 + 1
 # Rows of the state block: the controller's first.
 (X_START, X_END, X_LOW1, X_LOW2, X_VELOCITY_DESIRED, X_ENCODER, X_VELOCITY, X_INTEGRAL, X_TORQUE, X_COMMAND,
- X_MOTOR, X_MOTOR_VELOCITY, X_BRISTLE, X_TEMPERATURE, X_LUBRICANT, X_GEAR, X_CURRENT) = range(17)
-STATES = X_CURRENT + 1
+ X_MOTOR, X_MOTOR_VELOCITY, X_BRISTLE, X_TEMPERATURE, X_LUBRICANT, X_GEAR, X_CURRENT,
+ X_HYSTERESIS, X_TWIST, X_HOSE, X_HOSE_ANGLE, X_COMPENSATION, X_NOTCH1, X_NOTCH2) = range(24)
+STATES = X_NOTCH2 + 1
 # Numbers that all joints share.
 (S_DT, S_LOW_PASS, S_VELOCITY_PASS, S_CURRENT_PASS, S_T_POSITION, S_T_VELOCITY, S_DRY_TEMPERATURE,
  S_VISCOSITY_TEMPERATURE, S_REFERENCE, S_AMBIENT, S_LUBRICANT_RATE) = range(11)
@@ -66,6 +70,38 @@ def _hydrodynamic(v: float, viscous: float, degressive: float, v_degressive: flo
     return viscous * v + degressive * math.asinh(v / v_degressive)
 
 
+LEVER, STROKE, POLYTROPIC = 0.35, 0.35, 1.2
+"""Of a balancer: lever of its piston over that of its cylinder, share of the gas that the whole stroke displaces, and
+the exponent with which that raises the pressure."""
+
+
+@jit(inline="always")
+def balancer_shape(angle: float) -> float:
+    """Torque of a gas-spring balancer towards the top over its torque at a quarter turn, ``angle`` [rad] from the top.
+
+    The piston turns with the link at ``LEVER`` of the cylinder's distance, so that they are L apart; the gas is
+    compressed by the stroke behind the top, L - (1 - LEVER), and its pressure rises as (1 - e)^-n.
+    """
+    length = math.sqrt(1.0 + LEVER * LEVER - 2.0 * LEVER * math.cos(angle))
+    quarter = math.sqrt(1.0 + LEVER * LEVER)
+    used, used_there = (length - 1.0 + LEVER) / (2.0 * LEVER), (quarter - 1.0 + LEVER) / (2.0 * LEVER)
+    pressure = ((1.0 - STROKE * used) / (1.0 - STROKE * used_there)) ** -POLYTROPIC
+    return math.sin(angle) / length * quarter * pressure
+
+
+SLIPS = 0.06
+"""Angle over which a hose's friction turns round after a reversal [rad]: it slips in its clamps one after another."""
+
+
+@jit(inline="always")
+def _turned_round(z: float, way: float, length: float) -> float:
+    """Where a hysteretic part -1…1 is after a ``way`` in either direction: it forgets over ``length`` (Dahl's law)."""
+    if way == 0.0:
+        return z
+    end = 1.0 if way > 0.0 else -1.0
+    return end + (z - end) * math.exp(-abs(way) / length)
+
+
 @jit()
 def _control_step(p: Array, s: Array, x: Array, j: int, q_m: float, fraction: float, due: tuple[bool, bool]) -> None:
     """Runs the loops of joint ``j`` that are due; the torque command is left in ``x[X_TORQUE, j]``.
@@ -87,9 +123,19 @@ def _control_step(p: Array, s: Array, x: Array, j: int, q_m: float, fraction: fl
         x[X_LOW2, j] += s[S_LOW_PASS] * (x[X_LOW1, j] - x[X_LOW2, j])
         feedforward = p[C_KFF, j] * (x[X_LOW2, j] - before) / s[S_T_POSITION]
         x[X_VELOCITY_DESIRED, j] = p[C_KV, j] * (x[X_LOW2, j] - x[X_ENCODER, j]) + feedforward
+        if p[C_COMPENSATION, j] > 0.0:  # the drive's own friction compensation knows the command, not the motion
+            commanded = (x[X_LOW2, j] - before) / s[S_T_POSITION]
+            x[X_COMPENSATION, j] = p[C_COMPENSATION, j] * math.tanh(commanded / p[P_V_STRIBECK, j])
     if velocity_due:
         error = x[X_VELOCITY_DESIRED, j] - x[X_VELOCITY, j]
         torque = p[C_KP, j] * error + x[X_INTEGRAL, j] + p[C_KI, j] * error
+        if p[C_COMPENSATION, j] > 0.0:
+            torque += x[X_COMPENSATION, j]
+        if p[C_NOTCH, j] > 0.0:
+            unfiltered = torque
+            torque = p[C_NOTCH_B0, j] * unfiltered + x[X_NOTCH1, j]
+            x[X_NOTCH1, j] = p[C_NOTCH_B1, j] * unfiltered - p[C_NOTCH_A1, j] * torque + x[X_NOTCH2, j]
+            x[X_NOTCH2, j] = p[C_NOTCH_B2, j] * unfiltered - p[C_NOTCH_A2, j] * torque
         limit = p[C_LIMIT, j]
         if abs(torque) <= limit:
             x[X_INTEGRAL, j] += p[C_KI, j] * error
@@ -165,7 +211,8 @@ def drive_step(tick: int, p: Array, s: Array, counts: NDArray[np.int64], x: Arra
         counts: steps of the cycles ``(4,)``.
         x: state block, changed in place.
         links: ``(4, n)``: arm angles [rad], arm velocities [rad/s], additional torque on the motor side [N m], and, as
-            the result, the gear torque [N m]; of rigid gears motor torque less friction, for link *and* rotor.
+            the result, what drives the links [N m]: gear torque (of rigid gears motor torque less friction, for link
+            *and* rotor) with balancer and hose.
         noise: standard normal numbers for the measured current, one per joint.
         row: row of the log to be filled if the step is due for logging.
     """
@@ -182,6 +229,11 @@ def drive_step(tick: int, p: Array, s: Array, counts: NDArray[np.int64], x: Arra
             angle = p[P_UNEVEN_ORDER, j] * (x[X_MOTOR, j] if elastic else q_a) + p[P_PHASE, j]
             uneven = p[P_UNEVEN, j] * math.sin(angle)
             slope = 1.0 + p[P_UNEVEN, j] * p[P_UNEVEN_ORDER, j] * math.cos(angle)
+        if p[P_TURNS, j] > 0.0:  # and what comes once and twice per turn of the joint
+            angle = x[X_MOTOR, j] if elastic else q_a
+            once, twice = angle + p[P_ONCE_PHASE, j], 2.0 * angle + p[P_TWICE_PHASE, j]
+            uneven += p[P_ONCE, j] * math.sin(once) + p[P_TWICE, j] * math.sin(twice)
+            slope += p[P_ONCE, j] * math.cos(once) + 2.0 * p[P_TWICE, j] * math.cos(twice)
         if not elastic:
             x[X_MOTOR, j], x[X_MOTOR_VELOCITY, j] = q_a - uneven, qd_a / slope
         q_m, v_m = x[X_MOTOR, j], x[X_MOTOR_VELOCITY, j]
@@ -197,10 +249,21 @@ def drive_step(tick: int, p: Array, s: Array, counts: NDArray[np.int64], x: Arra
             motor += p[P_RIPPLE, j] * math.sin(p[P_RIPPLE_ORDER, j] * q_m + p[P_PHASE, j])
         motor += links[L_EXTRA, j]
         gear = _gear_torque(p, j, q_m + uneven - q_a, slope * v_m - qd_a) if elastic else motor
+        if elastic and p[P_HYSTERESIS, j] > 0.0:
+            twist = q_m + uneven - q_a
+            x[X_HYSTERESIS, j] = _turned_round(x[X_HYSTERESIS, j], twist - x[X_TWIST, j], p[P_HYSTERESIS_WAY, j])
+            x[X_TWIST, j] = twist
+            gear += p[P_HYSTERESIS, j] * x[X_HYSTERESIS, j]
         friction = _friction_step(p, s, x, j, v_m)
         if elastic:
             x[X_MOTOR_VELOCITY, j] = v_m + dt * (motor - friction - slope * gear) / p[P_ROTOR, j]
             x[X_MOTOR, j] = q_m + dt * x[X_MOTOR_VELOCITY, j]
         x[X_GEAR, j] = links[L_TORQUE, j] = gear if elastic else motor - friction
+        if p[P_BALANCER, j] > 0.0:
+            links[L_TORQUE, j] -= p[P_BALANCER, j] * balancer_shape(q_a - p[P_BALANCER_TOP, j])
+        if p[P_HOSE, j] > 0.0 or p[P_HOSE_FRICTION, j] > 0.0:
+            x[X_HOSE, j] = _turned_round(x[X_HOSE, j], q_a - x[X_HOSE_ANGLE, j], SLIPS)
+            x[X_HOSE_ANGLE, j] = q_a
+            links[L_TORQUE, j] -= p[P_HOSE, j] * (q_a - p[P_HOSE_REST, j]) + p[P_HOSE_FRICTION, j] * x[X_HOSE, j]
         if log_due:
             row[1 + 8 * n + j] = x[X_GEAR, j]

@@ -22,12 +22,14 @@ class Specimen:
         rotor_inertia: on the joint side ``(n,)`` [kg m²].
         drive_gain: true torque per ampere relative to the data sheet's ``(n,)``.
         phase: of torque ripple and transmission error ``(n,)`` [rad].
+        turn_phase: of the transmission errors once and twice per turn ``(2, n)`` [rad].
     """
 
     model: pin.Model
     rotor_inertia: Array
     drive_gain: Array
     phase: Array
+    turn_phase: Array
 
 
 def draw_specimen(robot: Robot, world: World) -> Specimen:
@@ -55,6 +57,7 @@ def draw_specimen(robot: Robot, world: World) -> Specimen:
     phase = rng.uniform(0.0, 2.0 * np.pi, n)
     offsets, turns = rng.uniform(-1.0, 1.0, (n, 3)), rng.uniform(-1.0, 1.0, n)
     twists = rng.uniform(-1.0, 1.0, (n, 3))
+    turn_phase = rng.uniform(0.0, 2.0 * np.pi, (2, n))
     measured = np.array(world.geometry) if world.geometry else np.zeros((n, 6))
     if measured.shape != (n, 6):
         raise InputError(f"expected {n} rows of six numbers, a row per joint", field="world.geometry")
@@ -70,7 +73,7 @@ def draw_specimen(robot: Robot, world: World) -> Specimen:
         raise InputError("elastic gears need a rotor inertia in the robot data; give it, or set "
                          "world.elasticity = false",
                          field="joints.rotor_inertia", value=robot.rotor_inertia.tolist())
-    return Specimen(model, rotor, gain, phase)
+    return Specimen(model, rotor, gain, phase, turn_phase)
 
 
 def _displace(model: pin.Model, offsets: Array, turns: Array, twists: Array) -> None:

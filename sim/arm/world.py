@@ -26,7 +26,8 @@ from sim.arm.generic import generic_world
 
 _POSITIVE = {"stiffness", "stribeck_velocity", "presliding", "degressive_velocity", "thermal_time_constant",
              "encoder_increments", "t_ipo", "t_position", "t_velocity", "log_cycle", "velocity_gain", "integral_time",
-             "position_gain", "lubrication_time", "ripple_order", "transmission_order"}
+             "position_gain", "lubrication_time", "ripple_order", "transmission_order", "stiffness_scale",
+             "column_stiffness", "column_frequency"}
 _SIGNED = {"body", "start_temperature", "ambient_temperature", "reference_temperature", "payload_com",
            "friction_asymmetry"}
 _CYCLES = {"t_ipo", "t_position", "t_velocity", "log_cycle"}
@@ -34,7 +35,8 @@ _LONGEST = 1.0
 """Longest cycle [s]."""
 _COLDEST = -273.15
 """Absolute zero [°C]."""
-_FRACTION = {"inertia_tolerance": 0.9, "drive_gain_error": 0.9, "friction_asymmetry": 0.9}  # 1 less that stays positive
+_FRACTION = {"inertia_tolerance": 0.9, "drive_gain_error": 0.9, "friction_asymmetry": 0.9,  # 1 less that stays positive
+             "column_damping": 0.9, "gain_schedule": 1.0}
 
 
 def _checked_value(name: str, kind: str, value: Any) -> Any:
@@ -53,7 +55,7 @@ def _checked_value(name: str, kind: str, value: Any) -> Any:
             raise InputError("expected a whole number that is not negative", field=field, value=value)
         return value
     array = numbers(field, value)
-    if name == "stiffness":
+    if name in ("stiffness", "column_stiffness"):
         array = np.where(array >= RIGID, np.inf, array)
     elif np.isinf(array).any():
         raise InputError("must be finite", field=field)
@@ -116,7 +118,9 @@ class World:
         elasticity: gears are springs; off: the motors are rigidly the links.
         stiffness, damping: of each gear [N m/rad, N m s/rad]; an infinite stiffness, from 1e12 up, makes that one gear
             rigid.
+        stiffness_scale: factor on the stiffness of each gear: a soft one has less than 1.
         backlash: backlash of each gear, from flank to flank [rad]; 0 is none.
+        hysteresis: width of the loop that the twist of each gear describes over its torque [rad]; 0 is none.
         friction: dynamic gear friction; off: none at all.
         friction_scale: factor on the whole friction of each joint.
         coulomb, stribeck, stribeck_velocity, presliding: dry friction [N m], its surplus at standstill [N m], the
@@ -157,6 +161,21 @@ class World:
             the vertical [rad].
         transmission_error: amplitude by which a gear turns the arm unevenly [rad], ``transmission_order`` periods per
             joint turn.
+        transmission_once, transmission_twice: the same once and twice per joint turn [rad]; the individual says where.
+        link_bending: compliance of each joint's bearing and link across its axis over that of its gear about it; 0 is
+            rigid.
+        column_stiffness, column_frequency, column_damping: of the column or floor under the base, which tilts about the
+            base's x and y axes [N m/rad, Hz, relative to critical]; a stiffness from 1e12 up is rigid.
+        thermal_expansion: by how much links grow per kelvin of the gear before them above ``reference_temperature``
+            [1/K]; 0 is none.
+        hose, hose_friction: of a dress pack along the arm: spring about the home posture [N m/rad], and torque that
+            turns round with the motion [N m].
+        balancer: torque of a gas spring that holds joint 2 up, a quarter turn from where the arm stands upright [N m];
+            0 is none.
+        friction_compensation: share of the dry friction that the drive itself adds in the commanded direction.
+        notch_frequency: of a notch filter in the velocity loop [Hz]; 0 is none.
+        gain_schedule: share in which the velocity loop's gain follows the moment of inertia of the posture against that
+            at home; 0 is a fixed gain, 1 a fixed bandwidth.
         payload_mass, payload_com, payload_inertia: additional rigid load in the tool frame [kg, m, kg m² about its
             centre, the same about all axes].
         log_cycle: cycle of the recording [s].
@@ -175,7 +194,9 @@ class World:
     elasticity: bool = True
     stiffness: PerJoint = 1.0e5
     damping: PerJoint = 100.0
+    stiffness_scale: PerJoint = 1.0
     backlash: PerJoint = 0.0
+    hysteresis: PerJoint = 0.0
     friction: bool = True
     friction_scale: PerJoint = 1.0
     coulomb: PerJoint = 20.0
@@ -224,6 +245,19 @@ class World:
     twist_error: float = 0.0
     transmission_error: PerJoint = 0.0
     transmission_order: PerJoint = 40.0
+    transmission_once: PerJoint = 0.0
+    transmission_twice: PerJoint = 0.0
+    link_bending: PerJoint = 0.0
+    column_stiffness: float = RIGID
+    column_frequency: float = 20.0
+    column_damping: float = 0.03
+    thermal_expansion: float = 0.0
+    hose: PerJoint = 0.0
+    hose_friction: PerJoint = 0.0
+    balancer: float = 0.0
+    friction_compensation: PerJoint = 0.0
+    notch_frequency: PerJoint = 0.0
+    gain_schedule: float = 0.0
     payload_mass: float = 0.0
     payload_com: tuple[float, float, float] = (0.0, 0.0, 0.0)
     payload_inertia: float = 0.0
@@ -274,7 +308,7 @@ class World:
             elasticity=False, backlash=0.0, friction=False, thermal=False, quantisation=False, current_noise=0.0,
             torque_limits=False, torque_ripple=0.0, low_pass=0.0, correction_delay=False, current_lag=0.0,
             inertia_tolerance=0.0, drive_gain_error=0.0, payload_mass=0.0, external_position_noise=0.0,
-            external_rotation_noise=0.0)
+            external_rotation_noise=0.0, **OF_A_CELL)
 
     def with_cycles(self, robot: Robot) -> Robot:
         """The robot with the cycles of this world's controller, which are no secret: they stand in its manual."""
@@ -351,14 +385,23 @@ class World:
         return np.array(np.broadcast_to(value, (n,)), dtype=float)
 
     def table(self) -> dict[str, Any]:
-        """All settings that a table can hold, for reports and recordings."""
+        """All settings that a table can hold, for reports and recordings; what is there only if asked for, if it is."""
         values = {name: getattr(self, name) for name in TABLE_KEYS}
         return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()
-                if name not in ("body", "geometry", "residual") or value}
+                if (name not in ("body", "geometry", "residual") or value)
+                and not (name in OF_A_CELL and value == OF_A_CELL[name])}
 
 
 TABLE_KEYS = tuple(field.name for field in dataclasses.fields(World) if field.name not in ("robot", "extra_torque"))
 """What a scene's ``[world]`` table may hold."""
+
+OF_A_CELL: dict[str, Any] = {
+    field.name: np.inf if field.name == "column_stiffness" else field.default for field in dataclasses.fields(World)
+    if field.name in {"stiffness_scale", "hysteresis", "transmission_once", "transmission_twice", "link_bending",
+                      "column_stiffness", "column_frequency", "column_damping", "thermal_expansion", "hose",
+                      "hose_friction", "balancer", "friction_compensation", "notch_frequency", "gain_schedule"}}
+"""Effects that arms have in cells and neither the default world nor the ideal one has: their values without."""
+
 
 def _table(robot: str | Robot) -> dict[str, Any]:
     """Settings of a shipped world, or such in proportion for any other robot; a wrong name fails in ``Robot.load``."""

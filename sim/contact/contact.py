@@ -113,12 +113,13 @@ class TipContact:
 
     def _push(self, t: float) -> None:
         arm = self._arm
-        tip = arm.tcp_of(arm.q_a).translation
+        tip = arm.tcp.translation
         self._log.reserve(1)
         row = self._log.next_row
         self._log.rows += 1
         row[0] = t
         _contact(tip, self._before, self._R, self._origin, self._law, self._waves, row)
+        arm.touch(row[2:5])
         if row[2] != 0.0 or row[3] != 0.0 or row[4] != 0.0:
             pybullet.applyExternalForce(arm.body, arm.tool_link, row[2:5].tolist(), tip.tolist(), pybullet.WORLD_FRAME,
                                         physicsClientId=arm.client)

@@ -255,7 +255,7 @@ def test_any_arm_gets_a_world_that_it_can_move_in(tmp_path: Path, effort: int, s
 
 def test_replace_names_what_does_not_exist() -> None:
     with pytest.raises(InputError, match="no such effect"):
-        World.default("kr6").replace(hysteresis=1.0)
+        World.default("kr6").replace(nonsense=1.0)
 
 
 def _cycles(count: int, **changes: Any) -> None:

@@ -20,6 +20,7 @@ from sim.arm.arm import SimulatedArm
 from sim.arm.body import load_links, start_physics
 from sim.arm.drive import drive_parameters, drive_start, steady_friction
 from sim.arm.kernel import L_ANGLE, L_TORQUE, L_VELOCITY, LOGGED, X_LUBRICANT, X_TEMPERATURE, drive_step
+from sim.arm.specimen import Specimen
 from sim.arm.world import STEP, World
 from sim.bullet import pybullet
 from sim.devices.rtde_controller import RtdeController
@@ -130,12 +131,16 @@ WORLD = World.default("kr6").replace(elasticity=False, torque_ripple=0.0, load_f
                                      log_cycle=STEP)
 
 
+SHEET = Specimen(ROBOT.pinocchio, ROBOT.rotor_inertia, np.ones(N), np.zeros(N), np.zeros((2, N)))
+"""The arm as its data sheet has it."""
+
+
 class Rig:
     """Turns all drives at imposed speeds; friction is what of the motor torque does not arrive."""
 
     def __init__(self, world: World) -> None:
-        self.p, self.s, self.counts = drive_parameters(world, ROBOT, ROBOT.rotor_inertia, np.ones(N), np.zeros(N))
-        self.x = drive_start(self.p, np.zeros(N), np.zeros(N), world.per_joint("start_temperature", N))
+        self.p, self.s, self.counts = drive_parameters(world, ROBOT, SHEET)
+        self.x = drive_start(self.p, np.zeros(N), np.zeros(N), np.zeros(N), world.per_joint("start_temperature", N))
         self.q, self.tick = np.zeros(N), 0
 
     def turn(self, speed: Array) -> Array:
