@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import cast
+from typing import ClassVar, cast
 
 import numpy as np
 
@@ -36,12 +36,14 @@ from scenes.report.page import Report
 from scenes.result import Progress, silent
 from scenes.scene_files.clamped_scene import ClampedScene, ClampTable
 from scenes.scene_files.path_scene import PathScene
+from scenes.scene_files.scene import BENCH
 from sim.contact.clamp_world import ClampWorld
 
 
 class CloseClampedScene(PathScene):
     """A tool path of an arm whose gears are known from recordings with the flange clamped alone."""
 
+    worlds: ClassVar[tuple[str, ...]] = (BENCH,)
     clamp: ClampTable = ClampTable(most=3)
 
 

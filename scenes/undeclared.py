@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.errors import InputError, found_in
-from scenes.scene_files.scene import WORKSHOP, Scene
+from scenes.scene_files.scene import BENCH, Scene
 from sim.arm.world import World
 
 EFFECTS_OF_KEY: dict[str, tuple[str, ...]] = {
@@ -19,6 +19,7 @@ EFFECTS_OF_KEY: dict[str, tuple[str, ...]] = {
     "torque_ripple": ("torque_ripple",), "transmission_error": ("transmission_error",),
     "payload_mass": ("payload",), "kinematic_error": ("kinematic_error",), "zero_error": ("kinematic_error",),
     "twist_error": ("kinematic_error",), "drive_gain_error": ("drive_gain",),
+    "stiffness_scale": ("joint_elasticity",), "balancer": ("gravity_spring",), "hose": ("cable_spring",),
 }
 """What a key of the scene's world is called in the effect library."""
 GEOMETRY = ("kinematic_error", "zero_error", "twist_error")
@@ -39,6 +40,10 @@ _REASONS = {
                      "velocity_gain", "integral_time", "velocity_filter", "current_lag"), _CONTROLLER),
     **dict.fromkeys(("ideal", "elasticity", "friction", "torque_limits"), _SWITCH),
     **dict.fromkeys(("body", "geometry", "residual", "spread"), _TWIN),
+    **dict.fromkeys(("friction_compensation", "notch_frequency", "gain_schedule"), _CONTROLLER),
+    **dict.fromkeys(("cell", "transmission_once", "transmission_twice", "hysteresis", "link_bending", "column_stiffness",
+                     "column_frequency", "column_damping", "thermal_expansion", "hose_friction"),
+                    "what gears and links of a cell have beyond the library's effects is learned from runs of a line"),
     "damping": "no effect of the library is a gear's damping",
     "inertia_tolerance": 'all masses at once are no effect; give the scene an individual and model = "own"',
 }
@@ -71,6 +76,8 @@ def effects_of_world(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
             continue
         if key == "payload_mass":
             joints = [0]
+        elif key == "balancer":
+            joints = [2]
         elif key in _OF_ALL_JOINTS:
             joints = list(range(1, n + 1))
         else:
@@ -83,8 +90,7 @@ def effects_of_world(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
 
 def keys_of_arm(scene: Scene) -> tuple[str, ...]:
     """Keys of the scene's world that say that the arm is not as its model, beyond what its kind of world has anyway."""
-    default, usual = World.default(scene.robot), scene.workshop.get("world", {})
-    usual = usual if scene.world.get("base") == WORKSHOP else {}
+    default, usual = World.default(scene.robot), scene.usual(scene.world.get("base", BENCH)).get("world", {})
     return tuple(key for key, value in scene.arm_world.items() if key in EFFECTS_OF_KEY and value != usual.get(key)
                  and _differs(default, key, value))
 

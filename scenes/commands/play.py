@@ -45,7 +45,7 @@ class PlayedScene:
     speed: Speed = None
     seed: Seed = None
     individual: Individual = None
-    world: Annotated[str | None, typer.Option(help="Where it plays instead of the scene's world: workshop or "
+    world: Annotated[str | None, typer.Option(help="Where it plays instead of the scene's world: workshop, cell or "
                                                    "bench.")] = None
     n_d: Annotated[int | None, typer.Option("--n-d", help="Desired positions the feedforward is given, from 1 "
                                                           "up.")] = None
@@ -164,7 +164,7 @@ class SweepOptions:
     seeds: Annotated[str, typer.Option(help="Seeds: a list 1,2,5 or a range 1-10.")] = ""
     individuals: Annotated[str, typer.Option("--individuals", "--individual", help="Arms of the type, each with a "
                                              "model of its own (see prepare): a list 1,2,5 or a range 1-10.")] = ""
-    world: Annotated[str | None, typer.Option(help="Where they play instead of the scenes' worlds: workshop or "
+    world: Annotated[str | None, typer.Option(help="Where they play instead of the scenes' worlds: workshop, cell or "
                                                    "bench.")] = None
     methods: Annotated[str, typer.Option(help="Methods, separated by commas.")] = ""
     processes: Annotated[int, typer.Option(help="Local processes.", min=1)] = 2

@@ -39,7 +39,7 @@ class Case(Table):
     methods: tuple[str, ...] = ()
     """Methods; the scene's own if empty."""
     world: str | None = None
-    """``workshop`` or ``bench``; the scene's own if not given."""
+    """``workshop``, ``bench`` or ``cell``; the scene's own if not given."""
     bounds: dict[str, Any] = pydantic.Field(default_factory=dict)
     """Figure → largest mean of its size over the seeds, with its unit: ``"control_error_mm.p95" = "0.3 mm"``."""
 

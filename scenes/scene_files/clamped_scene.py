@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import pydantic
 
-from scenes.scene_files.scene import Scene, Table
+from scenes.scene_files.scene import BENCH, Scene, Table
 from sim.contact.clamp import WRENCH
 
 _LARGEST = 1e6
@@ -50,5 +50,6 @@ class ClampTable(Table):
 class ClampedScene(Scene):
     """A clamped scene."""
 
+    worlds: ClassVar[tuple[str, ...]] = (BENCH,)
     robot: str = "kr500"
     clamp: ClampTable = ClampTable()

@@ -80,6 +80,11 @@ class LineScene(Scene):
         "wear": {"width_percent": 20.0, "fade_percent": 30.0, "gaps": 2, "scratches": 1, "crossings": 1, "glares": 1,
                  "shades": 1},
     }
+    cell: ClassVar[dict[str, dict[str, Any]]] = {
+        "camera": {"noise": 0.5, "full_well": 10000.0, "mosaic": True, "defocus_px": 0.6, "vignetting": 0.3,
+                   "jpeg_quality": 92},
+        "wear": {"grain": "paper", "width_percent": 30.0, "fade_percent": 40.0},
+    }
     kind: Literal["line"]
     speed: float = pydantic.Field(default=0.7, gt=0, le=10)
     tool_mm: float = pydantic.Field(default=0.0, ge=0, le=1000)

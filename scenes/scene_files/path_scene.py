@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import pinocchio as pin
@@ -15,7 +15,7 @@ from ideal_robot.robots.collisions import Shapes
 from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
 from planning.path.kinematics import InverseKinematics
-from scenes.scene_files.scene import Box, Scene, Table, obstacles
+from scenes.scene_files.scene import BENCH, CELL, Box, Scene, Table, obstacles
 from scenes.scene_files.tool_path import lasting, shape_of, tool_path
 
 REST_BEFORE, REST_AFTER = 0.9, 0.6
@@ -53,6 +53,7 @@ class Paper(Table):
 class PathScene(Scene):
     """A tool path on one robot in one world."""
 
+    worlds: ClassVar[tuple[str, ...]] = (BENCH, CELL)
     speed: float = pydantic.Field(gt=0.0)
     path: Figure
     box: tuple[Box, ...] = ()

@@ -20,13 +20,15 @@ from ideal_robot.errors import IdealRobotError, InputError, found_in
 from ideal_robot.robots import SHIPPED as SHIPPED_ARMS
 from ideal_robot.robots.collisions import Obstacle
 
-# Where a scene plays: in a ``workshop`` with all that a real cell has against one, or on the kind ``bench``.
+# Where a scene plays: in a ``workshop`` with an arm that nobody calibrated and a worn line, on the kind ``bench``, or in
+# a ``cell`` as it is, whose arm and pictures have all that real ones have besides.
 #
-# A workshop is a set of values that hold where a scene file does not say otherwise; each can be given in the file.
+# Each is a set of values that hold where a scene file does not say otherwise; each value can be given in the file.
 
 WORKSHOP = "workshop"
 BENCH = "bench"
-WORLDS = (WORKSHOP, BENCH)
+CELL = "cell"
+WORLDS = (WORKSHOP, BENCH, CELL)
 
 ARM: dict[str, Any] = {"kinematic_error": 3.0e-4, "zero_error": 3.5e-4, "twist_error": 3.5e-4}
 """An arm that nobody calibrated: joints elsewhere by 0.3 mm, zeros and axes off by 0.02°."""
@@ -120,6 +122,10 @@ class Scene(Table):
     world: dict[str, Any] = pydantic.Field(default_factory=dict)
     workshop: ClassVar[dict[str, dict[str, Any]]] = {}
     """What the world ``workshop`` of this kind of scene has, by table; a kind without one plays on the bench."""
+    cell: ClassVar[dict[str, dict[str, Any]]] = {}
+    """What the world ``cell`` has beyond the workshop, by table, besides its arm."""
+    worlds: ClassVar[tuple[str, ...]] = WORLDS
+    """Where scenes of this kind can play."""
     _folder: Path | None = pydantic.PrivateAttr(default=None)
     _source: Path | None = pydantic.PrivateAttr(default=None)
     _given: dict[str, Any] | None = pydantic.PrivateAttr(default=None)
@@ -135,8 +141,8 @@ class Scene(Table):
             return values
         usual = WORKSHOP if cls.workshop and world.get("ideal") is not True else BENCH
         values = {**values, "world": {"base": usual, **world}}
-        if values["world"]["base"] == WORKSHOP:
-            for table, keys in cls.workshop.items():
+        if values["world"]["base"] in (WORKSHOP, CELL):
+            for table, keys in cls.usual(values["world"]["base"]).items():
                 settings = values.get(table, {})
                 if isinstance(settings, dict):
                     values[table] = {**keys, **settings}
@@ -145,10 +151,18 @@ class Scene(Table):
     @pydantic.field_validator("world")
     @classmethod
     def _is_a_world(cls, world: dict[str, Any]) -> dict[str, Any]:
-        allowed = WORLDS if cls.workshop else (BENCH,)
-        if world.get("base") not in allowed:
-            raise ValueError(f"expected {' or '.join(map(repr, allowed))}, or a table with one of them as base")
+        if world.get("base") not in cls.worlds:
+            raise ValueError(f"expected {' or '.join(map(repr, cls.worlds))}, or a table with one of them as base")
         return world
+
+    @classmethod
+    def usual(cls, base: str) -> dict[str, dict[str, Any]]:
+        """What the world ``base`` of this kind of scene has where its file says nothing, by table."""
+        if base == BENCH:
+            return {}
+        more = cls.cell if base == CELL else {}
+        tables = [*cls.workshop, *(table for table in more if table not in cls.workshop)]
+        return {table: {**cls.workshop.get(table, {}), **more.get(table, {})} for table in tables}
 
     def __eq__(self, other: object) -> bool:
         """The same kind of scene with the same values, whichever of them were given."""
@@ -161,7 +175,8 @@ class Scene(Table):
     @property
     def arm_world(self) -> dict[str, Any]:
         """The table ``world`` as ``World.from_table`` takes it: what the arm is like."""
-        return {key: value for key, value in self.world.items() if key != "base"}
+        own = {key: value for key, value in self.world.items() if key != "base"}
+        return {"cell": True, **own} if self.world.get("base") == CELL and own.get("ideal") is not True else own
 
     @property
     def folder(self) -> Path | None:
@@ -318,7 +333,7 @@ def chosen(scene: S, *, speed: float | None = None, seed: int | None = None, ind
         individual: which arm of the type plays, with the model its own identification motions give unless the scene
             names a model file; the scene's own arm and model if None.
         n_d: desired positions that the feedforward is given ([L] 2.2); the scene's own if None.
-        world: where the scene plays, ``workshop`` or ``bench``; where its file says if None.
+        world: where the scene plays, ``workshop``, ``bench`` or ``cell``; where its file says if None.
     """
     changes: dict[str, Any] = {}
     if speed is not None:
@@ -330,7 +345,7 @@ def chosen(scene: S, *, speed: float | None = None, seed: int | None = None, ind
     if seed is not None:
         changes["seed"] = seed
     if world is not None:
-        allowed = WORLDS if type(scene).workshop else (BENCH,)
+        allowed = type(scene).worlds
         if world not in allowed:
             raise InputError(f"scenes of kind {scene.kind!r} play in {' or '.join(allowed)}", field="--world",
                              value=world)

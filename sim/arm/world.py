@@ -17,6 +17,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError, found_in
+from ideal_robot.registry import imported
 from ideal_robot.robots.robot import Robot
 from ideal_robot.robots.size import of_its_size
 from sim.arm.generic import STEP as STEP
@@ -310,14 +311,23 @@ class World:
             inertia_tolerance=0.0, drive_gain_error=0.0, payload_mass=0.0, external_position_noise=0.0,
             external_rotation_noise=0.0, **OF_A_CELL)
 
+    @classmethod
+    def cell(cls, robot_name: str) -> World:
+        """The same arm as it is in a cell: with all that ``sim.arm.cell`` adds to the default world."""
+        in_a_cell = imported("sim.arm.cell:in_a_cell")
+        world, robot = cls.default(robot_name), Robot.load(robot_name)
+        sizes = {name: world.per_joint(name, robot.n) for name in ("stiffness", "coulomb", "extra_rotor_inertia")}
+        return world.replace(**in_a_cell(of_its_size(robot), sizes, world.t_velocity))
+
     def with_cycles(self, robot: Robot) -> Robot:
         """The robot with the cycles of this world's controller, which are no secret: they stand in its manual."""
         return dataclasses.replace(robot, t_ipo=self.t_ipo, t_position=self.t_position, t_velocity=self.t_velocity)
 
     @classmethod
     def from_table(cls, robot_name: str, table: dict[str, Any], file: str | None = None) -> World:
-        """The default world changed by a scene's ``[world]`` table; ``ideal = true`` starts from the ideal one.
+        """The default world changed by a scene's ``[world]`` table.
 
+        ``ideal = true`` starts from the ideal one, ``cell = true`` from the cell's.
         Its table ``spread`` gives standard deviations of keys that nobody measured, of their logarithms, that of
         ``velocity_feedforward`` itself: the individual says which values they have.
         Raises ``InputError`` for an unknown key (named, with the allowed ones), a wrong type, a value out of range.
@@ -328,15 +338,17 @@ class World:
             file: the table was read from, for messages.
         """
         table = dict(table)
-        ideal, spread = table.pop("ideal", False), table.pop("spread", {})
+        ideal, cell, spread = table.pop("ideal", False), table.pop("cell", False), table.pop("spread", {})
         with found_in(file):
-            if not isinstance(ideal, bool):
-                raise InputError("expected true or false", field="world.ideal", value=ideal)
+            for key, value in (("ideal", ideal), ("cell", cell)):
+                if not isinstance(value, bool):
+                    raise InputError("expected true or false", field=f"world.{key}", value=value)
             unknown = sorted(set(table) - set(TABLE_KEYS))
             if unknown:
                 raise InputError(f"unknown key; allowed here are ideal, {', '.join(TABLE_KEYS)}",
                                  field=f"world.{unknown[0]}")
-            world = (cls.ideal(robot_name) if ideal else cls.default(robot_name)).replace(**table)
+            begin = cls.ideal if ideal else cls.cell if cell else cls.default
+            world = begin(robot_name).replace(**table)
             return world.drawn(spread) if spread else world
 
     def drawn(self, spread: dict[str, float]) -> World:

@@ -340,7 +340,7 @@ def test_drawing_the_page_is_no_last_moment() -> None:
 
 @pytest.mark.parametrize(("words", "code", "says"), [
     (("run", "strait"), 2, "did you mean 'straight'?"),
-    (("run", "line", "--world", "mars"), 2, "--world: scenes of kind 'line' play in workshop or bench (got 'mars')"),
+    (("run", "line", "--world", "mars"), 2, "--world: scenes of kind 'line' play in workshop or bench or cell (got 'mars')"),
     (("run", "iso9283_1", "--world", "workshop"), 2, "--world: scenes of kind 'path' play in bench"),
     (("run", "short", "--tolerance", "1um"), 1, "--tolerance 0.001 mm is not kept"),
 ])

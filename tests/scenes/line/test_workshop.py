@@ -105,6 +105,20 @@ def test_the_workshop_holds_where_a_scene_says_nothing() -> None:
         load_scene("iso9283_1").changed(world="workshop")
 
 
+def test_a_cell_is_a_workshop_with_pictures_and_an_arm_as_cells_have_them() -> None:
+    workshop, cell = load_scene("line"), load_scene("line").changed(world="cell")
+    assert (cell.displacement, cell.light) == (workshop.displacement, workshop.light)
+    real = load_scene("real_camera")
+    assert (cell.camera, cell.wear) == (real.camera, real.wear)
+    assert cell.arm_world == {"cell": True, **workshop.arm_world}
+    assert cell.changed(world="workshop").model_dump() == workshop.model_dump()
+    assert load_scene("force_wave").changed(world="cell").arm_world["cell"] is True
+    # On a path the arm is calibrated; a clamped one has no world of that kind.
+    assert load_scene("iso9283_1").changed(world="cell").arm_world == {"cell": True}
+    with pytest.raises(InputError, match="bench"):
+        load_scene("clamped_kr500_1").changed(world="cell")
+
+
 def test_wear_is_drawn_by_the_seed_and_changes_what_is_painted() -> None:
     scene = short(wear={"width_percent": 20.0, "fade_percent": 30.0, "gaps": 2})
     line, again, other = (set_up(variant).line for variant in (scene, scene, scene.changed(seed=2)))

@@ -130,7 +130,7 @@ def test_results_of_a_sweep_are_compared_with_those_of_a_check(program: Any, sui
     (("LIMIT\"", "0.3 mm\", \"fields.used\" = \"70\""), ("such as control_error_mm.p95 (got '70')",)),
     (("1-3", "3-1"), ("suite.toml: case.0.seeds", "range such as")),
     (("world", "wolrd"), ("suite.toml: case.0.wolrd", "unknown key")),
-    (("world = \"bench\"", "world = \"mars\""), ("suite.toml: case.0.world", "workshop or bench")),
+    (("world = \"bench\"", "world = \"mars\""), ("suite.toml: case.0.world", "workshop or bench or cell")),
     (("world = \"bench\"", "methods = [\"magic\"]"), ("suite.toml: case.0.method", "expected one of")),
 ])
 def test_a_wrong_suite_is_one_line(program: Any, suite: Path, change: tuple[str, str], says: tuple[str, ...]) -> None:

@@ -280,3 +280,27 @@ def test_one_key_of_a_scenes_world_makes_another_motion(key: str) -> None:
     assert np.abs(paths[1] - paths[0]).max() > 1e-6
     assert key not in OF_A_CELL or key in worlds[1].table()
     assert not set(worlds[0].table()) & set(OF_A_CELL)
+
+
+# The whole of it.
+
+@pytest.mark.parametrize("name", ["kr6", "kr15", "manutec_r15", "kr500"])
+def test_an_arm_in_a_cell_has_every_effect_and_stands_still(name: str) -> None:
+    robot, world = Robot.load(name), World.cell(name)
+    without = {"stiffness_scale", "balancer", "column_frequency", "column_damping"}
+    assert set(world.table()) >= set(OF_A_CELL) - without
+    assert (world.balancer > 0.0) == (name == "kr500")
+    with arm_of(world.replace(current_noise=0.0), robot.home, robot) as arm:
+        for k in range(110):
+            arm.cycle(robot.home + 5e-3 * min(k / 30, 1.0))
+        log = arm.history()
+    torque = log["tau_motor"][-100:] / np.where(np.isfinite(robot.tau_max), robot.tau_max, np.inf)
+    assert np.ptp(torque, axis=0).max() < 0.02
+
+
+def test_a_cell_is_what_a_table_begins_from() -> None:
+    assert World.from_table("kr6", {"cell": True}) == World.cell("kr6")
+    changed = World.from_table("kr6", {"cell": True, "hysteresis": 0.0, "friction_scale": 1.5})
+    assert changed == World.cell("kr6").replace(hysteresis=0.0, friction_scale=1.5)
+    with pytest.raises(InputError, match="true or false"):
+        World.from_table("kr6", {"cell": "yes"})
