@@ -20,8 +20,8 @@ from ideal_robot.errors import IdealRobotError, InputError, found_in
 from ideal_robot.robots import SHIPPED as SHIPPED_ARMS
 from ideal_robot.robots.collisions import Obstacle
 
-# Where a scene plays: in a ``workshop`` with an arm that nobody calibrated and a worn line, on the kind ``bench``, or in
-# a ``cell`` as it is, whose arm and pictures have all that real ones have besides.
+# Where a scene plays: in a ``workshop`` with an arm that nobody calibrated and a worn line, on the kind ``bench``, or
+# in a ``cell`` as it is, whose arm and pictures have all that real ones have besides.
 #
 # Each is a set of values that hold where a scene file does not say otherwise; each value can be given in the file.
 

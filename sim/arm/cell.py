@@ -19,15 +19,15 @@ from sim.arm.drive import top_of
 WAVE_GEAR = 1.0e5
 """Stiffness below which a gear is a strain-wave one, of wrists; above it is of the RV class [N m/rad]."""
 ONCE, TWICE, TOOTH = (8.0e-5, 7.0e-5), (4.0e-5, 4.5e-5), (4.0e-5, 3.0e-5)
-"""Amplitudes of the transmission error of an RV and of a strain-wave gear [rad]. From peak to peak they come to 0.32 and
-0.29 mrad: Harmonic Drive's catalogue (CSF/CSG, table of positional accuracy over one turn of the output) has
+"""Amplitudes of the transmission error of an RV and of a strain-wave gear [rad]. From peak to peak they come to 0.32
+and 0.29 mrad: Harmonic Drive's catalogue (CSF/CSG, table of positional accuracy over one turn of the output) has
 2.9e-4 rad (1') for ratios from 50 on, and RV gears of that size are sold as 1' or better."""
 PINS, LOBES = 40.0, 2.0
-"""Periods of the last per turn: of an RV gear per joint turn, its pins; of a strain-wave gear per motor turn, the lobes of
-its wave generator."""
+"""Periods of the last per turn: of an RV gear per joint turn, its pins; of a strain-wave gear per motor turn, the lobes
+of its wave generator."""
 HYSTERESIS = (1.5e-4, 2.0e-4)
-"""Width of the loop of an RV and of a strain-wave gear [rad]: half of the 1' of lost motion or hysteresis loss that both
-are sold with at most."""
+"""Width of the loop of an RV and of a strain-wave gear [rad]: half of the 1' of lost motion or hysteresis loss that
+both are sold with at most."""
 BACKLASH = (1.0e-4, 0.0)
 """Of an RV gear, 20", a third of what it is sold with at most; a strain-wave gear has none [rad]."""
 BENDING = 0.3
