@@ -74,7 +74,7 @@ class ContactSettings:
         touch: force from which there is contact [N].
         settle: time for which the force has to be near F_r before the travel begins [s].
         clearance: how far the tip is lifted at the end [m].
-        noise: standard deviation of a force sample [N].
+        noise: standard deviation of a force sample before any was heard [N]; ``ForceNoise`` estimates it then.
         position_noise: standard deviation common to the samples of a cycle: position, what is not modelled [m].
         asking: amplitude of a force by which the tip's height swings on the way [N], which a live sensor has to feel.
         start_height: of the tip over the reference when the approach begins [m].

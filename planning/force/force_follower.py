@@ -14,6 +14,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from planning.force.contact import ASKED, FORCE_ERRORS, SLOPE, TOGETHER, ContactSettings, Phase
 from planning.force.contour import SPARE, SlidingPlan
+from planning.force.force_noise import ForceNoise
 from planning.force.surface_forecast import surfaces
 from planning.line.filter_bank import FilterBank
 from planning.line.fusion import DeviationFilter
@@ -39,6 +40,9 @@ SLIDES = 1e-4
 """Way over which friction turns against a tip that begins to move [m]."""
 KNOWN_AFTER = 0.03
 """Way after which the slope along the path is known from the map [m]."""
+
+SURELY = 5.0
+"""Standard deviations of the mean of a cycle's samples from which on a force is none of the noise's."""
 
 Errors = tuple[float, float, float]
 """Standard deviations of what is estimated of the force: relative error of E, lateness [s], coefficient of friction."""
@@ -72,6 +76,8 @@ class SurfaceFollower:
                  lateral: bool = False) -> None:
         self.robot, self.reference, self.profile, self.n_d, self.settings = robot, reference, profile, n_d, settings
         self.history = PoseHistory(robot)
+        self.noise = ForceNoise(settings.noise)
+        """Of the force sensor, as the approach and the travel have shown it."""
         self._T = robot.t_ipo
         self._kinematics = InverseKinematics(robot)
         samples, start_height = planned_cycles(n_d, self._T, SPARE), settings.start_height
@@ -129,7 +135,14 @@ class SurfaceFollower:
     def update_force(self, t: Array, contact: Array) -> Fused | None:
         """Fuses what ``measured`` makes of the same; returns what became of it, None while there is no contact yet."""
         measurement = self.measured(t, contact)
-        return None if measurement is None else self.fusion.update(measurement)
+        return None if measurement is None else self.fuse(t, measurement)
+
+    def fuse(self, t: Array, measurement: Measurement) -> Fused:
+        """Fuses what ``measured`` made of the forces at ``t (m,)`` [s]; what their innovations say of their noise."""
+        fused = self.fusion.update(measurement)
+        if self.phase is Phase.TRAVEL:
+            self.noise.hear(t, self.settings.elasticity * fused.innovation[:, None])
+        return fused
 
     def measured(self, t: Array, contact: Array) -> Measurement | None:
         """What the contact forces since the last cycle tell of the deviation; None while there is no contact yet.
@@ -152,9 +165,11 @@ class SurfaceFollower:
         self.force = float(np.mean(self.felt[:, 3]))
         self.sideways = float(np.linalg.norm(forces.mean(axis=0) - self.force * normal))
         if not self._in_contact(t):
+            if self.phase is Phase.APPROACH:
+                self.noise.hear(t, contact)
             return None
         settings = self.settings
-        deviations = [force_deviation(f, up, settings.force, settings.elasticity, sigma=settings.noise, normal=normal)
+        deviations = [force_deviation(f, up, settings.force, settings.elasticity, sigma=self.noise.std, normal=normal)
                       for f in forces]
         value = np.array([deviation.value for deviation in deviations])
         # A tip with damping adds a share of the velocity into the surface; along it there is none.
@@ -176,7 +191,8 @@ class SurfaceFollower:
 
     def _in_contact(self, t: Array) -> bool:
         """Whether what was felt at ``t (m,)`` [s] is a contact that is kept; the first one ends the approach."""
-        if self.force > self.settings.touch:
+        # Noise alone is as large as this in one of some three million means.
+        if self.force > max(self.settings.touch, SURELY * self.noise.std / np.sqrt(len(t))):
             self.last_touch = max(self.last_touch, float(np.max(t)))
             if self._contact_since is None:
                 self._contact_since = float(t[-1])

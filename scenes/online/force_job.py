@@ -128,7 +128,7 @@ class LiveForceTask(ForceTask):
         """Fuses what has arrived by ``t`` [s], forces alone where answers are behind, and plans the next cycle."""
         measured, self._measured = self._measured, None
         if fused := measured is not None:
-            self._fused(measured[0], None if measured[1] is None else self._surface.fusion.update(measured[1]))
+            self._fused(measured[0], None if measured[1] is None else self._surface.fuse(measured[0], measured[1]))
         elif not self.fuse_forces(t) and not (self.arm is not None and self.arm.behind):
             fused = len(self._swung) < _UNSEEN and self.fuse_fields(t)
             if not fused:

@@ -314,7 +314,7 @@ class World:
     @classmethod
     def cell(cls, robot_name: str) -> World:
         """The same arm as it is in a cell: with all that ``sim.arm.cell`` adds to the default world."""
-        in_a_cell = imported("sim.arm.cell:in_a_cell")
+        in_a_cell: Callable[..., dict[str, Any]] = imported("sim.arm.cell:in_a_cell")
         world, robot = cls.default(robot_name), Robot.load(robot_name)
         sizes = {name: world.per_joint(name, robot.n) for name in ("stiffness", "coulomb", "extra_rotor_inertia")}
         return world.replace(**in_a_cell(of_its_size(robot), sizes, world.t_velocity))
