@@ -102,25 +102,27 @@ class Joined:
     evidence: float
 
 
-def joined(present: Posterior, with_others: Array, with_itself: Array, with_y: Array, std: Array) -> Joined:
-    """One more group whose coefficients have standard deviations ``std (m,)`` beforehand.
+def joined(present: Posterior, with_others: Array, with_itself: Array, with_y: Array, precision: Array) -> Joined:
+    """One more group beside others, whose coefficients have a precision beforehand.
 
-    With M = C'C − C'X A⁻¹ X'C and g = C'(y − X β), S the prior's standard deviations,
+    With M = C'C − C'X A⁻¹ X'C, g = C'(y − X β) and Λ the precision,
 
-        ln p(y | with) − ln p(y | without) = ½ g'S (1 + SMS)⁻¹ S g − ½ ln |1 + SMS| .
+        ln p(y | with) − ln p(y | without) = ½ g'(M + Λ)⁻¹ g − ½ ln |M + Λ| + ½ ln |Λ| .
 
     Args:
         present: the others.
         with_others: products with the others' columns ``(m, P)``.
         with_itself: products with itself ``(m, m)``.
         with_y: products with the measurement ``(m,)``.
-        std: prior standard deviations of the coefficients ``(m,)``.
+        precision: of the coefficients beforehand ``(m, m)``.
     """
-    M = with_itself - with_others @ present.solve(with_others.T)
+    M = with_itself - with_others @ present.solve(with_others.T) + ROUNDING * np.diag(np.diag(with_itself))
     g = with_y - with_others @ present.mean
-    inner = np.eye(len(g)) + M * np.outer(std, std)
-    root = _root(0.5 * (inner + inner.T))
-    x = linalg.solve_triangular(root, std * g, lower=True, check_finite=False)
-    inverse = linalg.cho_solve((root, True), np.eye(len(g)))
-    covariance = inverse * np.outer(std, std)
-    return Joined(covariance @ g, covariance, float(0.5 * x @ x - np.log(np.diag(root)).sum()))
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(precision), 1e-300))
+    outer = np.outer(scale, scale)
+    before = _root(precision * outer + ROUNDING * np.eye(len(g)))
+    root = _root(0.5 * (M + M.T) * outer + precision * outer + ROUNDING * np.eye(len(g)))
+    x = linalg.solve_triangular(root, scale * g, lower=True, check_finite=False)
+    covariance = linalg.cho_solve((root, True), np.eye(len(g))) * outer
+    logarithm = np.log(np.diag(before)).sum() - np.log(np.diag(root)).sum()
+    return Joined(covariance @ g, covariance, float(0.5 * x @ x + logarithm))

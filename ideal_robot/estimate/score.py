@@ -1,11 +1,12 @@
-"""The score of a model: how densely it predicts blocks of time that were left out.
+"""The score of a model: how densely it predicts blocks of time before it has seen them.
 
-With A = Λ + Σ_b X_b'X_b and r_b what the fit to all other blocks leaves of block b, in units of the noise,
+With A_b = Λ + Σ X'X over the first b blocks and Λ what is known of parameters beforehand,
 
-    ln p(y_b | all others) = −½ [ r'r − (X'r)' A⁻¹ (X'r) + ln|A| − ln|A − A_b| ]        (up to a constant),
+    ln p(y_1 … y_b) = −½ [ y'y − y'X A_b⁻¹ X'y + ln|A_b| − ln|Λ| ]        (up to a constant),
 
-in closed form from the products of columns in each block. The sum over blocks is the score; the difference of two
-models is a sum over blocks as well, whose standard error follows from their scatter.
+in closed form from the products of columns, and ln p(y_b | blocks before) is what block b adds. Their sum does not
+depend on the order. Blocks that are left out in turn, each given all others, would not do: there data speak for a
+parameter that its prior all but excludes, and no set could be told from another by what is known beforehand.
 """
 
 from __future__ import annotations
@@ -15,42 +16,51 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.estimate.gaussian import ROUNDING
 
+TOLD = 2.0
+"""Standard deviations from which on two things are distinguished: 95 % of a normal distribution."""
+CLEAR = 3.0
+"""The same where no more is claimed than what is beyond doubt, 99.7 %."""
 
-def left_out(products: Array, precision: Array | None = None) -> Array:
-    """Logarithm of the density of each block given all others ``(B,)``.
+
+def evidence(products: Array, precision: Array) -> float:
+    """Logarithm of the density of all rows, the parameters integrated out.
 
     Args:
-        products: ``[X, y]' [X, y]`` of whitened rows, block by block ``(B, P + 1, P + 1)``.
-        precision: of the parameters beforehand, about zero ``(P, P)``; None where nothing is known.
+        products: ``[X, y]' [X, y]`` of whitened rows ``(P + 1, P + 1)``.
+        precision: of the parameters beforehand, about zero ``(P, P)``; a direction of which nothing is known adds
+            nothing, so that sets with the same such directions can be compared.
     """
-    P = products.shape[1] - 1
-    own, right, squares = products[:, :P, :P], products[:, :P, P], products[:, P, P]
+    P = len(products) - 1
     if P == 0:
-        return np.asarray(-0.5 * squares)
-    A = own.sum(axis=0) + (0.0 if precision is None else precision)
+        return float(-0.5 * products[-1, -1])
+    A = products[:P, :P] + precision
     scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-12 * (np.max(np.diag(A)) + 1e-300)))
-    own, right = own * np.outer(scale, scale), right * scale
-    A = A * np.outer(scale, scale) + 10.0 * ROUNDING * np.eye(P)
-    without = A - own
-    without[:, np.arange(P), np.arange(P)] += 10.0 * ROUNDING
-    root, roots = np.linalg.cholesky(A), _roots(without)
-    beta = np.linalg.solve(without, (right.sum(axis=0) - right)[..., None])[..., 0]
-    product = np.einsum("bij,bj->bi", own, beta)
-    residual = squares - 2.0 * np.einsum("bi,bi->b", right, beta) + np.einsum("bi,bi->b", beta, product)
-    along = np.linalg.solve(root, (right - product).T)
-    logarithm = np.log(np.diag(root)).sum() - np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1)
-    return np.asarray(-0.5 * (residual - (along**2).sum(axis=0)) - logarithm)
+    root = np.linalg.cholesky(A * np.outer(scale, scale) + 10.0 * ROUNDING * np.eye(P))
+    along = np.linalg.solve(root, scale * products[:P, P])
+    logarithm = np.log(np.diag(root)).sum() - np.log(scale).sum()
+    return float(-0.5 * (products[P, P] - along @ along) - logarithm + 0.5 * _log_determinant(precision))
 
 
-def _roots(matrices: Array) -> Array:
-    """Cholesky factors of stacked matrices; where a block holds all there is of a column, with a little more."""
-    more = np.zeros_like(matrices[0])
-    for _ in range(6):
-        try:
-            return np.asarray(np.linalg.cholesky(matrices + more))
-        except np.linalg.LinAlgError:
-            more = np.eye(len(more)) * max(10.0 * float(more[0, 0]), 10.0 * ROUNDING)
-    raise np.linalg.LinAlgError("products of columns that are not positive: a column is not finite")
+def in_turn(products: Array, precision: Array) -> Array:
+    """Logarithm of the density of each block given those before it ``(B,)``; their sum is the evidence of all.
+
+    Args:
+        products: of whitened rows, block by block ``(B, P + 1, P + 1)``.
+        precision: of the parameters beforehand ``(P, P)``.
+    """
+    return np.diff([0.0, *(evidence(some, precision) for some in np.cumsum(products, axis=0))])
+
+
+def _log_determinant(precision: Array) -> float:
+    """Logarithm of the determinant over what is known at all."""
+    own = np.diag(precision)
+    known = own > 0.0
+    if not known.any():
+        return 0.0
+    scale = 1.0 / np.sqrt(own[known])
+    scaled = precision[np.ix_(known, known)] * np.outer(scale, scale)
+    sign, logarithm = np.linalg.slogdet(scaled + 10.0 * ROUNDING * np.eye(int(known.sum())))
+    return float(logarithm - 2.0 * np.log(scale).sum()) if sign > 0 else 0.0
 
 
 def standard_error(difference: Array) -> float:

@@ -8,7 +8,7 @@ from scipy import linalg, signal, stats
 
 from ideal_robot.estimate.gaussian import joined, posterior
 from ideal_robot.estimate.noise import ColouredNoise, position_in_stretch, without_kicks
-from ideal_robot.estimate.score import left_out
+from ideal_robot.estimate.score import evidence, in_turn
 
 
 def problem(seed: int, blocks: int = 6) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -21,18 +21,13 @@ def problem(seed: int, blocks: int = 6) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_the_score_is_the_density_of_each_block_given_the_others(seed: int) -> None:
+def test_the_score_is_the_density_of_each_block_given_those_before(seed: int) -> None:
     X, y, precision, products = problem(seed)
     whole = np.eye(len(y)) + X @ np.linalg.inv(precision) @ X.T
-    expected = []
-    for b in range(len(products)):
-        own = np.zeros(len(y), dtype=bool)
-        own[20 * b : 20 * (b + 1)] = True
-        gain = whole[np.ix_(own, ~own)] @ np.linalg.inv(whole[np.ix_(~own, ~own)])
-        covariance = whole[np.ix_(own, own)] - gain @ whole[np.ix_(~own, own)]
-        expected.append(stats.multivariate_normal.logpdf(y[own], gain @ y[~own], covariance))
-    constant = -0.5 * 20 * np.log(2.0 * np.pi)
-    assert left_out(products, precision) + constant == pytest.approx(expected, rel=1e-6)
+    density = [float(stats.multivariate_normal.logpdf(y[:n], np.zeros(n), whole[:n, :n])) + 0.5 * n * np.log(2 * np.pi)
+               for n in range(20, len(y) + 1, 20)]
+    assert in_turn(products, precision) == pytest.approx(np.diff([0.0, *density]), rel=1e-6)
+    assert evidence(products.sum(axis=0), precision) == pytest.approx(density[-1], rel=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -49,7 +44,7 @@ def test_one_more_group_is_the_ratio_of_two_densities(seed: int) -> None:
     both = linalg.block_diag(before, np.diag(std**2))
     expected = density(np.column_stack([X, C]), both) - density(X, before)
     rows = np.column_stack([X, y])
-    one = joined(posterior(rows.T @ rows, precision), C.T @ X, C.T @ C, C.T @ y, std)
+    one = joined(posterior(rows.T @ rows, precision), C.T @ X, C.T @ C, C.T @ y, np.diag(std**-2.0))
     assert one.evidence == pytest.approx(expected, rel=1e-6)
     together = np.column_stack([X, C])
     A = np.linalg.inv(both) + together.T @ together

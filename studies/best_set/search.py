@@ -1,0 +1,566 @@
+"""The set of causes with the best score: how densely it predicts blocks of time, and how likely it is beforehand.
+
+    L(S) = Σ_b ln p(y_b | blocks before, S) + ln prior(S)
+
+A cause that is not in a set is not absent to the last newton metre: no model class is right in any direction to better
+than a share of what it leaves. So the columns of a cause are in both sets that are compared, with a wide prior of size
+where the set has it and with a narrow one where it has not; the narrow one is that share. Hence a cause counts by how
+far it stands above what the class cannot say, however long the recording is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import optimize
+
+from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.channels.blocks import Columns
+from ideal_robot.diagnosis.channels.regression import spread
+from ideal_robot.diagnosis.search.forward_selection import Only, candidates
+from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms, time_period
+from ideal_robot.diagnosis.statistics.problem import Candidate, Estimate, Problem
+from ideal_robot.effects import MOTOR_TORQUE, TCP_POSITION, Effect
+from ideal_robot.effects.base import Theta
+from ideal_robot.effects.drive import DeadTime
+from ideal_robot.effects.registry import find
+from ideal_robot.errors import RaisedBy
+from ideal_robot.estimate.gaussian import Joined, Posterior, joined
+from ideal_robot.estimate.noise import ColouredNoise
+from ideal_robot.estimate.score import evidence, in_turn
+from studies.best_set.system import System
+
+CLASS_ERROR = 0.05
+"""Share of a channel's residual (RMS) by which a model class may be wrong in the direction of any one cause."""
+CURVE_ERROR = 0.12
+"""The same in the direction of a curve, which bends to whatever the class leaves."""
+BESIDE = 0.05
+"""Share of its contribution by which the form of a cause may be wrong, in the direction of another of the joint."""
+WIDE = 1.0
+"""What a cause makes beforehand, in units of what its channel measures (RMS)."""
+FREE = 30.0
+"""Of what a channel varies by, how far a parameter of which nothing is known may move it."""
+ACCEPT = 3.0
+"""Nats by which a set has to be better to be taken: odds of twenty to one."""
+FINALISTS = 5
+"""Candidates of a round that are refined and scored, at most."""
+MOST = 16
+"""Causes of a set, at most."""
+
+
+FORM_ERROR = 0.025
+"""Share of a size to which the form of a cause is right, at best: sizes of causes in four engines of others scatter by
+two to three per cent more than their noise explains."""
+SHAPE = 0.5 * float(np.log(1000.0))
+"""Nats that a physical shape costs: half the logarithm of how many values of it a recording of a thousand independent
+rows tells apart (the asymptotic cost of one parameter)."""
+CURVE = 10.0
+"""Nats that a curve without a cause costs beside its place: what the library has is likelier than what it lacks."""
+PRIOR = {"payload/tau": 3.0, "gravity_spring/tau": -2.0, "dead_time/tau": -3.0, "dead_time/q": -3.0}
+"""Logarithm of how much likelier a cause is than others: tools are changed, few joints have a balancer, clocks are
+common to joints."""
+USUAL = {"presliding_hysteresis/tau": 1.0, "joint_elasticity/tau": 1.0, "joint_elasticity/tau_resonance": 1.0,
+         "dead_time/tau": 1.0, "dead_time/q": 1.0}
+"""By how much more than in the direction of others a model class errs in that of what every arm has something of."""
+
+
+def cost(candidate: Candidate) -> float:
+    """Nats that the starts and the shapes of a cause cost, and what is known of it beforehand."""
+    own = float(np.log(max(candidate.tries, 1))) - PRIOR.get(candidate.effect.key, 0.0)
+    if candidate.effect.learned:
+        return own + CURVE
+    return own + SHAPE * len(candidate.theta) * (candidate.effect.theta_is_physical and not candidate.effect.scanned)
+
+
+def one_at_most(a: Candidate, b: Candidate) -> bool:
+    """Whether two candidates are forms of one cause at one joint, of which it has one at most: it is late once."""
+    late = isinstance(a.effect, DeadTime) and isinstance(b.effect, DeadTime)
+    return a.joint == b.joint and (a.effect.name == b.effect.name or late)
+
+
+def _place(candidate: Candidate) -> tuple[str, int]:
+    return candidate.effect.name, candidate.joint
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """A candidate in the present model.
+
+    Attributes:
+        candidate, joined: with its coefficients beside the others.
+        nats: by which the set with it is better than without, priors and all.
+    """
+
+    candidate: Candidate
+    joined: Joined
+    nats: float
+
+
+class BestSet:
+    """The search for the best set of causes of one regression.
+
+    Args:
+        problem: the regression; its prior is that of the model's parameters.
+        effects: what to choose from.
+        absorbed: whether effects are tried that the model's own parameters could take over.
+        only: names and joints of the effects that may be looked for; then no curve is tried either.
+        noise: of each channel, where it is known from elsewhere; from the residual if None.
+    """
+
+    def __init__(self, problem: Problem, effects: Sequence[Effect], *, absorbed: bool, only: Only | None = None,
+                 noise: Sequence[ColouredNoise] | None = None) -> None:
+        self.problem, self.learns, self.fixed = problem, only is None, noise
+        r = self.regression = problem.regression
+        self.at_rows = r.decimated_signals()
+        self.measured_std = np.maximum(spread(r.measured, r.use), 1e-150)
+        self.always: list[Candidate] = []
+        self.pool = [starts for starts in candidates(effects, r.signals, {}, absorbed)
+                     if not self._left_out(starts[0]) and (only is None or _place(starts[0]) in only)]
+        self.pool.sort(key=lambda starts: starts[0].joint)
+        self.choices: list[Candidate] = []
+        self.fitted: Posterior
+        self._model_alone: Posterior
+        self._explained: list[Array | None] | None = None
+        self.system = System(r.y, r.W, r.use, self._weak(r.W) if problem.prior is None else problem.prior)
+        if r.domain == MOTOR_TORQUE and problem.prior is None and r.signals.n > 1:
+            self._with_what_every_arm_has()
+        self._refresh()
+
+    def _left_out(self, first: Candidate) -> bool:
+        channel = self.regression.channel_of(first.joint)
+        return channel is not None and not self.regression.use[:, channel].any()
+
+    def _weak(self, base: Array) -> Array:
+        """Precision of parameters of which nothing is known: none moves a channel by ``FREE`` times its spread."""
+        use = self.regression.use
+        size = np.sqrt(np.einsum("ncp,nc->cp", base**2, use.astype(float)) / np.maximum(use.sum(axis=0), 1)[:, None])
+        return np.diag(np.max((size / (FREE * self.measured_std[:, None])) ** 2, axis=0))
+
+    # What every arm has.
+
+    def _with_what_every_arm_has(self) -> None:
+        """Each joint's elasticity and presliding at its shortest distance: no cause, but never negative."""
+        signals, found = self.regression.signals, []
+        for j in range(1, signals.n + 1):
+            if not self.regression.use[:, j - 1].any():
+                continue
+            elastic, presliding = find("joint_elasticity", "tau"), find("presliding_hysteresis", "tau")
+            if elastic.usable(signals, j):
+                found.append(Candidate(elastic, j))
+            found.append(Candidate(presliding, j, (presliding.bounds(signals, j)[0][0],)))
+        r = self.regression
+        columns = np.zeros((*r.y.shape, len(found)))
+        for i, candidate in enumerate(found):
+            group = self.problem.columns(candidate)
+            columns[:, list(group.channels), i] = group.values[:, :, 0]
+        self.always, p = found, r.W.shape[2]
+        names = {"joint_elasticity"}
+        self.pool = [starts for starts in self.pool
+                     if not (starts[0].effect.key == "joint_elasticity/tau" and names)]
+        while True:
+            kept = [k for k, candidate in enumerate(found) if candidate in self.always]
+            W = np.concatenate([r.W, columns[:, :, kept]], axis=2)
+            self.system = System(r.y, W, r.use, self._weak(W))
+            self._refresh()
+            own = self.fitted.mean[p : p + len(kept)]
+            negative = [self.always[i] for i in np.flatnonzero(own < 0.0)]
+            if not negative:
+                break
+            self.always = [candidate for candidate in self.always if candidate not in negative]
+
+    # The present model.
+
+    @property
+    def keys(self) -> list[str]:
+        """Groups of the present fit."""
+        return ["W", *[c.key for c in self.choices]]
+
+    def _refresh(self) -> None:
+        """Noise, levels and fit of the present set."""
+        self._wide: dict[str, Array] = {}
+        measured = self.regression.measured * self.regression.use
+        self.system.add("measured", Columns(measured[:, :, None], tuple(range(self.system.c))))
+        for choice in self.choices:
+            self.add(choice)
+        if self.fixed is not None:
+            self.system.take_noise(self.fixed)
+            self.fitted, self._model_alone = self.system.posterior(self.keys), self.system.posterior(["W"])
+            return
+        fitted = self.system.posterior(self.keys)
+        for _ in range(1 if self._explained is not None else 2):
+            self.system.with_noise(self.system.residual(self.keys, fitted.mean), self._smooth())
+            fitted = self.system.with_levels(self.keys)
+        self.fitted, self._model_alone = fitted, self.system.posterior(["W"])
+
+    def _smooth(self) -> list[Array | None]:
+        """Of each channel orthonormal smooth functions of its own motion: what may be a cause is no noise."""
+        if self._explained is None:
+            self._explained = []
+            for j in range(self.system.c):
+                use = self.regression.use[:, j]
+                self._explained.append(self._smooth_of(j, use) if use.any() else None)
+        return self._explained
+
+    def _smooth_of(self, j: int, use: np.ndarray) -> Array:
+        signals = self.at_rows
+        own = {f"{kind}_{j + 1}" for kind in ("q", "qd", "qdd", "load")} | {"t"} if j < signals.n else {"t"}
+        columns = [np.ones((len(use), 1))]
+        for term in terms(signals, min(j, signals.n - 1), False, self.regression.domain):
+            if len(term.depends_on) == 1 and term.depends_on[0] in own:
+                basis = term.basis(signals)
+                columns.append(basis * signals.sliding_direction(j + 1)[:, None] if term.directed else basis)
+        stacked = np.concatenate(columns, axis=1) * use[:, None]
+        stacked = stacked / (np.linalg.norm(stacked, axis=0) + 1e-300)
+        # No more functions than a fifth of the rows: else noise itself is taken for smooth.
+        U, values, _ = np.linalg.svd(stacked, full_matrices=False)
+        return np.asarray(U[:, (values > 1e-4 * values[0]) & (np.arange(len(values)) < use.sum() // 5)])
+
+    def add(self, candidate: Candidate) -> None:
+        """Makes a candidate's columns part of the system if they are not yet."""
+        if candidate.key not in self.system.groups:
+            self.system.add(candidate.key, self.problem.columns(candidate))
+
+    def wide(self, candidate: Candidate) -> Array:
+        """Precision of the coefficients beforehand ``(m, m)``: their own part moves a channel as far as it varies."""
+        if candidate.key not in self._wide:
+            own = self._own_products(candidate.key)
+            measured = np.array([channel.weight * float(self.system.total(j, "measured", "measured")[2].sum())
+                                 if channel.weight else 0.0 for j, channel in enumerate(self.system.channels)])
+            self._wide[candidate.key] = _precision(own, WIDE**2 * self._of_channels(candidate.key, measured))
+        return self._wide[candidate.key]
+
+    def joined(self, candidate: Candidate, fitted: Posterior, keys: Sequence[str]) -> Joined:
+        """The candidate beside a fit of other groups."""
+        self.add(candidate)
+        across, own, with_y = self.system.beside(candidate.key, keys)
+        if not np.any(own):
+            # Nothing of it is in the rows that are used.
+            return Joined(np.zeros(len(own)), np.zeros_like(own), 0.0)
+        return joined(fitted, across, own, with_y, self.wide(candidate))
+
+    def plausible(self, candidate: Candidate, coefficients: Array) -> bool:
+        """Whether physics allows the coefficients."""
+        return bool(np.any(coefficients)) and candidate.effect.plausible(
+            coefficients, candidate.theta, self.regression.signals, candidate.joint)
+
+    # The score.
+
+    def narrow(self, candidate: Candidate, others: Sequence[Candidate]) -> Array:
+        """Precision of the coefficients ``(m, m)`` of a cause that is not in a set: what the class may err by."""
+        self.add(candidate)
+        keys = ["W", *[c.key for c in others if c.key != candidate.key]]
+        fitted = self.system.posterior(keys)
+        across, own, _ = self.system.beside(candidate.key, keys)
+        # A share of the residual, and of other causes of the joint, of which no form is quite right.
+        error = CURVE_ERROR if candidate.effect.learned else CLASS_ERROR
+        error *= 1.0 + USUAL.get(candidate.effect.key, 0.0)
+        places, squares = self.system.places(keys), error**2 * self._of_channels(candidate.key, self.system.count)
+        for other in others:
+            if other.key != candidate.key and other.joint == candidate.joint:
+                mean = fitted.mean[places[other.key]]
+                squares += BESIDE**2 * float(mean @ self._own_products(other.key) @ mean)
+        return _precision(own - across @ fitted.solve(across.T), squares)
+
+    def _of_channels(self, key: str, values: Array) -> float:
+        """The mean of values of channels ``(c,)``, by how much of a group is in each."""
+        channels = list(self.system.groups[key].channels)
+        shares = np.array([self.system.channels[j].weight * float(np.trace(self.system.total(j, key, key)[2]))
+                           for j in channels])
+        return float(shares @ values[channels] / max(float(shares.sum()), 1e-300))
+
+    def _own_products(self, key: str) -> Array:
+        """Weighted products of a group with itself, of what the model's parameters cannot make ``(m, m)``."""
+        across, own, _ = self.system.beside(key, ["W"])
+        return np.asarray(own - across @ self._model_alone.solve(across.T))
+
+    def _known_of(self, chosen: Sequence[Candidate], beside: Sequence[Candidate]) -> tuple[list[str], Array]:
+        """Groups, and what is known of their coefficients beforehand: wide of a set, narrow beside it."""
+        every = [*chosen, *beside]
+        for candidate in every:
+            self.add(candidate)
+        keys = ["W", *[c.key for c in every]]
+        more = {c.key: self.wide(c) for c in chosen}
+        more |= {c.key: self.narrow(c, [x for x in every if x is not c]) for c in beside}
+        return keys, self.system.full_precision(keys, more)
+
+    def score(self, chosen: Sequence[Candidate], beside: Sequence[Candidate] = ()) -> float:
+        """Logarithm of the density of the rows with a set, others being beside it with a narrow prior."""
+        keys, precision = self._known_of(chosen, beside)
+        return evidence(self.system.gram_of_all(keys), precision)
+
+    def cost(self, candidate: Candidate) -> float:
+        """Nats that naming it costs."""
+        return float(np.log(max(len(self.pool), 1)) + cost(candidate))
+
+    def better(self, chosen: Sequence[Candidate], than: Sequence[Candidate]) -> float:
+        """By how many nats one set is better than another, priors and all."""
+        ours, theirs = _apart(chosen, than)
+        return (self.score(chosen, theirs) - self.score(than, ours) +
+                sum(map(self.cost, theirs)) - sum(map(self.cost, ours)))
+
+    def better_by_block(self, chosen: Sequence[Candidate], than: Sequence[Candidate]) -> Array:
+        """What each block of time adds to ``better``, without the priors of names ``(B,)``."""
+        ours, theirs = _apart(chosen, than)
+        sets = (self._known_of(chosen, theirs), self._known_of(than, ours))
+        own, other = (in_turn(self.system.gram(keys), precision) for keys, precision in sets)
+        return np.asarray(own - other)
+
+    # The search.
+
+    def run(self, start: Sequence[Candidate] = ()) -> list[Candidate]:
+        """The best set, from another one."""
+        self.choices = list(start)
+        self._refresh()
+        if start:
+            self._improve()
+        for _ in range(MOST):
+            best = self._best()
+            if best is None or best.nats < ACCEPT:
+                break
+            self.take([*self.choices, best.candidate])
+            self._improve()
+        if self.learns:
+            self._with_curves()
+        return self.choices
+
+    def take(self, choices: list[Candidate]) -> None:
+        """Takes a set, with the noise and the levels that follow from it."""
+        self.choices = choices
+        self._refresh()
+
+    def _best(self, hole: Candidate | None = None) -> Weighed | None:
+        ranked = self.ranked(hole)
+        return ranked[0] if ranked else None
+
+    def ranked(self, hole: Candidate | None = None, finalists: int = FINALISTS, *,
+               anywhere: bool = False) -> list[Weighed]:
+        """Candidates that are refined and scored beside the present set, or in the place of one of it, best first.
+
+        Args:
+            hole: the cause of the set in whose place they are looked at, at its joint or ``anywhere``.
+            finalists: how many of them are refined.
+            anywhere: whether other joints are looked at too.
+        """
+        rest = [c for c in self.choices if c is not hole]
+        keys = ["W", *[c.key for c in rest]]
+        fitted = self.fitted if hole is None else self.system.posterior(keys)
+        residual, first = self.system.residual(keys, fitted.mean), list[Weighed]()
+        for starts in self.pool:
+            if not (anywhere or hole is None or not hole.joint or starts[0].joint in (hole.joint, 0)):
+                continue
+            if not starts[0].effect.scanned and any(one_at_most(starts[0], c) for c in rest):
+                continue
+            with RaisedBy(f"effect {starts[0].effect.key} at joint {starts[0].joint}"):
+                best = self._best_start(starts, fitted, keys, residual)
+            if best is not None and (hole is None or best.candidate.place != hole.place):
+                first.append(best)
+        first.sort(key=lambda w: -w.nats)
+        result: list[Weighed] = []
+        for k, w in enumerate(first[:finalists]):
+            if k >= 2 and w.nats < first[0].nats - 30.0 and w.nats < 0.5 * first[0].nats:
+                break
+            refined = self.refined(w.candidate, fitted, keys)
+            own = self.joined(refined, fitted, keys)
+            gain = self.score([*rest, refined], [] if hole is None else [hole]) - \
+                self.score(rest, [refined] if hole is None else [refined, hole])
+            result.append(Weighed(refined, own, gain - self.cost(refined)))
+        return sorted(result, key=lambda w: -w.nats)
+
+    def _best_start(self, starts: list[Candidate], fitted: Posterior, keys: Sequence[str],
+                    residual: Array) -> Weighed | None:
+        """The plausible start with most evidence; None where there is none."""
+        first = starts[0]
+        if first.effect.scanned:
+            thetas, tries = first.effect.starts_from_residual(self.at_rows, first.joint, residual, self.regression.use)
+            starts = [replace(first, theta=theta, tries=tries) for theta in thetas]
+        best: Weighed | None = None
+        for start in starts:
+            own = self.joined(start, fitted, keys)
+            if (best is None or own.evidence > best.nats) and own.evidence > 0.0 and self.plausible(start, own.mean):
+                best = Weighed(start, own, own.evidence)
+        return None if best is None else replace(best, nats=best.nats - self.cost(best.candidate))
+
+    def refined(self, candidate: Candidate, fitted: Posterior, keys: Sequence[str]) -> Candidate:
+        """The candidate with the shapes of most evidence beside a fit of others."""
+        effect, signals = candidate.effect, self.regression.signals
+        if not effect.theta_is_physical:
+            def coefficients(theta: Theta) -> Array | None:
+                other = replace(candidate, theta=theta)
+                own = self.joined(other, fitted, keys).mean
+                return own if self.plausible(other, own) else None
+
+            return replace(candidate, theta=effect.settled(coefficients, candidate.theta))
+        bounds = effect.bounds_near(signals, candidate.joint, candidate.theta)
+        if not bounds:
+            return candidate
+        kept = {candidate.key, *keys}
+
+        def at(theta: Array | float) -> Candidate:
+            return replace(candidate, theta=tuple(np.atleast_1d(theta).tolist()))
+
+        def loss(theta: Array | float) -> float:
+            other = at(theta)
+            own = self.joined(other, fitted, keys)
+            if other.key not in kept:
+                self.system.drop(other.key)
+            return -own.evidence if self.plausible(other, own.mean) else 0.0
+
+        if len(bounds) == 1:
+            (low, high), = bounds
+            optimum = optimize.minimize_scalar(loss, bounds=(low, high), method="bounded",
+                                               options={"maxiter": 14, "xatol": 1e-3 * (high - low)})
+        else:
+            optimum = optimize.minimize(loss, np.array(candidate.theta), method="Nelder-Mead", bounds=bounds,
+                                        options={"maxfev": 40, "xatol": 1e-3, "fatol": 1e-2})
+        return at(optimum.x) if optimum.fun < loss(np.array(candidate.theta)) else candidate
+
+    def _improve(self) -> None:
+        """Refines shapes, exchanges and removes, while the score rises."""
+        for choice in list(self.choices):
+            if choice.theta:
+                rest = [c for c in self.choices if c is not choice]
+                keys = ["W", *[c.key for c in rest]]
+                other = self.refined(choice, self.system.posterior(keys), keys)
+                if other.key != choice.key and self.score([*rest, other]) > self.score(self.choices):
+                    self.choices = [other if c is choice else c for c in self.choices]
+        self._refresh()
+        for _ in range(3):
+            if not (self._removed() or self._exchanged()):
+                break
+
+    def _removed(self) -> bool:
+        if len(self.choices) < 2:
+            return False
+        nats = [self.better(self.choices, [c for c in self.choices if c is not choice])
+                for choice in self.choices]
+        worst = int(np.argmin(nats))
+        if nats[worst] >= 0.5 * ACCEPT:
+            return False
+        self.take([c for k, c in enumerate(self.choices) if k != worst])
+        return True
+
+    def _exchanged(self) -> bool:
+        for choice in self.choices:
+            rest = [c for c in self.choices if c is not choice]
+            for other in self.ranked(choice, 3):
+                if self.better([*rest, other.candidate], self.choices) > 1.0:
+                    self.take([*rest, other.candidate])
+                    return True
+        return False
+
+    # Curves without a cause.
+
+    def _with_curves(self) -> None:
+        """Takes curves, beside the causes or in the place of one, while the score rises; drops what they replace."""
+        for _ in range(3):
+            best: tuple[float, list[Candidate]] | None = None
+            for j in range(self.system.c):
+                for hole in [None, *[c for c in self.choices if c.joint == j + 1 and not c.effect.learned]]:
+                    for curve in self.curves_of(j, hole):
+                        other = [*[c for c in self.choices if c is not hole], curve]
+                        nats = self.better(other, self.choices)
+                        if nats > ACCEPT and (best is None or nats > best[0]):
+                            best = nats, other
+            if best is None:
+                break
+            self.take(best[1])
+            self._improve()
+
+    def curves_of(self, j: int, hole: Candidate | None) -> list[Candidate]:
+        """The three most promising curves of one channel."""
+        r, domain = self.regression, self.regression.domain
+        use = r.use[:, j]
+        if not use.any() or any(c.effect.learned and c.joint == j + 1 for c in self.choices):
+            return []
+        if j >= r.signals.n and domain != TCP_POSITION:
+            return []
+        rest = [c for c in self.choices if c is not hole]
+        keys = ["W", *[c.key for c in rest]]
+        residual = self.system.residual(keys, self.system.posterior(keys).mean)
+        period = time_period(residual[:, j], use, self.at_rows.t, domain)
+        curves = [*terms(self.at_rows, j, hole is None, domain), *([] if period is None else [period])]
+        tests = sorted(self._dependence.tests(residual[:, j], j, curves),
+                       key=lambda d: (d.expected - d.share) / max(1.0 - d.expected, 1e-12))
+        found = [Candidate(d.term, j + 1, (), len(tests) * self.system.c) for d in tests[:3] if d.p_value < 0.01]
+        for curve in found:
+            self.add(curve)
+        return found
+
+    @property
+    def _dependence(self) -> DependenceTest:
+        if not hasattr(self, "_tests"):
+            self._tests = DependenceTest(self.at_rows, self.regression.use, self.problem.blocks)
+        return self._tests
+
+    @property
+    def total(self) -> float:
+        """Score of the best set, its prior included, by which sets beside other priors are compared."""
+        return self.score(self.choices) - sum(map(self.cost, self.choices))
+
+    # Numbers.
+
+    def estimate(self) -> Estimate:
+        """Numbers of the best set, fitted together with the model's parameters, with their uncertainty.
+
+        The noise is that which the set leaves, whatever it is; shapes join the fit by their derivatives.
+        """
+        if self.fixed is None:
+            fitted = self.system.posterior(self.keys)
+            for _ in range(2):
+                self.system.with_noise(self.system.residual(self.keys, fitted.mean))
+                fitted = self.system.with_levels(self.keys)
+        keys = ["W", *[c.key for c in self.choices]]
+        fitted, places, p = self.system.posterior(keys), self.system.places(keys), self.regression.W.shape[2]
+        own = [fitted.mean[places[c.key]] for c in self.choices]
+        moved = [self._theta_columns(c, values) for c, values in zip(self.choices, own, strict=True)]
+        extra = [key for keys_of in moved for key in keys_of if key]
+        whole, where = self.system.posterior([*keys, *extra]), self.system.places([*keys, *extra])
+        rows = float(self.system.count.sum())
+        free = max(rows - len(whole.mean), 1.0)
+        covariance = whole.covariance * (max(whole.squares / free, 1.0) if self.fixed is not None else rows / free)
+        sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        # No form is right to better.
+        std = [np.hypot(sigma[places[c.key]], FORM_ERROR * np.abs(values))
+               for c, values in zip(self.choices, own, strict=True)]
+        # What repeats is right to its noise: periods are counted.
+        theta_std = [np.array([np.hypot(sigma[where[key].start], FORM_ERROR * abs(value) * (not c.effect.scanned))
+                               if key else 0.0 for key, value in zip(keys_of, c.theta, strict=True)])
+                     for c, keys_of in zip(self.choices, moved, strict=True)]
+        for key in extra:
+            self.system.drop(key)
+        return Estimate(tuple(self.choices), fitted.mean[:p], covariance[:p, :p], tuple(own), tuple(std),
+                        tuple(theta_std))
+
+    def _theta_columns(self, candidate: Candidate, coefficients: Array) -> list[str]:
+        """Adds, for each physical theta, what moving it changes in the prediction; names of groups, empty for none."""
+        effect, signals, joint, theta = candidate.effect, self.regression.signals, candidate.joint, candidate.theta
+        physical = effect.theta_is_physical and bool(effect.bounds(signals, joint))
+        names = []
+        for i, value in enumerate(theta):
+            if not (physical and value != 0.0):
+                names.append("")
+                continue
+            step = 1e-3 * max(abs(value), 1e-6)
+            after, before = (effect.columns(signals, joint, (*theta[:i], value + side, *theta[i + 1 :]))
+                             for side in (step, -step))
+            group = self.problem.prepared((after - before) / (2.0 * step))
+            name = f"d{i}:{candidate.key}"
+            self.system.add(name, Columns((group.values @ coefficients)[:, :, None], group.channels))
+            names.append(name)
+        return names
+
+
+def _apart(ours: Sequence[Candidate], theirs: Sequence[Candidate]) -> tuple[list[Candidate], list[Candidate]]:
+    """What either of two sets has alone."""
+    keys, other = {c.key for c in ours}, {c.key for c in theirs}
+    return [c for c in ours if c.key not in other], [c for c in theirs if c.key not in keys]
+
+
+def _precision(own: Array, squares: float) -> Array:
+    """Precision with which columns of these products ``(m, m)`` make as many squares as that, on average."""
+    values, vectors = np.linalg.eigh(0.5 * (own + own.T))
+    # What others make all but rounding of has no direction of its own.
+    values = np.maximum(values, 1e-6 * max(float(values[-1]), 1e-290))
+    return np.asarray(len(own) * (vectors * values) @ vectors.T / max(squares, 1e-290))

@@ -1,0 +1,260 @@
+"""Whitened rows of a regression and the products of their columns, block by block in time.
+
+A regression has a measurement, the derivatives of the model by its parameters, and columns of causes. Each channel has
+its coloured noise; its autoregression turns rows into innovations, whose products are all that estimates and scores are
+made of. Products of a group with another are made once for each noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.channels.blocks import Columns
+from ideal_robot.estimate.gaussian import Posterior, posterior
+from ideal_robot.estimate.noise import ColouredNoise, without_kicks
+
+MOST_BLOCKS = 20
+"""Blocks of time by which a score is told; eight give the same names, more of them a standard error."""
+FEWEST_ROWS = 8
+"""Rows of a block, at least: twice the order of the noise."""
+
+
+@dataclass
+class _Channel:
+    """Rows of one channel: noise, level, and what was made of groups with this noise.
+
+    Attributes:
+        use: rows that are used ``(N,)``.
+        noise: of the channel.
+        weight: inverse square of the innovations' size in units of the noise's.
+        rows: of each group its columns that act here and their innovations block by block ``(B, L, m)``.
+        products: of two groups ``(B, m_a, m_b)``.
+        totals: their sums over blocks ``(m_a, m_b)``.
+    """
+
+    use: np.ndarray
+    noise: ColouredNoise
+    weight: float = 1.0
+    rows: dict[str, tuple[np.ndarray, Array]] = field(default_factory=dict)
+    products: dict[tuple[str, str], Array] = field(default_factory=dict)
+    totals: dict[tuple[str, str], Array] = field(default_factory=dict)
+
+    def forget(self, key: str) -> None:
+        """Forgets what was made of a group."""
+        self.rows.pop(key, None)
+        for made in (self.products, self.totals):
+            for pair in [pair for pair in made if key in pair]:
+                del made[pair]
+
+
+class System:
+    """Rows of all channels in units of their noise.
+
+    Args:
+        y: measured minus predicted ``(N, c)``, in the channels' units.
+        base: derivatives by the parameters that are always there ``(N, c, p)``.
+        use: rows that are used ``(N, c)``.
+        precision: of these parameters beforehand, about zero ``(p, p)``; None where nothing is known.
+    """
+
+    def __init__(self, y: Array, base: Array, use: np.ndarray, precision: Array | None = None) -> None:
+        self.N, self.c = y.shape
+        self.y, self.use, self.p = y, use, base.shape[2]
+        self.precision = np.zeros((self.p, self.p)) if precision is None else precision
+        everywhere = tuple(range(self.c))
+        self.groups = {"W": Columns(base * use[:, :, None], everywhere),
+                       "y": Columns((y * use)[:, :, None], everywhere)}
+        count = int(np.clip(self.N // FEWEST_ROWS, 2, MOST_BLOCKS))
+        self.edges = np.linspace(0, self.N, count + 1).astype(int)
+        flat = ColouredNoise.of_autocovariance(np.array([1.0, 0.0]))
+        self.channels = [_Channel(use[:, j].copy(), flat) for j in range(self.c)]
+
+    @property
+    def blocks(self) -> int:
+        """How many blocks of time there are."""
+        return len(self.edges) - 1
+
+    @property
+    def count(self) -> Array:
+        """Rows that are used in each channel ``(c,)``."""
+        return np.array([float(channel.use.sum()) for channel in self.channels])
+
+    @property
+    def block_of_row(self) -> np.ndarray:
+        """Block of each row ``(N,)``."""
+        return np.repeat(np.arange(self.blocks), np.diff(self.edges))
+
+    def add(self, key: str, columns: Columns) -> None:
+        """Adds a group of columns, in the channels' units; one of that name is there already and stays."""
+        self.groups.setdefault(key, columns)
+
+    def drop(self, key: str) -> None:
+        """Forgets a group."""
+        self.groups.pop(key, None)
+        for channel in self.channels:
+            channel.forget(key)
+
+    # Noise.
+
+    def with_noise(self, residual: Array, explained: Sequence[Array | None] | None = None) -> None:
+        """Takes the noise of each channel from a residual.
+
+        Args:
+            residual: ``(N, c)``, in the channels' units.
+            explained: of each channel orthonormal columns ``(N, k)`` that hold no noise; what of the residual is along
+                them is left out.
+        """
+        for j, channel in enumerate(self.channels):
+            if not channel.use.any():
+                continue
+            r = np.where(channel.use, residual[:, j], 0.0)
+            own = None if explained is None else explained[j]
+            if own is not None:
+                r = r - own @ (own.T @ r)
+            noise = ColouredNoise.fit(r, channel.use)
+            kept = without_kicks(noise.whiten(r, channel.use), channel.use)
+            if not np.array_equal(kept, channel.use):
+                channel.use = kept
+                noise = ColouredNoise.fit(r, kept)
+            self.channels[j] = _Channel(channel.use, noise)
+
+    def take_noise(self, noise: Sequence[ColouredNoise]) -> None:
+        """Takes a noise of each channel that is known from elsewhere, unless it has it."""
+        for j, (channel, own) in enumerate(zip(self.channels, noise, strict=True)):
+            if channel.noise is not own:
+                self.channels[j] = _Channel(channel.use, own)
+
+    def with_levels(self, keys: Sequence[str]) -> Posterior:
+        """Takes each channel's level from what groups leave, and returns their posterior at these levels."""
+        for _ in range(2):
+            fitted = self.posterior(keys)
+            left = self.squares(keys, fitted.mean)
+            for channel, squares, count in zip(self.channels, left, self.count, strict=True):
+                channel.weight = count / squares if count and squares > 0.0 else 0.0
+        return self.posterior(keys)
+
+    # Products.
+
+    def _rows(self, j: int, key: str) -> tuple[np.ndarray, Array]:
+        channel, group = self.channels[j], self.groups[key]
+        if key not in channel.rows:
+            values = group.values[:, group.channels.index(j)]
+            acting = np.flatnonzero(values.any(axis=0)) if group.m > 1 else np.arange(group.m)
+            white = channel.noise.whiten(values[:, acting], channel.use)
+            longest = int(np.max(np.diff(self.edges)))
+            blocks = np.zeros((self.blocks, longest, len(acting)))
+            for b, (first, end) in enumerate(zip(self.edges[:-1], self.edges[1:], strict=True)):
+                blocks[b, : end - first] = white[first:end]
+            channel.rows[key] = acting, blocks
+        return channel.rows[key]
+
+    def product(self, j: int, a: str, b: str) -> tuple[np.ndarray, np.ndarray, Array]:
+        """``a'b`` of innovations of channel ``j``: acting columns of each, and their products ``(B, m_a, m_b)``."""
+        (left, rows_a), (right, rows_b) = self._rows(j, a), self._rows(j, b)
+        products = self.channels[j].products
+        if (a, b) not in products:
+            products[a, b] = np.swapaxes(products[b, a], 1, 2) if (b, a) in products else \
+                np.swapaxes(rows_a, 1, 2) @ rows_b
+        return left, right, products[a, b]
+
+    def total(self, j: int, a: str, b: str) -> tuple[np.ndarray, np.ndarray, Array]:
+        """See ``product``. The sum over all blocks ``(m_a, m_b)``."""
+        left, right, totals = self._rows(j, a)[0], self._rows(j, b)[0], self.channels[j].totals
+        if (a, b) not in totals:
+            totals[a, b] = self.product(j, a, b)[2].sum(axis=0)
+        return left, right, totals[a, b]
+
+    def places(self, keys: Sequence[str]) -> dict[str, slice]:
+        """Where the columns of each group stand."""
+        ends = np.cumsum([0, *(self.groups[key].m for key in keys)])
+        return {key: slice(int(first), int(end)) for key, first, end in zip(keys, ends[:-1], ends[1:], strict=True)}
+
+    def gram_of_all(self, keys: Sequence[str]) -> Array:
+        """See ``gram``. Of all blocks together ``(P + 1, P + 1)``."""
+        places = self.places([*keys, "y"])
+        size = places["y"].stop
+        total = np.zeros((size, size))
+        for j, channel in enumerate(self.channels):
+            here = [key for key in places if j in self.groups[key].channels] if channel.weight else []
+            for k, a in enumerate(here):
+                for b in here[: k + 1]:
+                    left, right, product = self.total(j, a, b)
+                    rows, columns = places[a].start + left, places[b].start + right
+                    total[rows[:, None], columns] += channel.weight * product
+                    if a != b:
+                        total[columns[:, None], rows] += channel.weight * product.T
+        return total
+
+    def gram(self, keys: Sequence[str]) -> Array:
+        """Weighted products of groups with each other and with ``y``, which is last ``(B, P + 1, P + 1)``."""
+        places = self.places([*keys, "y"])
+        size = places["y"].stop
+        total = np.zeros((self.blocks, size, size))
+        for j, channel in enumerate(self.channels):
+            here = [key for key in places if j in self.groups[key].channels] if channel.weight else []
+            for k, a in enumerate(here):
+                for b in here[: k + 1]:
+                    left, right, product = self.product(j, a, b)
+                    rows, columns = places[a].start + left, places[b].start + right
+                    product = channel.weight * product
+                    total[:, rows[:, None], columns] += product
+                    if a != b:
+                        total[:, columns[:, None], rows] += np.swapaxes(product, 1, 2)
+        return total
+
+    def full_precision(self, keys: Sequence[str], more: dict[str, Array] | None = None) -> Array:
+        """Precision of all columns beforehand ``(P, P)``: of those that are always there, and ``more`` of groups."""
+        places = self.places(keys)
+        P = max((place.stop for place in places.values()), default=0)
+        precision = np.zeros((P, P))
+        if "W" in places:
+            precision[: self.p, : self.p] = self.precision
+        for key, own in (more or {}).items():
+            place = places[key]
+            precision[place, place] = own
+        return precision
+
+    def posterior(self, keys: Sequence[str], more: dict[str, Array] | None = None) -> Posterior:
+        """Coefficients of groups, fitted together; ``more`` are precisions of groups beforehand."""
+        return posterior(self.gram_of_all(keys), self.full_precision(keys, more))
+
+    def squares(self, keys: Sequence[str], mean: Array) -> Array:
+        """Squares of what coefficients leave in each channel, in units of its noise, unweighted ``(c,)``."""
+        places, v = self.places([*keys, "y"]), np.append(-mean, 1.0)
+        result = np.zeros(self.c)
+        for j, channel in enumerate(self.channels):
+            if not channel.use.any():
+                continue
+            left = sum(rows @ v[places[key].start + acting] for key in places if j in self.groups[key].channels
+                       for acting, rows in [self._rows(j, key)])
+            result[j] = float(np.sum(np.square(left)))
+        return result
+
+    def beside(self, key: str, keys: Sequence[str]) -> tuple[Array, Array, Array]:
+        """Weighted products of one more group with others ``(m, P)``, with itself ``(m, m)`` and with ``y (m,)``."""
+        places, group = self.places([*keys, "y"]), self.groups[key]
+        products, own = np.zeros((group.m, places["y"].stop)), np.zeros((group.m, group.m))
+        for j in group.channels:
+            weight = self.channels[j].weight
+            if not weight:
+                continue
+            for other in places:
+                if j in self.groups[other].channels:
+                    left, right, product = self.total(j, key, other)
+                    products[left[:, None], places[other].start + right] += weight * product
+            left, right, product = self.total(j, key, key)
+            own[left[:, None], right] += weight * product
+        return products[:, :-1], own, products[:, -1]
+
+    def residual(self, keys: Sequence[str], mean: Array) -> Array:
+        """What coefficients ``(P,)``, or those of each row ``(N, P)``, leave of ``y``, in its units ``(N, c)``."""
+        r, places = (self.y * self.use).copy(), self.places(keys)
+        for key, place in places.items():
+            group, own = self.groups[key], mean[..., place]
+            r[:, list(group.channels)] -= (group.values @ own if own.ndim == 1
+                                           else np.einsum("nkm,nm->nk", group.values, own))
+        return r
