@@ -55,6 +55,7 @@ THEMES = {
     },
     "Devices": {
         "detect": "devices:detect",
+        "calibrate": "devices:calibrate",
         "follow": "devices:follow",
         "play": "devices:play",
         "rsi": "devices:rsi",

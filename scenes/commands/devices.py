@@ -311,6 +311,49 @@ def detect(options: DetectOptions) -> None:
 
 
 @dataclass(kw_only=True)
+class CalibrateOptions:
+    """Options of ``calibrate``."""
+
+    poses: Annotated[Path, typer.Argument(help="CSV with picture, x, y, z [m], qx, qy, qz, qw: a picture's file and "
+                                               "the tool's pose in the base frame.")]
+    mounted: Annotated[str, typer.Option(help="Where the camera is: tool (the target stands in the cell) or cell (the "
+                                              "target is on the tool).")] = "tool"
+    board: Annotated[str | None, typer.Option(help="A checkerboard's inner corners, e.g. 9x6.")] = None
+    square: Annotated[float, typer.Option(help="Side of its squares [mm].", min=0.1, max=1000.0)] = 20.0
+    tags: Annotated[Path | None, typer.Option(help="JSON with the corners of AprilTags, see docs/camera.md.",
+                                              exists=True, dir_okay=False)] = None
+    intrinsics: Annotated[Path | None, typer.Option(help="JSON with width, height, K, distortion. Default: found from "
+                                                         "the same pictures.", exists=True, dir_okay=False)] = None
+    json: Annotated[Path | None, typer.Option(help="Write poses and covariances as JSON to this file.")] = None
+
+
+def calibrate(options: CalibrateOptions) -> None:
+    """Finds where a camera is, on the tool or beside the cell, from pictures of a checkerboard or AprilTags.
+
+    With covariance: the noise of the pixels and the error of the arm's own poses are found with it. Pictures that
+    contradict the others are left out and said. At least four poses, turned about two axes; ten to twenty are better.
+
+    Example, with your pictures and poses: `ideal-robot calibrate poses.csv --board 9x6 --square 20 --json camera.json`
+    """
+    from scenes.camera_location import board_target, located, tags_target
+
+    if (options.board is None) == (options.tags is None):
+        raise InputError("give the target: either --board or --tags", field="--board")
+    check_outputs(json=options.json)
+    target = board_target(options.board, 1e-3 * options.square) if options.board is not None else tags_target(
+        options.tags or Path())
+    with progress_bar("calibrate"):
+        found = located(options.poses, target, options.mounted, options.intrinsics)
+    write_signed(options.json, found.json())
+    show_table(f"camera in the {'tool' if found.pose.mounted == 'tool' else 'base'} frame", *found.table())
+    for name, used in zip(found.shown, found.pose.used, strict=True):
+        if not used:
+            typer.echo(f"left out: {name} contradicts the others", err=True)
+    if found.without:
+        typer.echo(f"no target in {', '.join(found.without)}", err=True)
+
+
+@dataclass(kw_only=True)
 class RsiOptions:
     """Options of ``rsi``."""
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -67,6 +68,57 @@ def test_frames_of_a_video(program, tmp_path: Path) -> None:
     assert done.code == 0, done.err
     states = [picture["state"] for picture in json.loads((tmp_path / "line.json").read_text())["pictures"]]
     assert states == ["found", *["followed"] * 3]
+
+
+@pytest.mark.parametrize("mounted", ["tool", "cell"])
+def test_a_camera_is_located_by_a_board(program, mounted: str, tmp_path: Path) -> None:
+    """Pictures of a board drawn through a known camera from random poses of the tool."""
+    rng = np.random.default_rng(1)
+    K = np.array([[700.0, 0.0, 319.5], [0.0, 700.0, 239.5], [0.0, 0.0, 1.0]])
+    X = pin.SE3(pin.exp3(rng.uniform(-1.0, 1.0, 3)), rng.uniform(-0.2, 0.2, 3))
+    Y = pin.SE3(pin.exp3(rng.uniform(-1.0, 1.0, 3)), rng.uniform(-0.5, 0.5, 3))
+    side, columns, rows = 40, 7, 5
+    sheet = np.full(((rows + 3) * side, (columns + 3) * side), 235.0)
+    squares = np.indices((rows + 1, columns + 1)).sum(axis=0) % 2
+    sheet[side:-side, side:-side] = np.kron(squares, np.ones((side, side))) * 205.0 + 30.0
+    lines = ["picture,x,y,z,qx,qy,qz,qw"]
+    for k in range(12):
+        R = pin.exp3(rng.uniform(-0.5, 0.5, 3))
+        T = pin.SE3(R, np.array([0.0, 0.0, 0.45]) - R @ np.array([0.06, 0.04, 0.0]))
+        # A pixel of the sheet is half a millimetre; the board's first inner corner is its frame's origin.
+        first = -5e-4 * (2 * side - 0.5)
+        from_sheet = np.array([[5e-4, 0.0, first], [0.0, 5e-4, first], [0.0, 0.0, 1.0]])
+        H = K @ np.column_stack([T.rotation[:, :2], T.translation]) @ from_sheet
+        picture = cv2.warpPerspective(sheet, H, (640, 480), flags=cv2.INTER_AREA, borderValue=128.0)
+        noisy = cv2.GaussianBlur(picture, (0, 0), 0.8) + rng.normal(0.0, 2.0, picture.shape)
+        cv2.imwrite(str(tmp_path / f"{k}.png"), np.clip(noisy, 0, 255).astype(np.uint8))
+        mover = Y * T.inverse() * X.inverse()
+        pose = mover if mounted == "tool" else mover.inverse()
+        lines.append(",".join([f"{k}.png", *map(str, pin.SE3ToXYZQUAT(pose))]))
+    (tmp_path / "poses.csv").write_text("\n".join(lines))
+    done = program("calibrate", "poses.csv", "--board", f"{columns}x{rows}", "--square", "20", "--mounted", mounted,
+                   "--json", "camera.json")
+    assert done.code == 0, done.err
+    found = json.loads((tmp_path / "camera.json").read_text())
+    off = np.array(found["camera"]["position"]) - X.translation
+    sigma = np.sqrt(np.diag(found["camera_covariance"]))[:3]
+    assert np.linalg.norm(off) < 2e-3
+    assert np.linalg.norm(sigma) < 2e-3
+    assert abs(found["intrinsics"]["K"][0][0] / 700.0 - 1.0) < 5e-3
+    assert sum(found["pictures"].values()) >= 10
+
+
+@pytest.mark.parametrize(("words", "said"), [
+    ((), "--board"), (("--board", "9"), "--board"), (("--board", "9x6", "--mounted", "roof"), "mounted"),
+    (("--board", "9x6"), "quaternion")])
+def test_what_locates_no_camera_is_said(program, words: tuple[str, ...], said: str, tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), np.full((100, 100), 128, np.uint8))
+    last = 0 if said == "quaternion" else 1
+    (tmp_path / "poses.csv").write_text(f"picture,x,y,z,qx,qy,qz,qw\na.png,0,0,0,0,0,0,{last}")
+    done = program("calibrate", "poses.csv", *words, "--json", "camera.json")
+    assert done.code == 2
+    assert said in done.err
+    assert not (tmp_path / "camera.json").exists()
 
 
 @pytest.mark.parametrize("source", ["missing.png", "nowhere", "empty", "broken.png", "broken.avi"])
