@@ -15,10 +15,10 @@ from ideal_robot.robots.interface import RobotState
 from planning import OutOfReachError
 from planning.line.line_follower import line_ahead
 from planning.path.kinematics import InverseKinematics
+from scenes.line_way import shapes_about
 from scenes.online.force_known import Known as ForceKnown
 from scenes.online.line_known import REST, CalibrationView, Known, SeenBefore, calibration_postures, piece_map, view_of
 from scenes.online.live_arm import moves
-from scenes.placing import shapes_about
 from sensing import SensingError
 from sensing.camera.camera_device import Field
 from sensing.camera.hand_eye import HandEye, calibrate

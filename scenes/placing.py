@@ -5,27 +5,22 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
-from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.robots.collisions import Shapes
 from ideal_robot.robots.robot import Robot
 from ideal_robot.robots.size import reach, shoulder_height
 from planning import OutOfReachError
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
-from planning.path.speed_profile import JointPath, Limits, SpeedProfile
+from scenes.line_way import line_way
 from scenes.scene_files.drawn_line import reference_points
-from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
-from scenes.scene_files.scene import Scene, boxes_of, obstacles
 
 AHEAD = (0.6, 0.5, 0.7, 0.4)
 """Distances of the line from the base that are tried, relative to the reach …"""
@@ -37,16 +32,17 @@ SIZES = (0.75, 0.6, 0.45, 0.3)
 """… and lengths of the line."""
 FASTEST = 0.7
 """Speed that nobody needs to exceed in a first scene [m/s]."""
-FAST_ENOUGH = 0.35
-"""Speed for which no other place is tried [m/s]."""
-SPARE = 0.7
-"""Share of the speed that the joints allow along the reference which is used: corrections need the rest."""
-CORRIDOR = (0.03, 0.006)
-"""How far to the sides of the reference, and above and below it, the arm has to reach [m]."""
+SPARE = 0.8
+"""Share of the speed that path and joints allow which is used: corrections need the rest."""
+PERIOD = 0.5
+"""Time that a wave of the line takes at least [s]: what gears and friction leave of an arm's model grows with the
+frequency that is asked of it."""
+WORTH = 0.5
+"""Share of the speed of a line's own ``PERIOD`` from which on no shorter line is tried."""
+SLOWEST = 0.02
+"""Speed below which nobody would follow a line [m/s]."""
 ATTEMPTS = 6
 """Postures from which one is looked for at a place before it counts as out of reach."""
-BORDER = 0.05
-"""How far a surface reaches beyond the reference [m]."""
 LOWEST = 0.05
 """Of a surface above the base plane [m]: room for the tool's own width."""
 TOOLS = (0.0, 0.1)
@@ -81,17 +77,23 @@ def place_line(scene: LineScene) -> Place:
     if shoulder_height(robot) < 0.0:
         raise InputError(f"{robot.name} hangs below z = 0, which is the floor; let the URDF begin with a link on the "
                          "floor and a fixed joint from there to the arm's base", file=robot.urdf, field="robot")
-    best: Place | None = None
-    for heading in HEADINGS:
-        for candidate in (placed for share in SIZES for placed in _candidates(scene, robot, share, heading)):
-            speed = fits(candidate, candidate.arm)
+    slow: Place | None = None
+    for heading, share in product(HEADINGS, SIZES):
+        best: Place | None = None
+        wanted = min(FASTEST, wave(round(share * reach(robot), 2)) / PERIOD)
+        for candidate in _candidates(scene, robot, share, heading):
+            speed = fits(candidate, candidate.arm, wanted)
             if speed is not None and (best is None or speed > best.speed):
                 best = Place(candidate.surface.origin, heading, float(candidate.line.length or 0.0), speed,
                              candidate.tool_mm)
-                if speed >= FAST_ENOUGH:
-                    return best
-        if best is not None:
+            if best is not None and best.speed >= math.floor(100.0 * wanted) / 100.0:
+                return best
+        if best is not None and best.speed >= WORTH * wanted:
             return best
+        if best is not None and (slow is None or best.speed > slow.speed):
+            slow = best
+        if slow is not None and share == SIZES[-1]:
+            return slow
     raise InputError(f"no line fits in the reach of {robot.name} ({reach(robot):.2f} m) with the tool pointing down; "
                      "give the posture to work from as home in the robot's TOML, or place surface and line by hand",
                      file=robot.urdf, field="robot")
@@ -139,10 +141,14 @@ def run_ups(length: float) -> dict[str, float]:
     return {"run_up": round(min(0.15, max(0.06, 0.25 * length)), 2), "run_out": round(min(0.05, 0.1 * length), 2)}
 
 
+def wave(length: float) -> float:
+    """Wavelength of a line of one and a half waves [m]."""
+    return round(length / 1.5, 2)
+
+
 def formula(length: float) -> str:
     """A sine of one and a half waves, its curvature the same whatever its length [m]."""
-    wave = round(length / 1.5, 2)
-    return f"{0.04 * (wave / 0.8) ** 2:.4g}*sin(2*pi*x/{wave:g})"
+    return f"{0.04 * (wave(length) / 0.8) ** 2:.4g}*sin(2*pi*x/{wave(length):g})"
 
 
 def scene_text(example: str, robot: str, place: Place) -> str:
@@ -168,94 +174,28 @@ def scene_text(example: str, robot: str, place: Place) -> str:
     return f"{example.rstrip()}\n\n[reference]\n{ends}"
 
 
-def fits(scene: LineScene, robot: Robot) -> float | None:
-    """The speed at which the arm can follow a scene's line [m/s]; None where it cannot."""
+def fits(scene: LineScene, robot: Robot, wanted: float = FASTEST) -> float | None:
+    """The speed up to ``wanted`` at which the arm follows a line with some to spare [m/s]; None where it cannot.
+
+    ``scenes.line_way.line_way`` judges, as it does before every run; what is asked for beyond it is room.
+    """
     try:
         reference = ReferencePath(reference_points(scene), up=scene.surface.pose().rotation[:, 2], turning=1.0)
         kinematics = InverseKinematics(robot)
         for share in (0.0, 0.5, 1.0):
             # Most places are refused here already, which is quicker than along the whole path.
             kinematics.search(reference.pose(share * reference.length), robot.home, ATTEMPTS)
-        path = JointPath.of(robot, reference)
-        beside = _corridor(robot, reference, path)
+        way = line_way(scene, robot)
+        if way.margin() < FROM_LIMIT:
+            return None
+        speed = math.floor(100.0 * min(wanted, SPARE * way.steady())) / 100.0
+        while speed >= SLOWEST:
+            try:
+                replace(way, scene=scene.changed(speed=speed)).travel()
+                return speed
+            except InputError:
+                # A short path is left for speeding up and braking, on which no joint's speed is the limit.
+                speed = math.floor(80.0 * speed) / 100.0
     except (InputError, OutOfReachError):
-        return None
-    near = np.vstack([path.q, *beside])
-    if np.min(np.minimum(near - robot.q_min, robot.q_max - near)) < FROM_LIMIT:
-        return None
-    if shapes_about(scene, robot).first_touch(path.q[::5]) is not None:
-        return None
-    return _speed(robot, reference, path, scene)
-
-
-def check_way(scene: LineScene, robot: Robot, reference: ReferencePath, path: JointPath) -> None:
-    """Raises InputError for a reference on which the arm would hit something, or could not follow a line beside it.
-
-    Args:
-        scene, robot: how far the line may be from its reference, and the arm.
-        reference, path: the path, and its joint angles.
-    """
-    check_clear(shapes_about(scene, robot), path)
-    beside = scene.displacement
-    half = 0.5 * reference.length
-    sides = (1e-3 * beside.lateral_mm + half * math.sin(math.radians(beside.turn_deg)),
-             1e-3 * beside.height_mm + half * math.sin(math.radians(beside.tilt_deg)))
-    try:
-        _corridor(robot, reference, path, sides)
-    except OutOfReachError as error:
-        raise InputError(f"the line may lie {1e3 * sides[0]:.0f} mm beside its reference and {1e3 * sides[1]:.0f} mm "
-                         f"above or below it by the table displacement, and there {error}", field="path") from error
-
-
-def check_clear(shapes: Shapes, path: JointPath) -> None:
-    """Raises InputError for a path on which the arm would touch something, and says where, and what is in the way."""
-    touch = shapes.first_touch(path.q[::5])
-    if touch is not None:
-        raise InputError(f"the arm would hit something: {touch} {path.s[5 * touch.row]:.2f} m from the path's begin",
-                         field="path")
-
-
-def shapes_about(scene: LineScene | ForceScene, robot: Robot) -> Shapes:
-    """The arm above the surface that a scene's line is drawn on, which reaches ``BORDER`` beyond it, among boxes."""
-    plane = scene.surface.pose()
-    drawn = (reference_points(scene) - plane.translation) @ plane.rotation
-    low, high = drawn.min(axis=0) - BORDER, drawn.max(axis=0) + BORDER
-    middle = plane * pin.SE3(np.eye(3), np.array([*(0.5 * (low + high))[:2], 0.0]))
-    return Shapes(robot, middle, (float(high[0] - low[0]), float(high[1] - low[1])), obstacles(scene.box))
-
-
-def shapes_in(scene: Scene, robot: Robot) -> Shapes:
-    """The arm among all that a scene names: boxes, and the surface where there is one."""
-    if isinstance(scene, LineScene | ForceScene):
-        return shapes_about(scene, robot)
-    return Shapes(robot, boxes=obstacles(boxes_of(scene)))
-
-
-def _speed(robot: Robot, reference: ReferencePath, path: JointPath, scene: LineScene) -> float | None:
-    """What the joints allow on the slowest place, and what the reference's acceleration allows on its length."""
-    with np.errstate(divide="ignore"):
-        steady = float(np.min(robot.v_max / np.abs(path.dq)))
-    run_up = math.sqrt(scene.reference.acceleration * max(reference.length - 0.1, 0.01) * 0.5)
-    speed = math.floor(100.0 * min(FASTEST, SPARE * steady, run_up)) / 100.0
-    if speed < 0.02:
-        return None
-    while speed >= 0.02:
-        try:
-            SpeedProfile.plan(robot, reference, Limits(speed, scene.reference.acceleration), path)
-            return speed
-        except InputError:
-            speed = math.floor(80.0 * speed) / 100.0
+        pass
     return None
-
-
-def _corridor(robot: Robot, reference: ReferencePath, path: JointPath, half: tuple[float, float] = CORRIDOR
-              ) -> list[Array]:
-    """Joint angles along the four edges of a corridor about the reference, ``(K, n)`` each.
-
-    Raises ``OutOfReachError`` where a part of it is out of reach, or beyond a joint limit.
-    """
-    kinematics, rows = InverseKinematics(robot), np.arange(0, len(path.s), 10)
-    frames, rotations = reference.frames(path.s[rows]), reference.rotation(path.s[rows])
-    edges = [frames.position + side * frames.normal + up * frames.up
-             for side, up in product((-half[0], half[0]), (-half[1], half[1]))]
-    return [kinematics.refine_rows(rotations, places, path.q[rows], wanted=path.q[rows]) for places in edges]

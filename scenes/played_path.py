@@ -12,6 +12,7 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.execution.command_governor import require_within_limits
+from ideal_robot.execution.planned_path import read_path
 from ideal_robot.execution.precorrect import path_at_cycles
 from ideal_robot.feedforward.base import Feedforward, PassThrough
 from ideal_robot.feedforward.method import Needs
@@ -24,7 +25,6 @@ from scenes.metrics import PathErrors, path_errors
 from scenes.online.live_arm import answers_within, at_cycle
 from scenes.online.path_player import PathPlayer, PathRun
 from scenes.online.processes import stopping_on_signals, undisturbed
-from scenes.path.precorrect import columns_of
 from scenes.result import Progress, silent
 from scenes.rsi.server import prepared
 
@@ -129,11 +129,12 @@ def planned_path(path: Path, settings: PlaySettings) -> PlannedPath:
     else:
         arm, law, loop, model = prepared(robot=robot, model=settings.model, method=settings.method, cycle=cycle)
         within = None if loop is None else answers_within(loop, arm)
-    t, q_d, column = columns_of(path, arm)
-    _, desired, warnings = path_at_cycles(t, q_d, arm, rest=settings.rest, file=str(path), column=column)
-    commands = desired
-    if isinstance(law, PassThrough) and column != "q_c" and (sent := _commands(path, arm)) is not None:
-        _, commands, more = path_at_cycles(t, sent, arm, rest=settings.rest, file=str(path), column="q_c")
+    given = read_path(path, arm)
+    t, column = given.t, given.column
+    _, desired, warnings = path_at_cycles(t, given.q_d, arm, rest=settings.rest, file=str(path), column=column)
+    commands, warnings = desired, (*given.warnings, *warnings)
+    if isinstance(law, PassThrough) and column != "q_c" and given.commands is not None:
+        _, commands, more = path_at_cycles(t, given.commands, arm, rest=settings.rest, file=str(path), column="q_c")
         warnings, column = (*warnings, *more), "q_c"
     require_within_limits(commands, arm, start=-settings.rest, file=path, column=column)
     meta = {"method": settings.method, "model": None if model is None else str(model), "path": str(path),
@@ -143,17 +144,10 @@ def planned_path(path: Path, settings: PlaySettings) -> PlannedPath:
 
 def _named(path: Path) -> str:
     """The shipped robot that a path's file names; raises InputError where it names none."""
-    name = Recording.read(path).meta.get("robot")
+    name = None if path.suffix == ".json" else Recording.read(path).meta.get("robot")
     if name not in SHIPPED:
         raise InputError("give --robot: the path does not name a shipped one", file=path, field="--robot", value=name)
     return str(name)
-
-
-def _commands(path: Path, arm: Robot) -> Array | None:
-    """The file's commands ``(N, n)`` [rad]; None where it has none for every joint."""
-    columns = Recording.read(path).columns
-    names = [f"q_c_{i + 1}" for i in range(arm.n)]
-    return np.column_stack([columns[name] for name in names]) if all(name in columns for name in names) else None
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from scipy.interpolate import make_interp_spline
 from ideal_robot.arrays import Array, held
 from ideal_robot.errors import InputError
 from ideal_robot.execution.command_governor import check_limits, require_within_limits
+from ideal_robot.execution.planned_path import FEW, distinct, through_few
 from ideal_robot.feedforward.corrected_arm import CorrectedArm
 from ideal_robot.feedforward.method import Needs
 from ideal_robot.feedforward.registry import feedforward, methods
@@ -43,7 +44,10 @@ _MISSING = 1.5
 
 def path_at_cycles(t: Array, q_d: Array, robot: Robot, *, rest: float, file: str | None = None, column: str = "q_d"
                    ) -> tuple[Array, Array, tuple[str, ...]]:
-    """Times ``(M,)`` [s], positions ``(M, n)`` [rad] at the cycles, rest included; a warning of missing samples.
+    """Times ``(M,)`` [s], positions ``(M, n)`` [rad] at the cycles, rest included; warnings of its samples.
+
+    A sample given twice is left out, through fewer than six a smooth path from rest to rest is led, and missing ones
+    are bridged; each is said.
 
     Args:
         t, q_d: times of the path ``(N,)`` [s], and joint positions ``(N, n)`` [rad, or m where a joint slides].
@@ -52,8 +56,9 @@ def path_at_cycles(t: Array, q_d: Array, robot: Robot, *, rest: float, file: str
         file, column: where the path comes from, and what its positions are called there, for messages.
 
     Raises:
-        InputError: shapes that do not fit, too few samples, times that do not rise, a gap, values that are not finite,
-            other units than seconds, radians and metres, samples that no smooth path within the limits joins.
+        InputError: shapes that do not fit, fewer than two samples, times that fall, two positions at one time, a gap,
+            values that are not finite, other units than seconds, radians and metres, samples that no smooth path
+            within the limits joins.
     """
     t, q_d = np.asarray(t, dtype=float), np.asarray(q_d, dtype=float)
     if not 0.0 <= rest <= 60.0:
@@ -64,12 +69,16 @@ def path_at_cycles(t: Array, q_d: Array, robot: Robot, *, rest: float, file: str
     if t.shape != (len(q_d),):
         raise InputError(f"expected one time for each of the {len(q_d)} rows of the path", file=file, field="t",
                          value=t.shape)
-    if len(t) < 6 or not np.all(np.diff(t) > 0):
-        raise InputError("needs at least six samples with rising times", file=file, field="t", value=len(t))
+    if not np.isfinite(t).all():
+        raise InputError("holds values that are not finite", file=file, field="t")
     for i, values in enumerate(q_d.T):
         if not np.isfinite(values).all():
             raise InputError("holds values that are not finite", file=file, field=f"{column}_{i + 1}")
-    if checked_time(t, file or "path", _quickest(t, q_d, robot)):
+    t, rows, doubled = distinct(t, q_d, file, column)
+    q_d = q_d[rows]
+    if len(t) < 2:
+        raise InputError("a path needs two points at least", file=file, field="t", value=len(t))
+    if len(t) >= FEW and checked_time(t, file or "path", _quickest(t, q_d, robot)):
         k = int(np.argmax(np.diff(t)))
         raise InputError(f"the path has a gap of {t[k + 1] - t[k]:.4g} s after t = {t[k]:.6g} s, and nothing tells its "
                          "way there; give samples in between, or correct the pieces one by one", file=file, field="t",
@@ -77,11 +86,11 @@ def path_at_cycles(t: Array, q_d: Array, robot: Robot, *, rest: float, file: str
     require_joint_units(q_d, robot, file=file, column=column)
     # The last cycle is the one in which the path's end is reached, wherever in it that lies.
     grid = np.minimum(np.arange(t[0], t[-1] + robot.t_ipo - 1e-9, robot.t_ipo), t[-1])
-    if len(grid) == len(t) and np.allclose(grid, t, atol=1e-6):
+    if len(grid) == len(t) >= FEW and np.allclose(grid, t, atol=1e-6):
         samples = q_d
     else:
         samples = _between(t, q_d, grid, robot, file)
-    warnings = _bridged(t, q_d, robot, file)
+    warnings = (*doubled, *_bridged(t, q_d, robot, file))
     first, last = round(rest / robot.t_ipo), round(REST_AFTER / robot.t_ipo)
     whole = held(samples, before=first, after=last)
     return np.asarray(robot.t_ipo * np.arange(float(len(whole)))), whole, warnings
@@ -105,6 +114,8 @@ def _bridged(t: Array, q_d: Array, robot: Robot, file: str | None) -> tuple[str,
     """
     steps = np.diff(t)
     usual = float(np.median(steps))
+    if len(t) < FEW:
+        return (f"sparse: the path has {len(t)} points; a smooth one from rest to rest is led through them",)
     # More of them are the path's own times.
     if not 0.0 < np.mean(steps > _MISSING * usual) <= MOST_LEFT_OUT:
         return ()
@@ -125,7 +136,7 @@ def _bridged(t: Array, q_d: Array, robot: Robot, file: str | None) -> tuple[str,
 
 def _between(t: Array, q_d: Array, grid: Array, robot: Robot, file: str | None) -> Array:
     """A spline through samples ``(N, n)`` of other times ``(N,)`` than the cycles, at the cycles ``(M, n)``."""
-    samples = np.asarray(make_interp_spline(t, q_d, k=min(5, len(t) - 1))(grid))
+    samples = through_few(t, q_d, grid) if len(t) < FEW else np.asarray(make_interp_spline(t, q_d, k=5)(grid))
     beyond = [np.any((q < robot.q_min) | (q > robot.q_max), axis=1) for q in (samples, q_d)]
     if beyond[0].any() and not beyond[1].any():
         steps = np.diff(t)

@@ -22,6 +22,10 @@ _GRIPPER = re.compile(rf"gripper|{_FINGER.pattern}", re.IGNORECASE)
 """What links of grippers are called, and their joints; a last joint of the arm may carry a link called gripper."""
 _FLANGE = ("tool0", "tcp", "flange")
 """Frames that a tool is put on, the ROS-Industrial name of the one whose z axis leads away from the arm first."""
+_SENSOR = re.compile(r"camera|optical|sensor|depth|imu|lidar|laser|light|cable|marker", re.IGNORECASE)
+"""What is fixed beside a tool and none."""
+_END = re.compile(r"tool|end_?eff|eef|(^|_)ee(_|$)|gripper_cent", re.IGNORECASE)
+"""What links at the end of an arm are called besides."""
 _SLENDER = 3
 """A branch with fewer moving joints than this beside another one is a finger, not an arm."""
 
@@ -137,6 +141,16 @@ class _Tree:
         return links
 
 
+def in_order(root: ET.Element) -> list[ET.Element]:
+    """The moving joints of a URDF's longest chain from its root on; none of a URDF without one root."""
+    tree = _Tree({str(child.get("link")): joint for joint in root.findall("joint")
+                  if (child := joint.find("child")) is not None})
+    if not tree.sound:
+        return []
+    moving = [[joint for joint in tree.path(link) if joint.get("type") != "fixed"] for link in tree.joints]
+    return max(moving, key=len, default=[])
+
+
 def drives(joint: ET.Element) -> bool:
     """Whether a joint of a URDF moves on its own and is no gripper's."""
     if joint.get("type") == "fixed" or joint.find("mimic") is not None:
@@ -160,7 +174,8 @@ def _tool_link(tree: _Tree, chain: list[str]) -> str | None:
         for link in near:
             if wanted in link.lower():
                 return link
-    return next((link for link in reversed(near) if not _FINGER.search(link)), near[0])
+    tools = [link for link in reversed(near) if not _FINGER.search(link) and not _SENSOR.search(link)]
+    return next((link for link in tools if _END.search(link)), tools[0] if tools else near[0])
 
 
 def _facing_away(root: ET.Element, tree: _Tree, chain: list[ET.Element], link: str | None, changed: list[str]

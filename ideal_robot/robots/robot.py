@@ -23,6 +23,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.results import Summarised, listed, plain
 from ideal_robot.robots import urdf_of
 from ideal_robot.robots.chain import serial_arm
+from ideal_robot.robots.units import in_si
 from ideal_robot.robots.urdf import model_of, read_drive_data
 
 # Which kind of joint a Pinocchio model has where.
@@ -168,7 +169,8 @@ class Robot(Summarised):
         urdf, data_path = _locate(name_or_urdf, data)
         drive, values = read_drive_data(data_path)
         arm = serial_arm(read_text(urdf, "a URDF"), urdf, drive.tool_frame)
-        model = model_of(arm.text, urdf)
+        description, converted = in_si(arm.text)
+        model = model_of(description, urdf)
 
         def per_joint(key: str) -> Array:
             return _frozen(drive.per_joint(key, model.nv, data_path))
@@ -196,8 +198,8 @@ class Robot(Summarised):
             **{key: float(getattr(drive.controller, key)) for key in ("t_ipo", "t_position", "t_velocity")},
             home=home,
             data=values,
-            description=arm.text,
-            assumed=arm.changed,
+            description=description,
+            assumed=(*arm.changed, *converted),
         )
 
     def summary(self) -> list[tuple[str, str]]:

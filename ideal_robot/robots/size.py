@@ -6,7 +6,6 @@ be played needs some; those of its class are taken, and every one that is taken 
 
 from __future__ import annotations
 
-import math
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 
@@ -17,25 +16,13 @@ from numpy.typing import NDArray
 from ideal_robot.arrays import Array
 from ideal_robot.results import listed
 from ideal_robot.robots import SHIPPED
+from ideal_robot.robots.arm_class import BASE_SPEED, MASS, REACH, SLIDING_SPEED, WRIST_SPEED, class_of
 from ideal_robot.robots.robot import Robot, _frozen, spread_postures
 from ideal_robot.robots.urdf import FEWEST, model_of
 
-REACH = (0.30, 0.50, 0.90, 1.30, 1.80, 2.60, 3.30)
-"""Of the arms of a class, from the second joint to the flange stretched out [m]."""
-MASS = (0.5, 8.0, 30.0, 80.0, 250.0, 900.0, 1500.0)
-"""Of the moving links together [kg]."""
-BASE_SPEED = (4.0, 3.1, 3.1, 2.6, 2.6, 2.1, 1.8)
-"""Of the first joints [rad/s] …"""
-WRIST_SPEED = (5.0, 5.2, 5.2, 5.2, 5.2, 3.8, 3.1)
-"""… and of the last three. The rows are rounded between the data sheets of arms of about that reach: desktop servo arms
-(0.3 m), UR3e (0.5 m), UR5e, LBR iiwa 14, Panda, KR 6 R900 (0.9 m), UR10e, KR 10 R1420 (1.3 m), KR 16, IRB 2600 (1.8 m),
-KR 120 R2500, IRB 6640 (2.6 m), KR 210 R3100 (3.3 m); single arms differ from them by a factor of about three in mass
-and two in speed."""
-SLIDING_SPEED = 1.0
-"""Of joints that slide [m/s]."""
 ABSURD_MASS = 10.0
 """Factor from the class beyond which the masses of a URDF are not those of its arm …"""
-ABSURD_SPEED = 4.0
+ABSURD_SPEED = 6.0
 """… or a speed limit not that of its joint."""
 TAPER = 0.7
 """Mass of a link to that of the one before, of the same length: the motors of the joints before are the larger ones."""
@@ -50,6 +37,9 @@ WEAKEST = 0.15
 iiwa 0.13."""
 HOLDS = 1.1
 """Effort relative to the gravity torque below which a URDF's effort is not the arm's: it could not hold itself."""
+TOO_WEAK = 20.0
+"""Factor below what its links and speed ask of a joint beyond which an effort is not the arm's; the least of a maker's,
+of 22 public arms, is a fourteenth (the last joint of TX60L), a placeholder of 1 N m on an arm of 1 m a hundredth."""
 
 
 def of_its_size(robot: Robot) -> Robot:
@@ -81,11 +71,6 @@ def reach(robot: Robot) -> float:
 def reach_at_home(robot: Robot) -> float:
     """Distance of the tool from the base where the arm rests [m], that of the smallest arms at least."""
     return max(float(np.linalg.norm(robot.fk()(robot.home).translation)), REACH[0])
-
-
-def class_of(values: tuple[float, ...], size: float) -> float:
-    """A row of the table at a reach [m], interpolated between logarithms; at its ends held."""
-    return float(np.exp(np.interp(math.log(max(size, 1e-6)), np.log(REACH), np.log(values))))
 
 
 def _ways(robot: Robot) -> Array:
@@ -175,13 +160,16 @@ def _speeds(robot: Robot, notes: list[str]) -> Array:
 
 
 def _efforts(robot: Robot, notes: list[str]) -> Array:
+    """Efforts of the URDF; of the class where a joint's is none, cannot hold the arm or is a placeholder like those."""
     gravity, inertia = loads(robot)
     usual = LIFTS * gravity + inertia * robot.v_max / RISE
     usual = np.maximum(usual, WEAKEST * usual[~robot.prismatic].max(initial=0.0))
-    missing = ~(np.isfinite(robot.tau_max) & (robot.tau_max > HOLDS * gravity))
+    weak = np.isfinite(robot.tau_max) & ~(robot.tau_max > np.maximum(HOLDS * gravity, usual / TOO_WEAK))
+    # The same number at a joint that happens to be light is no better.
+    missing = ~np.isfinite(robot.tau_max) | np.isin(robot.tau_max, robot.tau_max[weak])
     if missing.any():
-        notes.append(f"no effort of {_joints(missing)} in the URDF that could hold the arm: {listed(usual[missing])} "
-                     "N m or N are taken, for its masses and speeds")
+        notes.append(f"no effort of {_joints(missing)} in the URDF that could hold and move the arm: "
+                     f"{listed(usual[missing])} N m or N are taken, for its masses and speeds")
     return np.where(missing, usual, robot.tau_max)
 
 

@@ -16,7 +16,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import URDF_BYTES, URDF_DEPTH, URDF_ELEMENTS, URDF_JOINTS, kept_words, read_toml
 from ideal_robot.errors import InputError
 
-FEWEST = 5
+FEWEST = 4
 """Joints of an arm."""
 SLOWEST = 1e-4
 """Least speed limit of a joint [rad/s or m/s]."""

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from ideal_robot.arrays import Array, interpolated
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
+from planning.path.joint_path import JointPath
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
-from planning.path.speed_profile import JointPath, SpeedProfile
+from planning.path.speed_profile import SpeedProfile
 
 # Smoothing of the sensed path x_s to the desired path x_d ([L] 4.1, Fig. 2): continuous whatever the sensors say.
 #

@@ -10,21 +10,23 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import minimum_filter1d
 
-from ideal_robot.arrays import Array, interpolated
+from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
-from planning import OutOfReachError
-from planning.path.kinematics import InverseKinematics
+from planning.path.joint_demands import JointDemands
+from planning.path.joint_path import JointPath
 from planning.path.reference import ReferencePath
 
-STEP = 0.002
-"""Spacing of the joint path on which limits are checked [m]."""
 LONGEST = 7200.0
 """Time that a path may last [s]."""
 TICK = 0.001
 """Spacing in time of the profile's samples [s]."""
 MOST_TICKS = 600_000
 """Samples of a profile at most, ten minutes; of a longer travel they are further apart."""
+REACHED = 0.98
+"""Share of the speed asked for that a travel reaches somewhere where it counts as possible."""
+RESOLVED = 0.005
+"""Step to which the highest possible speed is found [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -50,41 +52,13 @@ class Limits:
                 raise InputError("expected a positive number", field=key, value=value)
 
 
-@dataclass(frozen=True)
-class JointPath:
-    """The reference in joint space: angles and their two derivatives by arc length at ``s (K,)``, ``(K, n)`` each."""
-
-    s: Array
-    q: Array
-    dq: Array
-    ddq: Array
-
-    @classmethod
-    def of(cls, robot: Robot, reference: ReferencePath, home: Array | None = None) -> JointPath:
-        """Solves the whole path in the posture nearest to ``home``; ``InputError`` names place, joint and limit.
-
-        Args:
-            robot: the arm.
-            reference: the reference path.
-            home: preferred joint angles ``(n,)`` [rad]; the robot's home posture if None.
-        """
-        kinematics = InverseKinematics(robot)
-        s = np.linspace(0.0, reference.length, max(round(reference.length / STEP), 10) + 1)
-        poses = reference.poses(s)
-        try:
-            q = kinematics.path(poses, kinematics.search(poses[0], robot.home if home is None else home))
-        except OutOfReachError as error:
-            raise InputError(f"the path cannot be reached by {robot.name}: {error}", field="path") from error
-        spline = CubicSpline(s, q)
-        return cls(s, q, spline(s, 1), spline(s, 2))
-
-
 class SpeedProfile:
     r"""Arc length over time, :math:`s(t)`, with bounded jerk.
 
     The speed limit at each place is the smallest of the top speed and of what the joints allow,
-    :math:`|q_i'|\,\dot s \le \dot q_{i,\max}` and :math:`|q_i' \ddot s + q_i'' \dot s^2| \le \ddot q_{i,\max}`; sweeps
-    forwards and backwards bound the acceleration, and an average over time bounds the jerk.
+    :math:`|q_i'|\,\dot s \le \dot q_{i,\max}`, :math:`|q_i' \ddot s + q_i'' \dot s^2| \le \ddot q_{i,\max}` and the
+    torques of the rigid body (``JointDemands``); sweeps forwards and backwards bound the acceleration, and an average
+    over time bounds the jerk.
 
     Attributes:
         tick: spacing of its samples [s].
@@ -144,30 +118,51 @@ class SpeedProfile:
                 limit, or the length that is missing.
         """
         limits = limits if isinstance(limits, Limits) else Limits(float(limits))
-        path = joint_path or JointPath.of(robot, reference)
-        v_max, a_max = limits.share * robot.v_max, limits.share * robot.a_max
-        by_joint = _speed_by_joint(path, v_max, a_max)
-        profile, limit = _fastest(path, by_joint, limits, v_max, a_max)
-        if profile.top_speed < 0.98 * limits.speed:
-            possible = _possible(path, by_joint, limits, v_max, a_max)
-            raise _unreachable(path, by_joint, limits, robot, possible)
-        profile.joint_path = path
-        profile.slowed = _slowed(path, limit, by_joint, profile, limits.speed)
+        demands = JointDemands.of(robot, joint_path or JointPath.of(robot, reference), limits.share)
+        profile, by_joint = _planned(demands, limits)
+        if profile.top_speed < REACHED * limits.speed:
+            raise _unreachable(demands, by_joint, limits, _possible(demands, by_joint, limits))
+        return profile
+
+    @classmethod
+    def fastest(cls, robot: Robot, limits: Limits, joint_path: JointPath) -> SpeedProfile:
+        """Plans the travel at the top speed that was asked for, or at the highest that path and joints allow.
+
+        Raises InputError for a path that would last too long.
+
+        Args:
+            robot: whose joint limits count.
+            limits: of the travel.
+            joint_path: the reference in joint space.
+        """
+        demands = JointDemands.of(robot, joint_path, limits.share)
+        profile, by_joint = _planned(demands, limits)
+        if profile.top_speed < REACHED * limits.speed:
+            possible = max(_possible(demands, by_joint, limits), RESOLVED)
+            profile, _ = _planned(demands, replace(limits, speed=possible))
         return profile
 
 
-def _fastest(
-    path: JointPath, by_joint: Array, limits: Limits, v_max: Array, a_max: Array
-) -> tuple[SpeedProfile, Array]:
+def _planned(demands: JointDemands, limits: Limits) -> tuple[SpeedProfile, Array]:
+    """The travel with its path and where it is slowed, and the highest steady speed that each joint allows."""
+    by_joint = demands.steady()
+    profile, limit = _fastest(demands, by_joint, limits)
+    profile.joint_path = demands.path
+    profile.slowed = _slowed(demands.path, limit, by_joint, profile, limits.speed)
+    return profile, by_joint
+
+
+def _fastest(demands: JointDemands, by_joint: Array, limits: Limits) -> tuple[SpeedProfile, Array]:
     """The travel, and the speed limit at each place of the path ``(K,)`` [m/s] that came of it."""
+    path = demands.path
     ds = path.s[1] - path.s[0]
     # Averaging over time raises dips of the speed: keep the limit's smallest value over the averaged distance.
     window = limits.acceleration / limits.jerk
     reach = int(np.ceil(0.5 * window * limits.speed / ds))
     limit = np.minimum(minimum_filter1d(np.min(by_joint, axis=1), size=1 + 2 * reach), limits.speed)
     for _ in range(20):
-        profile = _travel(path, limit, limits, a_max)
-        excess, places = _excess(profile, path, v_max, a_max)
+        profile = _travel(demands, limit, limits)
+        excess, places = _excess(profile, demands)
         if excess.max() <= 1.0 + 1e-3:
             return profile, limit
         lowered = np.ones(len(path.s))
@@ -181,38 +176,25 @@ def _fastest(
     return SpeedProfile(profile.s(ticks / slower), tick), limit / slower
 
 
-def _possible(path: JointPath, by_joint: Array, limits: Limits, v_max: Array, a_max: Array) -> float:
+def _possible(demands: JointDemands, by_joint: Array, limits: Limits) -> float:
     """Highest speed that can be asked for [m/s], rounded down."""
     low, high = 0.0, limits.speed
-    while high - low > 0.005:
+    while high - low > RESOLVED:
         middle = 0.5 * (low + high)
-        reached = _fastest(path, by_joint, replace(limits, speed=middle), v_max, a_max)[0].top_speed
-        low, high = (middle, high) if reached >= 0.98 * middle else (low, middle)
+        reached = _fastest(demands, by_joint, replace(limits, speed=middle))[0].top_speed
+        low, high = (middle, high) if reached >= REACHED * middle else (low, middle)
     return low
 
 
-def _speed_by_joint(path: JointPath, v_max: Array, a_max: Array) -> Array:
-    """Highest steady speed each joint allows at each place, ``(K, n)``."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        by_velocity = v_max / np.abs(path.dq)
-        by_acceleration = np.sqrt(0.8 * a_max / np.abs(path.ddq))
-    return np.fmin(
-        np.nan_to_num(by_velocity, nan=np.inf, posinf=np.inf), np.nan_to_num(by_acceleration, nan=np.inf, posinf=np.inf)
-    )
-
-
-def _travel(path: JointPath, limit: Array, limits: Limits, a_max: Array) -> SpeedProfile:
+def _travel(demands: JointDemands, limit: Array, limits: Limits) -> SpeedProfile:
     """Sweeps in both directions over the squared speed, then averages over time."""
-    square = limit**2
+    path, square = demands.path, limit**2
     square[0] = square[-1] = 0.0
-    slope, bend = np.abs(path.dq), np.abs(path.ddq)
     ds = float(path.s[1] - path.s[0])
     for order in (range(1, len(square)), range(len(square) - 2, -1, -1)):
         for i in order:
             last = i - 1 if order.step > 0 else i + 1
-            with np.errstate(divide="ignore", invalid="ignore"):
-                remaining = (a_max - bend[last] * square[last]) / slope[last]
-            room = float(np.nanmin(np.maximum(remaining, 0.1 * limits.acceleration), initial=limits.acceleration))
+            room = max(demands.room(last, square[last]), 0.1 * limits.acceleration)
             square[i] = min(square[i], square[last] + 2.0 * min(room, limits.acceleration) * ds)
     v = np.sqrt(square)
     t = np.concatenate([[0.0], np.cumsum(2.0 * ds / np.maximum(v[1:] + v[:-1], 1e-9))])
@@ -239,15 +221,11 @@ def _tick(duration: float) -> float:
     return TICK * max(1, math.ceil(duration / (TICK * MOST_TICKS)))
 
 
-def _excess(profile: SpeedProfile, path: JointPath, v_max: Array, a_max: Array) -> tuple[Array, Array]:
+def _excess(profile: SpeedProfile, demands: JointDemands) -> tuple[Array, Array]:
     """How far the joints are beyond their limits over time, as a factor of the speed, and where on the path."""
     t = np.arange(0.0, profile.duration, 4 * profile.tick)
-    s, v, a = profile.s(t), profile.speed(t), profile.acceleration(t)
-    dq, ddq = interpolated(s, path.s, path.dq), interpolated(s, path.s, path.ddq)
-    velocity, acceleration = dq * v[:, None], dq * a[:, None] + ddq * v[:, None] ** 2
-    return np.maximum(
-        np.max(np.abs(velocity) / v_max, axis=1), np.sqrt(np.max(np.abs(acceleration) / a_max, axis=1))
-    ), s
+    s = profile.s(t)
+    return demands.excess(s, profile.speed(t), profile.acceleration(t)), s
 
 
 def _slowed(
@@ -266,21 +244,15 @@ def _slowed(
     return tuple(pieces)
 
 
-def _unreachable(path: JointPath, by_joint: Array, limits: Limits, robot: Robot, possible: float) -> InputError:
-    allowed = np.min(by_joint, axis=1)
+def _unreachable(demands: JointDemands, by_joint: Array, limits: Limits, possible: float) -> InputError:
+    path, allowed = demands.path, np.min(by_joint, axis=1)
     best = int(np.argmax(allowed))
-    if allowed[best] < 0.98 * limits.speed:
+    if allowed[best] < REACHED * limits.speed:
         joint = int(np.argmin(by_joint[best]))
-        velocity, acceleration = abs(path.dq[best, joint]) * limits.speed, abs(path.ddq[best, joint]) * limits.speed**2
-        if velocity > limits.share * robot.v_max[joint]:
-            bound = limits.share * robot.v_max[joint]
-            need = f"{velocity:.2f} rad/s, {limits.share:.0%} of its limit are {bound:.2f} rad/s"
-        else:
-            bound = limits.share * robot.a_max[joint]
-            need = f"{acceleration:.1f} rad/s², {limits.share:.0%} of its limit are {bound:.1f} rad/s²"
+        needed, has = demands.needed(best, joint, limits.speed)
         return InputError(
-            f"cannot be reached anywhere on this path: joint {joint + 1} would need {need}; "
-            f"at most {possible:.2f} m/s are possible, lower the speed or move the path",
+            f"cannot be reached anywhere on this path: joint {joint + 1} would need {needed}; {limits.share:.0%} of "
+            f"its limit are {has}; at most {possible:.2f} m/s are possible, lower the speed or move the path",
             field="speed",
             value=limits.speed,
         )

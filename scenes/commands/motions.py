@@ -144,7 +144,7 @@ def _workspace(arm: Robot, z_min: float | None, cell: Path | None) -> Workspace:
     workspace = Workspace.of(arm) if z_min is None else replace(Workspace.of(arm), z_min=z_min)
     if cell is None:
         return workspace
-    from scenes.placing import shapes_in
+    from scenes.line_way import shapes_in
 
     return replace(workspace, cell=shapes_in(load_scene(cell), arm))
 

@@ -13,6 +13,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.interfaces import LinkSettings, connected_arm
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
+from scenes.line_way import shapes_about
 from scenes.methods import SceneMethod
 from scenes.online.camera_process import CalibratedCamera
 from scenes.online.cell_check import CalibrationMotion, Look, Piece
@@ -23,7 +24,6 @@ from scenes.online.line_known import Known as LineKnown
 from scenes.online.line_task import LineTask
 from scenes.online.live_arm import Link, LiveArm
 from scenes.online.live_sensors import LiveCamera, LiveForce
-from scenes.placing import shapes_about
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
 from sensing.camera.camera_model import CameraModel

@@ -19,10 +19,10 @@ from planning import OutOfReachError
 from planning.force.contact import LEAP, ContactSettings, most_force
 from planning.force.felt_by_motors import FeltByMotors
 from planning.path.kinematics import InverseKinematics
+from scenes.line_way import shapes_about
 from scenes.online.force_known import START_HEIGHT, Known
 from scenes.online.live_arm import LiveArm, moves
 from scenes.online.live_sensors import LiveForce
-from scenes.placing import shapes_about
 from scenes.scene_files.scene import SceneError
 from sensing.force.force_calibration import (
     ContactElasticity,

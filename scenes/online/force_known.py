@@ -23,7 +23,7 @@ from planning.path.kinematics import InverseKinematics
 from planning.path.pose_history import check_cycle
 from planning.path.reference import ReferencePath
 from planning.path.speed_profile import Limits, SpeedProfile
-from scenes.placing import check_clear, shapes_about
+from scenes.line_way import check_clear, shapes_about
 from scenes.scene_files.force_scene import ForceScene
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.detector import DETECTORS, LineDetector

@@ -23,8 +23,8 @@ from planning.line.measurement import LineAhead, Measurement
 from planning.path.kinematics import InverseKinematics
 from planning.path.pose_history import PoseHistory
 from planning.path.reference import ReferencePath
-from planning.path.speed_profile import Limits, SpeedProfile
-from scenes.placing import check_way, where_it_fits
+from scenes.line_way import FOUND, line_way
+from scenes.placing import where_it_fits
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError
 from sensing.camera.camera_device import Field, Gray
@@ -35,8 +35,6 @@ from sensing.camera.line_search import DetectionSettings, PredictedLine, search_
 
 HORIZON = 0.3
 """Time for which desired positions are handed to the ideal robot, several of its main time constants ([L] 2.2) [s]."""
-FOUND = (0.001, 0.0005)
-"""What calibration by moving leaves open of the surface's height [m] and slope [rad], standard deviations."""
 EDGE = 4
 """Pixels at the edge of a picture in which no line is looked for: half a window, and what the tool sways."""
 START = 0.48
@@ -89,18 +87,11 @@ def line_follower(scene: LineScene, robot: Robot, points: Array, camera: CameraM
     Raises:
         InputError: line out of reach, unreachable speed, a motion longer than the scene allows.
     """
-    up = scene.surface.pose().rotation[:, 2]
-    height, tilt = FollowerSettings.height, FollowerSettings.tilt
+    height, tilt = (FollowerSettings.height, FollowerSettings.tilt) if surface is None else FOUND
     shape = shape or SHAPES[0 if scene.reference.shape is None else -1]
-    if surface is not None:
-        points, up = points @ surface.rotation.T + surface.translation, surface.rotation @ up
-        height, tilt = FOUND
-    reference = ReferencePath(points, up=up, turning=1.0)
     try:
-        profile = SpeedProfile.plan(robot, reference, Limits(scene.speed, scene.reference.acceleration))
-        if profile.joint_path is not None and surface is None:
-            check_way(scene, robot, reference, profile.joint_path)
-        scene.check_duration(profile.duration)
+        way = line_way(scene, robot, points, surface)
+        reference, profile = way.reference, way.travel()
         follower = LineFollower(
             robot, reference, profile, round(HORIZON / robot.t_ipo), t_start=START,
             settings=FollowerSettings(measurement=scene.measurement, height=height, tilt=tilt, view=view_of(camera),
@@ -108,13 +99,14 @@ def line_follower(scene: LineScene, robot: Robot, points: Array, camera: CameraM
                                       shape=shape[0], length=shape[1], line_span=span_of(scene, reference),
                                       eye=tuple(camera.T_tool_camera.translation), points=scene.points,
                                       stamp=FollowerSettings.stamp if scene.stamp_estimate else 0.0))
-    except OutOfReachError as error:
-        raise InputError(f"the line is out of reach: {error}; {where_it_fits(scene)}", field="surface.origin",
-                         value=list(scene.surface.origin)) from error
-    except InputError as error:
-        if error.field != "path":
+    except (InputError, OutOfReachError) as error:
+        if isinstance(error, InputError) and error.field != "path":
             raise
-        raise InputError(f"{error.message}; {where_it_fits(scene)}", field="surface.origin",
+        reason = error.message if isinstance(error, InputError) else str(error)
+        if surface is not None:
+            raise SceneError("calibration by moving found the surface where the line cannot be followed: "
+                             f"{reason}") from error
+        raise InputError(f"{reason}; {where_it_fits(scene)}", field="surface.origin",
                          value=list(scene.surface.origin)) from error
     return reference, follower
 

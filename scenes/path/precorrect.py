@@ -11,13 +11,13 @@ from matplotlib.figure import Figure
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.execution.planned_path import read_path
 from ideal_robot.execution.precorrect import PrecorrectedPath, precorrect
 from ideal_robot.model.cascade import given_controller
 from ideal_robot.model.model import Model
 from ideal_robot.results import one_unit
 from ideal_robot.robots import SHIPPED
 from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.recording import Recording
 from scenes.report.page import Report
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
@@ -28,7 +28,7 @@ def precorrected_path(path: Path, model_file: Path, *, robot: str | None = None,
     """Reads a joint path, corrects it and checks the result against the robot's limits.
 
     Args:
-        path: CSV or Parquet with ``t`` and ``q_d_i``, ``q_i`` or ``q_c_i``.
+        path: see ``ideal_robot.execution.planned_path.read_path``.
         model_file: identified model.
         robot: shipped robot or URDF; None for the one the model names.
         method: see ``ideal_robot.execution.precorrect.precorrect``.
@@ -45,10 +45,12 @@ def precorrected_path(path: Path, model_file: Path, *, robot: str | None = None,
     arm = robot_of(model, robot, model_file)
     if controller is not None:
         model = replace(model, controller=given_controller(controller, model.dynamics, arm))
-    t, q_d, column = columns_of(path, arm)
-    result = precorrect(t, q_d, model, arm, method, delay=int(delay), rest=rest, file=path, column=column)
+    planned = read_path(path, arm)
+    result = precorrect(planned.t, planned.q_d, model, arm, method, delay=int(delay), rest=rest, file=path,
+                        column=planned.column)
     meta = {**result.recording.meta, "model": str(model_file)}
-    return replace(result, recording=replace(result.recording, meta=meta))
+    return replace(result, recording=replace(result.recording, meta=meta),
+                   warnings=(*planned.warnings, *result.warnings))
 
 
 def robot_of(model: Model, wanted: str | None, file: Path) -> Robot:
@@ -64,29 +66,6 @@ def robot_of(model: Model, wanted: str | None, file: Path) -> Robot:
         raise InputError(f"the model is of {name!r}, which is not shipped; give its URDF with --robot", file=file,
                          field="robot", value=name)
     return Robot.load(name)
-
-
-def columns_of(path: Path, arm: Robot) -> tuple[Array, Array, str]:
-    """Of a recorded path times ``(N,)`` [s], positions ``(N, n)`` [rad] and what the positions are called.
-
-    ``q_d`` comes before ``q`` before ``q_c``: commands alone, as of a planned motion, are a path too.
-
-    Raises:
-        InputError: columns are missing, or there are more than the arm has joints.
-    """
-    recording = Recording.read(path)
-    columns = {prefix: [f"{prefix}_{i + 1}" for i in range(arm.n)] for prefix in ("q_d", "q", "q_c")}
-    for prefix, names in columns.items():
-        if all(name in recording.columns for name in names):
-            if f"{prefix}_{arm.n + 1}" in recording.columns:
-                raise InputError(f"the path has more joints than {arm.name} ({arm.n})", file=path,
-                                 field=f"{prefix}_{arm.n + 1}")
-            return recording.t, np.column_stack([recording.columns[name] for name in names]), prefix
-    begun = next((names for names in columns.values() if any(name in recording.columns for name in names)),
-                 columns["q_d"])
-    missing = next(name for name in begun if name not in recording.columns)
-    raise InputError(f"column is missing; q_d_1 to q_d_{arm.n} (or q_1 to q_{arm.n}, or q_c_1 to q_c_{arm.n}) are "
-                     "needed", file=path, field=missing)
 
 
 def played(result: PrecorrectedPath, arm: Robot, seed: int, *, delay: bool = False) -> tuple[Array, Array]:

@@ -13,6 +13,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.execution.command_governor import require_within_limits
+from ideal_robot.execution.planned_path import read_path
 from ideal_robot.execution.precorrect import path_at_cycles
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.corrected_arm import ForCorrectedArm
@@ -29,7 +30,7 @@ from ideal_robot.rsi import RsiRobot
 from scenes.arms import shipped_model
 from scenes.online.live_arm import answers_within, at_cycle
 from scenes.online.path_player import PathPlayer, PathRun
-from scenes.path.precorrect import columns_of, robot_of
+from scenes.path.precorrect import robot_of
 from scenes.result import Progress, silent
 
 
@@ -116,8 +117,9 @@ def rsi_server(path: Path, *, robot: str | None = None, model: Path | None = Non
     if not 0.0 <= rest <= 60.0:
         raise InputError("expected 0 to 60 seconds", field="--rest", value=rest)
     arm, law, loop, file = prepared(robot=robot, model=model, method=method, cycle=cycle, delay=delay)
-    t, q_d, column = columns_of(path, arm)
-    _, q_d, warnings = path_at_cycles(t, q_d, arm, rest=rest, file=str(path), column=column)
+    given = read_path(path, arm)
+    _, q_d, warnings = path_at_cycles(given.t, given.q_d, arm, rest=rest, file=str(path), column=given.column)
+    warnings = (*given.warnings, *warnings)
     require_within_limits(q_d, arm, start=-rest, file=path)
     if loop is not None:
         link_options.setdefault("answers_within", answers_within(loop, arm))

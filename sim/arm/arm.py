@@ -29,6 +29,10 @@ from sim.bullet import pybullet
 
 # What the simulated arm refuses: postures and gears that cannot be.
 
+STRAYED = 0.3
+"""How far beyond its limits a joint has diverged [rad or m]: no command leads there, and no drive errs by that much."""
+
+
 def _checked_posture(robot: Robot, q0: Array) -> Array:
     """A posture to start from, as a new array ``(n,)``."""
     q = np.array(q0, dtype=float)
@@ -222,13 +226,18 @@ class SimulatedArm:
         if self.world.quantisation:
             increment = self._p[kernel.C_INCREMENT]
             q = np.floor(q / increment + 0.5) * increment
-        if not (np.abs(q) < 1.0e3).all():
-            raise self._unstable()
+        inside = (q >= self.robot.q_min - STRAYED) & (q <= self.robot.q_max + STRAYED)
+        if not inside.all():
+            raise self._unstable(int(np.argmin(inside)), q)
         return RobotState(self.t, q, self._x[kernel.X_CURRENT] + self._p[kernel.P_NOISE] * noise)
 
-    def _unstable(self) -> SimError:
-        return SimError(f"the simulated arm has left its posture space at t = {self.t:.3f} s; the world's numbers "
-                        "make it unstable (check stiffness, damping, controller gains and payload)")
+    def _unstable(self, joint: int | None = None, q: Array | None = None) -> SimError:
+        where = "" if joint is None or q is None else (
+            f": joint {joint + 1} is at {q[joint]:.4g}, its limits are {self.robot.q_min[joint]:.4g} and "
+            f"{self.robot.q_max[joint]:.4g}")
+        return SimError("the simulation has diverged: the simulated arm has left its posture space at "
+                        f"t = {self.t:.3f} s{where}; the world's numbers make it unstable (check efforts and masses of the URDF, "
+                        "stiffness, damping, controller gains and payload)")
 
     @property
     def t(self) -> float:

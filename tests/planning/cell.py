@@ -12,8 +12,9 @@ from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
 from planning.line.deviation_model import DeviationModel
 from planning.line.line_follower import LineFollower
+from planning.path.joint_path import JointPath
 from planning.path.reference import ReferencePath
-from planning.path.speed_profile import JointPath, Limits, SpeedProfile
+from planning.path.speed_profile import Limits, SpeedProfile
 
 T = 0.012
 

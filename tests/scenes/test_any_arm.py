@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -16,22 +17,21 @@ from ideal_robot.identification.excitation import Workspace, clear_of_obstacles
 from ideal_robot.robots.collisions import Obstacle, Shapes
 from ideal_robot.robots.robot import Robot, spread_postures
 from planning.path.kinematics import InverseKinematics
-from planning.path.reference import ReferencePath
-from planning.path.speed_profile import JointPath
 from scenes.arms import arm_of
 from scenes.force.cell import friction_shown
 from scenes.force.cell import set_up as set_up_force
 from scenes.identification.plan import plan
 from scenes.line.cell import set_up
 from scenes.line.result import far_from_line, little_gained
+from scenes.line_way import line_way, shapes_about, shapes_in
 from scenes.models import cache_name, identity, model_for
 from scenes.online.force_calibration import LEAST, TURNS, postures_to_weigh
 from scenes.online.line_known import calibration_postures
-from scenes.placing import check_way, fits, place_line, resized, scene_text, shapes_about, shapes_in
+from scenes.placing import fits, place_line, resized, scene_text
 from scenes.play import run_scene
 from scenes.regression.suite import Suite
 from scenes.scene_file import library, load_scene
-from scenes.scene_files.drawn_line import reference_points
+from scenes.scene_files.drawn_line import geometry
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.path_scene import PathScene, joint_path
@@ -64,6 +64,44 @@ def test_a_line_is_placed_where_a_bare_arm_reaches_it(joints: int, beyond: str, 
     scene = placed(written(tmp_path, urdf(joints, beyond=beyond)), tmp_path)
     assert scene.speed >= 0.1
     assert fits(scene, scene.arm) == pytest.approx(scene.speed)
+
+
+def drawn_arm(rng: np.random.Generator) -> str:
+    """A bare arm of five to seven joints whose lengths, limits and speeds nobody chose."""
+    text = urdf(int(rng.integers(5, 8)), limit="")
+    size = float(rng.uniform(0.5, 2.5))
+
+    def stretched(found: re.Match[str]) -> str:
+        values = [float(word) * size * rng.uniform(0.7, 1.3) for word in found.group(1).split()]
+        return f'<origin xyz="{" ".join(f"{value:.4f}" for value in values)}"'
+
+    def limited(_: re.Match[str]) -> str:
+        low, high, fast = rng.uniform(1.9, 3.1), rng.uniform(1.9, 3.1), rng.uniform(1.0, 6.0)
+        return f'<limit lower="{-low:.3f}" upper="{high:.3f}" effort="0" velocity="{fast:.3f}"'
+
+    return re.sub("<limit ", limited, re.sub(r'<origin xyz="([^"]*)"', stretched, text))
+
+
+def on_every_surface(scene: LineScene, seeds: Sequence[int]) -> None:
+    """The judge of `run` takes a scene on every surface that its displacement allows, at the scene's speed."""
+    robot = scene.arm
+    assert line_way(scene, robot).travel().top_speed >= 0.98 * scene.speed
+    for seed in seeds:
+        true = geometry(scene, np.random.default_rng(seed)).plane
+        found = line_way(scene, robot, surface=true * scene.surface.pose().inverse())
+        assert found.travel().top_speed >= 0.97 * scene.speed
+
+
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 13))])
+def test_what_is_placed_is_taken_wherever_the_line_may_lie(seed: int, tmp_path: Path) -> None:
+    """A scene that `new` wrote was refused by `run`: one looked at the assumed surface, the other at a tilted one."""
+    path = written(tmp_path, drawn_arm(np.random.default_rng(seed)))
+    try:
+        scene = placed(path, tmp_path)
+    except InputError as error:
+        assert "no line fits" in error.message  # noqa: PT017  a drawn arm may be of no use
+        return
+    on_every_surface(scene, range(4))
 
 
 def test_paths_in_a_file_are_as_seen_from_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -137,9 +175,8 @@ def test_what_the_arm_would_hit_is_said_before_it_moves(tmp_path: Path) -> None:
     far = resized(scene, 0.3, (0.82, -0.15, place.origin[2])).changed(
         displacement={"lateral_mm": 60.0, "turn_deg": 20.0})
     for variant, says in ((low, "base plane"), (far, "beside its reference")):
-        reference = ReferencePath(reference_points(variant), up=np.array([0.0, 0.0, 1.0]), turning=1.0)
         with pytest.raises(InputError, match=says):
-            check_way(variant, variant.arm, reference, JointPath.of(variant.arm, reference))
+            line_way(variant, variant.arm)
 
 
 def test_a_model_that_is_not_shipped_names_the_key_that_helps(tmp_path: Path) -> None:

@@ -16,10 +16,11 @@ import pytest
 from ideal_robot.arrays import Array, held
 from ideal_robot.errors import InputError
 from ideal_robot.robots import SHIPPED
+from ideal_robot.robots.arm_class import MASS, class_of
 from ideal_robot.robots.collisions import FLOOR, Shapes
 from ideal_robot.robots.interface import CatchUp
 from ideal_robot.robots.robot import Robot
-from ideal_robot.robots.size import MASS, class_of, of_its_size, reach
+from ideal_robot.robots.size import of_its_size, reach
 from ideal_robot.robots.urdf import without_meshes
 from tests.arms import GRIPPER, urdf, written
 

@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from ideal_robot.arrays import interpolated
 from ideal_robot.errors import InputError
 from planning.path.desired_path import Smoother
+from planning.path.joint_path import JointPath
 from planning.path.path_kernels import displaced_frames, sensor_errors, unit
 from planning.path.reference import ReferencePath
-from planning.path.speed_profile import JointPath, Limits, SpeedProfile
+from planning.path.speed_profile import Limits, SpeedProfile
 from tests.planning.cell import T, joint_path, kr6, profile, reference, sine_points
 
 

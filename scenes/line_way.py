@@ -1,0 +1,159 @@
+"""Whether an arm can follow a scene's line wherever it may lie, and how fast: one judge for `new` and `run`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from ideal_robot.robots.collisions import Shapes
+from ideal_robot.robots.robot import Robot
+from planning import OutOfReachError
+from planning.path.joint_demands import JointDemands
+from planning.path.joint_path import JointPath
+from planning.path.kinematics import TILTED, InverseKinematics
+from planning.path.reference import ReferencePath
+from planning.path.speed_profile import Limits, SpeedProfile
+from scenes.scene_files.drawn_line import reference_points
+from scenes.scene_files.force_scene import ForceScene
+from scenes.scene_files.line_scene import LineScene
+from scenes.scene_files.scene import Scene, boxes_of, obstacles
+
+ROWS = 60
+"""Places along the reference at which the surfaces beside it are looked at."""
+BORDER = 0.05
+"""How far a surface reaches beyond the reference [m]."""
+FOUND = (0.001, 0.0005)
+"""What calibration by moving leaves open of the surface's height [m] and slope [rad], standard deviations."""
+SIGMAS = 3.0
+"""By how many of them a surface that calibration found may lie outside the scene's displacement."""
+
+
+@dataclass(frozen=True)
+class LineWay:
+    """A reference that an arm can follow, and the joint paths of all that its line may ask for instead.
+
+    Attributes:
+        scene, robot: speed and acceleration, and the arm.
+        reference: on the surface as it is assumed or as it was found.
+        path: of the reference in joint space.
+        beside: of the lines on the outermost surfaces that the scene's displacement allows, at fewer places; none for
+            a surface that was found.
+    """
+
+    scene: LineScene
+    robot: Robot
+    reference: ReferencePath
+    path: JointPath
+    beside: tuple[JointPath, ...] = ()
+
+    def travel(self) -> SpeedProfile:
+        """The travel at the scene's speed along the assumed surface; on one that was found, as fast as it lets go.
+
+        Raises InputError for a speed that path or joints do not allow, or a motion longer than the scene allows.
+        """
+        limits = Limits(self.scene.speed, self.scene.reference.acceleration)
+        travel = (SpeedProfile.plan(self.robot, self.reference, limits, self.path) if self.beside
+                  else SpeedProfile.fastest(self.robot, limits, self.path))
+        self.scene.check_duration(travel.duration)
+        return travel
+
+    def steady(self) -> float:
+        """The steady speed that the joints allow everywhere, wherever the line lies [m/s]."""
+        return min(float(JointDemands.of(self.robot, path, Limits.share).steady().min())
+                   for path in (self.path, *self.beside))
+
+    def margin(self) -> float:
+        """Least distance of a joint from its limits, wherever the line lies [rad or m]."""
+        q = np.vstack([path.q for path in (self.path, *self.beside)])
+        return float(np.min(np.minimum(q - self.robot.q_min, self.robot.q_max - q)))
+
+
+def line_way(scene: LineScene, robot: Robot, points: Array | None = None, surface: pin.SE3 | None = None) -> LineWay:
+    """The way of an arm along a scene's line.
+
+    Args:
+        scene: where the line is, and how far from there it may lie.
+        robot: the arm, with the scene's tool.
+        points: of the reference ``(N, 3)`` [m]; the scene's if None.
+        surface: motion that takes the assumed surface to where calibration found it; None before calibration.
+
+    Raises:
+        InputError: the arm cannot reach the line, or one that the table displacement allows, or would hit something.
+    """
+    points = reference_points(scene) if points is None else points
+    up = scene.surface.pose().rotation[:, 2]
+    if surface is not None:
+        points, up = points @ surface.rotation.T + surface.translation, surface.rotation @ up
+    reference = ReferencePath(points, up=up, turning=1.0)
+    path = JointPath.of(robot, reference)
+    if surface is not None:
+        return LineWay(scene, robot, reference, path)
+    check_clear(shapes_about(scene, robot), path)
+    return LineWay(scene, robot, reference, path, tuple(_beside(scene, robot, reference, path)))
+
+
+def _beside(scene: LineScene, robot: Robot, reference: ReferencePath, path: JointPath) -> Iterator[JointPath]:
+    """Joint paths along the outermost lines that the displacement allows; InputError for one out of reach."""
+    away = scene.displacement
+    height, tilt = (1e-3 * away.height_mm + SIGMAS * FOUND[0], math.radians(away.tilt_deg) + SIGMAS * FOUND[1])
+    side = 1e-3 * away.lateral_mm + 0.5 * reference.length * math.sin(math.radians(away.turn_deg))
+    rows = np.unique(np.linspace(0, len(path.s) - 1, min(ROWS, len(path.s))).round().astype(int))
+    s, frames, rotations = path.s[rows], reference.frames(path.s[rows]), reference.rotation(path.s[rows])
+    plane = scene.surface.pose()
+    middle = pin.SE3(plane.rotation, frames.position.mean(axis=0))
+    kinematics = InverseKinematics(robot)
+    for about_x, about_y, up, across in product((-1.0, 1.0), repeat=4):
+        moved = middle * pin.SE3(pin.rpy.rpyToMatrix(about_x * tilt, about_y * tilt, 0.0),
+                                 np.array([0.0, 0.0, up * height])) * middle.inverse()
+        turned = moved.rotation @ rotations
+        places = (frames.position + across * side * frames.normal) @ moved.rotation.T + moved.translation
+        try:
+            q = kinematics.refine_rows(turned, places, path.q[rows], wanted=path.q[rows])
+            _check_axis(kinematics, turned, places, q)
+        except OutOfReachError as error:
+            raise InputError(f"by the table displacement the line may lie {1e3 * side:.0f} mm beside its reference, "
+                             f"its surface {1e3 * height:.0f} mm above or below and tilted by "
+                             f"{math.degrees(tilt):.1f}°, and there {error}", field="path") from error
+        yield JointPath.through(s, q)
+
+
+def _check_axis(kinematics: InverseKinematics, rotations: Array, places: Array, q: Array) -> None:
+    """Raises ``OutOfReachError`` where fewer than six joints cannot turn the tool axis as far as is wanted."""
+    if kinematics.robot.n >= 6:
+        return
+    for rotation, place, row in zip(rotations, places, q, strict=True):
+        pose = kinematics.fk(row)
+        aside = float(np.linalg.norm(np.cross(pose.rotation[:, 2], rotation[:, 2])))
+        if aside > math.sin(TILTED):
+            raise OutOfReachError(place, float(np.linalg.norm(pose.translation - place)))
+
+
+def check_clear(shapes: Shapes, path: JointPath) -> None:
+    """Raises InputError for a path on which the arm would touch something, and says where, and what is in the way."""
+    touch = shapes.first_touch(path.q[::5])
+    if touch is not None:
+        raise InputError(f"the arm would hit something: {touch} {path.s[5 * touch.row]:.2f} m from the path's begin",
+                         field="path")
+
+
+def shapes_about(scene: LineScene | ForceScene, robot: Robot) -> Shapes:
+    """The arm above the surface that a scene's line is drawn on, which reaches ``BORDER`` beyond it, among boxes."""
+    plane = scene.surface.pose()
+    drawn = (reference_points(scene) - plane.translation) @ plane.rotation
+    low, high = drawn.min(axis=0) - BORDER, drawn.max(axis=0) + BORDER
+    middle = plane * pin.SE3(np.eye(3), np.array([*(0.5 * (low + high))[:2], 0.0]))
+    return Shapes(robot, middle, (float(high[0] - low[0]), float(high[1] - low[1])), obstacles(scene.box))
+
+
+def shapes_in(scene: Scene, robot: Robot) -> Shapes:
+    """The arm among all that a scene names: boxes, and the surface where there is one."""
+    if isinstance(scene, LineScene | ForceScene):
+        return shapes_about(scene, robot)
+    return Shapes(robot, boxes=obstacles(boxes_of(scene)))
