@@ -51,6 +51,7 @@ THEMES = {
         "plan-identification": "motions:plan_identification",
         "plan-diagnosis": "motions:plan_diagnosis",
         "stiffness": "recordings:stiffness",
+        "validate": "recordings:validate",
         "twin": "files:twin",
     },
     "Devices": {

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import BPoly, make_interp_spline
 
 from ideal_robot.arrays import Array
@@ -200,8 +201,8 @@ def _seconds(point: Any, path: Path, k: int) -> float:
     try:
         if isinstance(written, dict):
             seconds = written.get("sec", written.get("secs", 0))
-            return float(seconds) + 1e-9 * float(written.get("nanosec", written.get("nsecs", 0)))
-        return float(written)  # type: ignore[arg-type]
+            return float(str(seconds)) + 1e-9 * float(str(written.get("nanosec", written.get("nsecs", 0))))
+        return float(str(written))
     except (TypeError, ValueError) as error:
         raise InputError("expected seconds, or a table with sec and nanosec", file=path,
                          field=f"points.{k}.time_from_start", value=str(written)[:40]) from error
@@ -221,7 +222,8 @@ def _values(points: Sequence[Any], key: str, count: int, order: Sequence[int], p
 
 # Points that are there twice, and few of them.
 
-def distinct(t: Array, q: Array, file: str | None, column: str) -> tuple[Array, Array, tuple[str, ...]]:
+def distinct(t: Array, q: Array, file: str | None, column: str
+             ) -> tuple[Array, NDArray[np.int_], tuple[str, ...]]:
     """Times ``(M,)`` [s] and rows ``(M,)`` of a path's points, each once, and a warning of those left out.
 
     Args:
@@ -237,7 +239,7 @@ def distinct(t: Array, q: Array, file: str | None, column: str) -> tuple[Array, 
         raise InputError(f"times have to rise: sample {k + 2} is at {t[k + 1]:.9g} s, the one before it at "
                          f"{t[k]:.9g} s", file=file, field="t", value=float(t[k + 1]))
     twice = np.flatnonzero(steps == 0.0)
-    for k in twice:
+    for k in twice.tolist():
         off = np.abs(q[k + 1] - q[k])
         if off.max() > SAME:
             joint = int(np.argmax(off)) + 1

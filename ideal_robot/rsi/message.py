@@ -76,9 +76,13 @@ class RsiFormat:
 
         Raises:
             InputError: unreadable or too large, no such XML, declarations or entities, measured axes not sent, no
-                element with ``n`` axis corrections or several, ``HOLDON`` that differs between axes.
+                element with ``n`` axis corrections or several, ``HOLDON`` that differs between axes, a controller that
+                only sends, corrections of the pose or of external axes in the place of the arm's.
         """
         root = _root(Path(file))
+        if (root.findtext("CONFIG/ONLYSEND") or "").strip().upper() == "TRUE":
+            raise InputError("the controller only sends and takes no answers, so nothing can be corrected: set "
+                             "ONLYSEND to FALSE", file=file, field="CONFIG.ONLYSEND", value="TRUE")
         sent = {element.get("TAG", "") for element in root.findall("SEND/ELEMENTS/ELEMENT")}
         if "DEF_AIPos" not in sent:
             raise InputError('the controller does not send measured axes; add <ELEMENT TAG="DEF_AIPos" TYPE="DOUBLE" '
@@ -91,9 +95,13 @@ class RsiFormat:
         groups = [group for group, attributes in received.items() if all(axis in attributes for axis in axes)]
         if correction is not None:
             groups = [group for group in groups if group == correction]
-        if len(groups) != 1:
-            raise InputError(f"expected one element with corrections A1 to A{n} in RECEIVE, found "
-                             f"{', '.join(groups)[:80] or 'none'}; name it with --tag", file=file, field="RECEIVE")
+        if len(groups) > 1:
+            raise InputError(f"several elements hold corrections A1 to A{n} in RECEIVE: {', '.join(groups)[:80]}; name "
+                             "one with --tag", file=file, field="RECEIVE")
+        if not groups:
+            raise InputError(_unsupported(received, n, correction), file=file, field="RECEIVE",
+                             value=", ".join(f"{group}.{axis}" for group, attributes in received.items()
+                                             for axis in attributes)[:80])
         hold = {received[groups[0]][axis].strip() for axis in axes}
         if len(hold) != 1 or not hold <= {"0", "1"}:
             raise InputError("expected HOLDON 0 or 1, the same for all axes", file=file, field="HOLDON",
@@ -103,6 +111,28 @@ class RsiFormat:
             raise InputError("expected a UDP port", file=file, field="CONFIG.PORT", value=port[:40])
         return cls(correction=groups[0], sender=(root.findtext("CONFIG/SENTYPE") or cls.sender).strip(),
                    hold_on=hold == {"1"}, port=int(port))
+
+
+def _unsupported(received: dict[str, dict[str, str]], n: int, wanted: str | None) -> str:
+    """Why no element corrects the arm's axes, and what to do.
+
+    Args:
+        received: attributes of each element that the controller takes.
+        n, wanted: the number of the arm's joints, and the element asked for by name.
+    """
+    if wanted is not None and wanted not in received:
+        return f"the controller takes no element {wanted}; --tag has to name one of RECEIVE"
+    axes = {group: sum(f"A{i + 1}" in attributes for i in range(6)) for group, attributes in received.items()}
+    external = sum(f"E{i + 1}" in attributes for attributes in received.values() for i in range(6))
+    most = max(axes.values(), default=0)
+    if most and (external or n > 6):
+        held = f" and {external} external axes, which are held" if external else ""
+        return (f"the controller takes corrections of {most} axes{held}, the robot has {n} joints: give the URDF of "
+                "the arm alone, its track or table fixed")
+    if any(set("XYZ") & set(attributes) for attributes in received.values()):
+        return (f"the controller takes corrections of the pose, which are not supported: correct the axes, by "
+                f"AXISCORR with A1 to A{n} in the place of POSCORR in the RSI context")
+    return f"no element holds corrections of all axes, A1 to A{n}"
 
 
 def _root(file: Path) -> ElementTree.Element:

@@ -123,42 +123,82 @@ def _for_arm(example: str, kind: str, robot: str) -> str:
 
 
 def export(
-    recording: Annotated[Path, typer.Argument(help="Recording (Parquet, CSV, ROS 2 bag or MCAP).")],
+    source: Annotated[Path, typer.Argument(help="Recording (Parquet, CSV, ROS 2 bag or MCAP), or identified model "
+                                                "(JSON).")],
     mcap: Annotated[Path | None, typer.Option(help="MCAP file with ROS 2 messages, for Foxglove.")] = None,
     rosbag2: Annotated[Path | None, typer.Option(help="Folder of a ROS 2 bag.")] = None,
     rerun: Annotated[Path | None, typer.Option(help="Rerun file (.rrd); needs the extra 'rerun'.")] = None,
     csv: Annotated[Path | None, typer.Option(help="CSV file.")] = None,
     parquet: Annotated[Path | None, typer.Option(help="Parquet file.")] = None,
+    mjcf: Annotated[Path | None, typer.Option(help="Of a model: MuJoCo file (.xml) with bodies, rotors, friction and "
+                                                   "joint controllers; needs the extra 'mujoco'.")] = None,
+    urdf: Annotated[Path | None, typer.Option(help="Of a model: URDF with bodies and friction.")] = None,
+    like: Annotated[Path | None, typer.Option(help="With --mjcf: MJCF or URDF of the arm that is kept in all "
+                                                   "else.")] = None,
 ) -> None:
-    """Writes a recording as MCAP, ROS 2 bag, Rerun file, CSV or Parquet; several at once if wanted.
+    """Writes a recording as MCAP, ROS 2 bag, Rerun file, CSV or Parquet, or a model as MJCF or URDF.
 
     Example, after that of `run`: `ideal-robot export out/line/recording.parquet --mcap line.mcap`
-    """
-    from ideal_robot.signals.export import write_mcap, write_rerun, write_rosbag2
-    from ideal_robot.signals.plausible import text_columns
-    from ideal_robot.signals.recording import Recording
 
-    # The one that needs an extra comes first: where that is missing nothing has been written.
-    writers = {"--rerun": (rerun, write_rerun), "--mcap": (mcap, write_mcap), "--rosbag2": (rosbag2, write_rosbag2),
-               "--csv": (csv, Recording.write), "--parquet": (parquet, Recording.write)}
-    requested = {option: (path, writer) for option, (path, writer) in writers.items() if path is not None}
+    Example, after that of `identify`: `ideal-robot export model.json --mjcf arm.xml`
+    """
+    of_recording = {"--rerun": rerun, "--mcap": mcap, "--rosbag2": rosbag2, "--csv": csv, "--parquet": parquet}
+    of_model = {"--mjcf": mjcf, "--urdf": urdf}
+    is_model = source.suffix == ".json"
+    for option, path in (of_recording if is_model else of_model).items():
+        if path is not None:
+            raise InputError(f"is for {'recordings' if is_model else 'models (JSON)'}", field=option, value=str(path))
+    requested = {option: path for option, path in (of_model if is_model else of_recording).items() if path is not None}
     if not requested:
-        raise InputError(f"say which format: {', '.join(writers)}", field="export")
+        raise InputError(f"say which format: {', '.join(of_model if is_model else of_recording)}", field="export")
     for option, path, ending in (("--mcap", mcap, ".mcap"), ("--rerun", rerun, ".rrd"), ("--csv", csv, ".csv"),
-                                 ("--parquet", parquet, ".parquet")):
+                                 ("--parquet", parquet, ".parquet"), ("--mjcf", mjcf, ".xml"),
+                                 ("--urdf", urdf, ".urdf")):
         if path is not None and path.suffix != ending:
             raise InputError(f"expected a name ending in {ending}", field=option, value=str(path))
     if rosbag2 is not None and rosbag2.exists():
         raise InputError("a bag is a new folder; choose a name that does not exist", field="--rosbag2",
                          value=str(rosbag2))
-    check_outputs({"--rosbag2": rosbag2}, mcap=mcap, rerun=rerun, csv=csv, parquet=parquet)
-    loaded = Recording.read(recording)
+    check_outputs({"--rosbag2": rosbag2}, mcap=mcap, rerun=rerun, csv=csv, parquet=parquet, mjcf=mjcf, urdf=urdf)
+    if is_model:
+        _export_model(source, mjcf, urdf, like)
+    else:
+        _export_recording(source, requested)
+
+
+def _export_recording(source: Path, requested: dict[str, Path]) -> None:
+    """Writes a recording in each format that was asked for."""
+    from ideal_robot.signals.export import write_mcap, write_rerun, write_rosbag2
+    from ideal_robot.signals.plausible import text_columns
+    from ideal_robot.signals.recording import Recording
+
+    writers = {"--rerun": write_rerun, "--mcap": write_mcap, "--rosbag2": write_rosbag2, "--csv": Recording.write,
+               "--parquet": Recording.write}
+    loaded = Recording.read(source)
     for text in text_columns(loaded):
         typer.echo(f"warning: {text}", err=True)
     with progress_bar("export") as progress:
-        for i, (option, (path, writer)) in enumerate(requested.items()):
+        # The one that needs an extra comes first: where that is missing nothing has been written.
+        for i, (option, path) in enumerate(requested.items()):
             progress(i / len(requested), option[2:])
-            typer.echo(f"written: {writer(loaded, path)}")
+            typer.echo(f"written: {writers[option](loaded, path)}")
+
+
+def _export_model(source: Path, mjcf: Path | None, urdf: Path | None, like: Path | None) -> None:
+    """Writes a model for other simulators, and says what their formats cannot."""
+    from ideal_robot.model.mjcf import export_mjcf, urdf_with_dynamics
+    from ideal_robot.model.model import Model
+
+    model = Model.load(source)
+    if mjcf is not None:
+        unsaid = export_mjcf(model, mjcf, like)
+        typer.echo(f"written: {mjcf}")
+        for text in unsaid:
+            typer.echo(f"an MJCF cannot say: {text}")
+        typer.echo(f"compare it with a recording: ideal-robot validate RECORDING --mjcf {mjcf}")
+    if urdf is not None:
+        write_text(urdf, urdf_with_dynamics(model))
+        typer.echo(f"written: {urdf}")
 
 
 def fetch(

@@ -344,3 +344,42 @@ def _played_errors(measured: tuple[Array, Array] | None) -> dict[str, Any]:
     return {} if measured is None else {"played_rms_error_mrad": {
         word: 1e3 * np.sqrt(np.mean(error**2, axis=0))
         for word, error in zip(("corrected", "uncorrected"), measured, strict=True)}}
+
+
+def validate(
+    recording: Annotated[Path, typer.Argument(help="Recording to compare with (Parquet, CSV, ROS 2 bag or MCAP).")],
+    mjcf: Annotated[Path, typer.Option(help="MuJoCo model of the arm (MJCF or URDF); needs the extra 'mujoco'.")],
+    json: Annotated[Path | None, typer.Option(help="Write the result as JSON to this file.")] = None,
+    out: ReportFolder = Path("out/validate"),
+) -> None:
+    """Says how far a MuJoCo model is from a recording in each joint, and which effects it misses.
+
+    Example, after that of `export`: `ideal-robot validate out/plan/recording.parquet --mjcf arm.xml`
+    """
+    import numpy as np
+
+    from ideal_robot.diagnosis import diagnose
+    from ideal_robot.model.mjcf import arm_of_mjcf
+    from ideal_robot.signals.recording import Recording
+    from scenes.diagnosis.page import diagnosis_page, summary
+
+    check_outputs({"--out": out}, json=json)
+    arm = arm_of_mjcf(mjcf)
+    loaded = Recording.read(recording)
+    for text in arm.left_out:
+        typer.echo(f"warning: left out of {mjcf.name}: {text}", err=True)
+    prediction = arm.model.predict(loaded)
+    errors, away = prediction.relative_error_percent, np.std(prediction.measured - prediction.tau, axis=0)
+    show_table(f"residual of {mjcf.name} on {recording.name}",
+               ["joint", "residual % of the torque", "standard deviation", "unit"],
+               [[j + 1, float(errors[j]), float(away[j]), arm.robot.units("N m")[j]] for j in range(arm.robot.n)])
+    with progress_bar("validate") as progress:
+        diagnosis = diagnose(loaded, arm.robot, model=arm.model, progress=progress)
+        page = out / "report.html"
+        with whole_files(page, json) as (page_file, json_file):
+            diagnosis_page(diagnosis, f"{mjcf.name} on {recording.name}").write(page_file)
+            write_signed(json_file, {"recording_hash": loaded.hash, "residual_percent": errors.tolist(),
+                                     "left_out": list(arm.left_out), **diagnosis.to_dict()})
+    _show_diagnosed(diagnosis)
+    typer.echo(summary(diagnosis))
+    typer.echo(f"report: {page}")

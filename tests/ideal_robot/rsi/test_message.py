@@ -163,9 +163,34 @@ def test_of_two_elements_with_axes_one_has_to_be_named(tmp_path: Path) -> None:
     assert RsiFormat.read(file, 6, "AK").correction == "AK"
 
 
+@pytest.mark.parametrize("group", ["RKorr", "POSCORR", "Seam"])
+def test_corrections_of_the_pose_are_refused_for_what_they_are(group: str, tmp_path: Path) -> None:
+    """The advice to name an element by --tag led back to the same line."""
+    pose = "".join(f'<ELEMENT TAG="{group}.{axis}" TYPE="DOUBLE" INDX="{i}" HOLDON="1"/>'
+                   for i, axis in enumerate("XYZABC", 1))
+    file = written(tmp_path, CONFIG.replace(AXES, pose))
+    for tag in (None, group):
+        with pytest.raises(InputError, match="corrections of the pose, which are not supported") as refused:
+            RsiFormat.read(file, 6, tag)
+        assert refused.value.field == "RECEIVE"
+    with pytest.raises(InputError, match="no element Other"):
+        RsiFormat.read(file, 6, "Other")
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_external_axes_are_held_and_an_arm_with_its_track_is_told_so(count: int, tmp_path: Path) -> None:
+    track = "".join(f'<ELEMENT TAG="EK.E{i}" TYPE="DOUBLE" INDX="{6 + i}" HOLDON="1"/>' for i in range(1, count + 1))
+    file = written(tmp_path, CONFIG.replace(AXES, AXES + track))
+    assert RsiFormat.read(file, 6).correction == "AKorr"
+    with pytest.raises(InputError, match=f"6 axes and {count} external axes, which are held, the robot has 7 joints"):
+        RsiFormat.read(file, 7)
+
+
 @pytest.mark.parametrize(("old", "new", "says"), [
     ("DEF_AIPos", "DEF_RIst", "does not send measured axes"),
-    ("AKorr.A6", "AKorr.E6", "found none"),
+    ("AKorr.A6", "AKorr.E6", "corrections of 5 axes and 1 external axes"),
+    ("AKorr.A6", "AKorr.A7", "no element holds corrections of all axes"),
+    ("<CONFIG>", "<CONFIG><ONLYSEND>true</ONLYSEND>", "ONLYSEND to FALSE"),
     ('INDX="6" HOLDON="1"', 'INDX="6" HOLDON="0"', "the same for all axes"),
     ("6008", "99999", "expected a UDP port"),
     ("<ROOT>", '<!DOCTYPE ROOT [<!ENTITY a SYSTEM "file:///etc/passwd">]><ROOT>', "entity"),

@@ -315,7 +315,7 @@ def test_bad_input_names_file_and_field(tmp_path):
     broken[10, 2] = np.nan
     for q, t, method, says in ((motion()[:, :3], None, "ideal", "q_d_1 to q_d_6"),
                                (broken, None, "ideal", "not finite"),
-                               (motion(), np.zeros(len(motion())), "ideal", "rising times"),
+                               (motion(), np.zeros(len(motion())), "ideal", "are both at t"),
                                (motion(), None, "magic", "expected one of")):
         with pytest.raises(InputError, match=says):
             precorrected_path(write(tmp_path, q, t), MODEL, method=method)

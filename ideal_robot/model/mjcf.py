@@ -1,0 +1,460 @@
+"""Models to MuJoCo and back: what was identified in an MJCF, and any MuJoCo model as the model of an arm.
+
+MuJoCo is an optional extra and imported when it is asked for.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.arrays import Array
+from ideal_robot.bounded_values import read_text
+from ideal_robot.dynamics import base_parameters, link_parameters
+from ideal_robot.errors import InputError
+from ideal_robot.friction import PerJointFriction
+from ideal_robot.friction.laws import ViscousCoulomb
+from ideal_robot.model.cascade import Cascade
+from ideal_robot.model.model import Model
+from ideal_robot.model.model_file import urdf_with_inertials
+from ideal_robot.model.parametrisation import coefficient_columns, friction_places
+from ideal_robot.robots.robot import Robot
+from ideal_robot.robots.urdf import without_meshes
+from ideal_robot.whole_file import write_text
+
+ELSEWHERE = 2e-3
+"""What joints of two descriptions of the same arm may be apart [m, or of a direction cosine]."""
+SLOW, FAST = 0.05, 1.0
+"""Speeds between which a friction law is brought to MuJoCo's two terms, relative to the joint's limit …"""
+USUAL_SPEED = 2.0
+"""… or to this where it has none [rad/s or m/s]."""
+TURNS = 2.0 * np.pi
+"""Limit of a joint that has none [rad]."""
+
+
+def mujoco() -> Any:
+    """The library; raises InputError where it is not installed."""
+    try:
+        import mujoco as library
+    except ImportError as error:
+        raise InputError("MuJoCo is not installed: pip install 'ideal-robot[mujoco]'", field="mujoco") from error
+    return library
+
+
+# A model as an MJCF.
+
+@dataclass(frozen=True)
+class Friction:
+    """A friction law in MuJoCo's words: ``frictionloss`` and ``damping`` of one joint with standard deviations.
+
+    Attributes:
+        loss, damping: [N m, N m s/rad].
+        loss_std, damping_std: their standard deviations.
+        off: largest difference from the law between the speeds that count [N m].
+    """
+
+    loss: float
+    damping: float
+    loss_std: float
+    damping_std: float
+    off: float
+
+
+def friction_of(model: Model, joint: int) -> Friction:
+    """The two terms nearest to a joint's law over its speeds, exactly those of a law that has no others.
+
+    Args:
+        model, joint: the model, and the joint counted from 0.
+    """
+    law = model.friction.laws[joint]
+    limit = float(model.kinematics.velocityLimit[joint])
+    fastest = limit if 0.0 < limit < 1e6 else USUAL_SPEED
+    speed = np.linspace(SLOW, FAST, 40)[:, None] * fastest
+    speed = np.concatenate([-speed[::-1], speed])
+    # Without load and behind the presliding, as fast motion has them.
+    columns = coefficient_columns(law, speed, None, None)
+    terms = np.column_stack([np.sign(speed), speed])
+    to_terms = np.linalg.pinv(terms) @ columns
+    values = to_terms @ law.coefficients[:, 0]
+    place = friction_places(model.base, model.friction)[joint]
+    variance = np.diag(to_terms @ model.covariance[place, place] @ to_terms.T)
+    std = np.sqrt(np.maximum(variance, 0.0))
+    off = float(np.abs(terms @ values - columns @ law.coefficients[:, 0]).max())
+    return Friction(max(float(values[0]), 0.0), max(float(values[1]), 0.0), float(std[0]), float(std[1]), off)
+
+
+def export_mjcf(model: Model, path: str | Path, like: str | Path | None = None) -> tuple[str, ...]:
+    """Writes what was identified as an MJCF, each number with its standard deviation in a comment.
+
+    Bodies get the identified inertias, joints ``armature``, ``frictionloss`` and ``damping``, and where the controller
+    is known two actuators each: one of position, one of the command's speed. All else is kept.
+
+    Args:
+        model: identified model.
+        path: of the file.
+        like: MJCF or URDF of the arm that is kept in all else; the model's own URDF without its meshes if None.
+
+    Returns:
+        What the format cannot say, in words.
+
+    Raises:
+        InputError: MuJoCo is missing, no such file, or a description of another arm.
+    """
+    library = mujoco()
+    spec, compiled = _spec(library, like, model)
+    names = _matched(list(model.kinematics.names)[1:], [joint.name for joint in spec.joints], like)
+    frames = _frames(library, compiled, names, model.kinematics, like)
+    comments: dict[str, str] = {}
+    for j, name in enumerate(names):
+        joint = spec.joint(name)
+        body = joint.parent
+        _set_inertia(body, frames[j].act(model.dynamics.inertias[j + 1]))
+        for fixed in _fixed_bodies(body):
+            _set_inertia(fixed, pin.Inertia.Zero())
+        friction, unit = friction_of(model, j), model.units("N m")[j]
+        joint.armature, joint.frictionloss = float(model.rotor_inertia[j]), friction.loss
+        joint.damping = _like(joint.damping, friction.damping)
+        comments[name] = (f"frictionloss ± {friction.loss_std:.2g} {unit}, damping ± {friction.damping_std:.2g} "
+                          f"{unit} s, {_rotor_words(model, j)}")
+    _actuators(library, spec, model, names)
+    spec.compile()
+    write_text(path, _commented(spec.to_xml(), comments, model))
+    return tuple(_unsaid(model, spec, names))
+
+
+def _spec(library: Any, like: str | Path | None, model: Model) -> tuple[Any, Any]:
+    """The editable description and its compiled model."""
+    if like is None:
+        spec = library.MjSpec.from_string(without_meshes(model.urdf))
+        spec.option.integrator = library.mjtIntegrator.mjINT_IMPLICITFAST
+        return spec, spec.compile()
+    return _read(library, like)
+
+
+def _read(library: Any, path: str | Path) -> tuple[Any, Any]:
+    """A file's description and its compiled model; without the meshes where their files are not there."""
+    text = read_text(Path(path), "an MJCF or URDF")
+    try:
+        if "<robot" in text:
+            spec = library.MjSpec.from_string(without_meshes(text))
+            return spec, spec.compile()
+        spec = library.MjSpec.from_file(str(path))
+        try:
+            return spec, spec.compile()
+        except ValueError:
+            spec = library.MjSpec.from_file(str(path))
+            for geom in [geom for geom in spec.geoms if geom.meshname]:
+                spec.delete(geom)
+            for mesh in list(spec.meshes):
+                spec.delete(mesh)
+            return spec, spec.compile()
+    except (ValueError, ET.ParseError) as error:
+        raise InputError(f"MuJoCo cannot read it ({' '.join(str(error).split())[:200]})", file=path) from error
+
+
+def _matched(own: list[str], theirs: list[str], file: str | Path | None) -> list[str]:
+    """Their names of our joints: the same, or the only ones that end so."""
+    found = []
+    for name in own:
+        ends = [other for other in theirs if other == name] or [
+            other for other in theirs if other.endswith(name) or (other and name.endswith(other))]
+        if len(ends) != 1:
+            raise InputError(f"no joint, or more than one, is {name} of the model; its joints are "
+                             f"{', '.join(theirs)[:200]}", file=file, field="joint", value=name)
+        found.append(ends[0])
+    return found
+
+
+def _frames(library: Any, compiled: Any, names: list[str], kinematics: pin.Model, file: str | Path | None
+            ) -> list[pin.SE3]:
+    """Where our joint frames are in the bodies that carry these joints, both with all joints at zero."""
+    data, own = library.MjData(compiled), kinematics.createData()
+    for name in names:
+        data.qpos[compiled.joint(name).qposadr] = 0.0
+    library.mj_forward(compiled, data)
+    pin.forwardKinematics(kinematics, own, pin.neutral(kinematics))
+    theirs, mine = [], []
+    for j, name in enumerate(names):
+        place, axis = data.xanchor[compiled.joint(name).id], data.xaxis[compiled.joint(name).id]
+        ours = own.oMi[j + 1]
+        turning = kinematics.joints[j + 1]
+        theirs += [place, place + axis]
+        mine += [ours.translation, ours.translation + ours.rotation @ _axis_of(kinematics, turning, j + 1)]
+    moved = _fitted(np.array(mine), np.array(theirs))
+    away = np.array(mine) @ moved.rotation.T + moved.translation - np.array(theirs)
+    off = float(np.linalg.norm(away, axis=1).max())
+    if off > ELSEWHERE:
+        raise InputError(f"its joints are elsewhere than the model's, by up to {1e3 * off:.1f} mm: it describes "
+                         "another arm, or one whose zeros are others", file=file, field="joint")
+    frames = []
+    for j, name in enumerate(names):
+        body = compiled.jnt_bodyid[compiled.joint(name).id]
+        place = pin.SE3(data.xmat[body].reshape(3, 3), data.xpos[body])
+        frames.append(place.inverse() * moved * own.oMi[j + 1])
+    return frames
+
+
+def _axis_of(kinematics: pin.Model, joint: Any, index: int) -> Array:
+    """Direction of a joint's axis in its frame ``(3,)``."""
+    data = kinematics.createData()
+    jacobian = pin.computeJointJacobian(kinematics, data, pin.neutral(kinematics), index)[:, joint.idx_v]
+    part = jacobian[:3] if joint.shortname().startswith("JointModelP") else jacobian[3:]
+    return np.asarray(part / np.linalg.norm(part))
+
+
+def _fitted(points: Array, onto: Array) -> pin.SE3:
+    """The rigid motion that takes points ``(N, 3)`` nearest to others."""
+    middle, other = points.mean(axis=0), onto.mean(axis=0)
+    u, _, vt = np.linalg.svd((onto - other).T @ (points - middle))
+    rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return pin.SE3(rotation, other - rotation @ middle)
+
+
+def _set_inertia(body: Any, inertia: pin.Inertia) -> None:
+    body.explicitinertial = True
+    body.mass = float(inertia.mass)
+    body.ipos = inertia.lever if inertia.mass > 0.0 else np.zeros(3)
+    body.iquat, body.inertia = [1.0, 0.0, 0.0, 0.0], np.zeros(3)
+    moments = inertia.inertia
+    # NaN stands for none given.
+    body.fullinertia = np.full(6, np.nan) if inertia.mass == 0.0 else [
+        moments[0, 0], moments[1, 1], moments[2, 2], moments[0, 1], moments[0, 2], moments[1, 2]]
+
+
+def _fixed_bodies(body: Any) -> Iterator[Any]:
+    """Bodies that move with a body and have no joint of their own: the identified inertia holds them."""
+    for child in body.bodies:
+        if not list(child.joints):
+            yield child
+            yield from _fixed_bodies(child)
+
+
+def _like(old: Any, value: float) -> Any:
+    """A value as MuJoCo's version has it: damping became a polynomial of the speed."""
+    return value if np.isscalar(old) else [value, *([0.0] * (len(old) - 1))]
+
+
+def _rotor_words(model: Model, j: int) -> str:
+    own = next((one for one in model.parameters if one.name == f"Ia_{j + 1}"), None)
+    if own is None or own.std == 0.0:
+        return "armature: of the consistent bodies, no deviation of its own"
+    return f"armature ± {own.std:.2g} {own.unit}"
+
+
+def _actuators(library: Any, spec: Any, model: Model, names: list[str]) -> None:
+    """Position and speed of the command as the joint controllers take them; those that were there are replaced."""
+    if model.controller is None:
+        return
+    gains = Cascade.of(model.controller)
+    for actuator in [actuator for actuator in spec.actuators if actuator.target in names]:
+        spec.delete(actuator)
+    for j, name in enumerate(names):
+        effort = float(model.kinematics.effortLimit[j])
+        for kind, gain, bias in (
+                ("position", gains.velocity_gain[j] * gains.position_gain[j],
+                 [-gains.velocity_gain[j] * gains.position_gain[j], -gains.velocity_gain[j]]),
+                ("speed", gains.velocity_gain[j] * gains.velocity_feedforward[j], None)):
+            actuator = spec.add_actuator(name=f"{name}_{kind}", target=name, trntype=library.mjtTrn.mjTRN_JOINT)
+            actuator.gainprm[0] = gain
+            if bias is not None:
+                actuator.biastype = library.mjtBias.mjBIAS_AFFINE
+                actuator.biasprm[1:3] = bias
+        if 0.0 < effort < 1e9:
+            joint = spec.joint(name)
+            joint.actfrclimited, joint.actfrcrange = True, [-effort, effort]
+
+
+def _commented(xml: str, comments: dict[str, str], model: Model) -> str:
+    """The text with a comment before each joint, and one about where it comes from."""
+    root = ET.fromstring(xml, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))
+    for parent in list(root.iter()):
+        for child in list(parent):
+            if child.tag == "joint" and child.get("name") in comments:
+                parent.insert(list(parent).index(child), ET.Comment(f" {comments[child.get('name', '')]} "))
+    std = {} if model.controller is None else model.controller.std
+    gains = "; ".join(f"{name} ± {', '.join(f'{value:.2g}' for value in values)}" for name, values in std.items())
+    note = f" identified: {model.robot_name}, {model.provenance.get('method', 'idim')}{'; ' + gains if gains else ''} "
+    root.insert(0, ET.Comment(note.replace("--", "-")))
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _unsaid(model: Model, spec: Any, names: list[str]) -> Iterator[str]:
+    """What an MJCF cannot say of a model."""
+    for j, law in enumerate(model.friction.laws):
+        off = friction_of(model, j).off
+        unit = model.units("N m")[j]
+        if off > 0.0 and len(law.coefficients) > 2:
+            yield f"joint {j + 1}: the law {law.label}; frictionloss and damping leave it by up to {off:.3g} {unit}"
+        if law.loaded:
+            yield f"joint {j + 1}: friction that grows with the load"
+        if law.presliding:
+            yield f"joint {j + 1}: presliding; MuJoCo's friction holds at once"
+    for j in np.flatnonzero(np.abs(model.offset) > 3.0 * np.maximum(model.noise_std, 1e-12)).tolist():
+        yield f"joint {j + 1}: a constant torque of {model.offset[j]:.3g} {model.units('N m')[j]}"
+    stiffness = model.known_stiffness
+    if stiffness is not None and np.isfinite(stiffness).any():
+        yield "the gears' stiffness: motor and link are one joint in MuJoCo"
+    if model.controller is not None:
+        if np.any(model.controller.k_i > 0.0):
+            yield "the integrators of the velocity loops"
+        if np.any(model.controller.filter_time > 0.0) or model.controller.delay > 0.0:
+            yield "the commands' low-pass and dead time"
+    for effect in model.effects:
+        yield f"joint {effect.joint}: {effect.name}" if effect.joint else effect.name
+    moving = [joint.name for joint in spec.joints if joint.name not in names]
+    if moving:
+        yield f"the other joints ({', '.join(moving)}) keep their masses, which the last link's hold as well"
+
+
+def urdf_with_dynamics(model: Model) -> str:
+    """The URDF with the consistent inertias and ``<dynamics damping friction>`` of each joint."""
+    text = urdf_with_inertials(model.urdf, model.kinematics, model.consistent[: 10 * model.n])
+    root = ET.fromstring(text)
+    names = list(model.kinematics.names)[1:]
+    for joint in root.findall("joint"):
+        if joint.get("name") not in names:
+            continue
+        friction = friction_of(model, names.index(str(joint.get("name"))))
+        for old in joint.findall("dynamics"):
+            joint.remove(old)
+        ET.SubElement(joint, "dynamics", {"damping": f"{friction.damping:.9g}", "friction": f"{friction.loss:.9g}"})
+    ET.indent(root)
+    return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+# An MJCF as a model.
+
+@dataclass(frozen=True)
+class MujocoArm:
+    """The arm of a MuJoCo model.
+
+    Attributes:
+        robot: its kinematics and limits.
+        model: its inertias, rotors and friction as a model; nothing of it is identified.
+        left_out: what of it the model does not hold, in words.
+    """
+
+    robot: Robot
+    model: Model
+    left_out: tuple[str, ...]
+
+
+def arm_of_mjcf(path: str | Path) -> MujocoArm:
+    """The longest chain of joints of a MuJoCo model as an arm and its model; other joints are held.
+
+    Raises InputError: MuJoCo is missing, no readable model, or one without a chain of joints that turn or slide.
+    """
+    library = mujoco()
+    _, compiled = _read(library, path)
+    chain = _chain(library, compiled, path)
+    text = _urdf(library, compiled, chain, Path(path).stem)
+    with TemporaryDirectory() as folder:
+        urdf = Path(folder) / f"{Path(path).stem}.urdf"
+        urdf.write_text(text, encoding="utf-8")
+        robot = Robot.load(urdf)
+        nominal = Model.nominal(robot)
+    dofs = [int(compiled.jnt_dofadr[j]) for j in chain]
+    damping = np.array(compiled.dof_damping).reshape(compiled.nv, -1)[dofs, 0]
+    loss, armature = compiled.dof_frictionloss[dofs], compiled.dof_armature[dofs]
+    full = np.concatenate([link_parameters(robot.pinocchio), armature, np.zeros(robot.n)])
+    base = base_parameters(robot.pinocchio)
+    friction = PerJointFriction([ViscousCoulomb(np.array([[v], [c]])) for v, c in zip(damping, loss, strict=True)])
+    count = base.count + sum(len(law.coefficients) + len(law.shape) for law in friction.laws)
+    model = Model(nominal.robot_name, nominal.urdf, nominal.urdf_hash, base, base.of(full), friction,
+                  np.zeros((count, count)), full, np.zeros(robot.n),
+                  provenance={"method": "MuJoCo model", "file": str(path)})
+    springs = [j + 1 for j, joint in enumerate(chain) if np.any(np.atleast_1d(compiled.jnt_stiffness[joint]) != 0.0)]
+    held = [compiled.joint(j).name or str(j) for j in range(compiled.njnt) if j not in chain]
+    left_out = [*([f"springs of joint {', '.join(map(str, springs))}"] if springs else []),
+                *([f"motion of {', '.join(held)}"] if held else [])]
+    return MujocoArm(robot, model, tuple(left_out))
+
+
+def _chain(library: Any, compiled: Any, path: str | Path) -> list[int]:
+    """Joints from the world to the end of the longest chain."""
+    single = {int(library.mjtJoint.mjJNT_HINGE), int(library.mjtJoint.mjJNT_SLIDE)}
+    best: list[int] = []
+    for body in range(compiled.nbody):
+        joints, here = [], body
+        while here:
+            first, count = int(compiled.body_jntadr[here]), int(compiled.body_jntnum[here])
+            joints += list(range(first, first + count))[::-1] if count else []
+            here = int(compiled.body_parentid[here])
+        if len(joints) > len(best) and all(int(compiled.jnt_type[j]) in single for j in joints):
+            best = joints[::-1]
+    # Fingers end the chain: of joints that slide behind those that turn a gripper is made.
+    while len(best) > 1 and compiled.jnt_type[best[-1]] != compiled.jnt_type[best[-2]]:
+        best.pop()
+    if not best:
+        raise InputError("it has no chain of joints that turn or slide", file=path, field="joint")
+    return best
+
+
+def _urdf(library: Any, compiled: Any, chain: list[int], name: str) -> str:
+    """The chain as a URDF: frames in the joints, each with the inertia of all bodies that move with it."""
+    data = library.MjData(compiled)
+    for joint in chain:
+        data.qpos[compiled.jnt_qposadr[joint]] = 0.0
+    library.mj_forward(compiled, data)
+    carriers = {int(compiled.jnt_bodyid[joint]): index for index, joint in enumerate(chain)}
+    bodies: list[list[int]] = [[] for _ in chain]
+    for body in range(1, compiled.nbody):
+        here = body
+        while here and here not in carriers:
+            here = int(compiled.body_parentid[here])
+        if here:
+            bodies[carriers[here]].append(body)
+    root = ET.Element("robot", {"name": name})
+    ET.SubElement(root, "link", {"name": "base_link"})
+    before, parent = pin.SE3.Identity(), "base_link"
+    for index, joint in enumerate(chain):
+        body = int(compiled.jnt_bodyid[joint])
+        frame = pin.SE3(data.xmat[body].reshape(3, 3), data.xanchor[joint])
+        link = ET.SubElement(root, "link", {"name": f"link_{index + 1}"})
+        link.append(_inertial(compiled, data, bodies[index], frame))
+        kind = "revolute" if compiled.jnt_type[joint] == library.mjtJoint.mjJNT_HINGE else "prismatic"
+        element = ET.SubElement(root, "joint", {"name": compiled.joint(joint).name or f"joint_{index + 1}",
+                                                "type": kind})
+        ET.SubElement(element, "parent", {"link": parent})
+        ET.SubElement(element, "child", {"link": f"link_{index + 1}"})
+        ET.SubElement(element, "origin", _placed(before.inverse() * frame))
+        ET.SubElement(element, "axis", {"xyz": _words(frame.rotation.T @ data.xaxis[joint])})
+        limited = bool(compiled.jnt_limited[joint])
+        low, high = compiled.jnt_range[joint] if limited else (-TURNS, TURNS)
+        effort = float(compiled.jnt_actfrcrange[joint][1]) if compiled.jnt_actfrclimited[joint] else 0.0
+        ET.SubElement(element, "limit", {"lower": f"{low:.12g}", "upper": f"{high:.12g}", "effort": f"{effort:.12g}",
+                                         "velocity": "0"})
+        before, parent = frame, f"link_{index + 1}"
+    return ET.tostring(root, encoding="unicode")
+
+
+def _inertial(compiled: Any, data: Any, bodies: list[int], frame: pin.SE3) -> ET.Element:
+    """The inertia of bodies together, in a frame."""
+    total = pin.Inertia.Zero()
+    for body in bodies:
+        place = pin.SE3(data.ximat[body].reshape(3, 3), data.xipos[body])
+        own = pin.Inertia(float(compiled.body_mass[body]), np.zeros(3), np.diag(compiled.body_inertia[body]))
+        if own.mass > 0.0:
+            total = total + (frame.inverse() * place).act(own)
+    inertial = ET.Element("inertial")
+    ET.SubElement(inertial, "origin", {"xyz": _words(total.lever), "rpy": "0 0 0"})
+    ET.SubElement(inertial, "mass", {"value": f"{total.mass:.12g}"})
+    ET.SubElement(inertial, "inertia", {f"i{'xyz'[a]}{'xyz'[b]}": f"{total.inertia[a, b]:.12g}"
+                                        for a in range(3) for b in range(a, 3)})
+    return inertial
+
+
+def _placed(place: pin.SE3) -> dict[str, str]:
+    return {"xyz": _words(place.translation), "rpy": _words(pin.rpy.matrixToRpy(place.rotation))}
+
+
+def _words(values: Array) -> str:
+    return " ".join(f"{value:.12g}" for value in values)

@@ -1,0 +1,137 @@
+"""A model in MuJoCo moves as it does here, comes back as it was, and says what the format cannot."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from ideal_robot.friction import PerJointFriction
+from ideal_robot.friction.laws import ViscousCoulomb
+from ideal_robot.model.mjcf import arm_of_mjcf, export_mjcf, friction_of, urdf_with_dynamics
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.robots.urdf import without_meshes
+from scenes.arms import shipped_model
+from tests.arms import urdf, written
+
+mujoco = pytest.importorskip("mujoco", reason="needs the optional package mujoco")
+
+
+def plain(model: Model, rng: np.random.Generator) -> Model:
+    """The model with friction that MuJoCo has, drawn, and its deviations."""
+    laws = [ViscousCoulomb(np.array([[v], [f]])) for v, f in rng.uniform(0.5, 5.0, (model.n, 2))]
+    count = model.base.count + 2 * model.n
+    deviations = np.diag(rng.uniform(0.01, 0.1, count) ** 2)
+    return dataclasses.replace(model, friction=PerJointFriction(laws), covariance=deviations, effects=())
+
+
+def torque(path: Path, states: Array) -> Array:
+    """MuJoCo's inverse dynamics of a file, its friction and damping included ``(N, n)``; ``states (3, N, n)``."""
+    compiled = mujoco.MjModel.from_xml_path(str(path))
+    data, rows = mujoco.MjData(compiled), []
+    damping = np.array(compiled.dof_damping).reshape(compiled.nv, -1)[:, 0]
+    compiled.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    for q, qd, qdd in zip(*states, strict=True):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q, qd, qdd
+        mujoco.mj_inverse(compiled, data)
+        rows.append(data.qfrc_inverse + data.qfrc_passive + damping * qd + compiled.dof_frictionloss * np.sign(qd))
+    return np.array(rows)
+
+
+def drawn(robot: Robot, rng: np.random.Generator) -> Array:
+    shape = (30, robot.n)
+    return np.array([rng.uniform(robot.q_min, robot.q_max, shape), rng.normal(size=shape), rng.normal(size=shape)])
+
+
+@pytest.mark.parametrize("name", ["kr6", "kr15", "manutec_r15"])
+def test_plain_mujoco_asks_for_the_models_torques_and_the_file_comes_back_as_the_model(name: str, tmp_path: Path
+                                                                                      ) -> None:
+    rng = np.random.default_rng(1)
+    model, robot, path = plain(Model.load(shipped_model(name)), rng), Robot.load(name), tmp_path / "arm.xml"
+    said = export_mjcf(model, path)
+    states = drawn(robot, rng)
+    friction = model.friction.torque(states[1])
+    full = np.array([model.consistent[10 * model.n : 11 * model.n]])
+    chain = dataclasses.replace(model, base_values=model.base.of(np.concatenate(
+        [model.consistent[: 11 * model.n], np.zeros(model.n)])))
+    ours = chain.rigid_body(*states) + full * states[2] + friction
+    theirs = torque(path, states)
+    np.testing.assert_allclose(theirs, ours, atol=2e-5 * np.abs(ours).max())
+    arm = arm_of_mjcf(path)
+    again = arm.model.rigid_body(*states) + arm.model.rotor_inertia * states[2] + arm.model.friction.torque(states[1])
+    np.testing.assert_allclose(again, theirs, atol=2e-5 * np.abs(ours).max())
+    q = states[0][0]
+    np.testing.assert_allclose(arm.robot.pinocchio.lowerPositionLimit, robot.q_min, atol=1e-4)
+    assert arm.robot.n == robot.n
+    assert not [text for text in said if "frictionloss" in text]
+    assert np.isfinite(arm.robot.fk()(q).translation).all()
+
+
+def test_friction_keeps_its_numbers_and_deviations_and_a_law_with_more_is_said(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    model = plain(Model.load(shipped_model("kr6")), rng)
+    for j, law in enumerate(model.friction.laws):
+        own, first = friction_of(model, j), model.base.count + 2 * j
+        np.testing.assert_allclose([own.damping, own.loss], law.coefficients[:, 0], rtol=1e-9)
+        np.testing.assert_allclose([own.damping_std, own.loss_std],
+                                   np.sqrt(np.diag(model.covariance))[first : first + 2], rtol=1e-9)
+    path = tmp_path / "arm.xml"
+    export_mjcf(model, path)
+    text = path.read_text()
+    assert text.count("frictionloss ±") == 6
+    said = export_mjcf(Model.load(shipped_model("kr6")), path)
+    assert any("presliding" in text for text in said)
+
+
+@pytest.mark.parametrize("prefix", ["", "left_"])
+def test_what_is_given_is_kept_in_all_else(prefix: str, tmp_path: Path) -> None:
+    """Of a file with its base elsewhere, other body frames and a tool body, joints and masses alone are changed."""
+    model = plain(Model.load(shipped_model("kr6")), np.random.default_rng(3))
+    spec = mujoco.MjSpec.from_string(without_meshes(model.urdf))
+    spec.compiler.fusestatic = False
+    for i, joint in enumerate(list(spec.joints)):
+        joint.name = f"{prefix}joint_{i + 1}"
+    last = list(spec.joints)[-1].parent
+    tool = last.add_body(name="tool", pos=[0.0, 0.0, 0.1])
+    tool.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.02, 0.0, 0.0], mass=1.5)
+    spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_BOX, size=[1.0, 1.0, 0.1])
+    spec.compile()
+    given, path = tmp_path / "given.xml", tmp_path / "arm.xml"
+    given.write_text(spec.to_xml())
+    export_mjcf(model, path, like=given)
+    compiled = mujoco.MjModel.from_xml_path(str(path))
+    assert compiled.geom("table").size[0] == 1.0
+    assert compiled.body("tool").mass[0] == 0.0
+    states = drawn(Robot.load("kr6"), np.random.default_rng(4))
+    export_mjcf(model, tmp_path / "own.xml")
+    np.testing.assert_allclose(torque(path, states), torque(tmp_path / "own.xml", states), atol=1e-2)
+
+
+def test_bad_input_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = Model.load(shipped_model("kr6"))
+    other = written(tmp_path, urdf(6))
+    moved = written(tmp_path, re.sub(r'name="[a-z]*_?joint_?(\d)"', r'name="joint_\1"', urdf(6, mass=1.0)), "moved")
+    (tmp_path / "broken.xml").write_text("<mujoco><worldbody>")
+    for like, says in ((moved, "elsewhere than the model's"), (tmp_path / "broken.xml", "cannot read it"),
+                       (tmp_path / "none.xml", "no such")):
+        with pytest.raises(InputError, match=says):
+            export_mjcf(model, tmp_path / "arm.xml", like=like)
+    assert not (tmp_path / "arm.xml").exists()
+    assert arm_of_mjcf(written(tmp_path, urdf(6, mass=1.0), "plain")).robot.n == 6
+    assert other.exists()
+    monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
+    with pytest.raises(InputError, match=r"ideal-robot\[mujoco\]"):
+        arm_of_mjcf(other)
+
+
+def test_a_urdf_has_the_friction_too(tmp_path: Path) -> None:
+    model = plain(Model.load(shipped_model("kr6")), np.random.default_rng(5))
+    robot = Robot.load(written(tmp_path, urdf_with_dynamics(model)))
+    np.testing.assert_allclose(robot.pinocchio.damping, [law.coefficients[0, 0] for law in model.friction.laws])
+    np.testing.assert_allclose(robot.pinocchio.friction, [law.coefficients[1, 0] for law in model.friction.laws])
