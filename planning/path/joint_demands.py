@@ -111,7 +111,12 @@ class JointDemands:
             np.sqrt(demand.used(s, self.path.s, speed, acceleration)) for demand in self.demands)], axis=0))
 
     def needed(self, row: int, joint: int, speed: float) -> tuple[str, str]:
-        """What a joint would need for a steady speed [m/s] at a place, and what the travel may use, in words."""
+        """What a joint would need for a steady speed, and what the travel may use, in words.
+
+        Args:
+            row, joint: place and joint, counted from 0.
+            speed: along the path [m/s].
+        """
         turned = abs(self.path.dq[row, joint]) * speed
         if turned > self.v_max[joint]:
             return f"{turned:.2f} rad/s", f"{self.v_max[joint]:.2f} rad/s"
