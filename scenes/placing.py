@@ -178,6 +178,10 @@ def fits(scene: LineScene, robot: Robot, wanted: float = FASTEST) -> float | Non
     """The speed up to ``wanted`` at which the arm follows a line with some to spare [m/s]; None where it cannot.
 
     ``scenes.line_way.line_way`` judges, as it does before every run; what is asked for beyond it is room.
+
+    Args:
+        scene, robot: the line, and the arm with the scene's tool.
+        wanted: speed that need not be exceeded [m/s].
     """
     try:
         reference = ReferencePath(reference_points(scene), up=scene.surface.pose().rotation[:, 2], turning=1.0)
