@@ -6,7 +6,7 @@ ripple at another angle. Both show in the torques of any motion:
 .. math:: \tau - \tau_{model} = Y \Delta p + F z f(|\dot q|)^T x + \sum_k a_k \cos(k q) + b_k \sin(k q)
 
 with Y the regressor of the links, rotors and offsets [G] (6), friction's terms f, and the ripple's orders k those of
-the model. These are normal equations of ``friction_estimator``: links are as heavy as the model's within some percent,
+the model. These are normal equations of ``learned_friction``: links are as heavy as the model's within some percent,
 rotors nearly so, and a ripple is as large as the model's, at any angle. What the motion does not tell stays as it was.
 What friction is wrong by is taken out, not kept: it changes while the arm works, and adaptation follows it. A joint
 that rests, or has just turned round, is held by friction of any size up to the dry one: its torque tells nothing.
@@ -30,20 +30,12 @@ from ideal_robot.dynamics import full_regressor
 from ideal_robot.dynamics.base_parameters import consistent_parameters, parameter_scales
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.estimate.gaussian import Posterior
 from ideal_robot.feedforward.friction_at_work import CUTOFF
-from ideal_robot.feedforward.friction_estimator import (
-    OWN,
-    SHARED,
-    SLIDES,
-    TERMS,
-    Solved,
-    friction_terms,
-    noise_variance,
-    solved,
-    unknown_mass,
-)
+from ideal_robot.feedforward.learned_friction import SLIDES, estimated, evidence, noise_variance, unknown_mass
 from ideal_robot.friction.presliding import CREEP
 from ideal_robot.friction.table import largest_speeds
+from ideal_robot.friction.terms import OWN, SHARED, TERMS, friction_terms
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.filters import lowpass
@@ -90,26 +82,26 @@ def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
     bodies = counts @ root
     friction = s.decimate(_friction(s, direction, dry, robot))[slides] / std[:, None]
     waves = s.decimate(_waves(s, ripple))[slides] / std[:, None] * size
-    other = solved(np.hstack([bodies, friction, waves]), residuals[1])
+    other = estimated(np.hstack([bodies, friction, waves]), residuals[1])
     # The very arm: what its model leaves open, an offset, friction and a heavier tool explain what is left.
-    very = solved(np.column_stack([counts[:, model.base.independent] @ own, bodies[:, 11 * n : 12 * n], bodies[:, -1],
-                                   friction]), residuals[0])
+    very = estimated(np.column_stack([counts[:, model.base.independent] @ own, bodies[:, 11 * n : 12 * n],
+                                      bodies[:, -1], friction]), residuals[0])
     try:
-        if very.evidence >= other.evidence:
+        if evidence(very) >= evidence(other):
             return _with_bodies(model, own, very, np.array(model.consistent))
-        sizes = (size * other.x[len(other.x) - len(size) :]).reshape(-1, 2)
+        sizes = (size * other.mean[len(other.mean) - len(size) :]).reshape(-1, 2)
         waving = tuple(replace(effect, coefficients=(float(a), float(b)), std=(), parameters=())
                        for effect, (a, b) in zip(ripple, sizes, strict=True))
         return _with_bodies(replace(bare, effects=(*bare.effects, *waving)), model.base.grouping @ root, other,
-                            _nearby(model, root @ other.x[: root.shape[1]], other.x[12 * n : 13 * n]))
+                            _nearby(model, root @ other.mean[: root.shape[1]], other.mean[12 * n : 13 * n]))
     except IdealRobotError:  # no bodies that can be: torques of something else
         return model
 
 
-def _with_bodies(model: Model, root: Array, solution: Solved, nearby: Array) -> Model:
+def _with_bodies(model: Model, root: Array, solution: Posterior, nearby: Array) -> Model:
     """The model with base parameters by ``found``, whose first ones count ``root``; IdealRobotError if none can be."""
     some = slice(root.shape[1])
-    values = model.base_values + root @ solution.x[some]
+    values = model.base_values + root @ solution.mean[some]
     full = consistent_parameters(model.base, values, root @ solution.covariance[some, some] @ root.T, nearby).full
     return replace(model, base_values=values, consistent=full)
 

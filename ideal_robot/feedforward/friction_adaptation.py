@@ -2,7 +2,7 @@
 
 Friction changes with temperature and lubricant, and a tool may be heavier than told; arm and controller do not change.
 From motor angles and torques, smoothed alike (``smoothed_window``), adaptation learns by the recursion of
-``friction_estimator`` friction's terms of every joint, an apparent inertia per joint, and one mass at the tool:
+``estimate.recursive`` friction's terms of every joint, an apparent inertia per joint, and one mass at the tool:
 
     τ_a - τ_rigid - J q̈_m - τ_offset - τ_f(q̇_m) = z (F(0) f(s) + θ_1 F_load) + c k_p T q̈_m
                                                     + m y(q, q̇, q̈)
@@ -19,7 +19,7 @@ commanded for it. What other inertias are wrong by is counted to a sample's vari
 Before anything was measured all joints are thought to have changed together: an arm is cold as a whole.
 
 Safe by construction: without measurements nothing changes, bit for bit; samples that are not finite, too slow or far
-from what is expected do not count; all that is learned is bounded.
+from what is expected are not used; all that is learned is bounded.
 """
 
 from __future__ import annotations
@@ -31,29 +31,15 @@ from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics, joint_frames, point_mass, torque_at
+from ideal_robot.estimate.recursive import correlation, predict, update
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.friction_curve import CurveState, FrictionCurve
-from ideal_robot.feedforward.friction_estimator import (
-    INTERVAL,
-    OWN,
-    SHARED,
-    SLIDES,
-    SLOWEST,
-    TERMS,
-    aged,
-    counted,
-    dry_friction,
-    noise_variance,
-    table_terms,
-    terms_along,
-    unknown_mass,
-    wandered,
-    with_terms,
-)
 from ideal_robot.feedforward.inverse import Carried, Inverse, InverseState
+from ideal_robot.feedforward.learned_friction import INTERVAL, SLIDES, SLOWEST, WARMING, noise_variance, unknown_mass
 from ideal_robot.feedforward.smoothed_window import CYCLES, Drive, Smoothed, noted, smoothed
 from ideal_robot.friction.presliding import LEAST
 from ideal_robot.friction.table import Friction, friction_sizes, friction_step, largest_speeds
+from ideal_robot.friction.terms import OWN, SHARED, TERMS, dry_sizes, table_terms, terms_along, with_terms
 from ideal_robot.jit import jit
 from ideal_robot.loop.from_model import further_torque
 from ideal_robot.loop.loop import Loop
@@ -80,7 +66,7 @@ class FrictionFactors(NamedTuple):
         covariance: of them ``(p, p)``.
         values: of friction's terms ``(n, TERMS)``.
         mass: that the tool has beyond the model's [kg].
-        friction: of the loop with them, see ``friction_estimator.with_terms``.
+        friction: of the loop with them, see ``friction.terms.with_terms``.
         load: torque that the gears transmitted in the middle of the last window ``(n,)`` [N m].
         used: measurements that counted, per joint ``(n,)``.
         window: last measurements, see ``smoothed_window.noted``.
@@ -116,7 +102,7 @@ class _Known(NamedTuple):
         apparent: standard deviation of an apparent inertia ``(n,)`` [kg m²].
         mass: standard deviation of the mass [kg].
         variance: of a torque's noise ``(n,)`` [(N m)²].
-        left: what is left of parameters one window later, see ``wandered``.
+        correlation: of parameters with themselves one window later.
     """
 
     chain: Chain
@@ -131,7 +117,7 @@ class _Known(NamedTuple):
     apparent: Array
     mass: float
     variance: Array
-    left: float
+    correlation: float
 
 
 class FrictionAdaptation:
@@ -142,21 +128,21 @@ class FrictionAdaptation:
         tool: where in the last joint's frame the mass is ``(3,)`` [m]; no mass is learned if None: on the axes of a
             wrist it hardly differs from what inertias may be wrong by.
         noise_std: what the model left of the torques that it was identified from ``(n,)`` [N m]; see
-            ``friction_estimator.noise_variance``.
+            ``learned_friction.noise_variance``.
     """
 
     def __init__(self, loop: Loop, *, tool: Array | None = None, noise_std: Array | None = None) -> None:
         self.loop = loop
         self._every = max(1, round(_CYCLE / loop.t_ipo))
-        spacing, dry = self._every * loop.t_ipo, dry_friction(loop)
+        spacing, dry = self._every * loop.t_ipo, dry_sizes(loop.friction)
         self._apart = max(1, round(INTERVAL / spacing))
         self._known = _Known(
             loop.chain, np.zeros(3) if tool is None else tool, loop.drives.rotor_inertia, loop.drives.offset,
-            loop.drives.gain, loop.friction, table_terms(loop), dry,
+            loop.drives.gain, loop.friction, table_terms(loop.friction, loop.path.v_max), dry,
             np.stack([largest_speeds(loop.path.v_max), 1.5 * loop.path.v_max]),
             _APPARENT * loop.cascade.k_p * loop.t_ipo,
             0.0 if tool is None else unknown_mass(dry), noise_variance(dry, self._apart * spacing, noise_std),
-            wandered(self._apart * spacing))
+            correlation(self._apart * spacing, WARMING))
         self._drive, self._still = Drive.of(loop, spacing), np.zeros(loop.n)
 
     def init(self) -> FrictionFactors:
@@ -245,7 +231,7 @@ def _told(known: _Known, drive: Drive, measured: tuple[Array, int, Array], furth
     torque_at(point_mass(known.chain, known.place), R, p, motion.v[0], motion.a[0], 1.0, torques[2])
     load[:] = torques[0]
     h, own = np.zeros(len(x)), 0
-    aged(x, covariance, known.left)
+    predict(x, covariance, known.correlation)
     for i in range(n):
         z = motion.force[0, i] / max(friction_sizes(known.friction, i, speed[i], load[i])[0], LEAST)
         if abs(speed[i]) < SLOWEST * known.v_max[0, i] or z * np.sign(speed[i]) < SLIDES:
@@ -254,7 +240,7 @@ def _told(known: _Known, drive: Drive, measured: tuple[Array, int, Array], furth
         own = i * _OWN
         residual, accelerating = _row(known, motion, torques, i, z, h)
         variance = known.variance[i] + (_ACCELERATING * accelerating) ** 2
-        if counted(x, covariance, h, residual - further[i] / known.gain[i], variance):
+        if update(x, covariance, h, residual - further[i] / known.gain[i], variance):
             used[i] += 1.0
             informed = True
     return rows, informed

@@ -2,7 +2,7 @@ r"""Friction at the speeds of a job, from the torques of a motion like it in fre
 
 Identification drives all joints fast, and a law of few coefficients fits there. A path of the tool moves some joints
 at hundredths of a radian per second, where friction falls with speed before it rises, and turns them round. What the
-loop's friction lacks there is, joint by joint, friction's terms and an offset of ``friction_estimator``, solved for in
+loop's friction lacks there is, joint by joint, friction's terms and an offset of ``learned_friction``, solved for in
 batch. The direction of sliding follows Dahl's model (``ideal_robot.friction.presliding``), whose angle is the one that
 explains most. Where the motion tells nothing, the prior leaves the loop as it was.
 """
@@ -16,20 +16,11 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import inverse_dynamics
 from ideal_robot.errors import InputError
-from ideal_robot.feedforward.friction_estimator import (
-    ALONE,
-    FAR,
-    TERMS,
-    WEIGHT,
-    dry_friction,
-    friction_terms,
-    noise_variance,
-    solved,
-    table_terms,
-    with_terms,
-)
+from ideal_robot.estimate.recursive import GATE
+from ideal_robot.feedforward.learned_friction import WEIGHT, estimated, evidence, noise_variance
 from ideal_robot.friction.presliding import first_direction, measured_steps
 from ideal_robot.friction.table import Friction, friction_along, friction_sizes, largest_speeds
+from ideal_robot.friction.terms import ALONE, TERMS, dry_sizes, friction_terms, table_terms, with_terms
 from ideal_robot.loop.from_model import further_torque
 from ideal_robot.loop.loop import Loop, ripple_torque
 from ideal_robot.signals.preprocess import FilteredSignals, preprocess
@@ -55,7 +46,7 @@ class FrictionAtWork:
 
     def in_loop(self, loop: Loop) -> Loop:
         """The loop that it was found for, with it."""
-        friction = with_terms(loop.friction, table_terms(loop), self.values)
+        friction = with_terms(loop.friction, table_terms(loop.friction, loop.path.v_max), self.values)
         return loop.changed(friction=friction._replace(sigma_0=loop.friction.sigma_0 / self.bend))
 
 
@@ -87,7 +78,7 @@ def _left(loop: Loop, s: FilteredSignals, rigid: Array) -> Array:
 
 def _of_joint(loop: Loop, s: FilteredSignals, load: Array, residual: Array, j: int) -> tuple[Array, float]:
     """Values of friction's terms ``(TERMS,)`` of joint ``j`` and factor on the angle over which friction turns."""
-    v, dry = s.qd[:, j], dry_friction(loop)[j]
+    v, dry = s.qd[:, j], dry_sizes(loop.friction)[j]
     by_load = np.array([friction_sizes(loop.friction, j, *at)[0] - friction_sizes(loop.friction, j, at[0], 0.0)[0]
                         for at in zip(v, load, strict=True)])
     weight = np.full(len(v), WEIGHT * dry)
@@ -100,10 +91,10 @@ def _of_joint(loop: Loop, s: FilteredSignals, load: Array, residual: Array, j: i
         terms[:, 0] += z * by_load
         terms[:, :2] *= ALONE
         columns = s.decimate(np.column_stack([terms, weight])) / std
-        solution = solved(columns, (residual - s.decimate(friction)) / std)
-        evidence = solution.evidence - 0.5 * (np.log(tried) / BELIEVED) ** 2
-        if evidence > best:
-            best, values, factor = evidence, np.clip(solution.x[:TERMS], -FAR, FAR), tried
+        solution = estimated(columns, (residual - s.decimate(friction)) / std)
+        score = evidence(solution) - 0.5 * (np.log(tried) / BELIEVED) ** 2
+        if score > best:
+            best, values, factor = score, np.clip(solution.mean[:TERMS], -GATE, GATE), tried
     values[:2] *= ALONE
     return values, factor
 

@@ -8,7 +8,7 @@ the joint controller [G] (16), (17) gives a torque beyond the planned one,
           \Delta u = -\left(\frac{d}{dt} + k_v\right) (q - q_m),
 
 which is what the plan did not know. No torque is measured for that, so the noise of its sensor does not count. It is
-explained in the basis of ``friction_estimator`` by what is unknown less what the plan had used of it, primed:
+explained in the basis of ``friction.terms`` by what is unknown less what the plan had used of it, primed:
 
 .. math::
 
@@ -30,23 +30,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.feedforward.friction_estimator import (
-    ALONE,
-    INTERVAL,
-    SLIDES,
-    SLOWEST,
-    TERMS,
-    WEIGHT,
-    aged,
-    counted,
-    dry_friction,
-    noise_variance,
-    remembered,
-    terms_along,
-    wandered,
-)
+from ideal_robot.estimate.recursive import correlation, marginal, predict, update
 from ideal_robot.feedforward.inverse import InverseState
+from ideal_robot.feedforward.learned_friction import INTERVAL, SLIDES, SLOWEST, WARMING, WEIGHT, noise_variance
 from ideal_robot.friction.table import largest_speeds
+from ideal_robot.friction.terms import ALONE, TERMS, dry_sizes, terms_along
 from ideal_robot.jit import jit
 from ideal_robot.loop.loop import Loop
 
@@ -99,7 +87,7 @@ class _Known(NamedTuple):
         v_max: largest speeds that friction is looked at over ``(n,)`` [rad/s].
         unit: standard deviations of inertias ``(n, n)`` [kg m²].
         variance: of one cycle's torque over dry friction.
-        left: what is left of parameters when the next torque is counted, see ``wandered``.
+        correlation: of parameters with themselves when the next torque is used.
     """
 
     k_p: Array
@@ -110,7 +98,7 @@ class _Known(NamedTuple):
     v_max: Array
     unit: Array
     variance: float
-    left: float
+    correlation: float
 
 
 class FrictionCurve:
@@ -118,14 +106,14 @@ class FrictionCurve:
 
     def __init__(self, loop: Loop) -> None:
         self.loop = loop
-        n, T, dry = loop.n, loop.t_ipo, dry_friction(loop)
+        n, T, dry = loop.n, loop.t_ipo, dry_sizes(loop.friction)
         root = np.sqrt(loop.cascade.k_p * T)
         unit = np.where(np.eye(n, dtype=bool), INERTIA, COUPLED) * np.outer(root, root)
         variance = float(noise_variance(np.ones(1), T)[0])
         self._together = max(1, round(INTERVAL / T))
         self._known = _Known(loop.cascade.k_p, loop.cascade.k_i, loop.cascade.k_v, T, dry,
                              largest_speeds(loop.path.v_max), unit, variance,
-                             wandered(self._together * T))
+                             correlation(self._together * T, WARMING))
         self._size = TERMS + 1 + n
 
     def init(self, known: CurveState | None = None) -> CurveState:
@@ -141,7 +129,7 @@ class FrictionCurve:
         return self._begun(state.x, state.covariance, np.arange(TERMS + 1, self._size))
 
     def _begun(self, x: Array, covariance: Array, places: Array) -> CurveState:
-        x, covariance = remembered(x, covariance, places)
+        x, covariance = marginal(x, covariance, places)
         still = np.zeros(self.loop.n)
         return CurveState(x, covariance, self._inertia(x), (), (), None, still, still)
 
@@ -241,6 +229,6 @@ def _learned(known: _Known, v: Array, direction: Array, told: tuple[Array, Array
         _cycle(known, v[k - 1], (v[k], direction[k], used[k]), (errors[k - 1], errors[k]), integral, together)
     for i in range(n):
         count = together[i, -1]
-        aged(x[i], covariance[i], known.left)
+        predict(x[i], covariance[i], known.correlation)
         if count > 0.0:
-            counted(x[i], covariance[i], together[i, :p] / count, together[i, p] / count, known.variance / count)
+            update(x[i], covariance[i], together[i, :p] / count, together[i, p] / count, known.variance / count)

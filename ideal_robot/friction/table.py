@@ -42,11 +42,10 @@ class Friction(NamedTuple):
         speeds = speed_grid(v_max)
         v = np.maximum(speeds, CREEP).T
         sizes = np.stack([np.stack(law.sizes(sign * v), axis=-1) for sign in (1.0, -1.0)]).transpose(2, 0, 1, 3)
-        # What drives in place of braking is no friction.
-        sizes[..., DRY] = np.maximum(sizes[..., DRY], 0.0)
-        sizes[..., FLUID] = np.maximum(sizes[..., FLUID], -sizes[..., DRY])
+        sizes = np.ascontiguousarray(sizes)
+        braking(sizes)
         per_load = np.array([(one.coefficients[-1, 0] if one.loaded else 0.0, 0.0) for one in law.laws])
-        return cls(speeds, np.ascontiguousarray(sizes), per_load, law.sigma_0)
+        return cls(speeds, sizes, per_load, law.sigma_0)
 
     @property
     def dry(self) -> Array:
@@ -61,6 +60,21 @@ class Friction(NamedTuple):
     def with_distance(self, distance: Array) -> Friction:
         """The same friction, turning round over other presliding distances ``(n,)`` [rad]."""
         return self._replace(sigma_0=bristle_stiffness(self.dry, distance))
+
+
+@jit()
+def braking(sizes: Array) -> None:
+    """Sizes of friction that never drives: a rest of a law that falls with speed is less dry friction (Stribeck).
+
+    Args:
+        sizes: dry and fluid friction ``(n, 2, m, 2)`` [N m], written to.
+    """
+    for i in range(sizes.shape[0]):
+        for side in range(sizes.shape[1]):
+            for k in range(sizes.shape[2]):
+                dry, fluid = sizes[i, side, k, 0], sizes[i, side, k, 1]
+                sizes[i, side, k, 0] = max(dry + min(fluid, 0.0), 0.0)
+                sizes[i, side, k, 1] = max(fluid, 0.0)
 
 
 def largest_speeds(v_max: Array) -> Array:

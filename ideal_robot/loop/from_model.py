@@ -11,7 +11,7 @@ from ideal_robot.dynamics.newton_euler import Chain, chain_of, inverse_dynamics,
 from ideal_robot.effects import FittedEffect, Signals
 from ideal_robot.errors import InputError
 from ideal_robot.friction.presliding import CREEP, bristle_stiffness
-from ideal_robot.friction.table import DRY, FLUID, Friction
+from ideal_robot.friction.table import Friction, braking
 from ideal_robot.loop.loop import Cascade, CommandPath, Drives, Loop, checked, low_pass_taps
 from ideal_robot.model.arm_with_effects import chain_with, changes_of, stiffness_with
 from ideal_robot.model.model import Model
@@ -97,8 +97,7 @@ def with_effects(loop: Loop, effects: tuple[FittedEffect, ...]) -> Loop:
             if wave is not None:
                 rows.append(np.zeros((1, 3, loop.n)))
                 rows[-1][0, :, j] = wave
-    sizes[..., DRY] = np.maximum(sizes[..., DRY], 0.0)
-    sizes[..., FLUID] = np.maximum(sizes[..., FLUID], -sizes[..., DRY])
+    braking(sizes)
     return loop.changed(
         chain=chain_with(loop.chain, changes),
         friction=Friction(friction.speeds, sizes, np.maximum(per_load, 0.0),

@@ -8,11 +8,12 @@ from functools import reduce
 import numpy as np
 import pytest
 
+from ideal_robot.estimate.recursive import GATE
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal, FrictionAdaptation
 from ideal_robot.feedforward.friction_curve import FrictionCurve
-from ideal_robot.feedforward.friction_estimator import FAR, OWN, SHARED, TERMS
 from ideal_robot.feedforward.inverse import Inverse
 from ideal_robot.friction.table import DRY
+from ideal_robot.friction.terms import OWN, SHARED, TERMS
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.robots.interface import RobotState
 from tests.arms import ROBOT, T, commands, motion, off, plant, rms
@@ -255,7 +256,7 @@ def test_a_poisoned_recording_leaves_it_bounded(kind):
     adaptation = FrictionAdaptation(loop)
     rng = np.random.default_rng(9)
     state = fed(adaptation, [RobotState(k * T, *poisons(kind, rng, loop.n, k)) for k in range(800)])
-    assert np.all(np.abs(state.values) <= FAR * np.concatenate([SHARED + OWN, np.ones(TERMS - 2)]))
+    assert np.all(np.abs(state.values) <= GATE * np.concatenate([SHARED + OWN, np.ones(TERMS - 2)]))
     assert np.all(np.linalg.eigvalsh(state.covariance) > 0.0)
     assert np.isfinite(state.mass)
     feedforward = AdaptedIdeal(Inverse(loop), adaptation)

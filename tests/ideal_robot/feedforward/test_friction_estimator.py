@@ -8,28 +8,14 @@ import pytest
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import inverse_dynamics
 from ideal_robot.errors import InputError
+from ideal_robot.estimate.recursive import GATE, correlation, marginal, predict, update
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal
 from ideal_robot.feedforward.friction_at_work import FrictionAtWork, friction_at_work
 from ideal_robot.feedforward.friction_curve import CurveState, FrictionCurve
-from ideal_robot.feedforward.friction_estimator import (
-    FAR,
-    SHAPE,
-    SPEEDS,
-    TERMS,
-    WARMING,
-    aged,
-    counted,
-    friction_terms,
-    likeness,
-    noise_variance,
-    remembered,
-    solved,
-    table_terms,
-    wandered,
-    with_terms,
-)
 from ideal_robot.feedforward.inverse import Inverse
+from ideal_robot.feedforward.learned_friction import WARMING, estimated, noise_variance
 from ideal_robot.feedforward.method import Setting
+from ideal_robot.friction.terms import SHAPE, SPEEDS, TERMS, friction_terms, likeness, table_terms, with_terms
 from ideal_robot.loop.loop import Loop
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.signals.recording import Recording
@@ -49,17 +35,18 @@ def counted_all(columns, left, wait=0.0):
     """Parameters and covariance, with a time before each row [s]."""
     x, covariance = np.zeros(P), np.eye(P)
     for h, y in zip(columns, left, strict=True):
-        aged(x, covariance, wandered(wait))
-        assert counted(x, covariance, h, y, 0.09)
+        predict(x, covariance, correlation(wait, WARMING))
+        assert update(x, covariance, h, y, 0.09)
     return x, covariance
 
 
 def test_row_by_row_it_is_the_batch():
     columns, residual = rows(np.random.default_rng(1))
     x, covariance = counted_all(columns, residual)
-    batch = solved(columns / 0.3, residual / 0.3)
-    np.testing.assert_allclose(x, batch.x, rtol=1e-9)
-    np.testing.assert_allclose(covariance, batch.covariance, atol=1e-12)
+    batch = estimated(columns / 0.3, residual / 0.3)
+    # Products of columns round in the ninth digit.
+    np.testing.assert_allclose(x, batch.mean, rtol=1e-7)
+    np.testing.assert_allclose(covariance, batch.covariance, atol=1e-10)
 
 
 def test_on_the_way_parameters_wander_as_said():
@@ -67,7 +54,7 @@ def test_on_the_way_parameters_wander_as_said():
     columns, residual = rows(np.random.default_rng(2), count=12)
     wait = 60.0
     steps = np.abs(np.subtract.outer(np.arange(12), np.arange(12)))
-    prior = wandered(wait) ** steps
+    prior = correlation(wait, WARMING) ** steps
     signal = prior * (columns @ columns.T)
     x = columns.T @ (prior[-1] * np.linalg.solve(signal + 0.09 * np.eye(12), residual))
     np.testing.assert_allclose(counted_all(columns, residual, wait)[0], x, rtol=1e-9)
@@ -75,34 +62,34 @@ def test_on_the_way_parameters_wander_as_said():
 
 def test_what_was_learned_long_ago_is_as_uncertain_as_at_first():
     x, covariance = counted_all(*rows(np.random.default_rng(3)))
-    aged(x, covariance, wandered(20.0 * WARMING))
+    predict(x, covariance, correlation(20.0 * WARMING, WARMING))
     np.testing.assert_allclose(x, 0.0, atol=1e-7)
     np.testing.assert_allclose(covariance, np.eye(P), atol=1e-7)
 
 
 def test_what_is_too_far_changes_nothing():
     x, covariance, h = np.zeros(P), np.eye(P), np.ones(P)
-    edge = FAR * np.sqrt(0.09 + P)
+    edge = GATE * np.sqrt(0.09 + P)
     for y in (1.01 * edge, -1.01 * edge, np.inf, np.nan):
-        assert not counted(x, covariance, h, y, 0.09)
+        assert not update(x, covariance, h, y, 0.09)
     assert not x.any()
     np.testing.assert_array_equal(covariance, np.eye(P))
-    assert counted(x, covariance, h, 0.99 * edge, 0.09)
+    assert update(x, covariance, h, 0.99 * edge, 0.09)
 
 
 def test_parameters_stay_within_their_bounds():
     x, covariance, h = np.zeros(P), np.eye(P), np.zeros(P)
     for _ in range(1000):
         h[0] = 1.0
-        counted(x, covariance, h, 4.1, 0.09)
-    assert x[0] == FAR
+        update(x, covariance, h, 4.1, 0.09)
+    assert x[0] == GATE
 
 
 def test_what_is_remembered_of_some_parameters_is_their_marginal():
     """Mean and covariance of those that are kept, as if the others had never been asked for."""
     x, covariance = counted_all(*rows(np.random.default_rng(3)))
     places, forgotten = np.array([1, 4, 5]), np.array([0, 2, 3, 6])
-    mean, uncertain = remembered(x[None], covariance[None], places)
+    mean, uncertain = marginal(x[None], covariance[None], places)
     np.testing.assert_array_equal(mean[0, places], x[places])
     np.testing.assert_array_equal(uncertain[0][np.ix_(places, places)], covariance[np.ix_(places, places)])
     assert not mean[0, forgotten].any()
@@ -112,12 +99,13 @@ def test_what_is_remembered_of_some_parameters_is_their_marginal():
 
 def test_the_curve_is_as_uncertain_as_said():
     """Of its components' variance hardly any is left out, between the nodes as at them."""
-    at_nodes = friction_terms(SPEEDS)[:, 2:]
+    one = np.ones(len(SPEEDS))
+    at_nodes = friction_terms(SPEEDS, one)[:, 2:]
     np.testing.assert_allclose(at_nodes @ at_nodes.T, SHAPE**2 * likeness(), atol=0.004 * SHAPE**2)
-    between = friction_terms(np.array([0.5 * (SPEEDS[3] + SPEEDS[4]), 1.3]))
+    between = friction_terms(np.array([0.5 * (SPEEDS[3] + SPEEDS[4]), 1.3]), np.ones(2))
     np.testing.assert_allclose(between[0, 2:], 0.5 * (at_nodes[3] + at_nodes[4]))
     np.testing.assert_allclose(between[1, 2:], at_nodes[-1])
-    np.testing.assert_allclose(friction_terms(SPEEDS)[:, :2], np.column_stack([np.ones(len(SPEEDS)), np.sqrt(SPEEDS)]))
+    np.testing.assert_allclose(friction_terms(SPEEDS, one)[:, :2], np.column_stack([one, np.sqrt(SPEEDS)]))
 
 
 @pytest.mark.parametrize("spacing", [0.004, 0.012, 0.048])
@@ -129,7 +117,8 @@ def test_samples_that_are_nearer_say_no_more(spacing):
 def test_terms_are_added_to_the_table_and_dry_friction_scales_what_grows_with_load() -> None:
     """Zero changes nothing; a tenth more of dry friction is a tenth more by load; friction is never negative."""
     loop = plant()
-    friction, terms = loop.friction._replace(per_load=np.tile([0.04, -0.02], (loop.n, 1))), table_terms(loop)
+    friction = loop.friction._replace(per_load=np.tile([0.04, -0.02], (loop.n, 1)))
+    terms = table_terms(friction, loop.path.v_max)
     none = np.zeros((loop.n, TERMS))
     for before, after in zip(friction, with_terms(friction, terms, none), strict=True):
         np.testing.assert_array_equal(before, after)
@@ -176,7 +165,7 @@ def test_friction_that_falls_with_speed_is_found_in_the_motor_angles(delay: int)
     true = sticky(loop)
     estimate = FrictionCurve(loop).values(learned(loop, true, motion(amplitude=0.05)))
     more = (true.friction.sliding - loop.friction.sliding)[:, 0]
-    ratio = np.array([dry * friction_terms(np.array([SLOW / most]))[0] @ values / np.interp(SLOW, v, theirs)
+    ratio = np.array([dry * friction_terms(np.array([SLOW / most]), np.ones(1))[0] @ values / np.interp(SLOW, v, theirs)
                       for dry, most, values, v, theirs in zip(loop.friction.dry, loop.path.v_max, estimate,
                                                               loop.friction.speeds, more, strict=True)])
     assert np.all((ratio > 0.5) & (ratio < 1.2)), ratio
@@ -254,7 +243,7 @@ def test_of_another_motion_the_curve_stays_and_the_following_error_does_not() ->
 def test_motor_angles_that_cannot_be_leave_it_bounded(scale: float) -> None:
     loop = plant()
     known = learned(loop, loop, motion(), repeat=1, scale=scale)
-    assert np.all(np.abs(known.x) <= FAR)
+    assert np.all(np.abs(known.x) <= GATE)
     assert np.all(np.linalg.eigvalsh(known.covariance) > 0.0)
 
 

@@ -1,0 +1,76 @@
+r"""What adaptation learns: four choices of columns, one prior, one noise.
+
+What the model of an arm lacks shows in the torque of its joint i as
+
+.. math::
+
+    \tau_i - \tau_{i,model} = F_i \big( f_i^T x_i + o_i \big)
+        + \sum_j J_{ij} \ddot q_j + m\, y_i + \sum_r (a_{ir} \cos k_r q_i + b_{ir} \sin k_r q_i)
+        + Y_i \Delta p + \varepsilon_i
+
+with F the dry friction, f friction's terms (``ideal_robot.friction.terms``), o an offset, J inertia, y the torque of
+1 kg at the tool, k the orders of the ripple, and Y the regressor of links and rotors [G] (6). Each use has friction's
+terms and a part of the rest as its columns:
+
+=======================  ====================================  =================================================
+use                      what it measures                      beside friction
+=======================  ====================================  =================================================
+``friction_adaptation``  motor torques while the arm works     inertia that torques show, mass at the tool
+``friction_curve``       following errors while the arm works  offset, inertia
+``friction_at_work``     torques of a motion beforehand        offset
+``arm_of_its_type``      torques of a motion beforehand        offset, links and rotors, ripple, mass at the tool
+=======================  ====================================  =================================================
+
+The **prior** is one: every parameter is in units of its standard deviation, :math:`x \sim N(0, 1)`. The **noise** is
+one: ``noise_variance``. Motions beforehand are estimated in batch (``ideal_robot.estimate.gaussian``), the others
+recursively (``ideal_robot.estimate.recursive``), with process noise as friction changes with temperature.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ideal_robot.arrays import Array, G
+from ideal_robot.estimate.gaussian import Posterior, posterior
+
+WEIGHT = 0.2
+"""Of weight that the model does not know, over dry friction: of a tool a metre away, or as an offset."""
+NOISE, INTERVAL = 0.15, 0.05
+"""Standard deviation of a torque over dry friction where one is taken every so often [s]. What the model lacks besides
+is alike in neighbouring samples: more of them in that time say no more."""
+SLIDES, SLOWEST = 0.9, 0.002
+"""Direction of sliding, and share of the largest speed, from which on a joint shows its friction."""
+WARMING = 600.0
+"""Time constant of friction's process noise [s]: after half an hour little changes ([G] Fig. 12), which is three."""
+
+
+def noise_variance(dry: Array, spacing: float, noise_std: Array | None = None) -> Array:
+    """Variance of a torque ``(n,)`` [(N m)²].
+
+    Args:
+        dry, spacing: dry friction ``(n,)`` [N m], and the time from one torque to the next [s].
+        noise_std: what the model left of the torques that it was identified from ``(n,)`` [N m]. A torque is at least
+            as uncertain: where friction is small, it is not what torques are wrong by.
+    """
+    std = np.maximum(NOISE * dry, 0.0 if noise_std is None else noise_std)
+    return np.asarray(std**2 * max(1.0, INTERVAL / spacing))
+
+
+def unknown_mass(dry: Array) -> float:
+    """How heavy a tool may be beyond the model's: standard deviation [kg], by dry friction ``(n,)`` [N m]."""
+    return float(WEIGHT * dry.max() / G)
+
+
+def estimated(columns: Array, residual: Array) -> Posterior:
+    """Parameters in batch, prior ``N(0, 1)``.
+
+    Args:
+        columns, residual: what parameters count ``(M, P)`` and what the model leaves ``(M,)``, in units of the noise.
+    """
+    rows = np.column_stack([columns, residual])
+    return posterior(rows.T @ rows, np.eye(columns.shape[1]))
+
+
+def evidence(estimate: Posterior) -> float:
+    """Logarithm of the probability of what was measured, less what is the same for all columns; of ``estimated``."""
+    return -0.5 * (estimate.squares + float(estimate.mean @ estimate.mean) + estimate.logarithm)
