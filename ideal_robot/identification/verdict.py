@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.identification.checks import STILL
 from ideal_robot.identification.idim import Identification
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import Parameter, joined, sensitivity
 from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.clean import STILL
 
 USABLE, WEAK, UNUSABLE = "usable", "weak", "unusable"
 

@@ -1,6 +1,7 @@
-"""Joint states out of ROS 2 bags and MCAP files, through ``rosbags``; no ROS needed.
+"""Joint states, commands, wrenches and poses out of ROS bags and MCAP files, through ``rosbags``; no ROS needed.
 
-``rosbags`` unpacks what a bag claims to hold as a whole; how much that is, is counted before, piece by piece.
+``rosbags`` unpacks what a bag claims to hold as a whole; how much that is, is counted before, piece by piece. Of a file
+that ends within a record, as that of a killed recorder does, what is whole is read.
 """
 
 from __future__ import annotations
@@ -9,11 +10,11 @@ import sqlite3
 import struct
 from array import array
 from bz2 import BZ2Decompressor
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
-from itertools import chain
+from dataclasses import dataclass, field
 from pathlib import Path
-from tempfile import NamedTemporaryFile
+from tempfile import NamedTemporaryFile, TemporaryDirectory
 from typing import IO, Any
 
 import numpy as np
@@ -28,89 +29,386 @@ from ideal_robot.bounded_values import (
     check_unfolding,
 )
 from ideal_robot.errors import InputError
+from ideal_robot.signals.column_map import with_reading
 
 SUFFIXES = (".mcap", ".db3", ".bag")
-_TYPE = "sensor_msgs/msg/JointState"
+_STATE, _LOOP = "sensor_msgs/msg/JointState", "control_msgs/msg/JointTrajectoryControllerState"
+_FORCE, _POSE = "geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/PoseStamped"
+_LEADING = {"joint_commands": "q_c", "joint_desired": "q_d", "arm_states": "qa"}
+"""Joint states that are not measured ones, by the last part of their topic, as ``signals/export.py`` writes them."""
+_WRENCH, _TCP = ("fx", "fy", "fz", "mx", "my", "mz"), ("x", "y", "z", "qx", "qy", "qz", "qw")
+_ENOUGH = 100
+"""Messages without which a group of joints is no recording: identification takes no fewer."""
+_LISTED = 8
+"""Names that a sentence lists."""
 _WORDS = "metadata.yaml"
 _PIECE = 1 << 20  # bytes that are read and unfolded at a time
 _MCAP = b"\x89MCAP0\r\n"
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _CHUNK_INDEX = 3, 4, 5, 6, 8  # op codes of MCAP's specification
+_IN_DATA = (*range(1, 2), *range(3, 7), 9, 12)
+"""Op codes of what stands before a file's summary but indices: header, schemas, channels, messages, chunks, …"""
 _IN_CHUNK = {_SCHEMA: 14, _CHANNEL: 16, _MESSAGE: 22}
 """Records that a chunk may hold, and their least lengths [bytes]."""
 
 
-def read_joint_states(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
-    """Columns ``t``, ``q_i`` and, where given, ``qd_i`` and ``tau_i`` (effort) of the ``JointState`` messages in a bag.
+def read_bag(path: Path, topic: str | None = None, joints: Sequence[str] | None = None
+             ) -> tuple[dict[str, Array], dict[str, Any]]:
+    """Columns ``t``, ``q_i`` and, where given, ``qd_i``, ``tau_i`` (effort), ``q_c_i``, wrench and pose of a bag.
 
     It is the folder of a ROS 2 bag, or a single ``.mcap``, ``.db3`` or ROS 1 ``.bag`` file. Time is that of the
-    messages' headers, of the log where these are empty, and starts at zero. Joints are numbered in the order of the
-    first message; their names stand in the metadata under ``joints``. The topic is ``/joint_states``, or the only one
-    of its type.
+    messages' headers and starts at zero; a message without a stamp has that of the log, less the usual difference.
+    Joints are numbered in the order of the first message of theirs; their names stand in the metadata under ``joints``,
+    what was left out and why under ``reading``.
 
-    Raises InputError for no bag, one that unfolds to far more than its size, no joint states in it, or messages that
-    name other joints.
+    Args:
+        path: the bag.
+        topic: of the joint states; ``/joint_states``, or the only one of its type, if None.
+        joints: names of the joints that are wanted; those of most messages that hold most joints if None.
+
+    Raises:
+        InputError: no bag, one that unfolds to far more than its size, no joint states in it, several topics of them,
+            or no message that holds the joints.
     """
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
-    try:
-        if path.is_dir() and (path / _WORDS).is_file():
-            BAG_WORDS.check((path / _WORDS).stat().st_size, path / _WORDS)
-        for file in [entry for entry in path.iterdir() if entry.is_file()] if path.is_dir() else [path]:
-            _check_unfolding(file)
-        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
-            connections = [c for c in reader.connections if c.msgtype == _TYPE]
-            topics = sorted({c.topic for c in connections})
-            if not topics:
-                types = ", ".join(sorted({c.msgtype for c in reader.connections})) or "nothing"
-                raise InputError(f"no {_TYPE} messages; the bag holds {types}", file=path)
-            topic = "/joint_states" if "/joint_states" in topics else topics[0]
-            if len(topics) > 1 and topic != "/joint_states":
-                raise InputError(f"several topics of joint states ({', '.join(topics)}) and none is /joint_states",
-                                 file=path)
-
-            def messages() -> Iterator[tuple[int, Any]]:
-                for connection, stamp, raw in reader.messages([c for c in connections if c.topic == topic]):
-                    BAG_MESSAGE.check(len(raw), path)
-                    yield stamp, reader.deserialize(raw, connection.msgtype)
-
-            return _columns(messages(), path, topic)
-    except InputError:
-        raise
-    except Exception as error:  # a damaged bag can fail anywhere in the reader
-        raise InputError(f"not a readable bag ({error})", file=path) from error
+    with TemporaryDirectory(prefix="ideal_robot_bag_") as folder:
+        try:
+            if path.is_dir() and (path / _WORDS).is_file():
+                BAG_WORDS.check((path / _WORDS).stat().st_size, path / _WORDS)
+            paths, said = _whole(path, Path(folder))
+            for file in [entry for place in paths for entry in (place.iterdir() if place.is_dir() else [place])]:
+                if file.is_file():
+                    _check_unfolding(file)
+            with AnyReader(paths, default_typestore=get_typestore(Stores.LATEST)) as reader:
+                return _Reading(reader, path, topic, joints, said).columns()
+        except InputError:
+            raise
+        except Exception as error:  # a damaged bag can fail anywhere in the reader
+            raise InputError(f"not a readable bag ({error})", file=path) from error
 
 
-def _columns(messages: Iterator[tuple[int, Any]], path: Path, topic: str) -> tuple[dict[str, Array], dict[str, Any]]:
-    begun = next(messages, None)
-    if begun is None:
-        raise InputError(f"no messages on {topic}; record them while the arm moves", file=path)
-    first = begun[1]
-    names = list(first.name)
-    if not names or len(set(names)) < len(names):
-        raise InputError(f"no joints, or joints of the same name ({', '.join(names)[:200]})", file=path, field="name")
-    TABLE_COLUMNS.check(1 + 3 * len(names), path)
-    keys = [(key, attribute) for key, attribute in (("q", "position"), ("qd", "velocity"), ("tau", "effort"))
-            if len(getattr(first, attribute)) == len(names)]
-    order = {name: i for i, name in enumerate(names)}
-    logged, headed, values = array("q"), array("q"), [array("d") for _ in keys]
-    for stamp, message in chain([begun], messages):
+@dataclass
+class _Joints:
+    """Messages of the same joints: stamps [ns] and one value a joint, NaN where a message gives none."""
+
+    names: list[str]
+    logged: array[int] = field(default_factory=lambda: array("q"))
+    headed: array[int] = field(default_factory=lambda: array("q"))
+    values: dict[str, array[float]] = field(default_factory=dict)
+
+    def add(self, stamp: int, message: Any, names: Sequence[str], **values: Any) -> None:
+        """Takes a message's values, in whatever order it names the joints."""
+        self.logged.append(stamp)
+        self.headed.append(_stamp(message))
+        order = None if list(names) == self.names else [list(names).index(name) for name in self.names]
+        for key, given in values.items():
+            row = np.full(len(self.names), np.nan)
+            if len(given) == len(self.names):
+                row = np.asarray(given, dtype=float) if order is None else np.asarray(given, dtype=float)[order]
+            self.values.setdefault(key, array("d")).extend(row.tolist())
+
+    def table(self, key: str) -> Array:
+        """Values ``(N, joints)``."""
+        return np.frombuffer(self.values[key]).reshape(-1, len(self.names))
+
+    def stamps(self) -> tuple[Array, int]:
+        """Times of the messages ``(N,)`` [ns], and how many had no stamp of their own."""
+        logged, headed = np.array(self.logged), np.array(self.headed)
+        bare = headed == 0
+        if bare.all():
+            return logged, 0
+        # The log is later than the header by what the wire takes.
+        late = int(np.median(logged[~bare] - headed[~bare]))
+        return np.where(bare, logged - late, headed), int(bare.sum())
+
+
+class _Reading:
+    """What a bag's topics hold, read in one pass."""
+
+    def __init__(self, reader: Any, path: Path, topic: str | None, joints: Sequence[str] | None, said: list[str]):
+        self._reader, self._path, self._joints, self._said = reader, path, joints, said
+        self._topic = self._chosen(topic)
+        self._groups: dict[tuple[str, frozenset[str]], _Joints] = {}
+        self._vectors: dict[str, tuple[array[int], array[int], array[float]]] = {}
+        self._count = 0
+
+    def _chosen(self, wanted: str | None) -> str:
+        """The topic of the joint states."""
+        kinds = {c.topic: c.msgtype for c in self._reader.connections if c.msgtype in (_STATE, _LOOP)}
+        states = sorted(t for t, kind in kinds.items() if kind == _STATE and t.rpartition("/")[2] not in _LEADING)
+        topics = states or sorted(kinds)
+        if not topics:
+            types = ", ".join(sorted({c.msgtype for c in self._reader.connections})) or "nothing"
+            raise InputError(f"no {_STATE} messages; the bag holds {types}", file=self._path)
+        if wanted is not None:
+            fitting = [t for t in sorted(kinds) if t == wanted] or [t for t in topics if wanted.strip("/") in t]
+            if len(fitting) != 1:
+                raise InputError(f"expected one of {', '.join(sorted(kinds))}", file=self._path, field="--topic",
+                                 value=wanted)
+            return fitting[0]
+        if len(topics) > 1 and "/joint_states" not in topics:
+            raise InputError(f"several topics of joint states ({', '.join(topics)}) and none is /joint_states; name "
+                             "one with --topic", file=self._path)
+        chosen = "/joint_states" if "/joint_states" in topics else topics[0]
+        if others := [t for t in states if t != chosen]:
+            self._said.append(f"other-topics: {_some(others)} hold joint states, too, and are left out (--topic)")
+        return chosen
+
+    def columns(self) -> tuple[dict[str, Array], dict[str, Any]]:
+        """The columns and what is known of them."""
+        read = [c for c in self._reader.connections if c.msgtype in (_LOOP, _FORCE, _POSE) or c.topic == self._topic
+                or (c.msgtype == _STATE and c.topic.rpartition("/")[2] in _LEADING)]
+        unread: dict[str, int] = {}
+        for connection, stamp, raw in self._reader.messages(read):
+            if connection.topic in unread:
+                unread[connection.topic] += 1
+                continue
+            BAG_MESSAGE.check(len(raw), self._path)
+            try:
+                message = self._reader.deserialize(raw, connection.msgtype)
+            except Exception:
+                if connection.topic == self._topic:
+                    raise
+                # A type whose definition the bag does not hold.
+                unread[connection.topic] = 1
+                continue
+            self._take(connection, stamp, message)
+        self._said += [f"left-out: {count} messages on {topic} cannot be read" for topic, count in unread.items()]
+        return self._table()
+
+    def _take(self, connection: Any, stamp: int, message: Any) -> None:
+        topic, kind = connection.topic, connection.msgtype
+        if kind == _STATE:
+            if topic == self._topic:
+                self._add(topic, stamp, message, message.name, q=message.position, qd=message.velocity,
+                          tau=message.effort)
+            else:
+                self._add(_LEADING[topic.rpartition("/")[2]], stamp, message, message.name, q=message.position)
+        elif kind == _LOOP:
+            led = getattr(message, "reference", None) or getattr(message, "desired", None)
+            been = getattr(message, "feedback", None) or getattr(message, "actual", None)
+            if led is not None and len(led.positions):
+                self._add("q_c", stamp, message, message.joint_names, q=led.positions)
+            if topic == self._topic and been is not None:
+                self._add(topic, stamp, message, message.joint_names, q=been.positions, qd=been.velocities,
+                          tau=getattr(been, "effort", ()))
+        elif kind == _FORCE:
+            force, torque = message.wrench.force, message.wrench.torque
+            self._vector("wrench", stamp, message, (force.x, force.y, force.z, torque.x, torque.y, torque.z))
+        else:
+            at, turn = message.pose.position, message.pose.orientation
+            self._vector("tcp", stamp, message, (at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w))
+
+    def _add(self, stream: str, stamp: int, message: Any, names: Sequence[str], **values: Any) -> None:
+        names = list(names)
+        if not names and len(values["q"]):
+            names = [f"joint_{i + 1}" for i in range(len(values["q"]))]
+        if not names or len(set(names)) < len(names):
+            if stream != self._topic:
+                return
+            raise InputError(f"no joints, or joints of the same name ({', '.join(names)[:200]})", file=self._path,
+                             field="name")
+        TABLE_COLUMNS.check(1 + 3 * len(names), self._path)
+        self._count += 1 + len(values) * len(names)
+        TABLE_VALUES.check(self._count, self._path, "cut it into pieces")
+        key = stream, frozenset(names)
+        if key not in self._groups:
+            TABLE_COLUMNS.check(len(self._groups), self._path)
+            self._groups[key] = _Joints(names)
+        self._groups[key].add(stamp, message, names, **values)
+
+    def _vector(self, stream: str, stamp: int, message: Any, values: tuple[float, ...]) -> None:
+        logged, headed, rows = self._vectors.setdefault(stream, (array("q"), array("q"), array("d")))
+        self._count += len(values)
+        TABLE_VALUES.check(self._count, self._path, "cut it into pieces")
         logged.append(stamp)
-        headed.append(message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec)
-        TABLE_VALUES.check(len(logged) * (1 + len(keys) * len(names)), path, "cut it into pieces")
-        for (_, attribute), column in zip(keys, values, strict=True):
-            numbers = getattr(message, attribute)
-            if len(numbers) != len(names) or set(message.name) != set(names):
-                raise InputError(f"message {len(logged)} on {topic} names other joints than the first "
-                                 f"({', '.join(message.name)[:200]})", file=path, field=attribute)
-            row = dict(zip((order[name] for name in message.name), numbers, strict=True))
-            column.extend(row[i] for i in range(len(names)))
-    stamps = np.array(headed if any(headed) else logged)
-    columns: dict[str, Array] = {"t": (stamps - stamps[0]) * 1e-9}
-    for (key, _), column in zip(keys, values, strict=True):
-        table = np.frombuffer(column).reshape(-1, len(names))
-        columns.update({f"{key}_{i + 1}": np.array(table[:, i]) for i in range(len(names))})
-    return columns, {"joints": names, "topic": topic, "stamp_0": int(stamps[0])}
+        headed.append(_stamp(message))
+        rows.extend(values)
+
+    def _table(self) -> tuple[dict[str, Array], dict[str, Any]]:
+        group = self._measured()
+        stamps, bare = group.stamps()
+        if bare:
+            self._said.append(f"unstamped: {bare} of {len(stamps)} messages on {self._topic} bear no stamp; that of "
+                              "the log is taken for them, less the usual difference")
+        use: np.ndarray = np.ones(len(stamps), dtype=bool)
+        driven = np.asarray(np.isfinite(group.table("tau")).any(axis=1))
+        if 0.5 <= driven.mean() < 1.0:
+            use = driven
+            self._said.append(f"left-out: {int((~driven).sum())} messages on {self._topic} without efforts")
+        standing = np.asarray(np.isfinite(group.table("q")).any(axis=1))
+        if not standing[use].all():
+            self._said.append(f"left-out: {int((use & ~standing).sum())} messages on {self._topic} without positions")
+            use &= standing
+        if not use.any():
+            raise InputError(f"no message on {self._topic} holds positions", file=self._path, field="position")
+        stamps = stamps[use]
+        columns: dict[str, Array] = {"t": (stamps - stamps[0]) * 1e-9}
+        for key in ("q", "qd", "tau"):
+            table = group.table(key)[use]
+            if np.isfinite(table).any():
+                columns.update({f"{key}_{i + 1}": np.array(table[:, i]) for i in range(len(group.names))})
+        columns.update(self._beside(group, stamps))
+        meta = {"joints": group.names, "topic": self._topic, "stamp_0": int(stamps[0])}
+        return columns, with_reading(meta, self._said)
+
+    def _measured(self) -> _Joints:
+        """The messages of the joints that are wanted, or of most joints; the others are counted and named."""
+        groups = [group for (stream, _), group in self._groups.items() if stream == self._topic]
+        if not groups:
+            raise InputError(f"no messages on {self._topic}; record them while the arm moves", file=self._path)
+        fitting = groups
+        if self._joints is not None:
+            fitting = [group for group in groups if set(self._joints) <= set(group.names)]
+            if not fitting:
+                names = sorted({name for group in groups for name in group.names})
+                raise InputError(f"no message on {self._topic} holds them; joints there are {_some(names, 40)}",
+                                 file=self._path, field="--joints", value=",".join(self._joints))
+        enough = [group for group in fitting if len(group.logged) >= _ENOUGH] or fitting
+        chosen = max(enough, key=lambda group: (len(group.names), len(group.logged)))
+        for group in groups:
+            if group is not chosen:
+                self._said.append(f"left-out: {len(group.logged)} messages on {self._topic} of other joints "
+                                  f"({_some(group.names)})")
+        return chosen
+
+    def _beside(self, group: _Joints, stamps: Array) -> dict[str, Array]:
+        """Commands, arm angles, wrench and pose at the instants of the joint states; NaN where there are none."""
+        columns: dict[str, Array] = {}
+        for (stream, names), other in self._groups.items():
+            if stream == self._topic or not set(group.names) & names:
+                continue
+            at, table = other.stamps()[0], other.table("q")
+            for name in sorted(names):
+                if name in group.names:
+                    column = f"{stream}_{group.names.index(name) + 1}"
+                    values = _at(stamps, at, table[:, other.names.index(name)])
+                    # Of several controllers each has its joints, or its time.
+                    columns[column] = np.where(np.isnan(columns[column]), values, columns[column]) \
+                        if column in columns else values
+        for stream, names_of in (("wrench", _WRENCH), ("tcp", _TCP)):
+            if stream in self._vectors:
+                logged, headed, rows = self._vectors[stream]
+                at = np.array(headed if any(headed) else logged)
+                values_of = np.frombuffer(rows).reshape(-1, len(names_of))
+                columns.update({name: _nearest(stamps, at, values_of[:, k]) for k, name in enumerate(names_of)})
+        return columns
+
+
+def _at(stamps: Array, at: Array, values: Array) -> Array:
+    """Values ``(M,)`` given at some instants, between them at others ``(N,)``; NaN beyond their ends."""
+    order = np.argsort(at, kind="stable")
+    start = int(at[order[0]])
+    return np.interp(stamps - start, at[order] - start, values[order], left=np.nan, right=np.nan)
+
+
+def _nearest(stamps: Array, at: Array, values: Array) -> Array:
+    """Values ``(M,)`` at the rows ``(N,)`` next to which they were measured; NaN at rows next to none."""
+    order = np.argsort(at, kind="stable")
+    at, values = at[order], values[order]
+    place = np.clip(np.searchsorted(at, stamps), 1, max(len(at) - 1, 1))
+    before, after = np.minimum(place - 1, len(at) - 1), np.minimum(place, len(at) - 1)
+    near = np.where(np.abs(stamps - at[before]) <= np.abs(at[after] - stamps), before, after)
+    step = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
+    return np.where(np.abs(at[near] - stamps) <= 0.5 * step + 1.0, values[near], np.nan)
+
+
+def _stamp(message: Any) -> int:
+    return int(message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec)
+
+
+def _some(names: Sequence[str], most: int = _LISTED) -> str:
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+# What a killed recorder has left.
+
+def _whole(path: Path, folder: Path) -> tuple[list[Path], list[str]]:
+    """The bag's files as readers can open them, those that end within a record mended; and what there is to say."""
+    if path.is_file():
+        files = [path]
+    else:
+        files = sorted(file for file in path.iterdir() if file.suffix in SUFFIXES)
+    cut = [file for file in files if _is_cut(file)]
+    if not cut:
+        return ([path] if path.is_file() or (path / _WORDS).is_file() or not files else files), []
+    said = []
+    for file in cut:
+        mended = folder / file.name
+        lost = _mend(file, mended)
+        files[files.index(file)] = mended
+        said.append(f"cut: {file.name} ends within a record, as a killed recorder leaves it; what is whole is read"
+                    + (f", {100.0 * lost:.2g} % of its bytes are left out" if lost else ""))
+    return files, said
+
+
+def _is_cut(file: Path) -> bool:
+    """Whether an MCAP file begins as one and does not end as one."""
+    with file.open("rb") as stream:
+        if stream.read(len(_MCAP)) != _MCAP:
+            return False
+        stream.seek(-min(len(_MCAP), file.stat().st_size), 2)
+        return stream.read() != _MCAP
+
+
+def _mend(file: Path, mended: Path) -> float:
+    """Writes the whole records of an MCAP file as one that ends as it should; returns the share left out.
+
+    Of a chunk that was begun the records that can be unpacked stand by themselves, as the specification allows.
+    """
+    size, kept, messages = file.stat().st_size, len(_MCAP), 0
+    with file.open("rb") as stream, mended.open("wb") as out:
+        out.write(stream.read(len(_MCAP)))
+        while len(head := stream.read(9)) == 9:
+            kind, length = struct.unpack("<BQ", head)
+            begin = stream.tell()
+            if begin + length > size:
+                if kind == _CHUNK:
+                    for record in _records_of_begun_chunk(stream, size, file):
+                        out.write(record)
+                        messages += record[0] == _MESSAGE
+                    kept = size
+                break
+            if kind in _IN_DATA:
+                out.write(head)
+                for piece in _read(stream, length):
+                    out.write(piece)
+                messages += kind in (_MESSAGE, _CHUNK)
+            stream.seek(begin + length)
+            kept = begin + length
+        out.write(struct.pack("<BQI", 0x0F, 4, 0) + struct.pack("<BQQQI", 0x02, 20, 0, 0, 0) + _MCAP)
+    if not messages:
+        raise InputError("ends before its first message; record it again", file=file)
+    return 1.0 - kept / size
+
+
+def _records_of_begun_chunk(stream: IO[bytes], size: int, file: Path) -> Iterator[bytes]:
+    """Whole records of a chunk that the file ends in, as far as they can be unpacked."""
+    stream.seek(28, 1)
+    compression = _word(stream)
+    stream.seek(8, 1)
+    waiting, total = b"", 0
+    pieces = _unpacked(_read(stream, size), compression)
+    while True:
+        try:
+            piece = next(pieces, None)
+        except Exception:  # where the packed bytes end each library raises its own
+            return
+        if piece is None:
+            return
+        total += len(piece)
+        check_unfolding(BAG_UNFOLDING, total, size, file)
+        waiting += piece
+        while len(waiting) >= 9:
+            kind, length = struct.unpack_from("<BQ", waiting)
+            if length < _IN_CHUNK.get(kind, 1 << 64):
+                return
+            if len(waiting) < 9 + length:
+                BAG_MESSAGE.check(length, file)
+                break
+            yield waiting[: 9 + length]
+            waiting = waiting[9 + length :]
 
 
 # How much a bag unpacks to, without unpacking it. Readers go by indices: these have to agree with what is there.

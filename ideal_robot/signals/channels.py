@@ -21,6 +21,12 @@ DEAD, STEPPED, CLIPPED, FILTERED, IRREGULAR = "dead", "stepped", "clipped", "fil
 
 _ZEROS = 0.6
 """A torque that is exactly zero in more of its samples than this does not measure the joint."""
+_SHORTEST_BRAKED, _RARE = 10, 10.0
+"""Samples of a run of exact zeros, and how many times the usual run of equal values it is as long, for brakes."""
+_HELD = 1e-3
+"""A joint that a brake holds stays within this [rad or m]."""
+_LEVELS = 8
+"""Levels from which on the ends of a channel's range are limits; of fewer the ends are visited by rounding."""
 _COARSE = 0.05
 """Steps of the torque count from this share of its standard deviation on."""
 _COARSE_POSITION = 1e-4
@@ -88,6 +94,32 @@ def channel_findings(recording: Recording) -> tuple[ChannelFinding, ...]:
     return tuple(notes)
 
 
+def dead_share() -> float:
+    """Share of the samples without a value from which on a torque does not measure its joint."""
+    return _ZEROS
+
+
+def braked(recording: Recording) -> np.ndarray:
+    """Mask ``(N, n)`` of samples at which a torque is exactly zero for some time while its joint stands.
+
+    A torque that comes in steps is zero for a while by itself: runs count that are many times as long as the usual
+    ones of equal values. A dead channel has none.
+    """
+    held = np.zeros((len(recording.t), recording.n), dtype=bool)
+    for j in range(recording.n):
+        tau, q = recording.columns[f"tau_{j + 1}"], recording.columns[f"q_{j + 1}"]
+        zero = tau == 0.0
+        if not 0.0 < zero.mean() <= _ZEROS:
+            continue
+        lengths = [(stop - start, start, stop) for start, stop in runs(np.cumsum(np.diff(tau, prepend=tau[0]) != 0.0))]
+        usual = float(np.quantile([length for length, start, _ in lengths if not zero[start]] or [1], 0.99))
+        for length, start, stop in lengths:
+            if (zero[start] and length >= max(_SHORTEST_BRAKED, _RARE * usual)
+                    and np.ptp(q[start:stop]) < _HELD):
+                held[start:stop, j] = True
+    return held
+
+
 def dead_joints(findings: tuple[ChannelFinding, ...]) -> list[int]:
     """Joints, counted from 0, whose torque channel is dead."""
     return sorted({f.joint for f in findings if f.kind == DEAD})
@@ -124,7 +156,7 @@ def clipped(values: Array) -> np.ndarray:
 
 def _limits(values: Array, step: float) -> Iterator[np.ndarray]:
     """For each side on which there is a limit, the samples that stand at it ``(N,)``."""
-    if np.ptp(values) == 0.0:
+    if len(np.unique(values[: 20 * _LEVELS])) <= _LEVELS and len(np.unique(values)) <= _LEVELS:
         return
     for side in (values, -values):
         top = side >= side.max()

@@ -17,6 +17,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.sampling import LONGEST_PAUSE
 
 _NAMED = 8
 """Columns that a warning names; a line on the screen holds no more."""
@@ -48,6 +49,8 @@ def require_seconds(t: Array, quickest: float = np.inf, *, file: str | None = No
 def require_joint_units(q: Array, robot: Robot, *, file: str | None = None, column: str = "q") -> None:
     """Refuses positions that leave the joint limits by far, degrees or millimetres: raises InputError.
 
+    A joint whose limits hold every angle may have been turned on: where its positions are no degrees they are taken.
+
     Args:
         q, robot: joint positions ``(N, n)`` [rad, or m where a joint slides], and their limits.
         file, column: where they come from, and their name without the joint.
@@ -56,16 +59,32 @@ def require_joint_units(q: Array, robot: Robot, *, file: str | None = None, colu
     span = np.maximum(np.abs(robot.q_min), np.abs(robot.q_max))
     beyond = largest / np.where(np.isfinite(span) & (span > 0), span, np.inf)
     turning = ~robot.prismatic
+    in_limits = bool(np.all(np.radians(largest)[turning] <= _LEAVING * span[turning]))
+    degrees = in_limits and bool(np.any(beyond[turning] > 3.0))
     for j in np.flatnonzero(beyond > _LEAVING):
         if robot.prismatic[j]:
             unit, guess = "m", ("they look like millimetres, metres are expected: divide by 1000"
                                 if 1e-3 * largest[j] <= _LEAVING * span[j] else "wrong robot, or not in metres?")
+        elif not degrees and _all_angles(robot)[j]:
+            continue
         else:
-            in_limits = np.all(np.radians(largest)[turning] <= _LEAVING * span[turning])
-            unit, guess = "rad", ("they look like degrees, radians are expected"
-                                  if in_limits and np.any(beyond[turning] > 3.0) else "wrong robot, or not in radians?")
+            unit, guess = "rad", ("they look like degrees, radians are expected" if degrees
+                                  else "wrong robot, or not in radians?")
         raise InputError(f"positions up to {largest[j]:.4g} leave the joint limit of {span[j]:.4g} {unit}; {guess}",
                          file=file, field=f"{column}_{j + 1}", value=round(float(largest[j]), 4))
+
+
+def wound_up(q: Array, robot: Robot) -> list[str]:
+    """A warning for each joint that was turned beyond limits which hold every angle; positions ``(N, n)`` [rad]."""
+    largest = np.max(np.abs(q), axis=0, initial=0.0)
+    span = np.maximum(np.abs(robot.q_min), np.abs(robot.q_max))
+    return [f"turned-on: q_{j + 1} reaches {largest[j]:.3g} rad, beyond the URDF's ±{span[j]:.3g} rad; the angle is "
+            "taken as it is" for j in np.flatnonzero((largest > _LEAVING * span) & _all_angles(robot))]
+
+
+def _all_angles(robot: Robot) -> NDArray[np.bool_]:
+    """Which joints turn and have limits that hold every angle ``(n,)``."""
+    return np.asarray(~robot.prismatic & (robot.q_max - robot.q_min >= _WHOLE_TURN))
 
 
 def require_metres(position: Array, *, file: str | None = None, column: str = "x") -> None:
@@ -81,17 +100,19 @@ def require_metres(position: Array, *, file: str | None = None, column: str = "x
                          field=column, value=round(farthest, 3))
 
 
+_WHOLE_TURN = 2.0 * np.pi * 0.97
+"""Range of a joint from which on its limits hold practically every angle; makers stop some degrees short [rad]."""
 MOST_LEFT_OUT = 0.05
 """Largest share of samples that may be left out."""
-LONGEST_PAUSE = 600.0
-"""Longest time between two samples [s]; the clock was set, or two recordings joined, where it is longer."""
 _NAMED_PAUSE = 1.0
 """Time between two samples from which on a pause is told [s]."""
 _HALF = 2
 """Samples to either side that a sample is compared with: bursts of up to two are seen."""
 _WINDOW = 2 * _HALF + 1  # both sides and the sample
 _FASTEST = 15.0
-"""No joint of an arm moves faster [rad/s, m/s]."""
+"""No joint of an arm moves faster [rad/s, m/s]; a motor that is logged at its own side does ..."""
+_FASTER = 4.0
+"""... and no sample is this many times as fast as nearly all others of its own."""
 _STRONGER = 50.0
 """How many times as far from its neighbours as nearly all others a spike of a torque lies ..."""
 _BEYOND = 2.0
@@ -121,7 +142,7 @@ def plausible(recording: Recording, positions: Sequence[str], torques: Sequence[
             column of values far beyond what any arm has.
     """
     recording, warnings = only_numbers(recording, ["t", *positions, *torques])
-    warnings += text_columns(recording) + checked_time(recording.t, recording.source)
+    warnings += checked_time(recording.t, recording.source)
     recording, spikes = without_spikes(recording, positions, torques)
     warnings += spikes
     for name in positions:
@@ -220,12 +241,17 @@ def only_numbers(recording: Recording, needed: Sequence[str]) -> tuple[Recording
             [f"not-a-number: {bad.sum()} samples with NaN (first in {worst}) are left out"])
 
 
+def without_rows(recording: Recording, bad: NDArray[np.bool_]) -> Recording:
+    """The recording without some of its samples, ``bad (N,)``."""
+    return replace(recording, columns={name: np.ascontiguousarray(values[~bad])
+                                       for name, values in recording.columns.items()})
+
+
 def _without(recording: Recording, bad: NDArray[np.bool_], column: str, what: str) -> Recording:
     if bad.mean() > MOST_LEFT_OUT:
         raise InputError(f"{bad.sum()} of {len(bad)} samples {what}; at most {100 * MOST_LEFT_OUT:g} % can be left out",
                          file=recording.source, field=column)
-    return replace(recording, columns={name: np.ascontiguousarray(values[~bad])
-                                       for name, values in recording.columns.items()})
+    return without_rows(recording, bad)
 
 
 def _away(values: Array) -> Array:
@@ -238,7 +264,14 @@ def _position_spikes(q: Array, t: Array) -> NDArray[np.bool_]:
         return np.zeros(len(q), dtype=bool)
     around = np.pad(t, _HALF, mode="edge")
     time = np.maximum(0.5 * (around[2 * _HALF:] - around[: -2 * _HALF]), _HALF * float(np.median(np.diff(t))))
-    return np.asarray(_away(q) > _FASTEST * time)
+    return np.asarray(_away(q) > fastest(q, t) * time)
+
+
+def fastest(q: Array, t: Array) -> float:
+    """Speed that no sample ``(N,)`` of a position goes beyond unless it jumps [rad/s, m/s]."""
+    steps = np.diff(t)
+    usual = np.abs(np.diff(q)) / np.maximum(steps, 1e-3 * float(np.median(steps)))
+    return max(_FASTEST, _FASTER * float(np.quantile(usual, 0.99)))
 
 
 def _torque_spikes(tau: Array) -> NDArray[np.bool_]:
@@ -299,7 +332,7 @@ def _refuse_jump(recording: Recording, name: str) -> None:
     steps, times = np.abs(np.diff(q)), np.diff(t)
     usual = float(np.median(times))
     # After a pause the arm may stand elsewhere.
-    jumps = (steps > _FASTEST * np.maximum(times, _HALF * usual)) & (times < 5.0 * usual)
+    jumps = (steps > fastest(q, t) * np.maximum(times, _HALF * usual)) & (times < 5.0 * usual)
     if jumps.any():
         k = int(np.argmax(jumps))
         raise InputError(f"the position jumps by {q[k + 1] - q[k]:.4g} from one sample to the next at t = "

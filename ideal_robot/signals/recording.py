@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,18 +13,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.errors import InputError
+from ideal_robot.errors import InputError, did_you_mean, found_in
 from ideal_robot.results import Figure, Summarised, over_time, plain
 from ideal_robot.row_log import in_file, let_go
-from ideal_robot.signals.bag import SUFFIXES, read_joint_states
+from ideal_robot.signals.bag import SUFFIXES, read_bag
+from ideal_robot.signals.column_map import OF_JOINTS, given_map, listed_titles, recognised, with_reading
 from ideal_robot.signals.table_file import read_table
 from ideal_robot.whole_file import inert, whole_file
 
 if TYPE_CHECKING:
     import pandas as pd
 
-OF_JOINTS = ("q_c", "q_d", "q", "qa", "tau", "current", "temp")
-"""Quantities that every joint has."""
 POSE, WRENCH = ("x", "y", "z", "qx", "qy", "qz", "qw"), ("fx", "fy", "fz", "mx", "my", "mz")
 """Columns of the measured TCP and of the wrench."""
 _OF_THE_ARM = frozenset(("t", *POSE, *WRENCH, "cam_t"))
@@ -227,10 +227,22 @@ class Recording(Summarised):
         return path
 
     @classmethod
-    def read(cls, path: str | Path) -> Recording:
-        """Reads Parquet, CSV, or joint states from a ROS 2 bag or MCAP file.
+    def read(cls, path: str | Path, *, columns: str | Path | None = None, topic: str | None = None,
+             joints: Sequence[str] | None = None) -> Recording:
+        """Reads a table (Parquet, CSV of any separator) or a bag (ROS 1, ROS 2, MCAP).
 
-        Raises InputError for no such file, one that is not readable, or a column of docs/files.md that is not numeric.
+        Columns that other programs write are recognised by their titles; what was read as what, and what was left out,
+        stands in the metadata under ``reading``.
+
+        Args:
+            path: of the file, or of the folder of a ROS 2 bag.
+            columns: a map of the table's columns (TOML, docs/files.md); by their titles if None.
+            topic: of the joint states in a bag, or a part of the titles' path in a table.
+            joints: names of the joints that are read, in their order; all if None.
+
+        Raises:
+            InputError: no such file, one that is not readable, a column of docs/files.md that is not numeric, or no
+                such topic or joints.
         """
         path = Path(path)
         try:
@@ -239,11 +251,61 @@ class Recording(Summarised):
             exists = False
         if not exists:
             raise InputError("no such recording", file=path)
-        if path.is_dir() or path.suffix in SUFFIXES:
-            columns, meta = read_joint_states(path)
-            return cls(columns, meta, str(path))
-        columns, meta, words = read_table(path)
-        return cls(columns, _without_words(meta, words, str(path)), str(path))
+        if path.is_dir() or path.suffix.lower() in SUFFIXES:
+            if columns is not None:
+                raise InputError("maps the columns of a table, and this is a bag; choose with --topic and --joints",
+                                 file=path, field="--columns")
+            values, meta = read_bag(path, topic, joints)
+        else:
+            values, meta, words = read_table(path)
+            meta = _without_words(meta, words, str(path))
+            with found_in(path):
+                mapped = given_map(Path(columns), list(values)) if columns is not None else recognised(
+                    list(values), topic)
+                values, meta = mapped.applied(values, meta)
+            if "t" not in values or not any(name.startswith("q_") for name in values):
+                missing = "t [s]" if "t" not in values else "q_1 [rad]"
+                if "t" not in values or meta.get("reading"):
+                    raise InputError(f"a recording needs the column {missing}; columns are "
+                                     f"{listed_titles([*values, *words])}; say which is which with --columns map.toml "
+                                     "(docs/files.md)", file=path, field=missing.split()[0])
+        if joints is not None:
+            values, meta = of_joints(values, meta, joints, str(path))
+        return cls(values, meta, str(path))
+
+
+def of_joints(columns: dict[str, Array], meta: dict[str, Any], wanted: Sequence[str], source: str
+              ) -> tuple[dict[str, Array], dict[str, Any]]:
+    """The columns of some joints alone, numbered in the order in which they are named; raises InputError for unknown.
+
+    Args:
+        columns, meta, source: of a recording, and where it comes from.
+        wanted: names of joints, or their numbers in the file where it names none.
+    """
+    count = sum(1 for name in columns if re.fullmatch(r"q_\d+", name))
+    names = [str(name) for name in meta.get("joints", ())] or [str(j + 1) for j in range(count)]
+    for name in wanted:
+        if name not in names:
+            raise InputError(f"{did_you_mean(name, names)}joints of the file are {', '.join(names)}", file=source,
+                             field="--joints", value=name)
+    if len(set(wanted)) < len(wanted):
+        raise InputError("names a joint twice", file=source, field="--joints", value=",".join(wanted))
+    order = [names.index(name) + 1 for name in wanted]
+    kept = {name: values for name, values in columns.items() if _number_of(name) is None}
+    for name, values in columns.items():
+        number = _number_of(name)
+        if number in order:
+            kept[f"{name.rpartition('_')[0]}_{order.index(number) + 1}"] = values
+    others = [name for name in names if name not in wanted]
+    said = [f"left-out: joints {', '.join(others)}"] * bool(others)
+    named = {"joints": list(wanted)} if "joints" in meta else {}
+    return kept, with_reading({**meta, **named}, said)
+
+
+def _number_of(name: str) -> int | None:
+    """The joint's number in a column's name, counted from 1; None of a column that is of no joint."""
+    kind, _, tail = name.rpartition("_")
+    return int(tail) if tail.isdigit() and kind in (*OF_JOINTS, "qd", "qdd") else None
 
 
 def is_known_column(name: str) -> bool:

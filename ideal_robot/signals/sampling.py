@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -71,6 +72,96 @@ def on_its_clock(recording: Recording) -> Recording:
     """The recording with the instants of sampling for stamps, or as it is."""
     t, jitter = regular_stamps(recording.t, recording.joints("q"))
     return replace(recording, columns={**recording.columns, "t": np.ascontiguousarray(t)}) if jitter else recording
+
+
+# Stamps that do not rise: a handful of bad ones, or stamps of fewer digits than the clock that sampled.
+
+LONGEST_PAUSE = 600.0
+"""Longest time between two samples [s]; the clock was set, or two recordings joined, where it is longer."""
+_MOST_BAD = 0.05
+"""Share of stamps that are a handful: more are not left out."""
+_TIES = 0.2
+"""Share of stamps equal to the one before from which on the stamps are coarser than the sampling."""
+
+
+def rising_stamps(recording: Recording) -> tuple[Recording, list[str]]:
+    """The recording with stamps that rise, and what was done; as it is where that cannot be said.
+
+    Samples of a handful of stamps that fall are left out. Stamps of too few digits, many of them alike, are put on a
+    clock: an even one, or one that spreads the samples of a stamp evenly, whichever the positions are smoother over.
+    """
+    t = recording.t
+    if len(t) < 2 or not np.all(np.isfinite(t)):
+        return recording, []
+    steps = np.diff(t)
+    if np.all(steps > 0.0) and np.max(steps) <= LONGEST_PAUSE:
+        return recording, []
+    ties = float(np.mean(steps == 0.0))
+    if ties >= _TIES and np.all(steps >= 0.0) and np.count_nonzero(steps) > WINDOW:
+        quantum = float(np.median(steps[steps > 0.0]))
+        even, spread = _even_clock(t, quantum), _spread(t)
+        q = recording.joints("q")
+        clock = even if even is not None and roughness(even, q) <= roughness(spread, q) else spread
+        step = float(np.median(np.diff(clock)))
+        how = "an even clock, with which the positions agree" if clock is even else "instants evenly between them"
+        return (replace(recording, columns={**recording.columns, "t": np.ascontiguousarray(clock)}),
+                [f"coarse-stamps: stamps come in steps of {1e3 * quantum:.3g} ms, samples every {1e3 * step:.3g} ms; "
+                 f"they are put on {how}"])
+    rising = _longest_rising(t)
+    rising &= _together(t, rising)
+    bad = int((~rising).sum())
+    if bad > _MOST_BAD * len(t):
+        return recording, []
+    first = int(np.argmax(~rising))
+    return (replace(recording, columns={name: np.ascontiguousarray(values[rising])
+                                        for name, values in recording.columns.items()}),
+            [f"bad-stamps: {bad} samples whose stamps are not among the others' are left out (first: sample "
+             f"{first + 1}, t = {t[first]:.6g} s)"])
+
+
+def _even_clock(t: Array, quantum: float) -> Array | None:
+    """An even clock ``(N,)`` that stays within a step of the stamps, or None where rows were lost."""
+    number = np.arange(len(t))
+    slope, start = np.polyfit(number, t - t[0], 1)
+    clock = t[0] + start + slope * number
+    return clock if np.max(np.abs(t - clock)) <= quantum else None
+
+
+def _spread(t: Array) -> Array:
+    """Samples of equal stamps spread evenly up to the next stamp ``(N,)``."""
+    begins = np.concatenate([[0], np.flatnonzero(np.diff(t) > 0.0) + 1])
+    usual = float(np.median(np.diff(t[begins])))
+    ends = np.concatenate([begins[1:], [len(t)]])
+    until = np.concatenate([np.minimum(t[begins[1:]], t[begins[:-1]] + 1.5 * usual), [t[-1] + usual]])
+    width = np.repeat((until - t[begins]) / (ends - begins), ends - begins)
+    return t + width * (np.arange(len(t)) - np.repeat(begins, ends - begins))
+
+
+def _together(t: Array, rising: np.ndarray) -> np.ndarray:
+    """Mask ``(N,)`` of the most of the rising stamps that no pause of the longest kind separates."""
+    places = np.flatnonzero(rising)
+    parts = np.split(places, np.flatnonzero(np.diff(t[places]) > LONGEST_PAUSE) + 1)
+    mask = np.zeros(len(t), dtype=bool)
+    mask[max(parts, key=len)] = True
+    return mask
+
+
+def _longest_rising(t: Array) -> np.ndarray:
+    """Mask ``(N,)`` of a longest rising subsequence: without the fewest stamps the others rise."""
+    tails: list[float] = []
+    places: list[int] = []
+    before = np.full(len(t), -1)
+    for k, value in enumerate(t.tolist()):
+        at = bisect_left(tails, value)
+        before[k] = places[at - 1] if at else -1
+        tails[at : at + 1] = [value]
+        places[at : at + 1] = [k]
+    rising = np.zeros(len(t), dtype=bool)
+    k = places[-1]
+    while k >= 0:
+        rising[k] = True
+        k = int(before[k])
+    return rising
 
 
 # Samples taken at irregular instants, and stamped as if they were regular: the motion itself tells the instants.

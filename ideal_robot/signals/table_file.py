@@ -6,6 +6,7 @@ import csv
 import re
 import warnings
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -66,7 +67,9 @@ def _parquet(path: Path) -> tuple[dict[str, Array], dict[str, Any], list[str]]:
         pieces = file.iter_batches(_rows_of_a_piece(len(schema.names)), columns=names)
         columns, words = _filled((piece.to_pandas(ignore_metadata=True) for piece in pieces), names, rows)
     words += [name for name in schema.names if name not in names]
-    return columns, {} if raw is None else _metadata(raw, path), words
+    meta = {} if raw is None else _metadata(raw, path)
+    # What a reader said of the file that this one was made of holds of that one.
+    return columns, {key: value for key, value in meta.items() if key != "reading"}, words
 
 
 def _numeric(type_: Any) -> bool:
@@ -82,18 +85,115 @@ def _csv(path: Path) -> tuple[dict[str, Array], dict[str, Any], list[str]]:
     import pandas as pd
 
     rows = _lines(path)
-    with path.open(encoding="utf-8-sig", newline="") as text:
-        names = next(csv.reader([text.readline()]), [])
-    _check_names(names, path)
+    form = _layout(path)
+    _check_names(form.titles, path)
     # An empty value takes a byte, its comma.
-    TABLE_VALUES.check(min(rows * len(names), path.stat().st_size), path, "cut it into pieces")
+    TABLE_VALUES.check(min(rows * len(form.titles), path.stat().st_size), path, "cut it into pieces")
     with warnings.catch_warnings():
         # Rows of more values than there are names, which pandas would cut.
         warnings.simplefilter("error", pd.errors.ParserWarning)
-        with pd.read_csv(path.absolute(), index_col=False, low_memory=False,
-                         chunksize=_rows_of_a_piece(len(names))) as pieces:
+        with pd.read_csv(path.absolute(), index_col=False, low_memory=False, sep=form.separator, decimal=form.decimal,
+                         names=form.titles, header=None, skiprows=form.skipped, encoding=form.encoding,
+                         skipinitialspace=True, chunksize=_rows_of_a_piece(len(form.titles))) as pieces:
             columns, words = _filled(pieces, None, rows)
-    return columns, {}, words
+    unnamed = [name for name in form.unnamed if name in columns and np.isnan(columns[name]).all()]
+    return ({name: values for name, values in columns.items() if name not in unnamed},
+            {"reading": [form.said]} if form.said else {}, words)
+
+
+# How a text file is a table: what stands between its values, before them and over them.
+
+_LOOKED_AT = 64
+"""Lines in which a table begins, if at all."""
+_SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", r"\s+": "spaces"}
+"""What may stand between values; a comma between them is the last to be thought of where it may be in them."""
+_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d+)?|nan|[+-]?inf(inity)?|", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Separator and decimal sign of a table, its titles, the lines before its values, and what to say of it.
+
+    ``unnamed`` are titles that stand for none: a separator after the last value makes a column of nothing.
+    """
+
+    separator: str
+    decimal: str
+    titles: list[str]
+    skipped: int
+    encoding: str
+    said: str = ""
+    unnamed: tuple[str, ...] = ()
+
+
+def _layout(path: Path) -> _Layout:
+    """How a text file is a table: by the first lines of as many values as titles stand over them.
+
+    A line of units between titles and values joins the titles; without titles columns are ``column_1``, ….
+    """
+    with path.open("rb") as file:
+        raw = file.readlines(TABLE_LINE.most)[:_LOOKED_AT]
+    encoding = "utf-8-sig"
+    try:
+        lines = b"".join(raw).decode(encoding).splitlines()
+    except UnicodeDecodeError:
+        # As spreadsheets of Western Europe save degrees and umlauts.
+        encoding = "cp1252"
+        lines = b"".join(raw).decode(encoding, errors="replace").splitlines()
+    for separator, name in _SEPARATORS.items():
+        rows = [_cells(line, separator) for line in lines]
+        begin = next((k for k, row in enumerate(rows) if _is_values(row) and (len(row) > 1)
+                      and all(len(other) == len(row) for other in rows[k : k + 3] if other)), None)
+        if begin is None:
+            continue
+        width = len(rows[begin])
+        above = [row for row in rows[:begin] if len(row) == width]
+        if begin and not above and separator == ",":
+            # Titles of another number: pandas says what is wrong.
+            break
+        titles, units = (above[-1], None) if above else ([""] * width, None)
+        if len(above) > 1 and _are_units(above[-1]):
+            titles, units = above[-2], above[-1]
+        titles = [title.strip() for title in titles]
+        if units is not None:
+            titles = [f"{title} [{unit.strip(' []()')}]" if unit.strip(" []()") else title
+                      for title, unit in zip(titles, units, strict=True)]
+        if _ends_in(lines[begin], separator):
+            titles.append("")
+        unnamed = [i for i, title in enumerate(titles) if not title]
+        titles = [title or f"column_{i + 1}" for i, title in enumerate(titles)]
+        comma = separator != "," and any("," in cell for row in rows[begin:] for cell in row)
+        before = begin - len(above[-1:]) - (units is not None)
+        said = [f"{name} between values"] * (separator != ",") + ["decimal commas"] * comma
+        said += [f"{before} lines before the titles left out"] * (before > 0)
+        said += ["no titles: columns are called by their place"] * (not above)
+        return _Layout(separator, "," if comma else ".", titles, begin, encoding,
+                       f"table: {', '.join(said)}" if said else "", tuple(titles[i] for i in unnamed))
+    titles = next(csv.reader(lines[:1]), [])
+    return _Layout(",", ".", titles, 1, encoding)
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    if separator == r"\s+":
+        return line.split()
+    cells = next(csv.reader([line], delimiter=separator), [])
+    return cells[:-1] if _ends_in(line, separator) else cells
+
+
+def _ends_in(line: str, separator: str) -> bool:
+    """Whether a separator stands after the last value; a comma there is an empty value of a recording of ours."""
+    return separator in ";\t" and line.rstrip(" ").endswith(separator)
+
+
+def _is_values(row: list[str]) -> bool:
+    """Whether at least half of a line's cells are numbers, and one holds something."""
+    return bool(row) and any(cell.strip() for cell in row) and 2 * sum(
+        _NUMBER.fullmatch(cell.strip()) is not None for cell in row) >= len(row)
+
+
+def _are_units(row: list[str]) -> bool:
+    """Whether the cells of a line are units: short, and not one of them a name with a number."""
+    return all(len(cell.strip(" []()")) <= 6 and not any(c.isdigit() for c in cell) for cell in row)
 
 
 def _rows_of_a_piece(columns: int) -> int:

@@ -19,6 +19,7 @@ from ideal_robot.progress import Progress as Told
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from ideal_robot.signals.recording import Recording
     from scenes.result import RunResult
 
 
@@ -196,6 +197,14 @@ def _number(piece: str, kind: type[N], option: str, text: str) -> N:
                          + (" or a range such as 1-10" if whole else ""), field=option, value=text[:60]) from error
 
 
+def recording_of(path: Path, columns: Path | None, topic: str | None, joints: str | None) -> Recording:
+    """A recording read as the options ``--columns``, ``--topic`` and ``--joints`` say."""
+    from ideal_robot.signals.recording import Recording
+
+    names = None if joints is None else [name.strip() for name in joints.split(",") if name.strip()]
+    return Recording.read(path, columns=columns, topic=topic, joints=names)
+
+
 def scenes_there(given: Any) -> Any:
     """A scene or scenes as given, or InputError for none or two of that name: before what plays them is loaded."""
     from scenes.scene_file import find_scene
@@ -216,6 +225,8 @@ def arm_there(given: Any) -> Any:
 
 Bridge = Annotated[float, typer.Option(help="How long packets may be lost in a row [s].", min=0.0, max=1.0)]
 ControllerAddress = Annotated[str | None, typer.Option(help="Listen to this address only.")]
+ColumnsMap = Annotated[Path | None, typer.Option("--columns", help="Map of a table's columns (TOML, see "
+                                                 "docs/files.md); default: recognised by their titles.")]
 Core = Annotated[int | None, typer.Option(help="Processor core to keep to.", min=0)]
 Cycle = Annotated[float | None, typer.Option(help="Interpolation cycle [s], e.g. 0.004; default: robot's.")]
 DriveData = Annotated[Path | None, typer.Option(help="Drive data of the arm (TOML): gains, rotor inertias, cycles; "
@@ -224,6 +235,8 @@ Individual = Annotated[int | None, typer.Option(help="Arm of the type, with a mo
 JsonFigures = Annotated[Path | None, typer.Option(help="Write the figures as JSON to this file.")]
 JsonPlan = Annotated[Path | None, typer.Option(help="Write the plan and its figures as JSON to this file.")]
 JsonResults = Annotated[Path | None, typer.Option(help="Write the results as JSON to this file.")]
+JointNames = Annotated[str | None, typer.Option("--joints", help="Joints to read, by their names in the file, "
+                                                "separated by commas; default: the arm's.")]
 ModelsRobot = Annotated[str | None, typer.Option("--robot", "--urdf", help="Arm: name of a shipped robot, or path of a "
                                                  "URDF; default: the one the model names.",
                                                  callback=arm_there)]
@@ -237,6 +250,8 @@ SceneName = Annotated[str, typer.Argument(help="Name of a shipped scene, or path
 SearchSeed = Annotated[int, typer.Option(help="Seed of the search.", min=0)]
 Seed = Annotated[int | None, typer.Option(help="Seed instead of the scene's.", min=0)]
 Speed = Annotated[float | None, typer.Option(help="Path speed [m/s] instead of the scene's.")]
+StatesTopic = Annotated[str | None, typer.Option("--topic", help="Topic of the joint states in a bag, or part of the "
+                                                 "titles' path in a table; default: /joint_states, or the only one.")]
 TimeLimit = Annotated[float, typer.Option(help="How long a run may take [s]; one that takes longer is ended, begun "
                                                "once more, and then not played.", min=0.001)]
 

@@ -14,11 +14,15 @@ from ideal_robot.progress import part_of
 from ideal_robot.robots import SHIPPED, urdf_of
 from ideal_robot.whole_file import whole_files, write_text
 from scenes.commands.common import (
+    ColumnsMap,
+    JointNames,
     JsonResults,
     RobotName,
     Seed,
+    StatesTopic,
     arm_there,
     progress_bar,
+    recording_of,
     scenes_there,
     show_table,
     write_signed,
@@ -28,6 +32,7 @@ from scenes.outputs import check_outputs
 from scenes.scene_file import library, load_scene
 
 if TYPE_CHECKING:
+    from ideal_robot.signals.recording import Recording
     from ideal_robot.arrays import Array
     from ideal_robot.robots.robot import Robot
     from scenes.report.replay import Replay
@@ -135,6 +140,9 @@ def export(
     urdf: Annotated[Path | None, typer.Option(help="Of a model: URDF with bodies and friction.")] = None,
     like: Annotated[Path | None, typer.Option(help="With --mjcf: MJCF or URDF of the arm that is kept in all "
                                                    "else.")] = None,
+    columns: ColumnsMap = None,
+    topic: StatesTopic = None,
+    joints: JointNames = None,
 ) -> None:
     """Writes a recording as MCAP, ROS 2 bag, Rerun file, CSV or Parquet, or a model as MJCF or URDF.
 
@@ -163,10 +171,10 @@ def export(
     if is_model:
         _export_model(source, mjcf, urdf, like)
     else:
-        _export_recording(source, requested)
+        _export_recording(recording_of(source, columns, topic, joints), requested)
 
 
-def _export_recording(source: Path, requested: dict[str, Path]) -> None:
+def _export_recording(loaded: Recording, requested: dict[str, Path]) -> None:
     """Writes a recording in each format that was asked for."""
     from ideal_robot.signals.export import write_mcap, write_rerun, write_rosbag2
     from ideal_robot.signals.plausible import text_columns
@@ -174,8 +182,7 @@ def _export_recording(source: Path, requested: dict[str, Path]) -> None:
 
     writers = {"--rerun": write_rerun, "--mcap": write_mcap, "--rosbag2": write_rosbag2, "--csv": Recording.write,
                "--parquet": Recording.write}
-    loaded = Recording.read(source)
-    for text in text_columns(loaded):
+    for text in (*loaded.meta.get("reading", ()), *text_columns(loaded)):
         typer.echo(f"warning: {text}", err=True)
     with progress_bar("export") as progress:
         # The one that needs an extra comes first: where that is missing nothing has been written.

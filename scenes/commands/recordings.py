@@ -12,7 +12,9 @@ from ideal_robot.errors import InputError
 from ideal_robot.progress import Steps
 from ideal_robot.whole_file import whole_files
 from scenes.commands.common import (
+    ColumnsMap,
     DriveData,
+    JointNames,
     JsonFigures,
     JsonResults,
     ModelsRobot,
@@ -20,8 +22,10 @@ from scenes.commands.common import (
     ReportFolder,
     Rest,
     RobotName,
+    StatesTopic,
     completed,
     progress_bar,
+    recording_of,
     show_table,
     write_signed,
 )
@@ -51,6 +55,9 @@ class IdentifyOptions:
     recordings: Annotated[list[Path], typer.Argument(help="Recordings to identify from (Parquet, CSV, ROS 2 bag or "
                                                           "MCAP).")]
     robot: RobotName
+    columns: ColumnsMap = None
+    topic: StatesTopic = None
+    joints: JointNames = None
     validate: Annotated[list[Path] | None, typer.Option(help="Recording the model is compared with and never fitted "
                                                              "to; may be given several times.")] = None
     method: Annotated[str, typer.Option(help="joint (whole motions at once) or two-step (the program of "
@@ -80,14 +87,14 @@ def identify(options: IdentifyOptions) -> None:
     """
     from ideal_robot.identification.whole_model import identify_model, with_given_controller
     from ideal_robot.robots.robot import Robot
-    from ideal_robot.signals.recording import Recording
     from scenes.identification.page import identification_page
 
     check_outputs({"--out": options.out}, json=options.json, model=options.model, export_urdf=options.export_urdf)
     with progress_bar("identify") as progress:
         steps = Steps(progress, SHARES if options.model is None else SHARES_WITH_CASCADE)
         arm = Robot.load(options.robot, options.drive_data)
-        loaded, unseen, pd_only = ([Recording.read(path) for path in paths or []]
+        loaded, unseen, pd_only = ([recording_of(path, options.columns, options.topic, options.joints)
+                                    for path in paths or []]
                                    for paths in (options.recordings, options.validate, options.without_integrator))
         analysis = identify_model(loaded, arm, validation=unseen, method=options.method, friction=options.friction,
                                   cutoff=options.cutoff, cutoff_decimation=options.decimate_to,
@@ -141,6 +148,9 @@ class DiagnoseOptions:
 
     recording: Annotated[Path, typer.Argument(help="Recording to diagnose (Parquet, CSV, ROS 2 bag or MCAP).")]
     robot: RobotName
+    columns: ColumnsMap = None
+    topic: StatesTopic = None
+    joints: JointNames = None
     model: Annotated[Path | None, typer.Option(help="Model to diagnose; without it a baseline (rigid body, Coulomb and "
                                                     "viscous friction, rotors, offsets) is identified first.")] = None
     validate: Annotated[Path | None, typer.Option(help="Another recording of the same arm, for the errors that are "
@@ -167,15 +177,15 @@ def diagnose(options: DiagnoseOptions) -> None:
     from ideal_robot.identification.checks import require_distinct
     from ideal_robot.model.model import Model
     from ideal_robot.robots.robot import Robot
-    from ideal_robot.signals.recording import Recording
     from scenes.diagnosis.page import diagnosis_page, summary
 
     check_outputs({"--out": options.out}, json=options.json, model_out=options.model_out)
     with progress_bar("diagnose") as progress:
         steps = Steps(progress, SHARES_OF_DIAGNOSIS)
         arm = Robot.load(options.robot, options.drive_data)
-        recording = Recording.read(options.recording)
-        validate = None if options.validate is None else Recording.read(options.validate)
+        recording = recording_of(options.recording, options.columns, options.topic, options.joints)
+        validate = None if options.validate is None else recording_of(options.validate, options.columns, options.topic,
+                                                                      options.joints)
         if validate is not None:
             require_distinct([recording, validate])
         model = None if options.model is None else Model.load(options.model)
@@ -230,6 +240,9 @@ class StiffnessOptions:
     recordings: Annotated[list[Path], typer.Argument(help="Recordings with the flange clamped, or with payloads "
                                                           "hung on it (Parquet or CSV).")]
     robot: RobotName
+    columns: ColumnsMap = None
+    topic: StatesTopic = None
+    joints: JointNames = None
     method: Annotated[str, typer.Option(help="motor (currents), wrench (force sensor) or both.")] = "both"
     clamp: Annotated[bool | None, typer.Option("--clamp/--no-clamp", help="Estimate the give of clamp and links beside "
                                                "the gears; default: where the recordings allow it.")] = None
@@ -248,13 +261,12 @@ def stiffness(options: StiffnessOptions) -> None:
     """
     from ideal_robot.elasticity.stiffness_analysis import analyse_stiffness
     from ideal_robot.robots.robot import Robot
-    from ideal_robot.signals.recording import Recording
     from scenes.clamped import stiffness_page
 
     check_outputs({"--out": options.out}, json=options.json)
     with progress_bar("stiffness") as progress:
         arm = Robot.load(options.robot, options.drive_data)
-        loaded = [Recording.read(path) for path in options.recordings]
+        loaded = [recording_of(path, options.columns, options.topic, options.joints) for path in options.recordings]
         progress(0.1, "synchronising and fitting")
         analysis = analyse_stiffness(loaded, arm, options.method, clamp=options.clamp,
                                      drive_gain=options.drive_gain_tolerance)

@@ -44,7 +44,7 @@ def test_a_good_recording_passes(good: Recording) -> None:
 
 @pytest.mark.parametrize(("columns", "says"), [
     ({"tau_3": None}, "tau_3"), ({"q_1": None}, "q_1"), ({"t": None}, r"t \[s\]"), ({"q_6": None}, r"5 joints .*has 6"),
-    ({"tau_4": 0.0}, "tau_4"), ({f"tau_{i + 1}": 0.0 for i in range(6)}, "every torque is zero")])
+    ({f"tau_{i + 1}": 0.0 for i in range(6)}, "every torque is zero")])
 def test_columns_that_are_missing_or_zero(columns: dict[str, float | None], says: str, good: Recording) -> None:
     values = {name: None if value is None else np.full(len(good.t), value) for name, value in columns.items()}
     with pytest.raises(InputError, match=says):

@@ -1,0 +1,381 @@
+"""Columns of tables by other programs: which of them are time, positions, torques, and in which units.
+
+A title is read word by word: a quantity (``position``, ``effort``, ``strom``), its role (``actual``, ``target``), a
+joint (its name or number) and perhaps a unit. So UR's record script, PlotJuggler, ``rostopic echo -p``, libfranka's
+log, KUKA's trace and EtherCAT drives are read alike. A map of the user's own names the columns instead (``--columns``).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.bounded_values import read_toml
+from ideal_robot.errors import InputError, did_you_mean
+
+OF_JOINTS = ("q_c", "q_d", "q", "qa", "tau", "current", "temp")
+"""Quantities that every joint has."""
+SINGLE = ("t", "x", "y", "z", "qx", "qy", "qz", "qw", "fx", "fy", "fz", "mx", "my", "mz", "cam_t")
+"""Quantities that the arm has once: time, pose of the TCP, wrench, stamp of the camera."""
+
+_QUANTITIES = {
+    "q": "position positions pos angle angles q theta istposition sollposition istwinkel sollwinkel winkel lage",
+    "qd": "velocity velocities vel speed qd dq qdot geschwindigkeit drehzahl",
+    "tau": "effort efforts torque torques tau moment drehmoment trq motortorque",
+    "current": "current currents strom motorstrom",
+    "temp": "temperature temperatures temp temperatur",
+}
+_WORDS = {word: quantity for quantity, words in _QUANTITIES.items() for word in words.split()}
+"""The quantity that a word of a title names."""
+_MEASURED = frozenset(("actual", "act", "measured", "meas", "msr", "ist", "feedback", "state", "value", "wert"))
+_COMMANDED = frozenset(("target", "command", "commanded", "commands", "cmd", "reference", "references", "ref",
+                        "setpoint", "soll", "sollwert", "sollposition", "sollwinkel", "desired", "des"))
+_AXIS = frozenset(("axis", "act"))
+"""KUKA's words for positions: ``$AXIS_ACT``."""
+_OTHERS = frozenset(("tcp", "tool", "cartesian", "pose", "ee", "ext", "external", "error", "err", "deviation", "limit",
+                     "max", "min", "gravity", "coriolis", "mass", "mode", "status", "voltage", "output", "estimated",
+                     "pid", "raw", "window", "acceleration", "acc"))
+"""Words of titles that hold something else than a joint's motion or drive, whatever the other words are."""
+_TIME = ("t", "time", "timestamp", "stamp", "zeit", "elapsed", "sec", "secs", "seconds", "zeitstempel")
+"""Words of a title of times, the surest first."""
+_BESIDE_TIME = frozenset(("header", "field", "robot", "controller", "relative", "since", "start", "ros", "log"))
+_FACTORS = {"deg": math.pi / 180.0, "degree": math.pi / 180.0, "degrees": math.pi / 180.0, "grad": math.pi / 180.0,
+            "°": math.pi / 180.0, "mm": 1e-3, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "ma": 1e-3,
+            "rad": 1.0, "m": 1.0, "s": 1.0, "sec": 1.0, "a": 1.0, "nm": 1.0, "n m": 1.0, "rad/s": 1.0, "°c": 1.0,
+            "deg/s": math.pi / 180.0, "°/s": math.pi / 180.0, "%": 1.0, "‰": 1.0}
+"""Units that titles carry, over those of docs/files.md; shares of a rated torque stay as they are."""
+_UNIT = re.compile(r"\s*[\[(]\s*([^\[\]()0-9]+?)\s*[\])]\s*$")
+_PARTS = re.compile(r"[A-Z]?[a-zµ°]+|[A-Z]+(?![a-z])|\d+")
+_EPOCH = ((1e17, 1e-9, "nanoseconds"), (1e14, 1e-6, "microseconds"), (1e11, 1e-3, "milliseconds"), (1e8, 1.0, ""))
+"""Least number that a clock of that unit shows in our decades, the unit [s] and its name."""
+_LISTED = 40
+"""Titles that a message names."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a column comes from.
+
+    Attributes:
+        title: of the column in the file.
+        factor: by which its values are multiplied.
+    """
+
+    title: str
+    factor: float = 1.0
+
+
+@dataclass(frozen=True)
+class ColumnMap:
+    """Which column of a table is which of docs/files.md.
+
+    Attributes:
+        of: our name → where it comes from.
+        joints: names of the joints, in the order of their numbers; empty where the titles only count.
+        given: whether the user gave it.
+    """
+
+    of: dict[str, Source]
+    joints: tuple[str, ...] = ()
+    given: bool = field(default=False, compare=False)
+
+    def applied(self, columns: Mapping[str, Array], meta: dict[str, Any]) -> tuple[dict[str, Array], dict[str, Any]]:
+        """Columns ``(N,)`` under our names and in our units, others as they were, and what was read as what."""
+        taken = {source.title for source in self.of.values()}
+        result: dict[str, Array] = {}
+        said: list[str] = []
+        for name, source in self.of.items():
+            values = columns[source.title]
+            result[name] = values if source.factor == 1.0 else np.asarray(values, dtype=float) * source.factor
+        t, unit = _from_epoch(result["t"]) if "t" in result else (None, "")
+        if t is not None and "t" in result and t is not result["t"]:
+            result["t"] = t
+            said.append(f"epoch-stamps: times count from the first stamp{unit and f', from {unit}'}")
+        result.update({name: values for name, values in columns.items() if name not in taken and name not in result})
+        renamed = {name: source for name, source in self.of.items() if name != source.title or source.factor != 1.0}
+        if renamed:
+            said.insert(0, "columns: " + ", ".join(_told(renamed)))
+        names = {"joints": list(self.joints)} if self.joints else {}
+        return result, with_reading({**meta, **names}, said)
+
+
+def with_reading(meta: dict[str, Any], said: Sequence[str]) -> dict[str, Any]:
+    """Metadata with more of what a reader says of a file: sentences ``name: what was done``, under ``reading``."""
+    return {**meta, "reading": [*meta.get("reading", ()), *said]} if said else meta
+
+
+def recognised(titles: Sequence[str], topic: str | None = None) -> ColumnMap:
+    """The map that titles tell by their words; empty where they are ours already or tell nothing.
+
+    Args:
+        titles: of the table's columns.
+        topic: part of the titles' path that is wanted where several groups of joints are there.
+
+    Raises:
+        InputError: several groups of joints have positions, and no ``topic`` says which.
+    """
+    own = {title for title in titles if _is_ours(title)}
+    found: dict[str, Source] = {}
+    if "t" not in own and (time := _time(titles)):
+        found["t"] = time
+    joints: tuple[str, ...] = ()
+    if "q_1" not in own:
+        times = {source.title for source in found.values()}
+        groups = _groups([title for title in titles if title not in own | times])
+        prefixes = _with_positions(groups, topic)
+        if prefixes:
+            joints = _joint_columns(groups, prefixes[0], found)
+    return ColumnMap(found, joints)
+
+
+def given_map(path: Path, titles: Sequence[str]) -> ColumnMap:
+    """The map in a TOML file of the user's; raises InputError where it names what is not there or cannot be.
+
+    A key is one of docs/files.md without the joint's number: its value is a title, a list of titles (one a joint), or a
+    pattern with the joint's number in braces, ``{0}`` counted from 0 and ``{1}`` from 1; or a table with ``column`` or
+    ``columns``, ``factor`` (a number or one a joint) and ``unit``. ``joints`` lists the joints' names.
+    """
+    of: dict[str, Source] = {}
+    joints: tuple[str, ...] = ()
+    known = set(titles)
+    for key, value in read_toml(path, "a map of columns").items():
+        if key == "joints":
+            joints = tuple(str(name) for name in _listed(value, path, key))
+            continue
+        if key not in (*OF_JOINTS, *SINGLE, "qd"):
+            raise InputError(f"{did_you_mean(key, (*OF_JOINTS, *SINGLE))}expected joints or one of "
+                             f"{', '.join((*SINGLE[:1], *OF_JOINTS, *SINGLE[1:]))}", file=path, field=key)
+        table = value if isinstance(value, dict) else {"columns": value}
+        if odd := sorted(set(table) - {"column", "columns", "factor", "unit"}):
+            raise InputError("expected columns (or column), factor, unit", file=path, field=f"{key}.{odd[0]}")
+        named = _titles(table.get("columns", table.get("column")), known, path, key)
+        factors = _factors(table, len(named), path, key)
+        if key in SINGLE and len(named) != 1:
+            raise InputError(f"expected the title of one column, not {len(named)}", file=path, field=key)
+        names = [key] if key in SINGLE else [f"{key}_{j + 1}" for j in range(len(named))]
+        of.update({name: Source(title, factor) for name, title, factor in zip(names, named, factors, strict=True)})
+    for wanted in ("t", "q_1"):
+        if wanted not in of and wanted not in known:
+            raise InputError(f"maps no column to {wanted.partition('_')[0]}; the table's columns are "
+                             f"{listed_titles(titles)}", file=path, field=wanted.partition("_")[0])
+    return ColumnMap(of, joints, given=True)
+
+
+def listed_titles(titles: Sequence[str]) -> str:
+    """Titles for a message, the first of them where they are many."""
+    return (", ".join(titles[:_LISTED]) + (f" and {len(titles) - _LISTED} more" if len(titles) > _LISTED else "")
+            or "none")
+
+
+def _is_ours(title: str) -> bool:
+    kind, _, tail = title.rpartition("_")
+    return title in SINGLE or (tail.isdigit() and kind in (*OF_JOINTS, "qd", "qdd"))
+
+
+def _told(renamed: Mapping[str, Source]) -> list[str]:
+    """Our names and theirs, those of all joints in one."""
+    rows: dict[str, list[tuple[str, Source]]] = {}
+    for name, source in renamed.items():
+        kind, _, number = name.rpartition("_")
+        rows.setdefault(kind if number.isdigit() else name, []).append((name, source))
+    told = []
+    for pairs in rows.values():
+        (first, source), (last, other) = pairs[0], pairs[-1]
+        factor = "" if source.factor == 1.0 else f" × {source.factor:.6g}"
+        told.append(f"{first} from {source.title!r}{factor}" if first == last else
+                    f"{first} to {last} from {source.title!r} to {other.title!r}{factor}")
+    return told
+
+
+def _words(title: str) -> tuple[list[str], str]:
+    """The words of a title in small letters, and its unit."""
+    unit = ""
+    if (match := _UNIT.search(title)) and match[1].lower() in _FACTORS:
+        unit, title = match[1].lower(), title[: match.start()]
+    words = [word.lower() for word in _PARTS.findall(title)]
+    if not unit and len(words) > 1 and words[-1] in ("deg", "degrees", "rad", "s", "ms", "us", "ns", "nm", "mm"):
+        unit = words.pop()
+    return words, unit
+
+
+def _time(titles: Sequence[str]) -> Source | None:
+    """The column of times: by the surest word, of titles that say nothing else."""
+    best: tuple[int, int, Source] | None = None
+    for place, title in enumerate(titles):
+        words, unit = _words(title)
+        kinds = [_TIME.index(word) for word in words if word in _TIME]
+        if not kinds or any(word not in _TIME and word not in _BESIDE_TIME for word in words):
+            # A stamp within a message: its topic stands before it.
+            if not (words[-2:] == ["header", "stamp"] or words[-1:] == ["timestamp"]):
+                continue
+            kinds = [len(_TIME)]
+        rank = (min(kinds), place, Source(title, _FACTORS.get(unit, 1.0)))
+        best = rank if best is None or rank[:2] < best[:2] else best
+    return None if best is None else best[2]
+
+
+def _from_epoch(t: Array) -> tuple[Array, str]:
+    """Times that a clock since 1970 shows, counted from the first in seconds, and their unit; or as they are."""
+    first = float(t[0]) if len(t) else 0.0
+    for least, factor, unit in _EPOCH:
+        if np.isfinite(first) and first >= least:
+            return (np.asarray(t, dtype=float) - first) * factor, unit
+    return t, ""
+
+
+Group = dict[str, dict[str, Source]]
+"""Of each quantity the joints' columns by their names."""
+
+
+def _groups(titles: Sequence[str]) -> dict[str, Group]:
+    """Columns of joints by the path that stands before the joint's name, then by quantity."""
+    groups: dict[str, Group] = {}
+    ranks: dict[tuple[str, str, str], int] = {}
+    for title in titles:
+        told = _joint_column(title)
+        if told is None:
+            continue
+        quantity, prefix, name, rank, source = told
+        # Of an actual value and one that says nothing of its role the actual one.
+        if rank < ranks.get((prefix, quantity, name), 9):
+            ranks[prefix, quantity, name] = rank
+            groups.setdefault(prefix, {}).setdefault(quantity, {})[name] = source
+    return groups
+
+
+def _joint_column(title: str) -> tuple[str, str, str, int, Source] | None:
+    """Quantity, path, joint, rank of its role (0: said to be measured) and source of a title; None for another one."""
+    words, unit = _words(title)
+    if _OTHERS & set(words):
+        return None
+    kinds = [word for word in words if word in _WORDS and word != "q"] or [word for word in words if word == "q"]
+    if not kinds and set(words) >= _AXIS:
+        kinds = ["axis"]
+    if not kinds:
+        return None
+    quantity = _WORDS.get(kinds[-1], "q")
+    # libfranka's q_d; a joint's name may be d.
+    led = _COMMANDED | ({"d"} if "d" in words[words.index(kinds[-1]):] else set())
+    commanded, measured = bool(led & set(words)), bool(_MEASURED & set(words))
+    if commanded:
+        if quantity != "q":
+            return None
+        quantity = "q_c"
+    bare = _UNIT.sub("", title) if unit and title[-1] in ")]" else title
+    path, leaf = re.match(r"^(.*[/.])?([^/.]*)$", bare.rstrip("/.")).groups(default="")  # type: ignore[union-attr]
+    drop = {kinds[-1], "axis", *_MEASURED, *led, unit}
+    name = _without(leaf, drop)
+    if not name and path:
+        # .../joint_a1/position: the joint is the part before.
+        path, name = re.match(r"^(.*[/.])?([^/.]*)$", path.rstrip("/.")).groups(default="")  # type: ignore[union-attr]
+        name = _without(name, drop - {"state"})
+    if not name:
+        return None
+    prefix = "/".join(part for part in re.split(r"[/.]", path) if part and part.lower() not in drop)
+    return quantity, prefix, name, 0 if measured else 1, Source(title, _FACTORS.get(unit, 1.0))
+
+
+def _without(text: str, drop: set[str]) -> str:
+    """A title's part without the words that say quantity and role."""
+    kept = [part for part in _PARTS.findall(text) if part.lower() not in drop]
+    return "_".join(kept)
+
+
+def _with_positions(groups: Mapping[str, Group], topic: str | None) -> list[str]:
+    """The path of the joints that are read, alone in a list; empty for none."""
+    having = [prefix for prefix, group in groups.items() if "q" in group]
+    if topic is not None:
+        wanted = topic.strip("/").replace(".", "/")
+        having = [prefix for prefix in having if wanted in prefix]
+        if not having:
+            raise InputError(f"no column of positions has it in its title; groups are "
+                             f"{', '.join(sorted(groups)) or 'none'}", field="--topic", value=topic)
+    driven = [prefix for prefix in having if {"tau", "current"} & set(groups[prefix])]
+    having = driven or having
+    if len(having) > 1:
+        raise InputError(f"several groups of joints have positions ({', '.join(sorted(having))}); name one with "
+                         "--topic, or map the columns with --columns", field="columns")
+    return having
+
+
+def _joint_columns(groups: Mapping[str, Group], prefix: str, found: dict[str, Source]) -> tuple[str, ...]:
+    """Adds the columns of a group's joints; returns the joints' names, none where they are numbers alone."""
+    group = dict(groups[prefix])
+    # A controller's reference stands under a path of its own.
+    for other in groups.values():
+        if "q_c" in other and "q_c" not in group and set(other["q_c"]) >= set(group["q"]):
+            group["q_c"] = other["q_c"]
+    names = list(group["q"])
+    numbers = _numbers(names)
+    if numbers is not None:
+        names = [name for _, name in sorted(zip(numbers, names, strict=True))]
+    for quantity, columns in group.items():
+        by_name = columns if set(columns) >= set(names) else _by_number(columns, names)
+        if by_name is None:
+            continue
+        found.update({f"{quantity}_{j + 1}": by_name[name] for j, name in enumerate(names)})
+    return () if numbers is not None else tuple(names)
+
+
+def _by_number(columns: Mapping[str, Source], names: Sequence[str]) -> dict[str, Source] | None:
+    """Columns by the names of the positions, where both only count: ``tau_J_0`` beside ``q_0``."""
+    numbers = _numbers(list(columns))
+    if numbers is None or _numbers(names) is None or len(columns) != len(names):
+        return None
+    order = [name for _, name in sorted(zip(numbers, columns, strict=True))]
+    return {name: columns[other] for name, other in zip(names, order, strict=True)}
+
+
+def _numbers(names: Sequence[str]) -> list[int] | None:
+    """The joints' numbers where names are one text and numbers that count from 0 or 1; else None."""
+    found = [re.fullmatch(r"(\D*)(\d+)(\D*)", name) for name in names]
+    matches = [match for match in found if match is not None]
+    if len(matches) < len(names) or len({(match[1], match[3]) for match in matches}) != 1:
+        return None
+    numbers = [int(match[2]) for match in matches]
+    return numbers if sorted(numbers) in (list(range(len(names))), list(range(1, len(names) + 1))) else None
+
+
+def _listed(value: Any, path: Path, key: str) -> list[Any]:
+    if not isinstance(value, list) or not value:
+        raise InputError("expected a list", file=path, field=key)
+    return value
+
+
+def _titles(value: Any, known: set[str], path: Path, key: str) -> list[str]:
+    """Titles that an entry of the map names, each in the table."""
+    if isinstance(value, str) and (match := re.search(r"\{([01])\}", value)):
+        start = int(match[1])
+        titles: list[str] = []
+        while (title := value.replace(match[0], str(start + len(titles)))) in known:
+            titles.append(title)
+        if not titles:
+            raise InputError(f"no column {value.replace(match[0], match[1])!r}; columns are "
+                             f"{listed_titles(sorted(known))}", file=path, field=key)
+        return titles
+    titles = [value] if isinstance(value, str) else [str(title) for title in _listed(value, path, key)]
+    for title in titles:
+        if title not in known:
+            raise InputError(f"no column {title!r}; {did_you_mean(title, known)}columns are "
+                             f"{listed_titles(sorted(known))}", file=path, field=key)
+    return titles
+
+
+def _factors(table: Mapping[str, Any], count: int, path: Path, key: str) -> list[float]:
+    """Factor of each of an entry's columns: its own times that of its unit."""
+    value, unit = table.get("factor", 1.0), str(table.get("unit", "")).lower()
+    if unit and unit not in _FACTORS:
+        raise InputError(f"expected one of {', '.join(_FACTORS)}; else give a factor", file=path, field=f"{key}.unit",
+                         value=unit)
+    values = value if isinstance(value, list) else [value] * count
+    if len(values) != count or any(isinstance(one, bool) or not isinstance(one, (int, float)) or one == 0
+                                   for one in values):
+        raise InputError(f"expected a number other than 0, or {count} of them", file=path, field=f"{key}.factor")
+    return [float(one) * _FACTORS.get(unit, 1.0) for one in values]
