@@ -50,6 +50,7 @@ THEMES = {
     "More on an arm": {
         "plan-identification": "motions:plan_identification",
         "plan-diagnosis": "motions:plan_diagnosis",
+        "inspect": "inspection:inspect",
         "stiffness": "recordings:stiffness",
         "validate": "recordings:validate",
         "twin": "files:twin",

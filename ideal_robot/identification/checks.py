@@ -56,12 +56,11 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
-def excitation_warnings(model: Model, solution: Solution, wrong_sign: Sequence[int] = ()) -> list[str]:
+def excitation_warnings(model: Model, solution: Solution) -> list[str]:
     """What the data do not show, from the solution's statistics.
 
     Args:
         model, solution: what was identified, and how well.
-        wrong_sign: joints, counted from 0, that behave as if their torque had the wrong sign.
     """
     warnings = []
     parameters = model.parameters
@@ -81,6 +80,4 @@ def excitation_warnings(model: Model, solution: Solution, wrong_sign: Sequence[i
     if bounds:
         warnings.append(f"friction-at-bound: {', '.join(bounds)} would be negative and is held at zero; the motion has "
                         "too few speeds to tell friction apart, or something that is not friction acts like it")
-    warnings += [f"wrong-sign: the torque of joint {j + 1} has the wrong sign: friction would drive the joint and its "
-                 f"inertia be negative; multiply tau_{j + 1} by -1" for j in wrong_sign]
     return warnings

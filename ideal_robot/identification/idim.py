@@ -16,6 +16,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics import BaseParameters, base_parameters, full_regressor
 from ideal_robot.dynamics.base_parameters import Consistency
 from ideal_robot.errors import InputError
+from ideal_robot.identification.against_urdf import Finding, contradicting
 from ideal_robot.identification.checks import checked, excitation_warnings, require_distinct, require_motion
 from ideal_robot.identification.joint_fit import JointFit, JointProblem
 from ideal_robot.identification.weighted_least_squares import Solution, prior_of
@@ -80,6 +81,7 @@ class Identification(Summarised):
         consistency: how far the physically possible parameters are from the identified ones.
         warnings: named warnings, each ``name: sentence``.
         recordings, unseen: the estimation and validation recordings as they were used, torque in N m.
+        contradictions: what the recordings are by comparison with the URDF and do not claim to be.
     """
 
     model: Model
@@ -91,6 +93,7 @@ class Identification(Summarised):
     warnings: tuple[str, ...]
     recordings: tuple[Recording, ...]
     unseen: tuple[Recording, ...]
+    contradictions: tuple[Finding, ...] = ()
 
     def summary(self) -> list[tuple[str, str]]:
         """How well the model explains what was measured."""
@@ -142,12 +145,14 @@ def identify(recordings: Sequence[Recording], robot: Robot, *, validation: Seque
     settings = {"cutoff": signals[0].cutoff, "cutoff_decimation": signals[0].cutoff_decimation,
                 **(_described(filters) if filters is not None else {})}
     model = _model_of(fit, robot, base, usable, settings, budgets)
-    warnings += excitation_warnings(model, fit.solution, fit.wrong_sign)
+    warnings += excitation_warnings(model, fit.solution)
+    contradictions, said = contradicting(usable, robot, amperes=amperes)
+    warnings += said
     estimation = tuple(model.predict(r) for r in usable)
     held_out = tuple(model.predict(r) for r in unseen)
     model = with_errors(model, estimation, held_out, warnings)
     return Identification(model, fit.solution, estimation, held_out, fit.scores, fit.consistency, tuple(warnings),
-                          tuple(usable), tuple(unseen))
+                          tuple(usable), tuple(unseen), contradictions)
 
 
 def _model_of(fit: JointFit, robot: Robot, base: BaseParameters, recordings: Sequence[Recording],

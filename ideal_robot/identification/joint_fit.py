@@ -61,7 +61,6 @@ class JointFit:
         consistency: physically possible parameters.
         scores: per joint, held-out residual of each friction law tried.
         counted: per joint, what the samples weighed in the end, as a share of all samples ``(n,)``.
-        wrong_sign: joints, counted from 0, whose torque would drive friction and have a negative inertia.
     """
 
     solution: Solution
@@ -69,7 +68,6 @@ class JointFit:
     consistency: Consistency
     scores: tuple[dict[str, float], ...]
     counted: Array
-    wrong_sign: tuple[int, ...]
 
 
 class JointProblem:
@@ -123,8 +121,7 @@ class JointProblem:
         weight = np.mean(noise**2 / (noise**2 + variance), axis=0)
         share = len(self._y) / sum(len(s.keep) for s in self._signals)
         live = ~np.isnan(self._y).all(axis=0)
-        return JointFit(solution, friction, consistency, tuple(scores), np.where(live, share * weight, 0.0),
-                        self._wrong_sign(rough))
+        return JointFit(solution, friction, consistency, tuple(scores), np.where(live, share * weight, 0.0))
 
     def _rough(self, *, correlated: bool = False) -> Solution:
         """Fit of dry and viscous friction; of its covariance only wrong signs ask for more than that of white noise."""
@@ -243,18 +240,6 @@ class JointProblem:
             rows = (pushed - at_rest)[:, j][:, independent]
             felt[j] = float(np.mean(rows @ rough.value[: self._base.count]))
         return felt
-
-    def _wrong_sign(self, rough: Solution) -> tuple[int, ...]:
-        """Joints whose torque has the wrong sign: left free, friction drives them and their inertia is negative."""
-        b = self._base.count
-        friction = rough.value[b:].reshape(-1, 2)
-        negative = np.all(friction < 0.0, axis=1)
-        if not negative.any():
-            return ()
-        inertia = self._inertia(rough)
-        std = np.sqrt(np.diag(self._rough(correlated=True).covariance))[b:].reshape(-1, 2)
-        drives = negative & np.any(friction < -3.0 * std, axis=1)
-        return tuple(int(j) for j in np.flatnonzero(drives & (inertia < 0.0)))
 
 
 _PASSED = 20.0

@@ -18,6 +18,7 @@ from ideal_robot.dynamics import BaseParameters, base_parameters, full_regressor
 from ideal_robot.dynamics.base_parameters import consistent_parameters, parameter_scales
 from ideal_robot.errors import InputError
 from ideal_robot.friction import FrictionModel, PerJointFriction, law_of
+from ideal_robot.identification.against_urdf import contradicting
 from ideal_robot.identification.checks import checked, excitation_warnings, require_distinct
 from ideal_robot.identification.friction_runs import FrictionFit, choose_law, fit_law
 from ideal_robot.identification.idim import Identification, with_errors
@@ -213,11 +214,13 @@ def identify_two_step(recordings: Sequence[Recording], robot: Robot, *, validati
     solution = _statistics(measurements, values, joint_covariance, unexcited, residual, noise)
     warnings += [f"{text} (validation)" for text in more]
     warnings += excitation_warnings(model, solution)
+    contradictions, said = contradicting(usable, robot, amperes=any("unknown-drive-gain" in text for text in warnings))
+    warnings += said
     held_out = tuple(model.predict(r) for r in unseen)
     model = with_errors(model, estimation, held_out, warnings)
     scores = tuple({fit.law.label: fit.held_out_rms} for fit in fits)
     return (Identification(model, solution, estimation, held_out, scores, consistency, tuple(warnings), tuple(usable),
-                           tuple(unseen)),
+                           tuple(unseen), contradictions),
             TwoStep(tuple(measurements), float(sum(r.t[-1] - r.t[0] for r in usable))))
 
 

@@ -75,9 +75,12 @@ def joint_verdicts(model: Model, result: Identification, robot: Robot) -> tuple[
     residual = [np.nan_to_num(joined(predictions).residual_std_percent, nan=np.inf, posinf=np.inf)
                 for predictions in (result.estimation, result.validation) if predictions]
     open_ = _uncertain(model, result, robot)
+    # Joints share bodies: what one torque has wrong the parameters of all have.
+    contrary = ", ".join(dict.fromkeys(finding.kind for finding in result.contradictions))
     return tuple(_verdict(j, residual[0][j], residual[-1][j], {name: share[j] for name, share in open_.items()},
                           "it does not move" if not moved[j] else
-                          "its torque channel does not measure it" if counted[j] == 0.0 else "")
+                          "its torque channel does not measure it" if counted[j] == 0.0 else
+                          f"the recording contradicts the URDF: see the warning {contrary}" if contrary else "")
                  for j in range(model.n))
 
 
@@ -126,7 +129,7 @@ def _verdict(j: int, own: float, unseen: float, uncertain: dict[str, float], bro
     values = (float(residual), float(wide))
     if broken:
         return JointVerdict(j + 1, UNUSABLE, *values, broken, _TELLS["friction"].format(j=j + 1)
-                            if "move" in broken else "")
+                            if broken == "it does not move" else "")
     if residual > GOOD:
         verdict = UNUSABLE if residual > POOR else WEAK
         share = f"{residual:.0f} % of its torque is left" if np.isfinite(residual) else "its torque never changes"

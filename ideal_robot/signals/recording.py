@@ -298,8 +298,8 @@ def of_joints(columns: dict[str, Array], meta: dict[str, Any], wanted: Sequence[
             kept[f"{name.rpartition('_')[0]}_{order.index(number) + 1}"] = values
     others = [name for name in names if name not in wanted]
     said = [f"left-out: joints {', '.join(others)}"] * bool(others)
-    named = {"joints": list(wanted)} if "joints" in meta else {}
-    return kept, with_reading({**meta, **named}, said)
+    # The order in which they are named is the arm's, whatever its URDF calls them.
+    return kept, with_reading({key: value for key, value in meta.items() if key != "joints"}, said)
 
 
 def _number_of(name: str) -> int | None:

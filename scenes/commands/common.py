@@ -198,7 +198,12 @@ def _number(piece: str, kind: type[N], option: str, text: str) -> N:
 
 
 def recording_of(path: Path, columns: Path | None, topic: str | None, joints: str | None) -> Recording:
-    """A recording read as the options ``--columns``, ``--topic`` and ``--joints`` say."""
+    """A recording read as the options ``--columns``, ``--topic`` and ``--joints`` say.
+
+    Args:
+        path, columns: of the recording, and of a map of its columns.
+        topic, joints: which joint states of it, and names of joints separated by commas.
+    """
     from ideal_robot.signals.recording import Recording
 
     names = None if joints is None else [name.strip() for name in joints.split(",") if name.strip()]
@@ -236,7 +241,7 @@ JsonFigures = Annotated[Path | None, typer.Option(help="Write the figures as JSO
 JsonPlan = Annotated[Path | None, typer.Option(help="Write the plan and its figures as JSON to this file.")]
 JsonResults = Annotated[Path | None, typer.Option(help="Write the results as JSON to this file.")]
 JointNames = Annotated[str | None, typer.Option("--joints", help="Joints to read, by their names in the file, "
-                                                "separated by commas; default: the arm's.")]
+                                                "in the arm's order, separated by commas.")]
 ModelsRobot = Annotated[str | None, typer.Option("--robot", "--urdf", help="Arm: name of a shipped robot, or path of a "
                                                  "URDF; default: the one the model names.",
                                                  callback=arm_there)]

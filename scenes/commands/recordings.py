@@ -174,9 +174,11 @@ def diagnose(options: DiagnoseOptions) -> None:
     `ideal-robot diagnose out/plan/recording.parquet --robot kr6 --model model.json --json diagnosis.json`
     """
     from ideal_robot.diagnosis import diagnose
+    from ideal_robot.identification.against_urdf import findings
     from ideal_robot.identification.checks import require_distinct
     from ideal_robot.model.model import Model
     from ideal_robot.robots.robot import Robot
+    from ideal_robot.signals.clean import cleaned
     from scenes.diagnosis.page import diagnosis_page, summary
 
     check_outputs({"--out": options.out}, json=options.json, model_out=options.model_out)
@@ -189,17 +191,25 @@ def diagnose(options: DiagnoseOptions) -> None:
         if validate is not None:
             require_distinct([recording, validate])
         model = None if options.model is None else Model.load(options.model)
+        done = cleaned(recording, arm)
+        contradictions = findings(done.recording, arm, amperes=done.amperes)
         diagnosis = diagnose(recording, arm, model=model, validate=validate, cutoff=options.cutoff,
                              progress=steps.begin("reading"), explain=options.explain)
         steps.begin("drawing")
         page = options.out / "report.html"
         better = None if diagnosis.model is None else options.model_out
         with whole_files(page, options.json, better) as (page_file, json_file, model_file):
-            diagnosis_page(diagnosis, f"Diagnosis of {options.recording.name}").write(page_file)
-            write_signed(json_file, {"recording_hash": recording.hash, **diagnosis.to_dict()})
+            page_of = diagnosis_page(diagnosis, f"Diagnosis of {options.recording.name}")
+            for finding in contradictions:
+                page_of.warning(finding.warning)
+            page_of.write(page_file)
+            write_signed(json_file, {"recording_hash": recording.hash, **diagnosis.to_dict(),
+                                     "contradictions": [finding.to_dict() for finding in contradictions]})
             if model_file is not None and diagnosis.model is not None:
                 diagnosis.model.save(model_file)
     _show_diagnosed(diagnosis)
+    for finding in contradictions:
+        typer.echo(f"warning: {finding.warning}", err=True)
     typer.echo(summary(diagnosis))
     typer.echo(f"report: {page}")
 

@@ -1,0 +1,529 @@
+"""What a recording is, by comparison with the URDF: signs, units and order of the torques, and where gravity points.
+
+Before anything is identified the measured torques are explained by the rigid body of the URDF and by friction that
+brakes, and the explanations of the recording are weighed by one number, the evidence
+
+    ln p(τ | H) = -½ r'(I + X P X')⁻¹ r - ½ ln|I + X P X'| ,   r = τ - X μ,
+
+of rows in units of the channel's coloured noise. P is wide: masses are known within a factor, friction and rotor
+inertia only in their sign. So a URDF with guessed masses accuses nobody, while what the joints share, a body that two
+of them carry, tells an exchanged, turned or rescaled torque from a true one.
+
+A hypothesis H says of each joint which column is its torque, with which sign and in which unit (N m per unit), and in
+which direction gravity acts in the base's frame, or that the controller has taken it out. The search begins with the
+recording as it claims to be and takes the change that raises evidence and prior most, until none does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from scipy import linalg, special
+
+from ideal_robot.arrays import Array
+from ideal_robot.dynamics import regressor
+from ideal_robot.estimate.gaussian import ROUNDING
+from ideal_robot.estimate.noise import ColouredNoise
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.channels import dead_share, lattice
+from ideal_robot.signals.preprocess import FilteredSignals, evenly_sampled
+from ideal_robot.signals.recording import Recording
+
+WRONG_SIGN, WRONG_SCALE, EXCHANGED, NO_GRAVITY, TURNED = ("wrong-sign", "wrong-scale", "exchanged", "no-gravity",
+                                                         "gravity-turned")
+G = 9.81
+"""Gravity [m/s²]."""
+_MASSES = 0.35
+"""Standard deviation of a link's mass over the URDF's, beside a factor that all links share."""
+_CENTRES, _GYRATION = 0.3, 0.5
+"""Spread of a link's centre of mass, and its radius of gyration, over its length."""
+_LEAST_MASS, _LEAST_LENGTH = 0.02, 0.05
+"""Of a link over the arm's, so that a link without a mass or a length has a spread."""
+_GAIN = 0.15
+"""Spread of ln(N m per unit) of a torque that is in N m: drive gains of data sheets are right to 10 to 15 %."""
+_COMMON = 0.8
+"""Spread of ln of a factor that all joints share: masses of a URDF that were guessed for the arm as a whole."""
+_UNITS = np.log(1e6)
+"""Range of ln of the units that a torque may be in: from a motor's to a thousandth of a rated torque."""
+_CHANGE = np.log(100.0)
+"""Nats that a change of the recording costs before it is seen: one recording in a hundred has it."""
+_LEVEL = np.radians(5.0)
+"""Tilt of the base within which an arm stands as its URDF says."""
+_ACCEPTED = 10.0
+"""Nats over the recording as it claims to be from which a change is said: odds of 20,000 to 1."""
+_OFF = np.log(2.0)
+"""A joint's factor over the median joint's from which on it is off: less is what masses of a URDF are off by."""
+_SHARE_OFF = np.log(3.0)
+"""The same of one joint, where all torques come in the round steps of a share of a rated torque."""
+_MOST = 2.0 / 3.0
+"""Share of the joints that are off, at least, where the recording has another unit: one alone is a drive gain."""
+_COMMON_OFF = np.log(4.0)
+"""A factor that all joints share is said from here on: masses guessed for a measured arm are 3.2 times off."""
+_CUTOFF, _BAND = 10.0, 5.0
+"""Of the position filter and of the rows [Hz]: an arm's motion; a share of the sampling rate where that is low."""
+_ROWS = 1500
+"""Rows that are compared at most; they are spread over the recording."""
+_MISFIT = 0.02
+"""Of a torque's deviation: what a rigid body with this friction cannot say of any arm, beside the noise."""
+_TURNS = 0.03
+"""Dry friction turns over within this share of a joint's top speed."""
+_SLIPS = 30.0
+"""Degrees between the directions of gravity that are tried first."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that a recording is and does not seem to be.
+
+    Attributes:
+        kind: ``wrong-sign``, ``wrong-scale``, ``exchanged``, ``no-gravity`` or ``gravity-turned``.
+        joints: from 1.
+        text: what it is and what to do, one line.
+        nats: by how much it explains the recording better than what the recording claims to be.
+    """
+
+    kind: str
+    joints: tuple[int, ...]
+    text: str
+    nats: float
+
+    @property
+    def warning(self) -> str:
+        """The named warning."""
+        return f"{self.kind}: {self.text}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values."""
+        return {"kind": self.kind, "joints": list(self.joints), "text": self.text, "nats": self.nats}
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What is supposed of a recording.
+
+    Attributes:
+        column: of each joint the column that is its torque ``(n,)``, from 0.
+        sign: of each joint ``(n,)``.
+        unit: units of the column per N m ``(n,)``.
+        gravity: in the base's frame ``(3,)`` [m/s²]; zero where the controller has taken it out.
+    """
+
+    column: tuple[int, ...]
+    sign: tuple[int, ...]
+    unit: tuple[float, ...]
+    gravity: tuple[float, float, float] = (0.0, 0.0, -G)
+
+    @classmethod
+    def claimed(cls, n: int) -> Reading:
+        """What a recording of docs/files.md claims to be."""
+        return cls(tuple(range(n)), (1,) * n, (1.0,) * n)
+
+
+def findings(recording: Recording, robot: Robot, *, amperes: bool = False) -> tuple[Finding, ...]:
+    """What a recording is that it does not seem to be; empty where it is what it claims.
+
+    Args:
+        recording: cleaned, with ``tau_i``.
+        robot: the URDF that it is compared with.
+        amperes: whether ``tau_i`` are in a unit of each joint's own: then no scale is wrong.
+    """
+    rows = _Rows.of(recording, robot)
+    return () if rows is None else _said(*_searched(rows, amperes), rows, robot)
+
+
+def contradicting(recordings: Sequence[Recording], robot: Robot, *, amperes: bool = False
+                  ) -> tuple[tuple[Finding, ...], list[str]]:
+    """What recordings are that they do not seem to be, and a warning of each with its recording.
+
+    Args:
+        recordings, robot, amperes: see ``findings``.
+    """
+    found = [(finding, recording.source) for recording in recordings
+             for finding in findings(recording, robot, amperes=amperes)]
+    return tuple(finding for finding, _ in found), [f"{finding.warning} [{source}]" for finding, source in found]
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Products of the whitened columns of each joint's torque, for each column that might hold it.
+
+    Attributes:
+        products: ``[β of inertia, β of gravity along x, y, z, own, means, τ]`` with themselves ``(n, n, C, C)``: of
+            joint i's equation and column j; the links' parameters β in units of their spread.
+        n, links: joints, and parameters of links.
+        live: which columns of torque hold anything ``(n,)``.
+        shares: whether all torques come in the same round steps, as shares of a rated torque do.
+    """
+
+    products: Array
+    n: int
+    links: int
+    live: np.ndarray
+    shares: bool = False
+    cache: dict[tuple[int, int, tuple[float, float, float]], Array] = field(default_factory=dict, repr=False,
+                                                                           compare=False)
+
+    @classmethod
+    def of(cls, recording: Recording, robot: Robot) -> _Rows | None:
+        """The products of a recording; None where no torque holds anything."""
+        s, n = _filtered(recording), robot.n
+        stride = max(1, -(-int(s.keep.sum()) // _ROWS))
+        y = s.decimate(s.tau)[::stride]
+        scale = np.std(y, axis=0)
+        live = scale > 1e-9 * max(float(scale.max(initial=0.0)), 1e-12)
+        live &= np.mean(recording.joints("tau") == 0.0, axis=0) <= dead_share()
+        if not live.any() or len(y) < 20:
+            return None
+        mean, root = link_prior(robot)
+        bodies = [_bodies(s, robot, gravity)[::stride] for gravity in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1))]
+        bodies = [bodies[0], *(one - bodies[0] for one in bodies[1:])]
+        top = np.maximum(np.quantile(np.abs(s.qd), 0.99, axis=0), 1e-9)
+        own = [_in_units(s.decimate(column)[::stride]) for column in (s.qdd, np.tanh(s.qd / (_TURNS * top)), s.qd)]
+        dry = own[1]
+        # What viscous friction adds to dry friction of the same size may have either sign.
+        own[2] = own[2] - dry * np.sum(own[2] * dry, axis=0) / np.maximum(np.sum(dry * dry, axis=0), 1e-12)
+        # The acceleration's own column has half of the torque's spread, friction too; their sign is what is known.
+        X = [np.column_stack([*(one[:, i] @ root for one in bodies), *(scale[i] * column[:, i] for column in own),
+                              np.full(len(y), scale[i]), *(one[:, i] @ mean for one in bodies)]) for i in range(n)]
+        use = np.ones(len(y), dtype=bool)
+        noise = [_noise(X, y[:, j], use) for j in range(n)]
+        C = X[0].shape[1] + 1
+        products = np.zeros((n, n, C, C))
+        for i in range(n):
+            for j in np.flatnonzero(live):
+                # A joint's own columns have the spread of the column that is taken for its torque.
+                own_scale = np.ones(C - 1)
+                own_scale[4 * root.shape[1] : 4 * root.shape[1] + 4] = scale[j] / scale[i] if live[i] else 1.0
+                white = noise[j].whiten(np.column_stack([X[i] * own_scale, y[:, j]]), use)
+                products[i, j] = white.T @ white
+        return cls(products, n, root.shape[1], live, _in_round_steps(recording.joints("tau")[:, live]))
+
+    def under(self, i: int, j: int, gravity: tuple[float, float, float]) -> Array:
+        """Products ``[β, own, mean, τ]`` of joint i's equation and column j under a gravity ``(P + 6, P + 6)``."""
+        key = (i, j, gravity)
+        if key not in self.cache:
+            P, weight, products = self.links, np.array([1.0, *gravity]), self.products[i, j]
+            # Columns of inertia and of gravity along each axis are added up.
+            half = np.empty((P + 6, products.shape[1]))
+            half[:P] = np.tensordot(weight, products[: 4 * P].reshape(4, P, -1), 1)
+            half[P : P + 4] = products[4 * P : 4 * P + 4]
+            half[P + 4] = weight @ products[4 * P + 4 : 4 * P + 8]
+            half[P + 5] = products[-1]
+            whole = np.empty((P + 6, P + 6))
+            whole[:, :P] = np.tensordot(half[:, : 4 * P].reshape(-1, 4, P), weight, (1, 0))
+            whole[:, P : P + 4] = half[:, 4 * P : 4 * P + 4]
+            whole[:, P + 4] = half[:, 4 * P + 4 : 4 * P + 8] @ weight
+            whole[:, P + 5] = half[:, -1]
+            self.cache[key] = whole
+        return self.cache[key]
+
+    def evidence(self, reading: Reading) -> float:
+        """The evidence ln p(τ | H), up to what is the same for all hypotheses."""
+        n, P = self.n, self.links
+        H, h, squares = np.eye(P + 4 * n), np.zeros(P + 4 * n), 0.0
+        for i in range(n):
+            j = reading.column[i]
+            if not self.live[j]:
+                continue
+            block, unit, sign = self.under(i, j, reading.gravity), reading.unit[i], reading.sign[i]
+            own = P + i + n * np.arange(4)
+            # The residual about the URDF's own torque, r = ± τ - unit · X μ, as a combination of the last two columns.
+            about = sign * block[:, -1] - unit * block[:, -2]
+            H[:P, :P] += unit**2 * block[:P, :P]
+            H[:P, own] += unit * block[:P, P : P + 4]
+            H[own, :P] += unit * block[P : P + 4, :P]
+            H[np.ix_(own, own)] += block[P : P + 4, P : P + 4]
+            h[:P] += unit * about[:P]
+            h[own] += about[P : P + 4]
+            squares += float(block[-1, -1] - 2.0 * sign * unit * block[-1, -2] + unit**2 * block[-2, -2])
+        # Scaled to ones on the diagonal: units a thousand times off are beyond double precision otherwise.
+        size = 1.0 / np.sqrt(np.diag(H))
+        scaled = H * np.outer(size, size)
+        scaled[np.diag_indices(len(H))] += ROUNDING
+        root = linalg.cholesky(scaled, lower=True, check_finite=False)
+        z = linalg.solve_triangular(root, size * h, lower=True, check_finite=False)
+        value = -0.5 * (squares - float(z @ z)) - float(np.log(np.diag(root)).sum() - np.log(size).sum())
+        # Friction brakes and rotors resist: of their normal priors one half, of the posterior what lies there.
+        positive = np.arange(P, P + 2 * n)
+        unit_columns = np.zeros((P + 4 * n, 2 * n))
+        unit_columns[positive, np.arange(2 * n)] = 1.0
+        back = linalg.solve_triangular(root, unit_columns, lower=True, check_finite=False)
+        return value + float(np.sum(special.log_ndtr((back.T @ z) / np.linalg.norm(back, axis=0)) + np.log(2.0)))
+
+
+def _in_round_steps(tau: Array) -> bool:
+    """Whether all torques ``(N, m)`` come in the same steps of a power of ten, as 1 ‰ of a rated torque."""
+    steps = np.array([lattice(values) for values in tau.T])
+    if np.any(steps <= 0.0) or tau.shape[1] < 2:
+        return False
+    power = np.log10(steps)
+    return bool(np.all(np.abs(power - np.round(power)) < 1e-3) and np.ptp(power) < 1e-3)
+
+
+def _filtered(recording: Recording) -> FilteredSignals:
+    even = evenly_sampled(recording, columns=False)
+    rate = 1.0 / float(even.t[1] - even.t[0])
+    length = float(even.t[-1] - even.t[0])
+    return even.filtered(max(min(_CUTOFF, 0.2 * rate), 4.0 / length), max(min(_BAND, 0.1 * rate), 2.0 / length))
+
+
+def _in_units(column: Array) -> Array:
+    return column / np.maximum(np.std(column, axis=0), 1e-9)
+
+
+def _bodies(s: FilteredSignals, robot: Robot, gravity: tuple[float, float, float]) -> Array:
+    """The regressor of the links' parameters under another gravity [m/s²], decimated ``(M, n, 10 n)``."""
+    model = robot.pinocchio.copy()
+    model.gravity.linear = np.array(gravity, dtype=float)
+    return s.decimate_motion(lambda some: regressor(model, s.q[some], s.qd[some], s.qdd[some]))
+
+
+def _noise(X: list[Array], y: Array, use: np.ndarray) -> ColouredNoise:
+    """The noise of a channel: what that joint's equation leaves which explains it best, with parameters of its own.
+
+    So no hypothesis has a part in it. What the model class cannot say of any arm stands in it too.
+    """
+    residuals = []
+    for one in X:
+        size = np.linalg.norm(one, axis=0)
+        Z = one[:, size > 1e-9 * size.max()] / size[size > 1e-9 * size.max()]
+        gram = Z.T @ Z + 1e-6 * np.eye(Z.shape[1])
+        inverse = linalg.cho_factor(gram, lower=True)
+        # What the columns take up of noise, by the trace of the projection.
+        free = max(len(y) - float(np.trace(linalg.cho_solve(inverse, Z.T @ Z))), 0.2 * len(y))
+        residuals.append((y - Z @ linalg.cho_solve(inverse, Z.T @ y)) * np.sqrt(len(y) / free))
+    best = min(residuals, key=lambda residual: float(residual @ residual))
+    noise = ColouredNoise.fit(best, use)
+    spread = float(np.std(y))
+    return noise.scaled(float(np.hypot(1.0, _MISFIT * spread / max(noise.std, 1e-12 * spread + 1e-300))))
+
+
+def link_prior(robot: Robot) -> tuple[Array, Array]:
+    """Mean of the links' parameters ``(10 n,)`` by the URDF, and a root of their covariance ``(10 n, 10 n)``."""
+    n, model = robot.n, robot.pinocchio
+    mean = np.concatenate([np.asarray(model.inertias[j + 1].toDynamicParameters()) for j in range(n)])
+    data = model.createData()
+    pin.forwardKinematics(model, data, robot.home)
+    places = [data.oMi[j + 1].translation for j in range(n)] + [np.asarray(robot.fk()(robot.home).translation)]
+    lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    lengths = np.maximum(lengths, _LEAST_LENGTH * max(float(lengths.sum()), 1.0))
+    least = _LEAST_MASS * max(float(mean[::10].sum()), 1e-3)
+    root = np.zeros((10 * n, 10 * n))
+    for j, length in enumerate(lengths):
+        own = slice(10 * j, 10 * j + 10)
+        mass = max(float(mean[10 * j]), least)
+        spread = np.concatenate([[0.5 * _MASSES * mass], np.full(3, mass * _CENTRES * length),
+                                 np.full(6, mass * (_GYRATION * length) ** 2)])
+        root[own, own] = linalg.cholesky(np.diag(spread**2) + _MASSES**2 * np.outer(mean[own], mean[own]), lower=True)
+    return mean, root
+
+
+# Hypotheses.
+
+Score = Callable[[Reading], float]
+"""Evidence and prior of a supposition [nats]."""
+
+
+def _prior(reading: Reading, amperes: bool) -> float:
+    """Logarithm of the prior of what is supposed of a recording, up to a constant."""
+    n = len(reading.column)
+    value = 0.0
+    moved = sum(i != j for i, j in enumerate(reading.column))
+    if moved:
+        value -= _CHANGE + 0.5 * moved * np.log(max(0.5 * n * (n - 1), 1.0))
+    turned = reading.sign.count(-1)
+    if turned:
+        value -= _CHANGE + (0.0 if turned == n else turned * np.log(n))
+    if not amperes:
+        logs = np.log(reading.unit)
+        common = float(np.median(logs))
+        wide = float(np.log(_GAIN * np.sqrt(2.0 * np.pi) / _UNITS))
+        each = np.maximum(-0.5 * ((logs - common) / _GAIN) ** 2, wide)
+        value += float(each.sum()) + max(-0.5 * (common / _COMMON) ** 2, -_CHANGE)
+        value -= _CHANGE * bool(np.any(each <= wide))
+    size = float(np.linalg.norm(reading.gravity))
+    if size == 0.0:
+        value -= _CHANGE
+    elif (tilt := float(np.arccos(np.clip(-reading.gravity[2] / size, -1.0, 1.0)))) > _LEVEL:
+        # Any direction of the sphere is as likely; those of an arm that stands are a small cap of it.
+        value -= _CHANGE + float(np.log(2.0 / (1.0 - np.cos(_LEVEL))))
+    else:
+        value -= 0.5 * (2.0 * tilt / _LEVEL) ** 2
+    return value
+
+
+def _searched(rows: _Rows, amperes: bool) -> tuple[Reading, dict[str, float]]:
+    """The best supposition, and by how many nats each kind of change explains more than those before it."""
+
+    @cache
+    def score(reading: Reading) -> float:
+        return rows.evidence(reading) + _prior(reading, amperes)
+
+    reading = Reading.claimed(rows.n)
+    if amperes:
+        reading = _units_of_its_own(reading, score, rows.n)
+    reading, best = _tuned(reading, score)
+    gained: dict[str, float] = {}
+    for _ in range(3 * rows.n):
+        leading: dict[str, Reading] = {}
+        for kind, change in _changes(reading, rows, amperes):
+            if kind not in leading or score(change) > score(leading[kind]):
+                leading[kind] = change
+        # A direction is right to a few degrees before it is compared with anything else.
+        leading[TURNED] = _directed(leading[TURNED], score)
+        kind, change = max(leading.items(), key=lambda pair: score(pair[1]))
+        if score(change) < best + _ACCEPTED:
+            break
+        change, value = _tuned(change, score)
+        gained[kind] = gained.get(kind, 0.0) + value - best
+        reading, best = change, value
+    if not amperes and WRONG_SCALE in gained:
+        # One joint in another unit pulls the others' along, where two of them carry the same bodies.
+        other, value = _tuned(_units_of_its_own(replace(reading, unit=(1.0,) * rows.n), score, rows.n), score)
+        reading = other if value > best - _ACCEPTED else reading
+    return reading, gained
+
+
+def _changes(reading: Reading, rows: _Rows, amperes: bool) -> Iterator[tuple[str, Reading]]:
+    """Suppositions one change away."""
+    n, live = rows.n, [i for i in range(rows.n) if rows.live[reading.column[i]]]
+    for i in live:
+        yield WRONG_SIGN, replace(reading, sign=_with(reading.sign, i, -reading.sign[i]))
+    yield WRONG_SIGN, replace(reading, sign=tuple(-sign for sign in reading.sign))
+    for i in range(n):
+        for j in range(i):
+            column = _with(_with(reading.column, i, reading.column[j]), j, reading.column[i])
+            yield EXCHANGED, replace(reading, column=column)
+    if not amperes:
+        for factor in np.geomspace(1e-3, 1e3, 25).tolist():
+            if factor != 1.0:
+                yield WRONG_SCALE, replace(reading, unit=tuple(unit * factor for unit in reading.unit))
+            for i in live:
+                yield WRONG_SCALE, replace(reading, unit=_with(reading.unit, i, factor))
+    yield NO_GRAVITY, replace(reading, gravity=(0.0, 0.0, 0.0))
+    for direction in _sphere():
+        yield TURNED, replace(reading, gravity=direction)
+
+
+def _with(values: tuple[Any, ...], i: int, value: Any) -> tuple[Any, ...]:
+    return (*values[:i], value, *values[i + 1 :])
+
+
+def _sphere() -> list[tuple[float, float, float]]:
+    """Directions of gravity all over the sphere, that of an arm that stands first [m/s²]."""
+    step = np.radians(_SLIPS)
+    directions = []
+    for polar in np.arange(0.0, np.pi + 1e-9, step):
+        count = max(1, round(2.0 * np.pi * np.sin(polar) / step))
+        directions += [(float(G * np.sin(polar) * np.cos(a)), float(G * np.sin(polar) * np.sin(a)),
+                        float(-G * np.cos(polar))) for a in 2.0 * np.pi * np.arange(count) / count]
+    return directions
+
+
+def _tuned(reading: Reading, score: Score) -> tuple[Reading, float]:
+    """The supposition with units improved within what drive gains are off by, joint by joint."""
+    best = score(reading)
+    for _ in range(2):
+        before = best
+        for i in range(len(reading.unit)):
+            for factor in (0.74, 0.86, 0.93, 1.07, 1.16, 1.35):
+                other = replace(reading, unit=_with(reading.unit, i, reading.unit[i] * factor))
+                if (value := score(other)) > best:
+                    reading, best = other, value
+        if best < before + 0.1:
+            break
+    return reading, best
+
+
+def _units_of_its_own(reading: Reading, score: Score, n: int) -> Reading:
+    """The supposition with the unit of each joint by itself that explains it best."""
+    for _ in range(2):
+        for i in range(n):
+            reading = max((replace(reading, unit=_with(reading.unit, i, factor))
+                           for factor in np.geomspace(1e-3, 1e3, 25).tolist()), key=score)
+    return reading
+
+
+def _directed(reading: Reading, score: Score) -> Reading:
+    """The supposition with gravity turned further, as long as that explains more."""
+    best = score(reading)
+    for step in np.radians([_SLIPS / 2.0, _SLIPS / 4.0, 3.0, 1.0]):
+        for _ in range(4):
+            g = np.array(reading.gravity)
+            across = np.linalg.svd(g[None])[2][1:]
+            turned = [replace(reading, gravity=tuple((np.cos(step) * g + sign * np.sin(step) * G * axis).tolist()))
+                      for axis in across for sign in (1.0, -1.0)]
+            other = max(turned, key=score)
+            value = score(other)
+            if value <= best:
+                break
+            reading, best = other, value
+    return reading
+
+
+# Sentences.
+
+def _said(reading: Reading, gained: dict[str, float], rows: _Rows, robot: Robot) -> tuple[Finding, ...]:
+    """What the best supposition says that the recording does not, each with its remedy."""
+    said = []
+    n = rows.n
+    if moved := [i for i in range(n) if reading.column[i] != i]:
+        pairs = ", ".join(f"joint {i + 1} by tau_{reading.column[i] + 1}" for i in moved)
+        said.append(Finding(EXCHANGED, tuple(i + 1 for i in moved),
+                            f"the rigid body of the URDF explains {pairs}; exchange the columns, or give the joints in "
+                            "the URDF's order (--joints, --columns)", gained.get(EXCHANGED, 0.0)))
+    turned = [i for i in range(n) if reading.sign[i] < 0]
+    if turned:
+        which = "all joints" if len(turned) == n else f"joint{'s' * (len(turned) > 1)} {_listed(turned)}"
+        said.append(Finding(WRONG_SIGN, tuple(i + 1 for i in turned),
+                            f"the torque of {which} has the other sign: -tau fits the URDF's rigid body and friction; "
+                            f"multiply {_columns(turned)} by -1", gained.get(WRONG_SIGN, 0.0)))
+    if WRONG_SCALE in gained and (scale := _scale(reading, rows, robot, gained[WRONG_SCALE])):
+        said.append(scale)
+    everyone = tuple(range(1, n + 1))
+    if np.linalg.norm(reading.gravity) == 0.0:
+        said.append(Finding(NO_GRAVITY, everyone, "these torques hold no gravity (the controller has taken it out, as "
+                            "UR's does); masses and first moments cannot be identified from them: log torques with "
+                            "gravity, or add g(q) of the controller's own model", gained.get(NO_GRAVITY, 0.0)))
+    elif (angle := np.degrees(np.arccos(np.clip(-reading.gravity[2] / G, -1.0, 1.0)))) > np.degrees(_LEVEL):
+        d = np.array(reading.gravity) / G
+        how = ("the arm hangs" if angle > 170.0 else "the arm is on a wall" if 80.0 < angle < 100.0 else
+               "the base is tilted")
+        said.append(Finding(TURNED, everyone, f"gravity acts {angle:.0f}° from the URDF's, along ({d[0]:.2f}, "
+                            f"{d[1]:.2f}, {d[2]:.2f}) of its base: {how}; mount the URDF so (a fixed joint from the "
+                            "world to the base)", gained.get(TURNED, 0.0)))
+    return tuple(said)
+
+
+def _scale(reading: Reading, rows: _Rows, robot: Robot, nats: float) -> Finding | None:
+    """What is to be said of units; None where they are no farther off than guessed masses are."""
+    live = [i for i in range(rows.n) if rows.live[reading.column[i]]]
+    logs = np.log(reading.unit)
+    common = float(np.median(logs[live]))
+    apart = [i for i in live if abs(logs[i] - common) > _OFF]
+    # Where torques come in steps of a share one joint is enough: the others' bodies may be as heavy as that.
+    told = rows.shares and any(abs(logs[i]) > _SHARE_OFF for i in live)
+    if not told and abs(common) <= _COMMON_OFF and len(apart) < _MOST * len(live):
+        return None
+    off = [i for i in live if abs(logs[i]) > _OFF]
+    ratio = np.asarray(robot.gear_ratio)
+    motor = np.all(np.abs(logs[off] + np.log(np.maximum(ratio[off], 1e-9))) < _OFF) and np.all(ratio[off] > 1.0)
+    why = ("they are at the motor's side of the gear: multiply by the gear ratio" if motor else
+           "another unit (per cent or per mille of the rated torque, the motor's side of the gear), or masses that are "
+           "not the arm's")
+    factors = ", ".join(f"tau_{i + 1} × {1.0 / reading.unit[i]:.3g}" for i in off)
+    return Finding(WRONG_SCALE, tuple(i + 1 for i in off), f"the torques are not in N m by the URDF's masses: {why}; "
+                   f"what fits is {factors} (--columns map.toml with factor)", nats)
+
+
+def _listed(joints: list[int]) -> str:
+    return ", ".join(str(j + 1) for j in joints)
+
+
+def _columns(joints: list[int]) -> str:
+    return ", ".join(f"tau_{j + 1}" for j in joints)

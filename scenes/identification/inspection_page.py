@@ -1,0 +1,45 @@
+"""The page of an inspection: what a recording holds, and what does not fit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.identification.inspection import Inspection
+from ideal_robot.robots.robot import Robot
+from scenes.report.page import Report
+
+
+def inspection_page(found: Inspection, robot: Robot) -> Report:
+    """Headings, tables and figures of an inspection, what does not fit first."""
+    recording = found.recording
+    verdict = found.refused or ("it does not fit the URDF" if found.contradictions else "it fits the URDF")
+    page = Report(f"Recording {Path(recording.source).name} of {robot.name}",
+                  f"{recording.n} joints, {len(recording.t)} samples over {recording.duration:.4g} s at "
+                  f"{found.rate:.4g} Hz, longest step {1e3 * found.longest:.3g} ms, {found.gaps} gaps; {verdict}.")
+    for finding in found.contradictions:
+        page.warning(finding.warning)
+    if found.refused:
+        page.warning(found.refused)
+    said = [*found.acts, *(finding.warning for finding in found.channels)]
+    if said:
+        page.heading("What was read, left out and repaired")
+        page.table(["act", "what"], [[name, rest.strip()] for name, _, rest in (text.partition(":") for text in said)])
+    if found.ranges:
+        page.heading("Ranges")
+        page.table(*ranges_table(found), "What the recording holds beside the limits of the URDF and the drive data.")
+    page.heading("Signals")
+    page.figure(found.plot(), "Positions and torques as they are used.")
+    if found.unused:
+        page.table(["column"], [[name] for name in found.unused], folded="Columns that are kept and not used")
+    return page
+
+
+def ranges_table(found: Inspection) -> tuple[list[str], list[list[Any]]]:
+    """Titles and rows of the ranges."""
+    return (["column", "least", "most", "allowed from", "to", "unit", "fits"],
+            [[one.column, one.least, one.most, *(value if np.isfinite(value) else None
+                                                 for value in (one.low, one.high)),
+              one.unit, "yes" if one.fits else "no"] for one in found.ranges])
