@@ -32,9 +32,9 @@ from scenes.outputs import check_outputs
 from scenes.scene_file import library, load_scene
 
 if TYPE_CHECKING:
-    from ideal_robot.signals.recording import Recording
     from ideal_robot.arrays import Array
     from ideal_robot.robots.robot import Robot
+    from ideal_robot.signals.recording import Recording
     from scenes.report.replay import Replay
 
 
