@@ -101,10 +101,19 @@ RSI = ArmInterface(
 RTDE = ArmInterface(
     "Universal Robots RTDE", "ideal_robot.rtde.robot:opened", "rtde://192.168.1.30", "2 or 8 ms",
     "angles, currents, safety state", "own simulator; ur_rtde as client")
+FRANKA = ArmInterface(
+    "Franka FCI", "ideal_robot.fci.robot:opened", "franka://192.168.1.11", "1 ms, or whole milliseconds interpolated",
+    "angles, setpoints, torques, external torques and wrench, mode", "franky-sim (MuJoCo)", "pylibfranka", "franka",
+    1e-3)
+FANUC = ArmInterface(
+    "FANUC Stream Motion", "ideal_robot.stream_motion.robot:opened", "fanuc://192.168.1.100", "8 ms",
+    "angles, currents, speed scale, wrench", "airo-fanuc's emulated controller", "airo_fanuc", "fanuc", 8e-3)
 
 INTERFACES: Registry[ArmInterface] = Registry("interface", "ideal_robot.interfaces", {
     "rsi": "ideal_robot.interfaces:RSI",
     "rtde": "ideal_robot.interfaces:RTDE",
+    "franka": "ideal_robot.interfaces:FRANKA",
+    "fanuc": "ideal_robot.interfaces:FANUC",
 })
 """Interfaces by the scheme of their address."""
 

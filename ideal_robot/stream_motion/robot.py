@@ -1,0 +1,314 @@
+"""An arm behind FANUC's Stream Motion, as one more implementation of ``RobotInterface``.
+
+``airo-fanuc`` packs and unpacks the packets and speaks RMI, by which the controller's program is started. The
+controller is the clock: a status comes every interpolation cycle, the command goes back with its number. Time is that
+number, not the arrival, which would move commands by milliseconds against the controller's ticks.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.deadline import Deadline
+from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.interfaces import LinkSettings
+from ideal_robot.robots.address import Address
+from ideal_robot.robots.interface import LinkedRobot, RobotState
+from ideal_robot.robots.robot import Robot
+
+PORT, RMI_PORT = 60015, 16001
+"""Of Stream Motion (UDP) and of RMI (TCP) on the controller."""
+_AXES, _WIRE_AXES = 6, 9
+_STOP, _CAPABILITY, _START, _COMMAND, _STATUS, _STATUS_WITH_FORCE = 2, 7, 200, 201, 202, 204
+_HEADER, _ASKED = struct.Struct(">II"), struct.Struct(">IIIIIII")
+_VERSION = 3
+"""Version that is asked for first; the controller says which it has."""
+_PROGRAM = "STREAM_MOTN"
+"""The controller's program that gives motion to the stream."""
+_LARGEST = 1e4
+"""No angle is as large [deg]."""
+_MOVES, _IN_ERROR, _TEACH, _E_STOP = 0x1, 0x1, 0x2, 0x4
+_AGAIN = 0.2
+"""Time between two attempts [s]."""
+_FORCE = ("force_x", "force_y", "force_z", "moment_x", "moment_y", "moment_z")
+
+
+class StreamMotionError(IdealRobotError):
+    """The controller is not there, does not let itself be led, or has stopped the arm."""
+
+
+@dataclass
+class StreamMotionCounts:
+    """What happened on the connection.
+
+    Attributes:
+        cycles: status packets that were a cycle of their own.
+        lost: cycles whose status never came.
+        repeated, outdated: status packets of a cycle already answered, and of one before it.
+        refused: packets that are none.
+        implausible: measured positions that cannot be; they count as missing.
+    """
+
+    cycles: int = 0
+    lost: int = 0
+    repeated: int = 0
+    outdated: int = 0
+    refused: int = 0
+    implausible: int = 0
+
+
+class StreamMotionRobot(LinkedRobot):
+    """A ``RobotInterface`` to a FANUC arm with the options Stream Motion and Remote Motion Interface.
+
+    Args:
+        robot: six joints, limits, and the controller's cycle.
+        host: address of the controller.
+        port, rmi_port: of Stream Motion and of RMI.
+        j23: what of joint 2 the wire's joint 3 lacks against the URDF's: ``q_3 = J3 + j23 · J2``.
+        timeout: silence of the controller after which the link counts as broken [s].
+        bridge: how long packets may be lost in a row [s].
+        answers_within: time in which the arm's loop answers a command, for the watch over following [s].
+
+    Raises:
+        InputError: an arm without six joints.
+
+    Attributes:
+        counts: what happened on the connection.
+    """
+
+    def __init__(self, robot: Robot, host: str, *, port: int = PORT, rmi_port: int = RMI_PORT, j23: float = 0.0,
+                 timeout: float = 1.0, bridge: float = 0.1, answers_within: float = 0.8) -> None:
+        if robot.n != _AXES:
+            raise InputError(f"Stream Motion moves arms with {_AXES} joints", field="robot",
+                             value=f"{robot.name}: {robot.n}")
+        super().__init__(robot, bridge, answers_within)
+        self.host, self.port, self.rmi_port, self.counts = host, port, rmi_port, StreamMotionCounts()
+        self._timeout, self._wire = timeout, np.eye(_AXES)
+        self._wire[2, 1] = j23
+        self._socket: socket.socket | None = None
+        self._rmi: Any = None
+        self._version = _VERSION
+
+    def connect(self, patience: float = 60.0) -> RobotState:
+        """Starts the controller's program and the stream; commands have to come from now on.
+
+        Returns the state at rest, ``t = 0``. ``commanded`` is then where the arm stands.
+
+        Raises:
+            StreamMotionError: no controller within ``patience`` [s], another cycle, an arm that cannot be led now.
+        """
+        from airo_fanuc import _core
+        from airo_fanuc.exceptions import FanucError, RmiError
+        from airo_fanuc.rmi_client import RmiClient
+
+        self._core, deadline = _core, Deadline.within(patience)
+        self._errors = (FanucError, RmiError, OSError)
+        self._rmi = RmiClient(self.host, self.rmi_port, connect_timeout=min(5.0, patience))
+        while True:
+            try:
+                self._rmi.start()
+                self._rmi.initialize()
+                break
+            except self._errors as error:
+                if deadline.left < _AGAIN:
+                    raise StreamMotionError(f"no controller answers RMI at {self.host}:{self.rmi_port} ({error}); "
+                                            "check address, AUTO mode, and that no other program is connected"
+                                            ) from error
+                time.sleep(_AGAIN)
+        self._agree(deadline)
+        try:
+            self._rmi.program_call(_PROGRAM)
+        except self._errors as error:
+            raise StreamMotionError(f"the controller does not start {_PROGRAM}: {error}") from error
+        self._tell(_HEADER.pack(_START, self._version))
+        status = self._next(Deadline.within(self._timeout))
+        while not status["status"] & _MOVES:
+            self._check(status)
+            if deadline.passed:
+                raise StreamMotionError(f"the controller's program {_PROGRAM} does not give motion to the stream")
+            status = self._next(Deadline.within(self._timeout))
+        self._begun = self._number = int(status["sequence_no"])
+        self.commanded = self._wanted = self._angles(status)
+        self._step = np.zeros(_AXES)
+        self._watch.begin(self.commanded, self.commanded)
+        return self._state(status, 0)
+
+    def send(self, q_c: Array) -> None:
+        """The first half of ``cycle``: answers the last status, which leaves the cycle's time for computing.
+
+        Raises StreamMotionError before ``connect``.
+        """
+        if self._rmi is None:
+            raise StreamMotionError("connect to the controller before a command is handed over")
+        # Where it was without a command the arm was held: its speed is gone, the one that is wanted is not.
+        q_c = self._led_back(self._want(q_c), np.zeros(_AXES))
+        self._command(q_c, last=False)
+        self.answer_times.append(time.perf_counter() - self.arrived)
+        self.commanded = q_c
+
+    def receive(self) -> RobotState:
+        """The second half of ``cycle``: waits for the next status.
+
+        Raises StreamMotionError for silence, an arm that the controller has stopped, more missed than can be bridged.
+        """
+        deadline = Deadline.within(self._timeout)
+        while True:
+            status = self._next(deadline)
+            # Numbers have 32 bits and begin anew behind the last.
+            since = (int(status["sequence_no"]) - self._number + 2**31) % 2**32 - 2**31
+            if since > 0:
+                break
+            if since == 0:
+                self.counts.repeated += 1
+            else:
+                self.counts.outdated += 1
+        self._check(status)
+        if not status["status"] & _MOVES:
+            raise StreamMotionError("the controller has taken motion from the stream" + self._alarm())
+        if since - 1 > self.max_lost:
+            raise StreamMotionError(f"{since - 1} packets in a row were lost, more than {self.max_lost}; check network "
+                                    "and load")
+        if since > 1:
+            self.counts.lost += since - 1
+            self.missed = True
+        self._number = int(status["sequence_no"])
+        return self._state(status, since)
+
+    def close(self) -> None:
+        """Ends the stream with the last command, and the connection."""
+        if self._socket is not None:
+            with suppress(OSError):
+                if np.isfinite(self.commanded).all():
+                    self._command(self.commanded, last=True)
+                self._tell(_HEADER.pack(_STOP, self._version))
+            self._socket.close()
+            self._socket = None
+        if self._rmi is not None:
+            with suppress(*self._errors):
+                self._rmi.stop()
+            self._rmi = None
+
+    def _agree(self, deadline: Deadline) -> None:
+        """Opens the stream's socket and asks which version and cycle the controller has."""
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.connect((self.host, self.port))
+        self._socket.settimeout(_AGAIN)
+        self._tell(_HEADER.pack(_STOP, self._version))
+        while True:
+            self._tell(_ASKED.pack(_CAPABILITY, self._version, 1, 0, 0, 0, 0))
+            try:
+                packet = self._socket.recv(2048)
+            except OSError as error:
+                if deadline.left < _AGAIN:
+                    raise StreamMotionError(f"no controller answers Stream Motion at {self.host}:{self.port}; check "
+                                            "the option and its port") from error
+                continue
+            if len(packet) >= _ASKED.size and (answer := _ASKED.unpack_from(packet))[0] == _CAPABILITY:
+                break
+        cycle, self._version = 1e-3 * answer[3], answer[5]
+        if abs(cycle - self.t_ipo) > 1e-6:
+            raise StreamMotionError(f"the controller's cycle is {1e3 * cycle:g} ms, {1e3 * self.t_ipo:g} ms are "
+                                    f"expected; --cycle {cycle:g}")
+
+    def _tell(self, packet: bytes) -> None:
+        if self._socket is not None:
+            with suppress(ConnectionRefusedError):
+                self._socket.send(packet)
+
+    def _command(self, q: Array, last: bool) -> None:
+        """Sends joint angles ``(n,)`` [rad] as the answer to the last status."""
+        angles = np.degrees(np.linalg.solve(self._wire, q))
+        packet = self._core.encode_command_packet(self._number, last, 1, [*angles, *[0.0] * (_WIRE_AXES - _AXES)])
+        self._tell(_HEADER.pack(_COMMAND, self._version) + packet[_HEADER.size:])
+
+    def _next(self, deadline: Deadline) -> dict[str, Any]:
+        """The newest status that is one; raises StreamMotionError for silence."""
+        assert self._socket is not None
+        newest: dict[str, Any] | None = None
+        while True:
+            try:
+                # What waits is looked through, so that no answer stays behind.
+                self._socket.settimeout(max(deadline.left, 1e-3) if newest is None else 0.0)
+                packet = self._socket.recv(2048)
+            except (BlockingIOError, TimeoutError) as error:
+                if newest is not None:
+                    return newest
+                raise StreamMotionError("the controller is silent; its program has ended, or the network is gone"
+                                        ) from error
+            except ConnectionError:
+                continue
+            self.arrived = time.perf_counter()
+            status = self._decoded(packet)
+            if status is None:
+                self.counts.refused += 1
+            else:
+                newest = status
+
+    def _decoded(self, packet: bytes) -> dict[str, Any] | None:
+        """A status packet, taken apart; None for another one, or angles that cannot be."""
+        try:
+            kind = _HEADER.unpack_from(packet)[0]
+            if kind not in (_STATUS, _STATUS_WITH_FORCE):
+                return None
+            read = self._core.decode_status_v3 if kind == _STATUS else self._core.decode_status_204
+            status: dict[str, Any] = read(packet)
+        except (ValueError, struct.error):
+            return None
+        return status if (np.abs(status["joint_angle"]) < _LARGEST).all() else None
+
+    def _check(self, status: dict[str, Any]) -> None:
+        """Raises StreamMotionError where the controller has stopped the arm."""
+        bits = int(status["robot_status"])
+        reasons = [text for bit, text in ((_E_STOP, "emergency stop"), (_IN_ERROR, "an alarm"),
+                                          (_TEACH, "the teach pendant is enabled")) if bits & bit]
+        if int(status["contact_stop_status"]):
+            reasons.append("contact stop")
+        if reasons:
+            raise StreamMotionError(f"the controller has stopped the arm: {', '.join(reasons)}{self._alarm()}")
+
+    def _alarm(self) -> str:
+        """What the controller's last alarm says, with a colon before it; empty where it says nothing."""
+        with suppress(*self._errors):
+            texts = ", ".join(text.strip() for text in self._rmi.read_error().messages if text.strip())
+            return f": {texts}" if texts else ""
+        return ""
+
+    def _angles(self, status: dict[str, Any]) -> Array:
+        """Joint angles ``(n,)`` [rad] of a status."""
+        return np.asarray(self._wire @ np.radians(status["joint_angle"][:_AXES]))
+
+    def _state(self, status: dict[str, Any], since: int) -> RobotState:
+        """Torque is the current in ampere times the drive gain, NaN where the controller reports none."""
+        self.counts.cycles += since > 0
+        measured = self._angles(status)
+        if self.fault is None:
+            self.fault = self._watch.check(self.commanded, measured)
+            self.counts.implausible = self._watch.missing
+        current = np.array(status["current"][:_AXES])
+        current = current if current.any() else np.full(_AXES, np.nan)
+        force = [float(status[name]) for name in _FORCE] if int(status["packet_type"]) == _STATUS_WITH_FORCE else (
+            [float("nan")] * len(_FORCE))
+        ticks = (self._number - self._begun) % 2**32
+        return RobotState(ticks * self.t_ipo, measured, current * self.robot.drive_gain, {
+            "current": current, "speed_scale": float(status["safety_scale"]),
+            **dict(zip(("fx", "fy", "fz", "mx", "my", "mz"), force, strict=True))})
+
+
+def opened(address: Address, robot: Robot, settings: LinkSettings) -> StreamMotionRobot:
+    """The link to the controller at ``fanuc://host:port?rmi=16001&j23=0``, not yet connected; raises InputError.
+
+    Args:
+        address, robot, settings: see ``ideal_robot.interfaces``.
+    """
+    address.knows("rmi", "j23")
+    host, port = address.at(PORT)
+    return StreamMotionRobot(robot, host, port=port, rmi_port=int(address.number("rmi", RMI_PORT, 1, 65535)),
+                             j23=address.number("j23", 0.0, -1.0, 1.0), **settings.given())

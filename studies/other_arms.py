@@ -1,0 +1,143 @@
+"""Arms that others simulate, behind their makers' interfaces: for tests, and for the chains of the evidence page.
+
+``python -m studies.other_arms fr3 127.0.0.9 1.0`` serves one until it is ended; the context managers do it in a process
+of its own, and write the URDF and drive data that go with it.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+FR3_HOME = (0.0, -0.7854, 0.0, -2.3562, 0.0, 1.5708, 0.7854)
+"""Where the arm stands first [rad]."""
+FR3_GAINS = (450.0, 450.0, 350.0, 350.0, 60.0, 60.0, 40.0)
+"""Damping of the simulated joint controller [N m s/rad]: with its own wrist damping of 200 joints 5 to 7 chatter at
+their torque limits."""
+FR3_DATA = f"""name = "fr3"
+
+[joints]
+home = {list(FR3_HOME)}
+a_max = [10.0, 10.0, 10.0, 10.0, 10.0, 10.0, 10.0]
+
+[controller]
+t_ipo = 0.001
+t_position = 0.001
+t_velocity = 0.001
+"""
+CRX_HOME = (0.0, 0.2, -0.2, 0.0, -1.2, 0.0)
+CRX_DATA = f"""name = "crx10ial"
+
+[joints]
+home = {list(CRX_HOME)}
+a_max = [8.0, 8.0, 8.0, 12.0, 12.0, 12.0]
+
+[controller]
+t_ipo = 0.008
+t_position = 0.004
+t_velocity = 0.002
+"""
+_CRX = (("0 0 1", "0 0 0.245", 2.09, 3.14, 12.0), ("0 1 0", "0 0 0", 2.09, 3.1, 10.0),
+        ("0 -1 0", "0 0 0.71", 3.14, 4.7, 8.0), ("-1 0 0", "0.2 0 0", 3.14, 3.3, 5.0),
+        ("0 -1 0", "0.34 0 0", 3.14, 3.1, 3.0), ("-1 0 0", "0.16 0.15 0", 3.92, 3.9, 1.0))
+"""Of each joint axis, place in the joint before [m], speed [rad/s], range [rad] and mass [kg]: about those of a FANUC
+CRX-10iA/L. The emulator knows no bodies, so that the masses are assumed and judge nothing."""
+
+
+def crx_urdf() -> str:
+    """The URDF of an arm such as FANUC's emulated one."""
+    def link(name: str, mass: float) -> str:
+        size = mass / 50
+        return (f'<link name="{name}"><inertial><mass value="{mass}"/><origin xyz="0.1 0 0.05"/><inertia ixx="{size}" '
+                f'iyy="{size}" izz="{size}" ixy="0" ixz="0" iyz="0"/></inertial></link>')
+
+    parts = [link("base", 20.0)]
+    for i, (axis, place, speed, reach, mass) in enumerate(_CRX, 1):
+        parent = f"link_{i - 1}" if i > 1 else "base"
+        parts += [link(f"link_{i}", mass),
+                  f'<joint name="joint_{i}" type="revolute"><parent link="{parent}"/><child link="link_{i}"/>'
+                  f'<origin xyz="{place}"/><axis xyz="{axis}"/>'
+                  f'<limit lower="{-reach}" upper="{reach}" velocity="{speed}" effort="{40 * mass}"/></joint>']
+    return f'<robot name="crx10ial">{"".join(parts)}</robot>\n'
+
+
+@contextmanager
+def fr3(folder: Path, *, host: str = "127.0.0.9", slowed: float = 1.0) -> Iterator[tuple[str, Path]]:
+    """An FR3 behind libfranka's protocol, by ``franky-sim``; yields its address and its URDF.
+
+    Args:
+        folder: where URDF and drive data are written.
+        host: loopback address.
+        slowed: how many times as long a millisecond of the simulation takes: on a busy computer answers come in time.
+    """
+    from franky_sim import FR3_URDF
+
+    (folder / "fr3.urdf").write_text(FR3_URDF, encoding="utf-8")
+    (folder / "fr3.toml").write_text(FR3_DATA, encoding="utf-8")
+    with _served("fr3", host, str(slowed)):
+        yield f"franka://{host}", folder / "fr3.urdf"
+
+
+@contextmanager
+def crx(folder: Path, *, slowed: float = 1.0) -> Iterator[tuple[str, Path]]:
+    """A FANUC arm behind Stream Motion, by ``airo-fanuc``'s emulated controller; yields its address and its URDF.
+
+    Args:
+        folder: where URDF and drive data are written.
+        slowed: how many times as long a cycle takes: on a busy computer answers come in time.
+    """
+    (folder / "crx10ial.urdf").write_text(crx_urdf(), encoding="utf-8")
+    (folder / "crx10ial.toml").write_text(CRX_DATA, encoding="utf-8")
+    with _served("crx", str(slowed)) as ports:
+        yield "fanuc://127.0.0.1:{}?rmi={}".format(*ports.split()), folder / "crx10ial.urdf"
+
+
+@contextmanager
+def _served(*words: str) -> Iterator[str]:
+    """A process of this module that serves an arm; yields what it says once it does."""
+    process = subprocess.Popen([sys.executable, "-m", "studies.other_arms", *words], stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        said = process.stdout.readline().strip()
+        if not said:
+            raise RuntimeError(f"the simulated arm {words[0]} has ended before it was ready")
+        yield said
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def _serve_fr3(host: str, slowed: str) -> None:
+    from franky_sim import SimulationServer
+    from franky_sim.mujoco_simulator import MujocoSimulator
+
+    with MujocoSimulator() as sim:
+        sim.add_robot(initial_q=FR3_HOME, kv=FR3_GAINS)
+        with SimulationServer(sim, [host]) as server:
+            print("ready", flush=True)
+            server.run_forever(float(slowed))
+
+
+def _serve_crx(slowed: str) -> None:
+    from airo_fanuc.testing import FakeCRXConfig, FakeCRXController
+
+    start = np.append(np.degrees(CRX_HOME), np.zeros(3))
+    with FakeCRXController(FakeCRXConfig(), initial_q_deg=start) as controller:
+        controller.start_realtime(speed=1.0 / float(slowed))
+        print(controller.sm_port, controller.rmi_port, flush=True)
+        told = 0
+        while True:
+            time.sleep(0.05)
+            for violation in controller.sm.violations[told:]:
+                print(violation, file=sys.stderr, flush=True)
+            told = len(controller.sm.violations)
+
+
+if __name__ == "__main__":
+    {"fr3": _serve_fr3, "crx": _serve_crx}[sys.argv[1]](*sys.argv[2:])
