@@ -9,7 +9,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -139,5 +139,8 @@ def _serve_crx(slowed: str) -> None:
             told = len(controller.sm.violations)
 
 
+SERVERS: dict[str, Callable[..., None]] = {"fr3": _serve_fr3, "crx": _serve_crx}
+"""Arms that are served."""
+
 if __name__ == "__main__":
-    {"fr3": _serve_fr3, "crx": _serve_crx}[sys.argv[1]](*sys.argv[2:])
+    SERVERS[sys.argv[1]](*sys.argv[2:])
