@@ -168,9 +168,10 @@ class PathPlayer:
             self._answer(q_d, state, log, progress)
         except IdealRobotError as error:
             self._reason = self._reason or str(error)
-            return self._run(log, names, granted)
-        # Another path may follow on the same link: until then the arm is held.
-        return self._meanwhile(partial(self._run, log, names, granted)) if self.led else self._run(log, names, granted)
+            return self._run(log, names, granted, self._answered())
+        # Another path may follow on the same link: until then the arm is held, which is counted no more.
+        run = partial(self._run, log, names, granted, self._answered())
+        return self._meanwhile(run) if self.led else run()
 
     def _loaded(self) -> None:
         """Compiled code is loaded before the first packet has to be answered."""
@@ -256,10 +257,13 @@ class PathPlayer:
             desired, q_c = commands.governed(np.tile(q_d[-1], (self.feedforward.n_d, 1)))
             yield desired + shift, q_c
 
-    def _run(self, log: RowLog, names: dict[str, tuple[int, ...]], granted: list[str]) -> PathRun:
-        recording, counts = self._recording(log, names), asdict(self.link.counts)
-        return PathRun(recording, self._reason, counts, spread_ms(np.array(self.link.answer_times)), granted, self.rest,
-                       len(self.q_d))
+    def _answered(self) -> tuple[dict[str, Any], dict[str, float]]:
+        """What happened on the link until now, and how long answers took [ms]."""
+        return asdict(self.link.counts), spread_ms(np.array(self.link.answer_times))
+
+    def _run(self, log: RowLog, names: dict[str, tuple[int, ...]], granted: list[str],
+             answered: tuple[dict[str, Any], dict[str, float]]) -> PathRun:
+        return PathRun(self._recording(log, names), self._reason, *answered, granted, self.rest, len(self.q_d))
 
     def _recording(self, log: RowLog, names: dict[str, tuple[int, ...]]) -> Recording:
         robot = self.link.robot
