@@ -108,12 +108,20 @@ FRANKA = ArmInterface(
 FANUC = ArmInterface(
     "FANUC Stream Motion", "ideal_robot.stream_motion.robot:opened", "fanuc://192.168.1.100", "8 ms",
     "angles, currents, speed scale, wrench", "airo-fanuc's emulated controller", "airo_fanuc", "fanuc", 8e-3)
+EGM = ArmInterface(
+    "ABB EGM", "ideal_robot.egm.robot:opened", "egm://:6510", "4 to 24 ms", "angles, references, utilization, wrench",
+    "own controller, which two clients of others lead", "abb_robot_client", "egm")
+ROS2 = ArmInterface(
+    "ROS 2", "ideal_robot.ros2.robot:opened", "ros2://?commands=/forward_position_controller/commands",
+    "of the joint states", "angles, speeds, efforts", "own node", "rclpy", "ros2")
 
 INTERFACES: Registry[ArmInterface] = Registry("interface", "ideal_robot.interfaces", {
     "rsi": "ideal_robot.interfaces:RSI",
     "rtde": "ideal_robot.interfaces:RTDE",
     "franka": "ideal_robot.interfaces:FRANKA",
     "fanuc": "ideal_robot.interfaces:FANUC",
+    "egm": "ideal_robot.interfaces:EGM",
+    "ros2": "ideal_robot.interfaces:ROS2",
 })
 """Interfaces by the scheme of their address."""
 

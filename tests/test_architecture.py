@@ -16,19 +16,24 @@ from tests.sources import ROOT
 
 OURS = {"ideal_robot", "sensing", "planning", "sim", "scenes", "studies", "examples", "tests", "docs"}
 IMPORTED_AS = {"dask[distributed]": "dask", "griffelib": "griffe", "opencv-python-headless": "cv2", "pin": "pinocchio",
-               "import-linter": "importlinter", "pillow": "PIL", "rerun-sdk": "rerun"}
+               "import-linter": "importlinter", "pillow": "PIL", "rerun-sdk": "rerun", "franky-sim": "franky_sim",
+               "airo-fanuc": "airo_fanuc", "abb-robot-client": "abb_robot_client", "ros-rclpy": "rclpy",
+               "ros-sensor-msgs": "sensor_msgs", "ros-std-msgs": "std_msgs", "ros-geometry-msgs": "geometry_msgs",
+               "ros-trajectory-msgs": "trajectory_msgs"}
 """Where a package's name is not its module's."""
 PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes", "studies")
 """Where files import without circles, and at their top."""
-IMPORTED_LATE = {"rerun", "mujoco", "rosbags", "lz4", "matplotlib", "dask", "viser", "trimesh", "svgpathtools",
-                 "harvesters", "pandas", "pyarrow", "dartpy"}
+IMPORTED_LATE = {"rerun", "mujoco", "rosbags", "lz4", "matplotlib", "dask", "viser", "trimesh", "svgpathtools", "harvesters",
+                 "pandas", "pyarrow", "dartpy", "pylibfranka", "franky_sim", "airo_fanuc", "abb_robot_client", "rclpy",
+                 "sensor_msgs", "std_msgs", "geometry_msgs", "trajectory_msgs"}
 """Heavy packages that few users need, or a process that leads an arm does not: imported where they are used."""
 STARTS_FAST = ("scenes.commands.", "scenes.pytest_plugin.", "scenes.scene_file.")
 """The verbs import what they need when they are called, and a scene's file is looked for before what plays it is
 loaded: ``ideal-robot --help`` must not load the whole program, nor may every pytest of a user's."""
 RUN_NOT_IMPORTED = {"mypy", "pandas-stubs", "pytest-xdist", "ruff", "import-linter", "mkdocs-material",
-                    "mkdocstrings[python]", "setuptools", "ipykernel", "ipywidgets", "jupyterlab", "RSIPI", "ur-rtde"}
-"""Tools of development, and counterparts in tests, that are started as programs."""
+                    "mkdocstrings[python]", "setuptools", "ipykernel", "ipywidgets", "jupyterlab", "RSIPI", "ur-rtde",
+                    "ABBRobotEGM", "ros-rmw-fastrtps-cpp"}
+"""Tools of development, counterparts in tests, that are started as programs, and what others load."""
 
 
 @cache

@@ -332,10 +332,15 @@ class LinkedRobot(ABC):
         missed: whether the controller had to do without a command of ours since the last one.
         counts: what happened on the link.
         arrived: when the last packet was read, by ``time.perf_counter`` [s].
+        horizon: coming cycles of which the link can hand over expected commands; 0 where it cannot.
+        ahead: expected commands of the cycles behind the next one, ``(horizon, n)`` [rad], for that one; None where
+            they are not known: then the arm is expected to come to rest.
     """
 
     counts: Any
     arrived: float = math.nan
+    horizon: int = 0
+    ahead: Array | None = None
 
     def __init__(self, robot: Robot, bridge: float, answers_within: float, relative: bool = False) -> None:
         self.robot, self.t_ipo = robot, robot.t_ipo

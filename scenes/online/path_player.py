@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ideal_robot.arrays import Array, eased
+from ideal_robot.arrays import Array, eased, held
 from ideal_robot.errors import IdealRobotError, LimitError
 from ideal_robot.execution.command_governor import CommandGovernor
 from ideal_robot.execution.play import LONGEST_STOP, PathCommands
@@ -185,8 +185,8 @@ class PathPlayer:
 
         Raises SceneError where the way touches something, or the arm does not follow.
         """
-        held = self.link.commanded.copy()
-        for k, q_c in enumerate(self._meanwhile(partial(_way, self.link.robot, held, self.q_d[0]))):
+        stands = self.link.commanded.copy()
+        for k, q_c in enumerate(self._meanwhile(partial(_way, self.link.robot, stands, self.q_d[0]))):
             if self.link.fault is not None or self._reason is not None:
                 raise SceneError(f"stopped on the way to the start: {self.link.fault or self._reason}")
             self.link.send(q_c)
@@ -202,20 +202,22 @@ class PathPlayer:
 
     def _meanwhile(self, work: Callable[[], Worked]) -> Worked:
         """What work that takes longer than a cycle gives; the arm, at rest, is held where it is until then."""
-        held = self.link.commanded.copy()
+        rest = self.link.commanded.copy()
         with ThreadPoolExecutor(1) as beside:
             result = beside.submit(work)
             while not result.done():
-                self.link.send(held)
+                self.link.send(rest)
                 self.link.receive()
         return result.result()
 
     def _answer(self, q_d: Array, state: RobotState, log: RowLog, progress: Progress) -> None:
         """Answers packet by packet; the command of the next cycle is computed while the controller is busy."""
-        commands = self._commands(q_d)
+        commands, k = self._commands(q_d), 0
         command = next(commands, None)
         while command is not None:
+            self.link.ahead = self._ahead(q_d, k, command[1])
             self.link.send(command[1])
+            k += 1
             more = [np.ravel(value) for value in state.columns.values()]
             log.append(np.concatenate([[state.t], *command, state.q, state.tau, *more]))
             if len(log) % 50 == 0:
@@ -228,11 +230,18 @@ class PathPlayer:
                 # The controller went on meanwhile, and so does the path.
                 if command is not None and (later := next(commands, None)) is not None:
                     self.link.skip(command[1])
-                    command = later
+                    command, k = later, k + 1
 
-    def _from(self, held: Array) -> Array:
+    def _ahead(self, q_d: Array, k: int, q_c: Array) -> Array | None:
+        """Commands expected behind that of cycle ``k``: they go on as the path does; None while the arm is braked."""
+        if not self.link.horizon or self._reason is not None or k >= len(q_d):
+            return None
+        return np.asarray(held(q_d[k : k + 1 + self.link.horizon], after=self.link.horizon)[1 : 1 + self.link.horizon]
+                          - q_d[k] + q_c)
+
+    def _from(self, stands: Array) -> Array:
         """The path from where the arm is held: the offset to its start fades within the rest before it."""
-        offset = near_start(held, self.q_d[0], NEAR)
+        offset = near_start(stands, self.q_d[0], NEAR)
         share = np.clip(np.arange(len(self.q_d)) / max(self.rest - 1, 1), 0.0, 1.0)[:, None]
         return np.asarray(self.q_d + offset * (1.0 - eased(share)))
 
@@ -286,13 +295,13 @@ class PathPlayer:
         return Recording.from_arrays(t[:, 0], meta=meta, source=self.source, **columns)
 
 
-def _way(robot: Robot, held: Array, start: Array) -> Array:
+def _way(robot: Robot, stands: Array, start: Array) -> Array:
     """Slow commands ``(N, n)`` from where an arm is held to the start of a path ``(n,)`` [rad].
 
     Raises SceneError where the arm would touch itself or its base plane on the way, though it does not where it stands.
     """
     shapes = Shapes(robot)
-    if shapes.first_touch(held[None]) is None and (touch := shapes.touch_between(held, start)) is not None:
+    if shapes.first_touch(stands[None]) is None and (touch := shapes.touch_between(stands, start)) is not None:
         raise SceneError(f"on the joints' straight way from where the arm stands to the start of the path {touch}; "
                          "move the arm nearer to the start")
-    return moves(robot, [held, start], _RESTS)
+    return moves(robot, [stands, start], _RESTS)

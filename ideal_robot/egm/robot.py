@@ -1,0 +1,287 @@
+"""An arm behind ABB's Externally Guided Motion (EGM), as one more implementation of ``RobotInterface``.
+
+Joint position guidance (``EGMActJoint``, ``EGMRunJoint``): the controller sends its state every 4 to 24 ms to where
+this computer listens, and takes the joints of each answer as its new reference. The messages are those of
+``abb-robot-client``. Time is the number of the controller's message, not its arrival.
+"""
+
+from __future__ import annotations
+
+import socket
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.deadline import Deadline
+from ideal_robot.errors import BAD_ADDRESS, IdealRobotError, InputError
+from ideal_robot.interfaces import LinkSettings
+from ideal_robot.robots.address import Address
+from ideal_robot.robots.interface import LinkedRobot, RobotState
+from ideal_robot.robots.robot import Robot
+
+PORT = 6510
+"""UDP port of ABB's examples."""
+_OWN = 6
+"""Joints of a message; a seventh is its first external one."""
+_LARGEST = 1e4
+"""No angle is as large [deg]."""
+_PACKET = 65536
+_PACE = 25
+"""Messages after which their time stamps tell the cycle."""
+_WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
+
+
+class EgmError(IdealRobotError):
+    """The controller is not there, does not let itself be led, or has stopped the arm."""
+
+
+@dataclass
+class EgmCounts:
+    """What happened on the link.
+
+    Attributes:
+        cycles: messages that were a cycle of their own.
+        lost: cycles whose message never came.
+        repeated, outdated: messages of a cycle already answered, and of one before it.
+        refused, foreign: packets that are no message, and of other senders.
+        implausible: measured positions that cannot be; they count as missing.
+    """
+
+    cycles: int = 0
+    lost: int = 0
+    repeated: int = 0
+    outdated: int = 0
+    refused: int = 0
+    foreign: int = 0
+    implausible: int = 0
+
+
+class EgmRobot(LinkedRobot):
+    """A ``RobotInterface`` to an arm whose controller speaks EGM; listens as soon as it is made.
+
+    Without an answer the controller holds its last reference.
+
+    Args:
+        robot: six or seven joints, limits, and the controller's cycle (its ``SampleRate``).
+        host: address of ours to listen on.
+        port: UDP port; 0 for any free one, see ``address``.
+        timeout: silence of the controller after which the link counts as broken [s].
+        bridge: how long messages may be lost in a row [s].
+        answers_within: time in which the arm's loop answers a command, for the watch over following [s].
+
+    Raises:
+        InputError: an address that cannot be listened on, an arm with another number of joints.
+
+    Attributes:
+        counts: what happened on the link.
+    """
+
+    def __init__(self, robot: Robot, *, host: str = "127.0.0.1", port: int = PORT, timeout: float = 1.0,
+                 bridge: float = 0.1, answers_within: float = 0.5) -> None:
+        if robot.n not in (_OWN, _OWN + 1) or robot.prismatic.any():
+            raise InputError(f"EGM moves arms with {_OWN} or {_OWN + 1} joints that turn", field="robot",
+                             value=f"{robot.name}: {robot.n}")
+        super().__init__(robot, bridge, answers_within)
+        self.counts, self._timeout = EgmCounts(), timeout
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.bind((host, port))
+        except BAD_ADDRESS as error:
+            self._socket.close()
+            raise InputError(f"cannot listen there ({error})", field="host:port", value=f"{host}:{port}") from error
+        self._peer: tuple[str, int] | None = None
+        self._answers = 0
+        self._library: Any = None
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Where it listens: host and port."""
+        host, port = self._socket.getsockname()
+        return host, port
+
+    def connect(self, patience: float = 60.0) -> RobotState:
+        """Waits for the controller's messages, up to ``patience`` [s], and until it lets itself be led.
+
+        Returns the state at rest, ``t = 0``. ``commanded`` is then where the controller holds the arm.
+
+        Raises:
+            EgmError: no message, or an arm that is not given to this computer.
+        """
+        from abb_robot_client._egm_protobuf import egm_pb2
+
+        self._library, deadline = egm_pb2, Deadline.within(patience)
+        message = self._next(deadline)
+        while (reason := self._stopped(message)) is not None:
+            if deadline.left < self.t_ipo:
+                raise EgmError(f"the arm cannot be led: {reason}")
+            # Until then it is answered that all may stay as it is, so that the controller's patience does not end.
+            self._number = message.header.seqno
+            self._answer(self._joints(message.feedBack))
+            message = self._next(deadline)
+        measured, planned = self._joints(message.feedBack), self._joints(message.planned)
+        # What has other joints is no message of the arm.
+        assert measured is not None
+        self.commanded = self._wanted = measured if planned is None else planned
+        self._begun = self._number = message.header.seqno
+        self._clock, self._paced = message.header.tm, message.header.seqno
+        self._step = np.zeros(self.robot.n)
+        self._watch.begin(self.commanded, measured)
+        return self._state(message)
+
+    def send(self, q_c: Array) -> None:
+        """The first half of ``cycle``: answers the last message, which leaves the cycle's time for computing.
+
+        Raises EgmError before ``connect``.
+        """
+        if self._peer is None:
+            raise EgmError("connect to the controller before a command is handed over")
+        # Without an answer the arm was held: its speed is gone, the one that is wanted is not.
+        q_c = self._led_back(self._want(q_c), np.zeros(self.robot.n))
+        self._answer(q_c)
+        self.answer_times.append(time.perf_counter() - self.arrived)
+        self.commanded = q_c
+
+    def receive(self) -> RobotState:
+        """The second half of ``cycle``: waits for the next message.
+
+        Raises EgmError for silence, an arm that the controller has stopped, more missed than can be bridged.
+        """
+        deadline = Deadline.within(self._timeout)
+        while True:
+            message = self._next(deadline)
+            # Numbers have 32 bits and begin anew behind the last.
+            since = (message.header.seqno - self._number + 2**31) % 2**32 - 2**31
+            if since > 0:
+                break
+            self.counts.repeated += since == 0
+            self.counts.outdated += since < 0
+        if (reason := self._stopped(message)) is not None:
+            raise EgmError(f"the controller has stopped the arm: {reason}")
+        if since - 1 > self.max_lost:
+            raise EgmError(f"{since - 1} messages in a row were lost, more than {self.max_lost}; check network and "
+                           "load")
+        if since > 1:
+            self.counts.lost += since - 1
+            self.missed = True
+        self._number = message.header.seqno
+        self._check_pace(message.header.tm)
+        return self._state(message)
+
+    def close(self) -> None:
+        """Stops listening; the controller ends its motion when its communication time is over."""
+        self._socket.close()
+        self._peer = None
+
+    def _check_pace(self, tm: int) -> None:
+        """The controller's time stamps [ms] tell whether its cycle is the one that is expected."""
+        count = (self._number - self._paced) % 2**32
+        if count < _PACE:
+            return
+        pace = 1e-3 * ((tm - self._clock) % 2**32) / count
+        self._clock, self._paced = tm, self._number
+        # Stamps are rounded to milliseconds, and some controllers send none.
+        if pace > 0.0 and abs(pace - self.t_ipo) * count > 2e-3 + 0.1 * self.t_ipo * count:
+            raise EgmError(f"the controller sends every {1e3 * pace:.3g} ms, {1e3 * self.t_ipo:g} ms are expected; "
+                           "--cycle says which")
+
+    def _answer(self, q: Array | None) -> None:
+        """Sends joint angles ``(n,)`` [rad] as the controller's new reference."""
+        if q is None or self._peer is None:
+            return
+        sensor, angles = self._library.EgmSensor(), np.degrees(q).tolist()
+        self._answers = (self._answers + 1) % 2**32
+        sensor.header.seqno, sensor.header.tm = self._answers, round(1e3 * time.monotonic()) % 2**32
+        sensor.header.mtype = self._library.EgmHeader.MSGTYPE_CORRECTION
+        sensor.planned.joints.joints.extend(angles[:_OWN])
+        if self.robot.n > _OWN:
+            sensor.planned.externalJoints.joints.extend(angles[_OWN:])
+        try:
+            self._socket.sendto(sensor.SerializeToString(), self._peer)
+        except OSError as error:
+            raise EgmError(f"the system does not send to {self._peer[0]} ({error})") from error
+
+    def _next(self, deadline: Deadline) -> Any:
+        """The newest message of the controller; raises EgmError for silence."""
+        newest: Any = None
+        while True:
+            try:
+                # What waits is looked through, so that no answer stays behind.
+                self._socket.settimeout(max(deadline.left, 1e-3) if newest is None else 0.0)
+                packet, sender = self._socket.recvfrom(_PACKET)
+            except (BlockingIOError, TimeoutError) as error:
+                if newest is not None:
+                    return newest
+                raise EgmError("no message of a controller; check the UDPUC device's remote address and port, that EGM "
+                               "is active in its program, and the network") from error
+            except ConnectionError:
+                continue
+            except OSError as error:
+                raise EgmError(f"the system does not let the port be read any more ({error})") from error
+            if self._peer not in (None, sender):
+                self.counts.foreign += 1
+                continue
+            message = self._decoded(packet)
+            if message is None:
+                self.counts.refused += 1
+                continue
+            if newest is not None and (message.header.seqno - newest.header.seqno) % 2**32 >= 2**31:
+                self.counts.outdated += 1
+                continue
+            self._peer, newest, self.arrived = sender, message, time.perf_counter()
+
+    def _decoded(self, packet: bytes) -> Any:
+        """A state of the arm; None for another message, another number of joints, or angles that cannot be."""
+        message = self._library.EgmRobot()
+        try:
+            message.ParseFromString(packet)
+        except Exception:  # the library's own DecodeError, whose place has changed with its versions
+            return None
+        joints = self._joints(message.feedBack)
+        return message if joints is not None and (np.abs(np.degrees(joints)) < _LARGEST).all() else None
+
+    def _joints(self, part: Any) -> Array | None:
+        """Joint angles ``(n,)`` [rad] of feedback or plan; None where there are others than the arm's."""
+        angles = np.array([*part.joints.joints, *list(part.externalJoints.joints)[: self.robot.n - _OWN]])
+        return np.radians(angles) if angles.shape == (self.robot.n,) else None
+
+    def _stopped(self, message: Any) -> str | None:
+        """Why the arm is not given to this computer; None while it is."""
+        if message.HasField("motorState") and message.motorState.state == message.motorState.MOTORS_OFF:
+            return "the motors are off"
+        if message.HasField("rapidExecState") and message.rapidExecState.state == message.rapidExecState.RAPID_STOPPED:
+            return "the controller's program does not run"
+        if message.HasField("mciState") and message.mciState.state != message.mciState.MCI_RUNNING:
+            error = message.mciState.state == message.mciState.MCI_ERROR
+            return "EGM reports an error" if error else "EGM does not move the arm (EGMRunJoint)"
+        return None
+
+    def _state(self, message: Any) -> RobotState:
+        """EGM reports no torques."""
+        self.counts.cycles += 1
+        measured, planned = self._joints(message.feedBack), self._joints(message.planned)
+        assert measured is not None
+        if self.fault is None:
+            self.fault = self._watch.check(self.commanded, measured)
+            self.counts.implausible = self._watch.missing
+        nothing = np.full(self.robot.n, np.nan)
+        force = list(message.measuredForce.force) if message.HasField("measuredForce") else []
+        wrench = force if len(force) == len(_WRENCH) else [float("nan")] * len(_WRENCH)
+        return RobotState(((self._number - self._begun) % 2**32) * self.t_ipo, measured, nothing, {
+            "q_set": nothing if planned is None else planned,
+            "utilization": float(message.utilizationRate) if message.HasField("utilizationRate") else float("nan"),
+            **dict(zip(_WRENCH, wrench, strict=True))})
+
+
+def opened(address: Address, robot: Robot, settings: LinkSettings) -> EgmRobot:
+    """Listens on ``egm://host:port`` of this computer for a controller; raises InputError where it cannot.
+
+    Args:
+        address, robot, settings: see ``ideal_robot.interfaces``.
+    """
+    address.knows()
+    # Without a host on every address of this computer, as the controller is told one of them.
+    host, port = address.at(PORT, "0.0.0.0")
+    return EgmRobot(robot, host=host, port=port, **settings.given())

@@ -1,0 +1,172 @@
+"""A node of ROS 2 that listens to one topic and, for an arm, publishes on one: what does not match is named."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from itertools import count
+from typing import Any
+
+from ideal_robot.deadline import Deadline
+from ideal_robot.errors import IdealRobotError, InputError
+
+_NUMBERS = count(1)
+_LOOKS = 0.05
+"""Time between two looks at who is there [s]."""
+_DISCOVERED = 0.5
+"""Time in which those that are there have made themselves known [s]."""
+
+
+class Ros2Error(IdealRobotError):
+    """Nobody is there, what is there does not match, or has fallen silent."""
+
+
+class Node:
+    """A node in a context of its own, whose callbacks run in whoever waits.
+
+    Args:
+        sim_time: whether the node's clock is that of ``/clock``.
+        subnet: whether others than this computer's programs are discovered, where the environment does not say it.
+
+    Raises:
+        InputError: ROS 2 cannot be started here.
+
+    Attributes:
+        ros: the node of ``rclpy``.
+    """
+
+    def __init__(self, *, sim_time: bool = False, subnet: bool = False) -> None:
+        # Read when the first node of a process is made.
+        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET" if subnet else "LOCALHOST")
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.parameter import Parameter
+
+        self._rclpy, self._context = rclpy, rclpy.Context()
+        try:
+            rclpy.init(context=self._context, signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+            self.ros = rclpy.create_node(
+                f"ideal_robot_{os.getpid()}_{next(_NUMBERS)}", context=self._context, enable_rosout=False,
+                start_parameter_services=False, use_global_arguments=False,
+                parameter_overrides=[Parameter("use_sim_time", value=sim_time)])
+        except Exception as error:  # the library's own, whose kinds differ between middlewares
+            raise InputError(f"ROS 2 does not start here ({' '.join(str(error).split())}); check ROS_DOMAIN_ID and "
+                             "RMW_IMPLEMENTATION", field="ros2") from error
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.ros)
+
+    @property
+    def domain(self) -> str:
+        """Where it looks, in words."""
+        reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET").lower()
+        return f"ROS_DOMAIN_ID {self._context.get_domain_id()}, discovery on {reach}"
+
+    def spin(self, timeout: float) -> None:
+        """Runs the callbacks of what has arrived, of one message; waits for it up to ``timeout`` [s]."""
+        self._executor.spin_once(timeout_sec=max(timeout, 0.0))
+
+    def newest_only(self, kind: Any, topic: str, taken: Callable[[Any], None], depth: int = 5) -> None:
+        """Subscribes so that any publisher matches, reliable or not.
+
+        Args:
+            kind: class of the messages.
+            topic: its full name.
+            taken: called with each message.
+            depth: messages that wait at most.
+        """
+        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+        self.ros.create_subscription(kind, topic, taken, QoSProfile(
+            depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE))
+
+    def publisher(self, kind: Any, topic: str) -> Any:
+        """A reliable publisher whose newest message alone waits.
+
+        Args:
+            kind: class of the messages.
+            topic: its full name.
+        """
+        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+        return self.ros.create_publisher(kind, topic, QoSProfile(
+            depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE))
+
+    def require_publisher(self, kind: str, topic: str, deadline: Deadline) -> None:
+        """Waits for a publisher of a topic; raises Ros2Error with what there is instead.
+
+        Args:
+            kind: of the messages, ``package/msg/Name``.
+            topic: its full name.
+            deadline: until when it is waited for.
+        """
+        self._until(lambda: self.ros.count_publishers(topic) > 0, deadline)
+        if self.ros.count_publishers(topic) == 0:
+            raise Ros2Error(f"nobody publishes {topic}; {self._instead(kind)} ({self.domain})")
+        for info in self.ros.get_publishers_info_by_topic(topic):
+            if info.topic_type != kind:
+                raise Ros2Error(f"{topic} is of {info.topic_type}, {kind} is expected; {self._instead(kind)}")
+
+    def require_alone(self, kind: str, topic: str, deadline: Deadline) -> None:
+        """Waits until somebody listens to a topic that this node publishes; raises Ros2Error where it does not match.
+
+        Args:
+            kind: of the messages, ``package/msg/Name``.
+            topic: its full name.
+            deadline: until when it is waited for.
+        """
+        self._until(lambda: self.ros.count_subscribers(topic) > 0, deadline)
+        begun = time.perf_counter()
+        self._until(lambda: time.perf_counter() - begun > _DISCOVERED, Deadline.within(2 * _DISCOVERED))
+        listeners = self.ros.get_subscriptions_info_by_topic(topic)
+        if not listeners:
+            raise Ros2Error(f"nobody listens to {topic}: is that controller active? {self._instead(kind)} "
+                            f"({self.domain})")
+        if (others := self.others(topic)):
+            raise Ros2Error(f"{', '.join(others)} publishes on {topic}, too; the arm would be torn between two: end it")
+        mine = next(info for info in self.ros.get_publishers_info_by_topic(topic)
+                    if info.node_name == self.ros.get_name())
+        from rclpy.qos import QoSCompatibility, qos_check_compatible
+
+        for info in listeners:
+            if info.topic_type != kind:
+                raise Ros2Error(f"{info.node_name} expects {info.topic_type} on {topic}, not {kind}")
+            fits, why = qos_check_compatible(mine.qos_profile, info.qos_profile)
+            if fits == QoSCompatibility.ERROR:
+                raise Ros2Error(f"quality of service of {info.node_name} on {topic} does not match a reliable, "
+                                f"volatile publisher: {' '.join(why.split())}")
+
+    def others(self, topic: str) -> list[str]:
+        """Names of other nodes that publish a topic."""
+        return sorted({info.node_name for info in self.ros.get_publishers_info_by_topic(topic)
+                       if info.node_name != self.ros.get_name()})
+
+    def close(self) -> None:
+        """Leaves the graph."""
+        self._executor.shutdown()
+        self.ros.destroy_node()
+        self._rclpy.shutdown(context=self._context)
+
+    def _until(self, there: Callable[[], bool], deadline: Deadline) -> None:
+        while not there() and not deadline.passed:
+            self.spin(min(_LOOKS, max(deadline.left, 0.0)))
+
+    def _instead(self, kind: str) -> str:
+        """Topics of a kind that there are, in words."""
+        topics = sorted(name for name, kinds in self.ros.get_topic_names_and_types() if kind in kinds)
+        return f"topics of {kind} are {', '.join(topics)}" if topics else f"there is no topic of {kind}"
+
+
+def full_name(namespace: str, topic: str) -> str:
+    """A topic's full name in a namespace, where it is not full already.
+
+    >>> full_name("/left", "joint_states"), full_name("", "joint_states"), full_name("left", "/joint_states")
+    ('/left/joint_states', '/joint_states', '/joint_states')
+    """
+    space = f"/{namespace.strip('/')}" if namespace.strip("/") else ""
+    return topic if topic.startswith("/") else f"{space}/{topic}"
+
+
+def seconds(stamp: Any) -> float:
+    """A stamp of a header [s]."""
+    return float(stamp.sec) + 1e-9 * float(stamp.nanosec)

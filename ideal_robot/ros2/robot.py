@@ -1,0 +1,291 @@
+"""An arm behind ROS 2's controllers, as one more implementation of ``RobotInterface``.
+
+``sensor_msgs/JointState`` says where it is, joints by name, and is the clock: a command follows each. Commands go to a
+``forward_command_controller`` (``Float64MultiArray``) or, as a horizon with its times, to a
+``joint_trajectory_controller``: there a message that is late or lost changes nothing as long as the horizon reaches.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.deadline import Deadline
+from ideal_robot.errors import InputError
+from ideal_robot.interfaces import LinkSettings
+from ideal_robot.robots.address import Address
+from ideal_robot.robots.interface import LinkedRobot, RobotState
+from ideal_robot.robots.robot import Robot
+from ideal_robot.ros2.node import Node, Ros2Error, full_name, seconds
+
+STATES, COMMANDS = "joint_states", "forward_position_controller/commands"
+HORIZON = 0.1
+"""How far a trajectory reaches ahead [s]: longer than a network or a computer usually stands still."""
+_SETTLED = 8
+"""States whose stamps tell the cycle before anything moves."""
+_OTHERS = 1.0
+"""Time between two looks at whether another publisher commands the arm [s]."""
+
+
+@dataclass
+class Ros2Counts:
+    """What happened on the topics.
+
+    Attributes:
+        cycles: joint states that were a cycle of their own.
+        lost: cycles whose joint state never came.
+        outdated: joint states that are not newer than the one before.
+        partial: messages without all of the arm's joints, as those of a gripper.
+        implausible: measured positions that cannot be; they count as missing.
+    """
+
+    cycles: int = 0
+    lost: int = 0
+    outdated: int = 0
+    partial: int = 0
+    implausible: int = 0
+
+
+class Ros2Robot(LinkedRobot):
+    """A ``RobotInterface`` to an arm behind ROS 2.
+
+    Args:
+        robot: joints by the names of its URDF, limits, and the cycle of the joint states.
+        states: full name of the topic with ``sensor_msgs/JointState``.
+        commands: full name of the topic of the commands.
+        trajectory: whether commands are ``trajectory_msgs/JointTrajectory``, else ``std_msgs/Float64MultiArray``.
+        joints: names of the joints in the order of the controller; those of the URDF if empty.
+        sim_time: whether time is that of ``/clock``.
+        subnet: whether others than this computer's programs are discovered, where the environment does not say it.
+        timeout: silence after which the arm counts as gone [s].
+        bridge: how long joint states may be lost in a row [s].
+        answers_within: time in which the arm's loop answers a command, for the watch over following [s].
+
+    Raises:
+        InputError: joints that the URDF does not have.
+
+    Attributes:
+        counts: what happened on the topics.
+    """
+
+    def __init__(self, robot: Robot, states: str, commands: str, *, trajectory: bool = False,
+                 joints: tuple[str, ...] = (), sim_time: bool = False, subnet: bool = False, timeout: float = 1.0,
+                 bridge: float = 0.1, answers_within: float = 0.5) -> None:
+        names = tuple(robot.pinocchio.names)[1:]
+        if joints and sorted(joints) != sorted(names):
+            raise InputError(f"expected the joints of {robot.name} in some order: {', '.join(names)}", field="joints",
+                             value=", ".join(joints)[:80])
+        super().__init__(robot, bridge, answers_within)
+        self.counts, self.states, self.commands, self.trajectory = Ros2Counts(), states, commands, trajectory
+        self.horizon = max(math.ceil(HORIZON / robot.t_ipo), 2) if trajectory else 0
+        self._names, self._order = names, [names.index(name) for name in joints or names]
+        self._timeout, self._sim_time, self._subnet = timeout, sim_time, subnet
+        self._node: Node | None = None
+        self._newest: Any = None
+        self._places: tuple[tuple[str, ...], list[int]] = ((), [])
+
+    def connect(self, patience: float = 60.0) -> RobotState:
+        """Waits up to ``patience`` [s] for joint states and a listener to commands, and looks whether all matches.
+
+        Returns the state at rest, ``t = 0``. ``commanded`` is then where the arm stands.
+
+        Raises:
+            Ros2Error: nobody publishes or listens, another publisher commands the arm, joints are missing, quality of
+                service does not match, stamps stand still or come at another cycle, angles are degrees.
+        """
+        from sensor_msgs.msg import JointState
+        from std_msgs.msg import Float64MultiArray
+        from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+        deadline = Deadline.within(patience)
+        self._node = node = Node(sim_time=self._sim_time, subnet=self._subnet)
+        kind, name = ((JointTrajectory, "trajectory_msgs/msg/JointTrajectory") if self.trajectory
+                      else (Float64MultiArray, "std_msgs/msg/Float64MultiArray"))
+        self._message, self._point = kind, JointTrajectoryPoint
+        self._publisher = node.publisher(kind, self.commands)
+        node.newest_only(JointState, self.states, self._take)
+        node.require_publisher("sensor_msgs/msg/JointState", self.states, deadline)
+        node.require_alone(name, self.commands, deadline)
+        self._looked = time.perf_counter()
+        stamps = [self._stamp(self._next(self._timeout))]
+        while len(stamps) < _SETTLED:
+            stamps.append(self._stamp(self._next(self._timeout)))
+        self._check_cycle(np.diff(stamps))
+        state = self._next(self._timeout)
+        self._begun = self._last = self._stamp(state)
+        measured = self._measured(state)
+        self._require_radians(measured)
+        self.commanded = self._wanted = measured
+        self._step = np.zeros(self.robot.n)
+        self._watch.begin(measured, measured)
+        return self._state(state)
+
+    def send(self, q_c: Array) -> None:
+        """The first half of ``cycle``: commands and returns, which leaves the cycle's time for computing.
+
+        Raises Ros2Error before ``connect``.
+        """
+        if self._node is None:
+            raise Ros2Error("connect to the controller before a command is handed over")
+        wanted = self._want(q_c)
+        # What is missed of a trajectory was told before; where a single command is missed the arm was held.
+        if self.trajectory:
+            self.missed = False
+        q_c = self._led_back(wanted, np.zeros(self.robot.n))
+        self._publisher.publish(self._trajectory(q_c) if self.trajectory
+                                else self._message(data=q_c[self._order].tolist()))
+        self.answer_times.append(time.perf_counter() - self.arrived)
+        self.commanded = q_c
+
+    def receive(self) -> RobotState:
+        """The second half of ``cycle``: waits for the next joint state.
+
+        Raises Ros2Error for silence, stamps that stand still, more missed than can be bridged.
+        """
+        message = self._next(self._timeout)
+        since = round((self._stamp(message) - self._last) / self.t_ipo)
+        if since - 1 > self.max_lost:
+            raise Ros2Error(f"{since - 1} joint states in a row were lost, more than {self.max_lost}; check network "
+                            "and load")
+        if since > 1:
+            self.counts.lost += since - 1
+            self.missed = True
+            # The controller goes on along the horizon that it has.
+            self.gone_on = min(since - 1, self.horizon)
+        else:
+            self.gone_on = 0
+        self._last = self._stamp(message)
+        self._check_others()
+        return self._state(message)
+
+    def close(self) -> None:
+        """Leaves; a controller holds its last command, or goes to the end of its trajectory."""
+        if self._node is not None:
+            self._node.close()
+            self._node = None
+
+    def _take(self, message: Any) -> None:
+        """A joint state has arrived; those of a gripper alone, or older ones, are passed over."""
+        if not set(self._names) <= set(message.name):
+            self.counts.partial += 1
+        elif self._newest is not None and self._stamp(message) <= self._stamp(self._newest):
+            self.counts.outdated += 1
+        else:
+            self.arrived, self._newest, self._fresh = time.perf_counter(), message, True
+
+    def _next(self, timeout: float) -> Any:
+        """The next joint state, or the newest where several wait; raises Ros2Error where none comes in time [s]."""
+        assert self._node is not None
+        deadline, outdated, partial = Deadline.within(timeout), self.counts.outdated, self.counts.partial
+        self._fresh = False
+        while not self._fresh:
+            self._node.spin(min(deadline.left, 0.1))
+            if deadline.passed and not self._fresh:
+                if self.counts.outdated > outdated:
+                    raise Ros2Error(f"stamps of {self.states} stand still or go back; is the simulation paused, or was "
+                                    "its time set anew?")
+                if self.counts.partial > partial:
+                    raise Ros2Error(f"{self.states} has not all joints of {self.robot.name}: {', '.join(self._names)}")
+                if self._node.ros.count_publishers(self.states) == 0:
+                    raise Ros2Error(f"the publisher of {self.states} is gone")
+                raise Ros2Error(f"no message on {self.states} for {timeout:g} s")
+        self._node.spin(0.0)
+        return self._newest
+
+    @staticmethod
+    def _stamp(message: Any) -> float:
+        return seconds(message.header.stamp)
+
+    def _check_cycle(self, steps: Array) -> None:
+        """Raises Ros2Error where joint states come at another cycle than the robot's."""
+        usual = float(np.median(steps))
+        if not 0.75 < usual / self.t_ipo < 1.35:
+            raise Ros2Error(f"{self.states} comes every {1e3 * usual:.3g} ms, {1e3 * self.t_ipo:g} ms are expected; "
+                            f"--cycle {max(round(usual, 3), 1e-3):g}")
+
+    def _require_radians(self, q: Array) -> None:
+        """Raises Ros2Error where angles can only be degrees."""
+        turning = ~self.robot.prismatic
+        beyond = turning & ((q < self.robot.q_min - 0.1) | (q > self.robot.q_max + 0.1))
+        if beyond.any():
+            j, in_radians = int(np.argmax(beyond)), np.radians(q)
+            fits = ((in_radians >= self.robot.q_min) & (in_radians <= self.robot.q_max))[turning].all()
+            raise Ros2Error(f"{self._names[j]} is at {q[j]:.4g} on {self.states}, beyond its limits"
+                            + ("; positions have to be radians, these look like degrees" if fits else ""))
+
+    def _check_others(self) -> None:
+        """Notes where another publisher has begun to command the arm."""
+        if self.arrived - self._looked > _OTHERS and self._node is not None:
+            self._looked = self.arrived
+            if self._node.ros.count_publishers(self.commands) > 1 and (others := self._node.others(self.commands)):
+                self.fault = self.fault or f"{', '.join(others)} publishes on {self.commands}, too"
+
+    def _trajectory(self, q_c: Array) -> Any:
+        """The command of this cycle and those expected behind it, with their times."""
+        message = self._message(joint_names=[self._names[i] for i in self._order])
+        # By the clock of the joint states, so that a message that is late says the same of every instant.
+        stamp = message.header.stamp
+        stamp.sec, stamp.nanosec = divmod(round(1e9 * (self._last + self.t_ipo)), 10**9)
+        if self.ahead is None:
+            # To rest within the horizon, from the last step on.
+            ahead = np.cumsum(np.linspace(1.0, 0.0, self.horizon)[:, None] * self._step, axis=0) + self._wanted
+        else:
+            ahead, self.ahead = self.ahead, None
+        rows = np.vstack([q_c, np.clip(ahead + (q_c - self._wanted), self.robot.q_min, self.robot.q_max)])
+        rows = rows[:, self._order]
+        speeds = np.gradient(rows, self.t_ipo, axis=0)
+        for k, (row, speed) in enumerate(zip(rows, speeds, strict=True)):
+            point = self._point(positions=row.tolist(), velocities=speed.tolist() if k < len(rows) - 1 else
+                                [0.0] * len(row))
+            point.time_from_start.sec, point.time_from_start.nanosec = divmod(round(1e9 * self.t_ipo * k), 10**9)
+            message.points.append(point)
+        return message
+
+    def _measured(self, message: Any) -> Array:
+        return np.array(message.position)[self._indices(message)]
+
+    def _indices(self, message: Any) -> list[int]:
+        """Where the arm's joints stand in a message."""
+        names = tuple(message.name)
+        if names != self._places[0]:
+            self._places = names, [names.index(name) for name in self._names]
+        return self._places[1]
+
+    def _state(self, message: Any) -> RobotState:
+        """Torque is the effort, NaN where the message has none."""
+        self.counts.cycles += 1
+        at = self._indices(message)
+        measured = np.array(message.position)[at]
+        if self.fault is None:
+            self.fault = self._watch.check(self.commanded, measured)
+            self.counts.implausible = self._watch.missing
+        whole = len(message.name)
+        effort, speed = (np.array(values)[at] if len(values) == whole else np.full(self.robot.n, np.nan)
+                         for values in (message.effort, message.velocity))
+        return RobotState(self._stamp(message) - self._begun, measured, effort, {"qd": speed})
+
+
+def opened(address: Address, robot: Robot, settings: LinkSettings) -> Ros2Robot:
+    """The link to an arm at ``ros2://namespace?states=…&commands=…``, not yet connected; raises InputError.
+
+    Args:
+        address, robot, settings: see ``ideal_robot.interfaces``.
+    """
+    address.knows("states", "commands", "trajectory", "joints", "sim_time", "discovery")
+    options = address.options
+    if "commands" in options and "trajectory" in options:
+        raise InputError("expected either commands or trajectory", field=address.option, value=address.text[:80])
+    discovery = options.get("discovery", "localhost")
+    if discovery not in ("localhost", "subnet"):
+        raise InputError("expected localhost or subnet", field=f"{address.option} ?discovery", value=discovery[:40])
+    namespace = address.host + address.path
+    return Ros2Robot(
+        robot, full_name(namespace, options.get("states", STATES)),
+        full_name(namespace, options.get("trajectory") or options.get("commands") or COMMANDS),
+        trajectory="trajectory" in options, joints=tuple(filter(None, options.get("joints", "").split(","))),
+        sim_time=bool(address.number("sim_time", 0, 0, 1)), subnet=discovery == "subnet", **settings.given())

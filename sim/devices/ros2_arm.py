@@ -1,0 +1,204 @@
+"""A simulated arm behind ROS 2's controllers, for tests and to try a program without a robot.
+
+Written from the documentation of ``ros2_control`` alone: joint states from a broadcaster, ``Float64MultiArray`` to a
+forward command controller, ``JointTrajectory`` to a joint trajectory controller, which interpolates by cubic
+polynomials from where its reference is now. Beside it a gripper publishes its own joint states on the same topic.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import LimitError
+from ideal_robot.robots.interface import RobotState
+from sim.arm.arm import SimulatedArm
+
+_GRIPPER = 10
+"""Cycles between two joint states of the gripper."""
+Delivered = Callable[[int], list[float]]
+"""Delays with which a joint state goes out [s]: none if it is lost, two if it comes twice."""
+
+
+@dataclass
+class Ros2Run:
+    """What a controller saw.
+
+    Attributes:
+        commands: references of every cycle ``(n,)`` [rad].
+        heard: commands that arrived.
+        refused: why the arm refused to go on, or None.
+    """
+
+    commands: list[Array] = field(default_factory=list)
+    heard: int = 0
+    refused: str | None = None
+
+
+class Ros2Arm:
+    """Controllers of ROS 2 around a simulated arm, in a node of their own.
+
+    Args:
+        arm: at rest.
+        namespace: of all topics.
+        domain: ``ROS_DOMAIN_ID``; None for that of the environment.
+        shuffled: order in which joint states name the joints; that of the URDF if None.
+        reliable: whether joint states are reliable.
+        durable: whether the controllers ask for publishers that keep what was sent (``transient_local``).
+        delivered: see ``Delivered``; None delivers each at once.
+        degrees: whether joint states are degrees, as of a node with an error.
+
+    Attributes:
+        run: what has happened.
+        frozen: while true time stands: stamps do not go on.
+        silent: while true no joint state is published.
+    """
+
+    def __init__(self, arm: SimulatedArm, *, namespace: str = "", domain: int | None = None,
+                 shuffled: list[int] | None = None, reliable: bool = True, durable: bool = False,
+                 delivered: Delivered | None = None, degrees: bool = False) -> None:
+        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+        from sensor_msgs.msg import JointState
+        from std_msgs.msg import Float64MultiArray
+        from trajectory_msgs.msg import JointTrajectory
+
+        self.arm, self.run, self.frozen, self.silent = arm, Ros2Run(), False, False
+        self._names = list(arm.robot.pinocchio.names)[1:]
+        self._order = shuffled or list(range(arm.robot.n))
+        self._delivered, self._degrees, self._kind = delivered, degrees, JointState
+        self._rclpy, self._context = rclpy, rclpy.Context()
+        rclpy.init(context=self._context, domain_id=domain,
+                   signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+        self.node = rclpy.create_node("simulated_controllers", context=self._context, namespace=namespace or None,
+                                      enable_rosout=False, start_parameter_services=False)
+        keeps = DurabilityPolicy.TRANSIENT_LOCAL if durable else DurabilityPolicy.VOLATILE
+        self._states = self.node.create_publisher(JointState, "joint_states", QoSProfile(
+            depth=10, reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT))
+        listened = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=keeps)
+        for kind, topic, taken in (
+                (Float64MultiArray, "forward_position_controller/commands", self._command),
+                (JointTrajectory, "joint_trajectory_controller/joint_trajectory", self._trajectory)):
+            self.node.create_subscription(kind, topic, taken, listened)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._reference, self._speed = arm.truth.q_m.copy(), np.zeros(arm.robot.n)
+        self._state = RobotState(arm.t, self._reference, np.zeros(arm.robot.n))
+        self._points: list[tuple[float, Array, Array]] = []
+        self._waiting: list[tuple[float, Any]] = []
+        self._stopped, self._k, self._stamp = False, 0, 100.0
+
+    def stop(self) -> None:
+        """Ends ``play`` from another thread."""
+        self._stopped = True
+
+    def play(self, *, slowed: float = 1.0) -> Ros2Run:
+        """Plays in real time until ``stop``; every cycle takes ``slowed`` times as long."""
+        T = self.arm.t_ipo
+        due = time.perf_counter()
+        while not self._stopped:
+            self.cycle()
+            due += slowed * T
+            while not self._stopped:
+                self._deliver()
+                remaining = due - time.perf_counter()
+                self._executor.spin_once(timeout_sec=max(min(remaining, 0.002), 0.0))
+                if remaining <= 0:
+                    break
+            due = max(due, time.perf_counter() - 0.5)
+        return self.run
+
+    def cycle(self) -> None:
+        """One cycle of the controllers: reference, arm, joint states."""
+        if self._points:
+            self._along()
+        try:
+            self._state = self.arm.cycle(self._reference)
+        except LimitError as error:
+            # As hardware does: it stands, and says why.
+            self.run.refused, self._stopped = str(error), True
+            return
+        self.run.commands.append(self._reference.copy())
+        self._k += 1
+        if not self.frozen:
+            self._stamp += self.arm.t_ipo
+        if not self.silent:
+            self._publish()
+
+    def close(self) -> None:
+        """Leaves the graph."""
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._rclpy.shutdown(context=self._context)
+
+    def _publish(self) -> None:
+        scale = 180.0 / np.pi if self._degrees else 1.0
+        message = self._message([self._names[i] for i in self._order], scale * self._state.q[self._order],
+                                self._state.tau[self._order])
+        for delay in [0.0] if self._delivered is None else self._delivered(self._k):
+            self._waiting.append((time.perf_counter() + delay, message))
+        if self._k % _GRIPPER == 0:
+            self._waiting.append((time.perf_counter(), self._message(["finger"], np.zeros(1), np.zeros(1))))
+        self._deliver()
+
+    def _message(self, names: list[str], q: Array, effort: Array) -> Any:
+        message = self._kind(name=names, position=q.tolist(), effort=effort.tolist())
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(round(1e9 * self._stamp), 10**9)
+        return message
+
+    def _deliver(self) -> None:
+        """Publishes what is due."""
+        now = time.perf_counter()
+        for item in [item for item in self._waiting if item[0] <= now]:
+            self._waiting.remove(item)
+            self._states.publish(item[1])
+
+    def _command(self, message: Any) -> None:
+        """Of a forward command controller: the reference is what was sent last."""
+        if len(message.data) == self.arm.robot.n:
+            self.run.heard += 1
+            self._points = []
+            self._reference = np.array(message.data)
+
+    def _trajectory(self, message: Any) -> None:
+        """Of a joint trajectory controller: points by name, from the header's time on, else from the arrival on.
+
+        They replace what was there; until the first of them the reference goes there from where it is.
+        """
+        if sorted(message.joint_names) != sorted(self._names) or not message.points:
+            return
+        self.run.heard += 1
+        at = [list(message.joint_names).index(name) for name in self._names]
+        stamp = message.header.stamp
+        begin = stamp.sec + 1e-9 * stamp.nanosec or self._stamp
+        self._points = [(self._stamp, self._reference.copy(), self._speed.copy())] if begin > self._stamp + 1e-9 else []
+        for point in message.points:
+            t = begin + point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
+            speed = np.array(point.velocities)[at] if len(point.velocities) else np.zeros(len(at))
+            self._points.append((t, np.array(point.positions)[at], speed))
+
+    def _along(self) -> None:
+        """Reference of the coming cycle on the trajectory: a cubic polynomial between two points, rest behind them."""
+        t = self._stamp + self.arm.t_ipo
+        behind = next((i for i, (at, *_) in enumerate(self._points) if at >= t - 1e-9), None)
+        if behind is None:
+            self._reference, self._speed = self._points[-1][1].copy(), np.zeros(self.arm.robot.n)
+            return
+        if behind == 0:
+            self._reference, self._speed = self._points[0][1].copy(), self._points[0][2].copy()
+            return
+        (t0, q0, v0), (t1, q1, v1) = self._points[behind - 1], self._points[behind]
+        span = t1 - t0
+        u = (t - t0) / span
+        h = (2 * u**3 - 3 * u**2 + 1, u**3 - 2 * u**2 + u, -2 * u**3 + 3 * u**2, u**3 - u**2)
+        d = (6 * u**2 - 6 * u, 3 * u**2 - 4 * u + 1, -6 * u**2 + 6 * u, 3 * u**2 - 2 * u)
+        self._reference = h[0] * q0 + h[1] * span * v0 + h[2] * q1 + h[3] * span * v1
+        self._speed = (d[0] * q0 + d[1] * span * v0 + d[2] * q1 + d[3] * span * v1) / span
