@@ -26,6 +26,7 @@ from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 from sim.devices.ros2_arm import Ros2Arm
 
+pytestmark = pytest.mark.slow
 ROBOT = Robot.load("kr6")
 T = ROBOT.t_ipo
 FORWARD = "ros2://"
