@@ -74,11 +74,19 @@ class Node:
             topic: its full name.
             taken: called with each message.
             depth: messages that wait at most.
+
+        Raises:
+            Ros2Error: the topic is of another type.
         """
         from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-        self.ros.create_subscription(kind, topic, taken, QoSProfile(
-            depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE))
+        quality = QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT,
+                             durability=DurabilityPolicy.VOLATILE)
+        try:
+            self.ros.create_subscription(kind, topic, taken, quality)
+        except Exception as error:  # the library's own, for a topic of another type
+            raise Ros2Error(f"{topic} cannot be listened to as {kind.__name__}: {' '.join(str(error).split())}"
+                            ) from error
 
     def publisher(self, kind: Any, topic: str) -> Any:
         """A reliable publisher whose newest message alone waits.
@@ -147,13 +155,19 @@ class Node:
         self.ros.destroy_node()
         self._rclpy.shutdown(context=self._context)
 
+    def _of_others(self, topic: str) -> bool:
+        """Whether another node publishes a topic or listens to it."""
+        ends = [*self.ros.get_publishers_info_by_topic(topic), *self.ros.get_subscriptions_info_by_topic(topic)]
+        return any(info.node_name != self.ros.get_name() for info in ends)
+
     def _until(self, there: Callable[[], bool], deadline: Deadline) -> None:
         while not there() and not deadline.passed:
             self.spin(min(_LOOKS, max(deadline.left, 0.0)))
 
     def _instead(self, kind: str) -> str:
         """Topics of a kind that there are, in words."""
-        topics = sorted(name for name, kinds in self.ros.get_topic_names_and_types() if kind in kinds)
+        topics = sorted(name for name, kinds in self.ros.get_topic_names_and_types()
+                        if kind in kinds and self._of_others(name))
         return f"topics of {kind} are {', '.join(topics)}" if topics else f"there is no topic of {kind}"
 
 
