@@ -248,6 +248,7 @@ CAMERAS: Registry[Opener] = Registry("camera", "ideal_robot.cameras", {
     "http": "sensing.camera.video_capture:opened_http",
     "genicam": "sensing.camera.cameras:_genicam",
     "stream": "sensing.camera.cameras:_stream",
+    "ros2": "sensing.ros2:opened_camera",
 })
 """How cameras are opened, by the scheme of their address."""
 
@@ -256,7 +257,8 @@ def open_camera(address: str, least_delay: float = 0.0) -> FrameSource:
     """Opens a camera by its address.
 
     ``usb:0``, ``file:film.mp4``, ``rtsp://…``, ``http://…`` (MJPEG), ``genicam:producer.cti#serial``,
-    ``stream://host:port``. The least delay from mid-exposure to the picture's arrival [s] is not needed for ``stream``.
+    ``stream://host:port``, ``ros2:///topic``. The least delay from mid-exposure to the picture's arrival [s] is not
+    needed for ``stream``.
     Raises ``InputError`` where there is no such scheme, or the camera cannot be opened.
     """
     scheme, colon, rest = address.partition(":")

@@ -310,6 +310,7 @@ def _stream(rest: str, least_delay: float) -> WrenchSource:
 FORCE_SENSORS: Registry[Opener] = Registry("force sensor", "ideal_robot.force_sensors", {
     "netft": "sensing.force.sensors:_netft",
     "stream": "sensing.force.sensors:_stream",
+    "ros2": "sensing.ros2:opened_force",
 })
 """How force sensors are opened, by the scheme of their address."""
 
@@ -317,9 +318,9 @@ FORCE_SENSORS: Registry[Opener] = Registry("force sensor", "ideal_robot.force_se
 def open_force(address: str, least_delay: float = 0.0) -> WrenchSource:
     """Opens a force sensor by its address.
 
-    ``netft://host:port?rate=7000&counts_force=1e6&counts_torque=1e6`` or ``stream://host:port``. The least delay from
-    the measurement to the packet's arrival [s] is not needed for ``stream``. Raises ``InputError`` where there is no
-    such scheme, or the sensor cannot be opened.
+    ``netft://host:port?rate=7000&counts_force=1e6&counts_torque=1e6``, ``stream://host:port`` or ``ros2:///topic``. The
+    least delay from the measurement to the packet's arrival [s] is not needed for ``stream``. Raises ``InputError``
+    where there is no such scheme, or the sensor cannot be opened.
     """
     scheme, colon, rest = address.partition(":")
     if not colon or scheme not in FORCE_SENSORS.names():
