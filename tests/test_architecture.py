@@ -23,8 +23,8 @@ IMPORTED_AS = {"dask[distributed]": "dask", "griffelib": "griffe", "opencv-pytho
 """Where a package's name is not its module's."""
 PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes", "studies")
 """Where files import without circles, and at their top."""
-IMPORTED_LATE = {"rerun", "mujoco", "rosbags", "lz4", "matplotlib", "dask", "viser", "trimesh", "svgpathtools", "harvesters",
-                 "pandas", "pyarrow", "dartpy", "pylibfranka", "franky_sim", "airo_fanuc", "abb_robot_client", "rclpy",
+IMPORTED_LATE = {"rerun", "mujoco", "rosbags", "lz4", "matplotlib", "dask", "viser", "trimesh", "svgpathtools",
+                 "harvesters", "pandas", "pyarrow", "dartpy", "pylibfranka", "franky_sim", "airo_fanuc", "abb_robot_client", "rclpy",
                  "sensor_msgs", "std_msgs", "geometry_msgs", "trajectory_msgs"}
 """Heavy packages that few users need, or a process that leads an arm does not: imported where they are used."""
 STARTS_FAST = ("scenes.commands.", "scenes.pytest_plugin.", "scenes.scene_file.")
