@@ -23,9 +23,9 @@ IMPORTED_AS = {"dask[distributed]": "dask", "griffelib": "griffe", "opencv-pytho
 """Where a package's name is not its module's."""
 PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes", "studies")
 """Where files import without circles, and at their top."""
-IMPORTED_LATE = {"rerun", "mujoco", "rosbags", "lz4", "matplotlib", "dask", "viser", "trimesh", "svgpathtools",
-                 "harvesters", "pandas", "pyarrow", "dartpy", "pylibfranka", "franky_sim", "airo_fanuc", "abb_robot_client", "rclpy",
-                 "sensor_msgs", "std_msgs", "geometry_msgs", "trajectory_msgs"}
+IMPORTED_LATE = {"abb_robot_client", "airo_fanuc", "dartpy", "dask", "franky_sim", "geometry_msgs", "harvesters",
+                 "lz4", "matplotlib", "mujoco", "pandas", "pyarrow", "pylibfranka", "rclpy", "rerun", "rosbags",
+                 "sensor_msgs", "std_msgs", "svgpathtools", "trajectory_msgs", "trimesh", "viser"}
 """Heavy packages that few users need, or a process that leads an arm does not: imported where they are used."""
 STARTS_FAST = ("scenes.commands.", "scenes.pytest_plugin.", "scenes.scene_file.")
 """The verbs import what they need when they are called, and a scene's file is looked for before what plays it is
