@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from ideal_robot.feedforward.method import Method, Needs, Practice, Setting
     from ideal_robot.feedforward.registry import feedforward, methods
     from ideal_robot.feedforward.registry import register as register_feedforward
+    from ideal_robot.identification.angles_alone import identify_arm as identify
     from ideal_robot.identification.whole_model import IdentificationResult
-    from ideal_robot.identification.whole_model import identify_model as identify
     from ideal_robot.model.model import Model
     from ideal_robot.robots.interface import RobotInterface, RobotState
     from ideal_robot.robots.robot import Robot
@@ -59,7 +59,7 @@ _PLACES = {
     "analyse_stiffness": "elasticity.stiffness_analysis:analyse_stiffness",
     "diagnose": "diagnosis.diagnose:diagnose",
     "feedforward": "feedforward",
-    "identify": "identification.whole_model:identify_model",
+    "identify": "identification.angles_alone:identify_arm",
     "methods": "feedforward.registry:methods",
     "play": "execution.play:play",
     "precorrect": "execution.precorrect:precorrect",

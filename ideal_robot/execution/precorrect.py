@@ -14,8 +14,10 @@ from ideal_robot.arrays import Array, held
 from ideal_robot.errors import InputError
 from ideal_robot.execution.command_governor import check_limits, require_within_limits
 from ideal_robot.execution.planned_path import FEW, distinct, through_few
+from ideal_robot.feedforward.built_in import by_law
+from ideal_robot.feedforward.command_inverse import at_cycle_of
 from ideal_robot.feedforward.corrected_arm import CorrectedArm
-from ideal_robot.feedforward.method import Needs
+from ideal_robot.feedforward.method import Needs, Setting
 from ideal_robot.feedforward.registry import feedforward, methods
 from ideal_robot.friction.table import largest_speeds
 from ideal_robot.loop.from_model import loop_model
@@ -158,7 +160,8 @@ class PrecorrectedPath(Summarised):
         robot_name: arm.
         t: ``(N,)`` [s].
         q_d, q_c: desired and commanded ``(N, n)`` [rad].
-        expected: error the identified loop still makes with the commands, and without ``(N, n)`` each [rad].
+        expected: error the identified loop still makes with the commands, and without ``(N, n)`` each [rad]; where the
+            command's law corrects, the first is the standard deviation of what it leaves.
         reach: root mean square of the first of them with each of ``DRAWS`` controllers of the model's spread
             ``(DRAWS, n)`` [rad]; None where the model's controller was identified.
         warnings: what was not checked, and where samples of the path are missing.
@@ -238,11 +241,13 @@ def precorrect(t: Array, q_d: Array, model: Model, robot: Robot, method: str = "
     """
     expect(model, Model, "model", "load one by Model.load or identify one")
     expect(robot, Robot, "robot", "load one by Robot.load")
+    robot = at_cycle_of(robot, model.command)
     if method not in methods(Needs.PATH):
         raise InputError(f"expected one of {', '.join(methods(Needs.PATH))}", field="method", value=method)
     source = None if file is None else str(file)
     times, path, warnings = path_at_cycles(t, q_d, robot, rest=rest, file=source, column=column)
-    loop = loop_model(model, robot, delay=delay)
+    inverse = by_law(Setting(robot, model, delay=delay))
+    loop = None if inverse is not None else loop_model(model, robot, delay=delay)
     require_within_limits(path, robot, start=-rest, file=source, column=column)
     # Learning on the model starts from the ideal robot, which leaves little to learn.
     start = feedforward("ideal", model, robot, delay=delay).along(path) if method == "model_learned" else None
@@ -254,10 +259,26 @@ def precorrect(t: Array, q_d: Array, model: Model, robot: Robot, method: str = "
                      "units": {"t": "s", "q_c": unit, "q_d": unit}}, q_c=q_c, q_d=path)
     # Of an arm whose geometry is not the drawn one, other joint angles bring the tool where the path wants it.
     wanted = CorrectedArm(robot, model.effects).from_rest(path, robot.t_ipo)
-    errors = [np.asarray(wanted - simulate(loop, commands).q_a[:-1]) for commands in (q_c, path)]
+    if loop is not None:
+        errors = [np.asarray(wanted - simulate(loop, commands).q_a[:-1]) for commands in (q_c, path)]
+    else:
+        assert inverse is not None
+        plain = inverse.uncorrected(wanted)
+        errors = [plain if method == "none" else inverse.expected(wanted), plain]
+        _require_gain(errors[0], plain, method, robot)
     return PrecorrectedPath(recording, method, robot.name, times, path, q_c, (errors[0], errors[1]),
                             _reach(model, robot, delay, q_c, wanted), (*warnings, *_not_checked(robot)),
                             robot.units("mrad"))
+
+
+def _require_gain(after: Array, before: Array, method: str, robot: Robot) -> None:
+    """Raises InputError where the error that is expected after the correction is not below the plain path's."""
+    left, plain = (float(np.sqrt(np.mean(error**2))) for error in (after, before))
+    if method != "none" and not left < plain:
+        unit = one_unit(robot.units("mrad"))
+        raise InputError(f"the correction is expected to leave {1e3 * left:.2g} {unit} and the path itself leaves "
+                         f"{1e3 * plain:.2g}: command the path as it is, or identify from a motion like it",
+                         field="method", value=method)
 
 
 def _not_checked(robot: Robot) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ideal_robot.arrays import Array
 from ideal_robot.feedforward.arm_of_its_type import arm_of_its_type
 from ideal_robot.feedforward.base import Feedforward, PassThrough
+from ideal_robot.feedforward.command_inverse import CommandInverse
 from ideal_robot.feedforward.corrected_arm import CorrectedArm, for_arm
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal, FrictionAdaptation
 from ideal_robot.feedforward.friction_curve import FrictionCurve
@@ -55,11 +56,27 @@ def _inverse(setting: Setting, options: Options = COMPLETE) -> Inverse:
     return Inverse(setting.loop(), setting.horizon(HORIZON) if options.path else None, options)
 
 
+def by_law(setting: Setting) -> CommandInverse | None:
+    """The inverse by the command's law, where the model has one that predicts commands better than [G]'s loop."""
+    model = setting.identified()
+    if model.command is None or not (model.command.leads or model.controller is None):
+        return None
+    return CommandInverse(model, setting.robot, delay=setting.delay)
+
+
+def _ideal_robot(setting: Setting) -> Feedforward:
+    return _corrected(setting, by_law(setting) or _inverse(setting))
+
+
 def _precorrected(setting: Setting) -> Feedforward:
+    if (inverse := by_law(setting)) is not None:
+        return _corrected(setting, inverse)
     return _corrected(setting, _inverse(setting, AHEAD))
 
 
 def _adapted(setting: Setting) -> Feedforward:
+    if (inverse := by_law(setting)) is not None:
+        return _corrected(setting, inverse)
     if setting.practice is None:
         # Nothing to play beforehand: it learns while it works.
         return _corrected(setting, _adapting(setting, None if setting.q_d is None else FrictionCurve(setting.loop())))
@@ -123,7 +140,7 @@ PRECORRECTED = Method(_precorrected,
                       "nonlinear precorrection with look ahead and gear elasticity ([G] (16) to (20), [L] 2.2)")
 MODEL_LEARNED = Method(_model_learned, "learning on the identified loop, before the arm moves", Needs.PATH)
 LEARNED_1, LEARNED_2, LEARNED_3, LEARNED_4 = (_learned(step) for step in range(1, ITERATIONS + 1))
-IDEAL = Method(lambda setting: _corrected(setting, _inverse(setting)),
+IDEAL = Method(_ideal_robot,
                "inverse of the whole identified loop over the horizon ([L] 2.2)")
 ADAPTED = Method(_adapted, "the ideal robot, friction and tool mass adapted before and while the path is played",
                  Needs.PLAYS)

@@ -11,10 +11,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.command.law import require_law
+from ideal_robot.command.recorded import with_commands
+from ideal_robot.command.words import described
 from ideal_robot.errors import InputError
 from ideal_robot.friction import CubeRoot
 from ideal_robot.identification.checks import checked
 from ideal_robot.identification.closed_loop_fit import LinearLoopFit, fit_controller, identify_linear_loop
+from ideal_robot.identification.command import identify_command, judged
 from ideal_robot.identification.controller import ControllerIdentification, identify_controller
 from ideal_robot.identification.friction_choice import WarmUp, fit_warm_up
 from ideal_robot.identification.idim import Identification, identify
@@ -36,7 +40,7 @@ METHODS = ("joint", "two-step")
 
 SHARES = {"friction and rigid body": 0.8, "controller": 0.2}
 """Measured shares of the time without the controllers' own cycles."""
-SHARES_WITH_CASCADE = {"friction and rigid body": 0.14, "controller": 0.86}
+SHARES_WITH_CASCADE = {"friction and rigid body": 0.12, "controller": 0.7, "command": 0.18}
 """With them."""
 
 _WARMTH = 3.0
@@ -117,6 +121,7 @@ class IdentificationResult(Summarised):
                 "std": self.linear_loop.std.T, "error_percent": self.linear_loop.error_percent},
             "warm_up": [None if w is None else {"surplus_per_10_K": w.surplus, "std": w.surplus_std,
                                                 "reference_degC": w.reference} for w in self.warm_up],
+            "command": None if model.command is None else command_figures(model),
             "stiffness": model.stiffness,
             "consistent": {"was": self.result.consistency.was_consistent,
                            "largest_deviation_in_std": float(np.max(np.abs(self.result.consistency.deviation)))},
@@ -157,6 +162,7 @@ def identify_model(recordings: Recording | Sequence[Recording], robot: Robot, *,
         recordings_of(runs, name) for runs, name in ((recordings, "recordings"), (validation, "validation"),
                                                      (without_integrator, "without_integrator")))
     (recordings, shortened), (validation, _) = stretches(recordings), stretches(validation)
+    recordings, validation = (tuple(with_commands(r) for r in some) for some in (recordings, validation))
     pd_only, of_pd = checked(without_integrator, robot, commands=True)
     steps = Steps(progress, SHARES_WITH_CASCADE if cascade else SHARES)
     steps.begin("friction and rigid body")
@@ -173,6 +179,8 @@ def identify_model(recordings: Recording | Sequence[Recording], robot: Robot, *,
     loop = _linear_loop(commanded, robot, warnings)
     missing = _missing_of_the_loop(controller, loop, commanded, robot)
     model, more = _with_stiffness(model, [r for r in result.recordings if r.has("qa")])
+    if cascade and commanded:
+        model = _with_command(commanded, robot, model, warnings, steps.begin("command"))
     return IdentificationResult(model, result, controller, two_step, result.recordings, result.unseen, tuple(warnings),
                                 (*missing, *more), loop, _warm_up(model, result), joint_verdicts(model, result, robot))
 
@@ -188,10 +196,20 @@ def with_given_controller(analysis: IdentificationResult, wanted: str | Path, ro
     if analysis.model.controller is not None:
         return dataclasses.replace(analysis, warnings=(*analysis.warnings, "controller-given: the recordings tell the "
                                                        "controller; --controller was not needed"))
-    model = dataclasses.replace(analysis.model, controller=controller)
+    model = dataclasses.replace(analysis.model, controller=controller, command=None)
     missing = tuple("linear loop: commands are needed; the controller is a given one" if text.startswith("controller")
                     else text for text in analysis.missing)
     return dataclasses.replace(analysis, model=model, missing=missing)
+
+
+def command_figures(model: Model) -> list[dict[str, Any]]:
+    """Of each joint what controller was found, what its law leaves of ``q_c - q`` on held-out data, what there was."""
+    law = model.command
+    if law is None:
+        return []
+    return [{"joint": j + 1, "found": described(own, unit), "left": own.residual, "of": own.deviation,
+             "cascade_left": None if law.cascade is None else float(law.cascade[j]), "law_leads": law.leads}
+            for j, (own, unit) in enumerate(zip(law.joints, model.units("N m/rad"), strict=True))]
 
 
 class FrictionPoints(NamedTuple):
@@ -267,6 +285,20 @@ def _linear_loop(recordings: Sequence[Recording], robot: Robot, warnings: list[s
     except InputError as error:
         warnings.append(f"no-linear-loop: {error}")
         return None
+
+
+def _with_command(recordings: Sequence[Recording], robot: Robot, model: Model, warnings: list[str],
+                  progress: Progress) -> Model:
+    """The model with the law of its commands, and which of law and [G]'s loop predicts them better."""
+    try:
+        law = identify_command(recordings, model, torque=True, progress=progress)
+        require_law(law, model.n, recordings[0].source)
+    except InputError as error:
+        warnings.append(f"no-command-law: {error}")
+        return model
+    if model.controller is not None:
+        law = judged(law, recordings, model, robot)
+    return dataclasses.replace(model, command=law)
 
 
 def _with_controller(recordings: Sequence[Recording], without_integrator: Sequence[Recording], robot: Robot,

@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
+from ideal_robot.command.law import CommandLaw
 from ideal_robot.dynamics import BaseParameters, base_parameters, link_parameters, with_link_parameters
 from ideal_robot.dynamics.newton_euler import Chain, chain_of, gravity_across, inverse_dynamics
 from ideal_robot.dynamics.regressor import regressor
@@ -51,6 +52,7 @@ class Model(Summarised):
         stiffness, damping: of the joints ``(n,)`` [N m/rad, N m s/rad], or None; a rigid gear has ``inf``, one that
             nobody knows NaN.
         effects: what diagnosis added, with the evidence for each.
+        command: which command makes the arm move so, behind whatever controller; or None.
         provenance: recordings (source, hash), method, cut-offs, errors, warnings, version.
     """
 
@@ -67,6 +69,7 @@ class Model(Summarised):
     stiffness: Array | None = None
     damping: Array | None = None
     effects: tuple[FittedEffect, ...] = ()
+    command: CommandLaw | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -270,6 +273,7 @@ class Model(Summarised):
             "stiffness": None if self.stiffness is None else ["inf" if np.isinf(k) else k for k in self.stiffness],
             "damping": self.damping,
             "effects": [effect.to_dict() for effect in self.effects],
+            "command": None if self.command is None else self.command.to_dict(),
             "provenance": self.provenance,
         }, digits=12)
 
@@ -291,6 +295,7 @@ class Model(Summarised):
                 controller=ControllerModel.from_dict(values["controller"]) if values.get("controller") else None,
                 stiffness=_optional(values.get("stiffness")), damping=_optional(values.get("damping")),
                 effects=tuple(FittedEffect.from_dict(entry) for entry in values.get("effects", [])),
+                command=CommandLaw.from_dict(values["command"]) if values.get("command") else None,
                 provenance=dict(values.get("provenance", {})),
             )
         except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:

@@ -16,6 +16,7 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import MAX_NUMBER, read_json
+from ideal_robot.command.law import require_law
 from ideal_robot.dynamics import BaseParameters, with_link_parameters
 from ideal_robot.effects import SENSOR
 from ideal_robot.errors import InputError
@@ -135,6 +136,8 @@ def require_consistent(model: Any, file: Path | str | None = None) -> None:
         raise InputError("expected numbers that are not negative", file=file, field="damping")
     if model.controller is not None:
         require_controller(model.controller, n, file)
+    if model.command is not None:
+        require_law(model.command, n, file)
     _effects(model, n, file)
 
 

@@ -34,7 +34,9 @@ from scenes.outputs import check_outputs
 if TYPE_CHECKING:
     from ideal_robot.arrays import Array
     from ideal_robot.diagnosis import Diagnosis
+    from ideal_robot.identification.angles_alone import CommandIdentification
     from ideal_robot.identification.whole_model import IdentificationResult
+    from ideal_robot.model.model import Model
     from ideal_robot.robots.robot import Robot
 
 SHARES = {"reading": 0.45, "drawing": 0.55}
@@ -85,9 +87,10 @@ def identify(options: IdentifyOptions) -> None:
     Example, after that of `plan-identification`:
     `ideal-robot identify out/plan/recording.parquet --robot kr6 --model model.json`
     """
+    from ideal_robot.identification.angles_alone import identify_from_commands, without_torque
     from ideal_robot.identification.whole_model import identify_model, with_given_controller
     from ideal_robot.robots.robot import Robot
-    from scenes.identification.page import identification_page
+    from scenes.identification.page import command_page, identification_page
 
     check_outputs({"--out": options.out}, json=options.json, model=options.model, export_urdf=options.export_urdf)
     with progress_bar("identify") as progress:
@@ -96,6 +99,15 @@ def identify(options: IdentifyOptions) -> None:
         loaded, unseen, pd_only = ([recording_of(path, options.columns, options.topic, options.joints)
                                     for path in paths or []]
                                    for paths in (options.recordings, options.validate, options.without_integrator))
+        if without_torque(loaded):
+            alone = identify_from_commands(loaded, arm, progress=steps.begin("reading"))
+            page = options.out / "report.html"
+            with whole_files(page, options.json, options.model) as (page_file, json_file, model_file):
+                command_page(alone).write(page_file)
+                write_signed(json_file, alone.to_dict())
+                if model_file is not None:
+                    alone.model.save(model_file)
+            return _show_alone(alone, page)
         analysis = identify_model(loaded, arm, validation=unseen, method=options.method, friction=options.friction,
                                   cutoff=options.cutoff, cutoff_decimation=options.decimate_to,
                                   without_integrator=pd_only, cascade=options.model is not None,
@@ -116,6 +128,34 @@ def identify(options: IdentifyOptions) -> None:
     typer.echo(f"report: {page}")
 
 
+def _show_alone(analysis: CommandIdentification, page: Path) -> None:
+    """What commands and angles alone tell, and what they cannot."""
+    _show_commands(analysis.model)
+    for warning in analysis.warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    for text in analysis.missing:
+        typer.echo(f"not in the recordings: {text}")
+    typer.echo(f"report: {page}")
+
+
+def _show_commands(model: Model) -> None:
+    """Of each joint what controller was found, and what its law leaves of command minus angle on held-out data."""
+    from ideal_robot.identification.whole_model import command_figures
+
+    figures, units = command_figures(model), model.units("mrad")
+    if not figures:
+        return
+    show_table("controllers: command minus angle, and what the law leaves of it on held-out data",
+               ["joint", "found", "command minus angle", "law leaves", "unit"],
+               [[f["joint"], f["found"], 1e3 * f["of"], 1e3 * f["left"], unit]
+                for f, unit in zip(figures, units, strict=True)])
+    law = model.command
+    if law is not None and law.cascade is not None:
+        cascade, own = (1e3 * float((values**2).mean() ** 0.5) for values in (law.cascade, law.residual))
+        typer.echo(f"paths are corrected by {'the law' if law.leads else 'the cascade'}: over all joints the cascade "
+                   f"leaves {cascade:.2g}, the law {own:.2g} [1e-3 rad or m]")
+
+
 def _show_identified(analysis: IdentificationResult, arm: Robot, recordings: list[dict[str, Any]]) -> None:
     """Errors of each recording, the parameters that the data tell, friction laws, warnings, and the verdicts."""
     from ideal_robot.identification.verdict import told
@@ -131,6 +171,7 @@ def _show_identified(analysis: IdentificationResult, arm: Robot, recordings: lis
                    "and in --json")
     show_table("friction laws", ["joint", "law"],
                [[j + 1, law.label] for j, law in enumerate(analysis.model.friction.laws)])
+    _show_commands(analysis.model)
     for warning in analysis.warnings:
         typer.echo(f"warning: {warning}", err=True)
     show_table("verdicts", ["joint", "verdict", "left of the torque [%]", "open by σ [%]", "why", "what would tell"],

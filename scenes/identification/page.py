@@ -10,10 +10,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ideal_robot.identification.angles_alone import CommandIdentification
 from ideal_robot.identification.closed_loop_fit import LinearLoopFit
 from ideal_robot.identification.controller import ControllerIdentification
 from ideal_robot.identification.two_step import TwoStep
-from ideal_robot.identification.whole_model import IdentificationResult, friction_points
+from ideal_robot.identification.whole_model import IdentificationResult, command_figures, friction_points
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import Prediction, joined
 from ideal_robot.results import one_unit
@@ -63,6 +64,7 @@ def identification_page(analysis: IdentificationResult) -> Report:
         _controller(page, analysis.controller, model)
     if analysis.linear_loop is not None:
         _linear_loop(page, analysis.linear_loop)
+    _commands(page, model)
     page.heading("Data and filters")
     _segments(page, analysis)
     filters = model.provenance["filters"]
@@ -72,6 +74,34 @@ def identification_page(analysis: IdentificationResult) -> Report:
               f"{result.solution.condition_number_scaled:.4g} with scaled columns.")
     page.table(["recording", "hash"], [[r["source"], r["hash"]] for r in model.provenance["recordings"]])
     return page
+
+
+def command_page(analysis: CommandIdentification) -> Report:
+    """What commands and angles alone tell of an arm, and what they cannot."""
+    page = Report(f"Commands of {analysis.model.robot_name}", "Which command makes each joint move so, from commands "
+                  "and angles alone. precorrect and play use it; diagnosis needs torques.")
+    for warning in analysis.warnings:
+        page.warning(warning)
+    _commands(page, analysis.model)
+    page.figure(analysis.plot(), "Command minus measured angle of the first recording.")
+    page.table(["not in the recordings"], [[text] for text in analysis.missing])
+    page.table(["recording", "hash"], [[r["source"], r["hash"]] for r in analysis.model.provenance["recordings"]])
+    return page
+
+
+def _commands(page: Report, model: Model) -> None:
+    figures, units = command_figures(model), model.units("mrad")
+    if not figures:
+        return
+    page.heading("Joint controllers")
+    page.table(["joint", "found", "command minus angle", "law leaves", "cascade leaves", "unit"],
+               [[f["joint"], f["found"], 1e3 * f["of"], 1e3 * f["left"],
+                 None if f["cascade_left"] is None else 1e3 * f["cascade_left"], unit]
+                for f, unit in zip(figures, units, strict=True)],
+               "The command's law of each joint, in the field's words. Command minus angle: standard deviation over "
+               "the recordings. Law leaves: root mean square of what the law, with the model's torque, leaves of it on "
+               "blocks that its coefficients were not fitted to. Cascade leaves: angle minus that of the simulated "
+               "loop of [G].")
 
 
 def _verdicts(page: Report, analysis: IdentificationResult) -> None:

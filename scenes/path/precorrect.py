@@ -44,7 +44,7 @@ def precorrected_path(path: Path, model_file: Path, *, robot: str | None = None,
     model = Model.load(model_file)
     arm = robot_of(model, robot, model_file)
     if controller is not None:
-        model = replace(model, controller=given_controller(controller, model.dynamics, arm))
+        model = replace(model, controller=given_controller(controller, model.dynamics, arm), command=None)
     planned = read_path(path, arm)
     result = precorrect(planned.t, planned.q_d, model, arm, method, delay=int(delay), rest=rest, file=path,
                         column=planned.column)

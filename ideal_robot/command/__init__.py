@@ -1,0 +1,1 @@
+"""The command channel: which command makes a joint move so, behind whatever controller."""

@@ -1,0 +1,391 @@
+"""Fits the command's law to recordings: kind, terms, reset time, lateness and smoothing per joint, by one score.
+
+The rows are ``F q_c(t - late) - q`` against the terms of the measured motion, low-passed and decimated alike. Kinds,
+sets of terms and shapes are compared by the log density with which blocks of the recording are predicted from all
+others (``ideal_robot.estimate.score``); the noise is an autoregression of what a law with all terms leaves.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy import optimize
+from scipy.interpolate import CubicSpline
+
+from ideal_robot.arrays import Array
+from ideal_robot.command.controllers import CONTROLLERS, Controller
+from ideal_robot.command.filters import from_rest
+from ideal_robot.command.law import Column, CommandLaw, JointLaw, Shape, error_parts
+from ideal_robot.command.motion import Motion
+from ideal_robot.command.smoothing import SMOOTHINGS
+from ideal_robot.command.terms import TERMS
+from ideal_robot.estimate.gaussian import Posterior, posterior
+from ideal_robot.estimate.noise import ColouredNoise
+from ideal_robot.estimate.score import left_out
+
+RESET_TIMES = (0.015, 0.04, 0.1, 0.3)
+"""Reset times that are tried first [s]: what controllers of machines and of research arms have."""
+LATE = (0.0, 0.006, 0.015, 0.03, 0.08, 0.16)
+"""Latenesses that are tried first [s]."""
+BLOCKS = 20
+"""Of time, each predicted from all others; eight do alike in the score's study."""
+REQUIRED = 8.0
+"""Log density that a term has to add [nats], as in the score's study of causes; one of forty adds 4 by chance."""
+_PER_TIME = 3.5
+"""Log density that each time of a shape costs: half the logarithm of a thousandfold range."""
+_RESOLVED = 2e-3
+"""Of ``q_c - q``, what noise counts as at least: what a controller does beyond that changes no path of a user's."""
+_PRIOR = 10.0
+"""Standard deviation of a term's contribution before anything is measured, over that of ``q_c - q``."""
+_REFINED = 2
+"""Kinds without a smoothing that are refined, the best of them by their core."""
+_FOLDS = 4
+"""Quarters of the recordings, of which every other one is predicted from the rest."""
+_WINDOW = 12
+"""Rows over which what a law leaves is squared: a tenth to a half of a second."""
+_POWERS = (1, 2)
+"""Of a joint's position about its middle, which gains may follow."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A stretch of a recording at even instants, low-passed.
+
+    Attributes:
+        motion: measured, with the torques that the law is fitted with.
+        used: the same with the torques that it is used with, the identified model's.
+        command: as it was handed over ``(N, n)`` [rad].
+        rows: instants at which the law is asked ``(M,)``.
+    """
+
+    motion: Motion
+    used: Motion
+    command: Array
+    rows: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A law of the search."""
+
+    score: float
+    kind: Controller
+    shape: Shape
+    columns: tuple[Column, ...]
+
+
+class JointRows:
+    """One joint's rows: what the search asks for again and again is kept.
+
+    Args:
+        stretches, j: of the recordings, and the joint, from 0.
+        law: says how postures are measured.
+    """
+
+    def __init__(self, stretches: Sequence[Stretch], j: int, law: CommandLaw) -> None:
+        self.stretches, self.j, self.law = stretches, j, law
+        motion = stretches[0].motion
+        self.names = tuple(name for name, term in TERMS.items()
+                           if (not term.torque or motion.torque is not None)
+                           and (not term.bodies or motion.bodies is not None))
+        self.q = [s.motion.q[:, j] for s in stretches]
+        self.t = [s.motion.dt * np.arange(float(len(q))) for s, q in zip(stretches, self.q, strict=True)]
+        ends = np.cumsum([0, *(len(s.rows) for s in stretches)])
+        # A gap between stretches, so that the noise begins anew.
+        self.use = np.concatenate([np.append(np.ones(len(s.rows), dtype=bool), False) for s in stretches])
+        self.blocks = np.concatenate([np.append(np.arange(a, b), b) for a, b in pairwise(ends)]
+                                     ) * BLOCKS // (ends[-1] + 1)
+        self.noise = ColouredNoise(np.zeros((1, 0)), np.ones(1))
+        self.size = 1.0
+        self._columns: dict[tuple[tuple[float, ...], Column], Array] = {}
+        self._white: dict[tuple[tuple[float, ...], Column], tuple[Array, float]] = {}
+        self._seen: dict[tuple[str, float], list[CubicSpline]] = {}
+
+    def rows(self, values: Sequence[Array]) -> Array:
+        """Values at all instants of each stretch at the rows ``(M,)``, a zero behind each stretch."""
+        return np.concatenate([np.append(x[s.rows], 0.0) for x, s in zip(values, self.stretches, strict=True)])
+
+    def key(self, shape: Shape, column: Column) -> tuple[tuple[float, ...], Column]:
+        """What a term's rows depend on."""
+        poles = (shape.a_1, shape.a_2, shape.a_i)
+        return ((shape.reset or 0.0, *poles) if column.of.integrated or any(poles) else (), column)
+
+    def column(self, shape: Shape, column: Column) -> Array:
+        """What a term makes of ``e`` at the rows ``(M,)``."""
+        key = self.key(shape, column)
+        if key not in self._columns:
+            parts = []
+            for s in self.stretches:
+                x = column.of.of(s.motion)[:, self.j]
+                x = x * self.law.posture(s.motion.q, column) if column.posture else x
+                if key[0]:
+                    num, den = shape.discrete(s.motion.dt)
+                    x = from_rest(num[int(column.of.integrated)], den, x)
+                parts.append(x)
+            self._columns[key] = self.rows(parts)
+        return self._columns[key]
+
+    def errors(self, shape: Shape) -> list[Array]:
+        """``e (N,)`` of each stretch at all of its instants."""
+        key = shape.smoothing, shape.time
+        if key not in self._seen:
+            if len(self._seen) > 60:
+                self._seen.clear()
+            self._seen[key] = [CubicSpline(t, seen(s, self.j, shape)) for s, t in
+                               zip(self.stretches, self.t, strict=True)]
+        return [spline(np.maximum(spline.x - shape.late, 0.0)) - q
+                for spline, q in zip(self._seen[key], self.q, strict=True)]
+
+    def raw(self, shape: Shape, columns: Sequence[Column]) -> tuple[Array, Array]:
+        """Columns ``(M, m)`` and right side ``(M,)``."""
+        errors = self.errors(shape)
+        return np.column_stack([self.column(shape, c) for c in columns]), self.rows(errors)
+
+    def listen(self, shape: Shape, columns: Sequence[Column]) -> None:
+        """Takes the noise from what these columns leave."""
+        X, y = self.raw(shape, columns)
+        size = np.sqrt(np.mean(X**2, axis=0)) + 1e-300
+        self.size = max(float(np.std(y[self.use])), 1e-12)
+        left = y - X / size @ np.linalg.lstsq(X / size, y, rcond=1e-9)[0]
+        noise = ColouredNoise.fit(left, self.use)
+        self.noise = noise.scaled(max(1.0, _RESOLVED * self.size / noise.std))
+        self._white.clear()
+
+    def score(self, shape: Shape, columns: Sequence[Column]) -> float:
+        """Score of a law, its times paid for."""
+        return self.products(shape, columns).score() - _PER_TIME * shape.times
+
+    def products(self, shape: Shape, columns: Sequence[Column]) -> Products:
+        """Products of whitened columns in each block."""
+        errors, white, prior = self.errors(shape), [], []
+        for column in columns:
+            key = self.key(shape, column)
+            if key not in self._white:
+                x = self.column(shape, column)
+                self._white[key] = self.noise.whiten(x, self.use), float(np.sqrt(np.mean(x**2)))
+            w, size = self._white[key]
+            white.append(w)
+            prior.append(_PRIOR * self.size / max(size, 1e-300))
+        white.append(self.noise.whiten(self.rows(errors), self.use))
+        return Products(np.column_stack(white), self.blocks, np.array(prior))
+
+    def forget(self) -> None:
+        """Lets go of terms that were made for reset times of a search that has ended."""
+        for kept in (self._columns, self._white):
+            for key in [key for key in kept if key[0]]:
+                del kept[key]
+
+
+class Products:
+    """Products of the columns in each block of rows, from which the score of any set of columns follows.
+
+    Args:
+        rows: whitened columns and right side ``(M, m + 1)``.
+        blocks: of each row, rising ``(M,)``.
+        prior: standard deviations of the coefficients beforehand ``(m,)``.
+    """
+
+    def __init__(self, rows: Array, blocks: Array, prior: Array) -> None:
+        edges = np.searchsorted(blocks, np.arange(BLOCKS + 1))
+        parts = [rows[a:b] for a, b in pairwise(edges)]
+        self.G = np.stack([part.T @ part for part in parts])
+        self.precision = np.diag(1.0 / prior**2)
+
+    def score(self, columns: Sequence[int] | None = None) -> float:
+        """Log density of the blocks, each predicted from all others."""
+        m = len(self.precision)
+        own = np.arange(m) if columns is None else np.asarray(columns, dtype=int)
+        whole = np.append(own, m)
+        return float(left_out(self.G[:, whole[:, None], whole], self.precision[np.ix_(own, own)]).sum())
+
+    def without(self, blocks: np.ndarray) -> Posterior:
+        """Coefficients given all blocks but these."""
+        return posterior(np.delete(self.G, blocks, axis=0).sum(axis=0), self.precision)
+
+    def likelihood(self) -> float:
+        """Log density of all rows with the coefficients that fit them best: quicker than the score, for starts."""
+        return -0.5 * self.solution().squares
+
+    def solution(self, columns: Sequence[int] | None = None) -> Posterior:
+        """Coefficients given all blocks."""
+        m = len(self.precision)
+        own = np.arange(m) if columns is None else np.asarray(columns, dtype=int)
+        whole = np.append(own, m)
+        return posterior(self.G.sum(axis=0)[np.ix_(whole, whole)], self.precision[np.ix_(own, own)])
+
+
+def seen(stretch: Stretch, j: int, shape: Shape) -> Array:
+    """The commands of a joint as its controller sees them, without the lateness ``(N,)`` [rad].
+
+    Args:
+        stretch, j: with the commands, and the joint, from 0.
+        shape: with the smoothing.
+    """
+    own = stretch.command[:, [j]]
+    return (shape.filter.seen(own, stretch.motion.dt, shape.time) if shape.time else own)[:, 0]
+
+
+def fit_joint(stretches: Sequence[Stretch], j: int, law: CommandLaw) -> JointLaw:
+    """The law of one joint that predicts its commands best.
+
+    Args:
+        stretches, j: of the recordings, and the joint, from 0.
+        law: says how postures are measured.
+    """
+    joint = JointRows(stretches, j, law)
+    torque = "torque" in joint.names
+    # Where torques are known they say what bodies and directions stand for.
+    kinds = [kind for kind in CONTROLLERS if set(kind.core) <= set(joint.names)
+             and torque == any(TERMS[name].torque for name in kind.core)]
+    whole = {name for kind in kinds for name in (*kind.core, *kind.more) if name in joint.names}
+    joint.listen(Shape(0.06), [Column(name) for name in sorted(whole)])
+    starts: list[_Found] = []
+    for kind in kinds:
+        core = tuple(Column(name) for name in ("offset", *kind.core))
+        for name, smoothing in SMOOTHINGS.items():
+            best = None
+            for time in smoothing.times or (0.0,):
+                for late, reset, poles in itertools.product(
+                        LATE if name == "none" else LATE[::2], RESET_TIMES if kind.integrator else (None,),
+                        kind.poles or ((0.0, 0.0, 0.0),)):
+                    shape = Shape(reset, late, name, time, *poles)
+                    score = joint.products(shape, core).likelihood() - _PER_TIME * shape.times
+                    if best is None or score > best.score:
+                        best = _Found(score, kind, shape, core)
+            assert best is not None
+            starts.append(best)
+    starts.sort(key=lambda found: -found.score)
+    # The best kinds without a smoothing, and the best with one: between the times tried either may look worse.
+    refined = [start for start in starts if start.shape.smoothing == "none"][:_REFINED]
+    refined += [start for start in starts if start.shape.smoothing != "none"][:1]
+    best = max((_refined(joint, start) for start in refined), key=lambda found: found.score)
+    return _judged(joint, best)
+
+
+def _judged(joint: JointRows, found: _Found) -> JointLaw:
+    """The law with its coefficients, and what it leaves of motion that they were not fitted to, as it is used.
+
+    Coefficients come from rows with the measured torque or with the model's, whichever leaves less.
+    """
+    used = JointRows([dataclasses.replace(s, motion=s.used) for s in joint.stretches], joint.j, joint.law)
+    X, y = used.raw(found.shape, found.columns)
+    parts = np.concatenate([np.vstack([error_parts(s.motion)[s.rows, :, joint.j], np.zeros((1, 4))])
+                            for s in joint.stretches])
+    fold = joint.blocks * _FOLDS // BLOCKS % 2
+    best = None
+    for source in (joint, used) if any(column.of.torque for column in found.columns) else (joint,):
+        source.listen(found.shape, found.columns)
+        products = source.products(found.shape, found.columns)
+        left = np.empty_like(y)
+        for held_out in (0, 1):
+            rows = fold == held_out
+            left[rows] = (y - X @ products.without(np.unique(joint.blocks[rows])).mean)[rows]
+        error = np.sqrt(np.mean(left[joint.use] ** 2))
+        if best is None or error < best[0]:
+            best = error, left, products.solution()
+    assert best is not None
+    error, left, solution = best
+    deviation = np.concatenate([(s.command[:, joint.j] - q)[s.rows]
+                                for s, q in zip(joint.stretches, joint.q, strict=True)])
+    return JointLaw(found.shape, found.columns, solution.mean, solution.covariance,
+                    _variances(left[joint.use], parts[joint.use]), float(np.std(deviation)), float(error),
+                    found.kind.name)
+
+
+def _variances(left: Array, parts: Array) -> Array:
+    """Variances ``(4,)`` of what ``error_parts (M, 4)`` hold, from what a law leaves ``(M,)``; none negative."""
+    count = max(len(left) // _WINDOW, 4)
+    windows = np.array_split(np.arange(len(left)), count)
+    squares = np.array([np.mean(left[w] ** 2) for w in windows])
+    X = np.array([np.mean(parts[w], axis=0) for w in windows])
+    size = np.maximum(np.mean(X, axis=0), 1e-300)
+    # Squares scatter as they are large: each window counts by what it is about.
+    weight = 1.0 / (squares + np.mean(squares))
+    found, _ = optimize.nnls(weight[:, None] * X / size, weight * squares)
+    total = float(np.mean(X / size @ found))
+    return np.asarray(found / size * (np.mean(squares) / total if total > 0.0 else 1.0))
+
+
+def _refined(joint: JointRows, found: _Found) -> _Found:
+    """Times and terms by the score, in turns."""
+    found = _tuned(joint, dataclasses.replace(found, score=joint.score(found.shape, found.columns)))
+    for _ in range(2):
+        before = found.columns
+        found = _tuned(joint, _selected(joint, found))
+        if found.columns == before:
+            break
+    joint.forget()
+    return found
+
+
+def _selected(joint: JointRows, found: _Found) -> _Found:
+    """Terms added one by one while the score rises as required, then those taken out that it does not miss."""
+    shape = found.shape
+    present = [c for c in found.columns]
+    pool = [*present, *(Column(name) for name in found.kind.more if name in joint.names and Column(name) not in present
+                        and not (shape.reset is None and TERMS[name].same))]
+    n = joint.law.middle.size
+    pool += [column for name in ("velocity", "torque") if name in joint.names
+             for i in range(1, n + 1) for power in _POWERS
+             if (column := Column(name, i, power)) not in pool and Column(name) in pool]
+    products = joint.products(shape, pool)
+    own = list(range(len(present)))
+    score = products.score(own)
+    while (added := _best_addition(products, shape, pool, own, score)) is not None:
+        score, i = added
+        own.append(i)
+    core = 1 + len(found.kind.core)
+    removed = True
+    while removed:
+        removed = False
+        for i in own[core:]:
+            rest = [k for k in own if k != i]
+            if any(pool[k].posture and pool[k].term == pool[i].term for k in rest) and not pool[i].posture:
+                continue
+            less = products.score(rest)
+            if less > score - REQUIRED:
+                own, score, removed = rest, less, True
+                break
+    return _Found(score - _PER_TIME * shape.times, found.kind, shape, tuple(pool[k] for k in own))
+
+
+def _best_addition(products: Products, shape: Shape, pool: Sequence[Column], own: Sequence[int], score: float
+                   ) -> tuple[float, int] | None:
+    """The term that raises the score most, and to what; None where none raises it as required."""
+    scored = sorted(((products.score([*own, i]), i) for i in range(len(pool)) if i not in own and (
+        not pool[i].posture or pool.index(Column(pool[i].term)) in own)), reverse=True)
+    return next(((better, i) for better, i in scored
+                 if better >= score + REQUIRED), None)
+
+
+def _tuned(joint: JointRows, found: _Found) -> _Found:
+    """The times of the shape with the best score about those given, one after the other."""
+    best = found
+    for width in (1.0, 0.3):
+        for name in ("late", "reset", "time", "a_1", "a_2", "a_i"):
+            middle = getattr(best.shape, name)
+            if middle is None or (middle == 0.0 and name not in ("late", "a_1")):
+                continue
+            # Lateness and fed-forward velocity may begin at none.
+            low, high = ((max(middle - 0.012 * width, 0.0), middle + 0.012 * width) if name == "late" else
+                         (max(middle - 0.03 * width, 0.0), middle + 0.03 * width) if name == "a_1" else
+                         (middle * np.exp(-0.6 * width), middle * np.exp(0.6 * width)))
+
+            def lost(x: float, name: str = name, start: _Found = best) -> float:
+                changed: dict[str, Any] = {name: x}
+                shape = dataclasses.replace(start.shape, **changed)
+                return -joint.score(shape, start.columns) if shape.stable else 1e300
+
+            tried = optimize.minimize_scalar(lost, bounds=(low, high), method="bounded",
+                                             options={"xatol": 0.02 * (high - low), "maxiter": 7})
+            if -tried.fun > best.score + (REQUIRED if middle == 0.0 else 0.0):
+                found_time: dict[str, Any] = {name: float(tried.x)}
+                best = dataclasses.replace(best, score=-float(tried.fun),
+                                           shape=dataclasses.replace(best.shape, **found_time))
+    return best

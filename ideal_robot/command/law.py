@@ -1,0 +1,335 @@
+"""The command's law of a joint controller: which command makes a joint move so, whatever the controller is.
+
+    r = F q_c(t - late)                 what the controller sees: lateness and smoothing of commands
+    A(s) (r - q) = Σ c_k x_k(motion)    the law (``ideal_robot.command.terms``), with
+    A = 1 + a_1 s + a_2 s² + a_i s H    where the command itself is fed forward or derived, and
+    x_k behind the integrator:          s / (s + 1/T), T the reset time
+    and c_k m(q_i)                      where gains follow the posture
+
+Read forwards it is fitted (``ideal_robot.command.fit``); evaluated ahead it is the feedforward
+(``ideal_robot.command.inverse``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.command.filters import bilinear, from_rest
+from ideal_robot.command.motion import Motion
+from ideal_robot.command.smoothing import SMOOTHINGS, Smoothing
+from ideal_robot.command.terms import TERMS, Term
+from ideal_robot.errors import InputError
+from ideal_robot.results import plain
+
+_LONGEST = 2.0
+"""Lateness, smoothing, and times of the command's poles, at most [s]: no joint controller is slower."""
+_DAMPED = 0.25
+"""Least damping of the command's own poles that is accepted: below it the inverse rings."""
+
+
+@dataclass(frozen=True, order=True)
+class Column:
+    """A term, and the posture that its gain follows.
+
+    Attributes:
+        term: key of ``TERMS``.
+        posture: joint whose position its coefficient is multiplied by, from 1; 0 for none.
+        power: of that position about the middle of the identified range.
+    """
+
+    term: str
+    posture: int = 0
+    power: int = 0
+
+    @property
+    def of(self) -> Term:
+        """The term."""
+        return TERMS[self.term]
+
+    @property
+    def name(self) -> str:
+        """Its key in a model file."""
+        return self.term if not self.posture else f"{self.term}*q_{self.posture}^{self.power}"
+
+    @classmethod
+    def named(cls, name: str) -> Column:
+        """The column of a key; raises ValueError or KeyError for none."""
+        term, _, posture = name.partition("*q_")
+        joint, _, power = posture.partition("^")
+        TERMS[term]
+        return cls(term, int(joint), int(power)) if posture else cls(term)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What of a law is not linear.
+
+    Attributes:
+        reset: reset time of the integrator [s]; None where there is none.
+        late: by how much commands act later than they are handed over [s].
+        smoothing: key of ``SMOOTHINGS``.
+        time: of it [s].
+        a_1, a_2, a_i: of the command's own poles [s, s², s]: a share ``k_ff`` of the velocity that is fed forward
+            makes ``a_1 = k_ff / k_v``, a PID controller's derivative ``a_i = D/K``, inverse dynamics a_1 and a_2.
+    """
+
+    reset: float | None = None
+    late: float = 0.0
+    smoothing: str = "none"
+    time: float = 0.0
+    a_1: float = 0.0
+    a_2: float = 0.0
+    a_i: float = 0.0
+
+    @property
+    def filter(self) -> Smoothing:
+        """The filter of commands."""
+        return SMOOTHINGS[self.smoothing]
+
+    @property
+    def ahead(self) -> float:
+        """How far ahead of the motion a command has to be given [s]."""
+        return self.late + self.filter.late * self.time
+
+    @property
+    def times(self) -> int:
+        """How many times the shape has."""
+        return sum(bool(value) for value in (self.reset, self.late, self.time, self.a_1, self.a_2, self.a_i))
+
+    @property
+    def poles(self) -> tuple[Array, Array]:
+        """Numerators and denominator from highest power on: from the direct and the integrated sum to ``e``.
+
+        ``e (1 + a_1 s + a_2 s² + a_i s H) = S + H I`` with ``H = sT/(1 + sT)``: ``(2, k)`` and ``(k,)``.
+        """
+        own, T = np.array([self.a_2, self.a_1, 1.0]), self.reset
+        if T is None:
+            return np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]), own + np.array([0.0, self.a_i, 0.0])
+        whole = np.convolve(own, [T, 1.0])
+        whole[1] += self.a_i * T
+        return np.array([[0.0, 0.0, T, 1.0], [0.0, 0.0, T, 0.0]]), whole
+
+    @property
+    def stable(self) -> bool:
+        """Whether the command's own poles decay, and well damped."""
+        den = np.trim_zeros(self.poles[1], "f")
+        if np.any(den < 0.0):
+            return False
+        roots = np.roots(den)
+        return bool(np.all(-roots.real >= _DAMPED * np.abs(roots))) if len(roots) else True
+
+    def discrete(self, dt: float) -> tuple[Array, Array]:
+        """``poles`` as filters of lines from row to row, ``dt`` [s] apart ``(2, k)``, ``(k,)``."""
+        return _discrete(self.poles, dt)
+
+
+def _discrete(poles: tuple[Array, Array], dt: float) -> tuple[Array, Array]:
+    num, den = poles
+    lead = len(den) - len(np.trim_zeros(den, "f"))
+    num, den = num[:, lead:], den[lead:]
+    if len(den) == 1:
+        return num / den[0], np.ones(1)
+    return bilinear(num, den, dt)
+
+
+_SHAPE = tuple(f.name for f in fields(Shape))
+
+
+@dataclass(frozen=True)
+class JointLaw:
+    """The law of one joint.
+
+    Attributes:
+        shape: lateness, smoothing and reset time.
+        columns: terms of the law.
+        coefficients: of the columns ``(m,)``.
+        covariance: of the coefficients ``(m, m)``.
+        error: of the law on held-out motion: variances ``(4,)`` by 1, squared speed, squared acceleration, and squared
+            rate of the direction of motion, see ``expected``.
+        deviation: root mean square of ``q_c - q`` about its mean on the held-out motion [rad].
+        residual: what the law leaves of it there [rad].
+        kind: of controller, in the field's words.
+    """
+
+    shape: Shape
+    columns: tuple[Column, ...]
+    coefficients: Array
+    covariance: Array = field(repr=False)
+    error: Array
+    deviation: float = float("nan")
+    residual: float = float("nan")
+    kind: str = ""
+
+    def coefficient(self, name: str) -> float:
+        """Of a column by its name; 0 where the law has none."""
+        return next((float(c) for column, c in zip(self.columns, self.coefficients, strict=True)
+                     if column.name == name), 0.0)
+
+
+@dataclass(frozen=True)
+class CommandLaw:
+    """The laws of all joints.
+
+    Attributes:
+        joints: law of each joint ``(n,)``.
+        t_cycle: from command to command [s].
+        still: speed below which a joint counts as reversing ``(n,)`` [rad/s].
+        middle, width: of the range in which each joint was moved ``(n,)`` [rad], which postures are measured by.
+        torque: which torque the law's terms are of: ``model`` for the identified model's, ``none``.
+        cascade: what the identified loop of [G] leaves of the same recordings ``(n,)`` [rad]; None where there is none.
+        leads: whether the law predicts them better than that loop.
+    """
+
+    joints: tuple[JointLaw, ...]
+    t_cycle: float
+    still: Array
+    middle: Array
+    width: Array
+    torque: str = "none"
+    cascade: Array | None = None
+    leads: bool = True
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    @property
+    def ahead(self) -> float:
+        """How far ahead of the motion commands have to be given at most [s]."""
+        return max(law.shape.ahead for law in self.joints)
+
+    @property
+    def deviation(self) -> Array:
+        """See ``JointLaw``, ``(n,)`` [rad]."""
+        return np.array([law.deviation for law in self.joints])
+
+    @property
+    def residual(self) -> Array:
+        """See ``JointLaw``, ``(n,)`` [rad]."""
+        return np.array([law.residual for law in self.joints])
+
+    def posture(self, q: Array, column: Column) -> Array:
+        """What the coefficient of a column is multiplied by at positions ``q (N, n)``: ``(N,)``."""
+        i = column.posture - 1
+        return np.asarray(((q[:, i] - self.middle[i]) / self.width[i]) ** column.power)
+
+    def sums(self, motion: Motion, j: int) -> Array:
+        """Direct and integrated sum of the terms of joint ``j`` (from 0) along a motion ``(2, N)``."""
+        law, sums = self.joints[j], np.zeros((2, len(motion.q)))
+        for column, c in zip(law.columns, law.coefficients, strict=True):
+            values = c * column.of.of(motion)[:, j]
+            sums[int(column.of.integrated)] += self.posture(motion.q, column) * values if column.posture else values
+        return sums
+
+    def error(self, motion: Motion, j: int) -> Array:
+        """What joint ``j`` (from 0) has to see of the command beyond its position along a motion from rest ``(N,)``."""
+        law, dt = self.joints[j], motion.dt
+        num, den = law.shape.discrete(dt)
+        sums = self.sums(motion, j)
+        return np.sum([from_rest(b, den, x) for b, x in zip(num, sums, strict=True)], axis=0)
+
+    def commands(self, motion: Motion) -> Array:
+        """Commands ``(N, n)`` [rad] that make the joints move so; the motion starts and ends at rest."""
+        t, commands = motion.dt * np.arange(float(len(motion.q))), np.empty_like(motion.q)
+        for j, law in enumerate(self.joints):
+            r = (motion.q[:, j] + self.error(motion, j))[:, None]
+            early = law.shape.filter.before(r, motion.dt, law.shape.time)[:, 0]
+            commands[:, j] = _at(t + law.shape.ahead, t, early)
+        return commands
+
+    def expected(self, motion: Motion) -> Array:
+        """Standard deviation of the position that the commands for a motion leave ``(N, n)`` [rad]."""
+        parts = error_parts(motion)
+        return np.stack([np.sqrt(parts[:, :, j] @ law.error) for j, law in enumerate(self.joints)], axis=1)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, as in the model file."""
+        return plain({
+            "t_cycle": self.t_cycle, "still": self.still, "middle": self.middle, "width": self.width,
+            "torque": self.torque, "cascade": self.cascade, "leads": self.leads,
+            "joints": [{"kind": law.kind, **{key: getattr(law.shape, key) for key in _SHAPE},
+                        "columns": [column.name for column in law.columns],
+                        "coefficients": law.coefficients, "covariance": law.covariance, "error": law.error,
+                        "deviation": law.deviation, "residual": law.residual} for law in self.joints]}, digits=12)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> CommandLaw:
+        """Reads what ``to_dict`` wrote; raises KeyError, TypeError or ValueError for anything else."""
+        def array(entry: Any) -> Array:
+            return np.array(entry, dtype=float)
+
+        joints = []
+        for own in values["joints"]:
+            times: dict[str, Any] = {key: own[key] if own[key] is None or key == "smoothing" else float(own[key])
+                                     for key in _SHAPE}
+            shape = Shape(**times)
+            SMOOTHINGS[shape.smoothing]
+            deviation, residual = (float("nan") if own[key] is None else float(own[key])
+                                   for key in ("deviation", "residual"))
+            joints.append(JointLaw(shape, tuple(Column.named(name) for name in own["columns"]),
+                                   array(own["coefficients"]), array(own["covariance"]), array(own["error"]),
+                                   deviation, residual, str(own["kind"])))
+        return cls(tuple(joints), float(values["t_cycle"]), array(values["still"]), array(values["middle"]),
+                   array(values["width"]), str(values["torque"]),
+                   None if values["cascade"] is None else array(values["cascade"]), bool(values["leads"]))
+
+
+def require_law(law: CommandLaw, n: int, file: Any = None) -> None:
+    """Raises InputError for numbers that no law may have: names the key and what was expected.
+
+    Args:
+        law, n: as read, and how many joints there are.
+        file: where it comes from.
+    """
+    def refuse(key: str, expected: str, value: Any = None) -> None:
+        raise InputError(f"expected {expected}", file=file, field=f"command.{key}", value=value)
+
+    if law.n != n:
+        refuse("joints", f"{n} entries", law.n)
+    if not 1e-5 <= law.t_cycle <= 1.0:
+        refuse("t_cycle", "seconds from 1e-05 to 1", law.t_cycle)
+    for key in ("still", "middle", "width"):
+        array = getattr(law, key)
+        if array.shape != (n,) or not np.all(np.isfinite(array)) or (key != "middle" and np.any(array <= 0.0)):
+            refuse(key, f"{n} finite numbers" + ("" if key == "middle" else " above 0"))
+    if law.torque not in ("model", "none"):
+        refuse("torque", "model or none", law.torque)
+    for j, own in enumerate(law.joints):
+        m = len(own.columns)
+        for key, shape in (("coefficients", (m,)), ("covariance", (m, m)), ("error", (4,))):
+            array = getattr(own, key)
+            if array.shape != shape or not np.all(np.isfinite(array)):
+                refuse(f"joints.{j}.{key}", f"{' × '.join(map(str, shape))} finite numbers")
+        if np.any(own.error < 0.0):
+            refuse(f"joints.{j}.error", "variances that are not negative")
+        for key in ("late", "time", "a_1", "a_2", "a_i"):
+            if not 0.0 <= getattr(own.shape, key) <= _LONGEST:
+                refuse(f"joints.{j}.{key}", f"a number from 0 to {_LONGEST:g}", getattr(own.shape, key))
+        if own.shape.reset is not None and not 1e-4 <= own.shape.reset <= 100.0:
+            refuse(f"joints.{j}.reset", "seconds from 0.0001 to 100, or nothing", own.shape.reset)
+        if any(column.posture > n for column in own.columns):
+            refuse(f"joints.{j}.columns", f"postures of joints 1 to {n}")
+        if not own.shape.stable:
+            refuse(f"joints.{j}.coefficients", "a command whose own poles decay")
+
+
+def error_parts(motion: Motion) -> Array:
+    """What the variance of a law's error is made of along a motion ``(N, 4, n)``: see ``JointLaw.error``.
+
+    Direction counts by how fast it turns over, over the time of a reversal that lasts 0.1 s.
+    """
+    turning = 0.1 * np.gradient(motion.direction, motion.dt, axis=0)
+    return np.stack([np.ones_like(motion.q), motion.qd**2, motion.qdd**2, turning**2], axis=1)
+
+
+def _at(times: Array, t: Array, rows: Array) -> Array:
+    """Rows ``(N,)`` at other times, by cubics; as the first and the last beyond them."""
+    from scipy.interpolate import CubicSpline
+
+    return np.asarray(CubicSpline(t, rows)(np.clip(times, t[0], t[-1])))

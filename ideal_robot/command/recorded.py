@@ -1,0 +1,120 @@
+"""Recordings as the command's law is fitted to them: even instants, one low-pass, commands as a curve of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ideal_robot.arrays import Array, interpolated
+from ideal_robot.command.fit import Stretch
+from ideal_robot.command.motion import Bodies, Motion
+from ideal_robot.signals.filters import lowpass
+from ideal_robot.signals.preprocess import chosen_cutoff, evenly_sampled
+from ideal_robot.signals.recording import Recording
+
+STILL = 0.05
+"""Speed below which a joint counts as reversing, over the root mean square of its speed."""
+_UPDATES = 0.2
+"""Share of the samples of a moving joint that change its command, from which on it changes with every sample."""
+_FINE = 9.0
+"""Samples a period of the low-pass's cut-off, for derivatives; a third of them are rows of the law."""
+_LONGEST = 0.1
+"""Cycle that is looked for at most [s]."""
+
+Torque = Callable[[Array, Array, Array, Array, float], Array]
+"""Torque of a model ``(N, n)`` for instants ``(N,)``, positions, velocities, accelerations, and the cut-off [Hz]."""
+
+
+def commands_of(recording: Recording) -> str:
+    """Which columns hold the commands: ``q_c``, or ``q_d`` where there is none, or nothing."""
+    return next((name for name in ("q_c", "q_d") if recording.has(name)), "")
+
+
+def with_commands(recording: Recording) -> Recording:
+    """The recording with ``q_d_i`` for commands where it has no column ``q_c_i`` at all."""
+    if commands_of(recording) != "q_d" or any(f"q_c_{i + 1}" in recording.columns for i in range(recording.n)):
+        return recording
+    columns = {f"q_c_{i + 1}": recording.columns[f"q_d_{i + 1}"] for i in range(recording.n)}
+    return replace(recording, columns={**recording.columns, **columns})
+
+
+def update_instants(t: Array, q_c: Array) -> np.ndarray:
+    """Rows at which a new command stands ``(M,)``, of those of a recording ``t (N,)``, ``q_c (N, n)`` [s, rad].
+
+    A controller that is logged faster than it is commanded shows each command several times.
+    """
+    changed = np.any(np.diff(q_c, axis=0) != 0.0, axis=1)
+    rows = np.flatnonzero(changed) + 1
+    if len(rows) < 10:
+        return np.arange(len(t))
+    gaps = np.diff(rows)
+    every = int(np.median(gaps))
+    if every <= 1 or t[every] - t[0] > _LONGEST:
+        return np.arange(len(t))
+    # While nothing moves commands are renewed as well, with the same value: the usual step is kept there.
+    filled = [np.arange(0, rows[0], every)[::1] + rows[0] % every] if rows[0] >= every else [np.zeros(1, dtype=int)]
+    for a, b in zip(rows, [*rows[1:], len(t)], strict=True):
+        filled.append(np.arange(a, max(b - every // 2, a + 1), every))
+    return np.unique(np.concatenate(filled))
+
+
+def command_cycle(recordings: Sequence[Recording], name: str) -> float:
+    """From command to command [s], as the commands' own steps say."""
+    steps = []
+    for recording in recordings:
+        rows = update_instants(recording.t, recording.joints(name))
+        steps.append(np.diff(recording.t[rows]))
+    return float(np.median(np.concatenate(steps)))
+
+
+def usual_cutoff(recordings: Sequence[Recording]) -> float:
+    """Cut-off that keeps what the joints move with [Hz]."""
+    cutoffs = []
+    for recording in recordings:
+        even = evenly_sampled(recording, columns=False)
+        cutoffs.append(chosen_cutoff(even.q, float(even.t[1] - even.t[0])))
+    return float(np.median(cutoffs))
+
+
+def stretches_of(recordings: Sequence[Recording], name: str, *, cutoff: float | None = None,
+                 bodies: Bodies | None = None, torque: Torque | None = None, measured: bool = True,
+                 still: Array | None = None) -> list[Stretch]:
+    """The recordings, low-passed.
+
+    Args:
+        recordings: with ``q_i`` and the commands.
+        name: of the commands' columns.
+        cutoff: of the low-pass [Hz]; from the motion if None.
+        bodies: of the arm, where they are known.
+        torque: of the identified model; None where there is none.
+        measured: whether the law is fitted with the measured torque, not with the model's.
+        still: speed below which a joint counts as reversing ``(n,)`` [rad/s]; from the motion if None.
+    """
+    cutoff = usual_cutoff(recordings) if cutoff is None else cutoff
+    result = []
+    if still is None:
+        speeds = [np.gradient(r.joints("q"), r.t, axis=0) for r in recordings]
+        still = STILL * np.maximum(np.sqrt(np.mean(np.concatenate(
+            [lowpass(v, float(np.median(np.diff(r.t))), cutoff) for v, r in zip(speeds, recordings, strict=True)])**2,
+            axis=0)), 1e-9)
+    for recording in recordings:
+        even = evenly_sampled(recording, columns=False)
+        dt = float(even.t[1] - even.t[0])
+        rows = update_instants(recording.t, recording.joints(name))
+        command = interpolated(even.t, recording.t[rows], recording.joints(name, rows))
+        # What passes the low-pass needs no more samples than its cut-off asks for, with room for derivatives.
+        every = max(1, int(1.0 / (_FINE * cutoff * dt)))
+        own = Motion.of(lowpass(even.q, dt, cutoff)[::every], every * dt, still, bodies)
+        used = own
+        if torque is not None:
+            # Friction turns over at once; measured torque passed the low-pass.
+            fine = Motion.of(lowpass(even.q, dt, cutoff), dt, still)
+            used = own.with_torque(lowpass(torque(even.t, fine.q, fine.qd, fine.qdd, cutoff), dt, cutoff)[::every])
+            own = own.with_torque(lowpass(even.tau, dt, cutoff)[::every]) if measured else used
+        edge = int(np.ceil(1.0 / (cutoff * dt)))
+        holes = np.convolve(even.hole, np.ones(2 * edge + 1), mode="same") > 0 if even.hole.any() else even.hole
+        kept = np.arange(-(-edge // every), (len(even.t) - edge) // every, max(1, round(_FINE / 3.0)))
+        result.append(Stretch(own, used, lowpass(command, dt, cutoff)[::every], kept[~holes[every * kept]]))
+    return result

@@ -1,0 +1,59 @@
+"""What a law says in the field's words: which controller it is, with its gains, and how late it acts."""
+
+from __future__ import annotations
+
+from ideal_robot.command.law import JointLaw
+
+_SHOWN_LATE = 5e-4
+"""Lateness that is worth a word [s]: recordings are stamped to about that."""
+_SHARE = 0.1
+"""Share of fed-forward velocity, or of compensated gravity, that is worth a word."""
+
+
+def described(law: JointLaw, unit: str = "N m/rad") -> str:
+    """The controller of one joint, e.g. "P/PI cascade, 20 1/s, reset time 50 ms, commands 4 ms late".
+
+    Args:
+        law: of the joint.
+        unit: of a stiffness.
+    """
+    parts = [*_controller(law, unit), *_commands(law)]
+    followed = sorted({column.posture for column in law.columns if column.posture})
+    if followed:
+        parts.append(f"gains follow the posture of joint {', '.join(map(str, followed))}")
+    return ", ".join(parts)
+
+
+def _controller(law: JointLaw, unit: str) -> list[str]:
+    shape, torque, speed = law.shape, law.coefficient("torque"), law.coefficient("velocity")
+    behind = speed + shape.a_1
+    if torque > 0.0 and shape.reset is not None:
+        # The velocity that is not fed forward makes the joint lag: (1 - k_ff)/k_v, and the rest is the command's pole.
+        parts = ["P/PI cascade", *([f"{1.0 / behind:.3g} 1/s"] if behind > 0.0 else []),
+                 f"reset time {_ms(shape.reset)}"]
+        share = shape.a_1 / behind if behind > 0.0 else 0.0
+        return [*parts, f"{100 * min(share, 1.0):.0f} % of the velocity fed forward"] if share > _SHARE else parts
+    if torque > 0.0:
+        parts = ["PD control", f"stiffness {1.0 / torque:.3g} {unit}"]
+        share = -law.coefficient("gravity") / torque
+        return [*parts, f"{100 * share:.0f} % of gravity compensated"] if share > _SHARE else parts
+    if law.coefficient("free_acceleration") > 0.0:
+        return ["inverse dynamics"]
+    if law.coefficient("bodies") > 0.0 and shape.reset is not None:
+        parts = ["cascade or PID control"] + ([f"{1.0 / behind:.3g} 1/s"] if behind > 0.0 else [])
+        return [*parts, f"reset time {_ms(shape.reset)}"]
+    lag = speed + shape.late + shape.filter.delay * shape.time
+    return [f"lags by {_ms(lag)}"] if lag > _SHOWN_LATE else ["follows at once"]
+
+
+def _commands(law: JointLaw) -> list[str]:
+    shape, parts = law.shape, []
+    if shape.time > _SHOWN_LATE:
+        parts.append(f"{shape.filter.words} {_ms(shape.time)}")
+    if shape.late > _SHOWN_LATE:
+        parts.append(f"commands {_ms(shape.late)} late")
+    return parts
+
+
+def _ms(seconds: float) -> str:
+    return f"{1e3 * seconds:.2g} ms" if seconds < 0.0995 else f"{1e3 * seconds:.3g} ms"

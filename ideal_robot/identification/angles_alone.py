@@ -1,0 +1,136 @@
+"""What commands and angles alone tell of an arm: the command's law, without a torque."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.command.recorded import commands_of, with_commands
+from ideal_robot.errors import InputError
+from ideal_robot.identification.command import identify_command
+from ideal_robot.identification.whole_model import IdentificationResult, command_figures, identify_model
+from ideal_robot.model.model import Model
+from ideal_robot.progress import Progress, silent
+from ideal_robot.results import Figure, Summarised, listed, one_unit, over_time, plain
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.plausible import only_numbers, plausible, require_joint_units
+from ideal_robot.signals.recording import Recording, expect, recordings_of
+
+_FEWEST, _SHORTEST = 100, 1.0
+"""Samples, and seconds, that a recording has at least."""
+
+
+@dataclass(frozen=True, repr=False)
+class CommandIdentification(Summarised):
+    """A model from commands and angles alone: data sheet, and the command's law.
+
+    Attributes:
+        model: bodies as the URDF has them, and ``model.command``; ``precorrect``, ``play`` and followers use it.
+        recordings: that it is from.
+        warnings: named warnings, each ``name: sentence``.
+        missing: what the recordings could not tell, each ``part: what is needed``.
+    """
+
+    model: Model
+    recordings: tuple[Recording, ...]
+    warnings: tuple[str, ...]
+    missing: tuple[str, ...]
+
+    def summary(self) -> list[tuple[str, str]]:
+        """What was found of each joint's controller, and what it leaves."""
+        law, unit = self.model.command, one_unit(self.model.units("mrad"))
+        assert law is not None
+        return [("model", f"{self.model.robot_name!r}: commands of {self.model.n} joints; no torques"),
+                ("command minus angle", listed(1e3 * law.deviation, unit)),
+                ("left on held-out data", listed(1e3 * law.residual, unit)),
+                ("not in the recordings", ", ".join(text.partition(":")[0] for text in self.missing))]
+
+    def plot(self) -> Figure:
+        """Command minus angle of the first recording, joint by joint."""
+        first = self.recordings[0]
+        off = 1e3 * (first.joints(commands_of(first)) - first.joints("q"))
+        return over_time(first.t, [(f"joint {j + 1} [{unit}]", [("command minus angle", off[:, j])])
+                                   for j, unit in enumerate(self.model.units("mrad"))], self.model.robot_name)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The figures as plain values."""
+        model = self.model
+        return plain({"robot": {"name": model.robot_name, "urdf_hash": model.urdf_hash, "joints": model.n},
+                      "method": model.provenance["method"], "command": command_figures(model),
+                      "recordings": model.provenance["recordings"], "warnings": self.warnings,
+                      "missing": self.missing})
+
+
+def identify_arm(recordings: Recording | Sequence[Recording], robot: Robot, *, progress: Progress = silent,
+                 **options: Any) -> IdentificationResult | CommandIdentification:
+    """Identifies what the recordings hold: the whole model with torques, the command's law without.
+
+    Args:
+        recordings: with ``t`` [s], ``q_i`` [rad], and ``tau_i`` [N m] or ``current_i`` [A] or commands ``q_c_i`` [rad].
+        robot: the arm.
+        progress: called with the share done and what is being done.
+        options: of ``identify_model``, which identifies the whole model.
+
+    Raises:
+        InputError: recordings that cannot be used, an unknown method.
+    """
+    given = recordings_of(recordings, "recordings")
+    if not without_torque(given):
+        return identify_model(given, robot, progress=progress, **options)
+    return identify_from_commands(given, robot, progress=progress)
+
+
+def without_torque(recordings: Sequence[Recording]) -> bool:
+    """Whether these are recordings of commands and angles alone, of an arm that tells no torques at all."""
+    return bool(recordings) and all(
+        commands_of(r) and not any(name.startswith(("tau_", "current_")) for name in r.columns) for r in recordings)
+
+
+def identify_from_commands(recordings: Recording | Sequence[Recording], robot: Robot, *,
+                           progress: Progress = silent) -> CommandIdentification:
+    """The command's law from commands and angles, with the URDF's bodies as far as they help.
+
+    Args:
+        recordings: with ``t`` [s], ``q_i`` and ``q_c_i`` (or ``q_d_i``) [rad], at any rate.
+        robot: the arm.
+        progress: called with the share done.
+
+    Raises:
+        InputError: another number of joints, degrees, commands that the joints do not follow, too short.
+    """
+    expect(robot, Robot, "robot", "load one by Robot.load")
+    used, warnings = [], []
+    for recording in recordings_of(recordings, "recordings"):
+        own, texts = _checked(recording, robot)
+        used.append(own)
+        warnings += [f"{text} [{recording.source}]" for text in texts]
+    model = Model.nominal(robot)
+    law = identify_command(used, model, torque=False, progress=progress)
+    model = dataclasses.replace(model, command=law, provenance={
+        "method": "commands and angles alone",
+        "recordings": [{"source": r.source, "hash": r.hash} for r in used]})
+    missing = (f"friction, rigid body: torques tau_1 to tau_{robot.n} or currents are needed; diagnosis needs them too",
+               "stiffness, damping: measured arm angles and torques are needed; gears count as rigid")
+    return CommandIdentification(model, tuple(used), tuple(warnings), missing)
+
+
+def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
+    """The recording without what is no number or no position, and what was wrong; raises InputError for the rest."""
+    n, source = robot.n, recording.source
+    if recording.n != n:
+        raise InputError(f"the recording has {recording.n} joints, the robot {robot.name} has {n}", file=source,
+                         field="q_i")
+    recording = with_commands(recording)
+    names = [[f"{kind}_{i + 1}" for i in range(n)] for kind in ("q", "q_c")]
+    recording, warnings = plausible(recording, names[0], [], robot.tau_max)
+    recording, more = only_numbers(recording, names[1])
+    if len(recording.t) < _FEWEST or recording.duration < _SHORTEST:
+        raise InputError(f"too short: at least {_SHORTEST:g} s and {_FEWEST} samples are needed", file=source,
+                         field="t", value=len(recording.t))
+    for kind in ("q", "q_c"):
+        require_joint_units(np.quantile(recording.joints(kind), (0.01, 0.99), axis=0), robot, file=source, column=kind)
+    return recording, [*warnings, *more]

@@ -1,0 +1,129 @@
+"""Identifies the command's law of all joints, with an identified model's torque or from commands and angles alone."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ideal_robot.arrays import Array, interpolated
+from ideal_robot.command.fit import Stretch, fit_joint
+from ideal_robot.command.law import Column, CommandLaw, JointLaw, Shape
+from ideal_robot.command.motion import Bodies
+from ideal_robot.command.recorded import command_cycle, commands_of, stretches_of, usual_cutoff
+from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.estimate.score import standard_error
+from ideal_robot.identification.checks import STILL
+from ideal_robot.loop.from_model import loop_model
+from ideal_robot.loop.loop import Loop
+from ideal_robot.loop.simulation import simulate
+from ideal_robot.model.model import Model
+from ideal_robot.progress import Progress, silent
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+
+_COPIED = 1e-9
+"""Commands that differ from the measured angles by less are these angles [rad, m]."""
+_FOLLOWS = 0.5
+"""Share of a command's motion that the law leaves, from which on the joint does not follow it."""
+_BLOCKS = 20
+_STEPS = 1e4
+"""What ``q_c - q`` is resolved to at least, over its own size; below, nothing is to be corrected."""
+
+
+def identify_command(recordings: Sequence[Recording], model: Model, *, torque: bool,
+                     progress: Progress = silent) -> CommandLaw:
+    """The law of each joint that predicts its commands best.
+
+    Args:
+        recordings: with ``q_i`` and ``q_c_i`` (or ``q_d_i``); with ``tau_i`` where ``torque``.
+        model: what is known of the arm: identified, or its data sheet's.
+        torque: whether the model's torque is identified, so that the law may have terms of it.
+        progress: called with the share done.
+
+    Raises:
+        InputError: no commands, commands that are the measured angles, or that the joints do not follow.
+    """
+    name = commands_of(recordings[0]) if recordings else ""
+    if not name:
+        raise InputError("no commands; q_c_1, … or q_d_1, … are needed for the command's law",
+                         file=recordings[0].source if recordings else None, field="q_c_1")
+    for recording in recordings:
+        require_commands(recording, name)
+    cutoff = usual_cutoff(recordings)
+    bodies = Bodies.of(model.dynamics, model.rotor_inertia)
+    stretches = stretches_of(recordings, name, cutoff=cutoff, bodies=bodies, torque=(
+        lambda t, q, qd, qdd, f: model.inverse_dynamics(q, qd, qdd, t=t - t[0], cutoff=f)) if torque else None)
+    q = np.concatenate([s.motion.q for s in stretches])
+    law = CommandLaw((), command_cycle(recordings, name), stretches[0].motion.still,
+                     0.5 * (q.max(axis=0) + q.min(axis=0)), np.maximum(0.5 * np.ptp(q, axis=0), 1e-9),
+                     "model" if torque else "none")
+    joints = []
+    for j in range(model.n):
+        progress(j / model.n, f"command of joint {j + 1}")
+        if max(float(np.ptp(s.motion.q[:, j])) for s in stretches) < STILL:
+            joints.append(JointLaw(Shape(), (Column("offset"),), np.zeros(1), np.zeros((1, 1)), np.zeros(4), 0.0, 0.0))
+            continue
+        own = fit_joint(stretches, j, law)
+        moved = float(np.std(np.concatenate([s.command[s.rows, j] for s in stretches])))
+        if own.residual > _FOLLOWS * moved and moved > _STEPS * _COPIED:
+            raise InputError(f"the joint does not follow this command: the best law leaves {1e3 * own.residual:.3g} "
+                             f"mrad or mm of a motion of {1e3 * moved:.3g}; is it of another joint, of another run, or "
+                             "in another unit?", file=recordings[0].source, field=f"{name}_{j + 1}")
+        joints.append(own)
+    return dataclasses.replace(law, joints=tuple(joints))
+
+
+def require_commands(recording: Recording, name: str) -> None:
+    """Raises InputError for commands that tell nothing of a controller: copies of the angles, or another joint's.
+
+    Args:
+        recording: with ``q_i``.
+        name: of the commands' columns.
+    """
+    q_c, q = recording.joints(name), recording.joints("q")
+    finite = np.isfinite(q_c).all(axis=1) & np.isfinite(q).all(axis=1)
+    q_c, q = q_c[finite], q[finite]
+    for j in range(recording.n):
+        if np.ptp(q[:, j]) > _STEPS * _COPIED and np.max(np.abs(q_c[:, j] - q[:, j]), initial=0.0) < _COPIED:
+            raise InputError(f"these are the measured angles q_{j + 1} themselves; log what the controller was told",
+                             file=recording.source, field=f"{name}_{j + 1}")
+    still = np.std(q, axis=0) < _STEPS * _COPIED
+    away = np.std(q_c[:, :, None] - q[:, None, :], axis=0)
+    for j in map(int, np.flatnonzero(~still)):
+        other = int(np.argmin(away[j]))
+        if other != j and not still[other] and away[j, other] < 0.5 * away[j, j] and away[j, j] > np.std(q[:, j]):
+            raise InputError(f"this is the command of joint {other + 1}: it differs from q_{other + 1} by "
+                             f"{away[j, other]:.3g}, from q_{j + 1} by {away[j, j]:.3g}; exchange the columns",
+                             file=recording.source, field=f"{name}_{j + 1}")
+
+
+def judged(law: CommandLaw, recordings: Sequence[Recording], model: Model, robot: Robot) -> CommandLaw:
+    """The law, with what [G]'s identified loop leaves of the same recordings, and which of the two predicts better.
+
+    Args:
+        law: as identified from the recordings.
+        recordings: with commands.
+        model, robot: with the identified controller.
+    """
+    stretches = stretches_of(recordings, commands_of(recordings[0]), still=law.still)
+    try:
+        loop = loop_model(model, robot)
+        left = np.concatenate([_left_by_loop(s, loop)[s.rows] for s in stretches])
+    except IdealRobotError:
+        return law
+    blocks = np.arange(len(left)) * _BLOCKS // len(left)
+    gain = np.array([np.mean(np.sum(left[blocks == b] ** 2 - law.residual**2, axis=1)) for b in range(_BLOCKS)])
+    # By two standard errors over blocks of time: the loop knows more of gears and friction, and keeps what is open.
+    better = float(gain.sum()) > 2.0 * standard_error(gain)
+    return dataclasses.replace(law, cascade=np.sqrt(np.mean(left**2, axis=0)), leads=better)
+
+
+def _left_by_loop(stretch: Stretch, loop: Loop) -> Array:
+    """Measured motor angles minus those that the loop makes of the commands ``(N, n)`` [rad]."""
+    t = stretch.motion.dt * np.arange(float(len(stretch.command)))
+    at = np.arange(0.0, t[-1], loop.t_ipo)
+    made = simulate(loop, np.asarray(CubicSpline(t, stretch.command)(at)))
+    return np.asarray(stretch.motion.q - interpolated(t, made.t, made.q_m))

@@ -1,0 +1,1 @@
+"""Arms behind joint controllers of many kinds, for the study of the command law."""

@@ -1,0 +1,173 @@
+"""The command's law recovers known controllers from commands and angles, and its inverse makes the arm follow."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+from scipy.signal import lfilter
+
+from ideal_robot.arrays import Array
+from ideal_robot.command.law import CommandLaw
+from ideal_robot.command.recorded import command_cycle, update_instants
+from ideal_robot.command.words import described
+from ideal_robot.errors import InputError
+from ideal_robot.feedforward.command_inverse import CommandInverse
+from ideal_robot.identification.angles_alone import identify_from_commands
+from ideal_robot.identification.command import identify_command
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+
+Law = Callable[[Array, Array, Array], Array]
+"""What a controller sees of the command beyond its position, of positions, speeds and torques ``(N, n)``."""
+DT = 0.002
+CYCLE = 0.004
+
+
+def robot(tmp_path: Path) -> Robot:
+    """An arm of two joints that swings in a plane."""
+    link = ('<inertial><origin xyz="0.2 0 0"/><mass value="{m}"/><inertia ixx="0.05" iyy="0.05" izz="0.05" ixy="0" '
+            'ixz="0" iyz="0"/></inertial>')
+    joint = ('<joint name="{n}" type="revolute"><parent link="{p}"/><child link="{c}"/><origin xyz="{x} 0 0"/>'
+             '<axis xyz="0 1 0"/><limit lower="-3" upper="3" velocity="6" effort="500"/></joint>')
+    text = ('<robot name="two"><link name="base"/>'
+            + "".join(f'<link name="{n}">{link.format(m=m)}</link>' for n, m in (("a", 6.0), ("b", 3.0)))
+            + joint.format(n="j1", p="base", c="a", x=0) + joint.format(n="j2", p="a", c="b", x=0.5) + "</robot>")
+    path = tmp_path / "two.urdf"
+    path.write_text(text)
+    return Robot.load(path)
+
+
+def moved(seed: int, seconds: float = 16.0) -> tuple[Array, Array]:
+    """A motion ``(N, 2)`` [rad] of sinusoids from rest to rest, every ``DT`` [s], and its times."""
+    rng, t = np.random.default_rng(seed), DT * np.arange(round(seconds / DT))
+    share = np.clip(np.minimum(t - 0.5, t[-1] - 0.5 - t) / 1.5, 0.0, 1.0)
+    swell = (share**3 * (10 - 15 * share + 6 * share**2))[:, None]
+    q = sum(rng.uniform(0.1, 0.4, 2) * np.sin(2 * np.pi * rng.uniform(0.15, 0.9, 2) * t[:, None]
+                                              + rng.uniform(0, 6.28, 2)) for _ in range(3))
+    return t, np.array([0.3, -0.5]) + swell * q
+
+
+def high_passed(x: Array, reset: float) -> Array:
+    a = np.exp(-DT / reset)
+    return x - x[0] - lfilter([0.0, 1 - a], [1.0, -a], x - x[0], axis=0)
+
+
+def recorded(arm: Robot, law: Law, *, late: float, seed: int, step: float = 1e-6,
+             torque: bool = True) -> Recording:
+    """The recording of an arm whose controller sees ``q + law(q, qd, tau)``, its commands late."""
+    model = Model.nominal(arm)
+    t, q = moved(seed)
+    qd, qdd = (CubicSpline(t, q)(t, nu=k) for k in (1, 2))
+    tau = model.inverse_dynamics(q, qd, qdd)
+    seen = CubicSpline(t, q + law(q, qd, tau))
+    rng = np.random.default_rng(seed + 100)
+    columns = {"q_c": seen(np.minimum(t + late, t[-1])), "q": step * np.round(q / step)}
+    if torque:
+        columns["tau"] = tau + 0.005 * np.std(tau, axis=0) * rng.standard_normal(tau.shape)
+    return Recording.from_arrays(t, **columns)
+
+
+GAINS = np.array([18.0, 25.0])
+
+
+def cascade(q: Array, qd: Array, tau: Array) -> Array:
+    """A P/PI cascade with a reset time of 60 ms."""
+    return qd / GAINS + high_passed(tau, 0.06) / (GAINS * np.array([40.0, 10.0]))
+
+
+def pd(q: Array, qd: Array, tau: Array) -> Array:
+    """A PD controller that compensates nothing: it sags."""
+    return tau / np.array([900.0, 300.0]) + 0.03 * qd
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_cascade_is_recovered(tmp_path: Path, seed: int) -> None:
+    arm = robot(tmp_path)
+    law = identify_command([recorded(arm, cascade, late=0.006, seed=seed)], Model.nominal(arm), torque=True)
+    for own, gain in zip(law.joints, GAINS, strict=True):
+        assert own.shape.reset == pytest.approx(0.06, rel=0.25)
+        total = own.coefficient("velocity") + own.shape.a_1 + own.shape.late + own.shape.filter.delay * own.shape.time
+        assert total == pytest.approx(1.0 / gain + 0.006, rel=0.05)
+        assert "P/PI cascade" in described(own)
+        assert own.residual < 5e-3 * own.deviation
+
+
+@pytest.mark.parametrize("seed", [4, 5])
+def test_stiffness_of_an_arm_that_sags_is_recovered(tmp_path: Path, seed: int) -> None:
+    arm = robot(tmp_path)
+    law = identify_command([recorded(arm, pd, late=0.0, seed=seed)], Model.nominal(arm), torque=True)
+    for own, stiffness in zip(law.joints, (900.0, 300.0), strict=True):
+        assert own.shape.reset is None or own.shape.reset > 2.0
+        assert 1.0 / own.coefficient("torque") == pytest.approx(stiffness, rel=0.05)
+
+
+@pytest.mark.parametrize(("controller", "torque"), [(cascade, True), (pd, True), (pd, False)])
+def test_the_inverse_commands_what_the_controller_needs(tmp_path: Path, controller: Law, torque: bool) -> None:
+    """On a motion that the law was not fitted to; and its expected error is that which is made."""
+    arm = dataclasses.replace(robot(tmp_path), t_ipo=CYCLE)
+    given = recorded(arm, controller, late=0.006, seed=1, torque=torque)
+    model = Model.nominal(arm)
+    law = identify_command([given], model, torque=torque)
+    model = dataclasses.replace(model, command=dataclasses.replace(law, t_cycle=CYCLE))
+    other = recorded(arm, controller, late=0.006, seed=9)
+    every = round(CYCLE / DT)
+    q, q_c = moved(9)[1][::every], other.joints("q_c")[::every]
+    inverse = CommandInverse(model, arm)
+    commands = inverse.along(q)
+    settled = slice(150, -100)
+    plain, left = (np.sqrt(np.mean((x - q_c)[settled] ** 2)) for x in (q, commands))
+    assert left < 0.03 * plain
+    stepped = np.empty_like(q)
+    state = inverse.init(q[0])
+    ahead = np.vstack([q, np.tile(q[-1], (inverse.n_d, 1))])
+    for k in range(600):
+        stepped[k], state = inverse.step(state, ahead[k : k + inverse.n_d])
+    assert np.max(np.abs(stepped[:600] - commands[:600])) < 0.02 * plain
+
+
+def test_a_law_is_read_as_it_was_written(tmp_path: Path) -> None:
+    arm = robot(tmp_path)
+    model = identify_from_commands(recorded(arm, pd, late=0.01, seed=2, torque=False), arm).model
+    assert model.command is not None
+    again = Model.load(model.save(tmp_path / "model.json")).command
+    assert again is not None
+    assert again.to_dict() == model.command.to_dict()
+    assert isinstance(again, CommandLaw)
+
+
+def test_commands_of_a_slower_cycle_are_found_in_a_fast_log() -> None:
+    t = 0.001 * np.arange(2000)
+    slow = np.sin(0.008 * (np.arange(2000) // 8))[:, None]
+    recording = Recording.from_arrays(t, q=slow, q_c=slow)
+    assert command_cycle([recording], "q_c") == pytest.approx(0.008)
+    assert np.all(np.diff(update_instants(t, slow)) == 8)
+    assert command_cycle([Recording.from_arrays(t, q=slow, q_c=np.sin(t)[:, None])], "q_c") == pytest.approx(0.001)
+
+
+def spoilt(recording: Recording, how: str) -> Recording:
+    columns = dict(recording.columns)
+    if how == "copied":
+        columns |= {"q_c_1": columns["q_1"], "q_c_2": columns["q_2"]}
+    elif how == "degrees":
+        columns |= {name: np.degrees(columns[name]) for name in ("q_c_1", "q_c_2")}
+    elif how == "exchanged":
+        columns |= {"q_c_1": columns["q_c_2"], "q_c_2": columns["q_c_1"]}
+    elif how == "another run":
+        columns |= {f"q_c_{i + 1}": np.ascontiguousarray(moved(77)[1][:, i]) for i in range(2)}
+    return Recording(columns)
+
+
+@pytest.mark.parametrize("how", ["copied", "degrees", "exchanged", "another run"])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_commands_that_tell_nothing_are_refused(tmp_path: Path, how: str, seed: int) -> None:
+    arm = robot(tmp_path)
+    with pytest.raises(InputError) as raised:
+        identify_from_commands(spoilt(recorded(arm, cascade, late=0.006, seed=seed, torque=False), how), arm)
+    assert str(raised.value.field).startswith("q_c")
+    assert "\n" not in str(raised.value)
