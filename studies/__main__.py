@@ -30,7 +30,7 @@ GROUPS = {
     },
     "accuracy": {
         "arms": "arms", "arms-models": "arms", "arms-adapted": "arms", "arms-fast": "arms", "knew": "arms",
-        "urdfs": "arms",
+        "urdfs": "arms", "controllers": "controllers",
         "paths": "paths", "paths-causes": "paths", "warm-up": "paths",
         "methods": "line", "horizon": "line", "latency": "line", "causes": "line",
         "world": "paths", "heating": "paths", "camera": "camera", "calibration": "camera", "detectors": "camera",

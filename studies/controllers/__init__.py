@@ -1,1 +1,0 @@
-"""Arms behind joint controllers of many kinds, for the study of the command law."""
