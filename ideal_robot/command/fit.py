@@ -171,7 +171,7 @@ class JointRows:
                 self._white[key] = self.noise.whiten(x, self.use), float(np.sqrt(np.mean(x**2)))
             w, size = self._white[key]
             white.append(w)
-            prior.append(_PRIOR * self.size / max(size, 1e-300))
+            prior.append(_PRIOR * self.size / max(size, 1e-30))
         white.append(self.noise.whiten(self.rows(errors), self.use))
         return Products(np.column_stack(white), self.blocks, np.array(prior))
 

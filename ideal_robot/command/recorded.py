@@ -66,7 +66,8 @@ def command_cycle(recordings: Sequence[Recording], name: str) -> float:
     for recording in recordings:
         rows = update_instants(recording.t, recording.joints(name))
         steps.append(np.diff(recording.t[rows]))
-    return float(np.median(np.concatenate(steps)))
+    # Controllers keep whole microseconds; stamps differ by less.
+    return round(float(np.median(np.concatenate(steps))), 6)
 
 
 def usual_cutoff(recordings: Sequence[Recording]) -> float:
