@@ -137,15 +137,23 @@ class CommandInverse(Feedforward):
     def uncorrected(self, q_d: Array) -> Array:
         """Error ``(N, n)`` [rad] that the path itself leaves when it is commanded: ``q_d - q``."""
         speed = np.std(np.gradient(q_d, self.t_ipo, axis=0), axis=0)
-        error = np.zeros_like(q_d)
         missing = self._unsettled(q_d) - q_d
         # How late each joint is; the motion whose commands are the path is looked for where that is a third of a turn.
         late = np.std(missing, axis=0) / np.maximum(speed, 1e-12)
         cutoff = min(_TURN / (2.0 * np.pi * max(float(late.max()), 1e-6)), 0.2 / self.t_ipo)
-        for _ in range(_ROUNDS):
-            error = lowpass(error + _STEP * missing, self.t_ipo, cutoff)
-            missing = self._unsettled(q_d - error) - q_d
-        return error
+        first, size = missing, float(np.std(missing))
+        while cutoff * self.t_ipo * len(q_d) > _FEWEST_TURNS:
+            error, missing = np.zeros_like(q_d), first
+            for _ in range(_ROUNDS):
+                error = lowpass(error + _STEP * missing, self.t_ipo, cutoff)
+                missing = self._unsettled(q_d - error) - q_d
+                if not float(np.std(missing)) <= 1.5 * size:
+                    break
+            else:
+                return error
+            # Inertia and integrators turn fast motion further than lateness does.
+            cutoff *= 0.5
+        return lowpass(first, self.t_ipo, min(1.0, 0.2 / self.t_ipo))
 
     def _unsettled(self, q: Array) -> Array:
         motion = self.motion(held(q, after=self.n_d))
@@ -164,6 +172,8 @@ class CommandInverse(Feedforward):
 
 _TURN = 3.0
 """Angular frequency times lateness up to which the uncorrected path's error is looked for."""
+_FEWEST_TURNS = 4.0
+"""Oscillations of the cut-off that a path holds at least; below, the first guess is all there is."""
 _STEP = 0.18
 """Share of what is missing that each round adds: below 2/(1 + 3²), with which the rounds converge there."""
 _ROUNDS = 25
