@@ -14,7 +14,7 @@ from ideal_robot.arrays import Array, held
 from ideal_robot.errors import InputError
 from ideal_robot.execution.command_governor import check_limits, require_within_limits
 from ideal_robot.execution.planned_path import FEW, distinct, through_few
-from ideal_robot.feedforward.built_in import by_law
+from ideal_robot.feedforward.built_in import BY_LAW, by_law
 from ideal_robot.feedforward.command_inverse import at_cycle_of
 from ideal_robot.feedforward.corrected_arm import CorrectedArm
 from ideal_robot.feedforward.method import Needs, Setting
@@ -246,7 +246,7 @@ def precorrect(t: Array, q_d: Array, model: Model, robot: Robot, method: str = "
         raise InputError(f"expected one of {', '.join(methods(Needs.PATH))}", field="method", value=method)
     source = None if file is None else str(file)
     times, path, warnings = path_at_cycles(t, q_d, robot, rest=rest, file=source, column=column)
-    inverse = by_law(Setting(robot, model, delay=delay))
+    inverse = by_law(Setting(robot, model, delay=delay)) if method in BY_LAW else None
     loop = None if inverse is not None else loop_model(model, robot, delay=delay)
     require_within_limits(path, robot, start=-rest, file=source, column=column)
     # Learning on the model starts from the ideal robot, which leaves little to learn.

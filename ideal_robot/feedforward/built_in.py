@@ -56,6 +56,10 @@ def _inverse(setting: Setting, options: Options = COMPLETE) -> Inverse:
     return Inverse(setting.loop(), setting.horizon(HORIZON) if options.path else None, options)
 
 
+BY_LAW = ("none", "ideal", "precorrected", "adapted")
+"""Methods whose errors the command's law tells; the others are of [G]'s loop, whatever predicts better."""
+
+
 def by_law(setting: Setting) -> CommandInverse | None:
     """The inverse by the command's law, where the model has one that predicts commands better than [G]'s loop."""
     model = setting.identified()
