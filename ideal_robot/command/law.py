@@ -234,15 +234,6 @@ class CommandLaw:
         sums = self.sums(motion, j)
         return np.sum([from_rest(b, den, x) for b, x in zip(num, sums, strict=True)], axis=0)
 
-    def commands(self, motion: Motion) -> Array:
-        """Commands ``(N, n)`` [rad] that make the joints move so; the motion starts and ends at rest."""
-        t, commands = motion.dt * np.arange(float(len(motion.q))), np.empty_like(motion.q)
-        for j, law in enumerate(self.joints):
-            r = (motion.q[:, j] + self.error(motion, j))[:, None]
-            early = law.shape.filter.before(r, motion.dt, law.shape.time)[:, 0]
-            commands[:, j] = _at(t + law.shape.ahead, t, early)
-        return commands
-
     def expected(self, motion: Motion) -> Array:
         """Standard deviation of the position that the commands for a motion leave ``(N, n)`` [rad]."""
         parts = error_parts(motion)
@@ -326,10 +317,3 @@ def error_parts(motion: Motion) -> Array:
     """
     turning = 0.1 * np.gradient(motion.direction, motion.dt, axis=0)
     return np.stack([np.ones_like(motion.q), motion.qd**2, motion.qdd**2, turning**2], axis=1)
-
-
-def _at(times: Array, t: Array, rows: Array) -> Array:
-    """Rows ``(N,)`` at other times, by cubics; as the first and the last beyond them."""
-    from scipy.interpolate import CubicSpline
-
-    return np.asarray(CubicSpline(t, rows)(np.clip(times, t[0], t[-1])))
