@@ -154,7 +154,8 @@ def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> Loop:
     model.require_arm(robot)
     controller = model.controller
     if controller is None:
-        raise InputError("the model holds no controller; identify it from recordings with commands (q_c_i)",
+        raise InputError("the model holds no controller; identify it from recordings with commands (q_c_i), or give "
+                         "one with --controller (a file of data-sheet gains, or class for what arms usually have)",
                          field="controller")
     n = model.n
     k_v, k_ff, k_p, k_i = cascade_gains(controller)
