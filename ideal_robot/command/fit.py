@@ -1,8 +1,8 @@
 """Fits the command's law to recordings: kind, terms, reset time, lateness and smoothing per joint, by one score.
 
 The rows are ``F q_c(t - late) - q`` against the terms of the measured motion, low-passed and decimated alike. Kinds,
-sets of terms and shapes are compared by the log density with which blocks of the recording are predicted from all
-others (``ideal_robot.estimate.score``); the noise is an autoregression of what a law with all terms leaves.
+sets of terms and shapes are compared by the log density with which the recording is predicted block after block
+(``ideal_robot.estimate.score``); the noise is an autoregression of what a law with all terms leaves.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from ideal_robot.command.smoothing import SMOOTHINGS
 from ideal_robot.command.terms import TERMS
 from ideal_robot.estimate.gaussian import Posterior, posterior
 from ideal_robot.estimate.noise import ColouredNoise
-from ideal_robot.estimate.score import left_out
+from ideal_robot.estimate.score import evidence
 
 RESET_TIMES = (0.015, 0.04, 0.1, 0.3)
 """Reset times that are tried first [s]: what controllers of machines and of research arms have."""
 LATE = (0.0, 0.006, 0.015, 0.03, 0.08, 0.16)
 """Latenesses that are tried first [s]."""
 BLOCKS = 20
-"""Of time, each predicted from all others; eight do alike in the score's study."""
+"""Of time; two halves of them judge each other when the coefficients are fitted."""
 REQUIRED = 8.0
 """Log density that a term has to add [nats], as in the score's study of causes; one of forty adds 4 by chance."""
 _PER_TIME = 3.5
@@ -198,11 +198,11 @@ class Products:
         self.precision = np.diag(1.0 / prior**2)
 
     def score(self, columns: Sequence[int] | None = None) -> float:
-        """Log density of the blocks, each predicted from all others."""
+        """Log density of all rows, block after block predicted from those before."""
         m = len(self.precision)
         own = np.arange(m) if columns is None else np.asarray(columns, dtype=int)
         whole = np.append(own, m)
-        return float(left_out(self.G[:, whole[:, None], whole], self.precision[np.ix_(own, own)]).sum())
+        return evidence(self.G.sum(axis=0)[np.ix_(whole, whole)], self.precision[np.ix_(own, own)])
 
     def without(self, blocks: np.ndarray) -> Posterior:
         """Coefficients given all blocks but these."""
