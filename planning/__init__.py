@@ -10,14 +10,7 @@ from ideal_robot.errors import IdealRobotError
 # What can go wrong while a path is planned or followed.
 
 class PlanningError(IdealRobotError):
-    """Root of the planning package's errors.
-
-    Attributes:
-        away: what to add to the joint angles ``(n,)`` [rad] while the arm brakes, so that it lets go of what it presses
-            on; None where it stays on its path.
-    """
-
-    away: Array | None = None
+    """Root of the planning package's errors."""
 
 
 class OutOfReachError(PlanningError):

@@ -15,6 +15,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import MISSING, fields
+from contextlib import suppress
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
@@ -201,6 +202,9 @@ def main() -> None:
     atexit.register(gc.freeze)
     # As after Ctrl-C, partial files and worker processes are cleared away on the way out.
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
+    # In the background of a shell it stays ignored.
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupted)
     sys.unraisablehook = _raised_again
     try:
         app()
@@ -208,7 +212,17 @@ def main() -> None:
         # Before a verb has begun; within it typer answers the same.
         sys.exit(130)
     except Exception as error:
-        sys.exit(ended_by(error))
+        # Compiled code, while it is imported, makes other errors of a Ctrl-C.
+        sys.exit(130 if _INTERRUPTED else ended_by(error))
+
+
+_INTERRUPTED: list[int] = []
+"""Signals by which the user has ended the program."""
+
+
+def _interrupted(number: int, _: object) -> None:
+    _INTERRUPTED.append(number)
+    raise KeyboardInterrupt
 
 
 def _raised_again(lost: Any) -> None:
@@ -230,6 +244,8 @@ def ended_by(error: BaseException) -> int:
         text = str(error)
     elif isinstance(error, MemoryError):
         text = "not enough memory for this; use shorter recordings or fewer at once"
+    elif isinstance(error, OSError) and error.errno in FULL and error.filename is None and _output_is_full():
+        text = str(OutputError.of("standard output", error))
     elif isinstance(error, OSError) and error.errno in FULL and error.filename is None:
         text = str(OutputError.of("temporary files (TMPDIR), or compiled code (beside the program, or NUMBA_CACHE_DIR)",
                                   error))
@@ -242,6 +258,20 @@ def ended_by(error: BaseException) -> int:
                 "right, report it with what IDEAL_ROBOT_DEBUG=1 in the environment shows")
     print(f"ideal-robot: {shown(text)}", file=sys.stderr)
     return 2 if isinstance(error, InputError) else 1
+
+
+def _output_is_full() -> bool:
+    """Whether what was printed finds no room; what is left of it is then given up, so that nothing fails at the end."""
+    try:
+        # What did not fit is given up by then: whether there is room shows what is written next.
+        os.write(sys.stdout.fileno(), b"\n")
+    except OSError as error:
+        with suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return error.errno in FULL
+    except ValueError:
+        return False
+    return False
 
 
 def _debugging() -> bool:

@@ -101,6 +101,16 @@ class LifeSigns:
                 return False
         return self._near(values, reach)
 
+    def departs(self, innovation: float, most: float) -> None:
+        """Takes by how much the first channel differs from what was expected of it, and by how much it may.
+
+        Finds the fault where ``LEAPS`` readings in a row differ by more.
+        """
+        self._leaps = self._leaps + 1 if abs(innovation) > most else 0
+        if self._leaps >= LEAPS:
+            self.fault = self.fault or (f"{self._channels[0]} leaps by {abs(innovation):.3g} from where it should be, "
+                                        f"where {most:.3g} is possible")
+
     def fits(self, innovation: float, values: int) -> None:
         """Takes how well a reading fits what the arm's motion lets expect, and finds the fault where many do not.
 

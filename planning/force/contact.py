@@ -73,7 +73,7 @@ class ContactSettings:
         reach: distance the approach may take before there has to be contact [m].
         touch: force from which there is contact [N].
         settle: time for which the force has to be near F_r before the travel begins [s].
-        clearance: how far the tip is lifted at the end [m].
+        clearance: how far the tip is off the surface at the end [m].
         noise: standard deviation of a force sample before any was heard [N]; ``ForceNoise`` estimates it then.
         position_noise: standard deviation common to the samples of a cycle: position, what is not modelled [m].
         asking: amplitude of a force by which the tip's height swings on the way [N], which a live sensor has to feel.
@@ -104,6 +104,11 @@ class ContactSettings:
     def approach(self) -> float:
         """Speed of the approach [m/s]: the stiffer the contact, the slower."""
         return min(self.descent, self.plunge / (self.elasticity * NOTICED))
+
+    @property
+    def lift(self) -> float:
+        """How far the tip is lifted at the end [m]: what the wanted force presses it in comes first."""
+        return self.clearance + self.force / self.elasticity
 
     @property
     def lateness(self) -> float:

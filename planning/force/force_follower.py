@@ -287,7 +287,7 @@ class SurfaceFollower:
             self._lift_from = self._plan.position[0].copy()
         elif self.phase is Phase.LIFT:
             risen = self._plan.position[0, 1] - self._lift_from[1]
-            if risen > 0.95 * self.settings.clearance:
+            if risen > 0.95 * self.settings.lift:
                 self.phase = Phase.DONE
 
     def _estimate(self, t: float, keep: int, rows: NDArray[np.int_]) -> Array:
@@ -300,7 +300,7 @@ class SurfaceFollower:
             depth = self.settings.asking / self.settings.elasticity
             estimate[:, 1] -= depth * np.sin(2.0 * np.pi * ASKED * (t + ahead - self.t_travel))
         elif self.phase in (Phase.LIFT, Phase.DONE):
-            rise = np.clip((t + ahead - self._t_lift) * 0.05, 0.0, self.settings.clearance)
+            rise = np.clip((t + ahead - self._t_lift) * 0.05, 0.0, self.settings.lift)
             estimate = self._lift_from + np.column_stack([np.zeros(len(rise)), rise])
         return np.asarray(estimate)
 

@@ -291,7 +291,7 @@ class DeviationFilter:
         self._track, self._rival, self._shaken = by, None, []
         self._passed.clear()
         count = len(fused.innovation)
-        return Fused(np.ones(count, dtype=bool), fused.innovation, fused.nis, count, reason)
+        return Fused(np.ones(count, dtype=bool), fused.innovation, fused.nis, count, reason, sigma=fused.sigma)
 
     def _weighed(self, equation: Equation, seen: Innovation) -> _Track | None:
         """The hypothesis of a moved sensor, once measurements have become more likely under it than under the map's.
@@ -345,24 +345,24 @@ class DeviationFilter:
     def _try(self, track: _Track, equation: Equation, seen: Innovation) -> Fused:
         """Gates a measurement against a hypothesis and fuses what is left of it."""
         (H, z, R, _, whole), (innovation, S, nis, _) = equation, seen
-        likelihood = self._likelihood(seen)
+        likelihood, sigma = self._likelihood(seen), float(np.sqrt(S[0, 0]))
         used: Any
         used, dof = within(innovation, S, self._gate)
         if whole and dof < len(z):
-            return Fused(np.zeros_like(used), innovation, float("nan"), 0, "beyond the gate", likelihood)
+            return Fused(np.zeros_like(used), innovation, float("nan"), 0, "beyond the gate", likelihood, sigma)
         if 2 * dof < len(z):
             # Among many wrong values a few pass by chance.
-            return Fused(np.zeros_like(used), innovation, float("nan"), 0, "most values beyond the gate", likelihood)
+            return Fused(np.zeros_like(used), innovation, float("nan"), 0, "most values beyond the gate", likelihood, sigma)
         reason = ""
         if dof < len(z):
             reason, accepted = "some values beyond the gate", innovation[used]
             H, z, R = H[used], z[used], R[np.ix_(used, used)]
             nis = float(accepted @ np.linalg.solve(S[np.ix_(used, used)], accepted))
         if nis > self._bounds[min(dof, 64)]:
-            return Fused(np.zeros_like(used), innovation, nis, 0, "innovation beyond its bound", likelihood)
+            return Fused(np.zeros_like(used), innovation, nis, 0, "innovation beyond its bound", likelihood, sigma)
         track.kf.update(z, R=R, H=H)
         track.agreed += 1
-        return Fused(used, innovation, nis, dof, reason, likelihood)
+        return Fused(used, innovation, nis, dof, reason, likelihood, sigma)
 
 
 def _filter(x: Array, P: Array) -> KalmanFilter:

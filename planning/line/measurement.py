@@ -61,6 +61,7 @@ class Fused:
         dof: number of values that went in.
         reason: why values were left out; empty if none were.
         likelihood: logarithm of the measurement's likelihood before it went in, but for a constant.
+        sigma: standard deviation of the first innovation by what was known before [m].
     """
 
     used: Array
@@ -69,6 +70,8 @@ class Fused:
     dof: int
     reason: str = ""
     likelihood: float = 0.0
+    sigma: float = float("inf")
+
 
 def check(measurement: Measurement, directions: int) -> None:
     """Raises ``InputError`` where shapes do not fit each other, or the model, or values are not finite."""

@@ -60,22 +60,21 @@ class CalibrationMotion:
     """From the start over the piece of the line and back, which is planned before the arm is connected.
 
     Attributes:
-        commands: ``(N, n)`` [rad].
-        sag: how far the gears bend ``(N, n)`` [rad].
-        begin, end: when the arm is over the piece [s]. On the way there and back another piece of the line is seen, or
-            none: that fits no common curve.
+        out, over, back: commands ``(N, n)`` [rad] from rest to rest. On the way there and back another piece of the
+            line is seen, or none: that fits no common curve.
+        deflection: of the gears.
         view: of the camera as mounted by hand.
     """
 
     piece: Piece
-    commands: Array
-    sag: Array
-    begin: float
-    end: float
+    out: Array
+    over: Array
+    back: Array
+    deflection: GearDeflection
     view: CalibrationView
 
     @classmethod
-    def over(cls, piece: Piece, by_hand: CameraModel, model: Model, robot: Robot, detection: DetectionSettings
+    def planned(cls, piece: Piece, by_hand: CameraModel, model: Model, robot: Robot, detection: DetectionSettings
              ) -> CalibrationMotion:
         """Plans it, and loads what is compiled: nothing of either may fall into a cycle.
 
@@ -96,7 +95,6 @@ class CalibrationMotion:
                 raise SceneError(f"the camera cannot be calibrated: {touch} between the start and the calibration's "
                                  "poses; set calibration.by_moving = false")
         out, over, back = (moves(robot, some, REST) for some in ([start, postures[0]], postures, [postures[-1], start]))
-        commands, begin = np.concatenate([out, over, back]), robot.t_ipo * len(out)
         imagined, view = (CalibrationView(robot, reference, by_hand, detection, FoundBefore(), start,
                                           piece_map(reference, at)) for _ in range(2))
         imagined.history.add(robot.t_ipo, start)
@@ -105,8 +103,9 @@ class CalibrationMotion:
         camera.request(t, t, lambda _: None)
         for shown in camera.arrived(t):
             imagined.look(shown, imagined.predicted(t), 0.0)
-        return cls(piece, commands, GearDeflection(model, robot.t_ipo).along(commands), begin,
-                   begin + robot.t_ipo * len(over), view)
+        deflection = GearDeflection(model, robot.t_ipo)
+        deflection.along(out)
+        return cls(piece, out, over, back, deflection, view)
 
 
 def calibrated_by_moving(motion: CalibrationMotion, arm: LiveArm, camera: LiveCamera) -> HandEye:
@@ -122,18 +121,23 @@ def calibrated_by_moving(motion: CalibrationMotion, arm: LiveArm, camera: LiveCa
         FollowStoppedError: the arm has to stop, or is gone.
     """
     piece, view = motion.piece, motion.view
+    ways = arm.timed(motion.out, motion.over, motion.back)
+    commands = np.concatenate(ways)
+    sag = arm.meanwhile(lambda: motion.deflection.along(commands))
+    begin, end = arm.t_ipo * np.cumsum([len(way) for way in ways])[:2]
     arm.begin()
     camera.predict = view.predicted
     fields = 0
-    for q_c, sag in zip(motion.commands, motion.sag, strict=True):
-        arm.check(arm.t)
-        arm.q_d = q_c
-        q = arm.cycle(q_c).q
-        view.history.add(arm.t, q - sag)
-        for shown in camera.arrived(arm.t):
-            if motion.begin <= shown.t_stamp <= motion.end:
-                fields += 1
-                view.look(shown, view.predicted(shown.t_stamp), 0.0)
+    with arm.motion():
+        for q_c, bent in zip(commands, sag, strict=True):
+            arm.check(arm.t)
+            arm.q_d = q_c
+            q = arm.cycle(q_c).q
+            view.history.add(arm.t, q - bent)
+            for shown in camera.arrived(arm.t):
+                if begin <= shown.t_stamp <= end:
+                    fields += 1
+                    view.look(shown, view.predicted(shown.t_stamp), 0.0)
     near, up = view.piece(piece.at, fields, "how it looks (line.gray, line.width_mm), and the camera")
     arm.meanwhile(lambda: camera.calibrate(view.believed, view.observations, near, up, piece.prior))
     for _ in range(int(_COMPUTING / arm.robot.t_ipo)):
@@ -230,24 +234,26 @@ def _postures(look: Look, robot: Robot) -> list[Array]:
 
 def _seen(look: Look, arm: LiveArm, camera: LiveCamera, view: CalibrationView, commands: Array) -> float:
     """Leads the arm by commands ``(N, n)`` [rad]; how far beside the reference the line is seen at their end [m]."""
+    commands = arm.timed(commands)
     sag = arm.meanwhile(lambda: GearDeflection(look.model, arm.t_ipo).along(commands))
     rests = arm.t + arm.t_ipo * len(commands) - STILL + 0.1
     beside = list[float]()
-    for cycle in range(len(commands) + round(PATIENCE / arm.t_ipo)):
-        if cycle >= len(commands) and len(beside) >= FEWEST:
-            break
-        q_c = commands[min(cycle, len(commands) - 1)]
-        arm.check(arm.t)
-        arm.q_d = q_c
-        # In the last row the deflection is not known; the arm rests before it.
-        view.history.add(arm.t + arm.t_ipo, arm.cycle(q_c).q - sag[min(cycle, len(commands) - 2)])
-        for shown in camera.arrived(arm.t):
-            detected = view.detector.detect(shown, look.camera, view.predicted(shown.t_stamp), view.detection)
-            if shown.t_stamp < rests or not detected.seen:
-                continue
-            pose = view.history.pose(shown.t_stamp)
-            points = detected.points_tcp[detected.used] @ pose.rotation.T + pose.translation
-            beside.append(float(np.mean(look.reference.project(points, look.begin + AHEAD)[1])))
+    with arm.motion():
+        for cycle in range(len(commands) + round(PATIENCE / arm.t_ipo)):
+            if cycle >= len(commands) and len(beside) >= FEWEST:
+                break
+            q_c = commands[min(cycle, len(commands) - 1)]
+            arm.check(arm.t)
+            arm.q_d = q_c
+            # In the last row the deflection is not known; the arm rests before it.
+            view.history.add(arm.t + arm.t_ipo, arm.cycle(q_c).q - sag[min(cycle, len(commands) - 2)])
+            for shown in camera.arrived(arm.t):
+                detected = view.detector.detect(shown, look.camera, view.predicted(shown.t_stamp), view.detection)
+                if shown.t_stamp < rests or not detected.seen:
+                    continue
+                pose = view.history.pose(shown.t_stamp)
+                points = detected.points_tcp[detected.used] @ pose.rotation.T + pose.translation
+                beside.append(float(np.mean(look.reference.project(points, look.begin + AHEAD)[1])))
     if len(beside) < FEWEST:
         raise SceneError(f"only {len(beside)} pictures from above showed the line; check where it is, how it looks "
                          "(line.gray, line.width_mm) and whether the camera sends")

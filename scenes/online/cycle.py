@@ -69,6 +69,12 @@ class Task(Protocol):
             measured: what the controller reported at its end.
         """
 
+    def away(self, q_d: Array) -> Array | None:
+        """What to add to the joint angles ``(n,)`` [rad] while the arm brakes, so that it presses on nothing at rest.
+
+        None where it stays on its path. ``q_d``: horizon of the last cycle ``(n_d, n)`` [rad].
+        """
+
     def speed(self, t: float) -> float:
         """Path speed at ``t`` [m/s], from which the arm is braked."""
 
@@ -161,7 +167,7 @@ def _cycles(robot: RobotInterface, limits: Robot, task: Task, log: CycleLog, set
                     raise PlanningError(f"not done after {settings.longest:.0f} s; stopped on the path")
                 q_d = _planned(task, t, q_d)
             except (PlanningError, LimitError) as error:
-                stopping = _stopped(error, log, q_d, (task.speed(t), settings.braking), limits, T)
+                stopping = _stopped(error, log, task, q_d, (task.speed(t), settings.braking), limits, T)
         if stopping is not None:
             q_d = held(next(stopping), after=1)
         try:
@@ -171,7 +177,7 @@ def _cycles(robot: RobotInterface, limits: Robot, task: Task, log: CycleLog, set
                 j = int(np.argmin(allowed))
                 why = PlanningError(f"joint {j + 1}: the command {wanted[j]:.4g} leaves the arm's limits at {t:.3f} s; "
                                     "stopped on the path")
-                stopping = _stopped(why, log, q_d, (task.speed(t), settings.braking), limits, T)
+                stopping = _stopped(why, log, task, q_d, (task.speed(t), settings.braking), limits, T)
             log.limited += not np.array_equal(q_c, wanted)
             log.cycles.append(time.perf_counter() - begin)
             log.t.append(t)
@@ -187,8 +193,13 @@ def _cycles(robot: RobotInterface, limits: Robot, task: Task, log: CycleLog, set
         # The plan may rest while the command is still on its way to it, as the limits let it.
         resting, before = stops_at_once(q_c - before, limits, T), q_c
         still = (still + 1) * (stopping is not None and resting and np.allclose(q_d, q_d[0], atol=STANDSTILL))
-        if task.done(t) or still * T > settings.rest:
+        if still * T > settings.rest:
             return
+        if stopping is None and task.done(t):
+            if (away := task.away(q_d)) is None:
+                return
+            # The path has ended, and the tip still presses.
+            stopping = _let_go(away, q_d, (task.speed(t), settings.braking), limits, T)
         if k % 16 == 0:
             progress(min(1.0, t / settings.expected), settings.text)
 
@@ -201,15 +212,19 @@ def _planned(task: Task, t: float, q_d: Array) -> Array:
     return planned
 
 
-def _stopped(error: Exception, log: CycleLog, q_d: Array, motion: tuple[float, float], limits: Robot, T: float
-             ) -> Iterator[Array]:
+def _stopped(error: Exception, log: CycleLog, task: Task, q_d: Array, motion: tuple[float, float], limits: Robot,
+             T: float) -> Iterator[Array]:
     """Notes why the arm stops; rows of the last plan ``q_d (n_d, n)`` [rad] on which it does, and lets go if it has to.
 
     ``motion``: speed on the path [m/s], and how it brakes [m/s²].
     """
     log.failure = str(error)
+    return _let_go(task.away(q_d), q_d, motion, limits, T)
+
+
+def _let_go(away: Array | None, q_d: Array, motion: tuple[float, float], limits: Robot, T: float) -> Iterator[Array]:
+    """Rows of a plan ``q_d (n_d, n)`` [rad] on which the arm comes to rest, moved ``away (n,)`` [rad] in the end."""
     rows = stopping_rows(q_d[1:], T, *motion)
-    away = error.away if isinstance(error, PlanningError) else None
     return rows if away is None else moved_away(rows, away, limits.a_max, T)
 
 

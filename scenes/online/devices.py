@@ -147,7 +147,20 @@ class Job(ABC):
         known, ends = self._known, self.scene.reference
         piece = Piece(known.reference, 0.5 * (ends.run_up + (known.reference.length - ends.run_out)), self.q_start,
                       known.clear, shapes_about(self.scene, self.robot), known.prior)
-        return CalibrationMotion.over(piece, self.calibration.camera, self.model, self.robot, self.detection)
+        return CalibrationMotion.planned(piece, self.calibration.camera, self.model, self.robot, self.detection)
+
+    def approach(self, arm: LiveArm, force: LiveForce | None) -> None:
+        """Brings the arm from near ``q_start``, where it is held, to it; what is learned on the way is kept.
+
+        Args:
+            arm: connected.
+            force: None where none is needed.
+
+        Raises:
+            SceneError: it is not near, or what is felt on the way cannot be.
+            FollowStoppedError: it could not go on.
+        """
+        arm.approach(self.q_start)
 
     @abstractmethod
     def rehearse(self) -> None:

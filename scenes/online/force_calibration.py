@@ -16,10 +16,11 @@ from ideal_robot.arrays import Array
 from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.robots.interface import RobotState
 from planning import OutOfReachError
-from planning.force.contact import LEAP, ContactSettings, most_force
+from planning.force.contact import LEAP, NOTICED, ContactSettings, most_force
 from planning.force.felt_by_motors import FeltByMotors
 from planning.path.kinematics import InverseKinematics
 from scenes.line_way import shapes_about
+from scenes.online.felt_force import ZEROED, FeltForce
 from scenes.online.force_known import START_HEIGHT, Known
 from scenes.online.live_arm import LiveArm, moves
 from scenes.online.live_sensors import LiveForce
@@ -43,6 +44,8 @@ REST, USED = 0.6, 0.35
 """Rest in each posture, and the end of it that counts [s]."""
 ABOVE = 0.01
 """How far above the start of a path pressing begins [m]: so far it is air, and the motors are heard in it."""
+LATE = 0.1
+"""How late a sensor's first reading may be [s]."""
 _UP, _SLOW, _JERKY = 0.03, 0.01, 0.5
 """Speeds away from the surface and towards it [m/s], and their change [m/s²]."""
 _HARD = 1.4
@@ -53,35 +56,43 @@ _MOTORS = 0.75
 """Share of the wanted force that the motors may feel beyond what the sensor feels."""
 _RECENT = 5
 """Readings whose mean is what is felt now."""
+_STEEPER = 2.0
+"""Times by which a contact may be stiffer at the force that is pressed with than on the whole way to it."""
+_SPARE = 0.7
+"""Share of the force that may be felt beyond that one which may come to it."""
 _MARGIN = 0.05
 """Distance from the joints' limits that turned postures keep [rad]."""
 
 
-def tool_by_turning(known: Known, start: Array, arm: LiveArm, force: LiveForce) -> ToolLoad:
+def tool_by_turning(known: Known, start: Array, arm: LiveArm, force: LiveForce) -> tuple[ToolLoad, Array]:
     """Bias and weight of the tool, turned in the air; the sensor's noise goes into its signs of life.
+
+    Nothing comes near the surface before the tool was weighed: the way leads up from where the arm is held.
 
     Args:
         known: what is known of the scene.
-        start: where the arm is, and is again afterwards ``(n,)`` [rad].
-        arm: connected.
+        start: of the path ``(n,)`` [rad].
+        arm: connected, near the start.
         force: what it feels.
+
+    Returns the tool, and the posture above the start ``(n,)`` [rad] in which the arm is left.
 
     Raises:
         SceneError: no readings, or the arm cannot be turned there.
         SensingError: what is felt does not turn as a weight does.
+        FollowStoppedError: something was touched, or the arm or the sensor is not to be relied on.
     """
-    robot, fk = known.robot, known.robot.fk()
+    robot, fk, here = known.robot, known.robot.fk(), arm.q_d
     postures = arm.meanwhile(lambda: postures_to_weigh(known, start))
     rests, times = [], []
     arm.begin()
-    force.begin()
     force.reach = np.inf
-    samples: list[WrenchSample] = []
-    for last, q in zip([start, *postures], postures, strict=False):
-        with arm.doing(lambda: samples.extend(force.arrived(arm.t))):
-            arm.lead(moves(robot, [last, q], REST))
-        felt = [sample.wrench for sample in samples if sample.t > arm.t - USED]
-        samples.clear()
+    # Before anything moves the sensor is read at rest.
+    arm.lead(np.tile(here, (round(ZEROED / robot.t_ipo) + round(LATE / robot.t_ipo), 1)))
+    for last, q in zip([here, *postures], postures, strict=False):
+        force.arrived(arm.t)
+        arm.lead(moves(robot, [last, q], REST))
+        felt = [sample.wrench for sample in force.arrived(arm.t) if sample.t > arm.t - USED]
         if len(felt) < _RECENT or force.signs.fault is not None:
             raise SceneError(force.trouble(arm.t) or f"the force sensor is silent: {force.why_silent()}")
         rests.append(np.array(felt))
@@ -90,8 +101,8 @@ def tool_by_turning(known: Known, start: Array, arm: LiveArm, force: LiveForce) 
     wrenches, rotations = np.array([rest.mean(axis=0) for rest in rests]), [fk(q).rotation for q in postures]
     sigma = force.signs.noise[:3] / np.sqrt(min(len(rest) for rest in rests))  # type: ignore[index]
     arm.meanwhile(lambda: require_gravity(wrenches, rotations, np.array(times), sigma))
-    arm.lead(moves(robot, [postures[-1], postures[0], start], 2 * robot.t_ipo))
-    return arm.meanwhile(lambda: identify_tool(wrenches, rotations))
+    arm.lead(moves(robot, [postures[-1], postures[0]], 2 * robot.t_ipo))
+    return arm.meanwhile(lambda: identify_tool(wrenches, rotations)), postures[0]
 
 
 def postures_to_weigh(known: Known, start: Array) -> list[Array]:
@@ -123,7 +134,7 @@ def postures_to_weigh(known: Known, start: Array) -> list[Array]:
     return postures
 
 
-def elasticity_by_pressing(known: Known, start: Array, arm: LiveArm, force: LiveForce, tool: ToolLoad
+def elasticity_by_pressing(known: Known, start: Array, arm: LiveArm, force: LiveForce, felt: FeltForce
                            ) -> ContactElasticity:
     """E by moving: the tip is pressed slowly into the surface at the start of the path and drawn back.
 
@@ -132,23 +143,23 @@ def elasticity_by_pressing(known: Known, start: Array, arm: LiveArm, force: Live
         start: where the arm is, and is again afterwards ``(n,)`` [rad].
         arm: connected.
         force: what it feels.
-        tool: bias and weight.
+        felt: the guard's watch over it, with the tool's bias and weight; knows the surface afterwards.
 
     Raises:
-        SceneError: nothing is felt, or too much, or the witnesses do not agree. The tip has been drawn back then.
+        SceneError: nothing is felt, or the witnesses do not agree. The tip has been drawn back then.
+        FollowStoppedError: too much is felt, or the arm or the sensor is not to be relied on; the same.
     """
-    press = arm.meanwhile(lambda: _Press(known, tool, start, arm, force))
+    press = arm.meanwhile(lambda: _Press(known, start, arm, force, felt))
     arm.begin()
-    force.begin()
     force.reach = LEAP * known.scene.force
-    back = 2 * known.robot.t_ipo
-    try:
+    felt.wanted = known.scene.force
+    with arm.motion():
         press.down_and_up()
-    except SceneError:
-        arm.lead(moves(known.robot, [press.q, start], back))
-        raise
-    arm.lead(moves(known.robot, [press.q, start], back))
-    return arm.meanwhile(press.elasticity)
+    felt.wanted = 0.0
+    elasticity = arm.meanwhile(press.elasticity)
+    felt.found(elasticity.touch, elasticity.stiffness)
+    arm.lead(moves(known.robot, [press.q, start], 2 * known.robot.t_ipo))
+    return elasticity
 
 
 class Pressed:
@@ -211,25 +222,44 @@ class Pressed:
 
 
 class _Press(Pressed):
-    """One time down and up with a connected arm."""
+    """One time down and up with a connected arm, as fast as what gives way under the tip allows."""
 
-    def __init__(self, known: Known, tool: ToolLoad, start: Array, arm: LiveArm, force: LiveForce) -> None:
-        super().__init__(known, tool, start)
-        self._known, self._arm, self._force, self._speed = known, arm, force, 0.0
+    def __init__(self, known: Known, start: Array, arm: LiveArm, force: LiveForce, felt: FeltForce) -> None:
+        assert felt.tool is not None
+        super().__init__(known, felt.tool, start)
+        self._known, self._arm, self._force, self._watch, self._speed = known, arm, force, felt, 0.0
         self._motors = FeltByMotors(known.model, known.robot, self.kinematics, self.up)
+        self._most = min(most_force(known.scene.force), known.scene.emergency.force)
+        self._pressed = min(_HARD * known.scene.force, 0.5 * (known.scene.force + self._most))
+        self._touched: float | None = None
         # Once before anything moves: what is compiled is loaded here, not in a cycle.
         self.where(self.go(0.0))
 
     def down_and_up(self) -> None:
         """Raises ``SceneError`` where it cannot go on."""
-        self._go(_UP, self._high)
-        self._go(0.0, lambda: self._speed == 0.0)
-        pressed = _HARD * self._known.scene.force
-        self._go(-_SLOW, lambda: float(self.recent() @ self.up) > pressed, heard=True)
-        self._go(_SLOW, lambda: float(self.recent() @ self.up) < _GONE or self._high())
-        self._go(_UP, lambda: self.height >= START_HEIGHT)
+        self._go(lambda: _UP, self._high)
+        self._go(lambda: 0.0, lambda: self._speed == 0.0)
+        self._go(lambda: -self._down(), lambda: float(self.recent() @ self.up) > self._pressed, heard=True)
+        self._go(lambda: _SLOW, lambda: float(self.recent() @ self.up) < _GONE or self._high())
+        self._go(lambda: _UP, lambda: self.height >= START_HEIGHT)
 
-    def _go(self, target: float, done: Callable[[], bool], heard: bool = False) -> None:
+    def _down(self) -> float:
+        """Speed towards the surface [m/s]: what has grown beyond the force to be pressed with when it is answered.
+
+        How stiff the contact is at most follows from how little was felt how deep.
+        """
+        felt = float(self.recent() @ self.up)
+        if felt < _FELT:
+            self._touched = None
+            # Friction turns round, and the motors are heard, while it is air for sure.
+            return _SLOW if self.height > self._watch.within else min(self._watch.nearing, _SLOW)
+        self._touched = self.height if self._touched is None else self._touched
+        stiffness = self._watch.stiffness
+        if (depth := self._touched - self.height) > 0.0:
+            stiffness = min(stiffness, _STEEPER * felt / depth)
+        return min(_SPARE * (self._most - self._pressed) / (stiffness * NOTICED), _SLOW)
+
+    def _go(self, target: Callable[[], float], done: Callable[[], bool], heard: bool = False) -> None:
         """Moves away from the surface with a speed [m/s] until it is done, and looks at every witness in each cycle.
 
         To hear the motors takes long: no answer waits for it.
@@ -239,7 +269,7 @@ class _Press(Pressed):
         with arm.doing(lambda: self._hear(states)):
             while not done():
                 arm.check(arm.t)
-                self._speed += float(np.clip(target - self._speed, -_JERKY * T, _JERKY * T))
+                self._speed += float(np.clip(target() - self._speed, -_JERKY * T, _JERKY * T))
                 arm.q_d = self.go(self._speed * T)
                 state = arm.cycle(self.q)
                 if heard:
@@ -262,13 +292,9 @@ class _Press(Pressed):
 
         ``by_motors``: the force as they feel it [N]; NaN where they are not heard.
         """
-        if (trouble := self._force.trouble(self._arm.t)) is not None:
-            raise SceneError(f"pressing was stopped: {trouble}")
         scene, felt = self._known.scene, self.recent()
         normal = float(felt @ self.up)
         sideways = float(np.linalg.norm(felt - normal * self.up))
-        if not abs(normal) < most_force(scene.force):
-            raise SceneError(f"pressing was stopped: {normal:.1f} N felt of {most_force(scene.force):.0f} N allowed")
         if normal < -_FELT or sideways > max(_FELT, abs(normal)):
             raise SceneError(f"pressing was stopped: {normal:.1f} N felt along the surface's normal and {sideways:.1f} "
                              "N across it, which is no push; check the force sensor's sign, axes and bias")

@@ -20,11 +20,12 @@ from planning.line.measurement import Fused, Measurement
 from scenes.methods import SceneMethod
 from scenes.online.cycle import Task
 from scenes.online.devices import Job
+from scenes.online.felt_force import WITHIN, FeltForce, Surface, stiffness_of
 from scenes.online.force_calibration import elasticity_by_pressing, tool_by_turning
 from scenes.online.force_known import START_HEIGHT, Known, force_reference
 from scenes.online.force_task import BRAKING, LONGEST, ForceLog, ForceTask
 from scenes.online.line_task import AT_ONCE
-from scenes.online.live_arm import LiveArm
+from scenes.online.live_arm import START_TOLERANCE, LiveArm, moves, near_start
 from scenes.online.live_sensors import FoundBefore, ImaginedCamera, ImaginedForce, LiveCamera, LiveForce, rehearse
 from scenes.scene_files.drawn_line import reference_points
 from scenes.scene_files.force_scene import CameraTrouble, ForceScene
@@ -160,13 +161,12 @@ class LiveForceTask(ForceTask):
         if self.arm is None:
             self.fuse_fields(t)
 
-    def _planned(self, t: float, q_d: Array) -> Array:
+    def plan(self, t: float, q_d: Array) -> Array:
+        """See ``Task.plan``."""
         if self.arm is not None:
             self.arm.check(t)
-        q_d = super()._planned(t, q_d)
+        q_d = super().plan(t, q_d)
         if self.force is not None:
-            if (trouble := self.force.trouble(t)) is not None:
-                raise EmergencyStopError("force", t, trouble)
             self._check_felt(t)
             self._check_height(t)
         return q_d
@@ -247,6 +247,7 @@ class ForceJob(Job):
         self._task = LiveForceTask(self._known, self.method)
         self.log = self._task.log
         self._force: LiveForce | None = None
+        self._felt: FeltForce | None = None
 
     def rehearse(self) -> None:
         """See ``Job``: the touch-down and a piece of the travel, felt at once."""
@@ -263,13 +264,32 @@ class ForceJob(Job):
             # What is felt fits no surface: that is no matter here, the code is loaded.
             return
 
-    def ready(self, arm: LiveArm, camera: LiveCamera | None, force: LiveForce | None) -> Task:
-        """See ``Job.ready``: bias and weight of the tool by turning it, the elasticity by pressing."""
+    def approach(self, arm: LiveArm, force: LiveForce | None) -> None:
+        """See ``Job.approach``: up, where the tool is weighed, and then down to the start as slowly as a touch asks for."""
         if force is None:
             raise SceneError("following a surface needs a force sensor")
-        tool = tool_by_turning(self._known, self.q_start, arm, force)
-        self._as_before("tool_mass_kg", tool.mass, "kg", lambda last: abs(tool.mass - last) > _OTHER_TOOL)
-        elasticity = elasticity_by_pressing(self._known, self.q_start, arm, force, tool)
+        near_start(arm.link.commanded, self.q_start, START_TOLERANCE)
+        self._felt = felt = arm.meanwhile(lambda: self._watch(force))
+        arm.at_begin.append(felt.begin)
+        arm.guard.watches.append(felt)
+        felt.tool, above = tool_by_turning(self._known, self.q_start, arm, force)
+        self._as_before("tool_mass_kg", mass := felt.tool.mass, "kg", lambda last: abs(mass - last) > _OTHER_TOOL)
+        arm.lead(moves(self.robot, [above, self.q_start], 2 * self.robot.t_ipo))
+
+    def _watch(self, force: LiveForce) -> FeltForce:
+        """The force sensor as a watch over every motion."""
+        known, frames = self._known, self._known.reference.frames(np.zeros(1))
+        up = frames.up[0]
+        surface = Surface(frames.position[0], up, WITHIN, stiffness_of(known.model, self.robot, self.q_start, up))
+        return FeltForce(force, self.robot, surface, self.scene.emergency.force)
+
+    def ready(self, arm: LiveArm, camera: LiveCamera | None, force: LiveForce | None) -> Task:
+        """See ``Job.ready``: the elasticity by pressing."""
+        felt = self._felt
+        if force is None or felt is None or felt.tool is None:
+            raise SceneError("following a surface needs a force sensor, and its tool weighed")
+        tool = felt.tool
+        elasticity = elasticity_by_pressing(self._known, self.q_start, arm, force, felt)
         self._as_before("elasticity_N_m", E := elasticity.stiffness, "N/m",
                         lambda last: max(E, last) > _OTHER_SURFACE * min(E, last))
         task = self._task
@@ -278,11 +298,11 @@ class ForceJob(Job):
         task.ceiling = elasticity.touch + _IN_AIR
         task.connect(force, camera)
         task.force = self._force = force
+        felt.wanted = self.scene.force
         task.lead(arm)
         if camera is not None and task.vision is not None:
             camera.use(self.calibration.camera, self.calibration.time_offset)
             camera.predict = task.vision.predicted
-        force.begin()
         return task
 
     def _as_before(self, figure: str, value: float, unit: str, other: Callable[[float], bool]) -> None:

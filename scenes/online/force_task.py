@@ -243,18 +243,23 @@ class ForceTask:
         arm = q if self._arm is None else self._geometry.as_drawn(self._arm.step(t, q, self._torque[0], self.steps))
         self.follower.observe(t, arm)
 
-    def plan(self, t: float, q_d: Array) -> Array:
-        """Desired joint positions over the horizon ``(n_d, n)``; a stop because of a force lets go of the surface."""
-        try:
-            return self._planned(t, q_d)
-        except EmergencyStopError as error:
-            if error.cause == "force":
-                self._lets_go = True
-                distance = CLEAR + most_force(self.cell.scene.force) / self.assumed_stiffness
-                error.away = self._kinematics.away(q_d[0], distance * self.follower.normal)
-            raise
+    def away(self, q_d: Array) -> Array | None:
+        """See ``Task.away``: whatever it is stopped for, the tip lets go of the surface, and at the end of a contour."""
+        if self._lifted:
+            return None
+        self._lets_go = True
+        distance = CLEAR + most_force(self.cell.scene.force) / self.assumed_stiffness
+        return self._kinematics.away(q_d[0], distance * self.follower.normal)
 
-    def _planned(self, t: float, q_d: Array) -> Array:
+    @property
+    def _lifted(self) -> bool:
+        """Whether the tip is off the surface at the end of its path; none is at that of a contour."""
+        if self._direct is not None:
+            return self._direct.lifted >= self._surface.settings.lift
+        return isinstance(self.follower, SurfaceFollower) and self.follower.phase is Phase.DONE
+
+    def plan(self, t: float, q_d: Array) -> Array:
+        """Desired joint positions over the horizon ``(n_d, n)``."""
         self._sense(t)
         self.fuse(t)
         self._check(t)
@@ -312,9 +317,8 @@ class ForceTask:
         return max(self.follower.speed_at(t), 0.1)
 
     def done(self, t: float) -> bool:
-        """Whether the tip has been lifted again."""
-        lifted = self._direct is not None and self._direct.lifted >= self._surface.settings.clearance
-        return self.follower.phase is Phase.DONE or lifted
+        """Whether the path has ended."""
+        return self.follower.phase is Phase.DONE or self._lifted
 
     def _sense(self, t: float) -> None:
         if arrived := self._sensor.arrived(t):

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import multiprocessing
 import os
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
@@ -98,6 +102,29 @@ class Journal:
         if not self._rows:
             remove(self._folder)
             remove_empty(self._made)
+
+
+@contextmanager
+def owned(folder: Path) -> Iterator[None]:
+    """Within the block the folder, made where it is missing, is this run's alone: its journal belongs to its process.
+
+    The system gives the folder back with the process, however that ends.
+
+    Raises:
+        InputError: another run is under way in it.
+    """
+    made = make_folder(folder)
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InputError("another run is under way in this folder; wait for its end, or give another one",
+                             field="--out", value=str(folder)) from None
+        yield
+    finally:
+        os.close(descriptor)
+        remove_empty(made)
 
 
 def remove(folder: Path) -> None:

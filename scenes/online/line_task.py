@@ -191,6 +191,9 @@ class LineTask:
         else:
             self._picture_at.add(k + 1)
 
+    def away(self, q_d: Array) -> None:
+        """See ``Task.away``: a tool that follows by eye presses on nothing."""
+
     def speed(self, t: float) -> float:
         """Path speed [m/s]."""
         return float(self.follower.profile.speed(t - START))

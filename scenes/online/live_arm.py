@@ -17,6 +17,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array, eased_way
 from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.execution.guard import Guard, StoppedError
 from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.loop import Loop
 from ideal_robot.robots.interface import RobotState
@@ -115,8 +116,9 @@ class LiveArm:
         t_ipo: cycle [s].
         clock: how the controller's clock relates to this computer's.
         between: called in every cycle after the command has gone and before the next packet is waited for.
+        at_begin: called when time begins anew.
+        guard: what every motion of the arm is looked at by.
         q_d: desired position of the coming cycle, for the journal ``(n,)`` [rad].
-        stop_reason: why following has to end; None while it has not.
         steps: cycles of the controller from the last state but one to the last; more than one where some were lost.
         reported: the last states, cycle by cycle.
     """
@@ -125,8 +127,9 @@ class LiveArm:
         self.link, self.robot, self.t_ipo, self._journal = link, link.robot, link.t_ipo, journal
         self.clock = ClockRelation()
         self.between: list[Callable[[], None]] = []
+        self.at_begin: list[Callable[[], None]] = []
+        self.guard = Guard(link.robot, link.commanded)
         self.q_d = link.commanded.copy()
-        self.stop_reason: str | None = None
         self.cycles, self.steps, self._waited = 0, 1, 0.0
         self._k = 0
         self._last: RobotState | None = None
@@ -136,9 +139,14 @@ class LiveArm:
         self._missed: deque[bool] = deque(maxlen=round(_LATE_OVER / self.t_ipo))
         self.reported: deque[RobotState] = deque(maxlen=round(_REPORTED / self.t_ipo))
 
+    @property
+    def stop_reason(self) -> str | None:
+        """Why following has to end; None while it has not."""
+        return self.guard.reason
+
     def stop(self, reason: str) -> None:
         """The arm is to come to rest on its path; to be called from anywhere."""
-        self.stop_reason = self.stop_reason or reason
+        self.guard.stop(reason)
 
     def check(self, t: float) -> None:
         """Raises ``FollowStoppedError`` where following has to end at ``t`` [s]."""
@@ -154,6 +162,8 @@ class LiveArm:
         self._passed.clear()
         self._told.clear()
         self._played.clear()
+        for work in self.at_begin:
+            work()
 
     @property
     def t(self) -> float:
@@ -171,12 +181,19 @@ class LiveArm:
         return float("nan") if self._last is None else self._last.t
 
     def cycle(self, q_c: Array) -> RobotState:
-        """One cycle; the state's time is that since ``begin``.
+        """One cycle, which the guard looks at; the state's time is that since ``begin``.
 
         Raises:
             InputError, LimitError: a command that cannot be.
             FollowStoppedError: the arm is gone.
         """
+        state = self._cycle(q_c)
+        if self.link.fault is not None:
+            self.stop(self.link.fault)
+        self.guard.look(state.t, q_c, state.q)
+        return state
+
+    def _cycle(self, q_c: Array) -> RobotState:
         if self._passed:
             # The answer that waits is the one to the last packet: this cycle is over already.
             self.link.skip(q_c)
@@ -263,19 +280,37 @@ class LiveArm:
 
         Raises:
             SceneError: it is not near.
+            FollowStoppedError: see ``lead``.
         """
         near_start(self.link.commanded, start, START_TOLERANCE)
         self.lead(moves(self.robot, [self.link.commanded.copy(), start], _APPROACH))
 
     def lead(self, commands: Array) -> None:
-        """Goes through commands ``(N, n)`` [rad] from rest to rest; raises ``FollowStoppedError`` where it has to end.
+        """Goes through commands ``(N, n)`` [rad] from rest to rest, as fast as the guard lets it.
 
-        A stop on the way ends it at once: such moves are slow.
+        Raises ``FollowStoppedError`` where it has to end; the arm then is at rest and touches nothing.
         """
-        for q_c in commands:
-            self.check(self.t)
+        def cycle(q_c: Array) -> RobotState:
             self.q_d = q_c
-            self.cycle(q_c)
+            return self.cycle(q_c)
+
+        if self.guard.watches:
+            commands = self.timed(commands)
+        try:
+            self.guard.go(cycle, commands)
+        except StoppedError as error:
+            raise FollowStoppedError(f"stopped at {self.t:.3f} s: {error}") from error
+
+    def timed(self, *ways: Array) -> Any:
+        """Commands as fast as the guard lets them be, see ``Guard.timed``; of each of several ways if there are."""
+        timed = self.meanwhile(lambda: [self.guard.timed(way) for way in ways])
+        return timed if len(ways) > 1 else timed[0]
+
+    @contextmanager
+    def motion(self) -> Iterator[None]:
+        """Whatever ends the motion in the block early, the arm is at rest behind it and touches nothing."""
+        with self.guard.motion(self.cycle):
+            yield
 
     @contextmanager
     def doing(self, work: Callable[[], None]) -> Iterator[None]:
@@ -291,7 +326,7 @@ class LiveArm:
 
         Raises whatever the work does, or ``FollowStoppedError``.
         """
-        with ThreadPoolExecutor(1) as beside:
+        with self.motion(), ThreadPoolExecutor(1) as beside:
             result = beside.submit(work)
             while not result.done():
                 self.check(self.t)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+from scipy.special import chdtri
 
 from ideal_robot.arrays import Array
 from ideal_robot.execution.command_governor import CommandGovernor
@@ -35,8 +36,12 @@ AHEAD = 0.04
 """How far ahead of the arm's last state a picture may be stamped [s]."""
 
 LEAP = 0.004
-"""By how much the line may be beside its prediction all at once [m]. A camera that is mounted by hand shows 3.3 mm in
-the first field; pictures that are moved by eight pixels, 6 mm."""
+"""By how much the line may be beside its prediction in addition to what the filter takes for possible [m]: errors of a
+camera that is mounted by hand, and corners that no map expects. Pictures that are moved by eight pixels show 6 mm."""
+BY_CHANCE = 1e-6
+"""Probability of what the filter takes for possible to be exceeded in a field."""
+
+_FAR = float(np.sqrt(chdtri(1, BY_CHANCE)))
 
 Predict = Callable[[float], PredictedLine]
 """Where the line should be in a picture taken at a time of the run [s], in the tool frame."""
@@ -88,7 +93,6 @@ class LiveCamera:
     def __init__(self, process: CameraProcess, arm: LiveArm, detection: DetectionSettings) -> None:
         self._process, self._arm, self.detection = process, arm, detection
         self.signs, self.calibrated = LifeSigns(np.inf, ("the line's place [m]",)), False
-        self.signs.noise = np.zeros(1)
         self.apart = float("nan")
         self.predict: Predict | None = None
         self.late = self.early = 0
@@ -123,7 +127,8 @@ class LiveCamera:
         """What became of a field (None: it showed nothing); stops the arm where the line leaps or moves unlike it."""
         if fused is None or not len(fused.innovation):
             return
-        self.signs.check(fused.innovation[:1], LEAP)
+        # The first field shows where the line is, and the filter knows that it did not know.
+        self.signs.departs(float(fused.innovation[0]), LEAP + _FAR * fused.sigma)
         if self.calibrated:
             # The points of a field err together: as one. Sharp corners, which no map of the line expects, come to 2.8
             # (three seeds, with and without a look at the cell), pictures moved by two pixels to 7, of 4.0 allowed.
@@ -201,12 +206,21 @@ class LiveForce:
         self.signs, self.untimely, self.reach = LifeSigns(IMPOSSIBLE, CHANNELS), 0, np.inf
         self._sound = 0.0
         self._readings: deque[tuple[float, Array]] = deque(maxlen=_WAITING)
+        self._taken: deque[WrenchSample] = deque(maxlen=_WAITING)
         self._closed = False
+        arm.at_begin.append(self.begin)
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
 
     def arrived(self, t: float) -> list[WrenchSample]:
         """See ``ForceSensor.arrived``; readings that cannot be count as missing."""
+        self.take(t)
+        samples = list(self._taken)
+        self._taken.clear()
+        return samples
+
+    def take(self, t: float) -> list[WrenchSample]:
+        """Samples that have come by ``t`` [s] since it was last called; ``arrived`` hands them on as well."""
         samples = []
         while self._readings:
             stamp, wrench = self._readings.popleft()
@@ -218,6 +232,7 @@ class LiveForce:
         for sample in samples:
             self._sound = max(self._sound, sample.t)
             self.samples.append((sample.t, *sample.wrench))
+        self._taken.extend(samples)
         return samples
 
     def silent(self, t: float) -> float:
@@ -227,6 +242,7 @@ class LiveForce:
     def begin(self) -> None:
         """The run's time begins anew."""
         self._readings.clear()
+        self._taken.clear()
         self._sound = 0.0
         self.signs.begin()
         self.samples = RowLog(7)

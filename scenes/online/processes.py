@@ -8,6 +8,7 @@ import importlib
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -171,6 +172,8 @@ def _kept_to(core: int) -> str:
 def stopping_on_signals(stop: Callable[[str], None], begun: Callable[[], bool] = lambda: True) -> Iterator[None]:
     """Within the block either signal stops the arm; the handlers before are restored.
 
+    Signals come to the main thread alone: in another one the block runs without, and whoever started it stops the arm.
+
     Args:
         stop: brings the arm to rest; is told why.
         begun: whether there is an arm to be brought to rest; without one the program ends.
@@ -181,6 +184,9 @@ def stopping_on_signals(stop: Callable[[str], None], begun: Callable[[], bool] =
             raise KeyboardInterrupt
         stop("stopped by the user" if number == signal.SIGINT else "stopped by the system (SIGTERM)")
 
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
     before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield

@@ -28,7 +28,7 @@ from scenes.online.cell_check import CalibrationMotion, calibrated_by_moving, ch
 from scenes.online.cycle import CycleSettings, holding_share, play_cycles
 from scenes.online.devices import Devices, Job, opened_arm
 from scenes.online.force_job import ForceJob
-from scenes.online.journal import Journal, Later, remove, rescued, written
+from scenes.online.journal import Journal, Later, owned, remove, rescued, written
 from scenes.online.line_job import LineJob
 from scenes.online.live_arm import LiveArm, answers_within, at_cycle
 from scenes.online.live_sensors import LiveCamera, LiveForce
@@ -71,9 +71,16 @@ def follow(scene: Scene, devices: Devices, *, method: str | None = None, calibra
         IdealRobotError: the arm did not come, or does not stand at the start.
     """
     folder = out or Path("out") / "follow" / scene.name
-    name = method or str(getattr(scene, "method", "ideal"))
     job = _job(scene, devices, method, calibration)
     _check_devices(job, devices)
+    with owned(folder):
+        return _followed(scene, devices, job, method, calibration, folder, progress)
+
+
+def _followed(scene: Scene, devices: Devices, job: Job, method: str | None, calibration: Path | None, folder: Path,
+              progress: Progress) -> FollowResult:
+    """``follow`` with a job that is set up, and a folder that is this run's."""
+    name = method or str(getattr(scene, "method", "ideal"))
     before = rescued(folder)
     at_start = give_back()
     if job.calibration.wanted:
@@ -186,13 +193,13 @@ def _opened(scene: Scene, job: Job, devices: Devices, folder: Path, method: str,
 def _calibrate(opened: _Opened, job: Job, motion: CalibrationMotion, moved: list[RobotState]) -> None:
     if opened.camera is None:
         raise InputError("calibrating by moving needs a camera", field="--camera")
-    opened.arm.approach(job.q_start)
+    job.approach(opened.arm, opened.force)
     job.calibration.found(calibrated_by_moving(motion, opened.arm, opened.camera))
     moved += opened.arm.reported
 
 
 def _follow(opened: _Opened, job: Job, method: str, progress: Progress, check: bool) -> None:
-    opened.arm.approach(job.q_start)
+    job.approach(opened.arm, opened.force)
     look, camera = job.look, opened.camera
     if check and look is not None and camera is not None:
         camera.use(job.calibration.camera, job.calibration.time_offset)

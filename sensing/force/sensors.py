@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.deadline import Deadline
 from ideal_robot.errors import BAD_ADDRESS, InputError
 from ideal_robot.registry import Registry
 from sensing.clock_relation import ClockRelation
@@ -152,8 +153,40 @@ _ERROR = 1 << 31
 """Bit of the status that says that something is wrong."""
 _AGAIN = 0.5
 """Silence after which the stream is asked for again [s]."""
+_PACED, _PIECES, _AS_GOOD = 1.0, 8, 3e-4
+"""Time in which a rate is found [s], pieces of it, and the share by which it may be wrong then: a tenth of a millisecond
+by which the quickest message of a piece is late."""
+_PATIENCE = 3.0
+"""How long a sensor is waited for whose rate is to be found [s]."""
 _FURTHEST = 100_000
 """Numbers that may be missing between two records; more is another sensor, or one that began anew."""
+
+
+class _Pace:
+    """The rate of a counter, from how it rises with this computer's clock."""
+
+    def __init__(self) -> None:
+        self._seen: list[tuple[float, float]] = []
+
+    def rate(self, sample: float, arrived: float) -> float:
+        """Samples a second [Hz] with this one, which came at ``arrived`` [s]; 0 while it is not known.
+
+        Messages come late, never early: the quickest of each piece of time tell the slope, which is taken for the
+        roundest number that is as good as it.
+        """
+        self._seen.append((sample, arrived))
+        if arrived - self._seen[0][1] < _PACED or len(self._seen) < 4 * _PIECES:
+            return 0.0
+        n, t = np.array(self._seen).T
+        self._seen.clear()
+        if not np.all(np.diff(n) > 0.0):
+            return 0.0
+        usual = (t[-1] - t[0]) / (n[-1] - n[0])
+        late = t - usual * n
+        quickest = [piece[np.argmin(late[piece])] for piece in np.array_split(np.arange(len(n)), _PIECES)]
+        found = 1.0 / (usual + float(np.polyfit(n[quickest], late[quickest], 1)[0]))
+        round_ones = (float(f"{found:.{digits}g}") for digits in range(1, 6))
+        return next((rate for rate in round_ones if abs(rate / found - 1.0) < _AS_GOOD), found)
 
 
 class NetFT:
@@ -163,18 +196,22 @@ class NetFT:
 
     Args:
         host, port: address of the sensor, and UDP port.
-        rate: samples a second of the sensor, which make its clock [Hz].
+        rate: samples a second of the sensor, which make its clock [Hz]; 0 where it is to be found from how its counter
+            rises with this computer's clock. No reading is handed on before it is known.
         counts_force, counts_torque: counts per newton, and per newton metre.
         least_delay: from the measurement to the packet's arrival, at least, the sensor's filter included [s].
     """
 
     def __init__(self, host: str, port: int = PORT, *, rate: float = 7000.0, counts_force: float = 1e6,
                  counts_torque: float = 1e6, least_delay: float = 0.0) -> None:
-        for name, value in (("rate", rate), ("counts_force", counts_force), ("counts_torque", counts_torque)):
+        if not 0.0 <= rate < np.inf:
+            raise InputError("expected a positive number, or 0 for a rate that is found", field="force rate",
+                             value=rate)
+        for name, value in (("counts_force", counts_force), ("counts_torque", counts_torque)):
             if not value > 0:
                 raise InputError("expected a positive number", field=f"force {name}", value=value)
         self.clock, self.counts = ClockRelation(least_delay), ReadingCounts()
-        self._rate, self._scale = rate, 1.0 / np.repeat([counts_force, counts_torque], 3)
+        self.rate, self._pace, self._scale = rate, _Pace(), 1.0 / np.repeat([counts_force, counts_torque], 3)
         self._number: int | None = None
         self._sample = self._begun = 0
         self._asked = self._heard = 0.0
@@ -205,6 +242,12 @@ class NetFT:
         readings = [self._record(record, arrived) for record in _RECORD.iter_unpack(packet)]
         return [reading for reading in readings if reading is not None]
 
+    def find_rate(self, patience: float) -> None:
+        """Reads until the rate is known, ``patience`` [s] at most: a sensor that is silent may come later."""
+        deadline = Deadline.within(patience)
+        while not self.rate and not deadline.passed:
+            self.read(min(deadline.left, 0.1))
+
     def close(self) -> None:
         """Stops the stream."""
         self._ask(_STOP)
@@ -234,7 +277,10 @@ class NetFT:
         # Unwrapped: the counter of samples begins anew after 2³².
         ahead = (sample - self._begun - self._sample + 2**31) % 2**32 - 2**31
         self._sample += ahead
-        stamp = self._sample / self._rate
+        if not self.rate:
+            self.rate = self._pace.rate(self._sample, arrived)
+            return None
+        stamp = self._sample / self.rate
         if not self.clock.add(stamp, arrived):
             self.counts.refused += 1
             return None
@@ -295,12 +341,14 @@ class StreamForce:
 
 Opener = Callable[[str, float], WrenchSource]
 """Opens a sensor: what stands behind its scheme, and the least delay from measurement to arrival [s]."""
-_NETFT = {"rate": 7000.0, "counts_force": 1e6, "counts_torque": 1e6}  # samples a second, counts per N and N m
+_NETFT = {"rate": 0.0, "counts_force": 1e6, "counts_torque": 1e6}  # samples a second, counts per N and N m
 
 
 def _netft(rest: str, least_delay: float) -> WrenchSource:
     host, port = host_and_port(rest, "force", PORT)
-    return NetFT(host, port, least_delay=least_delay, **options(rest, _NETFT, "force"))
+    sensor = NetFT(host, port, least_delay=least_delay, **options(rest, _NETFT, "force"))
+    sensor.find_rate(_PATIENCE)
+    return sensor
 
 
 def _stream(rest: str, least_delay: float) -> WrenchSource:
@@ -318,9 +366,9 @@ FORCE_SENSORS: Registry[Opener] = Registry("force sensor", "ideal_robot.force_se
 def open_force(address: str, least_delay: float = 0.0) -> WrenchSource:
     """Opens a force sensor by its address.
 
-    ``netft://host:port?rate=7000&counts_force=1e6&counts_torque=1e6``, ``stream://host:port`` or ``ros2:///topic``. The
-    least delay from the measurement to the packet's arrival [s] is not needed for ``stream``. Raises ``InputError``
-    where there is no such scheme, or the sensor cannot be opened.
+    ``netft://host:port?rate=7000&counts_force=1e6&counts_torque=1e6``, its rate found where it is not given,
+    ``stream://host:port`` or ``ros2:///topic``. The least delay from the measurement to the packet's arrival [s] is not
+    needed for ``stream``. Raises ``InputError`` where there is no such scheme, or the sensor cannot be opened.
     """
     scheme, colon, rest = address.partition(":")
     if not colon or scheme not in FORCE_SENSORS.names():

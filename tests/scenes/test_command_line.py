@@ -187,6 +187,19 @@ def test_a_signal_that_comes_within_a_callback_ends_the_program(name: str, code:
     assert (done.returncode, done.stderr) == (code, "")
 
 
+@pytest.mark.parametrize("error", ["RuntimeError", "ImportError", "SystemError"])
+def test_an_interrupt_that_compiled_code_makes_another_error_of_is_one(error: str) -> None:
+    """Ctrl-C during imports was "cannot be computed from this input (RuntimeError …)"."""
+    text = ("import os, signal, time; from scenes import cli\n"
+            "signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background of a shell\n"
+            "def app():\n"
+            "    try:\n        os.kill(os.getpid(), signal.SIGINT); time.sleep(60.0)\n"
+            f"    except KeyboardInterrupt:\n        raise {error}('numpy.core failed to import')\n"
+            "cli.app = app; cli.main()")
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (130, "")
+
+
 def test_version_is_the_packages_and_completion_can_be_installed(program) -> None:
     assert re.fullmatch(r"ideal-robot \d+\.\d+\.\d+\S*\n", program("--version").out)
     assert "--install-completion" in program("--help").out

@@ -6,6 +6,8 @@ import dataclasses
 import errno
 import json
 import os
+import subprocess
+import sys
 from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
@@ -219,3 +221,13 @@ def test_a_full_disk_that_nobody_foresaw_is_told_with_what_helps(capsys: pytest.
     message = capsys.readouterr().err
     assert "NUMBA_CACHE_DIR" in message
     assert "make room" in message
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
+def test_a_disk_that_is_full_under_the_output_is_named() -> None:
+    with open("/dev/full", "w") as full:
+        done = subprocess.run([sys.executable, "-m", "scenes.cli", "--help"], stdout=full, stderr=subprocess.PIPE,
+                              text=True, check=False)
+    assert done.returncode == 1
+    assert "standard output: cannot be written" in done.stderr
+    assert done.stderr.count("\n") == 1

@@ -397,4 +397,4 @@ def test_lifting_is_planned_ahead_at_its_speed(follower: SurfaceFollower) -> Non
     rows = np.zeros(follower._plan.samples, dtype=int)
     T = follower.robot.t_ipo
     rise = follower._estimate(1.0, 1, rows)[:, 1]
-    np.testing.assert_allclose(rise, np.minimum(0.05 * T * (2 + np.arange(len(rise))), follower.settings.clearance))
+    np.testing.assert_allclose(rise, np.minimum(0.05 * T * (2 + np.arange(len(rise))), follower.settings.lift))

@@ -167,10 +167,10 @@ class Bench:
         return state
 
 
-def led(live: LiveArm, job: Any, ready: Callable[[], Any]) -> str | None:
+def led(live: LiveArm, job: Any, force: Any, ready: Callable[[], Any]) -> str | None:
     """Plays a job, ``ready`` giving its task once the arm is at its start; why it ended early, None for all of it."""
     try:
-        live.approach(job.q_start)
+        job.approach(live, force)
         task = ready()
         live.begin()
         play_cycles(live, job.robot, task, job.log, CycleSettings(job.braking, 0.3, job.longest, job.expected, ""),
@@ -210,7 +210,7 @@ def followed(scene: LineScene, folder: Path, *, stamp: Stamp | None = None, pict
             begun = arm.t
             return task
 
-        failure = led(live, job, ready)
+        failure = led(live, job, None, ready)
         t, tcp = arm.tcp_path()
         s, lateral = cell.line.beside(tcp)
         inside = (s > 1e-6) & (s < cell.line.length - 1e-6) & (t > begun + 0.5)

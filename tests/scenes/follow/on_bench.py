@@ -13,6 +13,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.robots.interface import RobotState
+from planning.path.kinematics import InverseKinematics
 from scenes.force.cell import Cell, set_up, true_tip
 from scenes.methods import following_methods, method_of
 from scenes.online.camera_process import CalibratedCamera
@@ -143,15 +144,18 @@ class Bench(EyeBench):
         return
 
 
-def followed(scene: ForceScene, folder: Path, before: dict[str, Any] | None = None, **faults: Any) -> SimpleNamespace:
-    """Follows a scene on the bench.
+def followed(scene: ForceScene, folder: Path, before: dict[str, Any] | None = None, above: float = 0.0, **faults: Any
+             ) -> SimpleNamespace:
+    """Follows a scene on the bench, with the arm held at first so far above the start of the path [m].
 
     Returns ``failure`` (None for the whole path), the largest true normal force ``force`` since the fault began [N] (of
     the whole run without one) and at its end ``left``, how far the tip moved from then on ``moved`` [m], how long after
     it the arm was stopped ``after`` [s], the ``job`` and the ``recording``.
     """
     cell = set_up(scene)
-    with SimulatedArm(cell.known.robot, cell.world, cell.noise, cell.known.q_start()) as arm:
+    kinematics, q_start = InverseKinematics(cell.known.robot), cell.known.q_start()
+    held = q_start + kinematics.away(q_start, above * cell.known.reference.frames(np.zeros(1)).up[0])
+    with SimulatedArm(cell.known.robot, cell.world, cell.noise, held) as arm:
         known, eye = cell.known, Eye(cell) if scene.task == "glue" else None
         bench = Bench(cell, arm, eye, **faults)
         job = ForceJob(scene, known.robot, known.model, method_of(scene.method, following_methods()), known.delay, 0.3,
@@ -166,7 +170,7 @@ def followed(scene: ForceScene, folder: Path, before: dict[str, Any] | None = No
             bench.task = job._task
             return job.ready(live, camera, force)
 
-        failure = led(live, job, ready)
+        failure = led(live, job, force, ready)
         force.close()
         history, begun = bench.contact.history(), bench.since if np.isfinite(bench.since) else 0.0
         since = history["t"] >= begun

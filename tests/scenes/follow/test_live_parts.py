@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -24,10 +25,11 @@ from ideal_robot.whole_file import OutputError
 from scenes.online.camera_process import CalibratedCamera, CameraProcess, Header, calibrated_camera
 from scenes.online.camera_worker import _Worker, work
 from scenes.online.cycle import holding_share
-from scenes.online.journal import Journal, left_behind, rescue
+from scenes.online.journal import Journal, left_behind, owned, rescue
 from scenes.online.line_log import LineLog
 from scenes.online.live_arm import FollowStoppedError, LiveArm, moves
 from scenes.online.live_sensors import LiveCamera, LiveForce
+from scenes.online.processes import stopping_on_signals
 from scenes.online.run import _recorded, load_cell
 from scenes.scene_files.drawn_line import CameraTable, believed_camera
 from scenes.scene_files.scene import SceneError
@@ -191,6 +193,34 @@ def test_a_held_command_costs_the_speed_of_that_moment(link: Tame) -> None:
     assert holding_share(q_c, robot) == 0.0
     q_c[20:] += np.arange(30)[:, None] * np.array([0.0, 2.5 * robot.a_max[1] * robot.t_ipo**2, 0.0, 0.0, 0.0, 0.0])
     assert holding_share(q_c, robot) == pytest.approx(2.5)
+
+
+def test_a_run_s_folder_is_its_process_s_alone(tmp_path: Path) -> None:
+    """A second run took the live journal of the first for that of one that was killed."""
+    folder = tmp_path / "out"
+    program = (f"from pathlib import Path; from scenes.online.journal import owned; owner = owned(Path({str(folder)!r}));"
+               "owner.__enter__(); print('mine', flush=True); input()")
+    with subprocess.Popen([sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+                          ) as first:
+        assert first.stdout is not None
+        assert first.stdout.readline() == "mine\n"
+        with pytest.raises(InputError, match="another run is under way"), owned(folder):
+            pass
+        first.kill()
+        first.wait()
+    with owned(folder), pytest.raises(InputError, match="--out"), owned(folder):
+        pass
+    assert not folder.exists() or not list(folder.iterdir())
+
+
+def test_signals_are_left_to_the_main_thread() -> None:
+    """A follower in a thread of its own was refused with a bare ValueError."""
+    with ThreadPoolExecutor(1) as beside:
+        def work() -> str:
+            with stopping_on_signals(lambda reason: None):
+                return "done"
+
+        assert beside.submit(work).result() == "done"
 
 
 def test_a_journal_survives_its_program(tmp_path: Path) -> None:

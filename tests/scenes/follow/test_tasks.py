@@ -350,7 +350,7 @@ def test_what_is_seen_on_the_way_to_the_piece_does_not_spoil_the_calibration(mis
         return misled and bool(np.linalg.norm(pose(arm.link.commanded).translation - centre) > 0.25)
 
     camera = SeeingCamera(true, arm, away)
-    motion = CalibrationMotion.over(Piece(reference, middle, follower.q_start), by_hand,
+    motion = CalibrationMotion.planned(Piece(reference, middle, follower.q_start), by_hand,
                                     Model.load(shipped_model(robot.name)), robot, camera.detection)
     calibrated = calibrated_by_moving(motion, arm, camera)  # type: ignore[arg-type]
     assert np.abs(measuring_error(true, by_hand)).mean() > 1e-4

@@ -151,6 +151,22 @@ def test_records_become_newtons_with_the_sensors_own_clock() -> None:
     np.testing.assert_allclose(np.diff([reading.stamp for reading in received]), 28 / 7000)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_a_rate_that_nobody_told_is_found(seed: int) -> None:
+    """Whatever messages are late by, and however many there are; the readings before it is known are not handed on."""
+    rng = np.random.default_rng(seed)
+    true = float(rng.choice([100.0, 250.0, 1000.0, 6944.0, 7000.0, 7812.5]))
+    each = max(round(true / 250.0), 1)
+    netft = NetFT("127.0.0.1", rate=0.0)
+    handed = [netft._record((k, each * k, 0, *([0] * 6)), 5.0 + each * k / true + 2e-4 * rng.exponential())
+              for k in range(600)]
+    assert netft.rate == pytest.approx(true, rel=3e-4)
+    first = next(k for k, reading in enumerate(handed) if reading is not None)
+    assert 1.0 <= each * first / true < 1.5
+    assert all(reading is not None for reading in handed[first:])
+    netft.close()
+
+
 def test_lost_doubled_wrong_and_cut_records_are_counted_and_not_handed_on() -> None:
     packets = [record(1, 0), record(2, 28), record(2, 28), record(5, 112), record(4, 84), record(6, 140, 1 << 31),
                record(7, 168)[:-1], b"", b"x" * 3000, record(7, 168) + record(8, 196)]
