@@ -352,7 +352,8 @@ class DeviationFilter:
             return Fused(np.zeros_like(used), innovation, float("nan"), 0, "beyond the gate", likelihood, sigma)
         if 2 * dof < len(z):
             # Among many wrong values a few pass by chance.
-            return Fused(np.zeros_like(used), innovation, float("nan"), 0, "most values beyond the gate", likelihood, sigma)
+            return Fused(np.zeros_like(used), innovation, float("nan"), 0, "most values beyond the gate", likelihood,
+                         sigma)
         reason = ""
         if dof < len(z):
             reason, accepted = "some values beyond the gate", innovation[used]

@@ -28,7 +28,6 @@ from ideal_robot.robots.robot import Robot
 from planning.force.contact import NOTICED, SLOPE
 from planning.path.kinematics import InverseKinematics
 from scenes.online.live_sensors import LiveForce
-from sensing.force.force_calibration import ToolLoad
 
 TOUCH, UNWEIGHED = 5.0, 15.0
 """Force from which on a motion in the air touches something [N], with a tool that was weighed and with one that was

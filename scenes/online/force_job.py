@@ -265,7 +265,7 @@ class ForceJob(Job):
             return
 
     def approach(self, arm: LiveArm, force: LiveForce | None) -> None:
-        """See ``Job.approach``: up, where the tool is weighed, and then down to the start as slowly as a touch asks for."""
+        """See ``Job.approach``: up, where the tool is weighed, and down to the start as slowly as a touch asks for."""
         if force is None:
             raise SceneError("following a surface needs a force sensor")
         near_start(arm.link.commanded, self.q_start, START_TOLERANCE)

@@ -16,7 +16,7 @@ from ideal_robot.feedforward.friction_at_work import FrictionAtWork
 from ideal_robot.feedforward.method import Setting
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.row_log import RowLog
-from planning.force.contact import CLEAR, EmergencyStopError, Phase, StopConditions, Tare, most_force
+from planning.force.contact import CLEAR, Phase, StopConditions, Tare, most_force
 from planning.force.contour import SPARE, ContourFollower
 from planning.force.force_follower import DirectForceFeedback, Errors, SurfaceFollower
 from planning.force.line_on_surface import LineOnSurface, SightSettings
@@ -244,7 +244,7 @@ class ForceTask:
         self.follower.observe(t, arm)
 
     def away(self, q_d: Array) -> Array | None:
-        """See ``Task.away``: whatever it is stopped for, the tip lets go of the surface, and at the end of a contour."""
+        """See ``Task.away``: whatever it is stopped for the tip lets go of the surface; at a contour's end, too."""
         if self._lifted:
             return None
         self._lets_go = True

@@ -154,8 +154,8 @@ _ERROR = 1 << 31
 _AGAIN = 0.5
 """Silence after which the stream is asked for again [s]."""
 _PACED, _PIECES, _AS_GOOD = 1.0, 8, 3e-4
-"""Time in which a rate is found [s], pieces of it, and the share by which it may be wrong then: a tenth of a millisecond
-by which the quickest message of a piece is late."""
+"""Time in which a rate is found [s], pieces of it, and the share by which it may be wrong then: the quickest message of
+a piece is late by a tenth of a millisecond."""
 _PATIENCE = 3.0
 """How long a sensor is waited for whose rate is to be found [s]."""
 _FURTHEST = 100_000

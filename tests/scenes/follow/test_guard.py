@@ -15,11 +15,11 @@ from ideal_robot.execution.guard import Guard, StoppedError, Watch
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from planning.path.kinematics import InverseKinematics
+from scenes.arms import model_at
 from scenes.online.felt_force import WITHIN, FeltForce, Surface, stiffness_of
 from scenes.online.journal import Journal
 from scenes.online.live_arm import FollowStoppedError, LiveArm, moves
 from scenes.online.live_sensors import LiveForce
-from scenes.arms import model_at
 from sensing.clock_relation import ClockRelation
 from sensing.force.force_calibration import ToolLoad
 from sensing.force.sensors import Reading, ReadingCounts
@@ -78,8 +78,8 @@ class Wall(Tame):
         return
 
 
-def connected(wall: Wall, folder: Path, weighed: bool) -> tuple[LiveArm, FeltForce, float]:
-    """A guarded arm at the wall, its watch, and how stiff the arm alone is [N/m]."""
+def connected(wall: Wall, folder: Path, weighed: bool) -> LiveArm:
+    """A guarded arm at the wall."""
     robot = wall.robot
     arm = LiveArm(wall, Journal(folder, robot, {}))  # type: ignore[arg-type]
     wall.force = force = LiveForce(wall, arm)  # type: ignore[arg-type]
@@ -89,7 +89,7 @@ def connected(wall: Wall, folder: Path, weighed: bool) -> tuple[LiveArm, FeltFor
     felt.tool = ToolLoad(wall.bias, wall._mass, np.zeros(3), np.zeros(2)) if weighed else None
     arm.at_begin.append(felt.begin)
     arm.guard.watches.append(felt)
-    return arm, felt, E
+    return arm
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -103,7 +103,7 @@ def test_no_motion_presses_on_a_surface_that_lies_elsewhere(seed: int, tmp_path:
     begin = above + np.array([0.0, 0.0, 0.0, 0.1, 0.15, 0.2]) * rng.uniform(-1.0, 1.0, 6)
     E = stiffness_of(model_at("shipped", robot), robot, robot.home, UP)
     wall = Wall(begin, z + offset, 1.0 / (1.0 / K + 1.0 / E), rng.uniform(0.0, 0.02), rng.uniform(0.1, 2.0), seed)
-    arm, felt, _ = connected(wall, tmp_path, weighed)
+    arm = connected(wall, tmp_path, weighed)
     arm.lead(np.tile(begin, (40, 1)))
     deep = robot.home - kinematics.away(robot.home, 0.01 * UP)
     ended = None

@@ -198,8 +198,8 @@ def test_a_held_command_costs_the_speed_of_that_moment(link: Tame) -> None:
 def test_a_run_s_folder_is_its_process_s_alone(tmp_path: Path) -> None:
     """A second run took the live journal of the first for that of one that was killed."""
     folder = tmp_path / "out"
-    program = (f"from pathlib import Path; from scenes.online.journal import owned; owner = owned(Path({str(folder)!r}));"
-               "owner.__enter__(); print('mine', flush=True); input()")
+    program = ("from pathlib import Path; from scenes.online.journal import owned; "
+               f"owner = owned(Path({str(folder)!r})); owner.__enter__(); print('mine', flush=True); input()")
     with subprocess.Popen([sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
                           ) as first:
         assert first.stdout is not None
