@@ -17,7 +17,7 @@ from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.robots.interface import RobotState
 from planning import OutOfReachError
 from planning.force.contact import LEAP, NOTICED, ContactSettings, most_force
-from planning.force.felt_by_motors import FeltByMotors
+from planning.force.felt_by_motors import WINDOW, FeltByMotors
 from planning.path.kinematics import InverseKinematics
 from scenes.line_way import shapes_about
 from scenes.online.felt_force import ZEROED, FeltForce
@@ -56,6 +56,10 @@ _MOTORS = 0.75
 """Share of the wanted force that the motors may feel beyond what the sensor feels."""
 _RECENT = 5
 """Readings whose mean is what is felt now."""
+_SLOWLY = 0.003
+"""Way through air on which the motors are heard before there can be a touch [m]."""
+_EVEN = 0.01
+"""Share of the speed of pressing by which it may differ where it counts as even."""
 _STEEPER = 2.0
 """Times by which a contact may be stiffer at the force that is pressed with than on the whole way to it."""
 _SPARE = 0.7
@@ -232,6 +236,7 @@ class _Press(Pressed):
         self._most = min(most_force(known.scene.force), known.scene.emergency.force)
         self._pressed = min(_HARD * known.scene.force, 0.5 * (known.scene.force + self._most))
         self._touched: float | None = None
+        self._evenly = 0.0
         # Once before anything moves: what is compiled is loaded here, not in a cycle.
         self.where(self.go(0.0))
 
@@ -239,6 +244,8 @@ class _Press(Pressed):
         """Raises ``SceneError`` where it cannot go on."""
         self._go(lambda: _UP, self._high)
         self._go(lambda: 0.0, lambda: self._speed == 0.0)
+        # Quickly through what is air for sure, so that friction turns round; the motors' own air is that of the slow way.
+        self._go(lambda: -_SLOW, lambda: self.height < self._watch.within + _SLOWLY)
         self._go(lambda: -self._down(), lambda: float(self.recent() @ self.up) > self._pressed, heard=True)
         self._go(lambda: _SLOW, lambda: float(self.recent() @ self.up) < _GONE or self._high())
         self._go(lambda: _UP, lambda: self.height >= START_HEIGHT)
@@ -251,13 +258,12 @@ class _Press(Pressed):
         felt = float(self.recent() @ self.up)
         if felt < _FELT:
             self._touched = None
-            # Friction turns round, and the motors are heard, while it is air for sure.
-            return _SLOW if self.height > self._watch.within else min(self._watch.nearing, _SLOW)
+            return min(self._watch.nearing, _SLOW)
         self._touched = self.height if self._touched is None else self._touched
         stiffness = self._watch.stiffness
         if (depth := self._touched - self.height) > 0.0:
             stiffness = min(stiffness, _STEEPER * felt / depth)
-        return min(_SPARE * (self._most - self._pressed) / (stiffness * NOTICED), _SLOW)
+        return min(_SPARE * (self._most - self._pressed) / (stiffness * NOTICED), self._watch.nearing, _SLOW)
 
     def _go(self, target: Callable[[], float], done: Callable[[], bool], heard: bool = False) -> None:
         """Moves away from the surface with a speed [m/s] until it is done, and looks at every witness in each cycle.
@@ -275,7 +281,10 @@ class _Press(Pressed):
                 if heard:
                     states.append((self.q, state))
                 self.hear(state, self._force.arrived(arm.t))
-                self._check(self._motors.force if heard else float("nan"))
+                # Friction changes with the speed: the motors are heard at that of their air alone.
+                even = abs(self._speed + min(self._watch.nearing, _SLOW)) < _EVEN * _SLOW
+                self._evenly = self._evenly + T if even else 0.0
+                self._check(self._motors.force if heard and self._evenly > WINDOW else float("nan"))
 
     def _hear(self, states: list[tuple[Array, RobotState]]) -> None:
         """Lets the motors tell of cycles: commanded joint angles ``(n,)`` [rad], and the state at the end."""
