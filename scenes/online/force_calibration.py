@@ -244,7 +244,7 @@ class _Press(Pressed):
         """Raises ``SceneError`` where it cannot go on."""
         self._go(lambda: _UP, self._high)
         self._go(lambda: 0.0, lambda: self._speed == 0.0)
-        # Quickly through what is air for sure, so that friction turns round; the motors' own air is that of the slow way.
+        # Quickly through what is air for sure: friction turns round. The motors' own air is that of the slow way.
         self._go(lambda: -_SLOW, lambda: self.height < self._watch.within + _SLOWLY)
         self._go(lambda: -self._down(), lambda: float(self.recent() @ self.up) > self._pressed, heard=True)
         self._go(lambda: _SLOW, lambda: float(self.recent() @ self.up) < _GONE or self._high())
