@@ -156,6 +156,9 @@ class _Impossible:
     def collect(self, t0: float, t1: float, measured: RobotState) -> None:
         """Nothing is collected."""
 
+    def away(self, q_d: Array) -> None:
+        """Nothing is pressed on."""
+
     def speed(self, t: float) -> float:
         return 0.5
 

@@ -28,6 +28,7 @@ from ideal_robot.robots.robot import Robot
 from planning.force.contact import NOTICED, SLOPE
 from planning.path.kinematics import InverseKinematics
 from scenes.online.live_sensors import LiveForce
+from sensing.force.force_calibration import ToolLoad
 
 TOUCH, UNWEIGHED = 5.0, 15.0
 """Force from which on a motion in the air touches something [N], with a tool that was weighed and with one that was
@@ -111,7 +112,8 @@ class FeltForce(Watch):
     def __init__(self, force: LiveForce, robot: Robot, surface: Surface | None, limit: float) -> None:
         self._force, self._robot, self._limit, self._surface = force, robot, limit, surface
         self._fk, self._T = robot.fk(), robot.t_ipo
-        self.wanted, self.tool, self.contact = 0.0, None, np.zeros(3)  # type: float, ToolLoad | None, Array
+        self.wanted, self.contact = 0.0, np.zeros(3)
+        self.tool: ToolLoad | None = None
         self._poses: deque[tuple[float, Array, Array]] = deque(maxlen=round(_REMEMBERED / robot.t_ipo))
         self._zero: tuple[Array, Array] | None = None
         self._rest: list[Array] = []

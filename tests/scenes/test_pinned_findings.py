@@ -106,6 +106,9 @@ class Drifting:
         self.commands.append(q_c)
         return RobotState(0.0, q_c, q_c)
 
+    def away(self, q_d: Array) -> None:
+        """Nothing is pressed on."""
+
     def speed(self, t: float) -> float:
         return 0.1
 
