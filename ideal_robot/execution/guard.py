@@ -24,7 +24,7 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 
-from ideal_robot.arrays import Array, interpolated
+from ideal_robot.arrays import Array, eased_way, interpolated
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.execution.command_governor import stopping_rows
 from ideal_robot.robots.interface import RobotInterface, RobotState
@@ -86,6 +86,11 @@ class Watch(ABC):
         """Whether something is touched; None where it is not known."""
         return False
 
+    @property
+    def stands(self) -> Array | None:
+        """Command ``(n,)`` [rad] that belongs to where an arm is that has left its commands; None where it follows."""
+        return None
+
     def rates(self, rows: Array, T: float) -> Array:
         """Largest share of its speed with which each row of a path may be passed ``(N,)``.
 
@@ -139,6 +144,14 @@ class Guard:
         """Whether any watch feels a touch; None where none does and one does not know."""
         felt = [watch.touching for watch in self.watches]
         return True if True in felt else None if None in felt else False
+
+    def back_to_arm(self, q_c: Array) -> Array | None:
+        """Way ``(n,)`` [rad] from a command ``(n,)`` [rad] to where the arm stands; None where it follows.
+
+        Commanded there it does not leap when it is let go on.
+        """
+        stands = next((watch.stands for watch in self.watches if watch.stands is not None), None)
+        return None if stands is None else stands - q_c
 
     def around(self, arm: RobotInterface) -> Cycle:
         """The cycles of an arm, each of which is looked at."""
@@ -201,9 +214,16 @@ class Guard:
             raise
 
     def release(self, cycle: Cycle) -> None:
-        """Brakes, and leads the arm back along its trail until nothing is felt any more."""
+        """Brakes, and leads the arm back along its trail until nothing is felt any more.
+
+        The commands of an arm that has not followed them are led to where it stands.
+        """
         for q_c in self.braking():
             cycle(q_c)
+        now = self._last[1]
+        if (way := self.back_to_arm(now)) is not None:
+            for q_c in eased_way(now, now + way, (np.full(len(way), np.inf), SHARE * self._a_max), self._T):
+                cycle(q_c)
         for q_c in self._back():
             cycle(q_c)
 

@@ -6,6 +6,7 @@ import gc
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Protocol
 
 import numpy as np
@@ -72,7 +73,7 @@ class Task(Protocol):
     def away(self, q_d: Array) -> Array | None:
         """What to add to the joint angles ``(n,)`` [rad] while the arm brakes, so that it presses on nothing at rest.
 
-        None where it stays on its path. ``q_d``: horizon of the last cycle ``(n_d, n)`` [rad].
+        None where it stays on its path. ``q_d``: where it comes to rest ``(m, n)`` [rad].
         """
 
     def speed(self, t: float) -> float:
@@ -219,7 +220,9 @@ def _stopped(error: Exception, log: CycleLog, task: Task, q_d: Array, motion: tu
     ``motion``: speed on the path [m/s], and how it brakes [m/s²].
     """
     log.failure = str(error)
-    return _let_go(task.away(q_d), q_d, motion, limits, T)
+    # The last row of a horizon as far ahead as the plan is long is where it comes to rest.
+    rests = next(islice(stopping_rows(q_d[1:], T, *motion), len(q_d), None))[-1:]
+    return _let_go(task.away(rests), q_d, motion, limits, T)
 
 
 def _let_go(away: Array | None, q_d: Array, motion: tuple[float, float], limits: Robot, T: float) -> Iterator[Array]:

@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from ideal_robot.arrays import Array
+from ideal_robot.execution.following import Following
 from ideal_robot.interfaces import LinkSettings, connected_arm
+from ideal_robot.loop.from_model import loop_model
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from scenes.line_way import shapes_about
@@ -22,7 +24,7 @@ from scenes.online.force_known import Known as ForceKnown
 from scenes.online.force_task import ForceTask
 from scenes.online.line_known import Known as LineKnown
 from scenes.online.line_task import LineTask
-from scenes.online.live_arm import Link, LiveArm
+from scenes.online.live_arm import Link, LiveArm, response_of
 from scenes.online.live_sensors import LiveCamera, LiveForce
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
@@ -160,7 +162,16 @@ class Job(ABC):
             SceneError: it is not near, or what is felt on the way cannot be.
             FollowStoppedError: it could not go on.
         """
+        self.watch_following(arm)
         arm.approach(self.q_start)
+
+    def watch_following(self, arm: LiveArm) -> None:
+        """From now on the guard looks whether the arm goes where its commands lead."""
+        def loaded() -> Following:
+            loop = loop_model(self.model, self.robot, delay=self.delay)
+            return Following(lambda: arm.link.commanded, response_of(loop, self.robot), self.robot.units("rad"))
+
+        arm.guard.watches.append(arm.meanwhile(loaded))
 
     @abstractmethod
     def rehearse(self) -> None:

@@ -171,6 +171,12 @@ class LiveForceTask(ForceTask):
             self._check_height(t)
         return q_d
 
+    def away(self, q_d: Array) -> Array | None:
+        """See ``Task.away``: from where the arm stands, where it has not followed its commands."""
+        away = super().away(q_d)
+        back = None if self.arm is None else self.arm.guard.back_to_arm(q_d[0])
+        return away if back is None else back if away is None else away + back
+
     def _check_felt(self, t: float) -> None:
         """Raises ``EmergencyStopError`` where what is felt is no push, fits no contour, or not what the motors feel."""
         follower, scene = self.follower, self.cell.scene
@@ -269,6 +275,7 @@ class ForceJob(Job):
         if force is None:
             raise SceneError("following a surface needs a force sensor")
         near_start(arm.link.commanded, self.q_start, START_TOLERANCE)
+        self.watch_following(arm)
         self._felt = felt = arm.meanwhile(lambda: self._watch(force))
         arm.at_begin.append(felt.begin)
         arm.guard.watches.append(felt)

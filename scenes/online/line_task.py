@@ -191,8 +191,9 @@ class LineTask:
         else:
             self._picture_at.add(k + 1)
 
-    def away(self, q_d: Array) -> None:
+    def away(self, q_d: Array) -> Array | None:
         """See ``Task.away``: a tool that follows by eye presses on nothing."""
+        return None
 
     def speed(self, t: float) -> float:
         """Path speed [m/s]."""
@@ -243,6 +244,10 @@ class LiveLineTask(LineTask):
         self.arm, self.ahead = arm, self._T < AT_ONCE
         if self.ahead:
             arm.between.append(lambda: self.prepare(arm.t + self._T))
+
+    def away(self, q_d: Array) -> Array | None:
+        """See ``Task.away``: the commands of an arm that has not followed them come back to it."""
+        return None if self.arm is None else self.arm.guard.back_to_arm(q_d[0])
 
     def fused(self, fused: Fused | None) -> None:
         """See ``LineTask.fused``."""

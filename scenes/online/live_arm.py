@@ -371,8 +371,12 @@ def at_cycle(arm: Robot, cycle: float) -> Robot:
     return replace(arm, t_ipo=cycle, t_position=grid * position, t_velocity=grid * velocity)
 
 
+def response_of(loop: Loop, arm: Robot) -> Array:
+    """Impulse response ``(L, n)`` of the identified loop of each joint, of commands that come at the cycles."""
+    return np.asarray(LinearLoop.of(loop, arm.home, length=math.ceil(_ANSWER_MAX / arm.t_ipo)).g)
+
+
 def answers_within(loop: Loop, arm: Robot) -> float:
     """Time in which the identified loop answers a command to 97 %, and half of it more [s]."""
-    response = LinearLoop.of(loop, arm.home, length=math.ceil(_ANSWER_MAX / arm.t_ipo))
-    open_until = (np.abs(np.cumsum(response.g, axis=0) - 1.0) > 0.03).any(axis=1)
+    open_until = (np.abs(np.cumsum(response_of(loop, arm), axis=0) - 1.0) > 0.03).any(axis=1)
     return float(1.5 * arm.t_ipo * (2 + np.flatnonzero(open_until)[-1]))

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from ideal_robot.arrays import GRAVITY, Array
+from ideal_robot.execution.following import Following
 from ideal_robot.execution.guard import Guard, StoppedError, Watch
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
@@ -170,6 +171,35 @@ def test_a_stop_keeps_the_arm_on_its_path_and_its_limits(seed: int) -> None:
     acceleration = np.diff(taken, n=2, axis=0) / robot.t_ipo**2
     assert (np.abs(acceleration) <= 1.5 * robot.a_max).all()
     assert np.abs(taken[-1] - taken[-2]).max() < 1e-3 * robot.t_ipo
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_commands_come_back_to_an_arm_that_stands(seed: int, tmp_path: Path) -> None:
+    """What it has to give when it is let go on: nothing, at whatever moment it was paused."""
+    rng, robot = np.random.default_rng(seed), Robot.load("kr6")
+    wall = Wall(robot.home, -10.0, 1e3, 0.0, 1.0, seed)
+    arm = LiveArm(wall, Journal(tmp_path, robot, {}))  # type: ignore[arg-type]
+    response = np.diff((1.0 - (LAG / (LAG + arm.t_ipo)) ** np.maximum(np.arange(-2.0, 30.0), 0.0))[:, None]
+                       * np.ones(robot.n), axis=0, prepend=0.0)
+    arm.guard.watches.append(Following(lambda: wall.commanded, response, robot.units("rad")))
+    rows = moves(robot, [robot.home, robot.home + rng.uniform(-0.5, 0.5, 6)], 0.1)
+    paused = int(rng.integers(20, len(rows) - 60))
+    receive, held = wall.receive, []
+
+    def standing() -> RobotState:
+        state = receive()
+        if len(wall.taken) < paused:
+            return state
+        held[:] = held or [state.q]
+        return RobotState(state.t, held[0], state.tau)
+
+    wall.receive = standing  # type: ignore[method-assign]
+    with pytest.raises(FollowStoppedError, match="stands still"):
+        arm.lead(rows)
+    taken = np.array(wall.taken)
+    assert np.abs(taken[-1] - held[0]).max() < 1e-9
+    acceleration = np.diff(taken, n=2, axis=0) / robot.t_ipo**2
+    assert (np.abs(acceleration) <= 1.5 * robot.a_max).all()
 
 
 def test_a_slow_part_of_a_path_is_reached_and_left_within_the_limits() -> None:
