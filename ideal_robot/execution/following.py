@@ -47,7 +47,7 @@ class Following(Watch):
         self._beyond, self._astray = 0, False
 
     def look(self, t: float, q_c: Array, q: Array) -> str | None:
-        """See ``Watch``."""
+        """See ``Watch.look``."""
         command = self._commanded()
         if self._given is None:
             self._given = np.tile(command, (len(self._response), 1))

@@ -131,7 +131,13 @@ class Guard:
             raise StoppedError(self.reason)
 
     def look(self, t: float, q_c: Array, q: Array) -> None:
-        """Asks every watch, behind each cycle; see ``Watch.look``."""
+        """Asks every watch, behind each cycle.
+
+        Args:
+            t: end of the cycle [s].
+            q_c: command that was handed over in it ``(n,)`` [rad].
+            q: motor angles at its end ``(n,)`` [rad].
+        """
         self._last = np.array([self._last[1], q_c])
         for watch in self.watches:
             if (reason := watch.look(t, q_c, q)) is not None:

@@ -166,7 +166,7 @@ class FeltForce(Watch):
         self._poses.clear()
 
     def look(self, t: float, q_c: Array, q: Array) -> str | None:
-        """See ``Watch``."""
+        """See ``Watch.look``."""
         pose = self._fk(q)
         self._poses.append((t, pose.rotation, pose.translation))
         samples = self._force.take(t)
