@@ -10,7 +10,7 @@ COPY . .
 RUN make .venv/installed
 ENV PATH=/ideal-robot/.venv/bin:$PATH HOME=/home/robot
 # Compiled code is kept beside its source; whichever user runs it may add to it.
-RUN useradd --create-home --home-dir /home/robot robot && chmod -R a+rwX /home/robot \
-    && mkdir -p out && chown -R robot /ideal-robot && chmod -R a+rwX /ideal-robot
+RUN useradd --create-home --home-dir /home/robot robot && mkdir -p out
+RUN chown -R robot /ideal-robot && chmod -R a+rwX /home/robot /ideal-robot
 USER robot
 CMD ["make", "demo"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import signal
 
 from ideal_robot.arrays import Array
 
@@ -34,6 +33,8 @@ def from_rest(num: Array, den: Array, x: Array) -> Array:
         num, den: coefficients of the recursion ``(k,)`` each.
         x: rows ``(N,)``.
     """
+    from scipy import signal
+
     if len(den) == 1:
         return np.asarray(num[0] / den[0] * x)
     return np.asarray(x[0] * num.sum() / den.sum() + signal.lfilter(num, den, x - x[0]))

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal
 
 from ideal_robot.arrays import Array
 from ideal_robot.command.filters import bilinear
@@ -58,6 +57,8 @@ class Smoothing:
 
 def _recursive(b: list[float], a: list[float], x: Array, dt: float) -> Array:
     """A continuous filter, numerator and denominator from the highest power on, over lines from row to row."""
+    from scipy import signal
+
     num, den = bilinear(np.array([b]), np.array(a), dt)
     return np.asarray(x[0] + signal.lfilter(num[0], den, x - x[0], axis=0))
 

@@ -177,7 +177,9 @@ class Guard:
         if (rate >= 1.0).all():
             return rows
         rate = np.clip(rate, _SLOWEST, 1.0)
-        speed = np.abs(np.gradient(rows, T, axis=0))
+        # Of the two steps beside each row the faster one: between rows the path is straight.
+        step = np.abs(np.diff(rows, axis=0)) / T
+        speed = np.maximum(np.vstack([step[:1], step]), np.vstack([step, step[-1:]]))
         with np.errstate(divide="ignore"):
             change = SHARE * np.min(np.divide(self._a_max, speed, out=np.full_like(speed, np.inf), where=speed > 1e-9),
                                     axis=1)

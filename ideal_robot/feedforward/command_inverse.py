@@ -6,7 +6,6 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal
 from scipy.interpolate import CubicSpline
 
 from ideal_robot.arrays import Array, held
@@ -92,6 +91,8 @@ class CommandInverse(Feedforward):
 
     def init(self, q0: Array) -> InverseState:
         """See ``Feedforward.init``."""
+        from scipy import signal
+
         rows = np.tile(q0, (2 * _BEFORE, 1))
         motion, filters, start = self.motion(rows), [], np.empty(self.n)
         for j, own in enumerate(self.law.joints):
@@ -105,6 +106,8 @@ class CommandInverse(Feedforward):
 
     def step(self, state: InverseState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, InverseState]:
         """See ``Feedforward.step``."""
+        from scipy import signal
+
         ahead = q_d[: self.n_d] if len(q_d) >= self.n_d else _extended(state.q_d, q_d, self.n_d)
         external = None
         if tau_ext_d is not None:

@@ -133,7 +133,8 @@ def findings(recording: Recording, robot: Robot, *, amperes: bool = False) -> tu
         amperes: whether ``tau_i`` are in a unit of each joint's own: then no scale is wrong.
     """
     rows = _Rows.of(recording, robot)
-    return () if rows is None else _said(*_searched(rows, amperes), rows, robot)
+    # Currents whose gains nobody knows, nor their signs, say nothing of the URDF's masses.
+    return () if rows is None or amperes else _said(*_searched(rows, amperes), rows, robot)
 
 
 def contradicting(recordings: Sequence[Recording], robot: Robot, *, amperes: bool = False

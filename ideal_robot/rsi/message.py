@@ -129,7 +129,7 @@ def _unsupported(received: dict[str, dict[str, str]], n: int, wanted: str | None
         held = f" and {external} external axes, which are held" if external else ""
         return (f"the controller takes corrections of {most} axes{held}, the robot has {n} joints: give the URDF of "
                 "the arm alone, its track or table fixed")
-    if any(set("XYZ") & set(attributes) for attributes in received.values()):
+    if not most and any(set("XYZ") & set(attributes) for attributes in received.values()):
         return (f"the controller takes corrections of the pose, which are not supported: correct the axes, by "
                 f"AXISCORR with A1 to A{n} in the place of POSCORR in the RSI context")
     return f"no element holds corrections of all axes, A1 to A{n}"

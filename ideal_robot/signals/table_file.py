@@ -186,9 +186,10 @@ def _ends_in(line: str, separator: str) -> bool:
 
 
 def _is_values(row: list[str]) -> bool:
-    """Whether at least half of a line's cells are numbers, and one holds something."""
-    return bool(row) and any(cell.strip() for cell in row) and 2 * sum(
-        _NUMBER.fullmatch(cell.strip()) is not None for cell in row) >= len(row)
+    """Whether all that a line's cells hold are numbers, or most of it."""
+    held = [cell.strip() for cell in row if cell.strip()]
+    numbers = sum(_NUMBER.fullmatch(cell) is not None for cell in held)
+    return bool(held) and (numbers == len(held) or 2 * numbers > len(row))
 
 
 def _are_units(row: list[str]) -> bool:

@@ -137,7 +137,7 @@ def export(
     parquet: Annotated[Path | None, typer.Option(help="Parquet file.")] = None,
     mjcf: Annotated[Path | None, typer.Option(help="Of a model: MuJoCo file (.xml) with bodies, rotors, friction and "
                                                    "joint controllers; needs the extra 'mujoco'.")] = None,
-    urdf: Annotated[Path | None, typer.Option(help="Of a model: URDF with bodies and friction.")] = None,
+    as_urdf: Annotated[Path | None, typer.Option("--urdf", help="Of a model: URDF with bodies and friction.")] = None,
     like: Annotated[Path | None, typer.Option(help="With --mjcf: MJCF or URDF of the arm that is kept in all "
                                                    "else.")] = None,
     columns: ColumnsMap = None,
@@ -151,7 +151,7 @@ def export(
     Example, after that of `identify`: `ideal-robot export model.json --mjcf arm.xml`
     """
     of_recording = {"--rerun": rerun, "--mcap": mcap, "--rosbag2": rosbag2, "--csv": csv, "--parquet": parquet}
-    of_model = {"--mjcf": mjcf, "--urdf": urdf}
+    of_model = {"--mjcf": mjcf, "--urdf": as_urdf}
     is_model = source.suffix == ".json"
     for option, path in (of_recording if is_model else of_model).items():
         if path is not None:
@@ -161,15 +161,15 @@ def export(
         raise InputError(f"say which format: {', '.join(of_model if is_model else of_recording)}", field="export")
     for option, path, ending in (("--mcap", mcap, ".mcap"), ("--rerun", rerun, ".rrd"), ("--csv", csv, ".csv"),
                                  ("--parquet", parquet, ".parquet"), ("--mjcf", mjcf, ".xml"),
-                                 ("--urdf", urdf, ".urdf")):
+                                 ("--urdf", as_urdf, ".urdf")):
         if path is not None and path.suffix != ending:
             raise InputError(f"expected a name ending in {ending}", field=option, value=str(path))
     if rosbag2 is not None and rosbag2.exists():
         raise InputError("a bag is a new folder; choose a name that does not exist", field="--rosbag2",
                          value=str(rosbag2))
-    check_outputs({"--rosbag2": rosbag2}, mcap=mcap, rerun=rerun, csv=csv, parquet=parquet, mjcf=mjcf, urdf=urdf)
+    check_outputs({"--rosbag2": rosbag2}, mcap=mcap, rerun=rerun, csv=csv, parquet=parquet, mjcf=mjcf, urdf=as_urdf)
     if is_model:
-        _export_model(source, mjcf, urdf, like)
+        _export_model(source, mjcf, as_urdf, like)
     else:
         _export_recording(recording_of(source, columns, topic, joints), requested)
 

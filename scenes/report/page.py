@@ -193,6 +193,9 @@ def _shown(cell: Any) -> str:
 
 
 UNITS = {
+    "transmission_once": "rad", "transmission_twice": "rad", "hysteresis": "rad",
+    "column_stiffness": "N m/rad", "column_frequency": "Hz", "thermal_expansion": "1/K", "hose": "N m/rad",
+    "hose_friction": "N m", "balancer": "N m", "notch_frequency": "Hz",
     "stiffness": "N m/rad", "damping": "N m s/rad", "backlash": "rad", "coulomb": "N m", "stribeck": "N m",
     "stribeck_velocity": "rad/s", "presliding": "rad", "viscous": "N m s/rad", "degressive": "N m",
     "degressive_velocity": "rad/s", "start_temperature": "°C", "ambient_temperature": "°C",

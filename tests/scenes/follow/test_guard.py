@@ -182,7 +182,7 @@ def test_commands_come_back_to_an_arm_that_stands(seed: int, tmp_path: Path) -> 
     response = np.diff((1.0 - (LAG / (LAG + arm.t_ipo)) ** np.maximum(np.arange(-2.0, 30.0), 0.0))[:, None]
                        * np.ones(robot.n), axis=0, prepend=0.0)
     arm.guard.watches.append(Following(lambda: wall.commanded, response, robot.units("rad")))
-    rows = moves(robot, [robot.home, robot.home + rng.uniform(-0.5, 0.5, 6)], 0.1)
+    rows = moves(robot, [robot.home, robot.home + rng.choice([-1.0, 1.0], 6) * rng.uniform(0.4, 0.5, 6)], 0.1)
     paused = int(rng.integers(20, len(rows) - 60))
     receive, held = wall.receive, []
 

@@ -104,7 +104,7 @@ def test_play_crossed_with_the_motion_is_taken_up(key: str) -> None:
     bare = loop_model(arm.model(), arm.ROBOT, delay=0)
     path = arm.path().q_d
     dragged = -3000.0 * np.gradient(path[:, :1], arm.ROBOT.t_ipo, axis=0) * np.eye(6)[0]
-    truth = bare.replace(half_gap=np.array([gap, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    truth = bare.changed(half_gap=np.array([gap, 0.0, 0.0, 0.0, 0.0, 0.0]))
     name, prefix = key.split("/")
     known = with_effects(bare, (FittedEffect(name, 1, f"{prefix}_1", (1.0,), (), (gap,)),))
 

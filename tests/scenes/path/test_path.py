@@ -258,7 +258,7 @@ def test_arm_error_of_the_kr15_with_clamped_stiffness() -> None:
     by_joint = analyse_stiffness(recordings, robot, "wrench").by("wrench")
     stiffness = np.array([by_joint[joint].stiffness for joint in range(1, robot.n + 1)])
     place = set_up(load_scene("iso9283_1"), delay=False)
-    loop = replace(place.loop(), stiffness=stiffness)
+    loop = place.loop().changed(stiffness=stiffness)
     motors_only = place.play(Inverse(loop, 30, Options(elastic=False))).errors
     with_gears = place.play(Inverse(loop, 30)).errors
     assert with_gears.time_matched.E_car <= 0.4 * motors_only.time_matched.E_car

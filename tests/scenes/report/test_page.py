@@ -33,7 +33,8 @@ from scenes.scene_file import load_scene
 from sim.arm.world import TABLE_KEYS, World
 from tests.browser import chromium, needs_chromium
 
-WITHOUT_UNIT = {"elasticity", "friction", "friction_scale", "friction_asymmetry", "load_friction", "thermal",
+WITHOUT_UNIT = {"stiffness_scale", "link_bending", "column_damping", "friction_compensation", "gain_schedule",
+                "elasticity", "friction", "friction_scale", "friction_asymmetry", "load_friction", "thermal",
                 "lubrication", "time_compression", "quantisation", "torque_limits", "correction_delay",
                 "velocity_feedforward", "individual", "inertia_tolerance", "drive_gain_error", "body"}
 
