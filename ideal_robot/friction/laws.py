@@ -16,15 +16,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.friction.presliding import (
-    CREEP,
-    LEAST,
-    bristle_stiffness,
-    first_direction,
-    friction_of_sizes,
-    measured_steps,
-    sliding_direction,
-)
+from ideal_robot.friction.presliding import CREEP, bristle_stiffness, sliding_direction
 from ideal_robot.registry import Registry
 
 
@@ -115,9 +107,7 @@ class FrictionModel(ABC):
                 the direction is that of gross sliding, ``sign(qd)``.
             direction: of motion ``(…, n)``, -1 to 1, of who knows how sharply it changes; laws with presliding know it.
         """
-        if self.presliding and q is not None:
-            return self._along(np.asarray(qd, dtype=float), load, q)[0]
-        columns = self._columns(np.asarray(qd, dtype=float), load, None, direction)
+        columns = self._columns(np.asarray(qd, dtype=float), load, q, direction)
         return np.sum([c * column for c, column in zip(self.coefficients, columns, strict=True)], axis=0)
 
     def sizes(self, qd: Array, load: Array | None = None) -> tuple[Array, Array]:
@@ -140,18 +130,9 @@ class FrictionModel(ABC):
         distance = self.shape[-1] if self.presliding else np.zeros(self.n)
         return np.asarray(bristle_stiffness(self.sizes(slow)[0].mean(axis=0), distance))
 
-    def _along(self, qd: Array, load: Array | None, q: Array) -> tuple[Array, Array]:
-        """Torque and presliding state ``(N, n)`` [N m] along measured positions."""
-        dry, fluid = (np.ascontiguousarray(size) for size in self.sizes(qd, load))
-        steps = measured_steps(np.ascontiguousarray(q, dtype=float), self.shape[-1])
-        start = first_direction(qd[0], self.shape[-1]) * np.maximum(dry[0], LEAST)
-        return friction_of_sizes(dry, fluid, np.ascontiguousarray(qd), steps, start, self.sigma_0)
-
     def _columns(self, qd: Array, load: Array | None, q: Array | None, direction: Array | None) -> list[Array]:
         if self.presliding and q is not None:
-            force = self._along(qd, load, q)[1]
-            side = np.copysign(np.maximum(np.abs(qd), LEAST), force)
-            direction = force / np.maximum(self.sizes(side, load)[0], LEAST)
+            direction = sliding_direction(q, qd, self.shape[-1])
         elif direction is None:
             direction = np.sign(qd)
         columns = self.columns(qd, direction, self.shape)

@@ -10,7 +10,14 @@ from hypothesis import strategies as st
 from ideal_robot.arrays import Array
 from ideal_robot.feedforward.inverse import Inverse
 from ideal_robot.friction.laws import LAWS, FrictionModel, PerJointFriction, ViscousCoulomb, law_of
-from ideal_robot.friction.presliding import STILL, dahl, friction_torque, measured_steps, sliding_direction
+from ideal_robot.friction.presliding import (
+    STILL,
+    dahl,
+    friction_of_sizes,
+    friction_torque,
+    measured_steps,
+    sliding_direction,
+)
 from ideal_robot.friction.table import (
     BACKWARD,
     DRY,
@@ -57,7 +64,7 @@ def a_motion(friction: Friction, rng: np.random.Generator, count: int = 60) -> t
 @given(SEEDS, st.sampled_from(sorted(LAWS.names())))
 @settings(max_examples=25)
 def test_table_and_steps_are_the_identified_law_to_the_last_bit(seed: int, key: str) -> None:
-    """At speeds of the table, where nothing lies in between; the law takes its steps from positions."""
+    """At speeds of the table, where nothing lies in between: the law's sizes through the one step."""
     rng = np.random.default_rng(seed)
     law = a_law(key, rng)
     friction = Friction.of(PerJointFriction([law]), np.array([3.0]))
@@ -67,7 +74,9 @@ def test_table_and_steps_are_the_identified_law_to_the_last_bit(seed: int, key: 
     start = np.sign(v[:1]) * 0.0
     v[0] = 0.0
     torque, force, _ = friction_along(friction, v, load, steps, start[0])
-    np.testing.assert_array_equal(law.torque(v, load, q), torque)
+    dry, fluid = (np.ascontiguousarray(size) for size in law.sizes(v, load))
+    of_law, _ = friction_of_sizes(dry, fluid, v, steps, start[0], law.sigma_0)
+    np.testing.assert_array_equal(of_law, torque)
     state = 0.0
     for k in range(len(v)):
         one, state = friction_step(friction, 0, v[k, 0], load[k, 0], state, steps[k, 0])
@@ -77,7 +86,7 @@ def test_table_and_steps_are_the_identified_law_to_the_last_bit(seed: int, key: 
 @given(SEEDS, st.sampled_from(sorted(LAWS.names())))
 @settings(max_examples=25)
 def test_the_regressor_is_the_torque(seed: int, key: str) -> None:
-    """Coefficients times columns; the direction of sliding of the columns is the state over dry friction."""
+    """Coefficients times columns, along measured positions."""
     rng = np.random.default_rng(seed)
     law = a_law(key, rng)
     v, load, _, q = a_motion(Friction.of(PerJointFriction([law]), np.array([3.0])), rng)
