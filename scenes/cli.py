@@ -44,6 +44,7 @@ THEMES = {
     "More on scenes": {
         "sweep": "play:sweep",
         "check": "regression:check",
+        "history": "regression:history",
         "compare-results": "regression:compare_results",
         "close-loop": "play:close_loop",
         "prepare": "play:prepare",

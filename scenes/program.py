@@ -7,6 +7,7 @@ import platform
 import subprocess
 import sys
 from contextlib import suppress
+from datetime import UTC, datetime
 from functools import cache
 from importlib import metadata
 from importlib.util import find_spec
@@ -52,6 +53,16 @@ def machine() -> dict[str, str]:
     libraries = {name: metadata.version(name) for name in ("numpy", "scipy", "numba", "pin", "pybullet")}
     return {"processor": platform.machine(), "system": platform.system(), "python": platform.python_version(),
             **libraries}
+
+
+ORIGIN = ("version", "commit", "digest", "computer", "when")
+"""What ``origin`` says."""
+
+
+def origin() -> dict[str, str | None]:
+    """What computes now, on which computer, and the time (UTC): the keys of ``ORIGIN``."""
+    return {**program(), "computer": platform.node() or platform.machine(),
+            "when": datetime.now(UTC).isoformat(timespec="seconds")}
 
 
 def signed(content: dict[str, Any]) -> dict[str, Any]:

@@ -56,11 +56,15 @@ class SweepFile(Kept):
     """A file of lines ``{"job": …, "answer": …}``.
 
     Without ``resume`` a file that is there is refused by InputError, as is one of something else.
+
+    Attributes:
+        lines: what was read, whole lines by ``key_of`` their job.
     """
 
     def __init__(self, path: Path, *, resume: bool) -> None:
         super().__init__()
         self.path = path
+        self.lines: dict[Hashable, dict[str, Any]] = {}
         if path.exists():
             if not resume:
                 raise InputError("is there already; --resume goes on with it, or give another name", field="--lines",
@@ -77,6 +81,7 @@ class SweepFile(Kept):
             try:
                 entry = parsed_json(line.decode(), self.path, "answer")
                 self.answers[key_of(entry["job"])] = _checked(entry["answer"])
+                self.lines[key_of(entry["job"])] = dict(entry)
             except (InputError, ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
                 raise InputError(f"line {number} is none of a sweep; remove it, and its run is played again",
                                  file=self.path, field="--lines") from error
@@ -85,7 +90,11 @@ class SweepFile(Kept):
 
     def add(self, job: dict[str, Any], answer: dict[str, Any]) -> None:
         """Appends an answer; OutputError where it cannot be written, the file holds the answers before it."""
-        line = json.dumps({"job": plain(job), "answer": plain(answer)}, allow_nan=False) + "\n"
+        self.keep(job, answer)
+
+    def keep(self, job: dict[str, Any], answer: dict[str, Any], **more: Any) -> None:
+        """As ``add``, with ``more`` entries on the line, which ``lines`` has after it was read again."""
+        line = json.dumps({"job": plain(job), "answer": plain(answer), **more}, allow_nan=False) + "\n"
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with self.path.open("ab", buffering=0) as file:
@@ -165,10 +174,14 @@ def jobs(scenes: Sequence[str | Scene], methods: Sequence[Any] = (), speeds: Seq
     return [Job(*combination, world=world) for combination in product]
 
 
-def play(job: Job) -> dict[str, Any]:
+def play(job: Job, seen: Callable[[Scene, Any], None] = lambda scene, result: None) -> dict[str, Any]:
     """Plays one job without writing anything; whatever fails is part of the answer, it does not end the sweep.
 
     But for MemoryError, which says nothing of the run, but of what was beside it.
+
+    Args:
+        job: what to play.
+        seen: called with the scene and its result, which the answer has only the figures of.
     """
     answer = _named(job)
     try:
@@ -179,6 +192,7 @@ def play(job: Job) -> dict[str, Any]:
         answer |= {**scene.played(), "speed_m_s": getattr(scene, "speed", None), **identity(scene),
                    "method": method and method_of(method, kind.methods()).key}
         result = kind.run(scene, method=job.method, out=None, progress=silent)
+        seen(scene, result)
         return {**answer, **result.json(), "failure": result.failure}
     except MemoryError:
         raise

@@ -15,6 +15,7 @@ import typer
 
 from ideal_robot.errors import InputError
 from ideal_robot.progress import Progress as Told
+from scenes.verdict import COLOURS, Verdict
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -86,11 +87,12 @@ def show_table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
     console = Console(width=None if sys.stdout.isatty() or os.environ.get("COLUMNS") else _NO_EDGE)
     names = [shown(column) for column in columns]
     cells = [[shown(_cell(cell)) for cell in row] for row in rows]
+    styles = [[COLOURS[cell.kind] if isinstance(cell, Verdict) else "" for cell in row] for row in rows]
     texts = [[name, *(row[i] for row in cells)] for i, name in enumerate(names)]
     least = [max(cell_len(word) for text in column for word in (*text.split(), "")) for column in texts]
     # Text, not str: rich would take a name such as [/red] for its own markup.
     if sum(least) + len(least) > console.width:
-        _show_blocks(console, title, names, cells)
+        _show_blocks(console, title, names, cells, styles)
         return
     bordered = sum(least) + 3 * len(least) + 1 <= console.width
     room = console.width - (3 * len(least) + 1 if bordered else len(least))
@@ -98,8 +100,8 @@ def show_table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
                   box=HEAVY_HEAD if bordered else None, padding=(0, 1) if bordered else (0, 1, 0, 0))
     for name, width in zip(names, _widths(least, [max(map(cell_len, column)) for column in texts], room), strict=True):
         table.add_column(Text(name), overflow="fold", width=width)
-    for row in cells:
-        table.add_row(*map(Text, row))
+    for row, colours in zip(cells, styles, strict=True):
+        table.add_row(*map(Text, row, colours))
     console.print(table)
 
 
@@ -118,16 +120,17 @@ def _cell(cell: Any) -> str:
     return "–" if cell is None else str(cell)
 
 
-def _show_blocks(console: Console, title: str, names: list[str], cells: list[list[str]]) -> None:
+def _show_blocks(console: Console, title: str, names: list[str], cells: list[list[str]],
+                 styles: list[list[str]]) -> None:
     """Rows one below the other, each cell on a line of its own: for terminals too narrow for a table."""
     from rich.text import Text
 
     if title:
         console.print(Text(shown(title), style="italic"), overflow="fold")
-    for row in cells:
+    for row, colours in zip(cells, styles, strict=True):
         console.print(Text(row[0] or "–", style="bold"), overflow="fold")
-        for name, cell in zip(names[1:], row[1:], strict=True):
-            console.print(Text(f"  {name}: {cell}"), overflow="fold")
+        for name, cell, colour in zip(names[1:], row[1:], colours[1:], strict=True):
+            console.print(Text(f"  {name}: ").append(cell, colour), overflow="fold")
 
 
 def write_signed(path: Path | None, content: dict[str, Any]) -> None:

@@ -27,6 +27,7 @@ from scenes.regression.paired import (
     seeds_needed,
 )
 from scenes.regression.results import CASE, MAIN, Results, unit_of
+from scenes.verdict import Verdict
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -93,6 +94,7 @@ class Comparison(Summarised):
         rows: figures of all cases, those of the suite first; bounds: what was asked of the means.
         pairs: a row a pair, with ``label``, ``seed`` and each figure ``NAME before``, ``NAME after``.
         not_played: runs that were lost.
+        places: name of a scene → as the command line takes it, where that is another.
     """
 
     title: str
@@ -102,6 +104,7 @@ class Comparison(Summarised):
     bounds: tuple[Bound, ...] = ()
     pairs: pd.DataFrame | None = field(default=None)
     not_played: int = 0
+    places: dict[str, str] = field(default_factory=dict)
 
     @property
     def verdict(self) -> str:
@@ -118,6 +121,18 @@ class Comparison(Summarised):
         return SAME if SAME in verdicts or (self.before is None and self.bounds) else NOT_COMPARABLE
 
     @property
+    def uncompared(self) -> tuple[str, ...]:
+        """Cases of which neither a figure nor a bound could be compared: nobody knows whether they are worse."""
+        compared = {row.case for row in self.rows if row.verdict != NOT_COMPARABLE}
+        compared |= {bound.case for bound in self.bounds}
+        refused = [row.case for row in self.rows if not row.figure]
+        if self.pairs is None:
+            labels = list(labelled(self.after)["label"])
+        else:
+            labels = list(self.pairs.loc[self.pairs["_merge"] != "left_only", "label"])
+        return tuple(dict.fromkeys([*(label for label in labels if label not in compared), *refused]))
+
+    @property
     def bounds_kept(self) -> bool:
         """Whether all bounds are kept, if there are any."""
         return all(bound.kept for bound in self.bounds)
@@ -129,7 +144,26 @@ class Comparison(Summarised):
             return self.verdict
         if not self.bounds:
             return "first results, nothing to compare with"
-        return "bounds kept, no baseline" if self.bounds_kept else "bounds missed, no baseline"
+        if not self.bounds_kept:
+            return "bounds missed, no baseline"
+        return "bounds kept, other cases have no baseline" if self.uncompared else "bounds kept, no baseline"
+
+    @property
+    def worst(self) -> Row | None:
+        """The figure of a case that rose most, relative to before; None where nothing became worse."""
+        worse = [row for row in self.rows if row.verdict == WORSE and row.case != SUITE and row.figure != FAILURES]
+        return max(worse, key=lambda row: row.difference / max(abs(row.before), 1e-300), default=None)
+
+    def pair_of(self, row: Row) -> dict[str, Any] | None:
+        """The pair of runs of a row's case in which its figure rose most, as a row of ``pairs``; None without any."""
+        names = f"{row.figure} before", f"{row.figure} after"
+        if self.pairs is None or not {*names} <= {*self.pairs}:
+            return None
+        of_case = self.pairs[(self.pairs["label"] == row.case) & (self.pairs["_merge"] == "both")]
+        rise = (of_case[names[1]].astype(float).abs() - of_case[names[0]].astype(float).abs()).dropna()
+        if rise.empty:
+            return None
+        return {str(key): value for key, value in of_case.iloc[of_case.index.get_loc(rise.idxmax())].to_dict().items()}
 
     def summary(self) -> list[tuple[str, str]]:
         """The verdict, and the figures of the suite."""
@@ -150,7 +184,7 @@ class Comparison(Summarised):
                  or [row for row in self.rows if row.case == SUITE])
         return (["case", "figure", "pairs", "before", "after", "difference", "standard error", "p", "verdict"],
                 [[row.case, row.figure, row.pairs, row.before, row.after, row.difference, row.error, row.corrected,
-                  f"{row.verdict}: {row.why}" if row.why else row.verdict] for row in shown])
+                  Verdict(f"{row.verdict}: {row.why}" if row.why else row.verdict)] for row in shown])
 
 
 def compared(before: Results, after: Results, *, figures: Sequence[str] = MAIN, rules: Rules | None = None,
@@ -283,7 +317,7 @@ def bounds_of(results: Results, asked: Sequence[dict[str, float]]) -> tuple[Boun
 
     Raises InputError for a figure that no run of the case has.
     """
-    frame = _labelled(results)
+    frame = labelled(results)
     bounds = []
     for label, group in frame.groupby("label", sort=False):
         # Other cases of this label, with other seeds, may ask for something else.
@@ -300,7 +334,7 @@ def bounds_of(results: Results, asked: Sequence[dict[str, float]]) -> tuple[Boun
     return tuple(bounds)
 
 
-def _labelled(results: Results) -> pd.DataFrame:
+def labelled(results: Results) -> pd.DataFrame:
     """The runs, each with the ``label`` of its case."""
     return results.runs.assign(label=[_label({str(key): _word(value) for key, value in row.items()})
                                       for row in results.runs[list(CASE)].to_dict("records")])
@@ -329,7 +363,7 @@ def comparison_of(after: Results, before: Results | None, bounds: tuple[Bound, .
     """
     lost = int(after.runs["not_played"].notna().sum()) if "not_played" in after.runs else 0
     if before is None:
-        rows = [row for label, group in _labelled(after).groupby("label", sort=False)
+        rows = [row for label, group in labelled(after).groupby("label", sort=False)
                 for row in _failures(str(label), group["failure"])]
         return Comparison(rules.get("title", ""), None, after, tuple(rows), bounds, None, lost)
     comparison = compared(before, after, **rules)

@@ -14,9 +14,11 @@ from ideal_robot.results import plain
 from ideal_robot.whole_file import whole_file, write_text
 from scenes.outputs import whole_folder
 from scenes.regression.comparison import FAILURES, SUITE, Comparison
+from scenes.regression.history_page import run_command
 from scenes.regression.paired import FAILED, NOT_COMPARABLE, SAME, WORSE, Row
-from scenes.regression.results import unit_of
+from scenes.regression.results import CASE, unit_of
 from scenes.report.page import Report, write_json
+from scenes.verdict import BAD, GOOD, OPEN, Verdict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -64,7 +66,7 @@ def markdown(comparison: Comparison) -> str:
 def bounds_table(comparison: Comparison) -> tuple[list[str], list[list[Any]]]:
     """Column titles and rows of the bounds."""
     return (["case", "bound on the mean", "limit", "mean", "deviation", "seeds", "result", "remark"],
-            [[b.case, b.figure, b.limit, b.mean, b.deviation, b.seeds, "kept" if b.kept else "missed",
+            [[b.case, b.figure, b.limit, b.mean, b.deviation, b.seeds, Verdict("kept" if b.kept else "missed"),
               b.remark] for b in comparison.bounds])
 
 
@@ -124,16 +126,56 @@ def sentence(row: Row) -> str:
             f"{sure}")
 
 
+def answer(comparison: Comparison) -> str:
+    """The verdict in a sentence with its number."""
+    worst = comparison.worst
+    missed = next((bound for bound in comparison.bounds if not bound.kept), None)
+    if worst is not None:
+        unit = unit_of(worst.figure) or ""
+        return (f"{worst.case}: {worst.figure} rose from {worst.before:.3g} to {worst.after:.3g} {unit}".rstrip()
+                + f" ({100.0 * worst.difference / max(worst.before, 1e-300):+.0f} %).")
+    if missed is not None:
+        return (f"{missed.case}: {missed.figure} is {missed.mean:.3g} {unit_of(missed.figure) or ''}".rstrip()
+                + f", its bound {missed.limit:.3g}.")
+    if comparison.uncompared:
+        return f"Nothing to compare with: {'; '.join(comparison.uncompared)}."
+    compared = sum(row.verdict != NOT_COMPARABLE for row in comparison.rows)
+    return f"{compared} figures were compared and {len(comparison.bounds)} bounds looked at; none is worse or missed."
+
+
+def next_steps(comparison: Comparison) -> list[tuple[str, str]]:
+    """What to do next, with the commands."""
+    worst = comparison.worst
+    pair = None if worst is None else comparison.pair_of(worst)
+    suite = comparison.after.source if comparison.after.source.endswith(".toml") else None
+    if worst is not None and pair is not None:
+        seed = {**pair, **{name: pair[f"{name} after"] for name in (*CASE, "seed") if f"{name} after" in pair}}
+        rise = f"{pair[f'{worst.figure} before']:.3g} → {pair[f'{worst.figure} after']:.3g}"
+        steps = [(f"Look at the run that rose most ({rise}).",
+                  run_command(seed, comparison.places.get(str(pair["scene"]))))]
+        if suite is not None and (good := (comparison.before and comparison.before.program.get("commit"))):
+            begin = f"git bisect start HEAD {good.removesuffix('-dirty')}"
+            steps.append(("Find the commit that did it.", f"{begin}\ngit bisect run ideal-robot check {suite}"))
+        return steps
+    if comparison.uncompared and suite is not None:
+        return [("Take these runs as the baseline.", f"ideal-robot check {suite} --update-baseline")]
+    return []
+
+
 def page(comparison: Comparison) -> Report:
-    """The page: verdict, picture, what changed, bounds, and all figures."""
-    report = Report(f"Path error: {comparison.headline}", comparison.title)
-    report.figures([("verdict", comparison.headline), ("runs", str(len(comparison.after.runs))),
-                    ("figures compared", str(len(comparison.rows))),
-                    ("bounds kept", f"{sum(bound.kept for bound in comparison.bounds)} of {len(comparison.bounds)}")])
+    """The page: verdict, picture, what to do next, what changed, bounds, and all figures."""
+    report = Report(f"Path error: {comparison.headline}", f"{comparison.title}. {answer(comparison)}")
+    kept = sum(bound.kept for bound in comparison.bounds)
+    report.figures([("verdict", Verdict(comparison.headline, _kind(comparison))),
+                    ("runs", str(len(comparison.after.runs))), ("figures compared", str(len(comparison.rows))),
+                    ("bounds kept", Verdict(f"{kept} of {len(comparison.bounds)}",
+                                            GOOD if kept == len(comparison.bounds) else BAD))])
     if comparison.pairs is not None and (drawn := picture(comparison)) is not None:
         report.figure(drawn, "Left: each pair's error before and after; on the line nothing changed. Right: each "
                              "pair's relative difference, with the mean of the case and its 95 % interval; right of "
                              "zero is worse.")
+    if steps := next_steps(comparison):
+        report.next(*steps)
     report.heading("What changed")
     report.table(*comparison.table(), caption="p is corrected for all figures looked at (Holm). Differences of the row "
                                               "of all cases are relative.")
@@ -144,9 +186,15 @@ def page(comparison: Comparison) -> Report:
     report.table(["case", "figure", "pairs", "before", "after", "difference", "standard error", "p",
                   "would be found", "verdict"],
                  [[row.case, row.figure, row.pairs, row.before, row.after, row.difference, row.error, row.corrected,
-                   row.finds, row.verdict] for row in comparison.rows], folded="every figure of every case",
+                   row.finds, Verdict(row.verdict)] for row in comparison.rows], folded="every figure of every case",
                  caption="A difference as large as the column says would be found in nine of ten comparisons.")
     return report
+
+
+def _kind(comparison: Comparison) -> str:
+    if comparison.verdict in (WORSE, FAILED) or not comparison.bounds_kept:
+        return BAD
+    return OPEN if comparison.uncompared else GOOD
 
 
 def picture(comparison: Comparison) -> Figure | None:

@@ -15,7 +15,7 @@ from ideal_robot.bounded_values import parsed_json, read_json, read_text
 from ideal_robot.errors import InputError, did_you_mean
 from ideal_robot.results import flat, plain
 from ideal_robot.whole_file import OutputError, whole_file
-from scenes.program import PLACES, SCHEMA, TIMES, machine, program
+from scenes.program import ORIGIN, PLACES, SCHEMA, TIMES, machine, origin, program
 from scenes.report.page import write_json
 from scenes.sweep import FIGURES, Kept, SweepFile, key_of
 
@@ -201,6 +201,9 @@ EVERY = 30.0
 class RunSet(Kept):
     """A folder ``scene=NAME/part-….parquet`` with a row a run, and ``open.jsonl`` with the answers of no part yet.
 
+    A row says which version played it, on which computer and when (``scenes.program.ORIGIN``), so that the folder is
+    the history of its runs. Answers of other versions stay beside those of today.
+
     An answer is on the disk when ``add`` returns; a part is there whole or not at all. Any reader of Parquet can query
     the parts while the sweep goes on.
 
@@ -215,13 +218,12 @@ class RunSet(Kept):
         self.answers = dict(self._of_parts())
         self._open = SweepFile(folder / "open.jsonl", resume=True)
         # What a sweep that was killed between both wrote into a part already.
-        self._waiting = [(json.loads(str(key)), answer) for key, answer in self._open.answers.items()
-                         if key not in self.answers]
+        self._waiting = [(json.loads(str(key)), answer, self._open.lines[key].get("origin") or {})
+                         for key, answer in self._open.answers.items() if key not in self.answers]
         self.answers |= self._open.answers
         self._written = time.monotonic()
 
     def _of_parts(self) -> list[tuple[Hashable, dict[str, Any]]]:
-        import pyarrow
         import pyarrow.parquet
 
         answers: list[tuple[Hashable, dict[str, Any]]] = []
@@ -237,20 +239,23 @@ class RunSet(Kept):
 
     def add(self, job: dict[str, Any], answer: dict[str, Any]) -> None:
         """Appends an answer; OutputError where it cannot be written, the data set holds the answers before it."""
-        self._open.add(job, answer)
-        self._waiting.append((plain(job), plain(answer)))
+        by = origin()
+        self._open.keep(job, answer, origin=by)
+        self._waiting.append((plain(job), plain(answer), by))
         if len(self._waiting) >= PART or time.monotonic() - self._written > EVERY:
             self.close()
 
     def close(self) -> None:
         """Makes parts of the answers that are in none yet; OutputError where it cannot, they are in ``open.jsonl``."""
-        scenes = dict.fromkeys(str(answer["scene"]) for _, answer in self._waiting)
+        scenes = dict.fromkeys(str(answer["scene"]) for _, answer, _ in self._waiting)
         try:
             for scene in scenes:
-                rows = [(job, answer) for job, answer in self._waiting if str(answer["scene"]) == scene]
-                frame = table(answer for _, answer in rows).drop(columns="scene")
-                frame["job"] = [key_of(job) for job, _ in rows]
-                frame["answer"] = [json.dumps(answer) for _, answer in rows]
+                rows = [entry for entry in self._waiting if str(entry[1]["scene"]) == scene]
+                frame = table(answer for _, answer, _ in rows).drop(columns="scene")
+                for name in ORIGIN:
+                    frame[name] = [by.get(name) for _, _, by in rows]
+                frame["job"] = [key_of(job) for job, _, _ in rows]
+                frame["answer"] = [json.dumps(answer) for _, answer, _ in rows]
                 with whole_file(self.folder / f"scene={scene}" / f"part-{secrets.token_hex(8)}.parquet") as file:
                     frame.dropna(axis="columns", how="all").to_parquet(file, index=False)
             self._open.path.unlink(missing_ok=True)

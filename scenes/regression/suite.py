@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,8 @@ from scenes.scene_files.scene import Scene, Table, chosen, validated
 from scenes.sweep import MOST, Job, jobs, sweep
 
 _LIMIT = re.compile(r"\s*((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([A-Za-zµ]+)\s*")
+_OF_CASE = ("method", "speed", "individual", "world")
+"""What the jobs of one case have in common, beside the scene."""
 _RANGE = re.compile(r"\s*(\d{1,9})\s*-\s*(\d{1,9})\s*")
 
 
@@ -72,6 +75,20 @@ class SuiteFile(Table):
     """What is played."""
 
 
+@dataclass(frozen=True)
+class Played:
+    """What of a suite was played.
+
+    Attributes:
+        answers: in the order of ``Suite.work``; bounds: what is asked of the case of each.
+        spared: scenes in which the seed does not enter, and how many further seeds of a case were not played.
+    """
+
+    answers: list[dict[str, Any]]
+    bounds: list[dict[str, float]]
+    spared: dict[str, int]
+
+
 class Suite:
     """A suite file, its scenes loaded and its bounds in the figures' units; InputError for what is not known in it."""
 
@@ -82,11 +99,15 @@ class Suite:
         self.rules = Rules(self.file.false_alarms, self.file.relevant)
         self.work: list[tuple[Job, dict[str, float]]] = []
         """Jobs, and the bounds that hold for the mean of each one's case [the figures' units]."""
+        self.places: dict[str, str] = {}
+        """Name of each scene → as the command line takes it from here."""
         self._asked: list[tuple[str, str, set[str]]] = []
         self._figures: dict[str, set[str]] = {}
         known: dict[tuple[Any, ...], Job] = {}
         for number, case in enumerate(self.file.case):
             loaded = [_scene(name, path, f"case.{number}.scenes") for name in case.scenes]
+            self.places |= {scene.name: str(_place(name, path))
+                            for scene, name in zip(loaded, case.scenes, strict=True)}
             bounds = {figure: _bound(figure, value, path, f"case.{number}.bounds")
                       for figure, value in flat(case.bounds).items()}
             for figure in bounds:
@@ -109,8 +130,11 @@ class Suite:
                              file=self.path, field=field, value=figure)
         self._asked.append((field, figure, {scene.name for scene in scenes}))
 
-    def play(self, done: Callable[[int], None], **how: Any) -> list[dict[str, Any]]:
-        """Plays all runs, one of each scene first; answers in the order of ``work``.
+    def play(self, done: Callable[[int], None], **how: Any) -> Played:
+        """Plays the runs, one of each scene first, then a second seed of each case, then the others.
+
+        Where the first two seeds of a case give the same figures to the last digit, the seed does not enter: the
+        other seeds would be the same run once more and are not played.
 
         Args:
             done: called with the number of runs finished.
@@ -119,18 +143,32 @@ class Suite:
         Raises:
             InputError: as ``sweep`` does, and as ``check_figures`` does once the scenes in question have been played.
         """
-        work = [job for job, _ in self.work]
-        first = {_name(job): i for i, job in reversed(list(enumerate(work)))}
-        order = sorted(range(len(work)), key=lambda i: first[_name(work[i])] != i)
+        cases: dict[tuple[Any, ...], list[int]] = {}
+        for i, (job, _) in enumerate(self.work):
+            cases.setdefault((_name(job), *(getattr(job, name) for name in _OF_CASE)), []).append(i)
+        first = {_name(job): i for i, (job, _) in reversed(list(enumerate(self.work)))}
+        begun = sorted((i for case in cases.values() for i in case[:2]),
+                       key=lambda i: (first[_name(self.work[i][0])] != i, i))
+        answers: dict[int, dict[str, Any]] = {}
 
-        def looked(count: int, answer: dict[str, Any]) -> None:
-            self.check_figures(answer)
-            done(count)
+        def play(indices: list[int]) -> None:
+            before = len(answers)
 
-        answers = sweep([work[i] for i in order], done=looked, **how)
-        for answer in answers:  # those that were kept already, too
-            self.check_figures(answer)
-        return [answer for _, answer in sorted(zip(order, answers, strict=True), key=lambda pair: pair[0])]
+            def looked(count: int, answer: dict[str, Any]) -> None:
+                self.check_figures(answer)
+                done(before + count)
+
+            answers.update(zip(indices, sweep([self.work[i][0] for i in indices], done=looked, **how), strict=True))
+            for answer in answers.values():  # those that were kept already, too
+                self.check_figures(answer)
+
+        play(begun)
+        same = [case for case in cases.values() if len(case) > 2 and _one_run([answers[i] for i in case[:2]])]
+        spared = {i for case in same for i in case[2:]}
+        if rest := [i for i in range(len(self.work)) if i not in answers and i not in spared]:
+            play(rest)
+        return Played([answers[i] for i in sorted(answers)], [self.work[i][1] for i in sorted(answers)],
+                      {_name(self.work[case[0]][0]): len(case) - 2 for case in same})
 
     def check_figures(self, answer: dict[str, Any]) -> None:
         """Makes sure that figures which are compared or bounded are among those that their scenes have.
@@ -152,14 +190,27 @@ class Suite:
                                      field=field, value=figure)
 
 
+def _one_run(answers: list[dict[str, Any]]) -> bool:
+    """Whether runs of other seeds have all their figures in common, to the last digit."""
+    if any(answer["failure"] is not None for answer in answers):
+        return False
+    results = Results(table(answers))
+    return bool((results.runs[results.figures].nunique(dropna=False) == 1).all())
+
+
 def _name(job: Job) -> str:
     assert isinstance(job.scene, Scene)
     return job.scene.name
 
 
+def _place(name: str, suite: Path) -> str | Path:
+    """A shipped scene's name, or the path of a scene file as seen from where the check is begun."""
+    return suite.parent / name if name.endswith(".toml") or "/" in name else name
+
+
 def _scene(name: str, suite: Path, field: str) -> Scene:
     try:
-        return load_scene(suite.parent / name if name.endswith(".toml") or "/" in name else name)
+        return load_scene(_place(name, suite))
     except InputError as error:
         if error.field != "scene":
             raise

@@ -18,7 +18,8 @@ import numpy as np
 from ideal_robot.results import plain
 from ideal_robot.whole_file import write_text
 from scenes.outputs import whole_folder
-from scenes.report.replay import Replay, replay_beside, write_replay
+from scenes.report.replay import KeptReplay, Replay, replay_beside, write_replay
+from scenes.verdict import Verdict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -74,8 +75,8 @@ class Report:
             caption: what they mean.
             folded: title under which a long table is folded away until it is asked for; empty: it is shown.
         """
-        cells = [[{"text": _shown(cell), "number": isinstance(cell, (int, float, np.number))} for cell in row]
-                 for row in rows]
+        cells = [[{"text": _shown(cell), "number": isinstance(cell, (int, float, np.number)),
+                   "verdict": cell.kind if isinstance(cell, Verdict) else ""} for cell in row] for row in rows]
         self._blocks.append({"kind": "table", "columns": columns, "rows": cells, "caption": caption,
                              "raw": rows, "folded": folded})
 
@@ -118,7 +119,16 @@ class Report:
 
     def replay(self, replay: Replay, caption: str = "") -> None:
         """A replay that moves in the page, with the sentence that says what to see in it."""
-        self._blocks.append({"kind": "replay", "html": replay.html(), "caption": caption})
+        self.replays([("", replay)], caption)
+
+    def replays(self, replays: Sequence[tuple[str, Replay | KeptReplay]], caption: str = "") -> None:
+        """Replays beside each other, each under its title, with the sentence that says what to see in them."""
+        self._blocks.append({"kind": "replay", "caption": caption,
+                             "replays": [{"title": title, "html": replay.html()} for title, replay in replays]})
+
+    def next(self, *steps: tuple[str, str]) -> None:
+        """What to do next: for each step a sentence and the command line that does it (empty where none does)."""
+        self._blocks.append({"kind": "next", "steps": [{"text": text, "command": command} for text, command in steps]})
 
     def calibration(self, camera: HandEye) -> None:
         """What moving over the line before the run has shown of the camera."""

@@ -7,6 +7,7 @@ canvas, so that the page also plays on a phone and without a network.
 from __future__ import annotations
 
 import base64
+import gzip
 import io
 import json
 import tokenize
@@ -22,12 +23,13 @@ import pinocchio as pin
 from PIL import Image
 
 from ideal_robot.arrays import GRAVITY, Array
-from ideal_robot.bounded_values import REPLAY_BYTES
+from ideal_robot.bounded_values import REPLAY_BYTES, parsed_json
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from ideal_robot.robots.urdf import without_meshes
 from ideal_robot.row_log import let_go
 from ideal_robot.signals.recording import Recording
+from ideal_robot.whole_file import whole_file
 from scenes.result import step
 
 SIDES = 10
@@ -196,12 +198,10 @@ class Replay:
 
     def html(self) -> str:
         """The replay as a piece of HTML for a page."""
-        script = resources.files("scenes").joinpath("templates/replay.js").read_text(encoding="utf-8")
-        # "</" inside a script would end it.
-        data = json.dumps(self._data(), allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
-        return f'<div class="replay"></div>\n<script>\n(function () {{\nconst DATA = {data};\n{script}}})();\n</script>'
+        return _html(self.data())
 
-    def _data(self) -> dict[str, Any]:
+    def data(self) -> dict[str, Any]:
+        """What the page's script draws: plain values, thinned out and rounded."""
         step = max(1, -(-len(self.t) // FRAMES))
         rows = slice(None, None, step)
         shapes, links = polygons(self.robot)
@@ -223,6 +223,43 @@ class Replay:
             "enlarged": self.enlarged,
             "force": None if self.force is None else rounded(np.nan_to_num(self.force[rows]), 2),
         }
+
+
+@dataclass(frozen=True)
+class KeptReplay:
+    """A replay as it was drawn once, for a page of today beside another one.
+
+    Attributes:
+        data: as ``Replay.data`` gives it.
+    """
+
+    data: dict[str, Any]
+
+    @classmethod
+    def read(cls, path: Path) -> KeptReplay | None:
+        """The replay of a file that ``keep`` has written; None where there is none that can be read."""
+        try:
+            with gzip.open(path, "rt", encoding="utf-8") as file:
+                data = parsed_json(file.read(REPLAY_BYTES.most), path, "a replay")
+        except (OSError, EOFError, ValueError, zlib.error, InputError):
+            return None
+        return cls(data) if isinstance(data, dict) else None
+
+    def keep(self, path: Path) -> None:
+        """Writes it, packed; OutputError where that fails."""
+        with whole_file(path) as partial:
+            partial.write_bytes(gzip.compress(json.dumps(self.data, allow_nan=False).encode(), mtime=0))
+
+    def html(self) -> str:
+        """The replay as a piece of HTML for a page."""
+        return _html(self.data)
+
+
+def _html(data: dict[str, Any]) -> str:
+    script = resources.files("scenes").joinpath("templates/replay.js").read_text(encoding="utf-8")
+    # "</" inside a script would end it.
+    text = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
+    return f'<div class="replay"></div>\n<script>\n(function () {{\nconst DATA = {text};\n{script}}})();\n</script>'
 
 
 def error_colours(error: Array) -> Array:

@@ -398,3 +398,82 @@ def test_runs_that_fail_as_before_are_told_and_the_others_decide() -> None:
     assert (row.verdict, row.before, row.after, row.why) == (NOT_COMPARABLE, 1, 1, "line lost")
     results.runs.loc[results.runs["scene"] == "corner", "failure"] = "line lost"
     assert compared(results, results).verdict == compared(runs(0), results).verdict == FAILED
+
+
+# What was not compared is red.
+
+BARE = """
+title = "no bounds"
+[[case]]
+scenes = ["short.toml"]
+seeds = "1-4"
+world = "bench"
+"""
+
+
+def answered(monkeypatch: pytest.MonkeyPatch, *, seeded: bool = True) -> list[Any]:
+    """Plays of drawn figures in place of simulated ones; returns the list of the jobs that were played."""
+    jobs: list[Any] = []
+
+    def work_off(tasks: list[Any], *_: Any) -> Any:
+        for i, task in enumerate(tasks):
+            jobs.append(task)
+            error = 0.1 + (0.01 * task.seed if seeded else 0.0)
+            yield i, run_of(scene=task.scene.name, seed=task.seed, control_error_mm={"mean": error})
+
+    monkeypatch.setattr("scenes.sweep.work_off", work_off)
+    return jobs
+
+
+def test_a_check_that_compared_nothing_fails_unless_new_cases_are_allowed(program: Any, suite: Path, tmp_path: Path,
+                                                                         monkeypatch: pytest.MonkeyPatch) -> None:
+    answered(monkeypatch)
+    suite.write_text(BARE)
+    assert program("check", "suite.toml").code == 2
+    assert program("check", "suite.toml", "--allow-new").code == 0
+    assert program("check", "suite.toml", "--update-baseline").code == 0
+    assert program("check", "suite.toml").code == 0
+    # A case that the baseline does not have, and one that nobody plays any more.
+    suite.write_text(BARE + BARE.partition("\n[[case]]")[1] + '\nscenes = ["straight"]\nseeds = "1-3"\n')
+    new = program("check", "suite.toml")
+    assert new.code == 1
+    assert "nothing to compare with: straight" in new.err
+    assert program("check", "suite.toml", "--allow-new").code == 0
+    assert program("check", "suite.toml", "--update-baseline").code == 0
+    suite.write_text(BARE)
+    gone = program("check", "suite.toml")
+    assert gone.code == 1
+    assert "straight" in gone.err
+    # A bound is something to be compared with; a case beside it without one is not.
+    (tmp_path / "suite.baseline.json").unlink()
+    suite.write_text(SUITE_FILE.replace("LIMIT", "1 mm"))
+    assert program("check", "suite.toml").code == 0
+    suite.write_text(SUITE_FILE.replace("LIMIT", "1 mm") + '[[case]]\nscenes = ["straight"]\nseeds = "1-3"\n')
+    assert program("check", "suite.toml").code == 1
+
+
+@pytest.mark.parametrize("seeded", [True, False])
+def test_a_run_in_which_no_seed_enters_is_played_twice_at_most(program: Any, suite: Path,
+                                                              monkeypatch: pytest.MonkeyPatch, seeded: bool) -> None:
+    jobs = answered(monkeypatch, seeded=seeded)
+    suite.write_text(BARE)
+    done = program("check", "suite.toml", "--update-baseline")
+    assert done.code == 0
+    assert [job.seed for job in jobs] == ([1, 2, 3, 4] if seeded else [1, 2])
+    assert ("not played: 2 further" in done.out) != seeded
+    assert program("check", "suite.toml").code == 0
+
+
+def test_the_run_that_became_worse_is_named_with_its_seed(program: Any, suite: Path, tmp_path: Path,
+                                                         monkeypatch: pytest.MonkeyPatch) -> None:
+    answered(monkeypatch)
+    suite.write_text(BARE)
+    assert program("check", "suite.toml", "--update-baseline").code == 0
+    baseline = json.loads((tmp_path / "suite.baseline.json").read_text())
+    for run in baseline["runs"]:
+        run["control_error_mm.mean"] -= 0.05 if run["seed"] == 3 else 0.04
+    (tmp_path / "suite.baseline.json").write_text(json.dumps(baseline))
+    worse = program("check", "suite.toml")
+    assert worse.code == 1
+    assert "ideal-robot run short.toml --method ideal --speed 0.7 --world bench --seed 3" in worse.out
+    assert "class=\"bad\"" in (tmp_path / "out/check_suite/report.html").read_text()
