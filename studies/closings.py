@@ -23,7 +23,6 @@ from ideal_robot.arrays import Array, G
 from ideal_robot.effects import FittedEffect, Signals
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.feedforward.inverse import Inverse
-from ideal_robot.friction.presliding import bristle_stiffness
 from ideal_robot.loop.loop import Loop
 from ideal_robot.results import plain
 from ideal_robot.robots.robot import Robot
@@ -367,9 +366,8 @@ def with_true_friction(loop: Loop, robot: Robot, world: World, joints: list[int]
     mask = np.isin(np.arange(n) + 1, joints)
     sizes[mask] = np.stack([falling, whole - falling], axis=3)[mask]
     per_load[mask, 0] = load[mask]
-    sigma_0 = np.where(mask, bristle_stiffness(loop.friction.dry, world.per_joint("presliding", n)),
-                       loop.friction.sigma_0)
-    return loop.changed(sizes=sizes, per_load=per_load, sigma_0=sigma_0)
+    distance = np.where(mask, world.per_joint("presliding", n), loop.friction.distance)
+    return loop.changed(sizes=sizes, per_load=per_load, distance=distance)
 
 
 def true_friction(scene: str = "close_stribeck", world: str = "{}") -> None:

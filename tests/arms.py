@@ -134,7 +134,7 @@ def a_friction(speeds: Array, dry: Array, fluid: Array, distance: float) -> Fric
     """Friction that is alike in both directions, of sizes ``(n, m)`` at these speeds, turning over a distance [rad]."""
     n = len(speeds)
     sizes = np.ascontiguousarray(np.tile(np.stack([dry, fluid], axis=2)[:, None], (1, 2, 1, 1)))
-    return Friction(speeds, sizes, np.zeros((n, 2)), np.ones(n)).with_distance(np.full(n, distance))
+    return Friction(speeds, sizes, np.zeros((n, 2)), np.full(n, distance))
 
 
 def motion(amplitude: float = 0.2, duration: float = 1.6, lead: int = 45, tail: int = 25) -> Array:

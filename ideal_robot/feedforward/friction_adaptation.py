@@ -37,7 +37,6 @@ from ideal_robot.feedforward.friction_curve import CurveState, FrictionCurve
 from ideal_robot.feedforward.inverse import Carried, Inverse, InverseState
 from ideal_robot.feedforward.learned_friction import INTERVAL, SLIDES, SLOWEST, WARMING, noise_variance, unknown_mass
 from ideal_robot.feedforward.smoothed_window import CYCLES, Drive, Smoothed, noted, smoothed
-from ideal_robot.friction.presliding import LEAST
 from ideal_robot.friction.table import Friction, friction_sizes, friction_step, largest_speeds
 from ideal_robot.friction.terms import OWN, SHARED, TERMS, dry_sizes, table_terms, terms_along, with_terms
 from ideal_robot.jit import jit
@@ -233,7 +232,8 @@ def _told(known: _Known, drive: Drive, measured: tuple[Array, int, Array], furth
     h, own = np.zeros(len(x)), 0
     predict(x, covariance, known.correlation)
     for i in range(n):
-        z = motion.force[0, i] / max(friction_sizes(known.friction, i, speed[i], load[i])[0], LEAST)
+        size = friction_sizes(known.friction, i, speed[i], load[i])[0]
+        z = motion.force[0, i] / size if size > 0.0 else np.sign(speed[i])
         if abs(speed[i]) < SLOWEST * known.v_max[0, i] or z * np.sign(speed[i]) < SLIDES:
             continue
         h[own : own + _OWN] = 0.0

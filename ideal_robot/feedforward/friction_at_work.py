@@ -19,7 +19,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.estimate.recursive import GATE
 from ideal_robot.feedforward.learned_friction import WEIGHT, estimated, evidence, noise_variance
 from ideal_robot.friction.presliding import first_direction, measured_steps
-from ideal_robot.friction.table import Friction, friction_along, friction_sizes, largest_speeds
+from ideal_robot.friction.table import Friction, directions_along, friction_along, friction_sizes, largest_speeds
 from ideal_robot.friction.terms import ALONE, TERMS, dry_sizes, friction_terms, table_terms, with_terms
 from ideal_robot.loop.from_model import further_torque
 from ideal_robot.loop.loop import Loop, ripple_torque
@@ -47,7 +47,7 @@ class FrictionAtWork:
     def in_loop(self, loop: Loop) -> Loop:
         """The loop that it was found for, with it."""
         friction = with_terms(loop.friction, table_terms(loop.friction, loop.path.v_max), self.values)
-        return loop.changed(friction=friction._replace(sigma_0=loop.friction.sigma_0 / self.bend))
+        return loop.changed(friction=friction._replace(distance=loop.friction.distance * self.bend))
 
 
 def friction_at_work(recording: Recording, loop: Loop) -> FrictionAtWork:
@@ -84,8 +84,7 @@ def _of_joint(loop: Loop, s: FilteredSignals, load: Array, residual: Array, j: i
     weight = np.full(len(v), WEIGHT * dry)
     std = np.sqrt(noise_variance(dry, s.factor * s.dt))
     best, values, factor = -np.inf, np.zeros(TERMS), 1.0
-    bristles = loop.friction.sigma_0[j]
-    for tried in BENDS if np.isfinite(bristles) else (1.0,):
+    for tried in BENDS if loop.friction.distance[j] > 0.0 else (1.0,):
         friction, z = _along(loop, s, load, j, tried)
         terms = dry * friction_terms(v / largest_speeds(loop.path.v_max)[j], z)
         terms[:, 0] += z * by_load
@@ -100,15 +99,14 @@ def _of_joint(loop: Loop, s: FilteredSignals, load: Array, residual: Array, j: i
 
 
 def _along(loop: Loop, s: FilteredSignals, load: Array, j: int, bend: float) -> tuple[Array, Array]:
-    """Friction of joint ``j`` [N m] and its direction of sliding ``(N,)``, with bristles softer by a factor."""
-    own = loop.friction._replace(sigma_0=loop.friction.sigma_0 / bend)
+    """Friction of joint ``j`` [N m] and its direction of sliding ``(N,)``, presliding distance times a factor."""
+    own = loop.friction._replace(distance=loop.friction.distance * bend)
     friction = Friction(*(np.ascontiguousarray(values[j : j + 1]) for values in own))
     v, load = np.ascontiguousarray(s.qd[:, [j]]), np.ascontiguousarray(load[:, None])
-    distance = friction.dry / friction.sigma_0
-    if distance[0] > 0.0:
-        steps = measured_steps(np.ascontiguousarray(s.q[:, [j]]), distance)
-        start = first_direction(v[0], distance) * friction_sizes(friction, 0, v[0, 0], load[0, 0])[0]
+    if friction.distance[0] > 0.0:
+        steps = measured_steps(np.ascontiguousarray(s.q[:, [j]]), friction.distance)
+        start = first_direction(v[0], friction.distance)
     else:
         steps, start = np.zeros_like(v), np.zeros(1)
-    torque, _, direction = friction_along(friction, v, load, steps, start)
-    return torque[:, 0], direction[:, 0]
+    torque, _ = friction_along(friction, v, load, steps, start * friction_sizes(friction, 0, v[0, 0], load[0, 0])[0])
+    return torque[:, 0], directions_along(friction, v, steps, start)[:, 0]

@@ -39,7 +39,7 @@ from ideal_robot.arrays import Array, interpolated
 from ideal_robot.dynamics.newton_euler import inverse_dynamics, inverse_dynamics_with_point
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import SETTLE, Feedforward
-from ideal_robot.friction.table import Friction, friction_along
+from ideal_robot.friction.table import Friction, directions_along, friction_along
 from ideal_robot.jit import jit
 from ideal_robot.loop.from_model import further_torque, loop_model
 from ideal_robot.loop.loop import Cascade, Drives, Loop, behind_uneven_gears, ripple_torque, unevenness
@@ -281,7 +281,9 @@ class Inverse(Feedforward):
             smooth = smooth + a_m @ inertia.T
         if more is not None:
             smooth = smooth + grid.torque.value @ more
-        rubbing, force, direction = friction_along(friction, v_m, gear, grid.step * v_m, state.force)
+        steps = grid.step * v_m
+        rubbing, force = friction_along(friction, v_m, gear, steps, state.force)
+        direction = directions_along(friction, v_m, steps, state.direction)
         further = further_torque(loop, state.cycle * self.t_ipo + grid.fine, q_m, v_m, a_m, gear, direction)
         q_c, u, tau = self._command(state, (q_m, v_m, a_m), smooth + rubbing, further)
         k = grid.last

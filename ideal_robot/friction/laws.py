@@ -16,7 +16,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.friction.presliding import CREEP, bristle_stiffness, sliding_direction
+from ideal_robot.friction.presliding import first_direction, friction_of_sizes, measured_steps, sliding_direction
 from ideal_robot.registry import Registry
 
 
@@ -94,7 +94,11 @@ class FrictionModel(ABC):
     def regressor(self, qd: Array, load: Array | None = None, q: Array | None = None,
                   direction: Array | None = None) -> Array:
         """See ``FrictionModel.torque``. Regressor ``(…, n, m)`` of the ``m`` coefficients of each joint."""
-        return np.stack(self._columns(np.asarray(qd, dtype=float), load, q, direction), axis=-1)
+        qd = np.asarray(qd, dtype=float)
+        if not self.presliding or q is None:
+            return np.stack(self._columns(qd, load, direction), axis=-1)
+        columns = [self._along(dry, fluid, qd, q) for dry, fluid in zip(*self._size_columns(qd, load), strict=True)]
+        return np.stack(columns, axis=-1)
 
     def torque(self, qd: Array, load: Array | None = None, q: Array | None = None,
                direction: Array | None = None) -> Array:
@@ -107,8 +111,10 @@ class FrictionModel(ABC):
                 the direction is that of gross sliding, ``sign(qd)``.
             direction: of motion ``(…, n)``, -1 to 1, of who knows how sharply it changes; laws with presliding know it.
         """
-        columns = self._columns(np.asarray(qd, dtype=float), load, q, direction)
-        return np.sum([c * column for c, column in zip(self.coefficients, columns, strict=True)], axis=0)
+        qd = np.asarray(qd, dtype=float)
+        if not self.presliding or q is None:
+            return self._sum(self._columns(qd, load, direction))
+        return self._along(*self.sizes(qd, load), qd, q)
 
     def sizes(self, qd: Array, load: Array | None = None) -> tuple[Array, Array]:
         """Sizes of dry friction, which goes with the direction of sliding, and of the rest ``(…, n)`` each [N m].
@@ -117,23 +123,34 @@ class FrictionModel(ABC):
             qd: joint velocity ``(…, n)`` [rad/s]; at rest it is forward.
             load: torque the gear transmits ``(…, n)`` [N m]; zero if not given.
         """
-        qd = np.asarray(qd, dtype=float)
-        side = np.where(qd < 0.0, -1.0, 1.0)
-        fluid = side * self.torque(qd, direction=np.zeros_like(qd))
-        dry = side * self.torque(qd, direction=side) - fluid
-        return (dry + self.coefficients[-1] * np.abs(load) if self.loaded and load is not None else dry), fluid
+        dry, fluid = self._size_columns(np.asarray(qd, dtype=float), load)
+        return self._sum(dry), self._sum(fluid)
 
     @property
-    def sigma_0(self) -> Array:
-        """Stiffness of the bristles ``(n,)`` [N m/rad]; infinite without presliding."""
-        slow = np.full((2, self.n), CREEP) * np.array([[1.0], [-1.0]])
-        distance = self.shape[-1] if self.presliding else np.zeros(self.n)
-        return np.asarray(bristle_stiffness(self.sizes(slow)[0].mean(axis=0), distance))
+    def distance(self) -> Array:
+        """Presliding distance ``(n,)`` [rad]; 0 without presliding."""
+        return np.array(self.shape[-1]) if self.presliding else np.zeros(self.n)
 
-    def _columns(self, qd: Array, load: Array | None, q: Array | None, direction: Array | None) -> list[Array]:
-        if self.presliding and q is not None:
-            direction = sliding_direction(q, qd, self.shape[-1])
-        elif direction is None:
+    def _sum(self, columns: list[Array]) -> Array:
+        """Coefficients times columns."""
+        return np.asarray(np.sum([c * column for c, column in zip(self.coefficients, columns, strict=True)], axis=0))
+
+    def _size_columns(self, qd: Array, load: Array | None) -> tuple[list[Array], list[Array]]:
+        """Columns of the sizes of dry friction and of the rest, one like ``qd`` per coefficient each."""
+        side = np.where(qd < 0.0, -1.0, 1.0)
+        fluid = [side * column for column in self._columns(qd, load, np.zeros_like(qd))]
+        both = [side * column for column in self._columns(qd, load, side)]
+        return [whole - part for whole, part in zip(both, fluid, strict=True)], fluid
+
+    def _along(self, dry: Array, fluid: Array, qd: Array, q: Array) -> Array:
+        """Torque ``(N, n)`` of sizes ``(N, n)`` [N m] along measured positions, all ``(N, n)``."""
+        steps = measured_steps(np.ascontiguousarray(q, dtype=float), self.distance)
+        start = first_direction(qd[0], self.distance) * dry[0]
+        sizes = np.ascontiguousarray(dry), np.ascontiguousarray(fluid)
+        return friction_of_sizes(*sizes, np.ascontiguousarray(qd), steps, start, self.distance)[0]
+
+    def _columns(self, qd: Array, load: Array | None, direction: Array | None) -> list[Array]:
+        if direction is None:
             direction = np.sign(qd)
         columns = self.columns(qd, direction, self.shape)
         if self.loaded:
@@ -362,9 +379,9 @@ class PerJointFriction:
         return dry, fluid
 
     @property
-    def sigma_0(self) -> Array:
-        """See ``FrictionModel.sigma_0``."""
-        return np.concatenate([law.sigma_0 for law in self.laws])
+    def distance(self) -> Array:
+        """See ``FrictionModel.distance``."""
+        return np.concatenate([law.distance for law in self.laws])
 
     def to_dict(self) -> list[dict[str, Any]]:
         """Plain values for the model file, one entry per joint."""

@@ -4,21 +4,23 @@ r"""Friction of one joint over one step of its motor: the only place where dry a
 and load give:
 
 * *dry* friction of size :math:`D(\dot q, \tau_g) \ge 0`, which goes with the *direction of sliding*. Before a contact
-  slides it bends: the force F of its bristles follows Dahl's model (P. R. Dahl 1968) over the position q,
+  slides it bends: its force F follows Dahl's model (P. R. Dahl 1968) over the position q,
 
-  .. math:: \frac{dF}{dq} = \sigma_0 \Big(1 - \frac{F}{D}\,\mathrm{sign}\,\dot q\Big)
+  .. math:: \frac{dF}{dq} = \frac{D}{d} \Big(1 - \frac{F}{D}\,\mathrm{sign}\,\dot q\Big)
             \quad\Rightarrow\quad
-            F(k) = s D + \big(F(k-1) - s D\big)\, e^{-\sigma_0 |\Delta q| / D}, \qquad s = \mathrm{sign}\,\Delta q
+            F(k) = s D + \big(F(k-1) - s D\big)\, e^{-|\Delta q| / d}, \qquad s = \mathrm{sign}\,\Delta q
 
-  with the stiffness :math:`\sigma_0` of the bristles. F is the **presliding state** [N m]. It needs no time and no
-  velocity, stays at rest as it is, and does not jump where D does. Where no presliding is known, :math:`\sigma_0` is
-  infinite and the force jumps with the direction of motion;
+  with the **presliding distance** d. The stiffness D/d is in proportion to dry friction: a contact that carries more
+  has more places that touch, each as stiff as before. F is the **presliding state** [N m]. It needs no time and no
+  velocity, stays at rest as it is, and does not jump where D does. Where no presliding is known, d is zero and the
+  force jumps with the direction of motion;
 * *fluid* friction of size :math:`V(|\dot q|)`, which acts at once,
 
 .. math:: \tau_f = F + V \,\mathrm{sign}\,\dot q .
 
-The share z = F/D, -1 to 1, is the direction of sliding that laws which are linear in their coefficients know:
-:math:`\tau_f = z D + V\,\mathrm{sign}\,\dot q`.
+F is linear in D. So a law that is linear in its coefficients, :math:`D = \sum_i c_i D_i`, stays so with presliding:
+:math:`F = \sum_i c_i F_i`, each column with a state of its own. The state z of a unit of dry friction, -1 to 1, is the
+**direction of sliding**.
 """
 
 from __future__ import annotations
@@ -30,9 +32,6 @@ from ideal_robot.jit import jit
 
 STILL = 1e-4
 """Velocity within which friction that jumps passes through zero [rad/s]: rounding would switch it back and forth."""
-LEAST = 1e-12
-"""Dry friction below which there is none [N m]; keeps divisions by it finite."""
-
 CREEP = 1e-300
 """Speed at which friction is that of standstill in the direction of the speed [rad/s]."""
 
@@ -44,55 +43,56 @@ _BAND = 0.05
 
 
 @jit()
-def friction_torque(dry: float, fluid: float, v: float, force: float, step: float, sigma_0: float
-                    ) -> tuple[float, float]:
-    """Friction torque of a joint and its presliding state after a step; the equations stand above.
+def presliding_state(dry: float, v: float, state: float, step: float, distance: float) -> float:
+    """Presliding state after a step [N m]; with ``dry`` 1 it is the direction of sliding.
 
     Args:
-        dry, fluid: sizes D and V at the velocity and load of the step [N m].
-        v: velocity of the motor [rad/s]; its sign is the direction of fluid friction.
-        force: presliding state before the step [N m].
+        dry: size D at the velocity and load of the step [N m].
+        v: velocity of the motor [rad/s]; its sign decides where dry friction jumps.
+        state: before the step [N m].
         step: how far the motor goes [rad].
-        sigma_0: stiffness of the bristles [N m/rad]; infinite where dry friction jumps.
+        distance: presliding distance [rad]; 0 where dry friction jumps.
     """
-    dry = max(dry, LEAST)
-    if sigma_0 == np.inf:
-        force = dry * min(max(v / STILL, -1.0), 1.0)
-    elif step != 0.0:
-        end = dry if step > 0.0 else -dry
-        behind = force - end
-        # In gross sliding nothing is behind, and the exponential is what costs time.
-        force = end + behind * np.exp(-sigma_0 * abs(step) / dry) if behind != 0.0 else end
-    return force + (fluid if v > 0.0 else -fluid if v < 0.0 else 0.0), force
-
-
-def bristle_stiffness(dry: Array, distance: Array) -> Array:
-    """Stiffness of the bristles ``(n,)`` [N m/rad] of friction that turns round over a presliding distance.
-
-    Args:
-        dry: dry friction that the distance belongs to ``(n,)`` [N m]; where there is none, 1 N m.
-        distance: presliding distance ``(n,)`` [rad]; 0 where friction jumps.
-    """
-    some = np.where(dry > 0.0, dry, 1.0)
-    return np.where(distance > 0.0, some / np.where(distance > 0.0, distance, 1.0), np.inf)
+    if distance == 0.0:
+        return dry * min(max(v / STILL, -1.0), 1.0)
+    if step == 0.0:
+        return state
+    end = dry if step > 0.0 else -dry
+    behind = state - end
+    # In gross sliding nothing is behind, and the exponential is what costs time.
+    return end + behind * np.exp(-abs(step) / distance) if behind != 0.0 else end
 
 
 @jit()
-def friction_of_sizes(dry: Array, fluid: Array, v: Array, steps: Array, start: Array, sigma_0: Array
+def friction_torque(dry: float, fluid: float, v: float, force: float, step: float, distance: float
+                    ) -> tuple[float, float]:
+    """Friction torque of a joint and its presliding state after a step [N m]; the equations stand above.
+
+    Args:
+        dry, v, step, distance: of ``presliding_state``.
+        fluid: size V at the velocity of the step [N m]; it acts against the sign of ``v``.
+        force: presliding state before the step [N m].
+    """
+    force = presliding_state(dry, v, force, step, distance)
+    return force + (fluid if v > 0.0 else -fluid if v < 0.0 else 0.0), force
+
+
+@jit()
+def friction_of_sizes(dry: Array, fluid: Array, v: Array, steps: Array, start: Array, distance: Array
                       ) -> tuple[Array, Array]:
     """Friction torques and presliding states along a motion, ``(N, n)`` each [N m]: ``friction_torque`` row by row.
 
     Args:
         dry, fluid, v, steps: of ``friction_torque``, ``(N, n)`` each; the first step is not taken.
         start: presliding state in the first row ``(n,)`` [N m].
-        sigma_0: ``(n,)`` [N m/rad].
+        distance: presliding distance ``(n,)`` [rad].
     """
     torque, force = np.empty_like(v), np.empty_like(v)
     for i in range(v.shape[1]):
         state = start[i]
         for k in range(len(v)):
             torque[k, i], state = friction_torque(dry[k, i], fluid[k, i], v[k, i], state,
-                                                  steps[k, i] if k > 0 else 0.0, sigma_0[i])
+                                                  steps[k, i] if k > 0 else 0.0, distance[i])
             force[k, i] = state
     return torque, force
 
@@ -135,7 +135,7 @@ def measured_steps(q: Array, distance: Array) -> Array:
 
 
 def sliding_direction(q: Array, qd: Array, distance: Array) -> Array:
-    """Direction of sliding ``(N, n)``, -1 to 1, of constant dry friction along measured positions.
+    """Direction of sliding ``(N, n)``, -1 to 1, along measured positions.
 
     Args:
         q: positions ``(N, n)`` [rad or m], consecutive in time.
@@ -145,10 +145,10 @@ def sliding_direction(q: Array, qd: Array, distance: Array) -> Array:
     q, distance = np.ascontiguousarray(q, dtype=float), np.asarray(distance, dtype=float)
     one, steps = np.ones_like(q), measured_steps(q, distance)
     start = first_direction(np.asarray(qd, dtype=float)[0], distance)
-    return friction_of_sizes(one, 0.0 * one, steps, steps, start, 1.0 / distance)[1]
+    return friction_of_sizes(one, 0.0 * one, steps, steps, start, distance)[1]
 
 
 def dahl(q: Array, distance: float) -> Array:
     """Direction of sliding ``(N,)`` along exact positions ``(N,)`` of one joint, zero at first: without the band."""
     one, steps = np.ones((len(q), 1)), np.diff(q, prepend=q[:1])[:, None]
-    return np.asarray(friction_of_sizes(one, 0.0 * one, steps, steps, np.zeros(1), np.array([1.0 / distance]))[1][:, 0])
+    return np.asarray(friction_of_sizes(one, 0.0 * one, steps, steps, np.zeros(1), np.array([distance]))[1][:, 0])

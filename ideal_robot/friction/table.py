@@ -8,7 +8,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.friction.laws import PerJointFriction
-from ideal_robot.friction.presliding import CREEP, LEAST, bristle_stiffness, friction_torque
+from ideal_robot.friction.presliding import CREEP, friction_torque, presliding_state
 from ideal_robot.jit import jit
 
 FORWARD, BACKWARD = 0, 1
@@ -23,13 +23,13 @@ class Friction(NamedTuple):
         sizes: dry and fluid friction of an unloaded gear, forward and backward ``(n, 2, m, 2)`` [N m].
         per_load: dry friction per torque that the gear transmits, and what is added to it where the motor drives the
             load ``(n, 2)`` [1].
-        sigma_0: stiffness of the bristles ``(n,)`` [N m/rad]; infinite where dry friction jumps.
+        distance: presliding distance ``(n,)`` [rad]; 0 where dry friction jumps.
     """
 
     speeds: Array
     sizes: Array
     per_load: Array
-    sigma_0: Array
+    distance: Array
 
     @classmethod
     def of(cls, law: PerJointFriction, v_max: Array) -> Friction:
@@ -45,7 +45,7 @@ class Friction(NamedTuple):
         sizes = np.ascontiguousarray(sizes)
         braking(sizes)
         per_load = np.array([(one.coefficients[-1, 0] if one.loaded else 0.0, 0.0) for one in law.laws])
-        return cls(speeds, sizes, per_load, law.sigma_0)
+        return cls(speeds, sizes, per_load, law.distance)
 
     @property
     def dry(self) -> Array:
@@ -56,10 +56,6 @@ class Friction(NamedTuple):
     def sliding(self) -> Array:
         """What sliding friction of an unloaded gear brakes with, forward and backward ``(n, 2, m)`` [N m]."""
         return np.asarray(self.sizes.sum(axis=3))
-
-    def with_distance(self, distance: Array) -> Friction:
-        """The same friction, turning round over other presliding distances ``(n,)`` [rad]."""
-        return self._replace(sigma_0=bristle_stiffness(self.dry, distance))
 
 
 @jit()
@@ -127,23 +123,38 @@ def friction_step(friction: Friction, joint: int, v: float, load: float, force: 
         step: how far the motor goes [rad].
     """
     dry, fluid = friction_sizes(friction, joint, v, load)
-    return friction_torque(dry, fluid, v, force, step, friction.sigma_0[joint])
+    return friction_torque(dry, fluid, v, force, step, friction.distance[joint])
 
 
 @jit()
-def friction_along(friction: Friction, v: Array, load: Array, steps: Array, force: Array
-                   ) -> tuple[Array, Array, Array]:
-    """Friction torques, presliding states [N m] and directions of sliding along a motion, ``(m, n)`` each.
+def friction_along(friction: Friction, v: Array, load: Array, steps: Array, force: Array) -> tuple[Array, Array]:
+    """Friction torques and presliding states along a motion, ``(m, n)`` each [N m].
 
     Args:
         friction, v, load, steps: of ``friction_step``, ``(m, n)`` each but the first.
         force: presliding state before ``(n,)`` [N m].
     """
-    torque, forces, direction = np.empty_like(v), np.empty_like(v), np.empty_like(v)
+    torque, forces = np.empty_like(v), np.empty_like(v)
     for i in range(v.shape[1]):
-        state, sigma_0 = force[i], friction.sigma_0[i]
+        state = force[i]
         for k in range(len(v)):
-            dry, fluid = friction_sizes(friction, i, v[k, i], load[k, i])
-            torque[k, i], state = friction_torque(dry, fluid, v[k, i], state, steps[k, i], sigma_0)
-            forces[k, i], direction[k, i] = state, min(max(state / max(dry, LEAST), -1.0), 1.0)
-    return torque, forces, direction
+            torque[k, i], state = friction_step(friction, i, v[k, i], load[k, i], state, steps[k, i])
+            forces[k, i] = state
+    return torque, forces
+
+
+@jit()
+def directions_along(friction: Friction, v: Array, steps: Array, direction: Array) -> Array:
+    """Directions of sliding along a motion ``(m, n)``, -1 to 1.
+
+    Args:
+        friction, v, steps: of ``friction_along``.
+        direction: of sliding before ``(n,)``.
+    """
+    directions = np.empty_like(v)
+    for i in range(v.shape[1]):
+        state = direction[i]
+        for k in range(len(v)):
+            state = presliding_state(1.0, v[k, i], state, steps[k, i], friction.distance[i])
+            directions[k, i] = state
+    return directions

@@ -131,4 +131,4 @@ def with_terms(friction: Friction, terms: Array, values: Array) -> Friction:
         for which in range(2):
             per_load[i, which] *= 1.0 + values[i, 0]
     braking(sizes)
-    return Friction(friction.speeds, sizes, per_load, friction.sigma_0)
+    return Friction(friction.speeds, sizes, per_load, friction.distance)

@@ -17,7 +17,6 @@ from scipy import optimize
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.friction import FrictionModel, PerJointFriction
-from ideal_robot.friction.presliding import sliding_direction
 from ideal_robot.identification.friction_runs import FoldEquations, FrictionProjection
 from ideal_robot.signals.preprocess import FilteredSignals
 
@@ -31,8 +30,6 @@ _CLEARLY = 0.9
 """Once presliding lowers the held-out error to this share, laws without it are not tried any more."""
 _VARIES = 0.1
 """Least share of its size by which a load must vary; else its friction is dry friction by another name."""
-_KEPT = 16
-"""Directions of sliding kept at a time: they are as long as the recordings."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +105,6 @@ class FrictionChoice:
         self._folds = [slice(first, last) for first, last in itertools.pairwise(ends)]
         self._motions: dict[int, list[tuple[Array, Array, Array]]] = {}
         self._filtered: dict[tuple[int, float, int], Array] = {}
-        self._directed: dict[tuple[int, float], list[Array]] = {}
         self._cache: dict[tuple[int, Candidate, tuple[float, ...]], Array] = {}
         self._size = np.maximum(np.linalg.norm(self._rigid.reshape(-1, rigid.shape[2]), axis=0), 1e-12)
         self._rigid /= self._size
@@ -125,9 +121,7 @@ class FrictionChoice:
         key = (joint, candidate, shape)
         if key not in self._cache:
             law, motion = candidate.make(shape), self._motion(joint)
-            directions = self._directions(joint, shape[-1]) if candidate.presliding else [None] * len(motion)
-            parts = [self._decimated(i, law.regressor(qd, load, None, direction)[:, 0])
-                     for i, ((qd, load, _), direction) in enumerate(zip(motion, directions, strict=True))]
+            parts = [self._decimated(i, law.regressor(*values)[:, 0]) for i, values in enumerate(motion)]
             self._cache[key] = np.concatenate(parts) / self._noise[joint]
         return self._cache[key]
 
@@ -137,15 +131,6 @@ class FrictionChoice:
             self._motions[joint] = [(s.qd[:, [joint]], load[:, [joint]], s.q[:, [joint]])
                                     for s, load in zip(self._signals, self._load, strict=True)]
         return self._motions[joint]
-
-    def _directions(self, joint: int, distance: float) -> list[Array]:
-        """Direction of sliding of one joint in each recording ``(N, 1)``: the laws share it."""
-        key = joint, distance
-        if key not in self._directed:
-            if len(self._directed) >= _KEPT:
-                self._directed.clear()
-            self._directed[key] = [sliding_direction(q, qd, np.array([distance])) for qd, _, q in self._motion(joint)]
-        return self._directed[key]
 
     def _decimated(self, recording: int, columns: Array) -> Array:
         """Decimated columns; most laws share most of theirs, so each is filtered once."""

@@ -10,7 +10,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, chain_of, inverse_dynamics, joint_frames, mass_matrix
 from ideal_robot.effects import FittedEffect, Signals
 from ideal_robot.errors import InputError
-from ideal_robot.friction.presliding import CREEP, bristle_stiffness
+from ideal_robot.friction.presliding import CREEP
 from ideal_robot.friction.table import Friction, braking
 from ideal_robot.loop.loop import Cascade, CommandPath, Drives, Loop, checked, low_pass_taps
 from ideal_robot.model.arm_with_effects import chain_with, changes_of, stiffness_with
@@ -76,7 +76,7 @@ def further_torque(loop: Loop, t: Array, q: Array, qd: Array, qdd: Array, load: 
 def with_effects(loop: Loop, effects: tuple[FittedEffect, ...]) -> Loop:
     """The loop with the effects added that act in it: each says where and by how much (``Effect.loop_change``)."""
     drives, friction = loop.drives, loop.friction
-    sizes, per_load, distance = friction.sizes.copy(), friction.per_load.copy(), np.zeros(loop.n)
+    sizes, per_load, distance = friction.sizes.copy(), friction.per_load.copy(), friction.distance.copy()
     offset, rotor, gain = drives.offset.copy(), drives.rotor_inertia.copy(), drives.gain.copy()
     half_gap, gap_load = drives.half_gap.copy(), drives.gap_load.copy()
     ripples, uneven = [drives.ripple], [drives.uneven]
@@ -100,21 +100,10 @@ def with_effects(loop: Loop, effects: tuple[FittedEffect, ...]) -> Loop:
     braking(sizes)
     return loop.changed(
         chain=chain_with(loop.chain, changes),
-        friction=Friction(friction.speeds, sizes, np.maximum(per_load, 0.0),
-                          _bristles(friction, friction._replace(sizes=sizes), distance)),
+        friction=Friction(friction.speeds, sizes, np.maximum(per_load, 0.0), distance),
         drives=Drives(rotor, offset, gain, np.concatenate(ripples), stiffness_with(drives.stiffness, changes),
                       drives.damping, np.concatenate(uneven), half_gap, gap_load),
         terms=(*loop.terms, *(effect for effect, change in changes if change.torque)))
-
-
-def _bristles(before: Friction, after: Friction, distance: Array) -> Array:
-    """Stiffness of the bristles ``(n,)`` [N m/rad] of friction that turns round over ``distance (n,)`` [rad] at least.
-
-    More dry friction has more of the same bristles; where there was none, what is found is all of it.
-    """
-    dry = np.where(before.dry > 0.0, before.dry, after.dry)
-    known = np.where(before.dry > 0.0, before.dry, 1.0) / before.sigma_0
-    return bristle_stiffness(dry, np.maximum(known, distance))
 
 
 def _curve(effect: FittedEffect, speeds: Array) -> Array:

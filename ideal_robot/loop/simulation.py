@@ -15,7 +15,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, joint_frames, mass_matrix, torque_at
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.friction.presliding import STILL
-from ideal_robot.friction.table import Friction, friction_along, friction_step
+from ideal_robot.friction.table import Friction, directions_along, friction_step
 from ideal_robot.jit import jit
 from ideal_robot.loop.from_model import further_torque
 from ideal_robot.loop.loop import Cascade, Drives, Loop, ripple_torque, unevenness
@@ -174,22 +174,23 @@ def _played(loop: Loop, reference: Array, external: Array, tau0: Array, q0: Arra
     out[:, 0] = state.q_a, state.q_m, state.tau
     # Without further torques all is one compiled call; they are computed anew in every position cycle.
     stride = 1 if loop.terms else len(reference)
-    before, clock = still, _Clock(loop.path.t_position, loop.path.t_velocity, steps)
+    v, q, direction = still, q0, still
+    clock = _Clock(loop.path.t_position, loop.path.t_velocity, steps)
     for start in range(0, cycles * steps, stride):
         if loop.terms and start:
-            acceleration = (state.v_m - before) / loop.path.t_position
-            further = _further(loop, start * loop.path.t_position, state, acceleration)
-        before = state.v_m.copy()
+            acceleration = (state.v_m - v) / loop.path.t_position
+            direction = directions_along(loop.friction, state.v_m[None], (state.q_m - q)[None], direction)[0]
+            further = _further(loop, start * loop.path.t_position, state, acceleration, direction)
+        v, q = state.v_m.copy(), state.q_m.copy()
         _play(loop.chain, drives, loop.friction, loop.cascade, _Inputs(reference, external, further), state, out,
               clock, (start, min(start + stride, cycles * steps)))
     return out[0], out[1], out[2]
 
 
-def _further(loop: Loop, t: float, state: _Motion, acceleration: Array) -> Array:
-    """Torque of further effects ``(n,)`` [N m] in a state of the motion."""
-    v, load = state.v_m[None], state.load[None]
-    direction = friction_along(loop.friction, v, load, np.zeros_like(v), state.force)[2]
-    return further_torque(loop, np.array([t]), state.q_m[None], v, acceleration[None], load, direction)[0]
+def _further(loop: Loop, t: float, state: _Motion, acceleration: Array, direction: Array) -> Array:
+    """Torque of further effects ``(n,)`` [N m] in a state of the motion, its joints sliding in a direction ``(n,)``."""
+    return further_torque(loop, np.array([t]), state.q_m[None], state.v_m[None], acceleration[None], state.load[None],
+                          direction[None])[0]
 
 
 @jit()
@@ -271,7 +272,7 @@ def _gear(drives: Drives, state: _Motion, i: int) -> tuple[float, float]:
 def _rotor(friction: Friction, inertia: float, state: _Motion, net: float, dt: float, i: int) -> float:
     """Velocity of a joint's rotor after a step under a torque [N m] and friction, which stops but never drives."""
     v = state.v_m[i]
-    if friction.sigma_0[i] < np.inf:
+    if friction.distance[i] > 0.0:
         torque, state.force[i] = friction_step(friction, i, v, state.load[i], state.force[i], v * dt)
         return v + (net - torque) / inertia * dt
     # What jumps is full friction against the motion, or against the torque that is about to move a joint at rest.

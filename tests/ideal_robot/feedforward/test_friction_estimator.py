@@ -256,7 +256,7 @@ LOW_SPEEDS = np.array([0.01, 0.02, 0.04, 0.08])
 def sticky_and_bent(loop: Loop) -> Loop:
     """The loop with a fifth more dry friction at rest, gone from 0.1 rad/s on, that turns over half the angle."""
     more = 1.0 + 0.2 * np.exp(-((loop.friction.speeds / 0.05) ** 2))
-    return loop.changed(sizes=loop.friction.sizes * more[:, None, :, None], sigma_0=2.0 * loop.friction.sigma_0)
+    return loop.changed(sizes=loop.friction.sizes * more[:, None, :, None], distance=0.5 * loop.friction.distance)
 
 
 def recorded(loop: Loop) -> Recording:

@@ -91,7 +91,7 @@ def test_constant_velocity_is_followed_with_the_lag_of_the_cascade():
 
 
 def test_friction_stops_but_does_not_drive():
-    loop = plant().changed(sigma_0=np.full(6, np.inf))
+    loop = plant().changed(distance=np.zeros(6))
     done = simulate(loop, np.tile(ROBOT.home, (150, 1)))
     np.testing.assert_array_equal(done.q_m, np.tile(done.q_m[0], (151, 1)))
 
