@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array, eased, interpolated
+from ideal_robot.dynamics.inverse_kinematics import DAMPING, Tool, newton_step
 from ideal_robot.effects import FittedEffect
 from ideal_robot.feedforward.base import SETTLE, Feedforward
 from ideal_robot.model.arm_with_effects import changes_of
@@ -17,12 +18,8 @@ from ideal_robot.robots.robot import Robot, common_normals
 
 _STEPS = 2
 """Newton steps: of an error of millimetres nanometres are left."""
-_DAMPING = 1e-6
-"""Of the least squares: near a singular posture the tool misses by micrometres rather than a joint running away."""
 _EVERY = 0.06
 """Time between the rows of a horizon at which the inverse kinematics is solved [s]."""
-_TURN = 0.2
-"""What a metre of position counts as in radians of orientation."""
 
 
 class CorrectedArm:
@@ -44,6 +41,7 @@ class CorrectedArm:
         for joint, change in changes:
             a, d, alpha, theta = change.geometry or (0.0, 0.0, 0.0, 0.0)
             _displace(self._model, robot, joint, normals[joint - 1], (a, d, alpha, theta + change.zero))
+        self._tool = Tool.of(self._model, robot.tool_id)
 
     def tool(self, q: Array) -> pin.SE3:
         """Pose of the TCP in the base frame at joint angles ``(n,)`` [rad]."""
@@ -55,26 +53,17 @@ class CorrectedArm:
     def joints(self, q_d: Array) -> Array:
         """Joint angles ``(N, n)`` [rad] that bring the tool where the drawn arm would be at ``q_d (N, n)``.
 
-        Of an arm with fewer than six joints the position alone is kept.
+        Near a singular posture the tool misses by micrometres rather than a joint running away.
         """
         if not self.differs:
             return q_d
-        tool, full = self._robot.tool_id, self._model.nv >= 6
-        result = np.array(q_d, dtype=float)
-        for row, wanted_q in zip(result, q_d, strict=True):
-            pin.framesForwardKinematics(self._robot.pinocchio, self._drawn, np.asarray(wanted_q, dtype=float))
-            wanted = self._drawn.oMf[tool]
+        result, error = np.array(q_d, dtype=float), np.empty(6)
+        for row in result:
+            pin.framesForwardKinematics(self._robot.pinocchio, self._drawn, row)
+            wanted = self._drawn.oMf[self._robot.tool_id]
+            pose = np.ascontiguousarray(wanted.rotation), np.array(wanted.translation)
             for _ in range(_STEPS):
-                J = pin.computeFrameJacobian(self._model, self._data, row, tool, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-                J = np.asarray(J).reshape(6, -1)
-                pin.updateFramePlacement(self._model, self._data, tool)
-                place = self._data.oMf[tool]
-                turn = pin.log3(wanted.rotation @ place.rotation.T)
-                error = np.concatenate([wanted.translation - place.translation, _TURN * turn])
-                J = np.vstack([J[:3], _TURN * J[3:]])
-                if not full:
-                    error, J = error[:3], J[:3]
-                row += J.T @ np.linalg.solve(J @ J.T + _DAMPING * np.eye(len(J)), error)
+                row += newton_step(self._tool, *pose, row, row, DAMPING, error)
         return result
 
     def as_drawn(self, q: Array) -> Array:

@@ -6,13 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
-from scipy.linalg.lapack import dgesv
 
 from ideal_robot.arrays import Array
-from ideal_robot.dynamics.newton_euler import chain_of
+from ideal_robot.dynamics.inverse_kinematics import DAMPING, Tool, newton_step, refined
 from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
-from planning.path.newton import DAMPING, Tool, away_from, refined, weighted
 
 TILTED = 0.2
 """How far the tool axis of an arm of fewer than six joints may be from the one wanted [rad]."""
@@ -27,22 +25,12 @@ REFINED_IN = 10
 
 
 class InverseKinematics:
-    r"""Joint angles of TCP poses.
-
-    One Newton step is :math:`q \leftarrow q + J(q)^{-1} \log(T(q)^{-1} T_d)` with the Jacobian in the tool frame;
-    with more than six joints the solution nearest to wanted joint angles is taken, so that it is a function of the pose
-    and the path is as smooth as what is wanted along it. With fewer the place is kept, the tool axis as far as the arm
-    can, and the rotation about that axis is free.
-    """
+    """Joint angles of TCP poses, by the Newton steps of ``ideal_robot.dynamics.inverse_kinematics``."""
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
         self._model, self._data, self._tool = robot.pinocchio, robot.pinocchio.createData(), robot.tool_id
-        # computeFrameJacobian leaves the tool's pose in iMf[0]; holding the vector saves a third of the call's time.
-        self._poses = self._data.iMf
-        tool = self._model.frames[self._tool]
-        self._carried = Tool(chain_of(self._model), int(tool.parentJoint),
-                             np.ascontiguousarray(tool.placement.rotation), np.array(tool.placement.translation))
+        self._carried = Tool.of(self._model, self._tool)
 
     def fk(self, q: Array) -> pin.SE3:
         """TCP pose in the base frame at ``q (n,)`` [rad]."""
@@ -62,19 +50,13 @@ class InverseKinematics:
             q: where it starts ``(n,)`` [rad].
             wanted: what more than six joints come near to ``(n,)`` [rad]; where it starts if None.
         """
-        jacobian = pin.computeFrameJacobian(self._model, self._data, q, self._tool, pin.LOCAL)
-        error = pin.log6(self._poses[0].actInv(target)).vector
-        if self.robot.n == 6:
-            _, _, dq, info = dgesv(jacobian, error)
-            if info == 0:
-                return q + dq, error
-        if self.robot.n < 6:
-            return q + weighted(np.ascontiguousarray(jacobian), error), error
-        if self.robot.n > 6:
-            wish = np.zeros(self.robot.n) if wanted is None else wanted - q
-            return q + away_from(np.ascontiguousarray(jacobian), error, wish), error
-        damping = DAMPING * np.eye(6)
-        return q + jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + damping, error), error
+        error, q = np.empty(6), np.ascontiguousarray(q, dtype=float)
+        pose = np.ascontiguousarray(target.rotation), np.array(target.translation)
+        near = q if wanted is None else np.ascontiguousarray(wanted, dtype=float)
+        try:
+            return q + newton_step(self._carried, *pose, q, near, 0.0, error), error
+        except np.linalg.LinAlgError:
+            return q + newton_step(self._carried, *pose, q, near, DAMPING, error), error
 
     def _solved(self, error: Array, dq: Array) -> bool:
         """Whether a pose is reached: all of the error is gone, or what fewer than six joints can remove of it."""

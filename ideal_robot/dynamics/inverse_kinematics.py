@@ -1,4 +1,10 @@
-"""Newton's method on many poses of a serial arm in one call, compiled.
+r"""Inverse kinematics of a serial arm, compiled: one Newton step, and whole horizons of poses.
+
+One step is :math:`q \leftarrow q + J(q)^{-1} \log(T(q)^{-1} T_d)` with the Jacobian in the tool frame. Of more than
+six joints it takes the solution nearest to wanted joint angles, so that it is a function of the pose and the path is as
+smooth as what is wanted along it. Of fewer the place is kept, the tool axis as far as the arm can, and the rotation
+about that axis is free. Paths are planned with it (``planning.path.kinematics``), and an arm that is not as drawn is
+led by it (``ideal_robot.feedforward.corrected_arm``).
 
 Pinocchio is the reference (a test compares them); this is for the control cycle, which solves a whole horizon: a call
 per pose costs more than its arithmetic.
@@ -9,10 +15,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
-from ideal_robot.dynamics.newton_euler import Chain, joint_frames
+from ideal_robot.dynamics.newton_euler import Chain, chain_of, joint_frames
 from ideal_robot.jit import jit
 
 DAMPING = 1e-6
@@ -22,8 +29,8 @@ SLIGHT = 1e-10
 TILT, TWIST = 1e-3, 1e-4
 """Weights of the tool axis' direction and of the rotation about it [m/rad], beside 1 of the place, where there are
 fewer than six joints: the place is kept, the tool axis as far as the arm can, the rotation about it is what is left."""
-HALF_TURN = -0.99
-"""Cosine of a rotation beyond which its axis is not told well enough."""
+HALF_TURN = -0.9
+"""Cosine of a rotation beyond which its axis is taken from the symmetric part: the other one fades at half a turn."""
 
 
 class Tool(NamedTuple):
@@ -40,10 +47,22 @@ class Tool(NamedTuple):
     R: Array
     p: Array
 
+    @classmethod
+    def of(cls, model: pin.Model, frame: int) -> Tool:
+        """Of a frame of a Pinocchio model; raises InputError where the model is no serial chain."""
+        tool = model.frames[frame]
+        return cls(chain_of(model), int(tool.parentJoint), np.ascontiguousarray(tool.placement.rotation),
+                   np.array(tool.placement.translation))
+
 
 @jit(error_model="numpy")
-def _log6(R: Array, p: Array, out: Array) -> bool:
-    """Twist of a motion [m, rad], linear first, written to ``out (6,)``; whether it turns by less than half a turn."""
+def log6(R: Array, p: Array, out: Array) -> None:
+    """Twist of a motion [m, rad], linear first, written to ``out (6,)``.
+
+    Args:
+        R, p: rotation ``(3, 3)`` and translation ``(3,)`` [m] of the motion.
+        out: see above.
+    """
     cosine = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
     x, y, z = 0.5 * (R[2, 1] - R[1, 2]), 0.5 * (R[0, 2] - R[2, 0]), 0.5 * (R[1, 0] - R[0, 1])
     sine = np.sqrt(x * x + y * y + z * z)
@@ -51,22 +70,37 @@ def _log6(R: Array, p: Array, out: Array) -> bool:
     if angle < 1e-4:
         longer, bend = 1.0 + angle * angle / 6.0, 1.0 / 12.0 + angle * angle / 720.0
     else:
-        longer, bend = angle / sine, 1.0 / angle**2 - (1.0 + cosine) / (2.0 * angle * sine)
+        longer, bend = angle / sine, 1.0 / angle**2 - 1.0 / (2.0 * angle * np.tan(0.5 * angle))
+    if cosine < HALF_TURN:
+        # R + Rᵀ = 2 cos I + 2 (1 - cos) a aᵀ holds the axis a but for its sign, which the other part has.
+        k = 0
+        for r in range(1, 3):
+            if R[r, r] > R[k, k]:
+                k = r
+        largest = np.sqrt(max(R[k, k] - cosine, 0.0) / (1.0 - cosine))
+        a = 0.5 * (R[0, k] + R[k, 0]) / ((1.0 - cosine) * largest) if k != 0 else largest
+        b = 0.5 * (R[1, k] + R[k, 1]) / ((1.0 - cosine) * largest) if k != 1 else largest
+        c = 0.5 * (R[2, k] + R[k, 2]) / ((1.0 - cosine) * largest) if k != 2 else largest
+        longer = -angle if a * x + b * y + c * z < 0.0 else angle
+        x, y, z = a, b, c
     x, y, z = longer * x, longer * y, longer * z
     a, b, c = y * p[2] - z * p[1], z * p[0] - x * p[2], x * p[1] - y * p[0]
     out[0] = p[0] - 0.5 * a + bend * (y * c - z * b)
     out[1] = p[1] - 0.5 * b + bend * (z * a - x * c)
     out[2] = p[2] - 0.5 * c + bend * (x * b - y * a)
     out[3], out[4], out[5] = x, y, z
-    return cosine > HALF_TURN
 
 
 @jit()
-def _tool_jacobian(tool: Tool, q: Array, J: Array, T_R: Array, T_p: Array) -> None:
+def tool_jacobian(tool: Tool, q: Array, J: Array, T_R: Array, T_p: Array) -> None:
     """Writes the Jacobian ``J (6, n)``, linear first, in the tool's frame, and its pose in the base frame.
 
     From the tool back to the base: with the tool's pose (R, p) in the frame of a joint about z, its column is
     (Rᵀ (z × p), Rᵀ z), of one that slides (Rᵀ z, 0).
+
+    Args:
+        tool, q: kinematics, and joint angles ``(n,)`` [rad].
+        J, T_R, T_p: written to; the pose's rotation is ``(3, 3)``, its place ``(3,)`` [m].
     """
     n, chain = len(q), tool.chain
     R, p = np.empty((n, 3, 3)), np.empty((n, 3))
@@ -95,38 +129,46 @@ def _tool_jacobian(tool: Tool, q: Array, J: Array, T_R: Array, T_p: Array) -> No
 
 
 @jit()
-def _newton_step(tool: Tool, target_R: Array, target_p: Array, q: Array, wanted: Array, J: Array, error: Array
-                ) -> tuple[NDArray[np.floating[Any]], bool]:
-    """Change of the joint angles ``(n,)`` towards a pose, and whether its error is less than half a turn.
+def newton_step(tool: Tool, target_R: Array, target_p: Array, q: Array, wanted: Array, damping: float, error: Array
+                ) -> NDArray[np.floating[Any]]:
+    """Change of the joint angles ``(n,)`` [rad] towards a pose.
 
-    ``J (6, n)`` and ``error (6,)`` [m, rad], before the step, are written to. More than six joints come as near to
-    ``wanted (n,)`` [rad] as the pose lets them.
+    Raises ``LinAlgError`` for a posture from which six joints cannot move in all directions, without damping.
+
+    Args:
+        tool: kinematics.
+        target_R: rotation wanted ``(3, 3)``.
+        target_p: place wanted ``(3,)`` [m].
+        q: joint angles ``(n,)`` [rad].
+        wanted: what more than six joints come as near to as the pose lets them ``(n,)`` [rad].
+        damping: of the inverse for six joints; 0 for none.
+        error: of the pose before the step ``(6,)`` [m, rad], written to.
     """
     T_R, T_p, away_R, away_p = np.empty((3, 3)), np.empty(3), np.empty((3, 3)), np.empty(3)
-    _tool_jacobian(tool, q, J, T_R, T_p)
+    J = np.empty((6, len(q)))
+    tool_jacobian(tool, q, J, T_R, T_p)
     for r in range(3):
         for c in range(3):
             away_R[r, c] = T_R[0, r] * target_R[0, c] + T_R[1, r] * target_R[1, c] + T_R[2, r] * target_R[2, c]
         away_p[r] = (T_R[0, r] * (target_p[0] - T_p[0]) + T_R[1, r] * (target_p[1] - T_p[1])
                      + T_R[2, r] * (target_p[2] - T_p[2]))
-    near = _log6(away_R, away_p, error)
+    log6(away_R, away_p, error)
     if len(q) == 6:
-        return np.linalg.solve(J, error), near
-    if len(q) > 6:
-        return away_from(J, error, wanted - q), near
-    return weighted(J, error), near
+        return np.linalg.solve(J, error) if damping == 0.0 else away_from(J, error, np.zeros(6), damping)
+    return away_from(J, error, wanted - q, SLIGHT) if len(q) > 6 else weighted(J, error)
 
 
 @jit()
-def away_from(J: Array, error: Array, wish: Array) -> NDArray[np.floating[Any]]:
-    """The change of more than six joint angles ``(n,)`` that removes a pose error and is nearest to a wish.
+def away_from(J: Array, error: Array, wish: Array, damping: float) -> NDArray[np.floating[Any]]:
+    """The change of six joint angles or more ``(n,)`` that removes a pose error and is nearest to a wish.
 
     Args:
         J: Jacobian ``(6, n)``.
         error: of the pose ``(6,)`` [m, rad].
         wish: change wanted besides ``(n,)`` [rad].
+        damping: of the inverse.
     """
-    return wish + J.T @ np.linalg.solve(J @ J.T + SLIGHT * np.eye(6), error - J @ wish)
+    return wish + J.T @ np.linalg.solve(J @ J.T + damping * np.eye(6), error - J @ wish)
 
 
 @jit()
@@ -159,14 +201,12 @@ def refined(tool: Tool, targets_R: Array, targets_p: Array, q: Array, wanted: Ar
         tolerance: see above [m², rad²].
         most: steps of a pose at most.
     """
-    J, error = np.empty((6, q.shape[1])), np.empty(6)
+    error = np.empty(6)
     for i in range(q.shape[0]):
         solution = q[i].copy()
         done = False
         for _ in range(most):
-            change, near = _newton_step(tool, targets_R[i], targets_p[i], solution, wanted[i], J, error)
-            if not near:
-                return i
+            change = newton_step(tool, targets_R[i], targets_p[i], solution, wanted[i], 0.0, error)
             solution += change
             remaining = np.sum(error * error) if q.shape[1] >= 6 else 100.0 * np.sum(change * change)
             if remaining < tolerance:
