@@ -14,7 +14,7 @@ import numpy as np
 from ideal_robot.execution.command_governor import CommandGovernor
 from ideal_robot.feedforward.base import tried
 from ideal_robot.feedforward.method import Needs
-from ideal_robot.feedforward.registry import feedforward, methods
+from ideal_robot.feedforward.registry import feedforward, methods, settings
 from ideal_robot.identification.excitation import Workspace, obstacle
 from ideal_robot.identification.idim import identify
 from ideal_robot.loop.from_model import loop_model
@@ -40,7 +40,7 @@ def compile_all() -> float:
         run_scene(load_scene(name), method="adapted", **short)
     robot = Robot.load("kr6")
     model = Model.load(shipped_model("kr6"))
-    for key in methods(Needs.MODEL):
+    for key in (*methods(Needs.MODEL), *settings(Needs.MODEL)):
         tried(feedforward(key, model, robot, n_d=30), robot.home, robot.t_ipo)
     simulate(loop_model(model, robot), np.tile(robot.home, (3, 1)))
     obstacle(robot, robot.home[None], Workspace())

@@ -13,6 +13,7 @@ from ideal_robot.feedforward.base import Feedforward, tried
 from ideal_robot.feedforward.method import Factory, Method, Needs, Setting
 from ideal_robot.feedforward.registry import method as registered
 from ideal_robot.feedforward.registry import methods as registered_methods
+from ideal_robot.feedforward.registry import require, settings
 from scenes.result import Progress
 
 NONE = "none"
@@ -24,7 +25,9 @@ SENSOR_PATH = "sensor_path"
 IDEAL = "ideal"
 ADAPTED = "adapted"
 """The ideal robot with friction that follows the arm: on known paths it plays beforehand, else it learns as it goes."""
-PLAIN = ("precorrected_1", "precorrected")
+DELAY = "-delay"
+"""Behind a method's key, in scenes of paths: the standard path planner's delay is in force."""
+PLAIN = ("precorrected", "precorrected-printed")
 """Made for known paths; sensor-based scenes play them when asked for, and leave them out of their comparisons."""
 
 
@@ -53,7 +56,7 @@ class SceneMethod:
     @property
     def adapts(self) -> bool:
         """Whether what the arm showed before the job is learned from."""
-        return self.key.removesuffix("_delay") == ADAPTED
+        return self.key.removesuffix(DELAY) == ADAPTED
 
     def feedforward(self, setting: Setting) -> Feedforward:
         """Makes the feedforward; InputError where something that it needs is missing, or this arm cannot play it."""
@@ -63,7 +66,7 @@ class SceneMethod:
             elif self.made is not None:
                 feedforward = self.made(setting)
             else:
-                key = NONE if self.key in (DIRECT, SENSOR_PATH) else self.key.removesuffix("_delay")
+                key = NONE if self.key in (DIRECT, SENSOR_PATH) else self.key.removesuffix(DELAY)
                 feedforward = registered(key).make(setting)
             return tried(feedforward, setting.robot.home, setting.robot.t_ipo)
 
@@ -82,7 +85,8 @@ class SceneMethod:
 def following_methods() -> tuple[str, ...]:
     """Keys of the methods that follow what is sensed: the sensed path alone, and what needs no more than a model."""
     return (SENSOR_PATH, IDEAL, ADAPTED,
-            *(key for key in registered_methods(Needs.MODEL) if key not in (NONE, IDEAL, ADAPTED)))
+            *(key for key in (*registered_methods(Needs.MODEL), *settings(Needs.MODEL))
+              if key not in (NONE, IDEAL, ADAPTED)))
 
 
 def method_of(wanted: Any, allowed: Sequence[str]) -> SceneMethod:
@@ -95,8 +99,7 @@ def method_of(wanted: Any, allowed: Sequence[str]) -> SceneMethod:
     if isinstance(wanted, SceneMethod):
         return wanted
     if isinstance(wanted, str):
-        if wanted not in allowed:
-            raise InputError(f"expected one of {', '.join(allowed)}, or a Feedforward", field="method", value=wanted)
+        require(wanted, allowed)
         return SceneMethod(wanted)
     if isinstance(wanted, Feedforward):
         return SceneMethod(type(wanted).__name__, wanted)

@@ -22,7 +22,7 @@ from typing import Any, get_args
 import pydantic
 
 from ideal_robot.effects.registry import library
-from ideal_robot.feedforward.registry import method, methods
+from ideal_robot.feedforward.registry import method, methods, settings
 from ideal_robot.interfaces import INTERFACES, ArmInterface
 from ideal_robot.robots import SHIPPED
 from ideal_robot.robots.robot import Robot
@@ -273,7 +273,7 @@ def catalogue(what: str, kind: str = "line") -> tuple[list[str], list[list[Any]]
                                                            for arm in arms]
     if what == "methods":
         return ["method", "needs", "what it does"], [[key, method(key).needs.name.lower(), method(key).description]
-                                                     for key in methods()]
+                                                     for key in (*methods(), *settings())]
     if what == "effects":
         return ["effect", "acts on", "what it is"], [
             [effect.name, effect.key.partition("/")[2], (type(effect).__doc__ or "").strip().partition("\n")[0]]

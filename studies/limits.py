@@ -22,7 +22,7 @@ from ideal_robot.execution.command_governor import ACCELERATION, CommandGovernor
 from ideal_robot.execution.play import play
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.method import Needs
-from ideal_robot.feedforward.registry import feedforward, methods
+from ideal_robot.feedforward.registry import feedforward, methods, settings
 from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
@@ -312,7 +312,7 @@ def limits(cycles: int = 1_000_000, robot: str = "kr6") -> None:
     limit is passed.
     """
     arm, model = Robot.load(robot), Model.load(shipped_model(robot))
-    keys = methods(Needs.MODEL)
+    keys = (*methods(Needs.MODEL), *settings(Needs.MODEL))
     each = max(-(-cycles // (len(keys) * len(LOOPS) * len(INPUTS))), PLAY)
     worst, total, begun = np.zeros(4), 0, time.process_time()
     head("method", "loop", "cycles", "position", "speed", "acceleration", "jerk")

@@ -230,7 +230,7 @@ SUITE = """title = "two hundred runs"
 scenes = ["triangle.toml", "ring.toml"]
 speeds = [0.3, 0.4]
 seeds = "1-16"
-methods = ["ideal", "precorrected_1", "none"]
+methods = ["ideal", "precorrected-printed", "none"]
 [[case]]
 scenes = ["short.toml"]
 world = "bench"

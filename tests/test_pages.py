@@ -32,8 +32,8 @@ ANSWERS = {
                  " / friction_at('kr15', 3, 0.25)", "1.0"),
     "identification": ("float(unseen_errors.iloc[1])", "float(unseen_errors.iloc[0])"),
     "latency": ("2.8", "4"),
-    "learning": ("next((n for n in (1, 2, 3, 4) if circle.runs[f'learned_{n}'].errors.time_matched.E_car"
-                 " < circle.runs['precorrected_1'].errors.time_matched.E_car), 0)", "5"),
+    "learning": ("next((n for n, key in enumerate(METHODS[-4:], 1) if circle.runs[key].errors.time_matched.E_car"
+                 " < circle.runs['precorrected-printed'].errors.time_matched.E_car), 0)", "5"),
     "line_following": ("0.7 * 1000 * scene.camera.latency", "0.7"),
     "precorrection": ("min(np.arange(0.0, 40.5, 0.5), key=off_by)", "0.0"),
     "residual_to_effect": ("100 * (before - error) / before", "100 * (before - error) / error"),

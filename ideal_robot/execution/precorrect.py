@@ -18,7 +18,7 @@ from ideal_robot.feedforward.built_in import BY_LAW, by_law
 from ideal_robot.feedforward.command_inverse import at_cycle_of
 from ideal_robot.feedforward.corrected_arm import CorrectedArm
 from ideal_robot.feedforward.method import Needs, Setting
-from ideal_robot.feedforward.registry import feedforward, methods
+from ideal_robot.feedforward.registry import feedforward, methods, require, settings
 from ideal_robot.friction.table import largest_speeds
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.simulation import simulate
@@ -242,15 +242,14 @@ def precorrect(t: Array, q_d: Array, model: Model, robot: Robot, method: str = "
     expect(model, Model, "model", "load one by Model.load or identify one")
     expect(robot, Robot, "robot", "load one by Robot.load")
     robot = at_cycle_of(robot, model.command)
-    if method not in methods(Needs.PATH):
-        raise InputError(f"expected one of {', '.join(methods(Needs.PATH))}", field="method", value=method)
+    require(method, (*methods(Needs.PATH), *settings(Needs.PATH)))
     source = None if file is None else str(file)
     times, path, warnings = path_at_cycles(t, q_d, robot, rest=rest, file=source, column=column)
     inverse = by_law(Setting(robot, model, delay=delay)) if method in BY_LAW else None
     loop = None if inverse is not None else loop_model(model, robot, delay=delay)
     require_within_limits(path, robot, start=-rest, file=source, column=column)
     # Learning on the model starts from the ideal robot, which leaves little to learn.
-    start = feedforward("ideal", model, robot, delay=delay).along(path) if method == "model_learned" else None
+    start = feedforward("ideal", model, robot, delay=delay).along(path) if method == "learned-model" else None
     q_c = feedforward(method, model, robot, delay=delay, q_d=path, q_c=start).along(path)
     check_limits(q_c, robot, robot.t_ipo)
     unit = one_unit(robot.units("rad"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,33 +118,35 @@ def _adapting(setting: Setting, curve: FrictionCurve | None = None) -> AdaptedId
     return AdaptedIdeal(ideal, adaptation, curve=curve)
 
 
-def _model_learned(setting: Setting) -> Feedforward:
+def _learned_on_model(setting: Setting) -> Feedforward:
     arm = CorrectedArm(setting.robot, setting.identified().effects)
     path = arm.from_rest(setting.path(), setting.robot.t_ipo)
     return Playback(learn_on_model(setting.loop(), path, setting.q_c).q_c, setting.robot.t_ipo)
 
 
-def _learned(step: int) -> Method:
-    def make(setting: Setting) -> Feedforward:
-        commands = setting.plays().learned(setting.path(), setting.loop(), setting.progress).kept
-        return Playback(commands[min(step, len(commands) - 1)], setting.robot.t_ipo)
-
-    return Method(make, f"learning on the arm, after {step} of {ITERATIONS} steps ([G] (10), (11))", Needs.PLAYS)
+def _learned(setting: Setting, steps: int) -> Feedforward:
+    commands = setting.plays().learned(setting.path(), setting.loop(), setting.progress).kept
+    return Playback(commands[min(steps, len(commands) - 1)], setting.robot.t_ipo)
 
 
 NONE = Method(lambda setting: PassThrough(setting.robot.t_ipo), "the desired path is commanded as it is", Needs.NOTHING)
-LINEAR = Method(_linear, "inverse of the linear closed loop about the path's middle ([G] (12))", Needs.PATH)
-LINEAR_1 = Method(_linear_printed, "the same of responses from measured sinusoids, as printed ([G] (7), (12))",
-                  Needs.PLAYS)
-TRAINED_1 = Method(lambda setting: _trained(setting, weighs_torques=False),
-                   "weights trained on another motion on the arm, as printed ([G] (13))", Needs.PLAYS)
-TRAINED = Method(_trained, "the same, and weights of the rigid-body torques ([G] (13) and more)", Needs.PLAYS)
-PRECORRECTED_1 = Method(lambda setting: _corrected(setting, _inverse(setting, PRINTED)),
-                        "nonlinear precorrection as printed: no look ahead, no gear elasticity ([G] (16) to (20))")
+LINEAR = Method(_linear, "inverse of the linear closed loop about the path's middle ([G] (12))", Needs.PATH, {
+    "printed": Method(_linear_printed, "of responses from measured sinusoids, as printed ([G] (7), (12))",
+                      Needs.PLAYS)})
+TRAINED = Method(_trained, "weights trained on another motion on the arm, of the rigid-body torques too ([G] (13))",
+                 Needs.PLAYS, {
+    "printed": Method(lambda setting: _trained(setting, weighs_torques=False),
+                      "without rigid-body torques, as printed ([G] (13))", Needs.PLAYS)})
 PRECORRECTED = Method(_precorrected,
-                      "nonlinear precorrection with look ahead and gear elasticity ([G] (16) to (20), [L] 2.2)")
-MODEL_LEARNED = Method(_model_learned, "learning on the identified loop, before the arm moves", Needs.PATH)
-LEARNED_1, LEARNED_2, LEARNED_3, LEARNED_4 = (_learned(step) for step in range(1, ITERATIONS + 1))
+                      "nonlinear precorrection with look ahead and gear elasticity ([G] (16) to (20), [L] 2.2)",
+                      settings={
+    "printed": Method(lambda setting: _corrected(setting, _inverse(setting, PRINTED)),
+                      "as printed: no look ahead, no gear elasticity ([G] (16) to (20))")})
+LEARNED = Method(lambda setting: _learned(setting, ITERATIONS),
+                 f"learning this path on the arm in {ITERATIONS} steps ([G] (10), (11))", Needs.PLAYS, {
+    **{str(steps): Method(partial(_learned, steps=steps), f"after {steps} of {ITERATIONS} steps", Needs.PLAYS)
+       for steps in range(1, ITERATIONS)},
+    "model": Method(_learned_on_model, "on the identified loop, before the arm moves", Needs.PATH)})
 IDEAL = Method(_ideal_robot,
                "inverse of the whole identified loop over the horizon ([L] 2.2)")
 ADAPTED = Method(_adapted, "the ideal robot, friction and tool mass adapted before and while the path is played",

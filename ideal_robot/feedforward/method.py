@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
 
@@ -198,8 +198,10 @@ class Method:
         make: factory.
         description: one line for help texts and tables.
         needs: what has to be there, which says where it applies.
+        settings: the same method set otherwise, for comparisons: by a paper's equations as printed, or stopped earlier.
     """
 
     make: Factory
     description: str
     needs: Needs = Needs.MODEL
+    settings: Mapping[str, Method] = field(default_factory=dict)

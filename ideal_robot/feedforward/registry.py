@@ -1,7 +1,8 @@
 """Every way of correcting a path by its key: those of this project, and those that other packages add.
 
-The keys are the same everywhere: in ``ir.feedforward``, ``--method``, comparisons and JSON. A suffix ``_delay``, which
-scenes know, says that the standard path planner's delay is in force; it is no method of its own.
+The keys are the same everywhere: in ``ir.feedforward``, ``--method``, comparisons and JSON. Behind a key, ``-`` and a
+setting choose the method as a paper prints it, or stopped earlier (``precorrected-printed``, ``learned-2``): see
+``Method.settings``. Scenes of paths know one more, ``-delay``: the standard path planner's delay is in force.
 
 A package outside adds a method by ``register``, or by an entry point whose value is a ``Method`` or a factory:
 
@@ -10,6 +11,8 @@ A package outside adds a method by ``register``, or by an entry point whose valu
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
@@ -20,18 +23,23 @@ from ideal_robot.progress import Progress, silent
 from ideal_robot.registry import Registry
 from ideal_robot.robots.robot import Robot
 
-_KEYS = ("none", "linear", "linear_1", "trained", "trained_1", "precorrected_1", "precorrected", "model_learned",
-         "learned_1", "learned_2", "learned_3", "learned_4", "ideal", "adapted")
+SETTING = "-"
+"""Between a method and its setting; no key can hold it."""
+_KEYS = ("none", "linear", "trained", "precorrected", "learned", "ideal", "adapted")
+_BEFORE = {"precorrected_1": "precorrected-printed", "linear_1": "linear-printed", "trained_1": "trained-printed",
+           "model_learned": "learned-model", "learned_1": "learned-1", "learned_2": "learned-2",
+           "learned_3": "learned-3", "learned_4": "learned"}
+"""Keys of earlier versions, and what is written today."""
 _REGISTRY: Registry[Method | Factory] = Registry(
     "method", "ideal_robot.feedforward", {key: f"ideal_robot.feedforward.built_in:{key.upper()}" for key in _KEYS},
-    "lower case letters, digits and underscores, and no ending _delay",
-    lambda key: key.isidentifier() and key == key.lower() and not key.endswith("_delay"))
+    "lower case letters, digits and underscores, and no key of an earlier version",
+    lambda key: key.isidentifier() and key == key.lower() and not key.endswith("_delay") and key not in _BEFORE)
 
 
 def methods(needs: Needs = Needs.PLAYS) -> tuple[str, ...]:
     """Keys of all methods that need no more than ``needs``, those of this project first.
 
-    >>> "learned_1" in methods(Needs.PATH), "learned_1" in methods(Needs.PLAYS)
+    >>> "learned" in methods(Needs.PATH), "learned" in methods(Needs.PLAYS)
     (False, True)
     """
     if needs == Needs.PLAYS:
@@ -39,10 +47,53 @@ def methods(needs: Needs = Needs.PLAYS) -> tuple[str, ...]:
     return tuple(key for key in _REGISTRY.names() if method(key).needs <= needs)
 
 
+def settings(needs: Needs = Needs.PLAYS) -> tuple[str, ...]:
+    """Keys of all settings of methods that need no more than ``needs``.
+
+    >>> settings(Needs.MODEL)
+    ('precorrected-printed',)
+    """
+    return tuple(f"{key}{SETTING}{name}" for key in _REGISTRY.names() for name, other in method(key).settings.items()
+                 if other.needs <= needs)
+
+
 def method(key: str) -> Method:
-    """What a key stands for; raises InputError, which lists the methods there are, where it is none of them."""
-    entry = _REGISTRY.get(key)
-    return entry if isinstance(entry, Method) else _described(entry)
+    """What a key, with its setting or without, stands for.
+
+    Raises:
+        InputError: there is no such method or setting; it lists those there are, or says what the key is called today.
+    """
+    base, dash, setting = key.partition(SETTING)
+    if key not in _REGISTRY:
+        require(base, _REGISTRY.names())
+    entry = _REGISTRY.get(base)
+    found = entry if isinstance(entry, Method) else _described(entry)
+    if not dash:
+        return found
+    if setting not in found.settings:
+        names = ", ".join(f"{base}{SETTING}{name}" for name in found.settings)
+        raise InputError(f"{base} has no such setting; " + (f"there are {names}" if names else "it has none"),
+                         field="method", value=key)
+    return found.settings[setting]
+
+
+def require(key: str, allowed: Sequence[str], field: str = "method") -> None:
+    """Raises InputError for a key that is not allowed.
+
+    Args:
+        key: of a method, with its setting or without.
+        allowed: keys, settings behind those that have them.
+        field: where it was given.
+    """
+    if key in allowed:
+        return
+    today = key.removesuffix("_delay")
+    today = _BEFORE.get(today, today) + (f"{SETTING}delay" if key.endswith("_delay") else "")
+    if today != key and today.partition(SETTING)[0] in _KEYS:
+        raise InputError(f"is a setting of a method today: write {today}", field=field, value=key)
+    plain, further = ([name for name in allowed if (SETTING in name) == is_setting] for is_setting in (False, True))
+    raise InputError(f"expected one of {', '.join(plain)}" + (f", or with a setting: {', '.join(further)}" if further
+                                                              else ""), field=field, value=key)
 
 
 def register(key: str, factory: Factory | Method, *, description: str = "", needs: Needs = Needs.MODEL) -> None:

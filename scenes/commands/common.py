@@ -267,9 +267,10 @@ TimeLimit = Annotated[float, typer.Option(help="How long a run may take [s]; one
 def methods_of(verb: str) -> tuple[str, ...]:
     """Methods of ``rsi`` (need no more than a model) or ``precorrect`` (no plays either), other packages' included."""
     from ideal_robot.feedforward.method import Needs
-    from ideal_robot.feedforward.registry import methods
+    from ideal_robot.feedforward.registry import methods, settings
 
-    return methods(Needs.MODEL if verb == "rsi" else Needs.PATH)
+    needs = Needs.MODEL if verb == "rsi" else Needs.PATH
+    return (*methods(needs), *settings(needs))
 
 
 def completed(verb: str, incomplete: str) -> list[str]:

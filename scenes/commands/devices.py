@@ -362,7 +362,8 @@ class RsiOptions:
     robot: ModelsRobot = None
     model: Annotated[Path | None, typer.Option(help="Identified model (JSON); default: the shipped one.")] = None
     method: Annotated[str, typer.Option(
-        help="How the path is corrected: none, precorrected_1, precorrected, ideal, or a key of another package.",
+        help="How the path is corrected: none, precorrected, ideal, adapted, a setting (precorrected-printed), or a "
+             "key of another package.",
         autocompletion=lambda incomplete: completed("rsi", incomplete))] = "ideal"
     host: Annotated[str, typer.Option(help="Address of this computer to listen on.")] = "127.0.0.1"
     port: Annotated[int | None, typer.Option(help="UDP port to listen on; 0 for any free one. Default: that of "

@@ -132,6 +132,8 @@ def run(options: RunOptions) -> None:
 class CompareOptions(PlayedScene):
     """Options of ``compare``."""
 
+    methods: Annotated[str, typer.Option(help="Methods, separated by commas, with their settings where wanted "
+                                              "(precorrected-printed); default: all methods that apply.")] = ""
     json: JsonFigures = None
     out: Annotated[Path | None, typer.Option(help="Folder of the report; default out/compare_SCENE.")] = None
 
@@ -147,7 +149,8 @@ def compare(options: CompareOptions) -> None:
     folder = options.out or Path("out") / f"compare_{loaded.name}"
     check_outputs({"--out": folder}, json=options.json)
     with folders_held(), progress_bar(f"{loaded.name}") as progress:
-        result = kind_of(loaded).compare(loaded, out=folder, progress=progress)
+        keys = [key.strip() for key in options.methods.split(",") if key.strip()]
+        result = kind_of(loaded).compare(loaded, methods=keys or None, out=folder, progress=progress)
         write_signed(options.json, result.json())
     columns, rows = result.table()
     show_table(f"{loaded.title}", columns, rows)

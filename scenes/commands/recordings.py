@@ -344,8 +344,9 @@ class PrecorrectOptions:
     output: Annotated[Path, typer.Option("-o", "--output", help="Where the corrected path goes (CSV or Parquet).")]
     robot: ModelsRobot = None
     method: Annotated[str, typer.Option(
-        help="How the path is corrected: none, linear, precorrected_1, precorrected, model_learned, ideal, or a key of "
-             "another package.", autocompletion=lambda incomplete: completed("precorrect", incomplete))] = "ideal"
+        help="How the path is corrected: none, linear, precorrected, ideal, adapted, a setting of one "
+             "(precorrected-printed, learned-model), or a key of another package.",
+        autocompletion=lambda incomplete: completed("precorrect", incomplete))] = "ideal"
     delay: PlannerDelay = False
     rest: Rest = 0.6
     controller: Controller = None

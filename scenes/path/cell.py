@@ -18,7 +18,7 @@ from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.built_in import HORIZON
 from ideal_robot.feedforward.learning import AXES, Learned, joint_errors, pose_errors
 from ideal_robot.feedforward.method import Practice, Rehearsed, Setting
-from ideal_robot.feedforward.registry import methods
+from ideal_robot.feedforward.registry import methods, settings
 from ideal_robot.feedforward.training import REST_AFTER, REST_BEFORE, training_motion
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.loop import Loop
@@ -26,7 +26,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.arms import arm_of
-from scenes.methods import SceneMethod
+from scenes.methods import DELAY, SceneMethod
 from scenes.metrics import PathErrors, path_errors
 from scenes.models import model_for
 from scenes.result import Progress, ShownRun, silent
@@ -181,13 +181,10 @@ class PathResult(ShownRun):
 
 # What the scene needs before anything moves, and the feedforward of each method for its path.
 
-DELAY = "_delay"
-"""Behind a method's key: the standard path planner's delay is in force."""
-
-
 def path_methods() -> tuple[str, ...]:
-    """Every key that ``--method`` takes."""
-    return (*methods(), *(key + DELAY for key in methods()))
+    """Every key that ``--method`` takes, settings included."""
+    keys = (*methods(), *settings())
+    return (*keys, *(key + DELAY for key in keys))
 
 
 @dataclass

@@ -8,14 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from ideal_robot.feedforward.method import ITERATIONS
-from scenes.methods import NONE, SceneMethod
+from scenes.methods import DELAY, NONE, SceneMethod
 from scenes.metrics import reduction_percent
-from scenes.path.cell import DELAY, PathCell, PathResult, set_up
+from scenes.path.cell import PathCell, PathResult, set_up
 from scenes.result import Progress, ShownTable, part_of, silent
 from scenes.scene_files.path_scene import PathScene
 
 _LEARNING = ITERATIONS / (ITERATIONS + 1.0)
 """Share of the plays that learning takes, where there is something to learn; the last one counts."""
+_ON_THE_ARM = ("learned", *(f"learned-{steps}" for steps in range(1, ITERATIONS)))
+"""Methods that learn on the arm."""
 
 
 def play_method(scene: PathScene, cell: PathCell, method: SceneMethod, progress: Progress) -> PathResult:
@@ -122,7 +124,7 @@ def compare_paths(scene: PathScene, methods: Sequence[SceneMethod], *, progress:
 
     Args:
         scene: what to play.
-        methods: in the order of the table; a key with ``_delay`` keeps the planner's delay in force.
+        methods: in the order of the table; a key with ``-delay`` keeps the planner's delay in force.
         progress: called with the fraction done.
     """
     runs: dict[str, PathResult] = {}
@@ -136,6 +138,6 @@ def compare_paths(scene: PathScene, methods: Sequence[SceneMethod], *, progress:
             share = len(runs) / len(methods)
             progress(share, method.key)
             runs[method.key] = play_method(scene, cell, method, part_of(progress, share, 1 / len(methods), method.key))
-        if not delay and any(method.key.startswith("learned_") for method in group):
+        if not delay and any(method.key in _ON_THE_ARM for method in group):
             criterion = cell.learned().criterion
     return PathComparison(scene, runs, criterion)

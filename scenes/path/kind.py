@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ideal_robot.feedforward.registry import SETTING
 from ideal_robot.progress import Steps
 from scenes.kind import SceneKind
-from scenes.methods import compared, method_of
-from scenes.path.cell import DELAY, PathResult, path_methods, set_up
+from scenes.methods import DELAY, compared, method_of
+from scenes.path.cell import PathResult, path_methods, set_up
 from scenes.path.compare import PathComparison, compare_paths, play_method
 from scenes.path.page import comparison_page, path_replay, run_page
 from scenes.report.page import write_comparison_files, write_run_files
@@ -32,8 +33,10 @@ def run(scene: PathScene, *, method: Any = None, out: Path | None = None, progre
 
 def compare(scene: PathScene, *, methods: Sequence[Any] | None = None, out: Path | None = None,
             progress: Progress = silent) -> PathComparison:
-    """See ``Compare.__call__``: with and without the standard path planner's delay."""
-    comparison = compare_paths(scene, compared(methods, path_methods()), progress=progress)
+    """See ``Compare.__call__``: where none are asked for, all methods, and the settings that a paper has figures of."""
+    paper = (*scene.paper.E_car_reduction_percent, *scene.paper.E_max_reduction_percent)
+    left_out = [key for key in path_methods() if SETTING in key and key not in paper]
+    comparison = compare_paths(scene, compared(methods, path_methods(), left_out), progress=progress)
     return comparison if out is None else write_comparison_files(comparison, comparison_page, out)
 
 

@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 
 from ideal_robot.arrays import interpolated
 from scenes.arms import arm_of
-from scenes.path.cell import DELAY, PathResult, path_methods
+from scenes.methods import DELAY
+from scenes.path.cell import PathResult, path_methods
 from scenes.path.compare import PathComparison
 from scenes.report.page import COLUMNS, Report, world_rows
 from scenes.report.replay import Replay
@@ -35,13 +36,13 @@ def path_replay(result: PathResult, ghost: PathResult | None = None) -> Replay |
 
 
 INK, SOFT = "#1c2430", "#8893a1"
-COLOURS = {"none": SOFT, "linear": "#6b4fa0", "trained": "#b8860b", "precorrected_1": "#7fb2dd",
-           "precorrected": "#0a6ebd", "model_learned": "#2b8a3e", "learned_4": "#c2255c", "ideal": "#e06a00",
+COLOURS = {"none": SOFT, "linear": "#6b4fa0", "trained": "#b8860b", "precorrected-printed": "#7fb2dd",
+           "precorrected": "#0a6ebd", "learned-model": "#2b8a3e", "learned": "#c2255c", "ideal": "#e06a00",
            "adapted": "#1c2430"}
 """Colours of the methods on every page."""
-DRAWN = ("none", "trained", "precorrected_1", "precorrected", "learned_4", "ideal")
+DRAWN = ("none", "trained", "precorrected-printed", "precorrected", "learned", "ideal")
 """Methods whose deviation over time is drawn; the rest stand in the table."""
-TRACED = ("none", "precorrected_1", "precorrected", "ideal")
+TRACED = ("none", "precorrected-printed", "precorrected", "ideal")
 """Methods whose path is drawn."""
 _MOVING = "Green to red: how far the tool is from where it should be at the time; the pale part is still to come."
 MAGNIFIED = 50
@@ -161,11 +162,11 @@ def learning_figure(comparison: PathComparison) -> Figure:
     """Error of each play of learning, beside what the model-based methods reach without any."""
     figure = Figure(figsize=(5.4, 3.2))
     axes = figure.add_subplot()
-    plays = ["none", *(f"learned_{p}" for p in range(1, 5))]
+    plays = ["none", *(f"learned-{p}" for p in range(1, 4)), "learned"]
     values = [1e3 * comparison.runs[method].errors.time_matched.E_car for method in plays if method in comparison.runs]
-    axes.semilogy(range(len(values)), values, "o-", color=COLOURS["learned_4"], label="learning on the arm")
+    axes.semilogy(range(len(values)), values, "o-", color=COLOURS["learned"], label="learning on the arm")
     axes.yaxis.set_major_formatter("{x:g}")
-    for method in (key for key in ("precorrected", "model_learned", "ideal") if key in comparison.runs):
+    for method in (key for key in ("precorrected", "learned-model", "ideal") if key in comparison.runs):
         axes.axhline(1e3 * comparison.runs[method].errors.time_matched.E_car, color=COLOURS[method], lw=1, ls="--",
                      label=method)
     axes.set_xticks(range(len(values)))

@@ -18,7 +18,7 @@ from ideal_robot.execution.precorrect import path_at_cycles
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.corrected_arm import ForCorrectedArm
 from ideal_robot.feedforward.method import Needs
-from ideal_robot.feedforward.registry import feedforward
+from ideal_robot.feedforward.registry import feedforward, require, settings
 from ideal_robot.feedforward.registry import method as described
 from ideal_robot.feedforward.registry import methods as known
 from ideal_robot.loop.from_model import loop_model
@@ -92,7 +92,7 @@ _TRIED = 20.0
 
 def methods() -> tuple[str, ...]:
     """Methods that a server can play: those that need no more than a model, for nothing is rehearsed."""
-    return known(Needs.MODEL)
+    return (*known(Needs.MODEL), *settings(Needs.MODEL))
 
 
 @contextmanager
@@ -144,8 +144,7 @@ def prepared(*, robot: str | None = None, model: Path | None = None, method: str
     Raises:
         InputError: anything of this cannot be used.
     """
-    if method not in methods():
-        raise InputError(f"expected one of {', '.join(methods())}", field="--method", value=method)
+    require(method, methods(), "--method")
     arm, file = _arm(robot, model, method)
     if cycle is not None:
         arm = at_cycle(arm, cycle)

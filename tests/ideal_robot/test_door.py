@@ -139,7 +139,7 @@ def test_values_that_are_not_numbers() -> None:
 
 @pytest.mark.parametrize(("name", "value", "field", "says"), [
     ("model", "kr15.json", "model", ""), ("robot", "kr15", "robot", ""), ("method", "magic", "method", ""),
-    ("method", "learned_1", "method", ""), ("rest", -1.0, "rest", ""), ("t", np.arange(7.0), "t", ""),
+    ("method", "learned-1", "method", ""), ("rest", -1.0, "rest", ""), ("t", np.arange(7.0), "t", ""),
     ("model", ir.Model.load(MODELS / "kr6.json"), "model", "identified for this arm"),
     ("q_d", np.zeros(200), "q_d", "one column a joint"), ("q_d", np.degrees(motion(lead=2)), "q_d_1", "degrees")])
 def test_things_of_another_kind(name: str, value: object, field: str, says: str) -> None:

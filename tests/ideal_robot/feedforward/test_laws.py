@@ -18,7 +18,16 @@ from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal
 from ideal_robot.feedforward.inverse import AHEAD, PRINTED, Inverse, Options
 from ideal_robot.feedforward.learning import Playback
 from ideal_robot.feedforward.method import Needs, Practice, Rehearsed, Setting
-from ideal_robot.feedforward.registry import _REGISTRY, feedforward, method, methods, register, unregister
+from ideal_robot.feedforward.registry import (
+    _REGISTRY,
+    feedforward,
+    method,
+    methods,
+    register,
+    require,
+    settings,
+    unregister,
+)
 from ideal_robot.feedforward.training import LinearInverse, train
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.impulse_response import LinearLoop
@@ -53,14 +62,14 @@ MAKERS = {
     "none": lambda: PassThrough(T),
     "linear": lambda: LinearInverse(LinearLoop.of(plant(), ROBOT.home), limits=LIMITS),
     "trained": trained,
-    "precorrected_1": lambda: Inverse.of(nominal_model(), ROBOT, None, options=PRINTED),
+    "precorrected-printed": lambda: Inverse.of(nominal_model(), ROBOT, None, options=PRINTED),
     "precorrected": lambda: Inverse.of(nominal_model(), ROBOT, None, delay=1, options=AHEAD),
     "learned": lambda: Playback(motion(), T),
     "ideal": lambda: Inverse(plant()),
     "ideal_rigid": lambda: Inverse(plant(), options=Options(elastic=False)),
     "adapted": lambda: AdaptedIdeal(Inverse(plant())),
 }
-RIGID = ("none", "linear", "trained", "precorrected_1", "learned", "ideal_rigid")
+RIGID = ("none", "linear", "trained", "precorrected-printed", "learned", "ideal_rigid")
 """Those that do not compensate the gears' deflection, so that at rest nothing may be left of the correction."""
 
 
@@ -164,7 +173,7 @@ def test_every_method_is_made_by_its_key_and_holds_an_arm_at_rest(key: str) -> N
 
 def test_a_method_that_learns_on_the_arm_shares_its_plays() -> None:
     place = practice()
-    laws = [feedforward(f"learned_{p}", MODEL, KR6, q_d=path(), practice=place) for p in (1, 4)]
+    laws = [feedforward(key, MODEL, KR6, q_d=path(), practice=place) for key in ("learned-1", "learned")]
     q_d = path()
     off = [np.sqrt(np.mean(place.play(law, q_d).errors() ** 2)) for law in laws]
     plain = np.sqrt(np.mean(place.play(PassThrough(KR6.t_ipo), q_d).errors() ** 2))
@@ -210,13 +219,38 @@ def test_an_own_method_stands_beside_the_built_in_ones(own: str, monkeypatch: py
         register(own, PassThrough)
     with pytest.raises(InputError, match="lower case"):
         register("My Method", HalfAhead)
-    for key in ("half-ahead", "Half", "2nd", "half_delay"):
-        with pytest.raises(InputError, match="no ending _delay"):
+    for key in ("half-ahead", "Half", "2nd", "half_delay", "learned_1"):
+        with pytest.raises(InputError, match="no key of an earlier version"):
             register(key, HalfAhead)
         point = metadata.EntryPoint(key, "house:Method", "seam")
         monkeypatch.setattr(metadata, "entry_points", lambda point=point, **_: [point])
-        with pytest.raises(InputError, match=f"no ending _delay; rename the entry point.*{key} = house:Method"):
+        with pytest.raises(InputError, match=f"earlier version; rename the entry point.*{key} = house:Method"):
             Registry("method", "seam", {}, _REGISTRY._wanted, _REGISTRY._fits).names()
+
+
+@pytest.mark.parametrize(("before", "today"), [
+    ("precorrected_1", "precorrected-printed"), ("linear_1", "linear-printed"), ("trained_1", "trained-printed"),
+    ("model_learned", "learned-model"), ("learned_2", "learned-2"), ("learned_4", "learned"),
+    ("ideal_delay", "ideal-delay"), ("precorrected_1_delay", "precorrected-printed-delay")])
+def test_a_key_of_an_earlier_version_names_the_setting_of_today(before: str, today: str) -> None:
+    with pytest.raises(InputError, match=f"write {today} "):
+        require(before, (*methods(), *settings()))
+    with pytest.raises(InputError, match=f"write {today} "):
+        method(before)
+    assert today.removesuffix("-delay") in (*methods(), *settings())
+
+
+@pytest.mark.parametrize("key", settings())
+def test_a_setting_is_described_and_says_what_it_needs(key: str) -> None:
+    base = key.partition("-")[0]
+    assert method(key).description != method(base).description
+    assert (method(key).needs <= Needs.PATH) == (key in settings(Needs.PATH))
+
+
+@pytest.mark.parametrize("key", ["ideal-printed", "learned-4", "precorrected-", "nothing-printed"])
+def test_a_setting_that_is_none_is_refused_with_those_there_are(key: str) -> None:
+    with pytest.raises(InputError, match=r"expected one of|no such setting"):
+        method(key)
 
 
 def test_linear_as_printed_knows_the_arm_from_sinusoids_alone() -> None:
@@ -235,17 +269,17 @@ def test_linear_as_printed_knows_the_arm_from_sinusoids_alone() -> None:
     assert np.all(motion < KR6.q_max)
     assert np.all(np.abs(np.diff(motion, axis=0)) < 0.5 * KR6.v_max * KR6.t_ipo)
     np.testing.assert_allclose(motion[0], np.median(q_d, axis=0), atol=1e-9)
-    law = feedforward("linear_1", None, KR6, n_d=30, q_d=q_d, practice=linear)
+    law = feedforward("linear-printed", None, KR6, n_d=30, q_d=q_d, practice=linear)
     before, after = (np.abs(play(candidate, q_d).errors()).max() for candidate in (PassThrough(KR6.t_ipo), law))
     # The inverse of paths of 3 Hz, of responses that sinusoids told.
     assert after < 0.15 * before
-    assert feedforward("linear_1", MODEL, KR6, q_d=q_d, practice=place).n_d == 30
+    assert feedforward("linear-printed", MODEL, KR6, q_d=q_d, practice=place).n_d == 30
 
 
 def test_training_as_printed_weighs_no_torques() -> None:
     """[G] (13) has positions and signs; ``trained`` adds the rigid body, and is better where links couple."""
     place, q_d = practice(), path()
-    printed, more = (feedforward(key, MODEL, KR6, q_d=q_d, practice=place) for key in ("trained_1", "trained"))
+    printed, more = (feedforward(key, MODEL, KR6, q_d=q_d, practice=place) for key in ("trained-printed", "trained"))
     assert len(printed.w) == 0  # type: ignore[attr-defined]
     assert len(more.w) > 0  # type: ignore[attr-defined]
     off = [np.sqrt(np.mean(place.play(law, q_d).errors() ** 2)) for law in (PassThrough(KR6.t_ipo), printed, more)]

@@ -57,7 +57,7 @@ def test_the_ideal_robot_leaves_little_of_the_error(name, at_least):
 
 def test_the_planners_delay_hardly_matters_to_the_ideal_robot():
     scene = load_scene("iso9283_3")
-    without, with_delay = (run(scene, method=method).errors.time_matched.E_car for method in ("ideal", "ideal_delay"))
+    without, with_delay = (run(scene, method=method).errors.time_matched.E_car for method in ("ideal", "ideal-delay"))
     assert with_delay == pytest.approx(without, rel=0.1)
 
 
@@ -100,7 +100,7 @@ def test_what_learning_measures_is_what_happened(source):
 
 def test_two_degrees_of_freedom_are_enough_to_learn_from():
     cell = set_up(short("iso9283_3").changed(learn_from="two_dof"), delay=False)
-    errors = [cell.play(cell.feedforward(method)).errors.time_matched.E_car for method in ("none", "learned_3")]
+    errors = [cell.play(cell.feedforward(method)).errors.time_matched.E_car for method in ("none", "learned-3")]
     assert errors[1] < 0.5 * errors[0]
 
 
@@ -109,7 +109,7 @@ def test_what_the_paper_reaches_stands_beside_the_method_as_printed(name):
     """It stood beside our extensions, of which the paper has no figure."""
     paper = load_scene(name).paper
     beside = {*paper.E_car_reduction_percent, *paper.E_max_reduction_percent}
-    assert {key.removesuffix("_delay") for key in beside} <= {"precorrected_1", "trained_1", "learned_4"}
+    assert {key.removesuffix("-delay") for key in beside} <= {"precorrected-printed", "trained-printed", "learned"}
 
 
 @pytest.mark.slow
@@ -119,9 +119,9 @@ def test_whole_comparisons(name, tmp_path):
     comparison = compare(load_scene(name), out=tmp_path)
     written = json.loads(write_json(tmp_path / "compare.json", comparison.json()).read_text())
     less = {method: values["reduction_percent"]["E_car"]["weaker"] for method, values in written["methods"].items()}
-    bounds = {"ideal": 85.0, "ideal_delay": 80.0}
+    bounds = {"ideal": 85.0, "ideal-delay": 80.0}
     if name != "iso9283_1":
-        bounds = {"precorrected": 80.0, "learned_4": 95.0, "trained": 60.0, "ideal": 85.0}
+        bounds = {"precorrected": 80.0, "learned": 95.0, "trained": 60.0, "ideal": 85.0}
     assert {method: less[method] for method, bound in bounds.items() if less[method] < bound} == {}
 
 
@@ -277,7 +277,7 @@ def write(folder: Path, q: np.ndarray, t: np.ndarray | None = None, prefix: str 
     return path
 
 
-@pytest.mark.parametrize("method", ["ideal", "precorrected", "model_learned"])
+@pytest.mark.parametrize("method", ["ideal", "precorrected", "learned-model"])
 def test_the_model_expects_the_corrected_path_to_be_followed(tmp_path, method):
     result = precorrected_path(write(tmp_path, motion(lead=2)), MODEL, method=method)
     after, before = result.expected
