@@ -31,7 +31,7 @@ GROUPS = {
     "accuracy": {
         "arms": "arms", "arms-models": "arms", "arms-adapted": "arms", "arms-fast": "arms", "knew": "arms",
         "urdfs": "arms", "controllers": "controllers",
-        "paths": "paths", "paths-causes": "paths", "warm-up": "paths",
+        "paths": "paths", "paths-causes": "paths", "warm-up": "paths", "friction-sigma": "adapted_friction",
         "methods": "line", "horizon": "line", "latency": "line", "causes": "line",
         "world": "paths", "heating": "paths", "camera": "camera", "calibration": "camera", "detectors": "camera",
         "photographs": "photographs", "real-camera": "photographs",

@@ -26,6 +26,10 @@ from ideal_robot.loop.simulation import simulate
 from ideal_robot.results import Summarised
 from ideal_robot.robots.robot import Robot
 
+SMOOTHNESS, SMOOTHNESS_ON_MODEL = 0.3, 0.05
+"""Weight of a correction's second differences against an error of the same size: on the arm, where it keeps noise out
+of the commands, and on the identified loop, which has none. There 0.3 leaves a third to five sixths of the loop's
+error, but not of the arm's, whose last errors are others: see ``docs/ideal_robot.md``, Learning."""
 _SMALLEST_STEP = 0.2
 """Learning stops when a step this much smaller than the full one still makes the path worse."""
 
@@ -36,10 +40,10 @@ class LearningLaw:
     Args:
         loop: linear closed loops of the joints.
         length: number of cycles of the path.
-        smoothness: weight of the correction's second differences; what keeps noise out of the commands.
+        smoothness: weight of the correction's second differences.
     """
 
-    def __init__(self, loop: LinearLoop, length: int, *, smoothness: float = 0.3) -> None:
+    def __init__(self, loop: LinearLoop, length: int, *, smoothness: float = SMOOTHNESS) -> None:
         self.length = length
         second = np.diff(np.eye(length), 2, axis=0)
         penalty = smoothness**2 * second.T @ second + 1e-8 * np.eye(length)
@@ -60,7 +64,7 @@ class Learned(Summarised):
     Attributes:
         q_c: best commands ``(N, n)`` [rad].
         criterion: error criterion of every play, the first before any learning.
-        kept: best commands after 0, 1, … learning steps, so ``kept[p]`` is what ``learned_p`` plays.
+        kept: best commands after 0, 1, … learning steps, so ``kept[p]`` is what ``learned-p`` plays.
         stopped: why learning ended before its last step, or None.
     """
 
@@ -136,7 +140,8 @@ def learn_on_model(loop: Loop, q_d: Array, q_c: Array | None = None) -> Learned:
         q_c: commands to start from; the desired positions if not given.
     """
     start = q_d if q_c is None else q_c
-    law = LearningLaw(LinearLoop.of(loop, q_d[len(q_d) // 2]), len(q_d), smoothness=0.05)
+    law = LearningLaw(LinearLoop.of(loop, q_d[len(q_d) // 2]), len(q_d),
+                      smoothness=SMOOTHNESS_ON_MODEL)
     return learn(lambda commands: np.asarray(q_d - simulate(loop, commands).q_a[:-1]), start, law,
                  iterations=8, limits=(loop.path.q_min, loop.path.q_max), step_max=1.5 * loop.path.v_max * loop.t_ipo)
 

@@ -24,7 +24,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.loop.impulse_response import InformationFilter, LinearLoop
 
-_STILL = 2e-3
+_SIGN_SPEED = 2e-3
 """Speed at which the sign terms have turned over [rad/s]; a bare sign would chatter on the noise of a resting path."""
 _NOISE = 5e-4
 """Learned commands are believed to this [rad]; small weights are preferred within it."""
@@ -171,7 +171,7 @@ def _regressors(windows: Array, lags: Lags, t_ipo: float, chain: Chain | None) -
     ahead = [lag for lag in range(-lags.past, lags.ahead + 1) if lag != 0]
     positions = windows[:, [now + lag for lag in ahead]] - windows[:, [now]]
     speed = np.diff(windows, axis=1) / t_ipo
-    sign = np.clip(speed / _STILL, -1.0, 1.0)
+    sign = np.clip(speed / _SIGN_SPEED, -1.0, 1.0)
     signed = [lag for lag in range(-lags.sign_past, lags.sign_ahead + 1) if lag != 0]
     # Row j of the differences is the velocity at row j + 1.
     signs = sign[:, [now + lag - 1 for lag in signed]] - sign[:, [now - 1]]

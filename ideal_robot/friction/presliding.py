@@ -30,7 +30,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.jit import jit
 
-STILL = 1e-4
+ZERO_CROSSING = 1e-4
 """Velocity within which friction that jumps passes through zero [rad/s]: rounding would switch it back and forth."""
 CREEP = 1e-300
 """Speed at which friction is that of standstill in the direction of the speed [rad/s]."""
@@ -54,7 +54,7 @@ def presliding_state(dry: float, v: float, state: float, step: float, distance: 
         distance: presliding distance [rad]; 0 where dry friction jumps.
     """
     if distance == 0.0:
-        return dry * min(max(v / STILL, -1.0), 1.0)
+        return dry * min(max(v / ZERO_CROSSING, -1.0), 1.0)
     if step == 0.0:
         return state
     end = dry if step > 0.0 else -dry

@@ -113,9 +113,9 @@ def _points(robot: Robot, q: Array, beyond: float) -> tuple[Array, Array]:
     return np.hypot(tip[:, 0], tip[:, 1]), np.column_stack([tip[:, 2], places[:, 2:-1, 2]])
 
 
-SHARES = (0.75, 0.6, 0.8)
+LIMIT_SHARES = (0.75, 0.6, 0.8)
 """Of the limits of velocity, acceleration and position that a motion may use."""
-LONGEST = 3600.0
+LONGEST_PERIOD = 3600.0
 """Longest period of a motion [s]."""
 LONGEST_APPROACH = 600.0
 """Longest way from rest to where a motion begins [s]."""
@@ -172,7 +172,7 @@ def design_excitation(robot: Robot, rng: np.random.Generator, *, period: float =
             limits was found.
     """
     _check_sums(harmonics, period)
-    search = MotionSpace(robot, period, harmonics, workspace or Workspace.of(robot), *SHARES)
+    search = MotionSpace(robot, period, harmonics, workspace or Workspace.of(robot), *LIMIT_SHARES)
     independent = list(base_parameters(robot.pinocchio).independent)
 
     def better(best: FourierMotion | None, coefficients: Array, centre: Array | None) -> FourierMotion | None:
@@ -202,8 +202,9 @@ def _check_sums(harmonics: int, period: float) -> None:
     if harmonics < 3:
         raise InputError("at least 3 harmonics are needed, two conditions make the motion start at rest",
                          field="harmonics", value=harmonics)
-    if not 0.0 < period <= LONGEST:
-        raise InputError(f"expected a period of more than 0 and at most {LONGEST:g} s", field="period", value=period)
+    if not 0.0 < period <= LONGEST_PERIOD:
+        raise InputError(f"expected a period of more than 0 and at most {LONGEST_PERIOD:g} s", field="period",
+                         value=period)
 
 
 def _changed(motion: FourierMotion, rng: np.random.Generator) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, joint_frames, mass_matrix, torque_at
 from ideal_robot.errors import IdealRobotError, InputError
-from ideal_robot.friction.presliding import STILL
+from ideal_robot.friction.presliding import ZERO_CROSSING
 from ideal_robot.friction.table import Friction, directions_along, friction_step
 from ideal_robot.jit import jit
 from ideal_robot.loop.from_model import further_torque
@@ -276,7 +276,7 @@ def _rotor(friction: Friction, inertia: float, state: _Motion, net: float, dt: f
         torque, state.force[i] = friction_step(friction, i, v, state.load[i], state.force[i], v * dt)
         return v + (net - torque) / inertia * dt
     # What jumps is full friction against the motion, or against the torque that is about to move a joint at rest.
-    speed = max(abs(v), STILL)
+    speed = max(abs(v), ZERO_CROSSING)
     torque, _ = friction_step(friction, i, speed if (v if v != 0.0 else net) > 0.0 else -speed, state.load[i], 0.0, 0.0)
     free, slow = v + net / inertia * dt, abs(torque) / inertia * dt
     if abs(free) <= slow:

@@ -12,8 +12,8 @@ from ideal_robot.robots.robot import Robot
 from planning.path.joint_path import JointPath
 
 FRICTION = 0.1
-"""Share of a joint's torque limit that its friction takes and no rigid body shows; KR 6, UR10e and Panda as identified
-have 5 to 12 % at half their speed."""
+"""Share of a joint's torque limit that its friction takes and no rigid body shows. An estimate, for friction is not
+known here: the identified models of KR 6, KR 15 and manutec r15 have 7 to 11 % at half speed, 9 to 14 % at full."""
 GATHERED = 0.8
 """Share of an acceleration or torque limit that a steady speed may use; the rest is for changes of the speed."""
 

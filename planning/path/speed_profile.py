@@ -17,7 +17,7 @@ from planning.path.joint_demands import JointDemands
 from planning.path.joint_path import JointPath
 from planning.path.reference import ReferencePath
 
-LONGEST = 7200.0
+LONGEST_TRAVEL = 7200.0
 """Time that a path may last [s]."""
 TICK = 0.001
 """Spacing in time of the profile's samples [s]."""
@@ -198,9 +198,9 @@ def _travel(demands: JointDemands, limit: Array, limits: Limits) -> SpeedProfile
             square[i] = min(square[i], square[last] + 2.0 * min(room, limits.acceleration) * ds)
     v = np.sqrt(square)
     t = np.concatenate([[0.0], np.cumsum(2.0 * ds / np.maximum(v[1:] + v[:-1], 1e-9))])
-    if t[-1] > LONGEST:
-        raise InputError(f"the path would last {t[-1]:.3g} s; {LONGEST:g} s is the longest, move faster", field="speed",
-                         value=limits.speed)
+    if t[-1] > LONGEST_TRAVEL:
+        raise InputError(f"the path would last {t[-1]:.3g} s; {LONGEST_TRAVEL:g} s is the longest, move faster",
+                         field="speed", value=limits.speed)
     # Constant acceleration between the places: the speed is linear in time there.
     tick = _tick(float(t[-1]))
     ticks = tick * np.arange(int(np.ceil(t[-1] / tick)) + 2)

@@ -11,7 +11,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.feedforward.inverse import Inverse
 from ideal_robot.friction.laws import LAWS, FrictionModel, PerJointFriction, ViscousCoulomb, law_of
 from ideal_robot.friction.presliding import (
-    STILL,
+    ZERO_CROSSING,
     dahl,
     friction_torque,
     measured_steps,
@@ -196,7 +196,7 @@ def test_friction_is_the_sum_of_its_parts(seed: int) -> None:
 
 
 def test_without_presliding_friction_jumps_and_passes_through_zero_at_rest() -> None:
-    for v, share in ((2.0 * STILL, 1.0), (0.5 * STILL, 0.5), (0.0, 0.0), (-STILL, -1.0)):
+    for v, share in ((2.0 * ZERO_CROSSING, 1.0), (0.5 * ZERO_CROSSING, 0.5), (0.0, 0.0), (-ZERO_CROSSING, -1.0)):
         torque, force = friction_torque(30.0, 0.0, v, 17.0, 0.0, 0.0)
         assert torque == force == pytest.approx(30.0 * share)
 
