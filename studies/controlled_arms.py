@@ -1,7 +1,8 @@
-"""Rigid arms behind joint controllers of many kinds, integrated plainly: what a command law is developed and judged on.
+"""Arms behind joint controllers of many kinds, integrated plainly or by MuJoCo: what a command law is judged on.
 
-Nothing here is shared with the model side or with the simulated world: forward dynamics are Pinocchio's, friction is a
-smooth Coulomb law with viscous friction, and each controller is written as its maker would.
+Nothing here is shared with the model side or with the simulated world: forward dynamics are Pinocchio's or MuJoCo's,
+friction is a smooth Coulomb law with viscous friction or MuJoCo's own, and each controller is written as its maker
+would. MuJoCo has gears as springs where they are asked for; controllers and loggers see the motors.
 """
 
 from __future__ import annotations
@@ -11,9 +12,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
-from scipy.signal import lfilter
 
 from ideal_robot.arrays import Array
+from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 
@@ -54,6 +55,8 @@ class Plant:
         bodies: true masses over the URDF's.
         encoder: step of the positions [rad].
         torque_noise: standard deviation of logged torques over the joint's largest holding torque.
+        engine: ``plain`` or ``mujoco``.
+        elastic: whether gears are springs; MuJoCo's alone.
     """
 
     robot: Robot
@@ -63,6 +66,8 @@ class Plant:
     bodies: float = 1.08
     encoder: float = 1e-5
     torque_noise: float = 0.01
+    engine: str = "plain"
+    elastic: bool = False
 
     def __post_init__(self) -> None:
         self.model = self.robot.pinocchio.copy()
@@ -82,9 +87,15 @@ class Plant:
         self.scale = np.maximum(holding, 10.0 * self.inertia)
         self.dry = self.friction * self.scale * np.linspace(1.0, 0.6, n)
         self.viscous = 0.3 * self.dry
+        # 12 Hz of the joint's own inertia against the motor: as gears of industrial arms.
+        self.stiffness = self.inertia * (2.0 * np.pi * 12.0) ** 2
         self.nominal = self.robot.pinocchio.copy()
         self.nominal.armature = self.rotor
         self.nominal_data = self.nominal.createData()
+
+    def holding(self, q: Array) -> Array:
+        """Torque that holds the arm at rest ``(n,)`` [N m]."""
+        return np.array(pin.computeGeneralizedGravity(self.model, self.data, np.asarray(q, dtype=float)))
 
     def _postures(self) -> Array:
         rng = np.random.default_rng(0)
@@ -92,52 +103,155 @@ class Plant:
 
     def run(self, q_c: Array, t_cycle: float, t_log: float, rng: np.random.Generator) -> Recording:
         """The recording of commands ``(N, n)`` handed over every ``t_cycle`` [s], logged every ``t_log`` [s]."""
-        n, dt = self.model.nv, STEP
-        every, log = round(t_cycle / dt), round(t_log / dt)
-        fine = self._command(q_c, every)
-        law = KINDS[self.kind](self)
-        q, v = np.array(q_c[0]), np.zeros(n)
-        tau_hold = pin.computeGeneralizedGravity(self.model, self.data, q)
-        law.start(q, tau_hold)
-        rows = len(fine) // log
-        out_q, out_tau = np.empty((rows, n)), np.empty((rows, n))
-        before = fine[0]
-        for k in range(len(fine)):
-            tau = law.torque(fine[k], (fine[k] - before) / dt, q, v)
-            before = fine[k]
-            if k % log == 0 and k // log < rows:
-                out_q[k // log], out_tau[k // log] = q, tau
-            M = pin.crba(self.model, self.data, q)
-            M = np.triu(M) + np.triu(M, 1).T
-            bias = pin.nonLinearEffects(self.model, self.data, q, v)
-            # Friction implicitly in the velocity: it stops the joint and does not drive it back.
-            slope = self.dry / 0.01 / (1.0 + np.abs(v) / 0.01) + self.viscous
-            A = M + dt * np.diag(slope)
-            v = np.linalg.solve(A, M @ v + dt * (tau - bias))
-            q = q + dt * v
-        q_log = self.encoder * np.round(out_q / self.encoder)
-        tau_log = out_tau + self.torque_noise * self.scale * rng.standard_normal(out_tau.shape)
-        held = np.repeat(q_c, every, axis=0)[::log][:rows]
-        return Recording.from_arrays(t_log * np.arange(float(rows)), q_c=held, q=q_log, tau=tau_log,
-                                     meta={"cycle_time": t_cycle})
+        at_work = AtWork(self, q_c[0], t_cycle, t_log, rng)
+        for command in q_c:
+            at_work.cycle(command)
+        return at_work.recording()
 
-    def _command(self, q_c: Array, every: int) -> Array:
-        """What the inner loops see ``(M, n)``: lines from command to command, reached a cycle later."""
-        g, dt = self.gains, STEP
-        nodes = np.concatenate([q_c[:1], q_c])
-        share = (np.arange(every) + 1.0)[:, None] / every
-        fine = (nodes[:-1, None] + share * np.diff(nodes, axis=0)[:, None]).reshape(-1, q_c.shape[1])
-        late = round(g.late / dt)
-        fine = np.concatenate([np.repeat(fine[:1], late, axis=0), fine])[: len(fine)] if late else fine
-        zero = fine[0]
-        if self.kind == "moving_average":
-            w = max(1, round(g.filter / dt))
-            return zero + lfilter(np.ones(w) / w, [1.0], fine - zero, axis=0)
-        if self.kind in ("lag", "smoothed"):
-            a = np.exp(-dt / g.filter)
-            for _ in range(2 if self.kind == "smoothed" else 1):
-                fine = zero + lfilter([1 - a], [1, -a], fine - zero, axis=0)
-        return fine
+
+class AtWork:
+    """A plant that is commanded cycle by cycle, a ``RobotInterface``.
+
+    Args:
+        plant, q0: the arm, and where it rests ``(n,)`` [rad].
+        t_ipo, t_log: from command to command, and from row to row of the log [s].
+        rng: of the noise of logged torques.
+    """
+
+    def __init__(self, plant: Plant, q0: Array, t_ipo: float, t_log: float, rng: np.random.Generator) -> None:
+        self.plant, self.t_ipo, self.rng = plant, t_ipo, rng
+        self.every, self.log = round(t_ipo / STEP), round(t_log / STEP)
+        self.law = KINDS[plant.kind](plant)
+        self.engine: PlainEngine | MuJoCoEngine = (MuJoCoEngine if plant.engine == "mujoco" else PlainEngine)(plant, q0)
+        self.law.start(np.array(q0), plant.holding(q0))
+        self.late = plant.gains.late
+        self.ticks, self.before, self.last = 0, np.array(q0), np.array(q0)
+        self.seen: list[Array] = [np.array(q0)]
+        self.filters = [np.array(q0), np.array(q0)]
+        self.rows: list[tuple[Array, Array, Array]] = []
+
+    def cycle(self, q_c: Array) -> RobotState:
+        """See ``RobotInterface.cycle``; lines from command to command, reached a cycle later."""
+        q_c = np.asarray(q_c, dtype=float)
+        for k in range(self.every):
+            self.seen.append(self.last + (k + 1.0) / self.every * (q_c - self.last))
+            r = self._smoothed()
+            tau = self.law.torque(r, (r - self.before) / STEP, self.engine.q, self.engine.v)
+            self.before = r
+            if self.ticks % self.log == 0:
+                self.rows.append((q_c, *self._measured(tau)))
+            self.engine.step(tau)
+            self.ticks += 1
+        self.last = q_c
+        q, torque = self._measured(tau)
+        return RobotState(self.ticks * STEP, q, torque)
+
+    def _measured(self, tau: Array) -> tuple[Array, Array]:
+        plant = self.plant
+        return (plant.encoder * np.round(self.engine.q / plant.encoder),
+                tau + plant.torque_noise * plant.scale * self.rng.standard_normal(len(tau)))
+
+    def _smoothed(self) -> Array:
+        """What the inner loops see of the commands now ``(n,)``."""
+        g, late = self.plant.gains, round(self.late / STEP)
+        if self.plant.kind == "moving_average":
+            width = max(1, round(g.filter / STEP))
+            rows = [self.seen[max(len(self.seen) - 1 - late - i, 0)] for i in range(width)]
+            return np.asarray(np.mean(rows, axis=0))
+        r = self.seen[max(len(self.seen) - 1 - late, 0)]
+        stages = {"lag": 1, "smoothed": 2}.get(self.plant.kind, 0)
+        for i in range(stages):
+            r = self.filters[i] = self.filters[i] + (1.0 - np.exp(-STEP / g.filter)) * (r - self.filters[i])
+        return r
+
+    def recording(self) -> Recording:
+        """What was logged: commands, angles, torques."""
+        q_c, q, tau = (np.array(rows) for rows in zip(*self.rows, strict=True))
+        return Recording.from_arrays(self.log * STEP * np.arange(float(len(q))), q_c=q_c, q=q, tau=tau,
+                                     meta={"cycle_time": self.t_ipo})
+
+
+class PlainEngine:
+    """Rigid links by Pinocchio, semi-implicitly."""
+
+    def __init__(self, plant: Plant, q0: Array) -> None:
+        self.plant, self.q, self.v = plant, np.array(q0, dtype=float), np.zeros(len(q0))
+
+    def step(self, tau: Array) -> None:
+        """One step with motor torques ``(n,)``; friction implicitly, so that it stops a joint and drives none back."""
+        plant, v = self.plant, self.v
+        M = pin.crba(plant.model, plant.data, self.q)
+        M = np.triu(M) + np.triu(M, 1).T
+        bias = pin.nonLinearEffects(plant.model, plant.data, self.q, v)
+        slope = plant.dry / 0.01 / (1.0 + np.abs(v) / 0.01) + plant.viscous
+        self.v = np.linalg.solve(M + STEP * np.diag(slope), M @ v + STEP * (tau - bias))
+        self.q = self.q + STEP * self.v
+
+
+class MuJoCoEngine:
+    """Links, and gears as springs where ``plant.elastic``, by MuJoCo, with its own dry friction."""
+
+    def __init__(self, plant: Plant, q0: Array) -> None:
+        import mujoco
+
+        self.plant, self._mujoco = plant, mujoco
+        self.model = mujoco.MjModel.from_xml_string(_mjcf(plant))
+        self.data = mujoco.MjData(self.model)
+        self._motors = np.array([self.model.joint(f"m{j + 1}").qposadr[0] for j in range(len(q0))])
+        self.data.qpos[self._motors] = q0
+        if plant.elastic:
+            twists = np.array([self.model.joint(f"s{j + 1}").qposadr[0] for j in range(len(q0))])
+            self.data.qpos[twists] = -plant.holding(q0) / plant.stiffness
+
+    @property
+    def q(self) -> Array:
+        """Motor angles ``(n,)`` [rad]."""
+        return np.array(self.data.qpos[self._motors])
+
+    @property
+    def v(self) -> Array:
+        """Motor speeds ``(n,)`` [rad/s]."""
+        return np.array(self.data.qvel[self._motors])
+
+    def step(self, tau: Array) -> None:
+        """See ``PlainEngine.step``; MuJoCo goes in steps of a quarter."""
+        self.data.qfrc_applied[self._motors] = tau
+        for _ in range(_FINER):
+            self._mujoco.mj_step(self.model, self.data)
+
+
+_FINER = 4
+
+
+def _mjcf(plant: Plant) -> str:
+    def text(values: Array | list[float]) -> str:
+        return " ".join(f"{float(x):.12g}" for x in values)
+
+    model, closing = plant.model, ""
+    parts = [f'<mujoco><compiler angle="radian" autolimits="false" boundmass="1e-9" boundinertia="1e-12"/><option '
+             f'timestep="{STEP / _FINER}" integrator="implicitfast" gravity="{text(model.gravity.linear)}"><flag '
+             'contact="disable"/></option><worldbody>']
+    for j in range(model.nv):
+        place, body = model.jointPlacements[j + 1], model.inertias[j + 1]
+        jacobian = pin.computeJointJacobian(model, model.createData(), pin.neutral(model), j + 1)
+        axis = np.asarray(jacobian).reshape(6, -1)[:, j]
+        kind = "hinge" if np.linalg.norm(axis[3:]) > 0.5 else "slide"
+        axis = axis[3:] if kind == "hinge" else axis[:3]
+        turn = pin.Quaternion(place.rotation)
+        parts.append(f'<body pos="{text(place.translation)}" quat="{text([turn.w, turn.x, turn.y, turn.z])}"><joint '
+                     f'name="m{j + 1}" type="{kind}" axis="{text(axis)}" armature="{plant.rotor[j]:.12g}" '
+                     f'frictionloss="{plant.dry[j]:.12g}" damping="{plant.viscous[j]:.12g}"/>')
+        closing = "</body>" + closing
+        if plant.elastic:
+            k = plant.stiffness[j]
+            parts.append(f'<inertial pos="0 0 0" mass="1e-9" diaginertia="1e-12 1e-12 1e-12"/><body><joint '
+                         f'name="s{j + 1}" type="{kind}" axis="{text(axis)}" stiffness="{k:.12g}" '
+                         f'damping="{0.1 * np.sqrt(k * plant.inertia[j]):.12g}"/>')
+            closing = "</body>" + closing
+        i = body.inertia
+        full = text([i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]])
+        parts.append(f'<inertial pos="{text(body.lever)}" mass="{body.mass:.12g}" fullinertia="{full}"/>')
+    return "".join(parts) + closing + "</worldbody></mujoco>"
 
 
 class PPI:
@@ -261,6 +375,14 @@ USUAL = {"cascade": Gains(), "fed_forward": Gains(share=0.9), "impedance": Gains
          "smoothed": Gains(position=60.0, velocity=200.0, filter=0.04), "posture": Gains(share=0.35)}
 
 
+def drawn(kind: str, rng: np.random.Generator) -> Gains:
+    """Gains of a kind about ``USUAL``, each drawn within a factor of 1.5; late by none to 12 ms."""
+    usual = USUAL[kind]
+    position, velocity, reset, smoothing = np.exp(rng.uniform(-1.0, 1.0, 4) * np.log(1.5))
+    return Gains(usual.position * position, usual.velocity * max(velocity, position), usual.reset * reset,
+                 STEP * rng.integers(0, 13), usual.filter * smoothing, usual.share * rng.uniform(0.7, 1.0))
+
+
 def motion(robot: Robot, rng: np.random.Generator, duration: float, t_cycle: float, *, quick: float = 1.0) -> Array:
     """A motion ``(N, n)`` [rad] from rest to rest about the home posture: sinusoids of each joint's own."""
     t = t_cycle * np.arange(round(duration / t_cycle))
@@ -271,4 +393,4 @@ def motion(robot: Robot, rng: np.random.Generator, duration: float, t_cycle: flo
         f = quick * rng.uniform(0.1, 0.55, robot.n)
         path += rng.uniform(0.1, 0.3, robot.n) / quick * np.sin(2 * np.pi * f * t[:, None]
                                                               + rng.uniform(0, 2 * np.pi, robot.n))
-    return np.asarray(robot.home + swell * (path - 0.0))
+    return np.asarray(robot.home + swell * path)

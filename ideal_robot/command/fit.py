@@ -21,7 +21,7 @@ from scipy.interpolate import CubicSpline
 from ideal_robot.arrays import Array
 from ideal_robot.command.controllers import CONTROLLERS, Controller
 from ideal_robot.command.filters import from_rest
-from ideal_robot.command.law import Column, CommandLaw, JointLaw, Shape, error_parts
+from ideal_robot.command.law import PARTS, Column, CommandLaw, JointLaw, Shape, error_parts
 from ideal_robot.command.motion import Motion
 from ideal_robot.command.smoothing import SMOOTHINGS
 from ideal_robot.command.terms import TERMS
@@ -231,7 +231,20 @@ def seen(stretch: Stretch, j: int, shape: Shape) -> Array:
     return (shape.filter.seen(own, stretch.motion.dt, shape.time) if shape.time else own)[:, 0]
 
 
-def fit_joint(stretches: Sequence[Stretch], j: int, law: CommandLaw) -> JointLaw:
+@dataclass(frozen=True)
+class FittedJoint:
+    """A joint's law, its error unknown yet.
+
+    Attributes:
+        law: of the joint.
+        left: what it leaves of the commands it was not fitted to, at each stretch's rows ``(M,)`` each [rad].
+    """
+
+    law: JointLaw
+    left: tuple[Array, ...]
+
+
+def fit_joint(stretches: Sequence[Stretch], j: int, law: CommandLaw) -> FittedJoint:
     """The law of one joint that predicts its commands best.
 
     Args:
@@ -268,15 +281,13 @@ def fit_joint(stretches: Sequence[Stretch], j: int, law: CommandLaw) -> JointLaw
     return _judged(joint, best)
 
 
-def _judged(joint: JointRows, found: _Found) -> JointLaw:
+def _judged(joint: JointRows, found: _Found) -> FittedJoint:
     """The law with its coefficients, and what it leaves of motion that they were not fitted to, as it is used.
 
     Coefficients come from rows with the measured torque or with the model's, whichever leaves less.
     """
     used = JointRows([dataclasses.replace(s, motion=s.used) for s in joint.stretches], joint.j, joint.law)
     X, y = used.raw(found.shape, found.columns)
-    parts = np.concatenate([np.vstack([error_parts(s.motion)[s.rows, :, joint.j], np.zeros((1, 4))])
-                            for s in joint.stretches])
     fold = joint.blocks * _FOLDS // BLOCKS % 2
     best = None
     for source in (joint, used) if any(column.of.torque for column in found.columns) else (joint,):
@@ -293,13 +304,33 @@ def _judged(joint: JointRows, found: _Found) -> JointLaw:
     error, left, solution = best
     deviation = np.concatenate([(s.command[:, joint.j] - q)[s.rows]
                                 for s, q in zip(joint.stretches, joint.q, strict=True)])
-    return JointLaw(found.shape, found.columns, solution.mean, solution.covariance,
-                    _variances(left[joint.use], parts[joint.use]), float(np.std(deviation)), float(error),
-                    found.kind.name)
+    own = JointLaw(found.shape, found.columns, solution.mean, solution.covariance, np.zeros(PARTS),
+                   float(np.std(deviation)), float(error), found.kind.name)
+    return FittedJoint(own, tuple(np.split(left[joint.use], np.cumsum([len(s.rows) for s in joint.stretches])[:-1])))
+
+
+def with_error(fitted: FittedJoint, stretches: Sequence[Stretch], j: int, response: Array) -> JointLaw:
+    """The law with the error of the position that its commands leave.
+
+    Args:
+        fitted, stretches, j: law, the recordings it is from, and the joint, from 0.
+        response: of its position to its command ``(N // 2 + 1,)``, over ``N`` instants as far apart as the motion's.
+    """
+    missed = []
+    for left, stretch in zip(fitted.left, stretches, strict=True):
+        step = int(np.diff(stretch.rows).min()) if len(stretch.rows) > 1 else 1
+        row = (stretch.rows - stretch.rows[0]) // step
+        even = np.zeros(2 * (row[-1] + 1))
+        even[row] = left
+        frequency = np.fft.rfftfreq(len(even), step)
+        own = np.interp(frequency, np.linspace(0.0, 0.5, len(response)), response)
+        missed.append(np.fft.irfft(np.fft.rfft(even) * own, len(even))[row])
+    parts = np.concatenate([error_parts(s.motion)[s.rows, :, j] for s in stretches])
+    return dataclasses.replace(fitted.law, error=_variances(np.concatenate(missed), parts))
 
 
 def _variances(left: Array, parts: Array) -> Array:
-    """Variances ``(4,)`` of what ``error_parts (M, 4)`` hold, from what a law leaves ``(M,)``; none negative."""
+    """Variances ``(PARTS,)`` of what ``error_parts (M, PARTS)`` hold, from what is missed ``(M,)``; none negative."""
     count = max(len(left) // _WINDOW, 4)
     windows = np.array_split(np.arange(len(left)), count)
     squares = np.array([np.mean(left[w] ** 2) for w in windows])

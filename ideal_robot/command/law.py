@@ -7,16 +7,18 @@
     and c_k m(q_i)                      where gains follow the posture
 
 Read forwards it is fitted (``ideal_robot.command.fit``); evaluated ahead it is the feedforward
-(``ideal_robot.command.inverse``).
+(``ideal_robot.feedforward.command_inverse``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from ideal_robot.arrays import Array
 from ideal_robot.command.filters import bilinear, from_rest
@@ -149,8 +151,8 @@ class JointLaw:
         columns: terms of the law.
         coefficients: of the columns ``(m,)``.
         covariance: of the coefficients ``(m, m)``.
-        error: of the law on held-out motion: variances ``(4,)`` by 1, squared speed, squared acceleration, and squared
-            rate of the direction of motion, see ``expected``.
+        error: of the position that commands by the law leave on held-out motion: variances ``(6,)`` by the parts of
+            ``error_parts``.
         deviation: root mean square of ``q_c - q`` about its mean on the held-out motion [rad].
         residual: what the law leaves of it there [rad].
         kind: of controller, in the field's words.
@@ -219,10 +221,18 @@ class CommandLaw:
         i = column.posture - 1
         return np.asarray(((q[:, i] - self.middle[i]) / self.width[i]) ** column.power)
 
-    def sums(self, motion: Motion, j: int) -> Array:
-        """Direct and integrated sum of the terms of joint ``j`` (from 0) along a motion ``(2, N)``."""
+    def sums(self, motion: Motion, j: int, factors: Array | None = None) -> Array:
+        """Direct and integrated sum of the terms of joint ``j`` (from 0) along a motion ``(2, N)``.
+
+        Args:
+            motion, j: along which, and of which joint.
+            factors: on its coefficients ``(m,)``; 1 if None.
+        """
         law, sums = self.joints[j], np.zeros((2, len(motion.q)))
-        for column, c in zip(law.columns, law.coefficients, strict=True):
+        coefficients = law.coefficients if factors is None else factors * law.coefficients
+        for column, c in zip(law.columns, coefficients, strict=True):
+            if c == 0.0:
+                continue
             values = c * column.of.of(motion)[:, j]
             sums[int(column.of.integrated)] += self.posture(motion.q, column) * values if column.posture else values
         return sums
@@ -233,6 +243,33 @@ class CommandLaw:
         num, den = law.shape.discrete(dt)
         sums = self.sums(motion, j)
         return np.sum([from_rest(b, den, x) for b, x in zip(num, sums, strict=True)], axis=0)
+
+    def early(self, motion: Motion, j: int, error: Array, t: Array, ahead: float, first: int = 0) -> Array:
+        """The command of joint ``j`` (from 0) at instants ``t (M,)`` [s] of a motion.
+
+        Args:
+            motion, j: whose rows from ``first`` on count.
+            error: what the joint has to see of the command beyond its position ``(N,)``.
+            t, ahead: instants, and how much earlier commands are given [s].
+            first: row.
+        """
+        shape = self.joints[j].shape
+        r = (motion.q[:, j] + error)[first:, None]
+        early = shape.filter.before(r, motion.dt, shape.time)[:, 0]
+        row = np.clip((t + ahead) / motion.dt - first, 0.0, len(early) - 1.0)
+        if len(row) == 1:
+            return np.asarray(_weights(len(early), round(float(row[0]), 6)) @ early)[None]
+        return np.asarray(CubicSpline(np.arange(float(len(early))), early)(row))
+
+    def commands(self, motion: Motion, rows: int, ahead: Array) -> Array:
+        """Commands ``(rows, n)`` [rad] of the first rows of a motion.
+
+        Args:
+            motion, rows: longer than the rows by as much as commands are early.
+            ahead: how much earlier each joint's commands are given ``(n,)`` [s].
+        """
+        t = motion.dt * np.arange(float(rows))
+        return np.stack([self.early(motion, j, self.error(motion, j), t, ahead[j]) for j in range(self.n)], axis=1)
 
     def expected(self, motion: Motion) -> Array:
         """Standard deviation of the position that the commands for a motion leave ``(N, n)`` [rad]."""
@@ -263,12 +300,21 @@ class CommandLaw:
             SMOOTHINGS[shape.smoothing]
             deviation, residual = (float("nan") if own[key] is None else float(own[key])
                                    for key in ("deviation", "residual"))
+            error = array(own["error"])
+            if error.shape == (4,):  # before jerk and slowness were parts of it
+                error = np.insert(error, 3, [0.0, 0.0])
             joints.append(JointLaw(shape, tuple(Column.named(name) for name in own["columns"]),
-                                   array(own["coefficients"]), array(own["covariance"]), array(own["error"]),
+                                   array(own["coefficients"]), array(own["covariance"]), error,
                                    deviation, residual, str(own["kind"])))
         return cls(tuple(joints), float(values["t_cycle"]), array(values["still"]), array(values["middle"]),
                    array(values["width"]), str(values["torque"]),
                    None if values["cascade"] is None else array(values["cascade"]), bool(values["leads"]))
+
+
+@lru_cache(maxsize=256)
+def _weights(count: int, row: float) -> Array:
+    """Weights ``(count,)`` of rows in the cubic spline through them at a broken row."""
+    return np.asarray(CubicSpline(np.arange(float(count)), np.eye(count))(row))
 
 
 def require_law(law: CommandLaw, n: int, file: Any = None) -> None:
@@ -293,7 +339,7 @@ def require_law(law: CommandLaw, n: int, file: Any = None) -> None:
         refuse("torque", "model or none", law.torque)
     for j, own in enumerate(law.joints):
         m = len(own.columns)
-        for key, shape in (("coefficients", (m,)), ("covariance", (m, m)), ("error", (4,))):
+        for key, shape in (("coefficients", (m,)), ("covariance", (m, m)), ("error", (PARTS,))):
             array = getattr(own, key)
             if array.shape != shape or not np.all(np.isfinite(array)):
                 refuse(f"joints.{j}.{key}", f"{' × '.join(map(str, shape))} finite numbers")
@@ -310,10 +356,16 @@ def require_law(law: CommandLaw, n: int, file: Any = None) -> None:
             refuse(f"joints.{j}.coefficients", "a command whose own poles decay")
 
 
-def error_parts(motion: Motion) -> Array:
-    """What the variance of a law's error is made of along a motion ``(N, 4, n)``: see ``JointLaw.error``.
+PARTS = 6
+"""Of a law's error, see ``error_parts``."""
 
-    Direction counts by how fast it turns over, over the time of a reversal that lasts 0.1 s.
+
+def error_parts(motion: Motion) -> Array:
+    """What the variance of a law's error is made of along a motion ``(N, PARTS, n)``.
+
+    1, squares of speed, acceleration and jerk, and of reversals two: that the joint is slow, where friction is another,
+    and how fast its direction turns over, over the time of a reversal that lasts 0.1 s.
     """
     turning = 0.1 * np.gradient(motion.direction, motion.dt, axis=0)
-    return np.stack([np.ones_like(motion.q), motion.qd**2, motion.qdd**2, turning**2], axis=1)
+    return np.stack([np.ones_like(motion.q), motion.qd**2, motion.qdd**2, motion.qddd**2, 1.0 - motion.direction**2,
+                     turning**2], axis=1)

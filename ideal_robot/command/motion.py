@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import pinocchio as pin
@@ -12,6 +12,8 @@ from scipy.interpolate import make_interp_spline
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, chain_of, inverse_dynamics
 
+_KEPT = 100
+"""Rows up to which the matrices of derivatives are kept: those of a control cycle's horizon."""
 _DEGREE = 5
 """Of the splines that are differentiated: a quintic has continuous third derivatives."""
 
@@ -140,6 +142,18 @@ def spline_derivatives(rows: Array, dt: float, orders: int, degree: int = _DEGRE
         rows, dt: ``(N, n)``, and their distance [s].
         orders, degree: how many derivatives, and of the spline.
     """
+    if len(rows) <= _KEPT:
+        return [D @ rows for D in _operators(len(rows), dt, orders, degree)]
+    return _derived(rows, dt, orders, degree)
+
+
+def _derived(rows: Array, dt: float, orders: int, degree: int) -> list[Array]:
     t = dt * np.arange(float(len(rows)))
     spline = make_interp_spline(t, rows, k=min(degree, len(rows) - 1))
     return [np.asarray(spline(t, nu=k)) for k in range(1, orders + 1)]
+
+
+@lru_cache(maxsize=32)
+def _operators(count: int, dt: float, orders: int, degree: int) -> tuple[Array, ...]:
+    """Matrices ``(N, N)`` that make derivatives of ``count`` rows: horizons have the same length in every cycle."""
+    return tuple(_derived(np.eye(count), dt, orders, degree))

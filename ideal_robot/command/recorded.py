@@ -20,6 +20,9 @@ _UPDATES = 0.2
 """Share of the samples of a moving joint that change its command, from which on it changes with every sample."""
 _FINE = 9.0
 """Samples a period of the low-pass's cut-off, for derivatives; a third of them are rows of the law."""
+_START, _MOVES, _FORGOTTEN = 0.05, 0.3, 1.0
+"""A recording starts in motion where a joint moves in its first 50 ms with so much of its usual speed; then its
+controller remembers so long what was before [s]."""
 _LONGEST = 0.1
 """Cycle that is looked for at most [s]."""
 
@@ -38,6 +41,23 @@ def with_commands(recording: Recording) -> Recording:
         return recording
     columns = {f"q_c_{i + 1}": recording.columns[f"q_d_{i + 1}"] for i in range(recording.n)}
     return replace(recording, columns={**recording.columns, **columns})
+
+
+def moving_at_start(t: Array, q: Array) -> int | None:
+    """The joint, from 0, that moves fastest over its usual speed when a recording starts; None where all rest.
+
+    What a controller remembers of the time before is then not in the recording.
+
+    Args:
+        t, q: times ``(N,)`` [s] and positions ``(N, n)`` [rad].
+    """
+    few = max(2, int(np.searchsorted(t, t[0] + _START)))
+    usual = np.sqrt(np.mean(np.gradient(q, t, axis=0) ** 2, axis=0))
+    share = np.abs(q[few - 1] - q[0]) / (t[few - 1] - t[0]) / np.maximum(usual, 1e-9)
+    # Encoder steps of a joint that rests are no motion.
+    share[np.ptp(q, axis=0) < 1e-3] = 0.0
+    j = int(np.argmax(share))
+    return j if share[j] > _MOVES else None
 
 
 def update_instants(t: Array, q_c: Array) -> np.ndarray:
@@ -116,6 +136,7 @@ def stretches_of(recordings: Sequence[Recording], name: str, *, cutoff: float | 
             own = own.with_torque(lowpass(even.tau, dt, cutoff)[::every]) if measured else used
         edge = int(np.ceil(1.0 / (cutoff * dt)))
         holes = np.convolve(even.hole, np.ones(2 * edge + 1), mode="same") > 0 if even.hole.any() else even.hole
-        kept = np.arange(-(-edge // every), (len(even.t) - edge) // every, max(1, round(_FINE / 3.0)))
+        first = edge if moving_at_start(even.t, even.q) is None else max(edge, round(_FORGOTTEN / dt))
+        kept = np.arange(-(-first // every), (len(even.t) - edge) // every, max(1, round(_FINE / 3.0)))
         result.append(Stretch(own, used, lowpass(command, dt, cutoff)[::every], kept[~holes[every * kept]]))
     return result

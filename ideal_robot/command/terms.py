@@ -28,6 +28,8 @@ class Term:
         integrated: whether it passes the integrator's filter.
         torque, bodies: whether it needs the motors' torque, and the arm's bodies.
         same: the term without an integrator that it is the same as where there is none.
+        moves: whether it is of the motion alone and passes no integrator: a gain of a position loop. The others stand
+            for a torque.
     """
 
     name: str
@@ -36,13 +38,14 @@ class Term:
     torque: bool = False
     bodies: bool = False
     same: str = ""
+    moves: bool = False
 
 
 TERMS: dict[str, Term] = {term.name: term for term in (
     Term("offset", lambda m: np.ones_like(m.q)),
-    Term("velocity", lambda m: m.qd),
-    Term("acceleration", lambda m: m.qdd),
-    Term("jerk", lambda m: m.qddd),
+    Term("velocity", lambda m: m.qd, moves=True),
+    Term("acceleration", lambda m: m.qdd, moves=True),
+    Term("jerk", lambda m: m.qddd, moves=True),
     Term("direction", lambda m: m.direction),
     Term("integrated_velocity", lambda m: m.qd, integrated=True, same="velocity"),
     Term("integrated_acceleration", lambda m: m.qdd, integrated=True, same="acceleration"),

@@ -5,7 +5,7 @@ With A_b = Λ + Σ X'X over the first b blocks and Λ what is known of parameter
     ln p(y_1 … y_b) = −½ [ y'y − y'X A_b⁻¹ X'y + ln|A_b| − ln|Λ| ]        (up to a constant),
 
 in closed form from the products of columns, and ln p(y_b | blocks before) is what block b adds. Their sum does not
-depend on the order. ``left_out`` has each block given all others.
+depend on the order.
 """
 
 from __future__ import annotations
@@ -60,45 +60,6 @@ def _log_determinant(precision: Array) -> float:
     scaled = precision[np.ix_(known, known)] * np.outer(scale, scale)
     sign, logarithm = np.linalg.slogdet(scaled + 10.0 * ROUNDING * np.eye(int(known.sum())))
     return float(logarithm - 2.0 * np.log(scale).sum()) if sign > 0 else 0.0
-
-
-def left_out(products: Array, precision: Array | None = None) -> Array:
-    """Logarithm of the density of each block given all others ``(B,)``: how a law predicts what it was not fitted to.
-
-    Data speak there even for a parameter that its prior all but excludes; sets that differ in priors want ``evidence``.
-
-    Args:
-        products: ``[X, y]' [X, y]`` of whitened rows, block by block ``(B, P + 1, P + 1)``.
-        precision: of the parameters beforehand, about zero ``(P, P)``; None where nothing is known.
-    """
-    P = products.shape[1] - 1
-    own, right, squares = products[:, :P, :P], products[:, :P, P], products[:, P, P]
-    if P == 0:
-        return np.asarray(-0.5 * squares)
-    A = own.sum(axis=0) + (0.0 if precision is None else precision)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-12 * (np.max(np.diag(A)) + 1e-300)))
-    own, right = own * np.outer(scale, scale), right * scale
-    A = A * np.outer(scale, scale) + 10.0 * ROUNDING * np.eye(P)
-    without = A - own
-    without[:, np.arange(P), np.arange(P)] += 10.0 * ROUNDING
-    root, roots = np.linalg.cholesky(A), _roots(without)
-    beta = np.linalg.solve(without, (right.sum(axis=0) - right)[..., None])[..., 0]
-    product = np.einsum("bij,bj->bi", own, beta)
-    residual = squares - 2.0 * np.einsum("bi,bi->b", right, beta) + np.einsum("bi,bi->b", beta, product)
-    along = np.linalg.solve(root, (right - product).T)
-    logarithm = np.log(np.diag(root)).sum() - np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1)
-    return np.asarray(-0.5 * (residual - (along**2).sum(axis=0)) - logarithm)
-
-
-def _roots(matrices: Array) -> Array:
-    """Cholesky factors of stacked matrices; where a block holds all there is of a column, with a little more."""
-    more = np.zeros_like(matrices[0])
-    for _ in range(6):
-        try:
-            return np.asarray(np.linalg.cholesky(matrices + more))
-        except np.linalg.LinAlgError:
-            more = np.eye(len(more)) * max(10.0 * float(more[0, 0]), 10.0 * ROUNDING)
-    raise np.linalg.LinAlgError("products of columns that are not positive: a column is not finite")
 
 
 def standard_error(difference: Array) -> float:

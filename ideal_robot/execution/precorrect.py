@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,9 +13,10 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from ideal_robot.arrays import Array, held
-from ideal_robot.errors import InputError
+from ideal_robot.errors import IdealRobotError, InputError, LimitError
 from ideal_robot.execution.command_governor import check_limits, require_within_limits
 from ideal_robot.execution.planned_path import FEW, distinct, through_few
+from ideal_robot.execution.slowed import slowed
 from ideal_robot.feedforward.built_in import BY_LAW, by_law
 from ideal_robot.feedforward.command_inverse import at_cycle_of
 from ideal_robot.feedforward.corrected_arm import CorrectedArm
@@ -221,7 +224,8 @@ class PrecorrectedPath(Summarised):
 
 
 def precorrect(t: Array, q_d: Array, model: Model, robot: Robot, method: str = "ideal", *, delay: int = 0,
-               rest: float = 0.6, file: str | Path | None = None, column: str = "q_d") -> PrecorrectedPath:
+               rest: float = 0.6, slow: bool = False, file: str | Path | None = None, column: str = "q_d"
+               ) -> PrecorrectedPath:
     """Corrects a path and checks the result against the robot's limits.
 
     Args:
@@ -232,6 +236,7 @@ def precorrect(t: Array, q_d: Array, model: Model, robot: Robot, method: str = "
         method: a method that needs no plays on the arm, see ``ideal_robot.methods``.
         delay: cycles between hand-over of a command and the start of its interpolation.
         rest: added before the path, for the gears' deflection [s].
+        slow: slow the path along itself where it or its commands leave a limit; else such a path is refused.
         file: where the path comes from, for messages.
         column: what its positions are called there.
 
@@ -247,11 +252,24 @@ def precorrect(t: Array, q_d: Array, model: Model, robot: Robot, method: str = "
     times, path, warnings = path_at_cycles(t, q_d, robot, rest=rest, file=source, column=column)
     inverse = by_law(Setting(robot, model, delay=delay)) if method in BY_LAW else None
     loop = None if inverse is not None else loop_model(model, robot, delay=delay)
-    require_within_limits(path, robot, start=-rest, file=source, column=column)
-    # Learning on the model starts from the ideal robot, which leaves little to learn.
-    start = feedforward("ideal", model, robot, delay=delay).along(path) if method == "learned-model" else None
-    q_c = feedforward(method, model, robot, delay=delay, q_d=path, q_c=start).along(path)
-    check_limits(q_c, robot, robot.t_ipo)
+    if not slow:
+        require_within_limits(path, robot, start=-rest, file=source, column=column)
+
+    def corrected(path: Array) -> Array:
+        # Learning on the model starts from the ideal robot, which leaves little to learn.
+        start = feedforward("ideal", model, robot, delay=delay).along(path) if method == "learned-model" else None
+        return feedforward(method, model, robot, delay=delay, q_d=path, q_c=start).along(path)
+
+    if slow:
+        whole, result = len(path), slowed(path, corrected, robot)
+        path, q_c = result.q_d, result.q_c
+        times = times[0] + robot.t_ipo * np.arange(float(len(path)))
+        if len(path) > whole:
+            warnings = (*warnings, f"slowed: to {100 * result.slowest:.3g} % of its speed at the slowest, so that it "
+                                   f"lasts {robot.t_ipo * (len(path) - whole):.3g} s longer")
+    else:
+        q_c = corrected(path)
+        _require_within(q_c, path, corrected, robot)
     unit = one_unit(robot.units("rad"))
     recording = Recording.from_arrays(
         times, meta={"robot": robot.name, "cycle_time": robot.t_ipo, "method": method, "source": "precorrect",
@@ -268,6 +286,26 @@ def precorrect(t: Array, q_d: Array, model: Model, robot: Robot, method: str = "
     return PrecorrectedPath(recording, method, robot.name, times, path, q_c, (errors[0], errors[1]),
                             _reach(model, robot, delay, q_c, wanted), (*warnings, *_not_checked(robot)),
                             robot.units("mrad"))
+
+
+def _require_within(q_c: Array, path: Array, corrected: Callable[[Array], Array], robot: Robot) -> None:
+    """Raises LimitError where commands leave a limit: names the speed at which the whole path would not.
+
+    Args:
+        q_c, path: commands of a path ``(N, n)`` each [rad].
+        corrected: commands of other paths.
+        robot: limits and cycle.
+    """
+    try:
+        check_limits(q_c, robot, robot.t_ipo)
+    except LimitError as error:
+        try:
+            share = slowed(path, corrected, robot, everywhere=True).slowest
+        except IdealRobotError:
+            raise error from None
+        remedy = (f"at {math.floor(100 * share):d} % of its speed the whole path is within the limits, and slow=True "
+                  "(--slow) slows it just where needed")
+        raise LimitError(error.joint, error.quantity, error.value, error.limit, remedy) from error
 
 
 def _require_gain(after: Array, before: Array, method: str, robot: Robot) -> None:

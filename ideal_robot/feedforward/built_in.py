@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ideal_robot.arrays import Array
 from ideal_robot.feedforward.arm_of_its_type import arm_of_its_type
 from ideal_robot.feedforward.base import Feedforward, PassThrough
+from ideal_robot.feedforward.command_adaptation import AdaptedCommand
 from ideal_robot.feedforward.command_inverse import CommandInverse
 from ideal_robot.feedforward.corrected_arm import CorrectedArm, for_arm
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal, FrictionAdaptation
@@ -81,7 +82,7 @@ def _precorrected(setting: Setting) -> Feedforward:
 
 def _adapted(setting: Setting) -> Feedforward:
     if (inverse := by_law(setting)) is not None:
-        return _corrected(setting, inverse)
+        return _corrected(setting, AdaptedCommand(inverse))
     if setting.practice is None:
         # Nothing to play beforehand: it learns while it works.
         return _corrected(setting, _adapting(setting, None if setting.q_d is None else FrictionCurve(setting.loop())))

@@ -6,16 +6,15 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from ideal_robot.arrays import Array, held
 from ideal_robot.command.law import CommandLaw
 from ideal_robot.command.motion import Bodies, Motion
+from ideal_robot.command.response import uncorrected
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import SETTLE, Feedforward
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.filters import lowpass
 
 _BEFORE, _AFTER = 6, 6
 """Desired positions on either side of an instant that its derivatives are taken from."""
@@ -36,6 +35,21 @@ class InverseState:
     filters: tuple[Array, ...]
     start: Array
     cycle: int
+
+
+@dataclass(frozen=True)
+class Changed:
+    """By what a law has changed since it was identified.
+
+    Attributes:
+        late: commands act so much later ``(n,)`` [s].
+        offset: more of the command ``(n,)`` [rad].
+        factors: on each joint's coefficients ``(m,)`` each.
+    """
+
+    late: Array
+    offset: Array
+    factors: tuple[Array, ...]
 
 
 class CommandInverse(Feedforward):
@@ -67,6 +81,7 @@ class CommandInverse(Feedforward):
         self.shift = delay * self.t_ipo + 0.5 * (self.t_ipo - self.law.t_cycle)
         self.ahead = np.maximum([own.shape.ahead + self.shift for own in self.law.joints], 0.0)
         self.n_d = int(np.ceil(self.ahead.max() / self.t_ipo)) + _AFTER
+        self.discrete = [own.shape.discrete(self.t_ipo) for own in self.law.joints]
 
     def motion(self, q_d: Array, tau_ext_d: Array | None = None) -> Motion:
         """Motion of the motors ``(N, n)`` along desired positions, with the torques that it asks for."""
@@ -75,19 +90,18 @@ class CommandInverse(Feedforward):
         if np.any(self.compliance):
             load = self.model.rigid_body(motion.q, motion.qd, motion.qdd) - external
             motion = Motion.of(q_d + self.compliance * load, self.t_ipo, self.law.still, self.bodies)
+        return self.with_model_torque(motion, external)
+
+    def with_model_torque(self, motion: Motion, external: Array | float = 0.0) -> Motion:
+        """A motion with the model's torques where the law has any, less those of contact ``(N, n)`` [N m]."""
         if self.law.torque == "none":
             return motion
         return motion.with_torque(self.model.inverse_dynamics(motion.q, motion.qd, motion.qdd) - external)
 
     def along(self, q_d: Array) -> Array:
         """See ``Feedforward.along``; the whole path at once."""
-        motion = self.motion(held(q_d, after=self.n_d))
-        t = self.t_ipo * np.arange(float(len(motion.q)))
-        commands = np.empty_like(q_d)
-        for j in range(self.n):
-            commands[:, j] = self._early(motion, j, self.law.error(motion, j), t[: len(q_d)])
-        start = commands[0] - q_d[0]
-        return commands - (1.0 - _settled(t[: len(q_d)], self.t_ipo))[:, None] * start
+        commands, t = self._required(q_d), self.t_ipo * np.arange(float(len(q_d)))
+        return np.asarray(commands - (1.0 - _settled(t, self.t_ipo))[:, None] * (commands[0] - q_d[0]))
 
     def init(self, q0: Array) -> InverseState:
         """See ``Feedforward.init``."""
@@ -95,9 +109,8 @@ class CommandInverse(Feedforward):
 
         rows = np.tile(q0, (2 * _BEFORE, 1))
         motion, filters, start = self.motion(rows), [], np.empty(self.n)
-        for j, own in enumerate(self.law.joints):
+        for j, (num, den) in enumerate(self.discrete):
             sums = self.law.sums(motion, j)
-            num, den = own.shape.discrete(self.t_ipo)
             states = [signal.lfilter_zi(b, den) * x[0] if len(den) > 1 else np.zeros(0)
                       for b, x in zip(num, sums, strict=True)]
             filters.append(np.array(states))
@@ -106,19 +119,31 @@ class CommandInverse(Feedforward):
 
     def step(self, state: InverseState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, InverseState]:
         """See ``Feedforward.step``."""
+        return self.changed_step(state, q_d, tau_ext_d, None)
+
+    def changed_step(self, state: InverseState, q_d: Array, tau_ext_d: Array | None, changed: Changed | None,
+                     rows: int = 0) -> tuple[Array, InverseState]:
+        """``step`` by a law that has changed.
+
+        Args:
+            state, q_d, tau_ext_d: see ``Feedforward.step``.
+            changed: by what; None for nothing.
+            rows: of the horizon that are looked at, where they are more than ``n_d``.
+        """
         from scipy import signal
 
-        ahead = q_d[: self.n_d] if len(q_d) >= self.n_d else _extended(state.q_d, q_d, self.n_d)
+        n_d = max(rows, self.n_d)
+        ahead = q_d[:n_d] if len(q_d) >= n_d else _extended(state.q_d, q_d, n_d)
         external = None
         if tau_ext_d is not None:
-            rows = held(tau_ext_d, after=max(self.n_d - len(tau_ext_d), 0))[: self.n_d]
-            external = held(rows, before=_BEFORE)
+            contact = held(tau_ext_d, after=max(n_d - len(tau_ext_d), 0))[:n_d]
+            external = held(contact, before=_BEFORE)
         motion = self.motion(np.vstack([state.q_d, ahead]), external)
         q_c, filters = np.empty(self.n), []
-        for j, own in enumerate(self.law.joints):
-            num, den = own.shape.discrete(self.t_ipo)
+        for j, (num, den) in enumerate(self.discrete):
             total, states = np.zeros(len(motion.q)), []
-            for b, x, zi in zip(num, self.law.sums(motion, j), state.filters[j], strict=True):
+            sums = self.law.sums(motion, j, None if changed is None else changed.factors[j])
+            for b, x, zi in zip(num, sums, state.filters[j], strict=True):
                 if len(den) == 1:
                     total += b[0] / den[0] * x
                     states.append(zi)
@@ -128,7 +153,10 @@ class CommandInverse(Feedforward):
                     b, den, x[_BEFORE + 1 :], zi=after)[0]
                 states.append(after)
             filters.append(np.array(states))
-            q_c[j] = self._early(motion, j, total, np.array([_BEFORE * self.t_ipo]), first=_BEFORE)[0]
+            now_at, late = np.array([_BEFORE * self.t_ipo]), self.ahead[j]
+            if changed is not None:
+                late, total = max(late + changed.late[j], 0.0), total + changed.offset[j]
+            q_c[j] = self.law.early(motion, j, total, now_at, late, first=_BEFORE)[0]
         rest = 1.0 - _settled(np.array([state.cycle * self.t_ipo]), self.t_ipo)[0]
         return q_c - rest * state.start, InverseState(np.vstack([state.q_d[1:], ahead[:1]]), tuple(filters),
                                                       state.start, state.cycle + 1)
@@ -139,48 +167,11 @@ class CommandInverse(Feedforward):
 
     def uncorrected(self, q_d: Array) -> Array:
         """Error ``(N, n)`` [rad] that the path itself leaves when it is commanded: ``q_d - q``."""
-        speed = np.std(np.gradient(q_d, self.t_ipo, axis=0), axis=0)
-        missing = self._unsettled(q_d) - q_d
-        # How late each joint is; the motion whose commands are the path is looked for where that is a third of a turn.
-        late = np.std(missing, axis=0) / np.maximum(speed, 1e-12)
-        cutoff = min(_TURN / (2.0 * np.pi * max(float(late.max()), 1e-6)), 0.2 / self.t_ipo)
-        first, size = missing, float(np.std(missing))
-        while cutoff * self.t_ipo * len(q_d) > _FEWEST_TURNS:
-            error, missing = np.zeros_like(q_d), first
-            for _ in range(_ROUNDS):
-                error = lowpass(error + _STEP * missing, self.t_ipo, cutoff)
-                missing = self._unsettled(q_d - error) - q_d
-                if not float(np.std(missing)) <= 1.5 * size:
-                    break
-            else:
-                return error
-            # Inertia and integrators turn fast motion further than lateness does.
-            cutoff *= 0.5
-        return lowpass(first, self.t_ipo, min(1.0, 0.2 / self.t_ipo))
+        return uncorrected(self._required, q_d, self.t_ipo, self.law.still)
 
-    def _unsettled(self, q: Array) -> Array:
-        motion = self.motion(held(q, after=self.n_d))
-        t = self.t_ipo * np.arange(float(len(q)))
-        commands = np.stack([self._early(motion, j, self.law.error(motion, j), t) for j in range(self.n)], axis=1)
-        return np.asarray(commands - (commands[0] - q[0]))
-
-    def _early(self, motion: Motion, j: int, error: Array, t: Array, first: int = 0) -> Array:
-        """The command of joint ``j`` at instants ``t (M,)`` [s] of a motion, whose rows from ``first`` on count."""
-        shape = self.law.joints[j].shape
-        r = (motion.q[:, j] + error)[first:, None]
-        early = shape.filter.before(r, self.t_ipo, shape.time)[:, 0]
-        at = self.t_ipo * np.arange(first, first + len(early))
-        return np.asarray(CubicSpline(at, early)(np.clip(t + self.ahead[j], at[0], at[-1])))
-
-
-_TURN = 3.0
-"""Angular frequency times lateness up to which the uncorrected path's error is looked for."""
-_FEWEST_TURNS = 4.0
-"""Oscillations of the cut-off that a path holds at least; below, the first guess is all there is."""
-_STEP = 0.18
-"""Share of what is missing that each round adds: below 2/(1 + 3²), with which the rounds converge there."""
-_ROUNDS = 25
-"""After which 0.7 % of slow motion's error is missing, 0.82 to the power of 25."""
+    def _required(self, q: Array) -> Array:
+        """Commands ``(N, n)`` [rad] with which the arm makes this motion, whatever it rests with at the start."""
+        return self.law.commands(self.motion(held(q, after=self.n_d)), len(q), self.ahead)
 
 
 def _settled(t: Array, t_ipo: float) -> Array:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ideal_robot.command.recorded import commands_of, with_commands
+from ideal_robot.command.recorded import commands_of, moving_at_start, with_commands
 from ideal_robot.errors import InputError
 from ideal_robot.identification.command import identify_command
 from ideal_robot.identification.whole_model import IdentificationResult, command_figures, identify_model
@@ -133,4 +133,8 @@ def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
                          field="t", value=len(recording.t))
     for kind in ("q", "q_c"):
         require_joint_units(np.quantile(recording.joints(kind), (0.01, 0.99), axis=0), robot, file=source, column=kind)
+    if (j := moving_at_start(recording.t, recording.joints("q"))) is not None:
+        raise InputError(f"joint {j + 1} moves in the first row already, and what its controller remembers is not in "
+                         "the log; log from rest, or cut the log so that it begins where the arm rests", file=source,
+                         field=f"q_{j + 1}", value=float(recording.t[0]))
     return recording, [*warnings, *more]

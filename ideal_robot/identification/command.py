@@ -8,11 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ideal_robot.arrays import Array, interpolated
-from ideal_robot.command.fit import Stretch, fit_joint
-from ideal_robot.command.law import Column, CommandLaw, JointLaw, Shape
-from ideal_robot.command.motion import Bodies
+from ideal_robot.arrays import Array, held, interpolated
+from ideal_robot.command.fit import FittedJoint, Stretch, fit_joint, with_error
+from ideal_robot.command.law import PARTS, Column, CommandLaw, JointLaw, Shape
+from ideal_robot.command.motion import Bodies, Motion
 from ideal_robot.command.recorded import command_cycle, commands_of, stretches_of, usual_cutoff
+from ideal_robot.command.response import REST, position_response
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.estimate.score import standard_error
 from ideal_robot.identification.checks import STILL
@@ -60,20 +61,42 @@ def identify_command(recordings: Sequence[Recording], model: Model, *, torque: b
     law = CommandLaw((), command_cycle(recordings, name), stretches[0].motion.still,
                      0.5 * (q.max(axis=0) + q.min(axis=0)), np.maximum(0.5 * np.ptp(q, axis=0), 1e-9),
                      "model" if torque else "none")
-    joints = []
+    joints: list[FittedJoint] = []
     for j in range(model.n):
         progress(j / model.n, f"command of joint {j + 1}")
         if max(float(np.ptp(s.motion.q[:, j])) for s in stretches) < STILL:
-            joints.append(JointLaw(Shape(), (Column("offset"),), np.zeros(1), np.zeros((1, 1)), np.zeros(4), 0.0, 0.0))
+            own = JointLaw(Shape(), (Column("offset"),), np.zeros(1), np.zeros((1, 1)), np.zeros(PARTS), 0.0, 0.0)
+            joints.append(FittedJoint(own, tuple(np.zeros(len(s.rows)) for s in stretches)))
             continue
-        own = fit_joint(stretches, j, law)
+        fitted = fit_joint(stretches, j, law)
+        own = fitted.law
         moved = float(np.std(np.concatenate([s.command[s.rows, j] for s in stretches])))
         if own.residual > _FOLLOWS * moved and moved > _STEPS * _COPIED:
             raise InputError(f"the joint does not follow this command: the best law leaves {1e3 * own.residual:.3g} "
                              f"mrad or mm of a motion of {1e3 * moved:.3g}; is it of another joint, of another run, or "
                              "in another unit?", file=recordings[0].source, field=f"{name}_{j + 1}")
-        joints.append(own)
-    return dataclasses.replace(law, joints=tuple(joints))
+        joints.append(fitted)
+    law = dataclasses.replace(law, joints=tuple(fitted.law for fitted in joints))
+    return _with_errors(law, joints, stretches, bodies, model)
+
+
+def _with_errors(law: CommandLaw, joints: Sequence[FittedJoint], stretches: Sequence[Stretch], bodies: Bodies,
+                 model: Model) -> CommandLaw:
+    """The law with what its commands leave of the position: what it leaves of commands, as the closed loop answers."""
+    dt = stretches[0].motion.dt
+    ahead = np.array([own.shape.ahead for own in law.joints])
+    after = int(np.ceil(law.ahead / dt)) + 1
+
+    def required(q: Array) -> Array:
+        motion = Motion.of(held(q, after=after), dt, law.still, bodies)
+        if law.torque == "model":
+            motion = motion.with_torque(model.inverse_dynamics(motion.q, motion.qd, motion.qdd))
+        return law.commands(motion, len(q), ahead)
+
+    speed = np.maximum(np.std(np.concatenate([s.motion.qd for s in stretches]), axis=0), 10.0 * law.still)
+    response = position_response(required, law.middle, speed, dt, 2 * round(REST / dt))
+    return dataclasses.replace(law, joints=tuple(
+        with_error(fitted, stretches, j, response[:, j]) for j, fitted in enumerate(joints)))
 
 
 def require_commands(recording: Recording, name: str) -> None:
@@ -112,10 +135,11 @@ def judged(law: CommandLaw, recordings: Sequence[Recording], model: Model, robot
     try:
         loop = loop_model(model, robot)
         left = np.concatenate([_left_by_loop(s, loop)[s.rows] for s in stretches])
+        own = np.concatenate([law.expected(s.motion)[s.rows] for s in stretches])
     except IdealRobotError:
         return law
     blocks = np.arange(len(left)) * _BLOCKS // len(left)
-    gain = np.array([np.mean(np.sum(left[blocks == b] ** 2 - law.residual**2, axis=1)) for b in range(_BLOCKS)])
+    gain = np.array([np.mean(np.sum(left[blocks == b] ** 2 - own[blocks == b] ** 2, axis=1)) for b in range(_BLOCKS)])
     # By two standard errors over blocks of time: the loop knows more of gears and friction, and keeps what is open.
     better = float(gain.sum()) > 2.0 * standard_error(gain)
     return dataclasses.replace(law, cascade=np.sqrt(np.mean(left**2, axis=0)), leads=better)

@@ -350,6 +350,8 @@ class PrecorrectOptions:
     delay: PlannerDelay = False
     rest: Rest = 0.6
     controller: Controller = None
+    slow: Annotated[bool, typer.Option("--slow", help="Slow the path along itself just where a limit of speed or "
+                                                      "acceleration is left.")] = False
     play: Annotated[bool, typer.Option("--play", help="Play both paths on the simulated arm and say what became of "
                                                       "them.")] = False
     seed: Annotated[int, typer.Option(help="Seed of the simulated arm's noise.", min=0)] = 1
@@ -377,7 +379,8 @@ def precorrect(options: PrecorrectOptions) -> None:
     with progress_bar("precorrect") as progress:
         progress(0.1, "")
         result = precorrected_path(options.path, options.model, robot=options.robot, method=options.method,
-                                   delay=options.delay, rest=options.rest, controller=options.controller)
+                                   delay=options.delay, rest=options.rest, controller=options.controller,
+                                   slow=options.slow)
         measured = None
         if options.play:
             progress(0.6, "playing")

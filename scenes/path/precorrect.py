@@ -24,7 +24,8 @@ from sim.arm.world import World
 
 
 def precorrected_path(path: Path, model_file: Path, *, robot: str | None = None, method: str = "ideal",
-                      delay: bool = False, rest: float = 0.6, controller: str | None = None) -> PrecorrectedPath:
+                      delay: bool = False, rest: float = 0.6, controller: str | None = None, slow: bool = False
+                      ) -> PrecorrectedPath:
     """Reads a joint path, corrects it and checks the result against the robot's limits.
 
     Args:
@@ -36,6 +37,7 @@ def precorrected_path(path: Path, model_file: Path, *, robot: str | None = None,
         rest: rest before the path [s].
         controller: in the place of the model's, see ``ideal_robot.model.cascade.given_controller``; None for the
             model's.
+        slow: see ``ideal_robot.execution.precorrect.precorrect``.
 
     Raises:
         InputError: unreadable or unsuitable input.
@@ -46,8 +48,8 @@ def precorrected_path(path: Path, model_file: Path, *, robot: str | None = None,
     if controller is not None:
         model = replace(model, controller=given_controller(controller, model.dynamics, arm), command=None)
     planned = read_path(path, arm)
-    result = precorrect(planned.t, planned.q_d, model, arm, method, delay=int(delay), rest=rest, file=path,
-                        column=planned.column)
+    result = precorrect(planned.t, planned.q_d, model, arm, method, delay=int(delay), rest=rest, slow=slow,
+                        file=path, column=planned.column)
     meta = {**result.recording.meta, "model": str(model_file)}
     return replace(result, recording=replace(result.recording, meta=meta),
                    warnings=(*planned.warnings, *result.warnings))

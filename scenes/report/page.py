@@ -218,7 +218,7 @@ UNITS = {
     "twist_error": "rad",
     "transmission_error": "rad", "transmission_order": "per joint turn", "payload_mass": "kg", "payload_com": "m",
     "payload_inertia": "kg m²", "log_cycle": "s", "external_position_noise": "m", "external_rotation_noise": "rad",
-    "geometry": "m, rad", "residual": "N m",
+    "geometry": "m, rad", "residual": "N m", "command_late": "s", "command_time": "s",
 }
 """Units of the settings that have one; the others are switches, shares and seeds."""
 COLUMNS = ["setting", "value, per joint where there are several", "unit"]

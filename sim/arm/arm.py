@@ -18,6 +18,7 @@ from ideal_robot.signals.recording import Recording
 from sim import SimError
 from sim.arm import kernel
 from sim.arm.body import RigidRotors, load_links, start_physics
+from sim.arm.controllers import CommandPath, TorqueController
 from sim.arm.drive import beside_gears, drive_parameters, drive_start, hysteresis_stiffness, output_of
 from sim.arm.history import History, recording_of
 from sim.arm.kernel import P_ELASTIC, P_ROTOR, P_STIFFNESS
@@ -125,6 +126,7 @@ class SimulatedArm:
         self.step_hook: Callable[[float], None] | None = None
         self._structure = Structure.of(robot, self._model, world, int(self._counts[kernel.N_LOG]) * STEP)
         self._schedule = GainSchedule.of(robot, world, self._p)
+        self._controller, self._path = TorqueController.of(robot, world, self._p), CommandPath.of(world)
         self._touchable = tool_radius is not None
         self.client = start_physics()
         self.body = load_links(self._model, self.client, self.tool_offset if tool_radius else None, tool_radius or 0.0)
@@ -146,6 +148,10 @@ class SimulatedArm:
         q_a = q_a - np.sign(holding) * 0.5 * np.where(np.isfinite(stiffness), self.world.per_joint("backlash", n), 0.0)
         temperature = self.world.per_joint("start_temperature", n)
         self._x = drive_start(self._p, q0, q_a, holding, temperature)
+        if self._controller is not None:
+            self._controller.reset(q0, holding)
+        if self._path is not None:
+            self._path.reset(q0)
         if self._structure is not None:
             self._structure.reset(q_a, temperature)
         rigid = np.where(self._elastic, 0.0, self._specimen.rotor_inertia)
@@ -172,7 +178,8 @@ class SimulatedArm:
         q_c = checked_command(self.robot, q_c, self._pending, self.t_ipo)
         x = self._x
         x[kernel.X_START] = x[kernel.X_END]
-        x[kernel.X_END] = self._pending if self.world.correction_delay else q_c
+        reached = self._pending if self.world.correction_delay else q_c
+        x[kernel.X_END] = reached if self._path is None else self._path.next(reached)
         self._pending = q_c.copy()
         noise = self._rng.standard_normal((self._steps_per_cycle + 1, self.robot.n))
         self._history.reserve(self._steps_per_cycle + 1)
@@ -193,7 +200,8 @@ class SimulatedArm:
         every, rotors, history = int(counts[kernel.N_LOG]), self._rotors, self._history
         extra_torque, hook = self._extra_torque, self.step_hook
         touched = hook is not None or self._touchable
-        structure = self._structure
+        structure, controller = self._structure, self._controller
+        asked_every = int(counts[kernel.N_VELOCITY])
         set_torques, step, get_states, mode = (pybullet.setJointMotorControlArray, pybullet.stepSimulation,
                                                pybullet.getJointStates, pybullet.TORQUE_CONTROL)
         drive_step = kernel.drive_step
@@ -202,6 +210,8 @@ class SimulatedArm:
             if extra_torque is not None:
                 links[kernel.L_EXTRA] = extra_torque(tick * STEP, x[kernel.X_MOTOR].copy(),
                                                      x[kernel.X_MOTOR_VELOCITY].copy(), q_a.copy())
+            if controller is not None and tick % asked_every == 0:
+                controller.ask(x)
             drive_step(tick, p, s, counts, x, links, line, history.next_row)
             if tick % every == 0:
                 history.rows += 1

@@ -27,13 +27,13 @@ from ideal_robot.jit import jit
  P_LUBRICATION, P_GAIN, P_RIPPLE, P_RIPPLE_ORDER, P_PHASE, P_NOISE, P_UNEVEN, P_UNEVEN_ORDER,
  P_TURNS, P_ONCE, P_ONCE_PHASE, P_TWICE, P_TWICE_PHASE, P_HYSTERESIS, P_HYSTERESIS_WAY, P_HOSE, P_HOSE_REST,
  P_HOSE_FRICTION, P_BALANCER, P_BALANCER_TOP, C_COMPENSATION, C_NOTCH, C_NOTCH_B0, C_NOTCH_B1, C_NOTCH_B2, C_NOTCH_A1,
- C_NOTCH_A2) = range(51)
-PARAMETERS = C_NOTCH_A2 + 1
+ C_NOTCH_A2, C_TORQUE) = range(52)
+PARAMETERS = C_TORQUE + 1
 # Rows of the state block: the controller's first.
 (X_START, X_END, X_LOW1, X_LOW2, X_VELOCITY_DESIRED, X_ENCODER, X_VELOCITY, X_INTEGRAL, X_TORQUE, X_COMMAND,
  X_MOTOR, X_MOTOR_VELOCITY, X_BRISTLE, X_TEMPERATURE, X_LUBRICANT, X_GEAR, X_CURRENT,
- X_HYSTERESIS, X_TWIST, X_HOSE, X_HOSE_ANGLE, X_COMPENSATION, X_NOTCH1, X_NOTCH2) = range(24)
-STATES = X_NOTCH2 + 1
+ X_HYSTERESIS, X_TWIST, X_HOSE, X_HOSE_ANGLE, X_COMPENSATION, X_NOTCH1, X_NOTCH2, X_ASKED) = range(25)
+STATES = X_ASKED + 1
 # Numbers that all joints share.
 (S_DT, S_LOW_PASS, S_VELOCITY_PASS, S_CURRENT_PASS, S_T_POSITION, S_T_VELOCITY, S_DRY_TEMPERATURE,
  S_VISCOSITY_TEMPERATURE, S_REFERENCE, S_AMBIENT, S_LUBRICANT_RATE) = range(11)
@@ -126,7 +126,9 @@ def _control_step(p: Array, s: Array, x: Array, j: int, q_m: float, fraction: fl
         if p[C_COMPENSATION, j] > 0.0:  # the drive's own friction compensation knows the command, not the motion
             commanded = (x[X_LOW2, j] - before) / s[S_T_POSITION]
             x[X_COMPENSATION, j] = p[C_COMPENSATION, j] * math.tanh(commanded / p[P_V_STRIBECK, j])
-    if velocity_due:
+    if velocity_due and p[C_TORQUE, j] > 0.0:  # another controller asks for torques
+        x[X_TORQUE, j] = min(max(x[X_ASKED, j], -p[C_LIMIT, j]), p[C_LIMIT, j])
+    elif velocity_due:
         error = x[X_VELOCITY_DESIRED, j] - x[X_VELOCITY, j]
         torque = p[C_KP, j] * error + x[X_INTEGRAL, j] + p[C_KI, j] * error
         if p[C_COMPENSATION, j] > 0.0:

@@ -31,11 +31,13 @@ _POSITIVE = {"stiffness", "stribeck_velocity", "presliding", "degressive_velocit
              "column_stiffness", "column_frequency"}
 _SIGNED = {"body", "start_temperature", "ambient_temperature", "reference_temperature", "payload_com",
            "friction_asymmetry"}
-_CYCLES = {"t_ipo", "t_position", "t_velocity", "log_cycle"}
+_CYCLES = {"t_ipo", "t_position", "t_velocity", "log_cycle", "command_late", "command_time"}
 _LONGEST = 1.0
 """Longest cycle [s]."""
 _COLDEST = -273.15
 """Absolute zero [°C]."""
+_NAMES = {"controller": ("cascade", "impedance", "pid", "inverse_dynamics"),
+          "command_smoothing": ("lag", "second_order", "moving_average")}
 _FRACTION = {"inertia_tolerance": 0.9, "drive_gain_error": 0.9, "friction_asymmetry": 0.9,  # 1 less that stays positive
              "column_damping": 0.9, "gain_schedule": 1.0}
 
@@ -50,6 +52,10 @@ def _checked_value(name: str, kind: str, value: Any) -> Any:
     if kind == "bool":
         if not isinstance(value, bool):
             raise InputError("expected true or false", field=field, value=value)
+        return value
+    if kind == "str":
+        if value not in _NAMES[name]:
+            raise InputError(f"expected one of {', '.join(_NAMES[name])}", field=field, value=value)
         return value
     if kind == "int":
         if isinstance(value, bool) or not isinstance(value, int) or value < 0:
@@ -177,6 +183,12 @@ class World:
         notch_frequency: of a notch filter in the velocity loop [Hz]; 0 is none.
         gain_schedule: share in which the velocity loop's gain follows the moment of inertia of the posture against that
             at home; 0 is a fixed gain, 1 a fixed bandwidth.
+        controller: cascade (the industrial one), impedance (its maker's bodies, no integrator), pid (on the position,
+            nothing known of the arm) or inverse_dynamics (bodies 10 % too heavy); their gains follow from
+            ``position_gain``, ``velocity_gain`` and ``integral_time``.
+        command_late: commands act so much later [s].
+        command_smoothing: what smooths them over ``command_time``: lag, second_order or moving_average.
+        command_time: of the smoothing [s]; 0 is none.
         payload_mass, payload_com, payload_inertia: additional rigid load in the tool frame [kg, m, kg m² about its
             centre, the same about all axes].
         log_cycle: cycle of the recording [s].
@@ -259,6 +271,10 @@ class World:
     friction_compensation: PerJoint = 0.0
     notch_frequency: PerJoint = 0.0
     gain_schedule: float = 0.0
+    controller: str = "cascade"
+    command_late: float = 0.0
+    command_smoothing: str = "lag"
+    command_time: float = 0.0
     payload_mass: float = 0.0
     payload_com: tuple[float, float, float] = (0.0, 0.0, 0.0)
     payload_inertia: float = 0.0
@@ -398,10 +414,10 @@ class World:
 
     def table(self) -> dict[str, Any]:
         """All settings that a table can hold, for reports and recordings; what is there only if asked for, if it is."""
-        values = {name: getattr(self, name) for name in TABLE_KEYS}
+        values, unusual = {name: getattr(self, name) for name in TABLE_KEYS}, {**OF_A_CELL, **OF_A_CONTROLLER}
         return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()
                 if (name not in ("body", "geometry", "residual") or value)
-                and not (name in OF_A_CELL and value == OF_A_CELL[name])}
+                and not (name in unusual and value == unusual[name])}
 
 
 TABLE_KEYS = tuple(field.name for field in dataclasses.fields(World) if field.name not in ("robot", "extra_torque"))
@@ -413,6 +429,11 @@ OF_A_CELL: dict[str, Any] = {
                       "column_stiffness", "column_frequency", "column_damping", "thermal_expansion", "hose",
                       "hose_friction", "balancer", "friction_compensation", "notch_frequency", "gain_schedule"}}
 """Effects that arms have in cells and neither the default world nor the ideal one has: their values without."""
+
+OF_A_CONTROLLER: dict[str, Any] = {
+    field.name: field.default for field in dataclasses.fields(World)
+    if field.name in {"controller", "command_late", "command_smoothing", "command_time"}}
+"""What says that an arm has another controller than the industrial cascade: its values without."""
 
 
 def _table(robot: str | Robot) -> dict[str, Any]:

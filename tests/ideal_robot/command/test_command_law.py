@@ -17,16 +17,18 @@ from ideal_robot.command.recorded import command_cycle, update_instants
 from ideal_robot.command.words import described
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.command_inverse import CommandInverse
-from ideal_robot.identification.angles_alone import identify_from_commands
+from ideal_robot.identification.angles_alone import identify_arm, identify_from_commands
 from ideal_robot.identification.command import identify_command
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
+from tests.sources import DATA
 
 Law = Callable[[Array, Array, Array], Array]
 """What a controller sees of the command beyond its position, of positions, speeds and torques ``(N, n)``."""
 DT = 0.002
 CYCLE = 0.004
+EMPS = DATA / "emps"
 
 
 def robot(tmp_path: Path) -> Robot:
@@ -131,6 +133,37 @@ def test_the_inverse_commands_what_the_controller_needs(tmp_path: Path, controll
     assert np.max(np.abs(stepped[:600] - commands[:600])) < 0.02 * plain
 
 
+@pytest.mark.parametrize(("controller", "torque"), [(cascade, True), (pd, True), (cascade, False), (pd, False)])
+@pytest.mark.parametrize("seed", [9, 10])
+def test_the_error_of_the_plain_path_is_foretold(tmp_path: Path, controller: Law, torque: bool, seed: int) -> None:
+    arm = dataclasses.replace(robot(tmp_path), t_ipo=DT)
+    law = identify_command([recorded(arm, controller, late=0.006, seed=1, torque=torque)], Model.nominal(arm),
+                           torque=torque)
+    other = recorded(arm, controller, late=0.006, seed=seed)
+    q_c, q = other.joints("q_c"), other.joints("q")
+    foretold = CommandInverse(dataclasses.replace(Model.nominal(arm), command=law), arm).uncorrected(q_c)
+    settled = slice(100, -100)
+    measured, off = (np.sqrt(np.mean(x[settled] ** 2, axis=0)) for x in (q_c - q, q_c - q - foretold))
+    assert np.all(off < 0.05 * measured)
+
+
+@pytest.mark.skipif(not EMPS.exists(), reason="the measured machine's recordings are not here")
+@pytest.mark.parametrize("torque", [True, False])
+@pytest.mark.parametrize("which", ["estimation", "validation"])
+def test_a_measured_machine_s_error_is_foretold(which: str, torque: bool) -> None:
+    """Of both files from either, with and without its torque."""
+    machine = Robot.load(EMPS / "emps.urdf")
+    recordings = {name: Recording.read(EMPS / f"emps_{name}.parquet") for name in ("estimation", "validation")}
+    columns = {name: x for name, x in recordings[which].columns.items() if torque or not name.startswith("tau")}
+    found = identify_arm(Recording(columns), machine)
+    inverse = CommandInverse(found.model, dataclasses.replace(machine, t_ipo=found.model.command.t_cycle))
+    for recording in recordings.values():
+        desired = recording.joints("q_d")
+        foretold, measured = (np.sqrt(np.mean(x**2)) for x in (inverse.uncorrected(desired),
+                                                               desired - recording.joints("q")))
+        assert foretold == pytest.approx(measured, rel=0.05)
+
+
 def test_a_law_is_read_as_it_was_written(tmp_path: Path) -> None:
     arm = robot(tmp_path)
     model = identify_from_commands(recorded(arm, pd, late=0.01, seed=2, torque=False), arm).model
@@ -158,16 +191,18 @@ def spoilt(recording: Recording, how: str) -> Recording:
         columns |= {name: np.degrees(columns[name]) for name in ("q_c_1", "q_c_2")}
     elif how == "exchanged":
         columns |= {"q_c_1": columns["q_c_2"], "q_c_2": columns["q_c_1"]}
+    elif how == "in motion":
+        columns = {name: values[round(3.0 / DT):] for name, values in columns.items()}
     elif how == "another run":
         columns |= {f"q_c_{i + 1}": np.ascontiguousarray(moved(77)[1][:, i]) for i in range(2)}
     return Recording(columns)
 
 
-@pytest.mark.parametrize("how", ["copied", "degrees", "exchanged", "another run"])
+@pytest.mark.parametrize("how", ["copied", "degrees", "exchanged", "another run", "in motion"])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_commands_that_tell_nothing_are_refused(tmp_path: Path, how: str, seed: int) -> None:
     arm = robot(tmp_path)
     with pytest.raises(InputError) as raised:
         identify_from_commands(spoilt(recorded(arm, cascade, late=0.006, seed=seed, torque=False), how), arm)
-    assert str(raised.value.field).startswith("q_c")
+    assert str(raised.value.field).startswith("q_" if how == "in motion" else "q_c")
     assert "\n" not in str(raised.value)

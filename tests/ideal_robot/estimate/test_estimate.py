@@ -8,7 +8,7 @@ from scipy import linalg, signal, stats
 
 from ideal_robot.estimate.gaussian import joined, posterior
 from ideal_robot.estimate.noise import ColouredNoise, position_in_stretch, without_kicks
-from ideal_robot.estimate.score import evidence, in_turn, left_out
+from ideal_robot.estimate.score import evidence, in_turn
 
 
 def problem(seed: int, blocks: int = 6) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -28,21 +28,6 @@ def test_the_score_is_the_density_of_each_block_given_those_before(seed: int) ->
                for n in range(20, len(y) + 1, 20)]
     assert in_turn(products, precision) == pytest.approx(np.diff([0.0, *density]), rel=1e-6)
     assert evidence(products.sum(axis=0), precision) == pytest.approx(density[-1], rel=1e-6)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_blocks_left_out_have_their_density_given_the_others(seed: int) -> None:
-    X, y, precision, products = problem(seed)
-    whole = np.eye(len(y)) + X @ np.linalg.inv(precision) @ X.T
-    expected = []
-    for b in range(len(products)):
-        own = np.zeros(len(y), dtype=bool)
-        own[20 * b : 20 * (b + 1)] = True
-        gain = whole[np.ix_(own, ~own)] @ np.linalg.inv(whole[np.ix_(~own, ~own)])
-        covariance = whole[np.ix_(own, own)] - gain @ whole[np.ix_(~own, own)]
-        expected.append(stats.multivariate_normal.logpdf(y[own], gain @ y[~own], covariance))
-    constant = -0.5 * 20 * np.log(2.0 * np.pi)
-    assert left_out(products, precision) + constant == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -36,7 +36,8 @@ from tests.browser import chromium, needs_chromium
 WITHOUT_UNIT = {"stiffness_scale", "link_bending", "column_damping", "friction_compensation", "gain_schedule",
                 "elasticity", "friction", "friction_scale", "friction_asymmetry", "load_friction", "thermal",
                 "lubrication", "time_compression", "quantisation", "torque_limits", "correction_delay",
-                "velocity_feedforward", "individual", "inertia_tolerance", "drive_gain_error", "body"}
+                "velocity_feedforward", "individual", "inertia_tolerance", "drive_gain_error", "body", "controller",
+                "command_smoothing"}
 
 
 def test_every_heading_is_in_the_contents_and_leads_to_its_section(tmp_path: Path) -> None:

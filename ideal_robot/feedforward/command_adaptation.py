@@ -1,0 +1,229 @@
+r"""Adaptation of the command's law: lateness, gains and offset follow the arm while it works.
+
+With ``r`` the command as the controller sees it, and :math:`e_v`, :math:`e_f` what the identified law makes of it by
+the measured motion and by torques, each joint that moves shows
+
+.. math:: r(t; \Delta) - q - e_v - e_f = \Delta\, \dot r + o + g_v e_v + g_f e_f + \varepsilon
+
+with Δ the change of the lateness, o an offset, and :math:`g_v`, :math:`g_f` relative changes of the gains. Both sides
+pass the same lags before. The parameters are estimated by the recursion of ``estimate.recursive``. Where what the law
+leaves of the last seconds is not below what the plain command leaves, joint by joint, the plain path is commanded:
+adaptation never ends worse than nothing.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from ideal_robot.arrays import Array, eased
+from ideal_robot.command.motion import Motion
+from ideal_robot.estimate.recursive import correlation, predict, update
+from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.command_inverse import Changed, CommandInverse, InverseState
+from ideal_robot.robots.interface import RobotState
+
+_LATE, _GAIN, _OFFSET = 0.05, 0.3, 0.3
+"""Standard deviations beforehand: of a change of lateness [s], of gains over their size, of an offset over the size of
+``q_c - q``. A controller's lag was seen to go from 84 to 180 ms with duty."""
+_RESOLVED = 1e-2
+"""Of ``q_c - q``, what a measurement is wrong by at least, by smoothing and lines between commands; a smaller change
+changes no path that a user would see."""
+_LATER = 0.2
+"""Lateness beyond the identified one for which desired positions are looked at [s]: four standard deviations."""
+_DRIFTS = 60.0
+"""Time constant of the changes [s]: a lag drifts within minutes, gains are changed from one job to the next."""
+_ALIKE = 0.1
+"""Time over which what a law leaves is alike [s]: a reversal's. More measurements in it say no more."""
+_CUTOFF = 30.0
+"""Of each lag at most [rad/s]: what an encoder's steps make of accelerations stays below what a law resolves."""
+_LAGS = 2
+"""Through which all that is compared passes."""
+_ROWS, _SMOOTHED, _DEGREE = 7, 0.02, 4
+"""Rows of a measured motion that derivatives are taken from, and what smooths them: a polynomial over so much time on
+either side of the middle [s], and its degree."""
+_JUDGED = 2.0
+"""Time over which law and plain command are compared [s]."""
+_BETTER = 0.5
+"""Share of the plain command's squares that the law's have to be below before it is taken up again."""
+_TAKEN_UP = 1.0
+"""Time in which the plain path is left, and returned to [s]."""
+_STARTS = 0.5
+"""Time from the start in which nothing is learned [s]: the lags fill."""
+_PARAMETERS = 4
+
+
+@dataclass(frozen=True)
+class AdaptedState:
+    """What one cycle hands to the next.
+
+    Attributes:
+        inner: of the inverse.
+        mean, covariance: of the parameters ``(n, 4)``, ``(n, 4, 4)``, in standard deviations beforehand.
+        given: commands of the last cycles ``(W, n)`` [rad], the newest last.
+        measured: angles of the last cycles ``(L, n)`` [rad], the newest last.
+        wanted: desired positions of the last cycles ``(L, n)`` [rad].
+        lags: of ``r + Δ ṙ - q``, ``ṙ``, ``e_v``, ``e_f`` and ``q_d - q`` ``(2, 5, n)`` [rad, rad/s].
+        filters: states of each joint's poles, of motion and torque, direct and integrated ``(2, 2, k)`` each.
+        squares: that law and plain command left of late ``(2, n)`` [rad²].
+        law: whether each joint is commanded by the law ``(n,)``.
+        share: how far that has been taken up ``(n,)``.
+        cycle: measurements so far.
+    """
+
+    inner: InverseState
+    mean: Array
+    covariance: Array
+    given: Array
+    measured: Array
+    wanted: Array
+    lags: Array
+    filters: tuple[Array, ...]
+    squares: Array
+    law: np.ndarray
+    share: Array
+    cycle: int
+
+
+class AdaptedCommand(Feedforward):
+    """The command's law, which follows lateness, gains and offset of the controller.
+
+    Args:
+        inverse: by the law as it was identified.
+    """
+
+    def __init__(self, inverse: CommandInverse) -> None:
+        self.inverse, self.t_ipo = inverse, inverse.t_ipo
+        law, dt = inverse.law, inverse.t_ipo
+        self.n_d = inverse.n_d + int(np.ceil(_LATER / dt))
+        self.n = law.n
+        self.deviation = np.maximum(np.nan_to_num(law.deviation), 1e-6)
+        self.residual = np.maximum(np.nan_to_num(law.residual), _RESOLVED * self.deviation)
+        self.sigma = np.stack([np.full(self.n, _LATE), _OFFSET * self.deviation, np.full(self.n, _GAIN),
+                               np.full(self.n, _GAIN)], axis=1)
+        moves = [np.array([column.of.moves for column in own.columns], dtype=float) for own in law.joints]
+        level = [np.array([column.term == "offset" for column in own.columns], dtype=float) for own in law.joints]
+        self.masks = [np.stack([m, 1.0 - m - o]) for m, o in zip(moves, level, strict=True)]
+        self.constant = np.array([float(own.coefficients @ o) for own, o in zip(law.joints, level, strict=True)])
+        self.correlation = correlation(dt, _DRIFTS)
+        self.variance = self.residual**2 * max(1.0, _ALIKE / dt)
+        self.pass_share = 1.0 - np.exp(-min(_CUTOFF * dt, 0.2))
+        memory = max((own.shape.ahead + 5.0 * own.shape.time for own in law.joints), default=0.0)
+        half = max(_ROWS // 2, round(_SMOOTHED / dt))
+        self.behind = half * dt
+        self.window = int(np.ceil((memory + _LATER) / dt)) + half + 3
+        powers = np.vander(np.arange(-half, half + 1.0) / half, _DEGREE + 1)
+        self.smooth = powers[half - _ROWS // 2 : half + _ROWS // 2 + 1] @ np.linalg.pinv(powers)
+        self.late = np.array([own.shape.late for own in law.joints]) + inverse.shift
+        self.delay = self.late + np.array([own.shape.filter.delay * own.shape.time for own in law.joints])
+
+    def init(self, q0: Array) -> AdaptedState:
+        """See ``Feedforward.init``."""
+        n = self.n
+        inner = self.inverse.init(q0)
+        eye = np.tile(np.eye(_PARAMETERS), (n, 1, 1))
+        filters = tuple(np.zeros((2, 2, max(len(den) - 1, 0))) for _, den in self.inverse.discrete)
+        return AdaptedState(inner, np.zeros((n, _PARAMETERS)), eye, np.tile(q0, (self.window, 1)),
+                            np.full((self.smooth.shape[1], n), np.nan), np.tile(q0, (self.smooth.shape[1], 1)),
+                            np.zeros((_LAGS, 5, n)), filters,
+                            np.stack([self.residual**2, self.deviation**2]), np.ones(n, dtype=bool), np.ones(n), 0)
+
+    def changed(self, state: AdaptedState) -> Changed:
+        """What has been learned, in the law's units."""
+        x = state.mean * self.sigma
+        late = np.minimum(x[:, 0], _LATER)
+        return Changed(late, x[:, 1], tuple(1.0 + x[j, 2] * mask[0] + x[j, 3] * mask[1]
+                                            for j, mask in enumerate(self.masks)))
+
+    def step(self, state: AdaptedState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, AdaptedState]:
+        """See ``Feedforward.step``."""
+        by_law, inner = self.inverse.changed_step(state.inner, q_d, tau_ext_d, self.changed(state), rows=self.n_d)
+        q_c = q_d[0] + eased(state.share) * (by_law - q_d[0])
+        share = np.clip(state.share + np.where(state.law, 1.0, -1.0) * self.t_ipo / _TAKEN_UP, 0.0, 1.0)
+        given, wanted = np.vstack([state.given[1:], q_c]), np.vstack([state.wanted[1:], q_d[0]])
+        return q_c, dataclasses.replace(state, inner=inner, given=given, wanted=wanted, share=share)
+
+    def observe(self, state: AdaptedState, measured: RobotState) -> AdaptedState:
+        """See ``Feedforward.observe``: looks at the angles of some cycles ago, with the commands of then."""
+        q = np.asarray(measured.q, dtype=float)
+        if not np.isfinite(q).all():
+            return state
+        # Commands were handed over a cycle before the state that is reported with them.
+        before, rows = state.measured, np.concatenate([state.measured[1:], q[None]])
+        state = dataclasses.replace(state, measured=rows)
+        if not np.isfinite(before).all():
+            return state
+        inverse = self.inverse
+        smoothed = Motion.of(self.smooth @ before, self.t_ipo, inverse.law.still, inverse.bodies)
+        motion = inverse.with_model_torque(smoothed)
+        filters, e = self._explained(state, motion)
+        middle = _ROWS // 2
+        late = np.minimum(state.mean[:, 0] * self.sigma[:, 0], _LATER)
+        r, rate = self._seen(state.given, self.late + late + self.behind)
+        into = np.stack([r + late * rate - motion.q[middle], rate, *e,
+                         state.wanted[len(before) // 2] - motion.q[middle]])
+        lags = state.lags.copy()
+        for k in range(_LAGS):
+            into = lags[k] + self.pass_share * (into - lags[k]) if state.cycle else into
+            lags[k] = into
+        state = dataclasses.replace(state, lags=lags, filters=filters, cycle=state.cycle + 1)
+        if state.cycle * self.t_ipo < _STARTS:
+            return state
+        return self._learned(state, np.abs(motion.qd[middle]) > inverse.law.still)
+
+    def _seen(self, given: Array, late: Array) -> tuple[Array, Array]:
+        """What the controllers saw of the commands, so late [s] before the last of them, and its rate ``(n,)`` each."""
+        seen, rate, dt = np.empty(self.n), np.empty(self.n), self.t_ipo
+        for j, own in enumerate(self.inverse.law.joints):
+            shape, commands = own.shape, given[:, [j]]
+            if shape.time:
+                commands = shape.filter.seen(commands, dt, shape.time)
+            at = np.clip(len(commands) - 1 - late[j] / dt, 1.0, len(commands) - 2.0)
+            k = min(int(at), len(commands) - 3)
+            a, b, c, d = commands[k - 1 : k + 3, 0]
+            seen[j], rate[j] = b + (at - k) * (c - b), 0.5 * ((1.0 - at + k) * (c - a) + (at - k) * (d - b)) / dt
+        return seen, rate
+
+    def _explained(self, state: AdaptedState, motion: Motion) -> tuple[tuple[Array, ...], Array]:
+        """States of the poles, and what motion and torques make of the law in the middle row ``(2, n)`` [rad]."""
+        from scipy import signal
+
+        e, filters, middle = np.empty((2, self.n)), [], _ROWS // 2
+        for j, (num, den) in enumerate(self.inverse.discrete):
+            after = np.empty_like(state.filters[j])
+            for group, mask in enumerate(self.masks[j]):
+                total = 0.0
+                for i, x in enumerate(self.inverse.law.sums(motion, j, mask)[:, middle]):
+                    if len(den) == 1:
+                        total += float(num[i, 0] / den[0] * x)
+                        continue
+                    zi = state.filters[j][group, i] if state.cycle else signal.lfilter_zi(num[i], den) * x
+                    out, after[group, i] = signal.lfilter(num[i], den, [x], zi=zi)
+                    total += float(out[0])
+                e[group, j] = total
+            filters.append(after)
+        return tuple(filters), e
+
+    def _learned(self, state: AdaptedState, moves: np.ndarray) -> AdaptedState:
+        """The state after one measurement.
+
+        Args:
+            state: with what is compared.
+            moves: joints that move: of the others nobody knows the friction ``(n,)``.
+        """
+        apart, rate, e_v, e_f, missed = state.lags[-1]
+        left = apart - e_v - e_f - self.constant
+        mean, covariance, squares = state.mean.copy(), state.covariance.copy(), state.squares.copy()
+        for j in np.flatnonzero(moves):
+            h = self.sigma[j] * np.array([rate[j], 1.0, e_v[j], e_f[j]])
+            y = float(left[j])
+            # What is commanded by the law is judged by where the joint is, too.
+            by_law = max(abs(y - h @ mean[j]), abs(missed[j]) if state.share[j] == 1.0 else 0.0)
+            now = np.array([by_law, apart[j] + self.delay[j] * rate[j]])
+            squares[:, j] += self.t_ipo / _JUDGED * (now**2 - squares[:, j])
+            predict(mean[j], covariance[j], self.correlation)
+            update(mean[j], covariance[j], h, y, float(self.variance[j]))
+        better = np.where(state.law, squares[0] < squares[1], squares[0] < _BETTER * squares[1])
+        return dataclasses.replace(state, mean=mean, covariance=covariance, squares=squares, law=better)

@@ -1,0 +1,105 @@
+"""The command's law follows a controller that changes, and never ends worse than the plain path."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from ideal_robot.arrays import Array, held
+from ideal_robot.command.law import PARTS, Column, CommandLaw, JointLaw, Shape
+from ideal_robot.feedforward.base import Feedforward, PassThrough
+from ideal_robot.feedforward.command_adaptation import AdaptedCommand
+from ideal_robot.feedforward.command_inverse import CommandInverse
+from ideal_robot.model.model import Model
+from ideal_robot.robots.interface import RobotState
+from ideal_robot.robots.robot import Robot
+
+T, FINE = 0.012, 12
+ARM = dataclasses.replace(Robot.load("kr6"), t_ipo=T)
+GAIN, LATE = 20.0, 0.03
+
+
+def law() -> Model:
+    """A model whose law is a position loop of ``GAIN`` [1/s], commands ``LATE`` [s] late."""
+    joint = JointLaw(Shape(late=LATE), (Column("offset"), Column("velocity")), np.array([0.0, 1.0 / GAIN]),
+                     1e-8 * np.eye(2), np.full(PARTS, 1e-12), 0.02, 2e-5, "lag")
+    still, width = np.full(6, 0.02), np.ones(6)
+    return dataclasses.replace(Model.nominal(ARM), command=CommandLaw((joint,) * 6, T, still, ARM.home, width))
+
+
+def path(seed: int, seconds: float) -> Array:
+    rng, t = np.random.default_rng(seed), np.arange(0.0, seconds, T)
+    swell = np.clip(np.minimum(t - 1.0, t[-1] - t) / 1.5, 0.0, 1.0)[:, None]
+    way = sum(rng.uniform(0.05, 0.2, 6) * np.sin(2 * np.pi * rng.uniform(0.1, 0.5, 6) * t[:, None]
+                                                 + rng.uniform(0, 6, 6)) for _ in range(3))
+    return np.asarray(ARM.home + swell**3 * (10.0 - 15.0 * swell + 6.0 * swell**2) * way)
+
+
+Controller = Callable[[float], tuple[float, float, float]]
+"""Lateness [s], gain [1/s] and share of the velocity that is fed forward, at a time [s]."""
+
+
+def errors(feedforward: Feedforward, q_d: Array, controller: Controller) -> Array:
+    """Path minus angle ``(N, 6)`` [rad] of joints that follow as ``controller`` says, encoders with steps."""
+    state, ahead = feedforward.init(q_d[0]), held(q_d, after=feedforward.n_d)
+    nodes, q, missed = [q_d[0]], q_d[0].copy(), np.empty_like(q_d)
+    before = q_d[0]
+    for k in range(len(q_d)):
+        missed[k] = q_d[k] - q
+        q_c, state = feedforward.step(state, ahead[k : k + feedforward.n_d])
+        nodes.append(q_c)
+        for i in range(FINE):
+            t = k * T + i * T / FINE
+            late, gain, share = controller(t)
+            # Command k stands at k T: lines between commands, the newest one a cycle ahead of what is asked for.
+            at = max((t - late) / T, 0.0)
+            m = min(int(at), len(nodes) - 3) if len(nodes) > 2 else 0
+            r = nodes[m + 1] + (at - m) * (nodes[min(m + 2, len(nodes) - 1)] - nodes[m + 1]) if at > 0.0 else q_d[0]
+            q = q + T / FINE * (gain * (r - q) + share * (r - before) * FINE / T)
+            before = r
+        state = feedforward.observe(state, RobotState((k + 1) * T, 1e-5 * np.round(q / 1e-5), np.zeros(6)))
+    return missed
+
+
+def rms(x: Array) -> float:
+    return float(np.sqrt(np.mean(x**2)))
+
+
+def compared(seed: int, seconds: float, controller: Controller) -> tuple[float, float, float]:
+    """Errors of the plain path, the law, and the law adapted over the second half [rad]."""
+    q_d, inverse = path(seed, seconds), CommandInverse(law(), ARM)
+    half = slice(len(q_d) // 2, None)
+    plain, ideal, adapted = (rms(errors(feedforward, q_d, controller)[half])
+                             for feedforward in (PassThrough(T), inverse, AdaptedCommand(inverse)))
+    return plain, ideal, adapted
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_on_the_identified_controller_nothing_is_lost(seed: int) -> None:
+    plain, ideal, adapted = compared(seed, 12.0, lambda t: (LATE, GAIN, 0.0))
+    assert ideal < 0.05 * plain
+    assert adapted < max(1.5 * ideal, 0.02 * plain)
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_a_lag_that_grows_is_followed(seed: int) -> None:
+    """From 80 to 176 ms in all, as was measured of a controller with duty."""
+    plain, ideal, adapted = compared(seed, 30.0, lambda t: (LATE + 0.096 * t / 30.0, GAIN, 0.0))
+    assert ideal > 0.2 * plain
+    assert adapted < 0.15 * ideal
+
+
+@pytest.mark.parametrize("gain", [0.6, 1.5])
+def test_gains_that_are_changed_are_found(gain: float) -> None:
+    _, ideal, adapted = compared(5, 16.0, lambda t: (LATE, gain * GAIN, 0.0))
+    assert adapted < 0.2 * ideal
+
+
+@pytest.mark.parametrize("controller", [(0.0, 60.0, 0.95), (0.0, 15.0, 1.0), (0.1, 8.0, 0.5)])
+def test_behind_another_controller_it_does_not_end_worse_than_the_plain_path(
+        controller: tuple[float, float, float]) -> None:
+    plain, _, adapted = compared(6, 16.0, lambda t: controller)
+    assert adapted < 1.05 * plain
