@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.execution.command_governor import require_within_limits
+from ideal_robot.execution.guard import PATIENCE
 from ideal_robot.execution.planned_path import read_path
 from ideal_robot.execution.precorrect import path_at_cycles
 from ideal_robot.feedforward.base import Feedforward, PassThrough
@@ -22,11 +24,12 @@ from ideal_robot.robots import SHIPPED
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.metrics import PathErrors, path_errors
-from scenes.online.live_arm import answers_within, at_cycle
-from scenes.online.path_player import PathPlayer, PathRun
+from scenes.online.live_arm import answers_within, at_cycle, response_of
+from scenes.online.path_player import Felt, PathPlayer, PathRun
 from scenes.online.processes import stopping_on_signals, undisturbed
 from scenes.result import Progress, silent
 from scenes.rsi.server import prepared
+from sensing.force.sensors import open_force
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,9 @@ class PlaySettings:
         patience: how long the controller is waited for [s].
         core: processor core to keep to; None for any.
         compare: whether the path is played as it is before it is played corrected.
+        force: address of a force sensor; None without one.
+        force_delay: from the measurement to its arrival, at least [s].
+        most_force: force that the path may meet [N]; 0 where it is to touch nothing.
     """
 
     arm: str
@@ -60,6 +66,9 @@ class PlaySettings:
     patience: float = 60.0
     core: int | None = None
     compare: bool = False
+    force: str | None = None
+    force_delay: float = 0.0
+    most_force: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -73,6 +82,7 @@ class PlannedPath:
         commands: what ``law`` is given ``(N, n)`` [rad]: the file's commands, or ``desired``.
         rest: rows of rest before the path.
         within: time in which the arm's loop answers a command [s]; None where it is not known.
+        response: impulse response of the arm's loop ``(L, n)``; None where it is not known.
         meta: for the recording.
         warnings: what its user shall know before it is played.
     """
@@ -83,6 +93,7 @@ class PlannedPath:
     commands: Array = field(repr=False)
     rest: int
     within: float | None
+    response: Array | None = field(repr=False)
     meta: dict[str, Any]
     warnings: tuple[str, ...] = ()
 
@@ -96,10 +107,10 @@ class PlannedPath:
         return replace(self, law=PassThrough(self.arm.t_ipo), commands=self.desired,
                        meta={**self.meta, "method": "none"})
 
-    def player(self, link: Any) -> PathPlayer:
-        """Who plays it on a link."""
+    def player(self, link: Any, felt: Felt | None = None, patience: float = PATIENCE) -> PathPlayer:
+        """Who plays it on a link, with a force sensor if there is one; see ``PathPlayer``."""
         return PathPlayer(link, self.law, self.commands, self.rest, self.meta, self.warnings, recorded=self.desired,
-                          led=True)
+                          led=True, response=self.response, felt=felt, patience=patience)
 
 
 def planned_path(path: Path, settings: PlaySettings) -> PlannedPath:
@@ -125,10 +136,10 @@ def planned_path(path: Path, settings: PlaySettings) -> PlannedPath:
     if described(settings.method).needs == Needs.NOTHING:
         arm = Robot.load(robot) if robot is not None else prepared(model=settings.model, method=settings.method)[0]
         arm = arm if cycle is None else at_cycle(arm, cycle)
-        law, within, model = PassThrough(arm.t_ipo), None, None
+        law, loop, model = PassThrough(arm.t_ipo), None, None
     else:
         arm, law, loop, model = prepared(robot=robot, model=settings.model, method=settings.method, cycle=cycle)
-        within = None if loop is None else answers_within(loop, arm)
+    within, response = (None, None) if loop is None else (answers_within(loop, arm), response_of(loop, arm))
     given = read_path(path, arm)
     t, column = given.t, given.column
     _, desired, warnings = path_at_cycles(t, given.q_d, arm, rest=settings.rest, file=str(path), column=column)
@@ -139,7 +150,8 @@ def planned_path(path: Path, settings: PlaySettings) -> PlannedPath:
     require_within_limits(commands, arm, start=-settings.rest, file=path, column=column)
     meta = {"method": settings.method, "model": None if model is None else str(model), "path": str(path),
             "interface": settings.arm}
-    return PlannedPath(arm, law, desired, commands, round(settings.rest / arm.t_ipo), within, meta, warnings)
+    return PlannedPath(arm, law, desired, commands, round(settings.rest / arm.t_ipo), within, response, meta,
+                       warnings)
 
 
 def _named(path: Path) -> str:
@@ -223,9 +235,16 @@ def played_path(planned: PlannedPath, settings: PlaySettings, progress: Progress
                          "wrote, or --method", field="--compare")
     link_settings = LinkSettings(settings.bridge, planned.within, settings.relative, settings.rsi_config,
                                  settings.controller)
-    with (undisturbed(settings.core) as granted,
-          connected_arm(settings.arm, planned.arm, link_settings, settings.patience) as link):
-        players = [plan.player(link) for plan in ([planned.plain()] if settings.compare else []) + [planned]]
+    with ExitStack() as stack:
+        felt = None
+        if settings.force is not None:
+            source = open_force(settings.force, settings.force_delay)
+            stack.callback(source.close)
+            felt = Felt(source, settings.most_force)
+        granted = stack.enter_context(undisturbed(settings.core))
+        link = stack.enter_context(connected_arm(settings.arm, planned.arm, link_settings, settings.patience))
+        plans = [planned.plain(), planned] if settings.compare else [planned]
+        players = [plan.player(link, felt, settings.patience) for plan in plans]
 
         def stop(reason: str) -> None:
             for player in players:

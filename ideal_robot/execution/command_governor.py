@@ -47,7 +47,7 @@ def _braking(v: float, a: float, T: float, A: float, J: float) -> float:
     return min(max(wanted, a - J * T), a + J * T)
 
 
-class _Bounds(NamedTuple):
+class Bounds(NamedTuple):
     """Limits of position, speed, acceleration and jerk, ``(n,)`` each."""
 
     low: Array
@@ -58,7 +58,7 @@ class _Bounds(NamedTuple):
 
 
 @jit()
-def _can_rest(p: float, v: float, a: float, T: float, bounds: _Bounds, j: int) -> bool:
+def _can_rest(p: float, v: float, a: float, T: float, bounds: Bounds, j: int) -> bool:
     """Whether the braking motion of joint ``j`` from here keeps all limits and ends."""
     low, high, V, A, J = bounds.low[j], bounds.high[j], bounds.V[j], bounds.A[j], bounds.J[j]
     room = _SLACK * (1.0 + abs(p))
@@ -74,8 +74,15 @@ def _can_rest(p: float, v: float, a: float, T: float, bounds: _Bounds, j: int) -
 
 
 @jit()
-def _governed(q: Array, last: Array, T: float, bounds: _Bounds) -> Array:
-    """The commands of the next cycle; ``last (3, n)``, oldest first."""
+def governed(q: Array, last: Array, T: float, bounds: Bounds) -> Array:
+    """The commands of the next cycle ``(n,)``: the nearest to ``q (n,)`` that keep every limit.
+
+    Args:
+        q: what is asked for; NaN asks for braking.
+        last: commands of the last three cycles ``(3, n)``, oldest first.
+        T: cycle.
+        bounds: the limits.
+    """
     V, A, J = bounds.V, bounds.A, bounds.J
     result = np.empty(q.size)
     for j in range(q.size):
@@ -134,7 +141,7 @@ class CommandGovernor:
         low, high = np.array(robot.q_min, dtype=float), np.array(robot.q_max, dtype=float)
         V, A = np.array(robot.v_max, dtype=float), ACCELERATION * np.array(robot.a_max, dtype=float)
         jerk = 2.0 * A / self._T if j_max is None else np.asarray(j_max, dtype=float)
-        self._bounds = _Bounds(low, high, V, A, np.broadcast_to(jerk, (robot.n,)).copy())
+        self._bounds = Bounds(low, high, V, A, np.broadcast_to(jerk, (robot.n,)).copy())
         start = np.array(q, dtype=float)
         if start.shape != (robot.n,) or not np.all((start >= low) & (start <= high)):
             raise InputError("expected a start within the joint limits", field="q", value=start.tolist())
@@ -146,7 +153,7 @@ class CommandGovernor:
 
     def allowed(self, q_c: Array) -> Array:
         """The command nearest to ``q_c (n,)`` that keeps every limit, and remembers it; NaN asks for braking."""
-        command = _governed(np.asarray(q_c, dtype=float), self._last, self._T, self._bounds)
+        command = governed(np.asarray(q_c, dtype=float), self._last, self._T, self._bounds)
         self.passed(command)
         return command
 
@@ -155,7 +162,7 @@ class CommandGovernor:
 
         Raises LimitError, whose message has the command's time ``start`` [s].
         """
-        near = _governed(np.asarray(q_c, dtype=float), self._last, self._T, self._bounds)
+        near = governed(np.asarray(q_c, dtype=float), self._last, self._T, self._bounds)
         off = np.abs(near - q_c) > _ROUNDING * (1.0 + np.abs(q_c))
         if off.any():
             j = int(np.argmax(off))

@@ -7,25 +7,125 @@ The loop is linear enough for that: with its impulse response ``g`` the motor an
 and an arm that stands still though it is commanded to move with the speed ``v``, because it is paused or its brakes
 have closed, is a distance of :math:`v\, t` beside them after the time ``t``; with an override of 30 % it is
 :math:`0.7\, v\, t`. What differs by the loop not being known is a share of the way commanded within ``L``.
+
+Where no loop was identified yet there is a table of them, each with a dead time and a lag. An arm follows as long as
+one of them does that fitted its motion so far about as well as the best.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.execution.guard import Watch
+from ideal_robot.execution.guard import PROVED, Watch, probed
 from ideal_robot.robots.interface import TOLERANCE
+from ideal_robot.robots.robot import Robot
 
 SHARE = 0.1
 """Share of the way commanded while the loop answers that an arm may be beside what is expected: of a response of 0.3 s
 these are 30 ms, two cycles of a slow controller."""
 PATIENCE = 2
 """Cycles in a row after which a deviation counts."""
+ANSWERS = 0.4
+"""Time after which a loop has answered a command [s]."""
 _STANDS = 0.1
 """Share of the way expected in the last cycles below which an arm counts as standing still."""
+_SHOWS = 0.1
+"""Time in which the way of a joint shows where it goes [s]."""
+_FOLLOWED = 3.0
+"""Ways as large as the tolerance along which an arm that was on them has shown that it follows."""
+_MOSTLY = 0.5
+"""Share of the way commanded lately that a joint has gone which follows, lag included."""
+_LAGS = (0.0, 0.005, 0.01, 0.02, 0.035, 0.055, 0.08, 0.12)
+"""Time constants of loops that are not known [s]: position controllers have gains of 8 to 100 1/s, or feed the speed
+forward."""
+_DEAD, _DEADS = 0.05, 7
+"""Longest dead time of such loops [s], and how many are tried at most."""
+_REMEMBERED = 2.0
+"""Time in which loops are compared by how they fit [s]."""
+_AS_WELL = 0.1
+"""Difference of the mean square of deviations, in units of what is allowed, by which loops fit equally well."""
+
+
+class Answer(Protocol):
+    """What the loop of an arm makes of commands, by every candidate for it."""
+
+    def begin(self, command: Array) -> None:
+        """The command ``(n,)`` [rad] has been in force for long."""
+
+    def step(self, command: Array) -> Array:
+        """Motor angles ``(C, n)`` [rad] expected at the end of a cycle with this command ``(n,)`` [rad] in force."""
+
+
+class KnownLoop:
+    """An identified loop's ``Answer``.
+
+    Args:
+        response: its impulse response of each joint ``(L, n)``, the first row of the instant of the command; a cycle
+            ends one cycle behind its command.
+    """
+
+    def __init__(self, response: Array) -> None:
+        self._response = response[1:] / response[1:].sum(axis=0)
+        self._given = np.zeros_like(self._response)
+
+    def begin(self, command: Array) -> None:
+        """See ``Answer``."""
+        self._given[:] = command
+
+    def step(self, command: Array) -> Array:
+        """See ``Answer``."""
+        self._given[1:], self._given[0] = self._given[:-1].copy(), command
+        return np.asarray(np.sum(self._response * self._given, axis=0))[None]
+
+
+class AnyLoop:
+    """The ``Answer`` of every loop in a table of dead times and lags.
+
+    Args:
+        n: number of joints.
+        T: cycle [s].
+    """
+
+    def __init__(self, n: int, T: float) -> None:
+        self._dead = np.unique(np.round(np.linspace(0.0, _DEAD / T, _DEADS)).astype(int))
+        lags = np.array(_LAGS)
+        self._share = (1.0 - np.where(lags > 0.0, np.exp(-T / np.maximum(lags, 1e-9)), 0.0))[None, :, None]
+        self._given = np.zeros((self._dead[-1] + 1, n))
+        self._answer = np.zeros((len(self._dead), len(lags), n))
+
+    def begin(self, command: Array) -> None:
+        """See ``Answer``."""
+        self._given[:], self._answer[:] = command, command
+
+    def step(self, command: Array) -> Array:
+        """See ``Answer``."""
+        self._given[1:], self._given[0] = self._given[:-1].copy(), command
+        self._answer += self._share * (self._given[self._dead][:, None] - self._answer)
+        return self._answer.reshape(-1, self._answer.shape[-1]).copy()
+
+
+class Both:
+    """The ``Answer`` of an identified loop and of every loop in the table beside it.
+
+    Args:
+        known, table: the two.
+    """
+
+    def __init__(self, known: KnownLoop, table: AnyLoop) -> None:
+        self._both = known, table
+
+    def begin(self, command: Array) -> None:
+        """See ``Answer``."""
+        for one in self._both:
+            one.begin(command)
+
+    def step(self, command: Array) -> Array:
+        """See ``Answer``."""
+        return np.concatenate([one.step(command) for one in self._both])
 
 
 class Following(Watch):
@@ -33,46 +133,136 @@ class Following(Watch):
 
     Args:
         commanded: gives the joint angles in force at the controller ``(n,)`` [rad].
-        response: impulse response of the loop of each joint ``(L, n)``, its first row of the instant of the command;
-            a cycle ends one cycle behind its command.
-        names: of the joints' units, rad or m; see ``Robot.units``.
+        robot: units, limits and cycle.
+        response: impulse response of its loop, see ``KnownLoop``; None where none was identified.
+        sure: whether that is the loop of this arm, as it is now, and not of one of its type.
+        tolerance: how far beside what is expected it may be at rest [rad].
+        cause: says of a joint, counted from 0, what its motion looks like, where it does not stand still.
+
+    Where no loop is surely known it speaks of joints that have followed once: of the others nothing is known.
+
+    Attributes:
+        unread: readings further from the last than an arm can move, which were not used.
     """
 
-    def __init__(self, commanded: Callable[[], Array], response: Array, names: tuple[str, ...]) -> None:
-        self._commanded, self._response = commanded, response[1:] / response[1:].sum(axis=0)
-        self._units = names
-        self._given: Array | None = None
-        self._measured = np.zeros_like(self._response)
-        self._rest = np.zeros(response.shape[1])
-        self._beyond, self._astray = 0, False
+    def __init__(self, commanded: Callable[[], Array], robot: Robot, response: Array | None, *,
+                 sure: bool = True, tolerance: float = TOLERANCE, cause: Callable[[int], str] | None = None) -> None:
+        self._T = T = robot.t_ipo
+        self._commanded, self._units, self._cause = commanded, robot.units("rad"), cause
+        table = AnyLoop(robot.n, T)
+        self._answer: Answer = table if response is None else (
+            KnownLoop(response) if sure else Both(KnownLoop(response), table))
+        v_max = np.where(np.isfinite(robot.v_max), robot.v_max, np.inf)
+        self._jump, self._usual = np.maximum(3.0 * v_max * T, np.radians(1.0)), tolerance
+        self._probed = min(probed(np.where(np.isfinite(robot.a_max), robot.a_max, np.inf), T), tolerance)
+        self._forgets, self._unfit = T / _REMEMBERED, np.zeros((1, robot.n))
+        rows = max(round(ANSWERS / T), 4)
+        self._given, self._expected, self._measured = (np.zeros((rows, robot.n)) for _ in range(3))
+        self._rest: Array | None = None
+        self._beyond = self.unread = self._jumped = 0
+        self._followed = np.full(robot.n, response is not None and sure)
+        self._proved = np.zeros(robot.n, dtype=bool)
+        self._noticed = self._astray = self._still = self._trying = self._lost = False
 
     def look(self, t: float, q_c: Array, q: Array) -> str | None:
         """See ``Watch.look``."""
         command = self._commanded()
-        if self._given is None:
-            self._given = np.tile(command, (len(self._response), 1))
-            self._measured[:], self._rest = q, q - command
-        self._given[1:], self._given[0] = self._given[:-1].copy(), command
-        self._measured[1:], self._measured[0] = self._measured[:-1].copy(), q
-        off = q - self._rest - np.sum(self._response * self._given, axis=0)
-        beyond = np.abs(off) - TOLERANCE - SHARE * np.ptp(self._given, axis=0)
-        self._beyond = self._beyond + 1 if (beyond > 0.0).any() else 0
-        self._astray = self._astray or self._beyond >= PATIENCE
-        return self._said(off, int(np.argmax(beyond))) if self._beyond >= PATIENCE else None
+        if self._rest is None:
+            self._rest = q - command
+            self._begin(command)
+        if self._lost:
+            return None
+        leap = np.abs(q - self._measured[0])
+        if (leap > self._jump * (1 + self._jumped)).any():
+            # One reading of its kind is missing; a second says that the encoder, or the arm, is elsewhere.
+            self.unread, self._jumped = self.unread + 1, self._jumped + 1
+            joint = int(np.argmax(leap / self._jump))
+            # Nothing is led to where an arm seems to be that cannot have come there.
+            self._lost, self._astray = self._jumped >= PATIENCE, False
+            return None if not self._lost else (
+                f"the measured position of joint {joint + 1} jumped by {self._size(leap[joint], joint)}")
+        self._jumped = 0
+        expected = self._answer.step(command) + self._rest
+        for known, value in ((self._given, command), (self._measured, q)):
+            known[1:], known[0] = known[:-1].copy(), value
+        allowed = self._tolerance + SHARE * np.ptp(self._given, axis=0)
+        off = (q - expected) / allowed
+        if len(self._unfit) != len(off):
+            self._unfit = np.zeros_like(off)
+        fits = self._unfit <= self._unfit.min(axis=0) + _AS_WELL
+        off[~fits] = np.inf
+        nearest = np.argmin(np.abs(off), axis=0)
+        self._expected[1:], self._expected[0] = self._expected[:-1].copy(), expected[nearest, np.arange(len(q))]
+        least = np.abs(off).min(axis=0)
+        # What a fault does may not make another loop the likeliest: it counts once.
+        square = np.minimum(np.where(fits, np.abs(off), np.abs((q - expected) / allowed)), 1.0) ** 2
+        self._unfit += self._forgets * (square - self._unfit)
+        least[~self._followed] = 0.0
+        self._beyond = self._beyond + 1 if (least > 1.0).any() else 0
+        if self._beyond < PATIENCE:
+            self._moved(np.abs(off).min(axis=0))
+            return None
+        return self._said(int(np.argmax(least)), q)
+
+    def _moved(self, least: Array) -> None:
+        """Takes note of joints that are where they are expected."""
+        given, measured = np.ptp(self._given, axis=0), np.ptp(self._measured, axis=0)
+        enough = (given > _FOLLOWED * self._usual) & (measured > _MOSTLY * given)
+        self._proved |= enough & (least < 1.0)
+        self._followed |= self._proved
+        if self._trying and (np.abs(self._expected[0] - self._expected[-1]) > PROVED * self._probed).any():
+            self._trying = False
+
+    @property
+    def _tolerance(self) -> float:
+        return self._probed if self._trying else self._usual
 
     @property
     def stands(self) -> Array | None:
         """See ``Watch``."""
-        return self._measured[0] - self._rest if self._astray else None
+        return self._measured[0] - self._rest if self._astray and self._rest is not None else None
 
-    def _said(self, off: Array, joint: int) -> str:
+    @property
+    def passes(self) -> bool:
+        """See ``Watch``: an arm that has followed and stands still may have been paused."""
+        return self._still
+
+    def begin_again(self) -> None:
+        """See ``Watch``."""
+        if self._rest is not None:
+            self._begin(self._commanded())
+            self._trying = self._still
+
+    def _begin(self, command: Array) -> None:
+        """The arm rests where it is commanded to."""
+        rest = np.zeros_like(command) if self._rest is None else self._rest
+        self._answer.begin(command)
+        self._given[:], self._measured[:], self._expected[:] = command, command + rest, command + rest
+        self._beyond, self._noticed, self._astray = 0, False, False
+
+    def _said(self, joint: int, q: Array) -> str:
         """What the last cycles look like."""
-        given = self._given
-        moved = np.ptp(self._measured[: PATIENCE + 1], axis=0)
-        expected = np.zeros_like(moved) if given is None else np.ptp(given[: PATIENCE + 1], axis=0)
-        still = moved[joint] <= _STANDS * expected[joint]
-        unit = self._units[joint]
-        size = f"{abs(np.degrees(off[joint])):.2f}°" if unit == "rad" else f"{1e3 * abs(off[joint]):.2f} mm"
-        what = "stands still; look whether the controller is paused or stopped" if still else (
+        if not self._noticed:
+            rows = PATIENCE + 1
+            still = np.ptp(self._measured[:rows], axis=0) <= _STANDS * np.ptp(self._expected[:rows], axis=0)
+            self._noticed, self._still = True, bool(self._proved[joint] and still[joint])
+            self._astray = bool(still[joint]) or self._behind(joint)
+        if not self._still and self._cause is not None:
+            return self._cause(joint)
+        off = abs(q[joint] - self._expected[0, joint])
+        what = "stands still; look whether the controller is paused or stopped" if self._still else (
             "does not follow it; look at the controller's override, the model, the cycle, and what stands in the way")
-        return f"joint {joint + 1} is {size} beside where its command leads and {what}"
+        return f"joint {joint + 1} is {self._size(off, joint)} beside where its command leads and {what}"
+
+    def _behind(self, joint: int) -> bool:
+        """Whether a joint goes where its command leads, less far.
+
+        The command of one that goes the other way, or further, would be led astray by where that joint is.
+        """
+        rows = max(round(_SHOWS / self._T), PATIENCE + 1)
+        moved, expected = (float(known[0, joint] - known[: rows + 1][-1, joint])
+                           for known in (self._measured, self._expected))
+        return -_STANDS * expected**2 <= moved * expected <= expected**2
+
+    def _size(self, value: float, joint: int) -> str:
+        return f"{np.degrees(value):.2f}°" if self._units[joint] == "rad" else f"{1e3 * value:.2f} mm"

@@ -6,6 +6,11 @@ a motion how fast each part of it may be. Where one says no, the arm is braked o
 along its trail, the way it came, until nothing is felt any more: what it came through is free. No other motion
 follows.
 
+An arm that stands still though its commands go on, because it is paused or its brakes have closed, has nothing to go
+back from: its commands are led to where it stands, so that it has nothing to make good when it is let go on, and are
+held there. Then the path is tried so slowly that an arm let go meanwhile is not torn along, and goes on from where the
+arm is as soon as it follows.
+
 A path whose rows may be passed with a share :math:`r_k \le 1` of their speed is timed anew. With :math:`\sigma` the
 path's own time,
 
@@ -17,6 +22,7 @@ give.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -24,9 +30,10 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 
-from ideal_robot.arrays import Array, eased_way, interpolated
+from ideal_robot.arrays import Array, eased, eased_way, interpolated
 from ideal_robot.errors import IdealRobotError
-from ideal_robot.execution.command_governor import stopping_rows
+from ideal_robot.execution.command_governor import Bounds, governed, stopping_rows
+from ideal_robot.jit import jit
 from ideal_robot.robots.interface import RobotInterface, RobotState
 from ideal_robot.robots.robot import Robot
 
@@ -52,8 +59,28 @@ _SLOWEST = 1e-3
 """Share of its speed with which a path goes on at least."""
 _FASTEST_UNKNOWN = 5.0
 """Acceleration of a joint whose limit is not known [rad/s²]."""
+_AT = 1e-7
+"""Difference of a joint from where it is to be that no encoder resolves [rad]."""
+_BRAKES = 1.0
+"""Share of the joints' accelerations for the way of the commands back to an arm that stands."""
+_TIMES = 3
+"""How often the commands follow an arm that goes on meanwhile: one that sinks, or is moved by hand."""
+_RISE = 0.03
+"""Time in which the acceleration of that way rises to its limit [s], as in ``robots.interface``."""
+_LONGEST = 3.0
+"""Time in which an arm comes to rest with that at any speed [s]."""
+_RAMPS, _FINEST = 1.0, 64
+"""Time of a path in which it reaches its speed again [s], and places into which a cycle of it is divided at most."""
 _REST = 1e-9
 """Change of a command in a cycle below which it rests [rad]."""
+PATIENCE = 60.0
+"""How long an arm that stands still is waited for [s]: as long as for a controller that has not come yet."""
+_PAUSE = 0.5
+"""How long commands are held at an arm that stands before the path is tried again [s]."""
+_CALM = 3.0
+"""Time without another standstill after which the next one is waited for as long again [s]; a try takes less."""
+_LATELY = 0.6
+"""Time in which commands can be ahead of an arm whose standstill is noticed [s]: that of a loop that answers slowly."""
 
 
 class StoppedError(IdealRobotError):
@@ -91,6 +118,14 @@ class Watch(ABC):
         """Command ``(n,)`` [rad] that belongs to where an arm is that has left its commands; None where it follows."""
         return None
 
+    @property
+    def passes(self) -> bool:
+        """Whether what was noticed may pass by itself, so that the motion can go on then."""
+        return False
+
+    def begin_again(self) -> None:
+        """The arm rests where its commands are, after what was noticed may have passed; see ``passes``."""
+
     def rates(self, rows: Array, T: float) -> Array:
         """Largest share of its speed with which each row of a path may be passed ``(N,)``.
 
@@ -111,15 +146,30 @@ class Guard:
     Attributes:
         watches: what is looked at.
         reason: why no motion may go on any more; None while they may.
+        held: why the motion waits; None while it goes on.
+        patience: how long a motion waits at most [s].
     """
 
     def __init__(self, robot: Robot, q: Array) -> None:
         self.watches: list[Watch] = []
         self.reason: str | None = None
+        self.held: str | None = None
+        self.patience, self._waited = PATIENCE, 0.0
         self._robot, self._T = robot, robot.t_ipo
         self._a_max = np.where(np.isfinite(robot.a_max), robot.a_max, _FASTEST_UNKNOWN)
+        self._v_max = np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
+        self._came: deque[Array] = deque(maxlen=_LENGTH)
+        self._given: deque[Array] = deque(maxlen=round(_LATELY / self._T) + 1)
+        self._went_on = 0
+        self.begin(q)
+
+    def begin(self, q: Array) -> None:
+        """The arm rests at ``q (n,)`` [rad]: what came before is forgotten, but for the reason of a stop."""
         self._last = np.tile(np.asarray(q, dtype=float), (2, 1))
-        self._came: deque[Array] = deque([self._last[0]], maxlen=_LENGTH)
+        self._given.clear()
+        self._given.append(self._last[0])
+        self._came.clear()
+        self._came.append(self._last[0])
 
     def stop(self, reason: str) -> None:
         """No motion may go on; the first reason counts. To be called from anywhere."""
@@ -139,9 +189,16 @@ class Guard:
             q: motor angles at its end ``(n,)`` [rad].
         """
         self._last = np.array([self._last[1], q_c])
+        self._given.append(self._last[1])
         for watch in self.watches:
             if (reason := watch.look(t, q_c, q)) is not None:
-                self.stop(reason)
+                if watch.passes:
+                    self.held = self.held or reason
+                else:
+                    self.stop(reason)
+        self._went_on = 0 if self.held is not None else self._went_on + 1
+        if self._went_on * self._T > _CALM:
+            self._waited = 0.0
         if self.touching is False and np.max(np.abs(q_c - self._came[-1])) > _SPACING:
             self._came.append(np.array(q_c))
 
@@ -156,8 +213,18 @@ class Guard:
 
         Commanded there it does not leap when it is let go on.
         """
-        stands = next((watch.stands for watch in self.watches if watch.stands is not None), None)
+        stands = self._stands
         return None if stands is None else stands - q_c
+
+    @property
+    def astray(self) -> bool:
+        """Whether the arm has left its commands."""
+        return self._stands is not None
+
+    @property
+    def _stands(self) -> Array | None:
+        """See ``Watch.stands``."""
+        return next((watch.stands for watch in self.watches if watch.stands is not None), None)
 
     def around(self, arm: RobotInterface) -> Cycle:
         """The cycles of an arm, each of which is looked at."""
@@ -176,20 +243,7 @@ class Guard:
         rate = np.minimum.reduce([watch.rates(rows, T) for watch in self.watches])
         if (rate >= 1.0).all():
             return rows
-        rate = np.clip(rate, _SLOWEST, 1.0)
-        # Of the two steps beside each row the faster one: between rows the path is straight.
-        step = np.abs(np.diff(rows, axis=0)) / T
-        speed = np.maximum(np.vstack([step[:1], step]), np.vstack([step, step[-1:]]))
-        with np.errstate(divide="ignore"):
-            change = SHARE * np.min(np.divide(self._a_max, speed, out=np.full_like(speed, np.inf), where=speed > 1e-9),
-                                    axis=1)
-        for order in (range(1, len(rows)), range(len(rows) - 2, -1, -1)):
-            for k in order:
-                before = k - order.step
-                rate[k] = min(rate[k], np.sqrt(rate[before] ** 2 + 2.0 * min(change[k], change[before]) * T))
-        instants = np.concatenate([[0.0], np.cumsum(2.0 * T / (rate[1:] + rate[:-1]))])
-        cycles = T * np.arange(np.ceil(instants[-1] / T - 1e-9) + 1)
-        return interpolated(cycles, instants, rows)
+        return at_cycles(rows, slowed(rows, rate, self._a_max, T), T)
 
     def lead(self, cycle: Cycle, rows: Array) -> None:
         """Leads an arm through ``rows (N, n)`` [rad] from rest to rest, as fast as it may be.
@@ -203,12 +257,27 @@ class Guard:
         """``lead`` for rows that are ``timed`` already."""
         self.check()
         with self.motion(cycle):
-            for k, q_c in enumerate(rows):
+            for q_c in self.along(rows):
                 cycle(q_c)
+            self.check()
+
+    def along(self, rows: Array) -> Iterator[Array]:
+        """Commands ``(n,)`` [rad] along rows ``(N, n)`` [rad], each to be handed over before the next is asked for.
+
+        Where the motion is held they wait for the arm and go on; where it is stopped they end braked on the path.
+        """
+        k = 0
+        while k < len(rows):
+            yield rows[k]
+            if self.reason is not None:
+                yield from self.braking(rows[k:])
+                return
+            k += 1
+            if self.held is not None:
+                yield from self.waiting()
                 if self.reason is not None:
-                    for braking in self.braking(rows[k:]):
-                        cycle(braking)
-                    self.check()
+                    return
+                (rows,), k = self.resumed(rows, k), 0
 
     @contextmanager
     def motion(self, cycle: Cycle) -> Iterator[None]:
@@ -218,22 +287,109 @@ class Guard:
         except IdealRobotError:
             # Where the arm is gone there is nothing to be led back.
             with suppress(IdealRobotError):
-                self.release(cycle)
+                for q_c in self.leaving():
+                    cycle(q_c)
             raise
 
-    def release(self, cycle: Cycle) -> None:
-        """Brakes, and leads the arm back along its trail until nothing is felt any more.
+    def leaving(self) -> Iterator[Array]:
+        """Commands ``(n,)`` [rad] to rest, and back along the trail until nothing is felt any more.
 
-        The commands of an arm that has not followed them are led to where it stands.
+        The commands of an arm that has not followed them are led to where it stands instead of being braked ahead.
         """
-        for q_c in self.braking():
-            cycle(q_c)
+        yield from self.braking() if self._stands is None else self._to_arm()
+        yield from self.back()
+
+    def waiting(self) -> Iterator[Array]:
+        """Commands ``(n,)`` [rad] to where an arm stands that is ``held``, and there for a while.
+
+        Behind them the motion may be tried again, unless it was stopped meanwhile: after ``patience``, too.
+        """
+        yield from self._to_arm()
         now = self._last[1]
-        if (way := self.back_to_arm(now)) is not None:
-            for q_c in eased_way(now, now + way, (np.full(len(way), np.inf), SHARE * self._a_max), self._T):
-                cycle(q_c)
-        for q_c in self._back():
-            cycle(q_c)
+        for _ in range(round(_PAUSE / self._T)):
+            if self.reason is not None:
+                return
+            yield now
+        # Moved by hand meanwhile, or let go just then.
+        yield from self._to_arm()
+        for watch in self.watches:
+            watch.begin_again()
+        self._waited += _PAUSE
+        if self._waited > self.patience:
+            self.stop(f"{self.held}; waited for it for {self.patience:.0f} s")
+        self.held = None
+
+    def resumed(self, rows: Array, k: int, *beside: Array) -> tuple[Array, ...]:
+        """What is left of a path for an arm that rests where it was held on it, and of what goes along with it.
+
+        It begins at the place that is nearest to the arm, slowly until the arm has shown that it follows.
+
+        Args:
+            rows: joint angles at the cycles ``(N, n)`` [rad].
+            k: row in which the arm was held.
+            beside: what belongs to each row ``(N, …)``.
+        """
+        now, T, small = self._last[1], self._T, probed(self._a_max, self._T)
+        begin = max(k - round(_LATELY / T), 0)
+        nearest = max(begin + int(np.argmin(np.max(np.abs(rows[begin : k + 1] - now), axis=1))) - 1, 0)
+        # Places so near to each other that the slow begin is some of them.
+        part = rows[nearest : nearest + round(_RAMPS / T) + 2]
+        fine = int(np.clip(np.ceil(np.max(np.abs(np.diff(part, axis=0)), initial=0.0) / (0.25 * small)), 1, _FINEST))
+        places = np.arange(fine * (len(part) - 1) + 1) / fine
+        part = interpolated(places, np.arange(float(len(part))), part)
+        first = int(np.argmin(np.max(np.abs(part[: 2 * fine + 1] - now), axis=1)))
+        part, places = part[first:], nearest + places[first:]
+        step = np.max(np.abs(np.diff(part, axis=0, append=part[-1:])), axis=1) * fine / T
+        way = np.max(np.abs(part - part[0]), axis=1)
+        trying = np.where(way < PROVED * small, probing_speed(self._a_max, T), np.inf)
+        rate = np.minimum(trying / np.maximum(step, 1e-12), 1.0)
+        rate[0] = 0.0
+        instants = slowed(part, rate, self._a_max, T / fine)
+        rest = np.arange(places[-1] + 1.0, len(rows))
+        instants = np.concatenate([instants, instants[-1] + T * np.arange(1.0, len(rest) + 1.0)])
+        passed = interpolated(T * np.arange(np.ceil(instants[-1] / T - 1e-9) + 1), instants,
+                              np.concatenate([places, rest])[:, None])[:, 0]
+        left, *others = (interpolated(passed, np.arange(float(len(rows))), values) for values in (rows, *beside))
+        # Where it was held it may stand beside the path, to which it comes as slowly.
+        off = now - left[0]
+        lasts = max(float(np.max(np.abs(off))) / (0.5 * probing_speed(self._a_max, T)), T)
+        share = np.minimum(T * np.arange(1.0, len(left) + 1.0) / lasts, 1.0)[:, None]
+        return np.asarray(left + off * (1.0 - eased(share))), *others
+
+    def _to_arm(self) -> Iterator[Array]:
+        """Commands ``(n,)`` [rad] to where an arm stands that has left them, braked and back in one motion.
+
+        They stay on the way they came, as quickly as the joints' accelerations allow: until they are there the arm has
+        something to make good, and if it is let go on meanwhile it keeps to its path.
+        """
+        for _ in range(_TIMES):
+            stands, (last, now) = self._stands, self._last
+            if stands is None:
+                return
+            if np.max(np.abs(now - stands)) < _AT and np.max(np.abs(now - last)) < _REST:
+                return
+            came = np.array(self._given)
+            beside = np.max(np.abs(came - stands), axis=1)
+            # The last time that they were there.
+            came = came[int(np.flatnonzero(beside <= beside.min() + probed(self._a_max, self._T))[-1]) :]
+            begin = float(len(came) - 1)
+            # Straight on while it is braked.
+            line = np.vstack([came, now + (now - last) * np.arange(1.0, _LONGEST / self._T)[:, None]])
+            step = np.max(np.abs(np.diff(line, axis=0)), axis=0)
+            if begin == 0.0 or np.max(step) < _REST:
+                limits = (0.1 * self._v_max, SHARE * self._a_max)
+                yield from eased_way(now, stands, limits, self._T)
+                continue
+            a = _BRAKES * float(np.min(self._a_max * self._T**2 / np.maximum(step, 1e-12)))
+            v = float(np.min(self._v_max * self._T / np.maximum(step, 1e-12)))
+            bounds = Bounds(*(np.array([value]) for value in (0.0, len(line) - 1.0, max(v, 1.0), a,
+                                                              a * self._T / _RISE)))
+            way, rows = np.array([[begin - 2.0], [begin - 1.0], [begin]]), np.arange(float(len(line)))
+            while abs(way[2, 0]) > _REST or abs(way[2, 0] - way[1, 0]) > _REST:
+                at = governed(np.zeros(1), way, 1.0, bounds)
+                way = np.vstack([way[1:], at])
+                off = (stands - line[0]) * (1.0 - eased(np.clip(at / begin, 0.0, 1.0)))
+                yield interpolated(at, rows, line)[0] + off
 
     def braking(self, ahead: Array | None = None) -> Iterator[Array]:
         """Commands ``(n,)`` [rad] to rest along the rows ``ahead (m, n)`` of the motion, straight on without them."""
@@ -250,8 +406,11 @@ class Guard:
                 return
             yield horizon[1]
 
-    def _back(self) -> Iterator[Array]:
-        """Commands ``(n,)`` [rad] back along the trail; its places are worked out as they come."""
+    def back(self) -> Iterator[Array]:
+        """Commands ``(n,)`` [rad] from rest back along the trail until nothing is felt any more; none where nothing is.
+
+        Its places are worked out as they come.
+        """
         touching = self.touching
         if touching is False:
             return
@@ -268,6 +427,69 @@ class Guard:
             speed += float(np.clip(most - speed, -AWAY * self._T / _RAMP, AWAY * self._T / _RAMP))
             way += speed * self._T
             yield trail.further(speed * self._T)
+
+
+# A path that is passed more slowly than it was planned, and a try whether an arm follows.
+
+PROVED = 4.0
+"""Ways by which a standstill is noticed while the path is tried, after which an arm that goes along follows."""
+_SEEN = np.radians(0.02)
+"""Way of a joint that stands out of the noise of its encoder and of the friction it starts against [rad]."""
+_ANSWERED = 0.1
+"""Time after which nearly every loop has answered a command [s]."""
+
+
+def probed(a_max: Array, T: float) -> float:
+    """How far ahead of an arm that stands a path that is tried may be [rad].
+
+    A controller let go on just then makes it good in one cycle with half of the weakest joint's acceleration, where
+    encoders resolve that: behind cycles of 5 ms and longer they do.
+
+    Args:
+        a_max: accelerations of the joints ``(n,)`` [rad/s²].
+        T: cycle [s].
+    """
+    return max(0.5 * float(np.min(a_max)) * T**2, float(_SEEN))
+
+
+def probing_speed(a_max: Array, T: float) -> float:
+    """Speed of the joints at which a path is tried [rad/s]: until a slow loop answers no further than ``probed``."""
+    return probed(a_max, T) / _ANSWERED
+
+
+@jit()
+def _passed(rate: Array, change: Array, T: float) -> None:
+    """Lowers the rates ``(N,)`` to what the changes ``(N,)`` [1/s] let them be, from either side."""
+    for k in range(1, len(rate)):
+        rate[k] = min(rate[k], math.sqrt(rate[k - 1] ** 2 + 2.0 * min(change[k], change[k - 1]) * T))
+    for k in range(len(rate) - 2, -1, -1):
+        rate[k] = min(rate[k], math.sqrt(rate[k + 1] ** 2 + 2.0 * min(change[k], change[k + 1]) * T))
+
+
+def slowed(rows: Array, rate: Array, a_max: Array, T: float) -> Array:
+    """Instants ``(N,)`` [s] at which the rows of a path are passed, each with at most a share of its speed.
+
+    Args:
+        rows: joint angles at the cycles ``(N, n)`` [rad].
+        rate: largest share of its speed with which each row may be passed ``(N,)``.
+        a_max: accelerations of the joints ``(n,)`` [rad/s²], of which changes of the speed take ``SHARE``.
+        T: cycle [s].
+    """
+    if len(rows) < 3:
+        return T * np.arange(len(rows))
+    rate = np.clip(rate, _SLOWEST, 1.0)
+    # Of the two steps beside each row the faster one: between rows the path is straight.
+    step = np.abs(np.diff(rows, axis=0)) / T
+    speed = np.maximum(np.vstack([step[:1], step]), np.vstack([step, step[-1:]]))
+    with np.errstate(divide="ignore"):
+        change = SHARE * np.min(np.divide(a_max, speed, out=np.full_like(speed, np.inf), where=speed > 1e-9), axis=1)
+    _passed(rate, change, T)
+    return np.concatenate([[0.0], np.cumsum(2.0 * T / (rate[1:] + rate[:-1]))])
+
+
+def at_cycles(values: Array, instants: Array, T: float) -> Array:
+    """Values ``(M, …)`` at the cycles of what belongs to instants: ``(N, …)``, ``(N,)`` [s]."""
+    return np.asarray(interpolated(T * np.arange(np.ceil(instants[-1] / T - 1e-9) + 1), instants, values))
 
 
 class _Trail:

@@ -152,7 +152,7 @@ class FollowingWatch:
         offset = measured - self.rest
         beyond = np.maximum(low - offset, offset - high) - self.tolerance - _SHARE * (high - low)
         self._outside = self._outside + 1 if (beyond > 0).any() else 0
-        return self._cause(int(np.argmax(beyond))) if self._outside >= _PATIENCE else None
+        return self.cause(int(np.argmax(beyond))) if self._outside >= _PATIENCE else None
 
     def stopping(self, commanded: Array, measured: Array) -> str | None:
         """One cycle of braking: an arm that goes on under a command that stands still is one that adds it up."""
@@ -167,8 +167,8 @@ class FollowingWatch:
         self.adds_up = True
         return f"joint {joint + 1} goes on while its command stands still: {_ADDS_UP}"
 
-    def _cause(self, joint: int) -> str:
-        """What the motion of the last cycles looks like."""
+    def cause(self, joint: int) -> str:
+        """What the motion of a joint in the last cycles looks like."""
         order = (self._count + np.arange(len(self._commanded))) % len(self._commanded)
         commanded, measured = self._commanded[order], self._measured[order]
         total = self._sum[order, joint]
@@ -391,6 +391,15 @@ class LinkedRobot(ABC):
     def settled(self) -> bool:
         """Whether what is in force is what was wanted: nothing missed and not yet made good."""
         return not (self.missed or self._catch_up.active)
+
+    @property
+    def tolerance(self) -> float:
+        """How far the arm may be outside its commands [rad], with what is not known of commands that were lost."""
+        return self._watch.tolerance
+
+    def cause(self, joint: int) -> str:
+        """What the motion of a joint looks like that does not go where its command leads, counted from 0."""
+        return self._watch.cause(joint)
 
     @property
     def meta(self) -> dict[str, Any]:

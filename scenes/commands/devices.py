@@ -123,6 +123,12 @@ class PlayOptions:
         autocompletion=lambda incomplete: completed("rsi", incomplete))] = "none"
     model: Annotated[Path | None, typer.Option(help="Identified model (JSON) for --method; default: the shipped one.")
                      ] = None
+    force: Annotated[str | None, typer.Option(help="Force sensor that guards the motion, netft://… or stream://…: what "
+                                              "it feels beyond the tool's weight stops the arm.")] = None
+    force_delay: Annotated[float, typer.Option(help="From measurement to arrival, at least [ms].", min=0.0,
+                                               max=1000.0)] = 0.0
+    most_force: Annotated[float, typer.Option(help="Force that the path may meet [N]; less than 15 counts as "
+                                              "touching nothing.", min=0.0, max=100_000.0)] = 0.0
     compare: Annotated[bool, typer.Option("--compare", help="Play the path as it is desired first, then as it is "
                                           "corrected, and print the errors of both.")] = False
     cycle: Annotated[float | None, typer.Option(help="Interpolation cycle [s]; default: the interface's, or the "
@@ -146,8 +152,9 @@ class PlayOptions:
         from scenes.played_path import PlaySettings
 
         same = ("arm", "robot", "method", "model", "cycle", "rest", "relative", "rsi_config", "controller", "bridge",
-                "core", "compare")
-        return PlaySettings(patience=self.wait, **{name: getattr(self, name) for name in same})
+                "core", "compare", "force", "most_force")
+        return PlaySettings(patience=self.wait, force_delay=1e-3 * self.force_delay,
+                            **{name: getattr(self, name) for name in same})
 
 
 def play(options: PlayOptions) -> None:

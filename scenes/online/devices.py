@@ -14,6 +14,7 @@ from ideal_robot.execution.following import Following
 from ideal_robot.interfaces import LinkSettings, connected_arm
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.model.model import Model
+from ideal_robot.robots.interface import TOLERANCE
 from ideal_robot.robots.robot import Robot
 from scenes.line_way import shapes_about
 from scenes.methods import SceneMethod
@@ -169,7 +170,9 @@ class Job(ABC):
         """From now on the guard looks whether the arm goes where its commands lead."""
         def loaded() -> Following:
             loop = loop_model(self.model, self.robot, delay=self.delay)
-            return Following(lambda: arm.link.commanded, response_of(loop, self.robot), self.robot.units("rad"))
+            return Following(lambda: arm.link.commanded, self.robot, response_of(loop, self.robot),
+                             tolerance=getattr(arm.link, "tolerance", None) or TOLERANCE,
+                             cause=getattr(arm.link, "cause", None))
 
         arm.guard.watches.append(arm.meanwhile(loaded))
 

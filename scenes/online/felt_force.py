@@ -102,14 +102,18 @@ class FeltForce(Watch):
         robot: whose tool it feels.
         surface: what may be touched; None where nobody knows of any.
         limit: largest force that a motion may press with [N].
+        meets: force that a motion may meet which wants to press with none [N], where that is more than a touch.
 
     Attributes:
         wanted: force that the present motion wants to press with [N]; 0 where it wants to touch nothing.
         tool: bias and weight, once they are known.
         contact: force of the environment on the tool, by the last readings ``(3,)`` [N, tool frame].
+        largest: size of the largest such force so far [N].
     """
 
-    def __init__(self, force: LiveForce, robot: Robot, surface: Surface | None, limit: float) -> None:
+    def __init__(self, force: LiveForce, robot: Robot, surface: Surface | None, limit: float, *,
+                 meets: float = 0.0) -> None:
+        self._meets = meets
         self._force, self._robot, self._limit, self._surface = force, robot, limit, surface
         self._fk, self._T = robot.fk(), robot.t_ipo
         self.wanted, self.contact = 0.0, np.zeros(3)
@@ -119,7 +123,7 @@ class FeltForce(Watch):
         self._rest: list[Array] = []
         self._weights = np.array([_PRIOR, 0.0])
         self._touching: bool | None = False
-        self._count = 1
+        self._count, self.largest = 1, 0.0
 
     @property
     def touching(self) -> bool | None:
@@ -130,6 +134,11 @@ class FeltForce(Watch):
     def within(self) -> float:
         """Height above which there is air [m]."""
         return -np.inf if self._surface is None else self._surface.within
+
+    @property
+    def zeroed(self) -> bool:
+        """Whether it is known what the sensor shows where nothing is touched."""
+        return self._zero is not None
 
     def found(self, touch: float, stiffness: float) -> None:
         """The surface begins at this height [m] and is pressed with this stiffness [N/m]."""
@@ -146,7 +155,7 @@ class FeltForce(Watch):
         """Speed at which what may be touched may be neared [m/s]."""
         if self._surface is None:
             return _FASTEST
-        room = SAFE * self._limit - (TOUCH if self.tool is not None else UNWEIGHED)
+        room = SAFE * self._limit - self._touch
         return min(max(room, 1.0) / (self._surface.stiffness * NOTICED), _FASTEST)
 
     def rates(self, rows: Array, T: float) -> Array:
@@ -178,7 +187,8 @@ class FeltForce(Watch):
                                       np.mean([sample.wrench for sample in samples], axis=0))
             self._count = len(samples)
         felt, allowed = float(np.linalg.norm(self.contact)), self._allowed()
-        clear = GONE * (TOUCH if self.tool is not None else UNWEIGHED) + self._noise()
+        self.largest = max(self.largest, felt)
+        clear = GONE * self._touch + self._noise()
         self._touching = felt > (clear if self._touching else allowed if self.wanted == 0.0 else clear)
         if self._surface is not None and not self._touching:
             self._air()
@@ -186,7 +196,8 @@ class FeltForce(Watch):
             return None
         where = self._where(pose.translation)
         if self.wanted == 0.0:
-            return (f"{felt:.1f} N felt{where} by the force sensor, where nothing should be touched; look what is in "
+            most = "nothing should be touched" if self._meets == 0.0 else f"{self._meets:.0f} N may be met"
+            return (f"{felt:.1f} N felt{where} by the force sensor, where {most}; look what is in "
                     "the way, where the surface really is, and whether the sensor's bias has leapt")
         return f"{felt:.1f} N felt{where} of {allowed:.0f} N allowed; look for an obstacle, or lower the speed"
 
@@ -206,6 +217,11 @@ class FeltForce(Watch):
         return np.asarray(change - self._mass * turned)
 
     @property
+    def _touch(self) -> float:
+        """Force from which on a motion in the air touches something [N]."""
+        return TOUCH if self.tool is not None else UNWEIGHED
+
+    @property
     def _mass(self) -> float:
         """Of the tool, as far as it is known [kg]; of either sign, as a sensor's may be."""
         return self.tool.mass if self.tool is not None else float(self._weights[1] / self._weights[0])
@@ -219,7 +235,7 @@ class FeltForce(Watch):
         inertia = 0.0
         if len(rows) > 2:
             inertia = float(np.max(np.linalg.norm(np.diff(rows, n=2, axis=0), axis=1))) / self._T**2
-        return (TOUCH if self.tool is not None else UNWEIGHED) + abs(self._mass) * inertia + self._noise()
+        return max(self._touch, self._meets) + abs(self._mass) * inertia + self._noise()
 
     def _noise(self) -> float:
         """What noise alone shows in the mean of a cycle's readings once in 10⁶ times [N]: χ² of three axes."""

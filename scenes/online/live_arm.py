@@ -17,6 +17,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array, eased_way
 from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.execution.following import ANSWERS
 from ideal_robot.execution.guard import Guard, StoppedError
 from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.loop import Loop
@@ -152,6 +153,8 @@ class LiveArm:
         """Raises ``FollowStoppedError`` where following has to end at ``t`` [s]."""
         if self.link.fault is not None:
             self.stop(self.link.fault)
+        if self.guard.held is not None:
+            self.stop(self.guard.held)
         if self.stop_reason is not None:
             raise FollowStoppedError(f"stopped on the path at {t:.3f} s: {self.stop_reason}")
 
@@ -353,10 +356,6 @@ def moves(robot: Robot, postures: list[Array], rest: float) -> Array:
 
 # An arm behind another interpolation cycle, and how soon its loop answers.
 
-_ANSWER_MAX = 0.4
-"""Time after which a loop has answered a command [s]."""
-
-
 def at_cycle(arm: Robot, cycle: float) -> Robot:
     """The arm behind another interpolation cycle [s]; the inner cycles are shortened until they fit into it.
 
@@ -373,7 +372,7 @@ def at_cycle(arm: Robot, cycle: float) -> Robot:
 
 def response_of(loop: Loop, arm: Robot) -> Array:
     """Impulse response ``(L, n)`` of the identified loop of each joint, of commands that come at the cycles."""
-    return np.asarray(LinearLoop.of(loop, arm.home, length=math.ceil(_ANSWER_MAX / arm.t_ipo)).g)
+    return np.asarray(LinearLoop.of(loop, arm.home, length=math.ceil(ANSWERS / arm.t_ipo)).g)
 
 
 def answers_within(loop: Loop, arm: Robot) -> float:

@@ -7,7 +7,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from scipy.special import chdtri
@@ -190,6 +190,15 @@ _OLDEST = 0.4  # age of a reading that counts at all [s]; the arm has long been 
 _WAITING = 4000  # readings: 0.6 s of the quickest box
 
 
+class SharedTime(Protocol):
+    """Whose time samples are given."""
+
+    at_begin: list[Callable[[], None]]
+
+    def play_time(self, host: float) -> float:
+        """Its time that belongs to this computer's time ``host`` [s]; NaN where none does."""
+
+
 class LiveForce:
     """A ``sensing.force.sensors.ForceSensor`` over a source; samples are given the arm's time.
 
@@ -200,7 +209,7 @@ class LiveForce:
         reach: by how much the force may change from one reading to the next [N]; inf where that is not known.
     """
 
-    def __init__(self, source: WrenchSource, arm: LiveArm) -> None:
+    def __init__(self, source: WrenchSource, arm: SharedTime) -> None:
         self.source, self._arm = source, arm
         self.samples = RowLog(7)
         self.signs, self.untimely, self.reach = LifeSigns(IMPOSSIBLE, CHANNELS), 0, np.inf

@@ -1,9 +1,16 @@
-"""Plays a joint path on an arm behind any maker's interface: slowly to its start, the path, to rest, all recorded."""
+"""Plays a joint path on an arm behind any maker's interface: slowly to its start, the path, to rest, all recorded.
+
+The guard of ``ideal_robot.execution.guard`` looks at every cycle of it: whether the arm goes where its commands lead,
+what a connected force sensor feels, what the link says. An arm that stands still is waited for, and the path goes on
+from where it is; whatever else is noticed brings the arm to rest, and back until nothing is felt.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any, TypeVar
@@ -13,6 +20,8 @@ import numpy as np
 from ideal_robot.arrays import Array, eased, held
 from ideal_robot.errors import IdealRobotError, LimitError
 from ideal_robot.execution.command_governor import CommandGovernor
+from ideal_robot.execution.following import Following
+from ideal_robot.execution.guard import PATIENCE, Guard
 from ideal_robot.execution.play import LONGEST_STOP, PathCommands
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.results import Summarised, shown_cell
@@ -22,16 +31,22 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.row_log import RowLog
 from ideal_robot.signals.recording import OF_JOINTS, Recording
 from scenes.metrics import spread_ms
+from scenes.online.felt_force import FeltForce
 from scenes.online.live_arm import moves, near_start
+from scenes.online.live_sensors import LiveForce
 from scenes.online.processes import undisturbed
 from scenes.result import Progress, silent
 from scenes.scene_files.scene import SceneError
+from sensing.clock_relation import ClockRelation
+from sensing.force.sensors import WrenchSource
 
 NEAR = np.radians(0.5)
 """How far from the start of the path the arm may stand where it is not led there [rad]; the rest before the path takes
 it."""
 _SETTLING = 2.0
 """How long the arm is held at most behind the path until nothing that was missed is left to be made good [s]."""
+_READ = 3.0
+"""How long a force sensor may take until it has shown what it feels at rest [s]."""
 _RESTS = 0.3
 """Rest at the start of the path, behind the way there [s]."""
 
@@ -93,6 +108,39 @@ class PathRun(Summarised):
         return ["figure", "value"], rows
 
 
+@dataclass(frozen=True)
+class _Cycle:
+    """What is desired, commanded and expected to be commanded next ``(n,)``, ``(n,)``, ``(m, n)`` [rad]."""
+
+    q_d: Array
+    q_c: Array
+    ahead: Array | None = None
+
+
+@dataclass(frozen=True)
+class Felt:
+    """A connected force sensor beside a path.
+
+    Attributes:
+        source: its readings.
+        most: force that the path may meet [N]; 0 where it is to touch nothing.
+    """
+
+    source: WrenchSource
+    most: float = 0.0
+
+
+class _Shared:
+    """The controller's time since a player began with it, as the force sensor's readings are given it."""
+
+    def __init__(self) -> None:
+        self.clock, self.at_begin, self.zero = ClockRelation(), list[Callable[[], None]](), 0.0
+
+    def play_time(self, host: float) -> float:
+        """Time of the controller that belongs to this computer's time ``host`` [s]."""
+        return self.clock.stamp(host) - self.zero
+
+
 class PathPlayer:
     """Plays one desired joint path through a feedforward to an arm behind a link.
 
@@ -109,6 +157,12 @@ class PathPlayer:
         warnings: what its user shall know of the path before it is played.
         recorded: what the recording shall have as desired where ``q_d`` are commands already ``(N, n)`` [rad].
         led: whether the arm is led to the start from wherever it stands; else it has to stand there.
+        response: impulse response of the arm's loop ``(L, n)``; None where none was identified.
+        felt: force sensor; None without one.
+        patience: how long an arm that stands still is waited for [s].
+
+    Attributes:
+        guard: looks at every cycle.
     """
 
     source = "play"
@@ -116,15 +170,26 @@ class PathPlayer:
 
     def __init__(self, link: LinkedRobot, feedforward: Feedforward, q_d: Array, rest: int,
                  meta: dict[str, Any] | None = None, warnings: tuple[str, ...] = (), *,
-                 recorded: Array | None = None, led: bool = False) -> None:
+                 recorded: Array | None = None, led: bool = False, response: Array | None = None,
+                 felt: Felt | None = None, patience: float = PATIENCE) -> None:
         self.link, self.feedforward, self.rest, self.led = link, feedforward, rest, led
         self.q_d, self.meta, self.warnings = np.array(q_d, dtype=float), meta or {}, warnings
         self._shift = np.zeros_like(self.q_d) if recorded is None else recorded - self.q_d
-        self._reason: str | None = None
+        self.guard, self._response, self._felt = Guard(link.robot, self.q_d[0]), response, felt
+        self.guard.patience = patience
+        self._time = _Shared()
+        self._force: FeltForce | None = None
+        self._state: RobotState | None = None
+        self._in_force = _InForce(link)
+        self._waited, self._where = 0, "stopped on the way to the start"
+
+    @property
+    def _reason(self) -> str | None:
+        return self.guard.reason
 
     def stop(self, reason: str) -> None:
         """Brings the arm to rest on the path from the next cycle on; to be called from anywhere."""
-        self._reason = self._reason or reason
+        self.guard.stop(reason)
 
     def play(self, *, patience: float = 60.0, core: int | None = None, progress: Progress = silent) -> PathRun:
         """Waits for the controller up to ``patience`` [s], then plays the path; what happened is in the result.
@@ -138,6 +203,7 @@ class PathPlayer:
             IdealRobotError: no controller came.
             SceneError: the arm does not stand at the start of the path, or cannot be led there. Nothing has moved then.
         """
+        self.guard.patience = patience
         self._loaded()
         with undisturbed(core) as granted:
             self.link.connect(patience)
@@ -155,23 +221,74 @@ class PathPlayer:
         """
         self._loaded()
         # The first answer changes nothing and needs no computing.
+        self.guard.begin(self.link.commanded)
         self.link.send(self.link.commanded)
-        state = self.link.receive()
+        self._state = state = self.link.receive()
+        self._time.zero = state.t
+        self._time.clock.add(state.t, self.link.arrived)
         names = {name: np.shape(value) for name, value in state.columns.items()}
         # Of each cycle time, desired and commanded position, measured position and torque, and what else is reported.
         log = RowLog(1 + 4 * self.link.robot.n + sum(int(np.prod(shape)) for shape in names.values()))
         log.reserve(len(self.q_d) + round((_SETTLING + 2.0 * LONGEST_STOP) / self.link.t_ipo))
-        if self.led:
-            state = self._lead(state, progress)
-        q_d = self._from(self.link.commanded)
-        try:
-            self._answer(q_d, state, log, progress)
-        except IdealRobotError as error:
-            self._reason = self._reason or str(error)
-            return self._run(log, names, granted, self._answered())
-        # Another path may follow on the same link: until then the arm is held, which is counted no more.
-        run = partial(self._run, log, names, granted, self._answered())
-        return self._meanwhile(run) if self.led else run()
+        with self._watched():
+            if self.led:
+                self._lead(progress)
+            q_d, self._where = self._from(self.link.commanded), "stopped on the path"
+            try:
+                self._answer(q_d, log, progress)
+            except IdealRobotError as error:
+                self.stop(str(error))
+                return self._run(log, names, granted, self._answered())
+            # Another path may follow on the same link: until then the arm is held, which is counted no more.
+            run = partial(self._run, log, names, granted, self._answered())
+            return self._meanwhile(run) if self.led else run()
+
+    @contextmanager
+    def _watched(self) -> Iterator[None]:
+        """The guard's watches look within the block; before it the force sensor shows what it feels at rest."""
+        link = self.link
+        with ExitStack() as stack:
+            if self._felt is not None:
+                force = LiveForce(self._felt.source, self._time)
+                stack.callback(force.close)
+                self._force = FeltForce(force, link.robot, None, 0.0, meets=self._felt.most)
+                self.guard.watches.append(self._force)
+                for _ in range(round(_READ / link.t_ipo)):
+                    if self._force.zeroed or self._reason is not None:
+                        break
+                    self._cycle(link.commanded)
+                if self._reason is not None or not self._force.zeroed:
+                    raise SceneError(self._reason or f"no sound reading of the force sensor for {_READ:.0f} s: "
+                                     f"{force.why_silent()}")
+            self.guard.watches.append(Following(lambda: self._in_force.commanded, link.robot, self._response,
+                                                sure=False, tolerance=link.tolerance, cause=link.cause))
+            yield
+
+    def _cycle(self, q_c: Array, ahead: Array | None = None) -> RobotState:
+        """One cycle with a command ``(n,)`` [rad], which the guard looks at; returns its state."""
+        self.link.ahead = ahead
+        self.link.send(q_c)
+        return self._received(q_c)
+
+    def _received(self, q_c: Array) -> RobotState:
+        """The next state, looked at by the guard; cycles unheard of lie evenly between two states."""
+        last, state = self._state, self.link.receive()
+        self._state = state
+        self._time.clock.add(state.t, self.link.arrived)
+        before = self._reason
+        if self.link.fault is not None:
+            self.stop(self.link.fault)
+        steps = 1 if last is None else max(round((state.t - last.t) / self.link.t_ipo), 1)
+        for i in range(1, steps + 1):
+            share = i / steps
+            self._in_force.between(share)
+            t, q = (state.t, state.q) if last is None else (last.t + share * (state.t - last.t),
+                                                            last.q + share * (state.q - last.q))
+            self.guard.look(t - self._time.zero, q_c, q)
+        self._in_force.taken()
+        if before is None and self._reason is not None:
+            self.guard.reason = f"{self._where} at {state.t:.3f} s: {self._reason}"
+        return state
 
     def _loaded(self) -> None:
         """Compiled code is loaded before the first packet has to be answered."""
@@ -180,25 +297,25 @@ class PathPlayer:
         anywhere = np.clip(robot.home, robot.q_min, robot.q_max)
         CommandGovernor(robot, anywhere, t_ipo=self.link.t_ipo).allowed(anywhere)
 
-    def _lead(self, state: RobotState, progress: Progress) -> RobotState:
-        """Leads the arm from where it is held to the start of the path; returns the last state.
+    def _lead(self, progress: Progress) -> None:
+        """Leads the arm from where it is held to the start of the path.
 
         Raises SceneError where the way touches something, or the arm does not follow.
         """
         stands = self.link.commanded.copy()
-        for k, q_c in enumerate(self._meanwhile(partial(_way, self.link.robot, stands, self.q_d[0]))):
-            if self.link.fault is not None or self._reason is not None:
-                raise SceneError(f"stopped on the way to the start: {self.link.fault or self._reason}")
-            self.link.send(q_c)
-            state = self.link.receive()
+        way = self._meanwhile(partial(_way, self.link.robot, stands, self.q_d[0]))
+        for k, q_c in enumerate(self.guard.along(self._meanwhile(partial(self.guard.timed, way)))):
+            self._cycle(q_c)
             if k % 50 == 0:
-                progress(0.0, "to the start")
+                progress(0.0, self.guard.held or "to the start")
         for _ in range(round(_SETTLING / self.link.t_ipo)):
-            if self.link.settled:
+            if self.link.settled or self._reason is not None:
                 break
-            self.link.send(self.q_d[0])
-            state = self.link.receive()
-        return state
+            self._cycle(self.q_d[0])
+        if self._reason is not None:
+            for q_c in self.guard.leaving():
+                self._cycle(q_c)
+            raise SceneError(str(self._reason))
 
     def _meanwhile(self, work: Callable[[], Worked]) -> Worked:
         """What work that takes longer than a cycle gives; the arm, at rest, is held where it is until then."""
@@ -206,35 +323,34 @@ class PathPlayer:
         with ThreadPoolExecutor(1) as beside:
             result = beside.submit(work)
             while not result.done():
-                self.link.send(rest)
-                self.link.receive()
+                self._cycle(rest)
         return result.result()
 
-    def _answer(self, q_d: Array, state: RobotState, log: RowLog, progress: Progress) -> None:
+    def _answer(self, q_d: Array, log: RowLog, progress: Progress) -> None:
         """Answers packet by packet; the command of the next cycle is computed while the controller is busy."""
-        commands, k = self._commands(q_d), 0
-        command = next(commands, None)
-        while command is not None:
-            self.link.ahead = self._ahead(q_d, k, command[1])
-            self.link.send(command[1])
-            k += 1
+        cycles = self._cycles(q_d)
+        coming = next(cycles, None)
+        while coming is not None:
+            state, now = self._state, coming
+            assert state is not None
+            self.link.ahead = now.ahead
+            self.link.send(now.q_c)
             more = [np.ravel(value) for value in state.columns.values()]
-            log.append(np.concatenate([[state.t], *command, state.q, state.tau, *more]))
+            log.append(np.concatenate([[state.t], now.q_d, now.q_c, state.q, state.tau, *more]))
             if len(log) % 50 == 0:
-                progress(min(len(log) / len(q_d), 1.0), "")
-            if self.link.fault is not None:
-                self.stop(f"stopped on the path at {state.t:.3f} s: {self.link.fault}")
-            if (command := next(commands, None)) is not None:
-                state = self.link.receive()
+                progress(min(len(log) / len(q_d), 1.0), self.guard.held or "")
+            if (coming := next(cycles, None)) is None:
+                return
+            self._received(now.q_c)
             for _ in range(self.link.gone_on):
                 # The controller went on meanwhile, and so does the path.
-                if command is not None and (later := next(commands, None)) is not None:
-                    self.link.skip(command[1])
-                    command, k = later, k + 1
+                if coming is not None and (later := next(cycles, None)) is not None:
+                    self.link.skip(coming.q_c)
+                    coming = later
 
     def _ahead(self, q_d: Array, k: int, q_c: Array) -> Array | None:
-        """Commands expected behind that of cycle ``k``: they go on as the path does; None while the arm is braked."""
-        if not self.link.horizon or self._reason is not None or k >= len(q_d):
+        """Commands expected behind that of row ``k``: they go on as the path does; None where they are not known."""
+        if not self.link.horizon:
             return None
         return np.asarray(held(q_d[k : k + 1 + self.link.horizon], after=self.link.horizon)[1 : 1 + self.link.horizon]
                           - q_d[k] + q_c)
@@ -245,26 +361,54 @@ class PathPlayer:
         share = np.clip(np.arange(len(self.q_d)) / max(self.rest - 1, 1), 0.0, 1.0)[:, None]
         return np.asarray(self.q_d + offset * (1.0 - eased(share)))
 
-    def _commands(self, q_d: Array) -> Iterator[tuple[Array, Array]]:
-        """Desired position and command of every cycle; braking from where a limit or ``stop`` ends the path."""
-        T, commands = self.link.t_ipo, PathCommands(self.feedforward, q_d, self.link.robot, self.link.t_ipo)
-        for k in range(len(q_d)):
+    def _cycles(self, q_d: Array) -> Iterator[_Cycle]:
+        """Every cycle of the path; to rest, and back until nothing is felt, where a limit or ``stop`` ends it."""
+        rows, shift = q_d, self._shift
+        while True:
+            commands = PathCommands(self.feedforward, rows, self.link.robot, self.link.t_ipo)
+            held_at = yield from self._leg(commands, rows, shift)
+            if held_at is None:
+                return
+            for q_c in self.guard.waiting():
+                self._waited += 1
+                yield _Cycle(q_c, q_c)
+            if self._reason is not None:
+                return
+            rows, shift = self.guard.resumed(rows, held_at, shift)
+
+    def _leg(self, commands: PathCommands, rows: Array, shift: Array) -> Generator[_Cycle, None, int | None]:
+        """Cycles of a path to its end, returns None; or until the arm is held, returns the row in which it is."""
+        T = self.link.t_ipo
+        for k in range(len(rows)):
+            if self.guard.held is not None and self._reason is None:
+                return k
             try:
                 row = commands.row(k) if self._reason is None else None
             except LimitError as error:
                 row = None
                 self.stop(f"stopped on the path at {k * T:.3f} s: {error}")
-            shift = self._shift[k]
             if row is None:
-                yield from ((desired + shift, q_c) for desired, q_c in commands.brake(k))
-                return
-            yield row[0] + shift, row[1]
-        yield from ((desired + shift, q_c) for desired, q_c in commands.to_rest(q_d[-1]))
+                yield from self._stopped(commands, k, shift[k])
+                return None
+            yield _Cycle(row[0] + shift[k], row[1], self._ahead(rows, k, row[1]))
+        yield from (_Cycle(desired + shift[-1], q_c) for desired, q_c in commands.to_rest(rows[-1]))
         for _ in range(round(_SETTLING / T)):
             if self.link.settled or self._reason is not None:
-                return
-            desired, q_c = commands.governed(np.tile(q_d[-1], (self.feedforward.n_d, 1)))
-            yield desired + shift, q_c
+                break
+            desired, q_c = commands.governed(np.tile(rows[-1], (self.feedforward.n_d, 1)))
+            yield _Cycle(desired + shift[-1], q_c)
+        # What the last cycles of the path came to shows only now.
+        if self._reason is not None:
+            yield from (_Cycle(q_c, q_c) for q_c in self.guard.leaving())
+        return None if self._reason is not None or self.guard.held is None else len(rows) - 1
+
+    def _stopped(self, commands: PathCommands, k: int, shift: Array) -> Iterator[_Cycle]:
+        """To rest on the path from row ``k`` on, or to where the arm stands; then back until nothing is felt."""
+        if self.guard.astray:
+            yield from (_Cycle(q_c, q_c) for q_c in self.guard.leaving())
+            return
+        yield from (_Cycle(desired + shift, q_c) for desired, q_c in commands.brake(k))
+        yield from (_Cycle(q_c, q_c) for q_c in self.guard.back())
 
     def _answered(self) -> tuple[dict[str, Any], dict[str, float]]:
         """What happened on the link until now, and how long answers took [ms]."""
@@ -272,7 +416,12 @@ class PathPlayer:
 
     def _run(self, log: RowLog, names: dict[str, tuple[int, ...]], granted: list[str],
              answered: tuple[dict[str, Any], dict[str, float]]) -> PathRun:
-        return PathRun(self._recording(log, names), self._reason, *answered, granted, self.rest, len(self.q_d))
+        guarded: dict[str, Any] = {"acceleration_share": self._in_force.largest,
+                                   "waited_s": self._waited * self.link.t_ipo}
+        if self._force is not None:
+            guarded["largest_force_N"] = self._force.largest
+        return PathRun(self._recording(log, names), self._reason, *answered, granted, self.rest, len(self.q_d),
+                       details={"guard": guarded})
 
     def _recording(self, log: RowLog, names: dict[str, tuple[int, ...]]) -> Recording:
         robot = self.link.robot
@@ -293,6 +442,37 @@ class PathPlayer:
                 columns[name] = column
             first = last
         return Recording.from_arrays(t[:, 0], meta=meta, source=self.source, **columns)
+
+
+class _InForce:
+    """The commands in force at the controller, and what accelerations they make.
+
+    Args:
+        link: whose ``commanded`` they are.
+
+    Attributes:
+        commanded: in the cycle that is looked at ``(n,)`` [rad].
+        largest: acceleration so far, as a share of the arm's limit, the worst joint's.
+    """
+
+    def __init__(self, link: LinkedRobot) -> None:
+        self._link, self.largest = link, 0.0
+        self._last: deque[Array] = deque(maxlen=3)
+        self._before: Array | None = None
+        self.commanded = np.full(link.robot.n, np.nan)
+
+    def between(self, share: float) -> None:
+        """The cycle so far on the way [0 to 1] from the state before to the last one."""
+        now = self._link.commanded
+        self.commanded = now.copy() if self._before is None else self._before + share * (now - self._before)
+        self._last.append(self.commanded)
+        if len(self._last) == 3:
+            bend = np.abs(self._last[2] - 2.0 * self._last[1] + self._last[0]) / self._link.t_ipo**2
+            self.largest = max(self.largest, float(np.max(bend / self._link.robot.a_max)))
+
+    def taken(self) -> None:
+        """The last state was looked at."""
+        self._before = self._link.commanded.copy()
 
 
 def _way(robot: Robot, stands: Array, start: Array) -> Array:

@@ -28,7 +28,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi import RsiRobot
 from scenes.arms import shipped_model
-from scenes.online.live_arm import answers_within, at_cycle
+from scenes.online.live_arm import answers_within, at_cycle, response_of
 from scenes.online.path_player import PathPlayer, PathRun
 from scenes.path.precorrect import robot_of
 from scenes.result import Progress, silent
@@ -127,7 +127,8 @@ def rsi_server(path: Path, *, robot: str | None = None, model: Path | None = Non
             _require_better(law, loop, q_d, file)
     meta = {"method": method, "model": None if loop is None else str(file), "path": str(path)}
     with RsiRobot(arm, **link_options) as link:
-        yield RsiServer(link, law, q_d, round(rest / arm.t_ipo), meta, warnings)
+        yield RsiServer(link, law, q_d, round(rest / arm.t_ipo), meta, warnings,
+                        response=None if loop is None else response_of(loop, arm))
 
 
 def prepared(*, robot: str | None = None, model: Path | None = None, method: str = "ideal",

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from ideal_robot.arrays import Array, eased
 from ideal_robot.execution.following import Following
+from ideal_robot.robots.robot import Robot
 
-N = 6
+ROBOT = Robot.load("kr6")
+N = ROBOT.n
 
 
 class Loop:
@@ -57,7 +61,8 @@ def test_a_sound_arm_is_let_go_on_and_one_that_stands_is_noticed(seed: int) -> N
     moving = 20 + round(rng.uniform(0.5, 1.3) / T)
     for fault in ("none", "stands", "override"):
         loop = Loop(T, rng, lag, int(rng.integers(0, 3)))
-        watch, noticed = Following(lambda loop=loop: loop.commanded, known, ("rad",) * N), None  # type: ignore[misc]
+        robot = dataclasses.replace(ROBOT, t_ipo=T)
+        watch, noticed = Following(lambda loop=loop: loop.commanded, robot, known), None  # type: ignore[misc]
         held = None
         for k, q_c in enumerate(path):
             loop.step(q_c)

@@ -173,33 +173,67 @@ def test_a_stop_keeps_the_arm_on_its_path_and_its_limits(seed: int) -> None:
     assert np.abs(taken[-1] - taken[-2]).max() < 1e-3 * robot.t_ipo
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_commands_come_back_to_an_arm_that_stands(seed: int, tmp_path: Path) -> None:
-    """What it has to give when it is let go on: nothing, at whatever moment it was paused."""
+class _Paused:
+    """Has an arm stand still from one cycle to another though packets go on."""
+
+    def __init__(self, wall: Wall, since: int, until: float) -> None:
+        self._wall, self._receive, self._cycles, self._held = wall, wall.receive, (since, until), np.empty(0)
+
+    def receive(self) -> RobotState:
+        since, until = self._cycles
+        if not since <= len(self._wall.taken) < until:
+            return self._receive()
+        self._held = self._held if len(self._held) else self._wall.q
+        # The controller's own command waits as well, until it is let go on.
+        self._wall._late.append(self._held)
+        state = Tame.receive(self._wall)
+        self._wall.q = self._held
+        return RobotState(state.t, self._held.copy(), state.tau)
+
+    @property
+    def held(self) -> Array:
+        return self._held
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("pause", [0.3, 3.0, np.inf])
+@pytest.mark.parametrize("seed", range(3))
+def test_an_arm_that_stands_is_waited_for_and_goes_on_from_where_it_is(seed: int, pause: float, known: bool,
+                                                                        tmp_path: Path) -> None:
+    """Also where its loop was not identified; what it has to make good when it is let go on is nothing."""
     rng, robot = np.random.default_rng(seed), Robot.load("kr6")
     wall = Wall(robot.home, -10.0, 1e3, 0.0, 1.0, seed)
-    arm = LiveArm(wall, Journal(tmp_path, robot, {}))  # type: ignore[arg-type]
+    arm = LiveArm(wall, Journal(tmp_path, robot, {}))
+    arm.guard.patience = 6.0
     response = np.diff((1.0 - (LAG / (LAG + arm.t_ipo)) ** np.maximum(np.arange(-2.0, 30.0), 0.0))[:, None]
                        * np.ones(robot.n), axis=0, prepend=0.0)
-    arm.guard.watches.append(Following(lambda: wall.commanded, response, robot.units("rad")))
+    arm.guard.watches.append(Following(lambda: wall.commanded, robot, response if known else None))
     rows = moves(robot, [robot.home, robot.home + rng.choice([-1.0, 1.0], 6) * rng.uniform(0.4, 0.5, 6)], 0.1)
-    paused = int(rng.integers(20, len(rows) - 60))
-    receive, held = wall.receive, []
-
-    def standing() -> RobotState:
-        state = receive()
-        if len(wall.taken) < paused:
-            return state
-        held[:] = held or [state.q]
-        return RobotState(state.t, held[0], state.tau)
-
-    wall.receive = standing  # type: ignore[method-assign]
-    with pytest.raises(FollowStoppedError, match="stands still"):
+    since = int(rng.integers(len(rows) // 3, len(rows) // 2))
+    paused = _Paused(wall, since, since + pause / arm.t_ipo)
+    wall.receive = paused.receive  # type: ignore[method-assign]
+    if np.isinf(pause):
+        with pytest.raises(FollowStoppedError, match=r"stands still.* waited for it for 6 s"):
+            arm.lead(rows)
+    else:
         arm.lead(rows)
     taken = np.array(wall.taken)
-    assert np.abs(taken[-1] - held[0]).max() < 1e-9
+    # Soon back at the arm, and from then on so near that it tears at nothing when it is let go on.
+    late = taken[since + round(0.5 / arm.t_ipo) : since + round(pause / arm.t_ipo) if np.isfinite(pause) else None]
+    assert np.abs(late - paused.held).max(initial=0.0) < np.radians(0.2)
     acceleration = np.diff(taken, n=2, axis=0) / robot.t_ipo**2
     assert (np.abs(acceleration) <= 1.5 * robot.a_max).all()
+    if pause == 3.0:
+        makes_good = np.abs(taken[since + round(pause / arm.t_ipo) - 1] - paused.held)
+        assert (makes_good / robot.t_ipo**2 <= 1.5 * robot.a_max).all()
+    if np.isinf(pause):
+        assert np.abs(taken[-1] - paused.held).max() < 1e-7
+    else:
+        np.testing.assert_allclose(taken[-1], rows[-1], atol=1e-9)
+        # On the path all the time: rest to rest is a straight line here.
+        direction = (rows[-1] - rows[0]) / np.linalg.norm(rows[-1] - rows[0])
+        beside = (taken - rows[0]) - np.outer((taken - rows[0]) @ direction, direction)
+        assert np.abs(beside).max() < 1e-3
 
 
 def test_a_slow_part_of_a_path_is_reached_and_left_within_the_limits() -> None:

@@ -1,0 +1,90 @@
+"""Following on devices in lockstep with the simulated cell, over seeds: jobs done, and what a sound cell bears.
+
+Nothing is faulty here: whatever is stopped is a false alarm of the guard or of a sensor's health.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+from collections import defaultdict
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.errors import IdealRobotError
+from planning.force.contact import most_force
+from scenes.scene_file import load_scene
+from scenes.scene_files.force_scene import ForceScene
+from scenes.scene_files.line_scene import LineScene
+from studies.report import head, row
+from tests.scenes.follow.eye_on_bench import followed as followed_by_eye
+from tests.scenes.follow.on_bench import followed
+
+
+def lockstep(scenes: str = "line,force_wave,glue,contour", seeds: str = "1-50", lines: Path | None = None) -> None:
+    """Sound cells followed in lockstep over seeds: jobs done, false alarms, largest force, force left at rest, errors.
+
+    With ``--lines FILE`` each play is kept as a line of JSON when it has ended, and plays that the file holds are not
+    repeated. Exit code 1 where fewer than 49 of 50 are done, or a surface bears more than is allowed, or more than
+    nothing at rest.
+    """
+    first, _, last = seeds.partition("-")
+    kept = [] if lines is None or not lines.is_file() else [json.loads(line) for line in lines.open(encoding="utf-8")]
+    for seed, name in product(range(int(first), int(last or first) + 1), scenes.split(",")):
+        if any(play["scene"] == name and play["seed"] == seed for play in kept):
+            continue
+        kept.append(play := _play(name, seed))
+        print(play, file=sys.stderr, flush=True)
+        if lines is not None:
+            with lines.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(play) + "\n")
+    unfit = False
+    head("scene", "seeds", "done", "largest force [N]", "left at rest [N]", "rms of the force error [N]: median, worst",
+         "beside the line, 95 % below [mm]: median, worst")
+    plays = defaultdict(list)
+    for play in kept:
+        plays[play["scene"]].append(play)
+    for name in scenes.split(","):
+        done = [play for play in plays[name] if play["failure"] is None]
+        force, left = (max((play.get(key) or 0.0 for play in plays[name]), default=0.0) for key in ("force", "left"))
+        unfit |= len(done) < 0.98 * len(plays[name]) or any(
+            (play.get("force") or 0.0) > play.get("allowed", np.inf) for play in plays[name])
+        felt = (f"{force:.1f}", f"{left:.2f}") if force else ("", "")
+        row(name, f"{len(plays[name])}", f"{len(done)}", *felt, _spread(done, "rms"),
+            _spread(done, "beside"))
+        for play in plays[name]:
+            if play["failure"] is not None:
+                print(f"{name}, seed {play['seed']}: {play['failure']}", file=sys.stderr)
+    if unfit:
+        sys.exit(1)
+
+
+def _spread(plays: list[dict[str, Any]], key: str) -> str:
+    values = [play[key] for play in plays if play.get(key) is not None]
+    return f"{np.median(values):.3f}, {max(values):.3f}" if values else ""
+
+
+def _play(name: str, seed: int) -> dict[str, Any]:
+    """One play: what came of it as plain values; errors in mm and N."""
+    scene = load_scene(name).changed(seed=seed)
+    told: dict[str, Any] = {"scene": name, "seed": seed, "failure": None}
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            if isinstance(scene, LineScene):
+                run = followed_by_eye(scene, Path(folder), check=True)
+                beside = run.beside
+            else:
+                assert isinstance(scene, ForceScene)
+                run = followed(scene, Path(folder))
+                told |= {"force": run.force, "left": run.left, "allowed": most_force(scene.force)}
+                beside = np.empty(0)
+                if run.failure is None:
+                    told["rms"] = run.job.figures()["force_N"]["rms_error"]
+        except IdealRobotError as error:
+            return {**told, "failure": str(error)}
+    return {**told, "failure": run.failure,
+            "beside": 1e3 * float(np.percentile(beside, 95)) if len(beside) else None}
