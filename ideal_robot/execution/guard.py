@@ -160,7 +160,7 @@ class Guard:
         self._v_max = np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
         self._came: deque[Array] = deque(maxlen=_LENGTH)
         self._given: deque[Array] = deque(maxlen=round(_LATELY / self._T) + 1)
-        self._went_on = 0
+        self._went_on, self._going_back = 0, False
         self.begin(q)
 
     def begin(self, q: Array) -> None:
@@ -199,7 +199,8 @@ class Guard:
         self._went_on = 0 if self.held is not None else self._went_on + 1
         if self._went_on * self._T > _CALM:
             self._waited = 0.0
-        if self.touching is False and np.max(np.abs(q_c - self._came[-1])) > _SPACING:
+        # What it goes back through is on the trail already.
+        if not self._going_back and self.touching is False and np.max(np.abs(q_c - self._came[-1])) > _SPACING:
             self._came.append(np.array(q_c))
 
     @property
@@ -415,7 +416,7 @@ class Guard:
         if touching is False:
             return
         trail = _Trail(self._robot, self._last[1], self._came)
-        way = speed = 0.0
+        self._going_back, way, speed = True, 0.0, 0.0
         until = BLIND if touching is None else np.inf
         while (way < until or speed > 0.0) and not trail.ended:
             touching = self.touching
@@ -427,6 +428,7 @@ class Guard:
             speed += float(np.clip(most - speed, -AWAY * self._T / _RAMP, AWAY * self._T / _RAMP))
             way += speed * self._T
             yield trail.further(speed * self._T)
+        self._going_back = False
 
 
 # A path that is passed more slowly than it was planned, and a try whether an arm follows.
