@@ -125,6 +125,7 @@ class Watch(ABC):
 
     def begin_again(self) -> None:
         """The arm rests where its commands are, after what was noticed may have passed; see ``passes``."""
+        return
 
     def rates(self, rows: Array, T: float) -> Array:
         """Largest share of its speed with which each row of a path may be passed ``(N,)``.
