@@ -36,7 +36,7 @@ from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.friction_curve import CurveState, FrictionCurve
 from ideal_robot.feedforward.inverse import Carried, Inverse, InverseState
 from ideal_robot.feedforward.learned_friction import INTERVAL, SLIDES, SLOWEST, WARMING, noise_variance, unknown_mass
-from ideal_robot.feedforward.smoothed_window import CYCLES, Drive, Smoothed, noted, smoothed
+from ideal_robot.feedforward.smoothed_window import CYCLES, Drive, Smoothed, noted, share_of_noise, smoothed
 from ideal_robot.friction.table import Friction, friction_sizes, friction_step, largest_speeds
 from ideal_robot.friction.terms import OWN, SHARED, TERMS, dry_sizes, table_terms, terms_along, with_terms
 from ideal_robot.jit import jit
@@ -100,7 +100,7 @@ class _Known(NamedTuple):
         v_max: largest speeds that friction is looked at over, and that can be ``(2, n)`` [rad/s].
         apparent: standard deviation of an apparent inertia ``(n,)`` [kg m²].
         mass: standard deviation of the mass [kg].
-        variance: of a torque's noise ``(n,)`` [(N m)²].
+        variance: of a smoothed torque's noise ``(n,)`` [(N m)²].
         correlation: of parameters with themselves one window later.
     """
 
@@ -140,7 +140,8 @@ class FrictionAdaptation:
             loop.drives.gain, loop.friction, table_terms(loop.friction, loop.path.v_max), dry,
             np.stack([largest_speeds(loop.path.v_max), 1.5 * loop.path.v_max]),
             _APPARENT * loop.cascade.k_p * loop.t_ipo,
-            0.0 if tool is None else unknown_mass(dry), noise_variance(dry, self._apart * spacing, noise_std),
+            0.0 if tool is None else unknown_mass(dry),
+            share_of_noise(self._apart) * noise_variance(dry, self._apart * spacing, noise_std),
             correlation(self._apart * spacing, WARMING))
         self._drive, self._still = Drive.of(loop, spacing), np.zeros(loop.n)
 

@@ -37,6 +37,15 @@ _SLOPE = np.convolve(_MEAN, [-1.0, 0.0, 1.0]) / 2.0
 _BEND = np.convolve(_MEAN, [1.0, -2.0, 1.0])
 
 
+def share_of_noise(alike: int) -> float:
+    """Variance of a smoothed torque over that of a single one, whose noise is alike in so many neighbours.
+
+    The weights of each stretch of alike noise add up; stretches are independent, and begin anywhere in the window.
+    """
+    places = np.arange(len(_VALUE))
+    return float(np.mean([np.sum(np.bincount((places + first) // alike, _VALUE) ** 2) for first in range(alike)]))
+
+
 class Drive(NamedTuple):
     """What a window needs of the identified loop: fields of its records, compliance ``(n,)``, and the spacing [s]."""
 
