@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ideal_robot.command.law import JointLaw
+from ideal_robot.command.law import CommandLaw, JointLaw
 
 _SHOWN_LATE = 5e-4
 """Lateness that is worth a word [s]: recordings are stamped to about that."""
@@ -22,6 +22,29 @@ def described(law: JointLaw, unit: str = "N m/rad") -> str:
     if followed:
         parts.append(f"gains follow the posture of joint {', '.join(map(str, followed))}")
     return ", ".join(parts)
+
+
+def beyond_cascade(law: CommandLaw) -> tuple[tuple[int, str], ...]:
+    """What each joint's controller does that a P/PI cascade does not: joint, from 1, and what, in the field's words.
+
+    For whoever closes a loop: a loop of [G]'s cascade lacks it, the law of the command has it.
+    """
+    found = []
+    for j, own in enumerate(law.joints, start=1):
+        behind = own.coefficient("velocity") + own.shape.a_1
+        share = own.shape.a_1 / behind if behind > 0.0 else 0.0
+        if share > _SHARE:
+            found.append((j, f"{100 * min(share, 1.0):.0f} % of the velocity is fed forward"))
+        torque = own.coefficient("torque")
+        compensated = -own.coefficient("gravity") / torque if torque > 0.0 else 0.0
+        if own.shape.reset is None and torque > 0.0:
+            found.append((j, "no integrator"))
+        if compensated > _SHARE:
+            found.append((j, f"{100 * compensated:.0f} % of gravity is compensated"))
+        found += [(j, words) for words in _commands(own)]
+        found += [(j, f"gains follow the posture of joint {i}")
+                  for i in sorted({column.posture for column in own.columns if column.posture})]
+    return tuple(found)
 
 
 def _controller(law: JointLaw, unit: str) -> list[str]:

@@ -46,6 +46,11 @@ _ROWS, _SMOOTHED, _DEGREE = 7, 0.02, 4
 either side of the middle [s], and its degree."""
 _JUDGED = 2.0
 """Time over which law and plain command are compared [s]."""
+_BELIEVED = 0.1
+"""Time of measurements that what was identified counts as [s]."""
+_ASIDE = 20.0
+"""Time for which a law that left more is put aside [s], twice as long the next time: what it explains of the plain
+path it need not make true."""
 _BETTER = 0.5
 """Share of the plain command's squares that the law's have to be below before it is taken up again."""
 _TAKEN_UP = 1.0
@@ -65,10 +70,12 @@ class AdaptedState:
         given: commands of the last cycles ``(W, n)`` [rad], the newest last.
         measured: angles of the last cycles ``(L, n)`` [rad], the newest last.
         wanted: desired positions of the last cycles ``(L, n)`` [rad].
-        lags: of ``r + Δ ṙ - q``, ``ṙ``, ``e_v``, ``e_f`` and ``q_d - q`` ``(2, 5, n)`` [rad, rad/s].
+        lags: of ``r + Δ ṙ - q``, ``ṙ``, ``e_v``, ``e_f``, ``q_d - q`` and ``q_c - q`` ``(2, 6, n)`` [rad, rad/s].
         filters: states of each joint's poles, of motion and torque, direct and integrated ``(2, 2, k)`` each.
         squares: that law and plain command left of late ``(2, n)`` [rad²].
+        judged: how many measurements those are of ``(n,)``.
         law: whether each joint is commanded by the law ``(n,)``.
+        aside: for how long it is put aside still, and for how long the next time ``(2, n)`` [s].
         share: how far that has been taken up ``(n,)``.
         cycle: measurements so far.
     """
@@ -82,7 +89,9 @@ class AdaptedState:
     lags: Array
     filters: tuple[Array, ...]
     squares: Array
+    judged: Array
     law: np.ndarray
+    aside: Array
     share: Array
     cycle: int
 
@@ -117,7 +126,6 @@ class AdaptedCommand(Feedforward):
         powers = np.vander(np.arange(-half, half + 1.0) / half, _DEGREE + 1)
         self.smooth = powers[half - _ROWS // 2 : half + _ROWS // 2 + 1] @ np.linalg.pinv(powers)
         self.late = np.array([own.shape.late for own in law.joints]) + inverse.shift
-        self.delay = self.late + np.array([own.shape.filter.delay * own.shape.time for own in law.joints])
 
     def init(self, q0: Array) -> AdaptedState:
         """See ``Feedforward.init``."""
@@ -127,8 +135,9 @@ class AdaptedCommand(Feedforward):
         filters = tuple(np.zeros((2, 2, max(len(den) - 1, 0))) for _, den in self.inverse.discrete)
         return AdaptedState(inner, np.zeros((n, _PARAMETERS)), eye, np.tile(q0, (self.window, 1)),
                             np.full((self.smooth.shape[1], n), np.nan), np.tile(q0, (self.smooth.shape[1], 1)),
-                            np.zeros((_LAGS, 5, n)), filters,
-                            np.stack([self.residual**2, self.deviation**2]), np.ones(n, dtype=bool), np.ones(n), 0)
+                            np.zeros((_LAGS, 6, n)), filters,
+                            np.stack([self.residual**2, self.deviation**2]), np.full(n, _BELIEVED / self.t_ipo),
+                            np.ones(n, dtype=bool), np.stack([np.zeros(n), np.full(n, _ASIDE)]), np.ones(n), 0)
 
     def changed(self, state: AdaptedState) -> Changed:
         """What has been learned, in the law's units."""
@@ -163,7 +172,8 @@ class AdaptedCommand(Feedforward):
         late = np.minimum(state.mean[:, 0] * self.sigma[:, 0], _LATER)
         r, rate = self._seen(state.given, self.late + late + self.behind)
         into = np.stack([r + late * rate - motion.q[middle], rate, *e,
-                         state.wanted[len(before) // 2] - motion.q[middle]])
+                         state.wanted[len(before) // 2] - motion.q[middle],
+                         state.given[-1 - len(before) // 2] - motion.q[middle]])
         lags = state.lags.copy()
         for k in range(_LAGS):
             into = lags[k] + self.pass_share * (into - lags[k]) if state.cycle else into
@@ -213,17 +223,24 @@ class AdaptedCommand(Feedforward):
             state: with what is compared.
             moves: joints that move: of the others nobody knows the friction ``(n,)``.
         """
-        apart, rate, e_v, e_f, missed = state.lags[-1]
+        apart, rate, e_v, e_f, missed, plain = state.lags[-1]
         left = apart - e_v - e_f - self.constant
         mean, covariance, squares = state.mean.copy(), state.covariance.copy(), state.squares.copy()
+        judged = np.minimum(state.judged + moves, _JUDGED / self.t_ipo)
         for j in np.flatnonzero(moves):
             h = self.sigma[j] * np.array([rate[j], 1.0, e_v[j], e_f[j]])
             y = float(left[j])
             # What is commanded by the law is judged by where the joint is, too.
             by_law = max(abs(y - h @ mean[j]), abs(missed[j]) if state.share[j] == 1.0 else 0.0)
-            now = np.array([by_law, apart[j] + self.delay[j] * rate[j]])
-            squares[:, j] += self.t_ipo / _JUDGED * (now**2 - squares[:, j])
+            now = np.array([by_law, plain[j]])
+            squares[:, j] += (now**2 - squares[:, j]) / judged[j]
             predict(mean[j], covariance[j], self.correlation)
             update(mean[j], covariance[j], h, y, float(self.variance[j]))
-        better = np.where(state.law, squares[0] < squares[1], squares[0] < _BETTER * squares[1])
-        return dataclasses.replace(state, mean=mean, covariance=covariance, squares=squares, law=better)
+        wait, pause = state.aside
+        again = (squares[0] < _BETTER * squares[1]) & (wait <= 0.0)
+        law = np.where(state.law, squares[0] < squares[1], again)
+        fell = state.law & ~law
+        aside = np.stack([np.where(fell, pause, np.maximum(wait - self.t_ipo, 0.0)),
+                          np.where(fell, 2.0 * pause, pause)])
+        return dataclasses.replace(state, mean=mean, covariance=covariance, squares=squares, judged=judged, law=law,
+                                   aside=aside)

@@ -12,9 +12,9 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from ideal_robot.arrays import Array
-from ideal_robot.command.law import CommandLaw
+from ideal_robot.command.law import PARTS, Column, CommandLaw, JointLaw, Shape
 from ideal_robot.command.recorded import command_cycle, update_instants
-from ideal_robot.command.words import described
+from ideal_robot.command.words import beyond_cascade, described
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.command_inverse import CommandInverse
 from ideal_robot.identification.angles_alone import identify_arm, identify_from_commands
@@ -156,12 +156,30 @@ def test_a_measured_machine_s_error_is_foretold(which: str, torque: bool) -> Non
     recordings = {name: Recording.read(EMPS / f"emps_{name}.parquet") for name in ("estimation", "validation")}
     columns = {name: x for name, x in recordings[which].columns.items() if torque or not name.startswith("tau")}
     found = identify_arm(Recording(columns), machine)
-    inverse = CommandInverse(found.model, dataclasses.replace(machine, t_ipo=found.model.command.t_cycle))
+    law = found.model.command
+    assert law is not None
+    inverse = CommandInverse(found.model, dataclasses.replace(machine, t_ipo=law.t_cycle))
     for recording in recordings.values():
         desired = recording.joints("q_d")
         foretold, measured = (np.sqrt(np.mean(x**2)) for x in (inverse.uncorrected(desired),
                                                                desired - recording.joints("q")))
         assert foretold == pytest.approx(measured, rel=0.05)
+
+
+def test_what_a_cascade_does_not_do_is_named() -> None:
+    def joint(shape: Shape, **coefficients: float) -> JointLaw:
+        names = [name.replace("_of_", "*q_") + ("^1" if "_of_" in name else "") for name in coefficients]
+        return JointLaw(shape, tuple(Column.named(name) for name in names), np.array([*coefficients.values()]),
+                        np.eye(len(names)), np.zeros(PARTS))
+
+    joints = (joint(Shape(0.05), velocity=0.05, torque=1e-4),
+              joint(Shape(0.05, late=0.004, a_1=0.03), velocity=0.01, torque=1e-4),
+              joint(Shape(), velocity=0.02, torque=1e-3, gravity=-9e-4),
+              joint(Shape(0.05, smoothing="lag", time=0.09), velocity=0.05, torque=1e-4, velocity_of_2=0.01))
+    law = CommandLaw(joints, 0.004, np.ones(4), np.zeros(4), np.ones(4), "model")
+    assert beyond_cascade(law) == (
+        (2, "75 % of the velocity is fed forward"), (2, "commands 4 ms late"), (3, "no integrator"),
+        (3, "90 % of gravity is compensated"), (4, "lag of 90 ms"), (4, "gains follow the posture of joint 2"))
 
 
 def test_a_law_is_read_as_it_was_written(tmp_path: Path) -> None:
