@@ -8,7 +8,9 @@ export OPENBLAS_NUM_THREADS ?= 1
 
 .PHONY: demo test pytest test-all test-part docs docs-notebooks docs-figures bench models check clean
 
-demo: .venv/installed
+demo: .venv/base
+	@test -e .venv/compiled || test -e .venv/compiled-line || { \
+		echo "compiling what the run needs, once"; $(BIN)/python -m scenes.compiled line && touch .venv/compiled-line; }
 	$(BIN)/ideal-robot run line --out out/line
 	@echo "open out/line/report.html in a browser"
 
@@ -51,10 +53,25 @@ check: .venv/installed
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 
-.venv/installed: pyproject.toml constraints.txt
+# What runs need; the rest, for tests, documentation and the viewer, comes with the first target that asks for it.
+.venv/base: pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "ideal-robot needs Python 3.11 (python3.11 on the PATH; on newer ones also a C++ compiler for PyBullet): none was found."; exit 1; }
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	@echo "installing the program and its $$(sed -n '/^dependencies/,/^]/p' pyproject.toml | grep -c '"') libraries into .venv"
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e .
+	touch $@
+
+# Downloading waits for the network and compiling for the processor: side by side.
+.venv/installed: .venv/base
+	@echo "installing what tests, documentation and viewer need, compiling everything meanwhile"
+	$(MAKE) -j 2 .venv/extras .venv/compiled
+	touch $@
+
+.venv/extras: .venv/base
 	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev,docs,view,cluster]'
+	touch $@
+
+.venv/compiled: .venv/base
 	$(BIN)/python -m scenes.compiled
 	touch $@
 

@@ -127,11 +127,12 @@ class Program(TyperGroup):
             self.commands[cmd_name] = typer.main.get_command(alone)
         return self.commands.get(cmd_name)
 
-    def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Writes the page."""
-        self.commands = {verb: TyperCommand(verb, help=inspect.getdoc(declared(verb)), rich_help_panel=theme)
-                         for theme, verbs in THEMES.items() for verb in verbs}
-        super().format_help(ctx, formatter)
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Writes the verbs by theme, each with the first sentence of its help."""
+        for theme, verbs in THEMES.items():
+            with formatter.section(theme):
+                formatter.write_dl([(verb, (inspect.getdoc(declared(verb)) or "").split("\n\n")[0].replace("\n", " "))
+                                    for verb in verbs])
 
 
 app = typer.Typer(
@@ -139,7 +140,9 @@ app = typer.Typer(
     cls=Program,
     help="Makes a position-controlled industrial arm ideal, and lets sensors decide where its path is.",
     no_args_is_help=True,
-    rich_markup_mode="markdown",
+    # The page of all verbs as plain text: what draws it in frames takes longer to load than the rest of the program.
+    rich_markup_mode=None,
+    context_settings={"max_content_width": 110},
     pretty_exceptions_enable=False,
 )
 

@@ -1,4 +1,4 @@
-"""Compiles what scenes and identification need, once: ``python -m scenes.compiled``, done when make installs.
+"""Compiles what runs need, once: ``python -m scenes.compiled``, done when make installs; ``line`` for that kind alone.
 
 Compiled code is kept beside the sources, or in ``NUMBA_CACHE_DIR``; without this step a first run takes half
 a minute longer. It plays short scenes, so that everything is compiled for the very types that runs use.
@@ -6,6 +6,7 @@ a minute longer. It plays short scenes, so that everything is compiled for the v
 
 from __future__ import annotations
 
+import sys
 import time
 from typing import Any
 
@@ -33,11 +34,17 @@ SHORT: dict[str, dict[str, Any]] = {"straight": {"line": {"points": [[0.0, 0.0],
 """A scene of each kind, with what makes it short; with a tool, so that the arm is in the picture."""
 
 
-def compile_all() -> float:
-    """Plays a short scene of each kind, every feedforward and an identification; returns the time it took [s]."""
-    started = time.perf_counter()
+def compile_scenes(*kinds: str) -> None:
+    """Plays a short scene of some kinds, of each if none is named."""
     for name, short in SHORT.items():
+        if kinds and load_scene(name).kind not in kinds:
+            continue
         run_scene(load_scene(name), method="adapted", **short)
+
+
+def compile_all() -> None:
+    """Plays a short scene of each kind, every feedforward and an identification."""
+    compile_scenes()
     robot = Robot.load("kr6")
     model = Model.load(shipped_model("kr6"))
     for key in (*methods(Needs.MODEL), *settings(Needs.MODEL)):
@@ -50,8 +57,9 @@ def compile_all() -> float:
             offset = 0.3 * np.sin(0.012 * k * np.arange(2.0, 8.0)) ** 2
             arm.cycle(governor.allowed(robot.home + offset))
         identify([arm.recording()], robot, friction="viscous_coulomb")
-    return time.perf_counter() - started
 
 
 if __name__ == "__main__":
-    print(f"compiled in {compile_all():.0f} s")
+    started = time.perf_counter()
+    compile_scenes(*sys.argv[1:]) if sys.argv[1:] else compile_all()
+    print(f"compiled in {time.perf_counter() - started:.0f} s")

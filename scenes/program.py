@@ -9,7 +9,6 @@ import sys
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import cache
-from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -29,6 +28,8 @@ _ROOT = Path(__file__).parents[1]
 @cache
 def program() -> dict[str, str | None]:
     """Version of the program, commit of the checkout (None where it is installed), digest of all its sources."""
+    from importlib import metadata
+
     return {"version": metadata.version("ideal-robot"), "commit": _commit(), "digest": _source_digest()}
 
 
@@ -50,6 +51,8 @@ def _source_digest() -> str:
 
 def machine() -> dict[str, str]:
     """What computed: kind of processor, system, Python, and the libraries that decide the last digits."""
+    from importlib import metadata
+
     libraries = {name: metadata.version(name) for name in ("numpy", "scipy", "numba", "pin", "pybullet")}
     return {"processor": platform.machine(), "system": platform.system(), "python": platform.python_version(),
             **libraries}

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.stats import chi2, multivariate_normal
+from scipy.special import chdtri
 
 from ideal_robot.arrays import Array
 from planning.path.path_kernels import Rigid, Splines, deviation_basis
@@ -189,8 +189,14 @@ def shape_likelihoods(reference: ReferencePath, s: Array, deviation: Array, cova
         covariance: of that ``(m, m)`` [m²].
     """
     moved, distance = _moved(reference, s) + covariance, np.abs(np.subtract.outer(s, s))
-    return np.array([multivariate_normal.logpdf(deviation, cov=moved + shape**2 * matern(distance, length))
-                     for shape, length in SHAPES])
+    return np.array([_log_density(deviation, moved + shape**2 * matern(distance, length)) for shape, length in SHAPES])
+
+
+def _log_density(values: Array, covariance: Array) -> float:
+    """Logarithm of the Gaussian density of values ``(m,)`` about zero; of no value it is 0."""
+    triangle = np.linalg.cholesky(covariance)
+    white = solve_triangular(triangle, values, lower=True)
+    return float(-0.5 * white @ white - np.log(np.diag(triangle)).sum() - 0.5 * len(values) * np.log(2.0 * np.pi))
 
 
 def fitting_shape(reference: ReferencePath, s: Array, deviation: Array, sigma: float,
@@ -213,7 +219,7 @@ def fitting_shape(reference: ReferencePath, s: Array, deviation: Array, sigma: f
     for shape, length in ((COPIED, *SHAPES) if first == 0 else SHAPES[first:]):
         triangle = np.linalg.cholesky(moved + shape**2 * matern(distance, length))
         news = solve_triangular(triangle, deviation, lower=True) ** 2
-        if np.convolve(news, np.ones(_FIELD)).max() < chi2.ppf(0.99, _FIELD):
+        if np.convolve(news, np.ones(_FIELD)).max() < chdtri(_FIELD, 0.01):
             return shape, length
     return likeliest
 

@@ -9,7 +9,6 @@ from typing import ClassVar
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
-from scipy.stats import norm
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
@@ -201,7 +200,8 @@ class SeenBefore:
     def _likelihoods(self, reference: ReferencePath, line: NDArray[np.bool_]) -> Array:
         """Of ``SHAPES``, where those of the points ``(2 k,)`` are of the line and the others lie anywhere."""
         stray = self.deviation[~line]
-        wrong = len(stray) // 2 * np.log(STRAY) + float(norm.logpdf(stray, scale=ANYWHERE).sum())
+        density = -0.5 * (stray / ANYWHERE) ** 2 - np.log(ANYWHERE * np.sqrt(2.0 * np.pi))
+        wrong = len(stray) // 2 * np.log(STRAY) + float(density.sum())
         if not line.any():
             return np.full(len(SHAPES), wrong)
         return wrong + shape_likelihoods(reference, self.s[line], self.deviation[line], self.covariance[line][:, line])

@@ -29,9 +29,9 @@ import cv2
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
+from scipy import special
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
-from scipy.stats import f
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
@@ -127,7 +127,8 @@ def locate_camera(views: Sequence[TargetView], camera: CameraModel, mounted: str
         alone = _Problem([views[worst]], [movers[worst]], camera)
         (row,) = alone.compressed(others[1].camera, others[1].target)
         free = 6 * int(used.sum()) - 12
-        if row.distance(np.zeros(12), others[1].variances) <= 6.0 * f.isf(_OUTLIER / len(views), 6, max(free, 1)):
+        most = 6.0 * special.fdtri(6, max(free, 1), 1.0 - _OUTLIER / len(views))
+        if row.distance(np.zeros(12), others[1].variances) <= most:
             used[worst] = True
             break
         problem, fit = others
