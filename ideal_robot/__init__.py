@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from ideal_robot.feedforward.registry import feedforward, methods
     from ideal_robot.feedforward.registry import register as register_feedforward
     from ideal_robot.identification.angles_alone import identify_arm as identify
+    from ideal_robot.identification.inspection import Inspection, inspect
     from ideal_robot.identification.whole_model import IdentificationResult
     from ideal_robot.model.model import Model
     from ideal_robot.robots.interface import RobotInterface, RobotState
@@ -45,6 +46,7 @@ _PLACES = {
     "IdentificationResult": "identification.whole_model:IdentificationResult",
     "InputError": "errors:InputError",
     "LimitError": "errors:LimitError",
+    "Inspection": "identification.inspection:Inspection",
     "Method": "feedforward.method:Method",
     "Model": "model.model:Model",
     "Needs": "feedforward.method:Needs",
@@ -60,6 +62,7 @@ _PLACES = {
     "diagnose": "diagnosis.diagnose:diagnose",
     "feedforward": "feedforward",
     "identify": "identification.angles_alone:identify_arm",
+    "inspect": "identification.inspection:inspect",
     "methods": "feedforward.registry:methods",
     "play": "execution.play:play",
     "precorrect": "execution.precorrect:precorrect",
@@ -68,11 +71,15 @@ _PLACES = {
 }
 """Name at the door → module and name behind it."""
 
+_OF_SCENES = ("DeviationSensor", "Reading", "close_scene", "compare_scene", "load_scene", "run_scene", "shipped_model",
+              "sweep_scene")
+"""Names of the package beside this one, which this one does not know."""
+
 __all__ = [
-    "Diagnosis", "Effect", "Feedforward", "IdealRobotError", "IdentificationResult", "InputError", "LimitError",
-    "Method", "Model", "Needs", "PlayResult", "Practice", "PrecorrectedPath", "Recording", "Robot", "RobotInterface",
-    "RobotState", "Setting", "__version__", "analyse_stiffness", "diagnose", "feedforward", "identify", "methods",
-    "play", "precorrect", "register_effect", "register_feedforward",
+    "Diagnosis", "Effect", "Feedforward", "IdealRobotError", "IdentificationResult", "InputError", "Inspection",
+    "LimitError", "Method", "Model", "Needs", "PlayResult", "Practice", "PrecorrectedPath", "Recording", "Robot",
+    "RobotInterface", "RobotState", "Setting", "__version__", "analyse_stiffness", "diagnose", "feedforward",
+    "identify", "inspect", "methods", "play", "precorrect", "register_effect", "register_feedforward",
 ]
 
 
@@ -81,8 +88,14 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("ideal-robot")
+    if name in _OF_SCENES:
+        raise AttributeError(f"module 'ideal_robot' has no attribute {name!r}: it is for scene files, and stands "
+                             f"beside this package (from scenes import {name})")
     if name not in _PLACES:
-        raise AttributeError(f"module 'ideal_robot' has no attribute {name!r}")
+        from ideal_robot.errors import did_you_mean
+
+        raise AttributeError(f"module 'ideal_robot' has no attribute {name!r}; {did_you_mean(name, _PLACES)}it offers "
+                             f"{', '.join(__all__)}")
     module, _, attribute = _PLACES[name].partition(":")
     value: Any = import_module(f"ideal_robot.{module}")
     if attribute:
@@ -92,4 +105,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})

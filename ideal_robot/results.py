@@ -131,13 +131,14 @@ _MOST = 4000
 """Points drawn of a series; more cannot be seen."""
 
 
-def over_time(t: Array, panels: Sequence[Panel], title: str) -> Figure:
-    """Series over time, one panel a channel, one above the other.
+def over_time(t: Array, panels: Sequence[Panel], title: str, along: str = "t [s]") -> Figure:
+    """Series over time, or along a path, one panel a channel, one above the other.
 
     Args:
-        t: times ``(N,)`` [s].
+        t: times ``(N,)`` [s], or what else rises.
         panels: what is drawn, of ``N`` values each.
         title: of the picture.
+        along: what ``t`` is, with its unit.
     """
     from matplotlib.figure import Figure
 
@@ -150,8 +151,28 @@ def over_time(t: Array, panels: Sequence[Panel], title: str) -> Figure:
         axis.set_ylabel(name)
         axis.grid(alpha=0.3)
     axes[0].legend(loc="upper right", fontsize="small")
-    axes[-1].set_xlabel("t [s]")
+    axes[-1].set_xlabel(along)
     figure.suptitle(title)
+    return figure
+
+
+def as_bars(values: Sequence[tuple[str, float]], unit: str, title: str) -> Figure:
+    """One figure of several runs, a bar each; what has none has no bar.
+
+    Args:
+        values: name and figure of each.
+        unit, title: of all of them, and of the picture.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 1.2 + 0.4 * len(values)), layout="constrained")
+    axis = figure.subplots()
+    bars = axis.barh(range(len(values)), [value for _, value in values], color=_COLOURS[1])
+    axis.bar_label(bars, [f"{value:.3g}" if math.isfinite(value) else "" for _, value in values], padding=3)
+    axis.set_yticks(range(len(values)), [name for name, _ in values])
+    axis.invert_yaxis()
+    axis.set_xlabel(unit)
+    axis.set_title(title)
     return figure
 
 

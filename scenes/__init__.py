@@ -14,16 +14,19 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from planning.line.deviation_sensor import Reading
+    from planning.line.deviation_sensor import DeviationSensor, Reading
     from scenes.arms import shipped_model
-    from scenes.play import compare_scene, run_scene
+    from scenes.play import close_scene, compare_scene, run_scene
     from scenes.scene_file import load_scene
     from scenes.sweep import sweep_scene
 
-__all__ = ["Reading", "compare_scene", "load_scene", "run_scene", "shipped_model", "sweep_scene"]
+__all__ = ["DeviationSensor", "Reading", "close_scene", "compare_scene", "load_scene", "run_scene", "shipped_model",
+           "sweep_scene"]
 
 _WHERE = {
+    "DeviationSensor": "planning.line.deviation_sensor",
     "Reading": "planning.line.deviation_sensor",
+    "close_scene": "scenes.play",
     "compare_scene": "scenes.play",
     "load_scene": "scenes.scene_file",
     "run_scene": "scenes.play",
@@ -41,4 +44,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})

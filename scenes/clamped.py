@@ -114,6 +114,10 @@ class ClampedResult(ShownRun):
             "recording_files": list(self.recordings),
             "report": self.report})
 
+    def plot(self) -> Figure:
+        """Stiffness of each joint with its interval."""
+        return self.analysis.plot()
+
     def summary(self) -> list[tuple[str, str]]:
         """Joint and method with stiffness, %σ and error."""
         return [(f"joint {result.joint}, {result.method}",

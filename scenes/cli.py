@@ -67,6 +67,7 @@ THEMES = {
     },
     "Files": {
         "list": "files:list_",
+        "examples": "files:examples",
         "view": "files:view",
         "export": "files:export",
         "fetch": "files:fetch",

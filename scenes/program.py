@@ -6,6 +6,7 @@ import hashlib
 import platform
 import subprocess
 import sys
+import sysconfig
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import cache
@@ -91,6 +92,17 @@ def told_apart(answer: dict[str, Any]) -> dict[str, Any]:
     apart = {name: {key: answer[key] for key in keys if key in answer} for name, keys in groups.items()}
     results = {key: value for key, value in answer.items() if key not in (*TIMES, *PLACES)}
     return results | {name: group for name, group in apart.items() if group}
+
+
+def example_files() -> list[Path]:
+    """The shipped examples: of the checkout, or where the wheel was installed; InputError where they are not."""
+    beside = [_ROOT / "examples"] if (_ROOT / "pyproject.toml").is_file() else []
+    data = Path("share", "ideal-robot", "examples")
+    for folder in (*beside, _ROOT / data, Path(sysconfig.get_path("data")) / data):
+        if folder.is_dir():
+            return sorted(path for path in folder.iterdir() if path.is_file())
+    raise InputError("the examples were not installed; they are in the folder examples of the repository",
+                     file=_ROOT / data)
 
 
 # Folders of a user's that hide ours of the same name: a repository with a ``sim`` of its own.

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.progress import Progress, part_of, silent
-from ideal_robot.results import Summarised, html_table, in_lines, plain, shown_cell
+from ideal_robot.results import Summarised, as_bars, html_table, in_lines, plain, shown_cell
 from ideal_robot.row_log import let_go
+from scenes.scene_file import library
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["CompareResult", "Progress", "RunResult", "part_of", "silent"]
 
@@ -33,6 +37,9 @@ class RunResult(Protocol):
 
     def summary(self) -> list[tuple[str, str]]:
         """The few figures a person wants first: label and value with unit."""
+
+    def next_steps(self) -> list[tuple[str, str]]:
+        """What to do next: sentences, each with the command line that does it."""
 
 
 class CompareResult(Protocol):
@@ -68,10 +75,23 @@ class ShownRun(Shown, Summarised):
 
     failure: str | None
 
+    @abstractmethod
+    def plot(self) -> Figure:
+        """The picture that shows the error of the run."""
+
+    def next_steps(self) -> list[tuple[str, str]]:
+        """What to do next: sentences, each with the command line that does it."""
+        return []
+
     def __repr__(self) -> str:
         early = f", ended early: {self.failure}" if self.failure else ""
         return in_lines(type(self).__name__, f"{self.scene.name!r}{early}",
                         [f"{label} {value}" for label, value in self.summary()[:8]])
+
+
+def as_typed(scene: Any) -> str:
+    """A scene as the command line takes it: its name where it is a shipped one, else its file."""
+    return str(scene.name if Path(scene.source).parent == library() else scene.source)
 
 
 class ShownTable(Shown):
@@ -94,6 +114,14 @@ class ShownTable(Shown):
 
     def _repr_html_(self) -> str:
         return html_table(*self.rows())
+
+    def plot(self) -> Figure:
+        """The first figure of the table that is a number, a bar a method or model."""
+        columns, rows = self.rows()
+        numbers = [i for i in range(1, len(columns)) if any(isinstance(row[i], float) for row in rows)]
+        values = [(str(row[0]), float(row[numbers[0]]) if numbers and isinstance(row[numbers[0]], float) else np.nan)
+                  for row in rows]
+        return as_bars(values, columns[numbers[0]] if numbers else "", self.scene.title)
 
 
 MOST = 100_000

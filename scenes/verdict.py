@@ -6,7 +6,7 @@ GOOD, BAD, OPEN = "good", "bad", "open"
 COLOURS = {GOOD: "green", BAD: "red", OPEN: "bright_black"}
 """Of a terminal, by what a verdict is."""
 _WORDS = {"better": GOOD, "same": GOOD, "kept": GOOD, "best": GOOD, "worse": BAD, "missed": BAD, "failed": BAD,
-          "not comparable": OPEN}
+          "not comparable": OPEN, "usable": GOOD, "weak": OPEN, "unusable": BAD}
 
 
 class Verdict(str):

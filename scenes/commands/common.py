@@ -147,6 +147,8 @@ def closed(run: RunResult) -> None:
     show_table("", ["figure", "value"], [list(pair) for pair in run.summary()])
     if run.report is not None:
         typer.echo(f"report: {run.report}")
+    for sentence, command in run.next_steps()[:1]:
+        typer.echo(f"next: {sentence} {command}")
     if run.failure is not None:
         typer.echo(f"ideal-robot: {run.failure}", err=True)
         raise typer.Exit(1)

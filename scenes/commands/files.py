@@ -127,6 +127,28 @@ def _for_arm(example: str, kind: str, robot: str) -> str:
     return scene_text(example, robot, place)
 
 
+def examples(
+    to: Annotated[str, typer.Argument(metavar="DIR", help="Folder to write them to; made where it is missing.")],
+) -> None:
+    """Writes the shipped examples: Python scripts that run alone, with the files that they read.
+
+    Example: `ideal-robot examples my_examples`, then `python my_examples/follow_line.py`
+    """
+    from ideal_robot.whole_file import whole_file
+    from scenes.program import example_files
+
+    folder, files = Path(to), example_files()
+    if here := [file.name for file in files if (folder / file.name).exists()]:
+        raise InputError(f"holds {', '.join(here[:3])} already; give a new folder", field="DIR", value=str(folder))
+    for file in files:
+        with whole_file(folder / file.name) as partial:
+            partial.write_bytes(file.read_bytes())
+    scripts = [file for file in files if file.suffix == ".py"]
+    first = [file.read_text(encoding="utf-8").split('"""')[1].splitlines()[0].replace("``", "") for file in scripts]
+    show_table("examples", ["file", "shows"], [[file.name, line] for file, line in zip(scripts, first, strict=True)])
+    typer.echo(f"next: python {folder / 'follow_line.py'}")
+
+
 def export(
     source: Annotated[Path, typer.Argument(help="Recording (Parquet, CSV, ROS 2 bag or MCAP), or identified model "
                                                 "(JSON).")],

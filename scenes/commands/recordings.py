@@ -159,6 +159,7 @@ def _show_commands(model: Model) -> None:
 def _show_identified(analysis: IdentificationResult, arm: Robot, recordings: list[dict[str, Any]]) -> None:
     """Errors of each recording, the parameters that the data tell, friction laws, warnings, and the verdicts."""
     from ideal_robot.identification.verdict import told
+    from scenes.identification.page import verdict_table
 
     show_table("std(residual) / std(torque) [%]", ["recording", "role", *[f"joint {j + 1}" for j in range(arm.n)]],
                [[r["source"], r["role"], *r["residual_std_percent"]] for r in recordings])
@@ -174,9 +175,7 @@ def _show_identified(analysis: IdentificationResult, arm: Robot, recordings: lis
     _show_commands(analysis.model)
     for warning in analysis.warnings:
         typer.echo(f"warning: {warning}", err=True)
-    show_table("verdicts", ["joint", "verdict", "left of the torque [%]", "open by σ [%]", "why", "what would tell"],
-               [[v.joint, v.verdict, v.left_percent, v.uncertain_percent, v.reason, v.would_tell]
-                for v in analysis.verdicts])
+    show_table("verdicts", *verdict_table(analysis))
 
 
 SHARES_OF_DIAGNOSIS = {"reading": 0.7, "drawing": 0.3}

@@ -55,6 +55,7 @@ def run_page(result: ForceResult, moving: Replay | None) -> Report:
     if moving is not None:
         page.heading("The run")
         page.replay(moving, "Green to red: how far the true force is from the wanted one while the tool travels.")
+    page.next(*result.next_steps())
     page.heading("Force and surface")
     page.figure(_run_figure(result), "Top: true normal force (every 0.5 ms) and the force that was wanted; shaded: the "
                 "travel, which counts. Bottom: height of the true surface and of the undeformed tip, which has to be "
@@ -64,7 +65,7 @@ def run_page(result: ForceResult, moving: Replay | None) -> Report:
         page.figure(_line_figure(result), "Distance of the tip from the drawn line, and how many points "
                     "of each field were used.")
         page.text(_camera_story(result))
-    page.heading("What was calibrated by moving")
+    page.heading("What was calibrated by moving", folded=True)
     assumed, std, true = result.elasticity
     page.table(["", "found", "true"], [["elasticity E [N/m]", f"{assumed:.0f} ± {std:.0f}", f"{true:.0f}"],
                                        ["mass of the tool [kg]", result.tool["mass"], scene.sensor.mass]],

@@ -9,11 +9,12 @@ import time
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.results import over_time
 from ideal_robot.row_log import finished, let_go, new_columns
 from ideal_robot.signals.recording import Recording
 from scenes.force.cell import Cell, GlueWorld, calibrated, camera_shown, friction_shown, set_up, true_tip
@@ -21,12 +22,15 @@ from scenes.methods import DIRECT, following_methods, method_of
 from scenes.metrics import ControlError
 from scenes.online.cycle import CycleSettings, play_cycles
 from scenes.online.force_task import BRAKING, LONGEST, ForceLog, ForceTask
-from scenes.result import Progress, ShownRun, silent
+from scenes.result import Progress, ShownRun, as_typed, silent
 from scenes.scene_files.force_scene import ForceScene
 from sensing.camera.hand_eye import HandEye
 from sim.arm.arm import SimulatedArm
 from sim.contact.contact import TipContact
 from sim.equipped_arm import Carried, CarriedCamera, CarriedForceSensor, EquippedArm, Knock
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 AT_A_TIME = 1_000_000
 """Values of which squares are taken at a time."""
@@ -101,6 +105,17 @@ class ForceResult(ShownRun):
                               "p99": 1e3 * float(np.quantile(self.log.cycles, 0.99))},
         }
 
+    def plot(self) -> Figure:
+        """The true force along the surface's normal over time, and the wanted one."""
+        t, normal = self.history["t"], self.history["normal"]
+        wanted = np.full(len(t), self.scene.force)
+        return over_time(t, [("force [N]", [("true", normal), ("wanted", wanted)])], self.scene.title)
+
+    def next_steps(self) -> list[tuple[str, str]]:
+        """See ``ShownRun.next_steps``."""
+        return [("See it beside direct force feedback at its best gain.",
+                 f"ideal-robot compare {as_typed(self.scene)}")]
+
     def summary(self) -> list[tuple[str, str]]:
         """The few figures a person wants first."""
         f = self.figures
@@ -109,7 +124,7 @@ class ForceResult(ShownRun):
                 ("largest force", f"{f.largest:.1f} N"), ("contact lost", f"{1e3 * f.lost:.0f} ms")]
         if self.control_error is not None:
             rows.append(("mean distance from the line", f"{1e3 * self.control_error.mean:.3f} mm"))
-        rows.append(("real-time factor", f"{self.real_time_factor:.1f}"))
+        rows.append(("speed of the simulation", f"{self.real_time_factor:.1f} × real time"))
         return rows
 
 

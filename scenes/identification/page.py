@@ -21,6 +21,7 @@ from ideal_robot.results import one_unit
 from ideal_robot.signals.channels import segments
 from ideal_robot.signals.preprocess import preprocess
 from scenes.report.page import Report
+from scenes.verdict import Verdict
 
 MEASURED, PREDICTED, RESIDUAL = "#5b6675", "#e06a00", "#2a6fb0"
 
@@ -104,12 +105,18 @@ def _commands(page: Report, model: Model) -> None:
                "loop of [G].")
 
 
+def verdict_table(analysis: IdentificationResult) -> tuple[list[str], list[list[Any]]]:
+    """Column titles and rows of what the model of each joint is worth."""
+    return (["joint", "verdict", "residual torque [%]", "standard error [%]", "why", "motion that determines more"],
+            [[v.joint, Verdict(v.verdict), v.left_percent, v.uncertain_percent, v.reason, v.would_tell]
+             for v in analysis.verdicts])
+
+
 def _verdicts(page: Report, analysis: IdentificationResult) -> None:
-    page.table(["joint", "verdict", "left of the torque [%]", "open by σ [%]", "why", "what would tell"],
-               [[v.joint, v.verdict, v.left_percent, v.uncertain_percent, v.reason, v.would_tell]
-                for v in analysis.verdicts],
-               "What the model is worth. Left: the larger one of estimation and unseen data. Open: what the standard "
-               "deviations of the parameters make of the torque in postures of the whole range.")
+    page.table(*verdict_table(analysis),
+               "What the model is worth. Residual torque: relative to the torque, the larger one of estimation and "
+               "unseen data. Standard error: of the predicted torque in postures of the whole range, by the standard "
+               "deviations of the parameters.")
 
 
 def _errors(page: Report, analysis: IdentificationResult) -> None:

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
+from ideal_robot.results import over_time
 from ideal_robot.signals.recording import Recording
 from scenes.metrics import ControlError, PathErrors, spread_ms
 from scenes.online.line_log import FieldShown
-from scenes.result import ShownRun
+from scenes.result import ShownRun, as_typed
 from scenes.scene_files.drawn_line import Geometry
 from scenes.scene_files.line_scene import LineScene
 from sensing.camera.hand_eye import HandEye
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FAR = 1e-3
 """Mean distance from the line above which it is not followed but lost sight of [m]."""
@@ -145,6 +149,21 @@ class LineResult(ShownRun):
             "cycle_time_ms": self.timing.json_ms(),
         }
 
+    def plot(self) -> Figure:
+        """Signed distance of the true tool from the drawn line, along the line."""
+        error = self.control_error_from_start
+        return over_time(1e3 * error.s, [("to the left [mm]", [(self.method, 1e3 * error.lateral)])], self.scene.title,
+                         "along the line [mm]")
+
+    def next_steps(self) -> list[tuple[str, str]]:
+        """See ``ShownRun.next_steps``."""
+        name = as_typed(self.scene)
+        if self.failure:
+            return [("Play it more slowly.", f"ideal-robot run {name} --speed {0.5 * self.scene.speed:.2g}")]
+        return [("See what each part of the correction is worth.", f"ideal-robot compare {name}"),
+                ("Find the highest speed within a tolerance.", f"ideal-robot run {name} --tolerance 0.2mm"),
+                ("Let your own arm follow a line.", "ideal-robot new my_line --robot my_arm.urdf")]
+
     def summary(self) -> list[tuple[str, str]]:
         """The few figures a person wants first."""
         error = self.control_error
@@ -156,6 +175,6 @@ class LineResult(ShownRun):
             ("mean distance from the line", f"{1e3 * error.mean:.3f} mm"),
             ("95 % below", f"{1e3 * error.p95:.3f} mm"),
             ("largest", f"{1e3 * error.max:.3f} mm"),
-            ("fields used", f"{self.fields_used} of {self.fields_seen}"),
-            ("real-time factor", f"{self.timing.real_time_factor:.1f}"),
+            ("camera pictures used", f"{self.fields_used} of {self.fields_seen}"),
+            ("speed of the simulation", f"{self.timing.real_time_factor:.1f} × real time"),
         ]

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ideal_robot.signals.recording import Recording
 from scenes.result import ShownRun
 from scenes.scene_files.scene import Scene
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, repr=False)
@@ -44,6 +47,10 @@ class FollowResult(ShownRun):
                 **self.figures, "cycles": len(self.recording.t), "devices": self.devices, "timing": self.timing,
                 "recording": self.recording_path, "recording_hash": self.recording.hash, "report": self.report,
                 "left_behind": self.left_behind}
+
+    def plot(self) -> Figure:
+        """Motor angles and torques over time: what devices tell of a run."""
+        return self.recording.plot()
 
     def summary(self) -> list[tuple[str, str]]:
         """The few figures a person wants first."""

@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -23,16 +23,20 @@ from ideal_robot.feedforward.training import REST_AFTER, REST_BEFORE, training_m
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.loop import Loop
 from ideal_robot.model.model import Model
+from ideal_robot.results import over_time
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.arms import arm_of
 from scenes.methods import DELAY, SceneMethod
 from scenes.metrics import PathErrors, path_errors
 from scenes.models import model_for
-from scenes.result import Progress, ShownRun, silent
+from scenes.result import Progress, ShownRun, as_typed, silent
 from scenes.scene_files.path_scene import JointPath, PathScene, joint_path
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 TWO_DOF = ("y", "z")
 """What the external sensor of ``learn_from = "two_dof"`` measures, in the base frame."""
@@ -170,6 +174,19 @@ class PathResult(ShownRun):
             "cycle_time_ms": {"median": float(np.median(times)), "p99": float(np.quantile(times, 0.99)),
                               "max": float(np.max(times))},
         }
+
+    def plot(self) -> Figure:
+        """How far the tool is from where it should be at the time, axis by axis, while the path is under way."""
+        t = self.path.t[self.path.counts]
+        off = 1e3 * (interpolated(t, self.played.t, self.played.tcp) - self.path.x_d[self.path.counts])
+        return over_time(t, [(f"{axis} [mm]", [(self.method, off[:, i])]) for i, axis in enumerate("xyz")],
+                         self.scene.title)
+
+    def next_steps(self) -> list[tuple[str, str]]:
+        """See ``ShownRun.next_steps``."""
+        return [("See what each method is worth on this path.", f"ideal-robot compare {as_typed(self.scene)}"),
+                ("Correct a path of your own arm.",
+                 "ideal-robot precorrect PATH.csv --model MODEL.json -o corrected.csv")]
 
     def summary(self) -> list[tuple[str, str]]:
         """The few figures a person wants first."""

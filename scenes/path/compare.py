@@ -93,13 +93,14 @@ class PathComparison(ShownTable):
         }
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
-        """One row a method, what fits a terminal: E_car [mm], its reduction as arm, motors and paper say [%]."""
+        """One row a method, what fits a terminal: errors at the tool and as motor angles show them, and reductions."""
         paper = self.scene.paper.E_car_reduction_percent
-        columns = ["method", "timed mm", "aligned", "E_car −%", "motors −%", "E_max −%", "paper −%"]
+        columns = ["method", "E_car [mm]", "aligned E_car [mm]", "aligned E_max [mm]", "E_car less [%]",
+                   "motors' E_car [mm]", "motors' E_max [mm]", "paper: E_car less [%]"]
         return columns, [[method, 1e3 * run.errors.time_matched.E_car, 1e3 * run.errors.aligned.E_car,
-                          self.reduction(method)["E_car"]["weaker"], self.motor_reduction(method)["E_car"],
-                          self.reduction(method)["E_max"]["weaker"], paper.get(method)]
-                         for method, run in self.runs.items()]
+                          1e3 * run.errors.aligned.E_max, self.reduction(method)["E_car"]["weaker"],
+                          1e3 * run.played.motor_errors.aligned.E_car, 1e3 * run.played.motor_errors.aligned.E_max,
+                          paper.get(method)] for method, run in self.runs.items()]
 
     def full_table(self) -> tuple[list[str], list[list[Any]]]:
         """One row a method: errors in mm, reductions in per cent, the paper's beside them."""

@@ -64,10 +64,11 @@ def run_page(result: PathResult, moving: Replay | None) -> Report:
     if moving is not None:
         report.heading("The run")
         report.replay(moving, _MOVING)
-    report.heading("Path and deviation")
+    report.next(*result.next_steps())
+    report.heading("Path and deviation", folded=True)
     report.figure(path_figure([result]), f"The path, deviations drawn {MAGNIFIED} times their size.")
     report.figure(deviation_figure([result], "time_matched"), "Deviation over time.")
-    report.heading("World")
+    report.heading("World", folded=True)
     report.table(COLUMNS, world_rows(result.world), folded="All settings of the simulated world")
     return report
 

@@ -49,10 +49,17 @@ class Report:
     summary: str = ""
     _blocks: list[dict[str, Any]] = field(default_factory=list)
 
-    def heading(self, text: str) -> None:
-        """Starts a section; the page's table of contents has them all."""
+    def heading(self, text: str, *, folded: bool = False) -> None:
+        """Starts a section; the page's table of contents has them all.
+
+        Args:
+            text: its title.
+            folded: whether all of the section is folded away under its title until it is asked for.
+        """
         number = sum(block["kind"] == "heading" for block in self._blocks) + 1
-        self._blocks.append({"kind": "heading", "text": text, "anchor": f"section-{number}"})
+        open_before = next((block["folded"] for block in reversed(self._blocks) if block["kind"] == "heading"), False)
+        self._blocks.append({"kind": "heading", "text": text, "anchor": f"section-{number}", "folded": folded,
+                             "ends": open_before})
 
     def text(self, text: str) -> None:
         """A paragraph of plain text."""

@@ -176,3 +176,15 @@ def test_results_say_in_three_lines_what_they_are() -> None:
         assert len(repr(thing).splitlines()) <= 3
         assert len(repr(thing)) < 400
         assert words in repr(thing)
+
+
+def test_the_door_shows_names_of_ours_only_and_points_to_those_of_scenes() -> None:
+    import scenes
+
+    for module in (ir, scenes):
+        assert {name for name in dir(module) if not name.startswith("__")} <= set(module.__all__)
+    for name in scenes.__all__:
+        with pytest.raises(AttributeError, match=f"from scenes import {name}"):
+            getattr(ir, name)
+    with pytest.raises(AttributeError, match="did you mean 'Recording'"):
+        ir.Recoding  # noqa: B018
