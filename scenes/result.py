@@ -13,7 +13,6 @@ from ideal_robot.arrays import Array
 from ideal_robot.progress import Progress, part_of, silent
 from ideal_robot.results import Summarised, as_bars, html_table, in_lines, plain, shown_cell
 from ideal_robot.row_log import let_go
-from scenes.scene_file import library
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -87,11 +86,6 @@ class ShownRun(Shown, Summarised):
         early = f", ended early: {self.failure}" if self.failure else ""
         return in_lines(type(self).__name__, f"{self.scene.name!r}{early}",
                         [f"{label} {value}" for label, value in self.summary()[:8]])
-
-
-def as_typed(scene: Any) -> str:
-    """A scene as the command line takes it: its name where it is a shipped one, else its file."""
-    return str(scene.name if Path(scene.source).parent == library() else scene.source)
 
 
 class ShownTable(Shown):

@@ -19,6 +19,11 @@ def library() -> Path:
     return Path(str(resources.files("scenes"))) / "library"
 
 
+def as_typed(scene: Any) -> str:
+    """A scene as the command line takes it: its name where it is a shipped one, else its file."""
+    return str(scene.name if Path(scene.source).parent == library() else scene.source)
+
+
 def load_scene(name_or_path: str | Path) -> Scene:
     """Loads a shipped scene by name, or a scene file by path, and checks it.
 

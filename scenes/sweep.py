@@ -93,7 +93,12 @@ class SweepFile(Kept):
         self.keep(job, answer)
 
     def keep(self, job: dict[str, Any], answer: dict[str, Any], **more: Any) -> None:
-        """As ``add``, with ``more`` entries on the line, which ``lines`` has after it was read again."""
+        """As ``add``, with more entries on the line, which ``lines`` has after it was read again.
+
+        Args:
+            job, answer: as for ``add``.
+            more: the entries.
+        """
         line = json.dumps({"job": plain(job), "answer": plain(answer), **more}, allow_nan=False) + "\n"
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)

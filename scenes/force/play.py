@@ -22,7 +22,8 @@ from scenes.methods import DIRECT, following_methods, method_of
 from scenes.metrics import ControlError
 from scenes.online.cycle import CycleSettings, play_cycles
 from scenes.online.force_task import BRAKING, LONGEST, ForceLog, ForceTask
-from scenes.result import Progress, ShownRun, as_typed, silent
+from scenes.result import Progress, ShownRun, silent
+from scenes.scene_file import as_typed
 from scenes.scene_files.force_scene import ForceScene
 from sensing.camera.hand_eye import HandEye
 from sim.arm.arm import SimulatedArm

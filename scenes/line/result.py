@@ -14,7 +14,8 @@ from ideal_robot.results import over_time
 from ideal_robot.signals.recording import Recording
 from scenes.metrics import ControlError, PathErrors, spread_ms
 from scenes.online.line_log import FieldShown
-from scenes.result import ShownRun, as_typed
+from scenes.result import ShownRun
+from scenes.scene_file import as_typed
 from scenes.scene_files.drawn_line import Geometry
 from scenes.scene_files.line_scene import LineScene
 from sensing.camera.hand_eye import HandEye

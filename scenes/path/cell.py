@@ -30,7 +30,8 @@ from scenes.arms import arm_of
 from scenes.methods import DELAY, SceneMethod
 from scenes.metrics import PathErrors, path_errors
 from scenes.models import model_for
-from scenes.result import Progress, ShownRun, as_typed, silent
+from scenes.result import Progress, ShownRun, silent
+from scenes.scene_file import as_typed
 from scenes.scene_files.path_scene import JointPath, PathScene, joint_path
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
