@@ -44,8 +44,7 @@ GROUPS = {
         "measured": "measured", "measured-adapted": "measured", "twins": "measured", "twin-arms": "measured",
     },
     "strangers": {"strangers": "diagnoses", "certainty": "diagnoses", "each-effect": "diagnoses",
-                  "shares": "diagnoses", "sensors": "diagnoses",
-                  "ablation": "ablation", "rules": "ablation", "one-score": "one_score"},
+                  "sensors": "diagnoses"},
     "closings": {"closings": "closings", "outside": "closings", "true-friction": "closings"},
     "robustness": {
         "findings": "findings", "limits": "limits", "fuzz": "broken", "kill": "broken",

@@ -3,7 +3,7 @@
 A number is what a module gives a name in capitals. Played are jobs that the number's package has a part in, with the
 arms, seeds and disturbances of ``PLAYS``: what no disturbance there calls for (limits, gates, waits for devices that
 fail) is without influence here whatever it is, and is judged by the studies of robustness. Numbers of simulated
-physics, pages, protocols and of the diagnosis (study ``ablation``) are left out.
+physics, pages, protocols and of the diagnosis are left out.
 """
 
 from __future__ import annotations

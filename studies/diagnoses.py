@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import betaln
 
-from ideal_robot.diagnosis import Options, diagnose
+from ideal_robot.diagnosis import diagnose
 from ideal_robot.effects import SENSOR, library
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.identification.idim import identify
@@ -28,7 +28,7 @@ from studies.sensors.force import draw_force_trial
 from studies.sensors.scene import KINDS, draw_line_trial, gantry
 from studies.sensors.tcp import draw_tcp_trial
 from studies.strangers.arm import robot_of
-from studies.strangers.score import SINGLE, Score, detection, leaving_out, power, reliability, report, score
+from studies.strangers.score import SINGLE, Score, detection, power, reliability, report, score
 from studies.strangers.trial import POOLS, Trial, draw_trial
 
 GAVE_UP = SimpleNamespace(verdict="failed", effects=(), unknown=())
@@ -55,31 +55,17 @@ def strangers(seeds: str = "40000-40044", kind: str | None = None, sizes: str = 
         write_tables("stranger trials", text)
 
 
-def shares(seeds: str = "767000-767057", scale: float = 0.5, processes: int = 1, lines: Path | None = None,
-           write: bool = False) -> None:
-    """Factor on the shares asked of effects that each two engines need, and what it does in the third.
-
-    Recordings as in `strangers` without an effect, played with all shares times --scale; options as there.
-    """
-    play = partial(_play, draw=partial(draw_trial, kind="none"), scale=scale)
-    text = leaving_out(_scores(whole_numbers(seeds, "--seeds"), lines, play, processes), scale)
-    print(text)
-    if write:
-        write_tables("engines left out", text)
-
-
 def certainty(seeds: str = "1600000-1600079", inside: str = "1600100-1600155", sizes: str = "0.1,5",
               lines: Path | None = None) -> None:
     """How small a cause may be to be found, and how sure its name is: strangers with small effects.
 
     Trials as in `strangers`, of 15 to 25 s: of --seeds the kind is drawn, those of --inside have one effect each that
-    the library has. --lines as there. The probability of a cause is what the score behind `--explain` says.
+    the library has. --lines as there. The probability of a cause is what the score says.
     """
     least, most = numbers(sizes, "--sizes")
     draw = partial(draw_trial, size=(least, most), seconds=(15.0, 25.0))
-    scores = [*_scores(whole_numbers(seeds, "--seeds"), lines, partial(_play, draw=draw, explain=True)),
-              *_scores(whole_numbers(inside, "--inside"), lines,
-                       partial(_play, draw=partial(draw, kind="inside"), explain=True))]
+    scores = [*_scores(whole_numbers(seeds, "--seeds"), lines, partial(_play, draw=draw)),
+              *_scores(whole_numbers(inside, "--inside"), lines, partial(_play, draw=partial(draw, kind="inside")))]
     print("\n\n".join((power(scores), detection(scores, _family), reliability(scores))))
 
 
@@ -145,7 +131,7 @@ def _scores(wanted: list[int], lines: Path | None, play: Callable[[int], Score |
     return scores
 
 
-def _play(seed: int, *, draw: Callable[[int], Trial], scale: float = 1.0, explain: bool = False) -> Score | None:
+def _play(seed: int, *, draw: Callable[[int], Trial]) -> Score | None:
     """Draws, diagnoses and scores one trial; None where nothing can be drawn from its seed.
 
     A diagnosis that gives up has said nothing, and is never right.
@@ -159,8 +145,7 @@ def _play(seed: int, *, draw: Callable[[int], Trial], scale: float = 1.0, explai
         try:
             model = known_before(trial, robot)
             start = time.process_time()
-            options = Options(smallest=scale * Options.smallest, smallest_learned=scale * Options.smallest_learned)
-            diagnosis = diagnose(trial.recording, robot, model=model, options=options, explain=explain)
+            diagnosis = diagnose(trial.recording, robot, model=model)
         except (IdealRobotError, ArithmeticError, ValueError) as error:
             print(f"{seed}: {error}", flush=True)
             return score(trial, GAVE_UP)

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.best_set import BestSet
+from ideal_robot.diagnosis.causes import Only
 from ideal_robot.diagnosis.channels.motor_torque import in_own_units, torque_regression, without_dead_channels
 from ideal_robot.diagnosis.channels.regression import Regression
-from ideal_robot.diagnosis.search.choice import Options
-from ideal_robot.diagnosis.search.forward_selection import Only
-from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
-from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis, DomainResult
-from ideal_robot.diagnosis.validation.result import NotTransferred
+from ideal_robot.diagnosis.report import DomainDiagnosis, DomainResult
+from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.model.model import Model
 from ideal_robot.progress import Progress
 from ideal_robot.robots.robot import Robot
@@ -27,20 +26,17 @@ class Case:
         shared: whether the joints share inertias; not where torques are in amperes of unknown gain.
         dead: joints (from 0) whose torque channel does not measure them, in one of the recordings.
         cutoff: of the position filter [Hz], or None for the usual one.
-        explain: whether each cause is weighed against all others in its place.
     """
 
     recording: Recording
     robot: Robot
     given: Model | None
     validate: Recording | None
-    options: Options
     progress: Progress
     shared: bool
     only: Only | None
     dead: tuple[int, ...] = ()
     cutoff: float | None = None
-    explain: bool = False
 
     @property
     def stiffness(self) -> Array | None:
@@ -74,24 +70,29 @@ class Findings:
         start: the model about which the regression is made.
         problem: the regression of the motor torques.
         reversal_width: speed over which dry friction changes sign ``(n,)`` [rad/s], where it was fitted.
-        choices: effects of the motor torque.
+        best: the search for the causes of the motor torque, once it has run.
+        taken_for: what a given model's parameters were taken for.
         validation: the regression of the validation recording, or None.
-        not_transferred: effects that were dropped because they do not carry over.
         domains: the domains after their search, that of the motor torque first.
         results: what they add to the report.
         warnings: for people.
-        beside_known: where the given model's parameters do not hold, what was selected with them held all the same.
-        held: parameters, from 0, that are zero as they would drive the joint instead of braking it.
+        fixed: parameters, from 0, that are zero as they would drive the joint instead of braking it.
     """
 
     start: Model
     problem: Problem
     reversal_width: Array | None = None
-    choices: tuple[Candidate, ...] = ()
+    best: BestSet | None = None
+    taken_for: str = ""
     validation: Regression | None = None
-    not_transferred: tuple[NotTransferred, ...] = ()
     domains: tuple[DomainDiagnosis, ...] = ()
     results: tuple[DomainResult, ...] = ()
     warnings: tuple[str, ...] = ()
-    beside_known: tuple[tuple[Candidate, ...], ...] = ()
-    held: tuple[int, ...] = ()
+    fixed: tuple[int, ...] = ()
+
+    @property
+    def best_set(self) -> BestSet:
+        """The search for the causes of the motor torque, which has run."""
+        if self.best is None:
+            raise RuntimeError("the causes of the motor torque were not looked for yet")
+        return self.best

@@ -6,21 +6,16 @@ from dataclasses import replace
 
 from ideal_robot.diagnosis import stages
 from ideal_robot.diagnosis.case import Case, Findings, joints_share
+from ideal_robot.diagnosis.causes import Only
 from ideal_robot.diagnosis.channels.regression import rms, spread, unused_columns
-from ideal_robot.diagnosis.search.choice import Options
-from ideal_robot.diagnosis.search.forward_selection import Only
-from ideal_robot.diagnosis.statistics.problem import (
-    prior_precision,
-    with_parameters,
-    with_possible_inertias,
-)
-from ideal_robot.diagnosis.validation.refit import explained_by_refitting
-from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis
-from ideal_robot.diagnosis.validation.weighing import arguments
-from ideal_robot.effects import MOTOR_TORQUE, FittedEffect
+from ideal_robot.diagnosis.prior import TYPE
+from ideal_robot.diagnosis.statistics.problem import with_parameters, with_possible_inertias
+from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, MovedParameter
+from ideal_robot.effects import MOTOR_TORQUE
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.identification.checks import checked
 from ideal_robot.model.model import Model
+from ideal_robot.model.parametrisation import parameter_vector
 from ideal_robot.progress import Progress, Steps, silent
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.channels import channel_findings, dead_joints
@@ -31,61 +26,66 @@ from ideal_robot.signals.sampling import shortened
 def diagnosis_of(case: Case, found: Findings) -> Diagnosis:
     """The answer after all stages."""
     answer = _of_domains(case, found)
-    refitted = () if case.given is None else explained_by_refitting(case.given, found.domains[0],
-                                                                    found.results[0].channels)
-    unexplained = answer.unknown or refitted or answer.unexplained
+    unexplained = answer.unknown or answer.unexplained
     model, warnings = _extended(case, found)
-    why = (argument for domain in found.domains for argument in arguments(domain, case.options)) if case.explain else ()
-    return replace(answer, verdict="unknown" if unexplained else "effects" if answer.effects else "none", model=model,
-                   warnings=answer.warnings + warnings, refitted=refitted, beside_known=_beside_known(found),
-                   arguments=tuple(why))
+    moved = _moved(case, found)
+    if found.taken_for == TYPE:
+        warnings = (*warnings, "the model's parameters are those of another arm of its type: this recording is "
+                    "predicted better with all of them free within what arms of a type differ by than as this arm")
+    return replace(answer, verdict="effects" if answer.effects else "unknown" if unexplained else "none", model=model,
+                   warnings=answer.warnings + warnings, taken_for=found.taken_for, moved=moved)
 
 
 def undecided(case: Case, found: Findings) -> Diagnosis:
-    """The answer where no joint moves enough to decide anything of the arm: what sensors show beside it as it is."""
+    """The answer where no joint moves: what sensors show beside it as it is."""
     answer, torque = _of_domains(case, found), found.problem.regression
     error, signal = (rms(values, torque.use) for values in (torque.y, torque.measured))
     numbers = (values.tolist() for values in (error, torque.noise_floor, signal, torque.use.mean(axis=0)))
     channels = tuple(ChannelResult(name, unit, own, own, own, floor, whole, used) for
                      name, unit, own, floor, whole, used in zip(torque.channels, torque.units, *numbers, strict=True))
     return replace(answer, verdict="effects" if answer.effects else "undecided", channels=channels + answer.channels,
-                   held_out_how=f"of sensors alone, no joint moves enough: {answer.held_out_how}" if found.domains else
-                   "nothing: no joint moves enough to decide anything",
+                   held_out_how=f"of sensors alone, no joint moves: {answer.held_out_how}" if found.domains else
+                   "nothing: no joint moves",
                    model=None if case.given is None else
                    case.given.with_effects(tuple(f.fitted for f in answer.effects)))
 
 
 def _of_domains(case: Case, found: Findings) -> Diagnosis:
     """What an answer says of the domains that were searched."""
-    results, searched = found.results, [domain.problem.regression for domain in found.domains]
+    results, searched = found.results, [domain.regression for domain in found.domains]
     if not any(regression.domain == MOTOR_TORQUE for regression in searched):
         searched.insert(0, found.problem.regression)
     effects, unknown = (tuple(f for result in results for f in result.found if f.fitted.effect.learned is learned)
                         for learned in (False, True))
     return Diagnosis(
         "none", tuple(channel for result in results for channel in result.channels), effects, unknown,
-        _held_out(case, found), found.domains[0].held_out_seconds if found.domains else 0.0,
-        found.problem.regression.undecided, warnings=found.warnings, not_transferred=found.not_transferred,
+        _held_out(case), found.domains[0].held_out_seconds if found.domains else 0.0,
+        found.problem.regression.undecided, warnings=found.warnings,
         before=tuple(structure for result in results for structure in result.before),
         remaining=tuple(structure for result in results for structure in result.remaining),
-        traces=tuple(result.traces for result in results), unused=unused_columns(case.recording, tuple(searched)))
+        traces=tuple(result.traces for result in results), unused=unused_columns(case.recording, tuple(searched)),
+        arguments=tuple(argument for result in results for argument in result.arguments))
 
 
-def _beside_known(found: Findings) -> tuple[tuple[FittedEffect, ...], ...]:
-    if not found.beside_known:
+def _moved(case: Case, found: Findings) -> tuple[MovedParameter, ...]:
+    """Parameters of the given model that this recording moves far."""
+    if case.given is None or not found.domains:
         return ()
-    problem = found.problem.with_prior(prior_precision(found.start, found.problem)).held().on_all_blocks()
-    prismatic = problem.regression.prismatic
-    return tuple(problem.fit(some, uncertainty=True).all_fitted(prismatic) for some in found.beside_known)
+    model, regression = case.given, found.problem.regression
+    change = found.domains[0].final.change
+    value, names = parameter_vector(model.base_values, model.friction), model.parameters
+    rows = regression.W * regression.use[:, :, None]
+    return tuple(MovedParameter(names[i].name, names[i].unit, float(value[i]), float(value[i] + change[i]), sigmas)
+                 for i, sigmas in stages.moved_parameters(model, change, found.problem.prior, rows) if i < len(value))
 
 
-def _held_out(case: Case, found: Findings) -> str:
+def _held_out(case: Case) -> str:
     """How the data on which errors are reported were kept apart."""
     if case.validate is not None:
-        return (f"parameters and selection from {_name(case.recording)}; of {_name(case.validate)} every second "
-                "block of time decides what transfers, and the errors are those of the others")
-    return (f"every fourth of {found.problem.blocks.count} blocks of time of {_name(case.recording)}, which "
-            "took no part in finding effects; one that does not lower their error is dropped")
+        return (f"parameters and causes from {_name(case.recording)}; the errors are those of {_name(case.validate)}, "
+                "which took no part")
+    return (f"each block of time of {_name(case.recording)} is predicted by parameters and sizes that were fitted to "
+            "all the others")
 
 
 def _extended(case: Case, found: Findings) -> tuple[Model | None, tuple[str, ...]]:
@@ -93,7 +93,11 @@ def _extended(case: Case, found: Findings) -> tuple[Model | None, tuple[str, ...
     if not case.shared:
         return None, ()
     final, added = found.domains[0].final, [effect.fitted for result in found.results for effect in result.found]
-    model = with_parameters(found.start, final.change, final.covariance)
+    change, covariance = final.change.copy(), final.covariance.copy()
+    # What stands at its limit has no scatter.
+    index = list(found.fixed)
+    covariance[index], covariance[:, index], change[index] = 0.0, 0.0, 0.0
+    model = with_parameters(found.start, change, covariance)
     warnings = tuple[str, ...]()
     try:
         known = Model.nominal(case.robot) if case.given is None else case.given
@@ -112,12 +116,12 @@ def _name(recording: Recording) -> str:
 
 
 _READING = "Reading"
-SHARES = {_READING: 0.03, "Baseline": 0.02, "Effects of the motor torque": 0.55, "Found, but not added": 0.02,
-          "Joint fit": 0.04, "Effects of other channels": 0.23, "Error before and after, on held-out data": 0.11}
+SHARES = {_READING: 0.03, "Baseline": 0.02, "Causes of the motor torque": 0.70, "Causes of other channels": 0.20,
+          "Errors before and after": 0.05}
 """Measured shares of the time, an arm of six joints."""
 STAGES = dict(zip(list(SHARES)[1:], (
-    stages.baseline, stages.effects_of_motor_torque, stages.found_but_not_added, stages.joint_fit,
-    stages.effects_of_other_channels, stages.errors_before_and_after), strict=True))
+    stages.baseline, stages.causes_of_motor_torque, stages.causes_of_other_channels,
+    stages.errors_before_and_after), strict=True))
 """Heading, and what is done: a function of the case and of what was found before."""
 
 
@@ -137,8 +141,8 @@ def _prepared(case: Case, warnings: list[str]) -> tuple[Case, Findings]:
     case = replace(case, validate=None)
     return case, stages.prepared(case, (
         *warnings, "validation-not-predicted: with the parameters of the recording alone the error of the other one is "
-        f"larger than what it varies by in {', '.join(missed)}; it decides and reports nothing, blocks of the "
-        "recording kept apart do (give --model, or a recording that moves as widely as the other)"))
+        f"larger than what it varies by in {', '.join(missed)}; it reports nothing, blocks of the recording do (give "
+        "--model, or a recording that moves as widely as the other)"))
 
 
 def _unlike(case: Case, found: Findings, validate: Recording) -> tuple[str, ...]:
@@ -155,8 +159,7 @@ def _unlike(case: Case, found: Findings, validate: Recording) -> tuple[str, ...]
 
 
 def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, validate: Recording | None = None,
-             options: Options | None = None, progress: Progress = silent,
-             only: Only | None = None, cutoff: float | None = None, explain: bool = False) -> Diagnosis:
+             progress: Progress = silent, only: Only | None = None, cutoff: float | None = None) -> Diagnosis:
     """Says which physical effect a model misses in a recording, in which joint, and what it is worth.
 
     Args:
@@ -164,14 +167,12 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
         robot: the arm it was measured on.
         model: what was known before; without it a rigid body with Coulomb and viscous friction, rotors and offsets is
             identified from the recording first.
-        validate: another recording of the same arm on which errors are reported; without it every fourth block of
-            time of ``recording`` is kept apart for that.
-        options: thresholds.
+        validate: another recording of the same arm on which errors are reported; without it each block of time of
+            ``recording`` is predicted by the fit to all others.
         progress: called with the share done and a word.
         only: names and joints of the effects that may be looked for, for an oracle; then nothing is learned either.
         cutoff: of the position filter [Hz]; 20 Hz if None, or a quarter of a slower sampling rate. The band in which
             torques are looked at and the time left out around reversals follow it.
-        explain: whether the result says of each cause which others were weighed in its place, and what told them apart.
 
     Raises:
         InputError: a recording that cannot be used, or a model of another arm.
@@ -188,11 +189,11 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
         warnings += more
     known = [finding for run in (recording, validate) if run is not None for finding in channel_findings(run)]
     warnings += [finding.warning for finding in known]
-    case = Case(recording, robot, model, validate, options or Options(), progress, shared=shared, only=only,
-                dead=tuple(dead_joints(tuple(known))), cutoff=cutoff, explain=explain)
+    case = Case(recording, robot, model, validate, progress, shared=shared, only=only,
+                dead=tuple(dead_joints(tuple(known))), cutoff=cutoff)
     case, findings = _prepared(case, warnings)
-    if len(findings.problem.regression.undecided) == robot.n:
-        return undecided(case, stages.sensors_alone(case, findings))
+    if not findings.problem.regression.use.any():
+        return undecided(case, stages.errors_before_and_after(case, stages.sensors_alone(case, findings)))
     for heading, stage in STAGES.items():
         findings = stage(replace(case, progress=steps.begin(heading)), findings)
     return diagnosis_of(case, findings)

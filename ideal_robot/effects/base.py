@@ -12,7 +12,7 @@ else that is linear: base parameters, friction, offsets.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -118,13 +118,9 @@ class Effect(ABC):
         coefficient_names, coefficient_units: linear coefficients, one per column of ``columns``.
         absorbed_by_base: whether an ordinary identified model already has a parameter of the same form, so that the
             effect can only be seen against a model identified before.
-        sooner_than: names of effects in whose place it is taken where it explains nearly as much: the likelier cause.
-        caution: how many times the usual share of the residual is asked for, and how many times what the likelier cause
-            explains: of causes that are unlikely in one joint alone.
-        at_all_frequencies: whether its coefficients are the same in slow and in fast motion while those of
-            vibrations that look like it are not.
-        of_slow_motion: whether it is a law of the joint's speed, which hardly acts in the upper half of the band: its
-            share is asked for in the lower half as well, where vibrations do not hide it.
+        prior: logarithm of how much likelier it is beforehand than another cause, in nats.
+        usual: by how much more than the direction of another cause a model class errs in its direction, as every arm
+            has something of it that no model says: how friction goes through standstill, gears that give.
         learned: whether it is a curve without a physical cause.
         within: open interval in which physics has the first coefficient.
         changes: field of ``LoopChange`` that its coefficient is, or all of them together; empty for ``loop_change``.
@@ -142,10 +138,8 @@ class Effect(ABC):
     coefficient_names: ClassVar[tuple[str, ...]] = ("gain",)
     coefficient_units: ClassVar[tuple[str, ...]] = ("N m",)
     absorbed_by_base: ClassVar[bool] = False
-    sooner_than: ClassVar[tuple[str, ...]] = ()
-    caution: ClassVar[float] = 1.0
-    at_all_frequencies: ClassVar[bool] = False
-    of_slow_motion: ClassVar[bool] = False
+    prior: ClassVar[float] = 0.0
+    usual: ClassVar[float] = 0.0
     learned: ClassVar[bool] = False
     within: ClassVar[tuple[float, float]] = (-np.inf, np.inf)
     changes: ClassVar[str] = ""
@@ -241,14 +235,6 @@ class Effect(ABC):
             return [(max(low, near), min(high, far))]
         return bounds
 
-    def periods(self, signals: Signals, joint: int, theta: Theta) -> float:
-        """How many times an effect that is ``scanned`` repeats in the range that was driven; infinite for others.
-
-        Args:
-            signals, joint, theta: as of ``columns``.
-        """
-        return float("inf")
-
     @abstractmethod
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
         """What a unit of each coefficient adds to the channels of the domain.
@@ -278,24 +264,6 @@ class Effect(ABC):
             theta, signals, joint: as of ``columns``.
         """
         return bool(self.within[0] < coefficients[0] < self.within[1])
-
-    def certain(self, large: np.ndarray, coefficients: Array, otherwise: bool) -> bool:
-        """Whether coefficients that differ from none make it a cause; by default one of them is enough.
-
-        Args:
-            large: which of them differ from none by their uncertainty ``(m,)``.
-            coefficients: estimates ``(m,)``, in ``coefficient_units``.
-            otherwise: whether there is other evidence: of several coefficients, that they take away most of the
-                held-out squares together; of a single one, that its theta is known or another recording decides.
-        """
-        return bool(np.any(large)) or (otherwise and not self.absorbed_by_base)
-
-    def at_standstill(self, sides: Sequence[int]) -> bool:
-        """Whether all of it lies near standstill, where every drive's friction goes its own way.
-
-        Of each theta ``sides`` has -1 where it stands at the lower end of what is searched, 1 at the upper, 0 between.
-        """
-        return False
 
     def consistent_theta(self, coefficients: Array, theta: Theta) -> Theta:
         """Theta with which the coefficients ``(m,)`` are exact; by default as it is, for a physical one is fitted."""

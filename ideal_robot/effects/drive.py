@@ -58,8 +58,6 @@ class RotorInertia(Effect):
     coefficient_names = ("change of rotor inertia",)
     coefficient_units = ("kg m²",)
     absorbed_by_base = True
-    # Ten numbers of a body can do what one inertia does, and bend with gears and filters besides.
-    sooner_than = ("link_load",)
     changes = "rotor_inertia"
     source = "[J] (1): I_a"
 
@@ -147,6 +145,9 @@ class LateTorque(DeadTime):
     theta has become ``delta``. Negative: the torque is early, i.e. the position is late.
     """
 
+    prior = -3.0  # Clocks are common to joints.
+    usual = 1.0
+
     theta_names = ("chord",)
     theta_units = ("s",)
     discriminating_motion: ClassVar[tuple[tuple[str, str], ...]] = (
@@ -155,8 +156,6 @@ class LateTorque(DeadTime):
         ("presliding_hysteresis", "long strokes with few reversals at high speed: hysteresis shows after reversals "
                                   "only, a delay everywhere"),
     )
-    caution = 2.5
-    at_all_frequencies = True
     held = (-HOLD, 0.0)
     _shortest = 5e-5
 
@@ -191,11 +190,8 @@ class CommonDelay(WholeArmEffect, LateTorque):
     negative where the positions are late.
     """
 
+    prior = 0.0
     name = "common_delay"
-    caution = 1.0
-    # A filter has a delay and weakens besides: where that is not seen, no more is said than the delay.
-    sooner_than: ClassVar[tuple[str, ...]] = ("torque_filter", "dead_time")
-    at_all_frequencies = False
     discriminating_motion: ClassVar[tuple[tuple[str, str], ...]] = (
         ("torque_filter", "the same path as fast as the arm allows: a filter weakens what is quick, a delay does not"),
     )
@@ -218,9 +214,6 @@ class TorqueFilter(CommonDelay):
 
     name = "torque_filter"
     coefficient_names = ("time constant",)
-    sooner_than = ("dead_time",)
-    # What weakens fast motion alone is a vibration; a filter makes slow motion as late as fast.
-    at_all_frequencies = True
     held = (-np.inf, 0.0)
     discriminating_motion = ()
     source = "lag of first order"
@@ -252,9 +245,10 @@ class LatePosition(DeadTime):
     of the rigid body.
     """
 
+    prior = -3.0  # Clocks are common to joints.
+    usual = 1.0
+
     prefix = "q"
-    caution = 2.5
-    at_all_frequencies = True
     held = (0.0, HOLD)
 
     def usable(self, signals: Signals, joint: int) -> bool:

@@ -74,6 +74,7 @@ class GearEffect(Effect):
 class JointElasticity(GearEffect):
     """A gear that gives: ``q_a = q - tau_load/K``. In the torque its trace is the second derivative of the load."""
 
+    usual = 1.0
     name = "joint_elasticity"
     coefficient_names = ("compliance",)
     coefficient_units = ("rad/(N m)",)
@@ -112,6 +113,7 @@ class ElasticityAtArm(JointElasticity):
     A rotor turns with its link, and torques tell the sum of their inertias; the link's alone bends the gear.
     """
 
+    usual = 0.0
     theta_names = ("rotor inertia",)
     theta_units = ("kg m²",)
 
@@ -140,10 +142,6 @@ class ElasticityAtArm(JointElasticity):
         """See ``Effect.like_the_model``. What the gear bends all the time is a constant of the measuring device."""
         return signals.on_joint(joint, np.ones(len(signals.t)))
 
-    def certain(self, large: np.ndarray, coefficients: Array, otherwise: bool) -> bool:
-        """See ``Effect.certain``. How much the rotor has says nothing of the gear."""
-        return bool(np.any(large))
-
 
 class GearResonance(GearEffect):
     """Seen in the motor torque: what the arm is late by behind a soft gear is the answer of an oscillator to its load.
@@ -156,6 +154,7 @@ class GearResonance(GearEffect):
     with the wrong sign there is no gear.
     """
 
+    usual = 1.0
     name = JointElasticity.name
     theta_names = ("stiffness",)
     theta_units = ("N m/rad",)
@@ -163,7 +162,6 @@ class GearResonance(GearEffect):
     coefficient_units = ("1",)
     # The inertia that is set free is that behind the gear, as well as it is known.
     within = (0.4, 2.5)
-    at_all_frequencies = True
     source = JointElasticity.source
 
     def usable(self, signals: Signals, joint: int) -> bool:

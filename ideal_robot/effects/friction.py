@@ -5,7 +5,6 @@ The laws are those of ``ideal_robot.friction``, the same objects that identifica
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -49,10 +48,6 @@ class LawTerm(Effect):
         """
         return self.law.columns(qd, direction, np.array(theta))[self.term]
 
-    def at_standstill(self, sides: Sequence[int]) -> bool:
-        """See ``Effect.at_standstill``. Where its bend lies below what was driven."""
-        return list(sides) == [self.standstill or None]
-
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
         """See ``Effect.loop_change``. Friction over speed."""
         return LoopChange(friction_curve=True)
@@ -92,7 +87,6 @@ class Degressive(LawTerm):
     coefficient_names = ("a_3",)
     # The characteristic bends downwards from a rise.
     within = (0.0, np.inf)
-    of_slow_motion = True
     standstill = 1
     discriminating_motion = (("viscous", "constant-velocity runs over the whole range of speeds"),)
     source = "[G] (2), (3)"
@@ -121,7 +115,6 @@ class Stribeck(LawTerm):
     coefficient_names = ("excess at standstill",)
     # Friction is larger, not smaller, near standstill.
     within = (0.0, np.inf)
-    of_slow_motion = True
     standstill = -1
     discriminating_motion = (
         ("degressive", "constant-velocity runs at ten speeds, the slowest below 1 % of the highest"),
@@ -171,7 +164,6 @@ class AsymmetricFriction(LawTerm):
     law = laws.Asymmetric
     coefficient_names = ("half difference of viscous friction",)
     coefficient_units = ("N m s/rad",)
-    of_slow_motion = True
     source = "A. Janot, M. Gautier, M. Brunot, data set EMPS: friction of a worn ball screw"
 
     def friction(self, qd: Array, direction: Array, theta: Theta) -> Array:
@@ -272,6 +264,7 @@ class PreslidingHysteresis(Effect):
     part in; fitted jointly with Coulomb friction itself.
     """
 
+    usual = 1.0
     name = "presliding_hysteresis"
     theta_names = ("sigma",)
     theta_units = ("rad",)
@@ -292,10 +285,6 @@ class PreslidingHysteresis(Effect):
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
         """Short of a joint's range by far: else it is a spring."""
         return [(0.0005 * signals.span(joint), 0.15 * signals.span(joint))]
-
-    def certain(self, large: np.ndarray, coefficients: Array, otherwise: bool) -> bool:
-        """See ``Effect.certain``. Samples that count hold its tail alone: size and theta do not assure each other."""
-        return bool(large[0])
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
         """See ``Effect.columns``. Shape ``(N, n, 1)``."""

@@ -53,13 +53,6 @@ class LinkLoad(Effect):
         """See ``Effect.plausible``. Some columns of the first links show nothing; what shows has a lever of an arm."""
         return bool(np.any(np.abs(coefficients) > 1e-9))
 
-    def certain(self, large: np.ndarray, coefficients: Array, otherwise: bool) -> bool:
-        """See ``Effect.certain``. Mass or moments, where they show at all.
-
-        Inertia without mass is no body but how gears, rotors or filters bend the inertia that a motion shows.
-        """
-        return bool(np.any(large[:4] if np.any(coefficients[:4]) else large))
-
 
 class Payload(WholeArmEffect, LinkLoad):
     """Mass, first moments and inertias added to the last link, [G] (5) with that link's columns only.
@@ -67,9 +60,8 @@ class Payload(WholeArmEffect, LinkLoad):
     It acts on all joints, so it belongs to the whole arm (joint 0).
     """
 
+    prior = 3.0  # Tools are changed, links are not.
     name = "payload"
-    # On the axis of the flange a body turns like the link before; tools are changed, links are not.
-    sooner_than = ("link_load",)
 
     def usable(self, signals: Signals, joint: int) -> bool:
         """The regressor of the last link has to be known."""
@@ -88,14 +80,6 @@ class Payload(WholeArmEffect, LinkLoad):
         """
         mass, first = float(coefficients[0]), float(np.linalg.norm(coefficients[1:4]))
         return abs(mass) > 1e-9 and first < 3.0 * abs(mass) + 1e-9
-
-    def certain(self, large: np.ndarray, coefficients: Array, otherwise: bool) -> bool:
-        """See ``Effect.certain``. Its mass, or moments that take away most of the held-out squares.
-
-        Moments without mass may be how gears, rotors or filters bend what a motion shows. But weight at a lever turns
-        the wrist with gravity, which none of these do; its mass the strong joints show alone.
-        """
-        return bool(large[0]) or (otherwise and bool(np.any(large[1:4])))
 
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
         """See ``Effect.parameters``. Mass, and the centre in the frame of the last joint."""
@@ -145,10 +129,6 @@ class BaseTilt(WholeArmEffect):
                 return False
         return bool(across < math.sin(math.radians(15.0)) * G)
 
-    def certain(self, large: np.ndarray, coefficients: Array, otherwise: bool) -> bool:
-        """See ``Effect.certain``. Moments of a base that does not lean turn nothing."""
-        return otherwise or bool(np.any(large[:2]))
-
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
         """See ``Effect.parameters``. The angle, and where the base's z axis leans to, gravity with it."""
         x, y = (float(v) for v in coefficients[:2])
@@ -193,6 +173,7 @@ class GravitySpring(AngleLaw):
     the first term from the stiffness, the second from the preload; the first alone is like gravity.
     """
 
+    prior = -2.0  # Few arms have one, and in one joint.
     name = "gravity_spring"
     theta_names = ("phi", "rho")
     theta_units = ("rad", "1")
@@ -201,7 +182,6 @@ class GravitySpring(AngleLaw):
     discriminating_motion = (
         ("cable_spring", "the joint's whole range: a cable pulls in proportion, a balancer with the sine"),
     )
-    caution = 1.5
     source = "[J] section 2"
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:

@@ -56,10 +56,6 @@ class TorqueRipple(Effect):
         width = 1.5 / float(np.ptp(signals.q[:, joint - 1]))
         return [(max(theta[0] - width, self.bounds(signals, joint)[0][0]), theta[0] + width)]
 
-    def periods(self, signals: Signals, joint: int, theta: Theta) -> float:
-        """See ``Effect.periods``."""
-        return theta[0] * float(np.ptp(signals.q[:, joint - 1])) / (2.0 * np.pi)
-
     def starts_from_residual(self, signals: Signals, joint: int, residual: Array,
                              use: np.ndarray) -> tuple[list[Theta], int]:
         """See ``Effect.starts_from_residual``. Orders at the highest peaks of the residual's spectrum over position.

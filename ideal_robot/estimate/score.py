@@ -5,7 +5,8 @@ With A_b = Λ + Σ X'X over the first b blocks and Λ what is known of parameter
     ln p(y_1 … y_b) = −½ [ y'y − y'X A_b⁻¹ X'y + ln|A_b| − ln|Λ| ]        (up to a constant),
 
 in closed form from the products of columns, and ln p(y_b | blocks before) is what block b adds. Their sum does not
-depend on the order.
+depend on the order. Blocks that are left out in turn, each given all others, would not do: there data speak for a
+parameter that its prior all but excludes, and no set could be told from another by what is known beforehand.
 """
 
 from __future__ import annotations

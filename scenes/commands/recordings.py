@@ -194,8 +194,8 @@ class DiagnoseOptions:
     model: Annotated[Path | None, typer.Option(help="Model to diagnose; without it a baseline (rigid body, Coulomb and "
                                                     "viscous friction, rotors, offsets) is identified first.")] = None
     validate: Annotated[Path | None, typer.Option(help="Another recording of the same arm, for the errors that are "
-                                                       "reported; else every fourth block of time is kept "
-                                                       "apart.")] = None
+                                                       "reported; else each block of time is predicted "
+                                                       "by the fit to all others.")] = None
     drive_data: DriveData = None
     model_out: Annotated[Path | None, typer.Option(help="Write the extended model to this file.")] = None
     cutoff: Annotated[float | None, typer.Option(help="Position filter [Hz]; default: 20. The band of the torques and "
@@ -234,7 +234,7 @@ def diagnose(options: DiagnoseOptions) -> None:
         done = cleaned(recording, arm)
         contradictions = findings(done.recording, arm, amperes=done.amperes)
         diagnosis = diagnose(recording, arm, model=model, validate=validate, cutoff=options.cutoff,
-                             progress=steps.begin("reading"), explain=options.explain)
+                             progress=steps.begin("reading"))
         steps.begin("drawing")
         page = options.out / "report.html"
         better = None if diagnosis.model is None else options.model_out
@@ -247,15 +247,15 @@ def diagnose(options: DiagnoseOptions) -> None:
                                      "contradictions": [finding.to_dict() for finding in contradictions]})
             if model_file is not None and diagnosis.model is not None:
                 diagnosis.model.save(model_file)
-    _show_diagnosed(diagnosis)
+    _show_diagnosed(diagnosis, options.explain)
     for finding in contradictions:
         typer.echo(f"warning: {finding.warning}", err=True)
     typer.echo(summary(diagnosis))
     typer.echo(f"report: {page}")
 
 
-def _show_diagnosed(diagnosis: Diagnosis) -> None:
-    """Errors of each channel, what was added, and what was found but not added or left open, with the reasons."""
+def _show_diagnosed(diagnosis: Diagnosis, explain: bool) -> None:
+    """Errors of each channel, what was added, and what is left open, with the reasons; each argument if ``explain``."""
     from scenes.diagnosis.page import unexplained, unused
 
     show_table(f"verdict: {diagnosis.verdict}; errors on held-out data ({diagnosis.held_out_how})",
@@ -263,18 +263,18 @@ def _show_diagnosed(diagnosis: Diagnosis) -> None:
                [[c.channel, c.rms_before, c.rms_refit, c.rms_after, c.noise_floor, c.unit, 100.0 * c.counted]
                 for c in diagnosis.channels])
     if diagnosis.effects or diagnosis.unknown:
-        show_table("what was added", ["effect", "joint", "channel", "before", "after", "p", "parameters", "or"],
-                   [[e.fitted.name, e.fitted.joint, e.fitted.channel, e.rms_before, e.rms_after, f"{e.p_value:.0e}",
+        show_table("what was added",
+                   ["effect", "joint", "channel", "without", "with", "nats", "probability", "parameters", "or"],
+                   [[e.fitted.name, e.fitted.joint, e.fitted.channel, e.rms_before, e.rms_after,
+                     f"{e.nats:.0f} ± {e.nats_std:.0f}", f"{e.probability:.3g}",
                      ", ".join(e.depends_on) or "; ".join(p.text for p in e.fitted.parameters),
                      ", ".join(e.indistinguishable_from)] for e in (*diagnosis.effects, *diagnosis.unknown)])
-    for argument in diagnosis.arguments:
+    for argument in diagnosis.arguments if explain else ():
         typer.echo(argument.text)
-    for d in diagnosis.not_transferred:
-        typer.echo(f"not added: {d.effect} in {d.channel} (p {d.p_value:.0e}); {d.reason}", err=True)
     for joint, reason in sorted(diagnosis.undecided.items()):
         typer.echo(f"undecided: joint {joint} {reason}", err=True)
-    for refit in diagnosis.refitted:
-        typer.echo(f"explained by refitting alone: joint {refit.joint}: {refit.text}", err=True)
+    if diagnosis.moved:
+        typer.echo(f"parameters that moved: {'; '.join(p.text for p in diagnosis.moved)}", err=True)
     for warning in diagnosis.warnings:
         typer.echo(f"warning: {warning}", err=True)
     if loud := unexplained(diagnosis):

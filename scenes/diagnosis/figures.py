@@ -1,18 +1,17 @@
-"""Pictures of a diagnosis: the ladder of errors, each effect through the residual it explains, residuals."""
+"""Pictures of a diagnosis: errors without each cause, each cause through the residual it explains, residuals."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.statistics.least_squares import TOLD
 from ideal_robot.diagnosis.validation.result import Argument, Diagnosis, FoundEffect, Traces
 from ideal_robot.effects.base import TCP_POSITION, prefix_of
+from ideal_robot.estimate.score import TOLD
 
 _BEFORE, _AFTER, _EFFECT, _SOFT = "#b0413e", "#2f6690", "#e06a00", "#8893a1"
 _CURVE = 0.5
@@ -23,22 +22,23 @@ Contribution = tuple[tuple[str, ...], Traces, int, Array]
 """Names of the channels of a domain, their traces, the channel, and what an effect adds there ``(N,)``."""
 
 
-def ladder_figure(diagnosis: Diagnosis) -> Figure:
-    """The error on held-out data, effect by effect, one panel a channel, with the noise of the measurement."""
+def without_each_figure(diagnosis: Diagnosis) -> Figure:
+    """The error on held-out data before, with all causes but one, and with all; one panel a channel, with the noise."""
     effects = _in_order(diagnosis)
     channels = list(dict.fromkeys(e.fitted.channel for e in effects))[:6]
     rows = {name: [e for e in effects if e.fitted.channel == name] for name in channels}
-    figure = Figure(figsize=(5.4, 0.7 + sum(0.75 + 0.32 * len(rows[name]) for name in channels)), layout="constrained")
+    figure = Figure(figsize=(5.4, 0.7 + sum(0.95 + 0.32 * len(rows[name]) for name in channels)), layout="constrained")
     panels = figure.subplots(len(channels), 1, squeeze=False,
-                             height_ratios=[1.6 + len(rows[name]) for name in channels])[:, 0]
+                             height_ratios=[2.2 + len(rows[name]) for name in channels])[:, 0]
     for axes, name in zip(panels, channels, strict=True):
-        steps = [("without it", rows[name][0].rms_before)]
-        steps += [(f"+ {e.fitted.name.replace('_', ' ')}" + (f" ({', '.join(e.depends_on)})" if e.depends_on else ""),
-                   e.rms_after) for e in rows[name]]
-        rises = [b > a for (_, a), (_, b) in pairwise(steps)]
+        own = next((c for c in diagnosis.channels if c.channel == name), None)
+        steps = [("before", own.rms_before)] if own else []
+        steps += [(f"all but {e.fitted.name.replace('_', ' ')}" +
+                   (f" ({', '.join(e.depends_on)})" if e.depends_on else ""), e.rms_before) for e in rows[name]]
+        steps += [("all", rows[name][0].rms_after)]
         places = range(len(steps))
         axes.barh(places, [error for _, error in steps], height=0.62,
-                  color=[_SOFT, *(_BEFORE if rose else _AFTER for rose in rises)])
+                  color=[_SOFT] * bool(own) + [_EFFECT] * len(rows[name]) + [_AFTER])
         for place, (_, error) in zip(places, steps, strict=True):
             axes.text(error, place, f" {error:.3g}", va="center", fontsize=9)
         axes.set_yticks(places, [word for word, _ in steps], fontsize=9)
@@ -59,7 +59,7 @@ def arguments_figure(arguments: Sequence[Argument]) -> Figure:
     panels = figure.subplots(len(rows), 1, squeeze=False, sharex=True, height_ratios=[2 + len(row) for row in rows])
     for axes, claim, sets in zip(panels[:, 0], arguments, rows, strict=True):
         for place, other in enumerate(sets):
-            axes.errorbar(other.nats, place, xerr=TOLD * other.std, color=_AFTER if other.told else _EFFECT,
+            axes.errorbar(other.nats, place, xerr=TOLD * other.std, color=_EFFECT if other.rejected else _AFTER,
                           marker="o", ms=4.5, lw=0, elinewidth=1.4)
         axes.set_yticks(range(len(sets)), [other.words for other in sets], fontsize=9)
         axes.set_ylim(len(sets) - 0.4, -0.6)
@@ -67,7 +67,7 @@ def arguments_figure(arguments: Sequence[Argument]) -> Figure:
         axes.set_title(f"{claim.name}, {claim.place}", fontsize=10, loc="left")
         axes.spines[["top", "right"]].set_visible(False)
         axes.set_xscale("symlog", linthresh=10.0)
-    panels[-1, 0].set_xlabel("worse than the named set by … nats (two standard errors)")
+    panels[-1, 0].set_xlabel("worse than the best set by … nats (two standard errors)")
     return figure
 
 

@@ -12,9 +12,9 @@ from scenes.diagnosis.figures import (
     arguments_figure,
     contributions,
     effect_figure,
-    ladder_figure,
     over_signals,
     over_time,
+    without_each_figure,
 )
 from scenes.report.page import Report
 
@@ -27,9 +27,7 @@ _WORDS = {
     "loud": "No effect could be named, though the model leaves more than the noise of the measurement.",
     "unknown": "The model misses {effects}; {unknown} has a cause that the effect library does not have.",
     "left": "The model misses {effects}.",
-    "refit": "No effect could be named, though the model as it was does not predict this recording: only with other "
-             "parameters it does.",
-    "undecided": "This recording moves too little to decide anything.",
+    "undecided": "No joint moves in this recording: it decides nothing of the arm.",
 }
 _MILLI = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
 """Positions are told in thousandths: factor and unit."""
@@ -48,8 +46,8 @@ def add_diagnosis(page: Report, diagnosis: Diagnosis) -> None:
                   ("learned terms", str(len(diagnosis.unknown))),
                   ("held-out data", f"{diagnosis.held_out_seconds:.1f} s")])
     left_out = [f"Joint {joint} is left out: it {reason}." for joint, reason in sorted(diagnosis.undecided.items())]
-    refitted = [f"Joint {refit.joint}: {refit.text}." for refit in diagnosis.refitted]
-    for warning in filter(None, (*left_out, *diagnosis.warnings, unexplained(diagnosis), *refitted)):
+    moved = f"Parameters that moved: {'; '.join(p.text for p in diagnosis.moved)}." if diagnosis.moved else ""
+    for warning in filter(None, (*left_out, *diagnosis.warnings, unexplained(diagnosis), moved)):
         page.warning(warning)
     if diagnosis.unused:
         page.text(f"Not used: {unused(diagnosis)}.")
@@ -62,8 +60,8 @@ def add_diagnosis(page: Report, diagnosis: Diagnosis) -> None:
                "Relative errors are 100·‖y − ŷ‖/‖y‖; positions are deviations already, of which there is no share. "
                "Samples count where a joint moves, apart from reversals, rests and the ends of the recording.")
     if diagnosis.effects or diagnosis.unknown:
-        page.figure(ladder_figure(diagnosis), "Every step of the ladder is the error on held-out data with one more "
-                    "effect in the model; dashed: the noise of the measurement, below which no model can get.")
+        page.figure(without_each_figure(diagnosis), "The error on held-out data before, with all causes but one, and "
+                    "with all of them; dashed: the noise of the measurement, below which no model can get.")
     shown = contributions(diagnosis)
     if shown:
         page.heading("The effects that were found")
@@ -71,15 +69,6 @@ def add_diagnosis(page: Report, diagnosis: Diagnosis) -> None:
         page.figure(*effect_figure(e, contribution, _unit(diagnosis, contribution[0][contribution[2]])))
     _effects(page, diagnosis)
     _arguments(page, diagnosis)
-    if diagnosis.not_transferred:
-        page.heading("What competed and lost")
-        page.table(["effect", "where", "channel", "p-value", "error without", "error with", "unit", "why not"],
-                   [[d.effect, f"joint {d.joint}" if d.joint else "the whole arm", d.channel, d.p_value,
-                     *_told(_unit(diagnosis, d.channel), d.rms_without, d.rms_with), d.reason]
-                    for d in diagnosis.not_transferred],
-                   "Found, but not added: these lower the error of the data they were found in, but not that of data "
-                   "that had no part in it (a phase that starts anew, or a habit of the motion), or are not what "
-                   "physics allows.")
     for names, traces in diagnosis.traces:
         _traces(page, diagnosis, names, traces)
     _remaining(page, diagnosis)
@@ -92,7 +81,7 @@ def summary(diagnosis: Diagnosis) -> str:
     unknown = [f"a dependence of {_where(u)} on {' and '.join(u.depends_on)}" for u in diagnosis.unknown]
     words = diagnosis.verdict
     if words == "unknown" and not unknown:
-        words = "left" if named else "refit" if diagnosis.refitted else "loud"
+        words = "left" if named else "loud"
     above = _above_noise(diagnosis)
     if words == "none" and above:
         words = "quiet"
@@ -180,16 +169,16 @@ def _listed(parts: list[str]) -> str:
 def _effects(page: Report, diagnosis: Diagnosis) -> None:
     if not diagnosis.effects and not diagnosis.unknown:
         return
-    page.heading("What was added, in the order in which it was found")
+    page.heading("What was added")
     effects = (*diagnosis.effects, *diagnosis.unknown)
     rows = [[e.fitted.name + (f" ({', '.join(e.depends_on)})" if e.depends_on else ""), _where(e), e.fitted.channel,
-             *_told(_unit(diagnosis, e.fitted.channel), e.rms_before, e.rms_after), e.p_value,
+             *_told(_unit(diagnosis, e.fitted.channel), e.rms_before, e.rms_after), e.nats, e.probability,
              "; ".join(p.text for p in e.fitted.parameters), ", ".join(e.indistinguishable_from) or "–",
              {None: "–", True: "yes", False: "no"}[e.transfers]] for e in effects]
-    page.table(["effect", "where", "channel", "error without", "error with", "unit", "p-value", "parameters",
-                "these data cannot tell it from", "lowers the error of the other recording"], rows,
-               "Errors are on held-out data, each effect with those before it in the model. The p-value is paid for "
-               "all values of nonlinear parameters that were tried.")
+    page.table(["effect", "where", "channel", "error without", "error with", "unit", "nats", "probability",
+                "parameters", "these data cannot tell it from", "lowers the error of the other recording"], rows,
+               "Errors are on held-out data, all other causes being in the model. Nats: by how much the score is lower "
+               "without it; the probability is that against everything else that was weighed in its place.")
     for e in effects:
         if e.would_tell:
             page.text(f"To tell {e.fitted.name} in {_where(e)} from {', '.join(e.indistinguishable_from)}: "
@@ -206,9 +195,9 @@ def _arguments(page: Report, diagnosis: Diagnosis) -> None:
     for argument in diagnosis.arguments:
         page.text(f"{argument.text[:1].upper()}{argument.text[1:]}")
     page.figure(arguments_figure(diagnosis.arguments[:6]),
-                "How much worse the recording is foretold, on blocks of time that took no part in the fit, with "
-                "something else in the place of a named cause: log density in nats, two standard errors to either "
-                "side. Orange: the data do not tell it from the named one.")
+                "How much worse the score is with something else in the place of a named cause: log density of blocks "
+                "of time that took no part in the fit and log prior, in nats, with two standard errors to either side. "
+                "Blue: the data do not reject it.")
 
 
 def _traces(page: Report, diagnosis: Diagnosis, names: tuple[str, ...], traces: Traces) -> None:

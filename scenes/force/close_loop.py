@@ -98,7 +98,7 @@ class _Force(Subject[ForceResult]):
         torque = in_position_band(torque_regression(recording, self.robot, self.known), recording)
         left = dict[str, Array]()
         for made, _ in force_regressions(recording, None, self.robot, torque, None, self.known.stiffness):
-            residual = Problem.of(made, False).fit([]).residual(made)
+            residual = Problem(made).fit([]).residual(made)
             left |= {channel: residual[:, k] * (self.scene.tip.stiffness if unit == "m" else 1.0)
                      for k, (channel, unit) in enumerate(zip(made.channels, made.units, strict=True)) if unit != "N m"}
         return left

@@ -12,6 +12,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis import Diagnosis, DiagnosisPlan, diagnose, open_questions, plan_diagnosis
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.diagnosis.prior import TYPE
 from ideal_robot.diagnosis.validation.refit import beside_held_model, friction_anew
 from ideal_robot.diagnosis.validation.transfer import adopted, behind_gears, with_joint
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION, FittedEffect
@@ -56,11 +57,8 @@ class Candidates:
 
         Effects of the torque come in two forms: as large as they are beside the model as it is, and with the friction
         that their joint has in the joint fit, for dry friction that rises towards standstill leaves less to the Coulomb
-        term. Where the parameters of the model do not hold, what explains most of the recording with them held is
-        tried, too: effects of another name that the diagnosis then reports may be such as do not act on a path. Of
-        these, changes of parameters are tried one by one, for beside them stands what only makes up for the rest: as
-        large as they are alone, or with the others. Where refitting the model alone explains a joint's error, its
-        friction is a change of its own: as the joint fit has it, or fitted beside all else.
+        term. Where the arm is another of its type, the friction of each joint is a change of its own: as the joint fit
+        has it, or fitted beside all else.
         """
         effects = [effect.fitted for effect in (*self.found.effects, *self.found.unknown)]
         refused, torque, rest = _sorted(effects, self.measured)
@@ -71,11 +69,10 @@ class Candidates:
         places = {_place(effect) for effect in torque}
         held = tuple(e for e in beside_held_model(regression, self.model, effects) if _place(e) in places)
         of_gears = () if self.measured == "motor" else behind_gears(self.model, self.found, self.run, self.robot)
-        explaining, hidden = self._beside_known(regression, of_gears)
         whole = [*([Form.adding(f"all that was found, {_HELD}", (*held, *of_gears))] if held or of_gears else []),
-                 *self._predicting(), *explaining]
+                 *self._predicting()]
         by_joint, no_size = self._by_joint(torque, held)
-        apart = [*((Form.adding(said(effect.name, effect.joint), (effect,)),) for effect in behind), *by_joint, *hidden,
+        apart = [*((Form.adding(said(effect.name, effect.joint), (effect,)),) for effect in behind), *by_joint,
                  *self._friction_anew(regression)]
         return (Group(tuple(whole), tuple(apart)), Group.adding(at_tool)), (*refused, *no_size)
 
@@ -88,20 +85,6 @@ class Candidates:
         if not changed or any(_not_of_currents(effect, self.measured) for effect in more):
             return []
         return [Form("all that predict the run better", lambda model, run: predicting, places_of(more))]
-
-    def _beside_known(self, regression: Regression, of_gears: Effects) -> tuple[list[Form], list[Forms]]:
-        """What explains most with the parameters held: together, and each change of a parameter by itself."""
-        whole, sizes = list[Form](), dict[tuple[str, int], list[FittedEffect]]()
-        for own in self.found.beside_known:
-            _, acting, _ = _sorted(beside_held_model(regression, self.model, own), self.measured)
-            if acting:
-                whole.append(Form.adding("all that explains it with the model as it was", (*acting, *of_gears)))
-            for effect in acting:
-                if effect.effect.absorbed_by_base:
-                    known = sizes.setdefault((effect.name, effect.joint), [])
-                    known += [effect] if known else [*beside_held_model(regression, self.model, (effect,)), effect]
-        return whole, [tuple(Form.adding(f"{said(*place)}, {_HELD}", (effect,)) for effect in own)
-                       for place, own in sizes.items()]
 
     def _by_joint(self, torque: Sequence[FittedEffect], held: Effects) -> tuple[list[Forms], list[Step]]:
         """The effects of each joint's torque, and those that come in no form."""
@@ -118,8 +101,8 @@ class Candidates:
         return result, refused
 
     def _friction_anew(self, regression: Regression) -> list[Forms]:
-        """The friction of joints whose error refitting the model alone explains."""
-        joints = tuple(refit.joint for refit in self.found.refitted)
+        """The friction of each joint, where the arm is another of its type."""
+        joints = tuple(range(1, self.robot.n + 1)) if self.found.taken_for == TYPE else ()
         return [tuple(self._refitted(f"friction of joint {joint} fitted anew", fit, joint, ())
                       for fit in (anew, self.found.model) if fit is not None)
                 for joint, anew in friction_anew(regression, self.model, joints).items()]

@@ -30,13 +30,12 @@ class Score:
         named: effects said, names with joints.
         unknown: joints of learned terms.
         false: what was said and is not there, ``unknown`` included.
-        margins: for each of ``false``, how many times the share of the residual it took away that was asked of it.
         found: for each cause, whether it was said.
         right: everything, and nothing else.
         covered: for each parameter that can be compared, its error over its standard deviation.
         seconds: processor time of the diagnosis.
-        probabilities: for each of ``named`` how probable it is by its argument, with what it is said not to be told
-            from, and whether one of these is there; empty where no arguments were asked for.
+        probabilities: for each of ``named`` how probable it is said to be, and whether it, or what it is said not to
+            be told from, is there.
     """
 
     seed: int
@@ -57,7 +56,6 @@ class Score:
     right: bool
     covered: tuple[tuple[str, float], ...]
     seconds: float
-    margins: tuple[float, ...] = ()
     probabilities: tuple[tuple[float, bool], ...] = ()
 
     @property
@@ -114,40 +112,17 @@ def score(trial: Trial, diagnosis: Any, seconds: float = 0.0) -> Score:
     return Score(trial.seed, trial.kind, trial.engine, trial.arm, trial.motion, trial.logger, trial.controller,
                  trial.friction, trial.gears, tuple((c.name, c.joint, c.size) for c in trial.causes),
                  str(diagnosis.verdict), named, unknown, false, found, bool(right), tuple(covered), seconds,
-                 tuple(_margin(e) for e, said_ in zip((*diagnosis.effects, *diagnosis.unknown), said, strict=True)
-                       if said_ in false),
                  _probabilities(diagnosis, true | trial.healthy))
-
-
-def _margin(found: Any) -> float:
-    """How many times the share of the residual an effect took away that was asked of it; NaN where it does not say."""
-    evidence = getattr(found.fitted, "evidence", {})
-    return float(evidence["share"] / evidence["share_asked"]) if evidence.get("share_asked") else float("nan")
 
 
 def _probabilities(diagnosis: Any, true: frozenset[tuple[str, int]]) -> tuple[tuple[float, bool], ...]:
     """Of each cause that was named: its probability, and whether it or one it is not told from is there."""
-    arguments, result = [a for a in getattr(diagnosis, "arguments", ()) if a.name != "unknown"], []
-    for argument, effect in zip(arguments, diagnosis.effects, strict=False):
-        alike, fitted = {argument.name, *effect.indistinguishable_from}, effect.fitted
+    result = []
+    for effect in diagnosis.effects:
+        alike, fitted = {effect.fitted.name, *getattr(effect, "indistinguishable_from", ())}, effect.fitted
         right = any((said_name(name, fitted.channel), joint) in true for name in alike for joint in (fitted.joint, 0))
-        result.append((probability(argument, alike), right))
+        result.append((float(getattr(effect, "probability", float("nan"))), right))
     return tuple(result)
-
-
-def probability(argument: Any, alike: set[str]) -> float:
-    """Probability of a cause by its argument, against the next best other cause, or none.
-
-    The odds are those of the score, averaged over its standard error: MacKay's moderated output (1992). A curve names
-    no cause, and is none of the others.
-
-    Args:
-        argument: an ``ideal_robot.diagnosis.validation.result.Argument``, or anything with its sets.
-        alike: names of the cause and of what is said not to be told from it.
-    """
-    sets = [(group.nats / np.sqrt(1.0 + np.pi / 8.0 * group.std**2), group.name.partition("/")[0] in alike)
-            for group in argument.sets if not group.learned]
-    return float(expit(min(nats for nats, own in sets if not own) - min([0.0, *(nats for nats, own in sets if own)])))
 
 
 def said_name(name: str, channel: str) -> str:
@@ -340,36 +315,6 @@ def intervals(scores: Sequence[Score]) -> str:
     lines = ["| parameter | 95 % intervals that hold the truth | median error, in σ |", "| --- | --- | --- |"]
     lines += [f"| {name} | {_of([e <= 1.96 for e in errors])} | {np.median(errors):.1f} |"
               for name, errors in sorted(rows.items())]
-    return "\n".join(lines)
-
-
-def leaving_out(scores: Sequence[Score], scale: float) -> str:
-    """Markdown table: the factor on all shares that the engines but one would ask for, and what it does in that one.
-
-    Made of empty recordings that were diagnosed with all shares lowered: the largest margin of what is named and is
-    not there says with which factor the recording is left alone.
-
-    Args:
-        scores: of trials; only the empty ones count.
-        scale: by which the shares were multiplied when they were played.
-    """
-    empty = [s for s in scores if s.kind == "none"]
-
-    def needed(s: Score) -> float:
-        if not s.false:
-            # Below the factor with which it was played nothing is known.
-            return scale if s.right else np.inf
-        return scale * max((np.inf if np.isnan(m) else m) for m in s.margins)
-
-    lines = ["| engine left out | factor on all shares from the others | its empty ones left alone with it | "
-             "with the factor 1 |", "| --- | --- | --- | --- |"]
-    for engine in sorted({s.engine for s in empty}):
-        factors = sorted(needed(s) for s in empty if s.engine != engine)
-        own = [needed(s) for s in empty if s.engine == engine]
-        if factors:
-            factor = factors[min(int(np.ceil(_QUIET * len(factors))), len(factors)) - 1]
-            alone, as_it_is = (_of([n <= most for n in own]) for most in (factor, 1.0))
-            lines.append(f"| {engine} | {factor:.2f} | {alone} | {as_it_is} |")
     return "\n".join(lines)
 
 

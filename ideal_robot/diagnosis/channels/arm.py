@@ -10,8 +10,8 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.causes import Candidate
 from ideal_robot.diagnosis.channels.regression import Regression, noise_floor
-from ideal_robot.diagnosis.statistics.problem import Candidate
 from ideal_robot.effects import ARM_POSITION, TCP_POSITION, Frames
 from ideal_robot.effects.loads import AngleLaw
 from ideal_robot.robots.robot import Robot, common_normals

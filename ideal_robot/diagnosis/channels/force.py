@@ -16,16 +16,16 @@ from ideal_robot.diagnosis.channels.regression import (
     FEWEST,
     KNOTS,
     MEMORY,
+    OWN,
     RESTING,
     WRENCH,
     Regression,
     noise_floor,
 )
-from ideal_robot.diagnosis.search.choice import Options
-from ideal_robot.diagnosis.statistics.least_squares import CLEAR
 from ideal_robot.effects import SENSOR
 from ideal_robot.effects.fitted import spline_basis
 from ideal_robot.effects.force import ASSUMED_GIVE, CONTACT_FORCE, MOMENTS
+from ideal_robot.estimate.score import CLEAR
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.filters import lowpass
 from ideal_robot.signals.preprocess import FilteredSignals
@@ -87,7 +87,7 @@ class _Wrench:
     def turns(self) -> bool:
         """Whether weight cannot do nearly all that a bias does, as is asked of any effect."""
         pull = self.pull[self.free] / G
-        return bool(np.sum(np.var(pull, axis=0)) > Options.smallest_own) if len(pull) else False
+        return bool(np.sum(np.var(pull, axis=0)) > OWN) if len(pull) else False
 
     def without_contact(self, turns: bool) -> Regression | None:
         """The wrench while nothing touches the tool: bias, the tool's weight in the changing orientation, and inertia.

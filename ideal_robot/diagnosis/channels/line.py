@@ -17,8 +17,7 @@ from scipy import ndimage
 
 from ideal_robot.arrays import Array, arc_lengths, interpolated
 from ideal_robot.diagnosis.channels.arm import arm_angles, tool_motion
-from ideal_robot.diagnosis.channels.regression import FEWEST, KNOTS, POSITION_BAND, Regression
-from ideal_robot.diagnosis.search.choice import Options
+from ideal_robot.diagnosis.channels.regression import FEWEST, KNOTS, OWN, POSITION_BAND, Regression
 from ideal_robot.effects import SENSOR, Signals, library
 from ideal_robot.effects.camera import CameraEffect, PointError, StampError, from_axis
 from ideal_robot.effects.fitted import spline_basis
@@ -69,7 +68,7 @@ class _SeenPoints:
                 whole = error.late(self.t) * self.speed
             remainder = self.beside(whole)
             # As of any effect: what another line can do nearly as well is none of the camera.
-            if not error.optional or float(np.sum(remainder**2)) > Options.smallest_own * float(np.sum(whole**2)):
+            if not error.optional or float(np.sum(remainder**2)) > OWN * float(np.sum(whole**2)):
                 result[error.signal] = remainder
         return result
 

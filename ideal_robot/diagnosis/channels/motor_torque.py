@@ -22,12 +22,12 @@ from ideal_robot.diagnosis.channels.regression import (
     Regression,
     noise_floor,
 )
-from ideal_robot.diagnosis.statistics.least_squares import CLEAR
 from ideal_robot.dynamics import regressor
 from ideal_robot.dynamics.base_parameters import full_regressor
 from ideal_robot.dynamics.newton_euler import chain_of, gravity_across, inverse_dynamics
 from ideal_robot.effects import MOTOR_TORQUE, Signals
 from ideal_robot.effects.signals import constant_of_weight
+from ideal_robot.estimate.score import CLEAR
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import friction_places, friction_sensitivity
 from ideal_robot.robots.robot import Robot

@@ -57,11 +57,9 @@ class Regression:
         """Time from one row to the next [s]; in the mean, for points of one camera field have the same."""
         return float(self.t[-1] - self.t[0]) / max(len(self.t) - 1, 1)
 
-    def blocks(self, held_out: bool) -> Blocks:
-        """Blocks of time of the rows; see ``time_blocks``. A sensor's are few and shorter than those of the torque."""
-        rows = len(self.t)
-        step = 0.5 * int(np.clip(rows / 10, 8, 32)) / rows if self.domain == SENSOR else float(self.t[1] - self.t[0])
-        return time_blocks(rows, step, held_out)
+    def blocks(self) -> Blocks:
+        """Blocks of time of the rows."""
+        return time_blocks(len(self.t), MOST_BLOCKS, FEWEST_ROWS)
 
     def channel_of(self, joint: int) -> int | None:
         """Index of the channel of a joint; None where effects do not belong to one channel, as those of the TCP."""
@@ -113,6 +111,10 @@ CUTOFF = 20.0
 """Cut-off of the position filter [Hz]: as far above the band that the filter is flat within it, no further."""
 POSITION_BAND = 50.0
 """Band in which positions and forces are looked at [Hz]."""
+MOST_BLOCKS = 20
+"""Blocks of time that are left out in turn. Eight give the same names; more of them give a standard error."""
+FEWEST_ROWS = 8
+"""Rows of a block, at least: twice the order of the noise."""
 KNOTS = 0.02
 """Distance of the knots of a curve that is not known, a line's or a surface's [m]."""
 RESTING = 0.004
@@ -121,6 +123,8 @@ filter's cut-off, the filter has blurred the direction on which friction depends
 MEMORY = 2.4
 """Periods of the position filter's cut-off for which both filters remember an end, a rest, or a reversal, where
 friction goes through zero in a way of its own: these samples do not count."""
+OWN = 0.0005
+"""Share of the squares of a column that others cannot make, from which on it has something of its own."""
 FEWEST = 20
 """Samples or camera fields from which a level is estimated, or a regression made, at least."""
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")

@@ -18,11 +18,11 @@ from ideal_robot.diagnosis.channels.motor_torque import in_position_band
 from ideal_robot.diagnosis.next_motion.motion import Foresight, MotionSearch
 from ideal_robot.diagnosis.next_motion.questions import Causes, Open, undecided_joints
 from ideal_robot.diagnosis.next_motion.separation import Pair, Products, Separation
-from ideal_robot.diagnosis.search.choice import Options
-from ideal_robot.diagnosis.statistics.least_squares import CLEAR
-from ideal_robot.diagnosis.statistics.problem import Problem, prior_precision
+from ideal_robot.diagnosis.prior import hypotheses
+from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, Domain, library
 from ideal_robot.errors import InputError
+from ideal_robot.estimate.score import CLEAR
 from ideal_robot.identification.checks import checked
 from ideal_robot.identification.excitation import Workspace
 from ideal_robot.identification.program import require_within_limits
@@ -123,7 +123,7 @@ class DiagnosisPlan(Summarised):
 
 def plan_diagnosis(recording: Recording, robot: Robot, questions: Open, *, model: Model | None = None,
                    longest: float = LONGEST, workspace: Workspace | None = None, seed: int = 1,
-                   options: Options | None = None, progress: Progress = silent) -> DiagnosisPlan:
+                   progress: Progress = silent) -> DiagnosisPlan:
     """Plans the motion that tells best what a diagnosis of a recording left open.
 
     Args:
@@ -132,7 +132,7 @@ def plan_diagnosis(recording: Recording, robot: Robot, questions: Open, *, model
         longest: the motion may take [s].
         workspace: where tool and links may go; wherever the recording has been is added.
         seed: of the search.
-        options, progress: thresholds of the diagnosis; called with the share done and a word.
+        progress: called with the share done and a word.
 
     Raises:
         InputError: a recording that cannot be used, a model of another arm, no motion within limits.
@@ -141,16 +141,15 @@ def plan_diagnosis(recording: Recording, robot: Robot, questions: Open, *, model
         raise InputError("expected 4 to 600 s", field="length", value=longest)
     if model is not None:
         model.require_arm(robot)
-    options = options or Options()
     shared = joints_share(recording, robot, model)
     (recording,), _ = checked([recording], robot)
-    case = Case(recording, robot, model, None, options, silent, shared=shared, only=None)
+    case = Case(recording, robot, model, None, silent, shared=shared, only=None)
     progress(0.02, "the recording")
     findings = stages.prepared(case, ())
-    if len(findings.problem.regression.undecided) < robot.n:
+    if findings.problem.regression.use.any():
         findings = stages.baseline(case, findings)
     problems = dict(_problems(case, findings))
-    open_pairs, not_asked = _asked_of(questions, problems, robot, options)
+    open_pairs, not_asked = _asked_of(questions, problems, robot)
     if not open_pairs:
         return DiagnosisPlan((), np.zeros((0, robot.n)), robot.t_ipo, not_asked)
     room = (workspace or Workspace.of(robot)).widened(robot, recording.joints("q"))
@@ -170,18 +169,18 @@ def _problems(case: Case, found: Findings) -> Iterator[tuple[Domain, Problem]]:
     problem = found.problem
     torque = in_position_band(problem.regression, case.recording)
     if case.given is not None and np.any(found.start.covariance):
-        problem = problem.with_prior(prior_precision(found.start, problem)).held()
+        same, _ = hypotheses(found.start, problem.regression)
+        problem = problem.with_prior(same.precision)
     yield MOTOR_TORQUE, problem
     for regression in position_regressions(case.recording, case.robot, torque, case.stiffness):
-        yield regression.domain, Problem.of(regression, held_out=True)
+        yield regression.domain, Problem(regression)
 
 
-def _asked_of(questions: Open, problems: Mapping[Domain, Problem], robot: Robot,
-              options: Options) -> tuple[list[Pair], tuple[str, ...]]:
+def _asked_of(questions: Open, problems: Mapping[Domain, Problem], robot: Robot) -> tuple[list[Pair], tuple[str, ...]]:
     """Pairs and joints that a motion may tell, and what no motion of the joints can answer."""
     open_pairs, not_asked = list[Pair](), list[str]()
     for problem in problems.values():
-        pairs, mute = Causes(problem, options).pairs(questions)
+        pairs, mute = Causes(problem).pairs(questions)
         open_pairs += pairs
         not_asked += mute
     open_pairs += undecided_joints(problems[MOTOR_TORQUE], robot, questions.undecided)
@@ -203,11 +202,10 @@ def _best_motion(pairs: Sequence[Pair], foresight: Foresight, room: Workspace, l
     """The commands ``(N, n)`` [rad] that tell the pairs best, within the arm's limits and the room."""
     case, robot = foresight.case, foresight.case.robot
     start = np.clip(case.recording.joints("q")[0], robot.q_min, robot.q_max)
-    least = [pair.smallest_share(case.options) for pair in pairs]
 
     def worth(several: Sequence[list[Products]]) -> float:
-        margins = np.array([pair.separation(reduce(add, own)).margin(asks)
-                            for pair, asks, own in zip(pairs, least, zip(*several, strict=True), strict=True)])
+        margins = np.array([pair.separation(reduce(add, own)).margin
+                            for pair, own in zip(pairs, zip(*several, strict=True), strict=True)])
         # Pairs that no motion tells must not keep the others waiting; beyond one, more is better, but not for long.
         return float(np.mean(np.minimum(margins, 1.0) + 0.1 * np.minimum(margins, CLEAR)))
 

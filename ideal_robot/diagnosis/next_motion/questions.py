@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.diagnosis.best_set import BestSet
+from ideal_robot.diagnosis.causes import Candidate, candidates
+from ideal_robot.diagnosis.channels.regression import Regression, rms
 from ideal_robot.diagnosis.next_motion.separation import Cause, Pair
-from ideal_robot.diagnosis.search.choice import Options, PresentModel, overlap
-from ideal_robot.diagnosis.search.forward_selection import candidates
-from ideal_robot.diagnosis.search.scoring import Scoring
-from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
+from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.diagnosis.validation.result import Diagnosis
 from ideal_robot.effects import MOTOR_TORQUE, Effect, library
 from ideal_robot.effects.base import prefix_of
@@ -128,12 +127,11 @@ class Causes:
     """Fits what a diagnosis names to the recording of one domain.
 
     Args:
-        problem, options: the regression of the domain, and thresholds of the diagnosis.
+        problem: the regression of the domain.
     """
 
-    def __init__(self, problem: Problem, options: Options) -> None:
-        self.problem, self.model = problem, PresentModel(problem)
-        self.scoring = Scoring(self.model, options)
+    def __init__(self, problem: Problem) -> None:
+        self.problem, self.best = problem, BestSet(problem, [], absorbed=True)
 
     def pairs(self, questions: Open) -> tuple[list[Pair], list[str]]:
         """The pairs of this domain that are open, and what could not be asked."""
@@ -147,7 +145,7 @@ class Causes:
             if best is None:
                 silent.append(f"{named.name} at joint {named.joint} does not show in this recording")
                 continue
-            self.model.replace([*self.model.choices, best])
+            self.best.take([*self.best.choices, best])
             chosen.append((named, best))
         for named, choice in chosen:
             for rival, joint in named.rivals:
@@ -160,19 +158,23 @@ class Causes:
 
     def _pair(self, choice: Candidate, rival: Candidate) -> Pair:
         """The two, each fitted in the other's place."""
-        fit, regression = self.model.fit(choice), self.problem.regression
-        cause, other = (Cause(c, fit.gain(c.key)[1], _thetas_of(c, regression)) for c in (choice, rival))
-        return Pair(cause, other, tuple(c for c in self.model.choices if c is not choice), self.model.weights,
-                    self.model.fit().inflation, self.problem.prior, regression.domain)
+        regression, rest = self.problem.regression, [c for c in self.best.choices if c is not choice]
+        keys = ["W", *[c.key for c in rest]]
+        fitted = self.best.system.posterior(keys)
+        cause, other = (Cause(c, self.best.joined(c, fitted, keys).mean, _thetas_of(c, regression))
+                        for c in (choice, rival))
+        level = rms(self.best.fit_of(self.best.choices).residual(regression), regression.use)
+        weights = np.where(level > 0.0, 1.0 / np.maximum(level, 1e-300) ** 2, 0.0)
+        colours = [channel.noise.colour for channel in self.best.system.channels if channel.use.any()]
+        return Pair(cause, other, tuple(rest), weights, max(float(np.median(colours)), 1.0), self.problem.prior,
+                    regression.domain)
 
     def _best(self, effects: Sequence[Effect], joint: int | None, own: Candidate | None = None) -> Candidate | None:
         """What takes most away at one joint or (None) at all, in the place of a choice if ``own``, theta refined."""
-        regression = self.problem.regression
-        pool = [starts for starts in candidates(effects, regression.signals, regression.undecided, True)
-                if joint in (None, starts[0].joint) and (own is None or starts[0].place != own.place)]
-        fit = self.model.fit() if own is None else self.model.fit(own)
-        scored = [s for s in self.scoring.scored(fit, pool) if own is None or overlap(self.model, own, s)]
-        return self.scoring.refined(fit, max(scored, key=lambda s: s.test.total)) if scored else None
+        self.best.pool = [starts for starts in candidates(effects, self.problem.regression.signals, True)
+                          if joint in (None, starts[0].joint) and (own is None or starts[0].place != own.place)]
+        ranked = self.best.ranked(own, 1, anywhere=True)
+        return ranked[0].candidate if ranked else None
 
 
 def undecided_joints(problem: Problem, robot: Robot, joints: Sequence[int]) -> list[Pair]:

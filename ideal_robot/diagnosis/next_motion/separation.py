@@ -20,11 +20,17 @@ import numpy as np
 from scipy import linalg
 
 from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.best_set import CLASS_ERROR
+from ideal_robot.diagnosis.causes import Candidate
 from ideal_robot.diagnosis.channels.regression import Regression
-from ideal_robot.diagnosis.search.choice import NEARLY, Options
-from ideal_robot.diagnosis.statistics.least_squares import ROUNDING, TOLD
-from ideal_robot.diagnosis.statistics.problem import Candidate
 from ideal_robot.effects import MOTOR_TORQUE, Domain
+from ideal_robot.estimate.gaussian import ROUNDING
+from ideal_robot.estimate.score import TOLD
+
+NEARLY = 0.95
+"""Share of a cause from which on what imitates it stays its rival: the class errs by as much in any direction."""
+VISIBLE_SHARE = (4.0 * CLASS_ERROR) ** 2
+"""Share of a channel's squares from which on a cause is named: four times what the class may err by, in amplitude."""
 
 
 @dataclass(frozen=True)
@@ -67,9 +73,10 @@ class Separation:
         """Whether a recording is expected to tell them: the difference of the fits' squares scatters by ``2 sigma``."""
         return 0.5 * self.sigma >= TOLD and self.own_share >= 1.0 - NEARLY
 
-    def margin(self, smallest: float) -> float:
-        """What a motion is chosen by: one where a diagnosis that asks for this share would just see and tell it."""
-        return min(0.5 * self.sigma / TOLD, self.own_share / (1.0 - NEARLY), self.seen_share / smallest)
+    @property
+    def margin(self) -> float:
+        """What a motion is chosen by: one where a diagnosis would just see and tell it."""
+        return min(0.5 * self.sigma / TOLD, self.own_share / (1.0 - NEARLY), self.seen_share / VISIBLE_SHARE)
 
 
 @dataclass(frozen=True)
@@ -148,12 +155,6 @@ class Pair:
             own, part = min(beside), rest * float(energy[strongest]) / whole
             results.append((float(np.sqrt(own / self.colour)), own / max(rest, 1e-300), part / (part + count)))
         return Separation(*map(min, zip(*results, strict=True)))
-
-    def smallest_share(self, options: Options) -> float:
-        """Share of the residual that a diagnosis with these thresholds asks of the causes."""
-        options = options if self.domain == MOTOR_TORQUE else options.finer()
-        causes = [cause for cause in (self.cause, self.rival) if cause is not None]
-        return max(cause.candidate.effect.caution * options.smallest for cause in causes)
 
 
 def _left(matrix: Array, prior: Array | None) -> float:

@@ -16,13 +16,14 @@ import numpy as np
 from scipy import linalg, optimize, special
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.channels.blocks import Blocks, Design
+from ideal_robot.diagnosis.channels.blocks import Blocks
 from ideal_robot.diagnosis.channels.motor_torque import direction_of
 from ideal_robot.diagnosis.channels.regression import RESTING
-from ideal_robot.diagnosis.statistics.least_squares import TOLD, weights_of_channels
 from ideal_robot.diagnosis.statistics.problem import Problem
+from ideal_robot.diagnosis.system import System
 from ideal_robot.effects import MOTOR_TORQUE, Domain, Signals
 from ideal_robot.effects.fitted import Unknown, signal_of, spline_basis
+from ideal_robot.estimate.score import TOLD
 from ideal_robot.friction import FrictionModel
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import friction_places
@@ -208,9 +209,7 @@ def reversal_widths(problem: Problem, model: Model) -> Array:
 
     The problem's regression is about the model whose friction changes sign.
     """
-    design = problem.design()
-    weights = weights_of_channels(design, ["W"], None, 0)
-    signals = problem.regression.signals
+    system, signals = problem.system(), problem.regression.signals
     reversal_width = np.full(signals.n, 1e-12) if signals.v_small is None else np.array(signals.v_small)
     places = friction_places(model.base, model.friction)
     for j, (law, place) in enumerate(zip(model.friction.laws, places, strict=True)):
@@ -219,7 +218,7 @@ def reversal_widths(problem: Problem, model: Model) -> Array:
             continue
         # Halved down to what the noise of the position asks for; the best is refined.
         speeds = widest * 0.5 ** np.arange(np.ceil(np.log2(widest / reversal_width[j])))
-        misfit = partial(_remaining, problem, design, weights, law, j, place)
+        misfit = partial(_remaining, problem, system, law, j, place)
         remaining = [misfit(speed) for speed in speeds]
         best = int(np.argmin(remaining))
         if misfit(reversal_width[j]) - remaining[best] < TOLD**2:
@@ -231,18 +230,18 @@ def reversal_widths(problem: Problem, model: Model) -> Array:
     return reversal_width
 
 
-def _remaining(problem: Problem, design: Design, weights: Array, law: FrictionModel, j: int, place: slice,
-               speed: float) -> float:
-    """Weighted squares that remain if friction of joint ``j``, whose coefficients stand at ``place``, changes sign so.
+def _remaining(problem: Problem, system: System, law: FrictionModel, j: int, place: slice, speed: float) -> float:
+    """Whitened squares that remain if friction of joint ``j``, whose coefficients stand at ``place``, changes sign so.
 
     The change over ``speed`` counts with the coefficients of the model and with what is fitted to them, never alone.
     """
     s = problem.regression.signals
     qd, load, q = (values[:, [j]] for values in (s.qd, s.load, s.q))
     change = law.regressor(qd, load, q, np.tanh(qd / speed)) - law.regressor(qd, load, q, direction_of(s, j))
-    design.add("reversal_width", problem.prepared(s.on_joint(j + 1, *change[:, 0].T)))
-    G = design.gram(["W", "reversal_width"]).summed(weights, design.blocks.selecting.astype(float))
-    P, m = design.W.m, change.shape[2]
+    system.drop("reversal_width")
+    system.add("reversal_width", problem.prepared(s.on_joint(j + 1, *change[:, 0].T)))
+    G = system.gram(["W", "reversal_width"]).sum(axis=0)
+    P, m = system.p, change.shape[2]
     M = np.zeros((len(G), P + 1))
     M[:P, :P] = np.eye(P)
     M[P : P + m, place] = np.eye(m)

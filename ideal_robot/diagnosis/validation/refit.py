@@ -1,4 +1,4 @@
-"""Fits beside a model: what is held in the last one, effects by their names, and what refitting alone explains."""
+"""Fits beside a model whose parameters are fixed: effects by their names, friction of one joint anew."""
 
 from __future__ import annotations
 
@@ -9,29 +9,19 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.case import Case, Findings
+from ideal_robot.diagnosis.causes import Candidate
 from ideal_robot.diagnosis.channels.arm import position_regressions
 from ideal_robot.diagnosis.channels.force import force_regressions
 from ideal_robot.diagnosis.channels.line import line_regression
-from ideal_robot.diagnosis.channels.motor_torque import about_model, in_position_band, torque_regression
+from ideal_robot.diagnosis.channels.motor_torque import in_position_band, torque_regression
 from ideal_robot.diagnosis.channels.regression import Regression
-from ideal_robot.diagnosis.statistics.least_squares import CLEAR
-from ideal_robot.diagnosis.statistics.problem import (
-    Candidate,
-    Estimate,
-    Problem,
-    prior_covariance,
-    prior_precision,
-    torque_left_open,
-    with_parameters,
-)
-from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
-from ideal_robot.diagnosis.validation.result import ChannelResult, MovedParameter, RefitExplains
+from ideal_robot.diagnosis.prior import hypotheses
+from ideal_robot.diagnosis.statistics.problem import Problem, with_parameters
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, Domain, Effect, FittedEffect, library, names
 from ideal_robot.errors import InputError
 from ideal_robot.identification.checks import checked
 from ideal_robot.model.model import Model
-from ideal_robot.model.parametrisation import friction_places, parameter_vector
+from ideal_robot.model.parametrisation import friction_places
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 
@@ -41,10 +31,10 @@ from ideal_robot.signals.recording import Recording
 # tells badly goes anywhere: into rotors, gravity, other joints' friction. On another motion that is an error of its
 # own. Where the model is known and the effects are named, what the recording holds beyond the model is theirs alone.
 
-def _held_problem(regression: Regression, model: Model) -> Problem:
+def _fixed_problem(regression: Regression, model: Model) -> Problem:
     """The problem of the motor torques about a model with its parameters held."""
-    problem = Problem.of(regression, held_out=False).on_all_blocks()
-    return problem.with_prior(prior_precision(model, problem)).held()
+    same, _ = hypotheses(model, regression)
+    return Problem(regression, same.precision).fixed()
 
 
 def beside_held_model(regression: Regression, model: Model,
@@ -59,7 +49,7 @@ def beside_held_model(regression: Regression, model: Model,
     if not of_torque:
         return ()
     candidates = [Candidate(effect.effect, effect.joint, effect.theta) for effect in of_torque]
-    estimate = _held_problem(regression, model).fit(candidates, uncertainty=True)
+    estimate = _fixed_problem(regression, model).fit(candidates, uncertainty=True)
     return tuple(replace(effect, coefficients=tuple(own.tolist()), std=tuple(std.tolist()), theta_std=(), parameters=())
                  for effect, own, std in zip(of_torque, estimate.coefficients, estimate.std, strict=True)
                  if np.all(np.isfinite(own))
@@ -90,93 +80,6 @@ def friction_anew(regression: Regression, model: Model, joints: tuple[int, ...])
     return result
 
 
-def with_braking_friction(case: Case, found: Findings) -> Findings:
-    """The findings about a model in which coefficients of friction that come out negative are zero and stay so.
-
-    A model that was given brakes already, and is what errors are compared with.
-    """
-    if not case.shared or case.given is not None:
-        return found
-    for _ in range(case.robot.n):
-        start = found.start
-        value = parameter_vector(start.base_values, start.friction)
-        brakes = np.zeros(len(value), dtype=bool)
-        for law, place in zip(start.friction.laws, friction_places(start.base, start.friction), strict=True):
-            brakes[place] = law.nonnegative
-        brakes[list(found.held)] = False
-        change = found.problem.on_all_blocks().fit(found.choices).change
-        index = np.flatnonzero(brakes & (value + change < 0.0))
-        if not len(index):
-            break
-        found = _held(found, index, value)
-    return found
-
-
-def _held(found: Findings, index: np.ndarray, value: Array) -> Findings:
-    """The same about a model whose parameters ``(P,)`` are zero at ``index``, with no part in any fit."""
-    change = np.zeros(len(value))
-    change[index] = -value[index]
-    start = with_parameters(found.start, change)
-
-    def about(regression: Regression) -> Regression:
-        W = regression.W.copy()
-        W[:, :, index] = 0.0
-        return replace(about_model(regression, start), signals=regression.signals, W=W)
-
-    return replace(found, start=start, problem=found.problem.with_regression(about(found.problem.regression)),
-                   validation=None if found.validation is None else about(found.validation),
-                   held=(*found.held, *index.tolist()))
-
-
-def without_scatter(estimate: Estimate, held: tuple[int, ...]) -> Estimate:
-    """The estimate where held parameters stay and have no scatter: they stand at their limit."""
-    covariance, change, index = estimate.covariance.copy(), estimate.change.copy(), list(held)
-    covariance[index], covariance[:, index], change[index] = 0.0, 0.0, 0.0
-    return replace(estimate, change=change, covariance=covariance)
-
-
-# What refitting a given model's parameters alone explains: a cause that looks like them may hide in that.
-#
-# A spring, moved little, is a shift of masses; a wrong gain is heavier links and more friction. Where parameters have
-# to move far from what was known for a joint's error to fall, that is no proof that nothing is missing. What the
-# recordings that the model was made of had left open is no such move.
-
-
-def explained_by_refitting(model: Model, torque: DomainDiagnosis,
-                           channels: Sequence[ChannelResult]) -> tuple[RefitExplains, ...]:
-    """Joints whose error falls by refitting alone; effects that were found take less than half of that away.
-
-    Args:
-        model: as given.
-        torque, channels: the settled domain of the motor torques, and its results.
-    """
-    regression, estimate = torque.problem.regression, torque.problem.fit(torque.choices)
-    left_open = torque_left_open(model, torque.problem)
-    sigma = np.sqrt(np.diag(prior_covariance(model, torque.problem)))
-    result = []
-    for j, c in enumerate(channels):
-        explained = max(c.rms_before**2 - c.rms_refit**2, 0.0)
-        by_effects = float(torque.levels[0][j] ** 2 - torque.levels[-1][j] ** 2)
-        named = torque.problem.prior is not None and 2.0 * by_effects > explained
-        if j + 1 in regression.undecided or named or np.sqrt(explained) <= CLEAR * left_open[j]:
-            continue
-        result.append(RefitExplains(
-            j + 1, c.channel, c.rms_before, c.rms_refit,
-            _moved(model, estimate.change, sigma, regression.W[:, j] * regression.use[:, j, None]),
-            f"joint {j + 1} uses more of its range, at other speeds and loads"))
-    return tuple(result)
-
-
-def _moved(model: Model, change: Array, sigma: Array, W: Array) -> tuple[MovedParameter, ...]:
-    """The four of the parameters ``(P,)`` that moved far and change the joint's torque ``W (N, P)`` most."""
-    value = parameter_vector(model.base_values, model.friction)
-    weight = np.abs(change) * np.sqrt(np.mean(W**2, axis=0))
-    far = [int(i) for i in np.argsort(-weight) if abs(change[i]) > CLEAR * sigma[i] and weight[i] > 0.0]
-    names = model.parameters
-    return tuple(MovedParameter(names[i].name, names[i].unit, float(value[i]), float(value[i] + change[i]),
-                                float(change[i] / sigma[i])) for i in far[:4])
-
-
 def with_named_effects(recording: Recording, robot: Robot, model: Model,
                        effects: tuple[tuple[str, int], ...]) -> Model:
     """The model with the named effects, each kind of measurement's together, beside the model as it is.
@@ -205,7 +108,7 @@ def with_named_effects(recording: Recording, robot: Robot, model: Model,
     fitted: list[FittedEffect] = []
     for domain, regression in by_domain.items():
         if domain in wanted:
-            problem = _held_problem(regression, model) if domain == MOTOR_TORQUE else Problem.of(regression, False)
+            problem = _fixed_problem(regression, model) if domain == MOTOR_TORQUE else Problem(regression)
             fitted += _together(problem, wanted[domain])
     return model.with_effects(tuple(fitted))
 
@@ -227,7 +130,7 @@ def named_sensor_effects(recording: Recording, robot: Robot, model: Model,
         if regression is not None:
             candidates = [Candidate(effect, 0) for name in names for effect in _named(name, SENSOR)
                           if effect.usable(regression.signals, 0)]
-            estimate = Problem.of(regression, False).fit(candidates, uncertainty=True)
+            estimate = Problem(regression).fit(candidates, uncertainty=True)
             result += estimate.all_fitted(regression.prismatic)
     return tuple(result)
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.statistics.least_squares import CLEAR, TOLD
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
+from ideal_robot.estimate.score import CLEAR
 from ideal_robot.model.model import Model
 from ideal_robot.results import Summarised, over_time, plain
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MovedParameter:
-    """A parameter of the given model before and after refitting; ``sigmas``: the change over the former's deviation."""
+    """A parameter of the given model before and after this recording; ``sigmas``: the change over its spread."""
 
     name: str
     unit: str
@@ -28,32 +29,10 @@ class MovedParameter:
     refitted: float
     sigmas: float
 
-
-@dataclass(frozen=True)
-class RefitExplains:
-    """A joint whose error falls by refitting the given model alone.
-
-    Attributes:
-        joint, channel: from 1, and its torque.
-        rms_before, rms_refit: held-out error of the model as given, and refitted.
-        moved, would_tell: the parameters that moved far and count most for it, and what motion would decide.
-    """
-
-    joint: int
-    channel: str
-    rms_before: float
-    rms_refit: float
-    moved: tuple[MovedParameter, ...]
-    would_tell: str
-
     @property
     def text(self) -> str:
-        """In a sentence."""
-        moved = ", ".join(f"{p.name} from {p.value:.3g} to {p.refitted:.3g} {p.unit} ({p.sigmas:+.0f} σ)"
-                          for p in self.moved) or "none of them far"
-        return (f"the error of {self.channel} falls from {self.rms_before:.3g} to {self.rms_refit:.3g} by refitting "
-                f"the given model alone (moved: {moved}). Whether the arm has changed or a cause is missing, this "
-                f"recording does not tell; a motion would in which {self.would_tell}")
+        """In a few words."""
+        return f"{self.name} from {self.value:.3g} to {self.refitted:.3g} {self.unit} ({self.sigmas:+.1f} σ)"
 
 
 _MATTERS = 0.10
@@ -124,21 +103,27 @@ class ChannelResult:
 
 @dataclass(frozen=True)
 class FoundEffect:
-    """One effect, in the order in which it was taken.
+    """One cause of the best set.
 
     Attributes:
-        fitted, p_value: with its numbers, and corrected for all values of theta that were tried.
-        rms_before, rms_after: of its channel on held-out data without and with it, those before it being in the model.
-        indistinguishable_from, would_tell: effects that these data cannot tell from it, and the motion that would.
+        fitted: with its numbers.
+        rms_before, rms_after: of its channel on data that the fit did not see, without it and with it, all else being
+            there.
+        nats, nats_std: by which the best set is better than the one without it, and the standard error of that.
+        probability: of it, against everything that was weighed in its place.
+        indistinguishable_from, would_tell: effects that these data do not reject in its place, and the motion that
+            would tell.
         transfers: whether it also lowers the error on the validation recording; None without one.
         depends_on: for a learned term, the signals it is a curve of.
-        taken: how many effects of its channels were taken before it, learned terms included.
+        taken: its place in the best set.
     """
 
     fitted: FittedEffect
     rms_before: float
     rms_after: float
-    p_value: float
+    nats: float
+    nats_std: float = 0.0
+    probability: float = 1.0
     indistinguishable_from: tuple[str, ...] = ()
     would_tell: str = ""
     transfers: bool | None = None
@@ -148,40 +133,11 @@ class FoundEffect:
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
         return {"effect": self.fitted.name, "joint": self.fitted.joint, "channel": self.fitted.channel,
-                "rms_before": self.rms_before, "rms_after": self.rms_after, "p_value": self.p_value,
+                "rms_before": self.rms_before, "rms_after": self.rms_after, "nats": self.nats,
+                "nats_std": self.nats_std, "probability": self.probability,
                 "parameters": [p.to_dict() for p in self.fitted.parameters],
                 "indistinguishable_from": list(self.indistinguishable_from), "would_tell": self.would_tell,
                 "transfers": self.transfers}
-
-
-@dataclass(frozen=True)
-class NotTransferred:
-    """An effect that was found but is not added, as data that had no part in finding it do not bear it out.
-
-    Attributes:
-        effect, joint, channel, p_value: as in ``FoundEffect``.
-        rms_without, rms_with: of its channel on the data that decide.
-        why: in words, where it is not these errors.
-    """
-
-    effect: str
-    joint: int
-    channel: str
-    p_value: float
-    rms_without: float
-    rms_with: float
-    why: str = ""
-
-    @property
-    def reason(self) -> str:
-        """Why it was not added."""
-        return self.why or (f"with it the error on data that had no part in finding it is {self.rms_with:.3g} instead "
-                            f"of {self.rms_without:.3g}")
-
-    def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return {"effect": self.effect, "joint": self.joint, "channel": self.channel, "p_value": self.p_value,
-                "rms_without": self.rms_without, "rms_with": self.rms_with, "reason": self.reason}
 
 
 @dataclass(frozen=True)
@@ -210,13 +166,17 @@ class Traces:
     added: tuple[Array, ...] = ()
 
 
+NOT_REJECTED = 3.0
+"""Nats up to which a set is not rejected beside the best: odds of twenty to one, as for taking a cause."""
+
+
 @dataclass(frozen=True)
-class Weighed:
-    """One set of causes: the named one with something else, or nothing, in the place of a cause.
+class WeighedSet:
+    """One set of causes: the best one with something else, or nothing, in the place of a cause.
 
     Attributes:
         name, joint: of what stands there; no name where nothing does.
-        nats: by which the set is worse than the named one.
+        nats: by which the set is worse than the best one, priors and all.
         std: standard error of that, over blocks of time.
         learned: whether it is a curve without a physical cause.
     """
@@ -228,9 +188,9 @@ class Weighed:
     learned: bool = False
 
     @property
-    def told(self) -> bool:
-        """Whether the data tell it from the named one."""
-        return abs(self.nats) > TOLD * self.std
+    def rejected(self) -> bool:
+        """Whether the data reject it beside the best one."""
+        return self.nats > NOT_REJECTED
 
     @property
     def words(self) -> str:
@@ -246,64 +206,91 @@ class Weighed:
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
         return {"effect": self.name or None, "joint": self.joint, "nats_worse": self.nats, "std": self.std,
-                "told_apart": self.told}
+                "rejected": self.rejected}
+
+
+def probability(sets: Sequence[WeighedSet], name: str) -> float:
+    """Probability of a cause against the other sets, of which one with the same name speaks for it.
+
+    The odds are those of the score, averaged over its standard error: MacKay's moderated output (1992).
+
+    Args:
+        sets: with something else, or nothing, in its place.
+        name: of the cause.
+    """
+    nats = np.array([s.nats / np.sqrt(1.0 + np.pi / 8.0 * s.std**2) if np.isfinite(s.std) else 0.0
+                     for s in sets if s.name != name])
+    return float(1.0 / (1.0 + np.exp(-np.clip(nats, -500.0, 500.0)).sum())) if nats.size else 1.0
 
 
 @dataclass(frozen=True)
 class Argument:
-    """Why one cause was named.
+    """Why one cause is in the best set.
 
     Attributes:
         name, joint, channel: of the cause.
         place: where it sits, in words.
         sets: every set that was weighed, the best first.
-        band: octaves that hold half of the difference to the next best one [Hz].
-        when: in which quarter of the time most of that difference lies.
-        share: of the difference in that quarter.
+        when: the quarter of the time that holds most of the evidence for it.
+        share: of the evidence in that quarter.
+        probability: of the cause, against all of them.
     """
 
     name: str
     joint: int
     channel: str
     place: str
-    sets: tuple[Weighed, ...]
-    band: tuple[float, float]
+    sets: tuple[WeighedSet, ...]
     when: str
     share: float
+    probability: float
 
     @property
-    def rivals(self) -> tuple[Weighed, ...]:
+    def nothing(self) -> WeighedSet:
+        """The set with nothing in its place."""
+        return next(s for s in self.sets if not s.name)
+
+    @property
+    def nats(self) -> float:
+        """By which the best set is better than with nothing in its place."""
+        return self.nothing.nats
+
+    @property
+    def std(self) -> float:
+        """Standard error of ``nats``."""
+        return self.nothing.std
+
+    @property
+    def rivals(self) -> tuple[WeighedSet, ...]:
         """The sets with another cause in its place, the best first."""
         return tuple(weighed for weighed in self.sets if weighed.name)
 
     @property
+    def not_distinguished(self) -> tuple[str, ...]:
+        """Names of other causes that the data do not reject in its place, with the joint where it is another one."""
+        names = [s.name if s.joint == self.joint else s.words for s in self.rivals
+                 if not (s.learned or s.rejected) and s.name != self.name]
+        return tuple(dict.fromkeys(names))
+
+    @property
     def text(self) -> str:
         """The argument in a few sentences."""
-        parts = [f"{self.place}: {self.name} in {self.channel}."]
+        parts = [f"{self.place}: {self.name} in {self.channel}, probability {self.probability:.3g}.",
+                 f"With nothing in its place the score is {self.nothing.amount}; {100.0 * self.share:.0f} % of that "
+                 f"lies {self.when}."]
         best = next((rival for rival in self.rivals if not rival.learned), None)
         if best is not None:
             what = best.words if best.joint != self.joint else best.name
-            low, high = self.band
-            between = (f"above {low:g} Hz" if not np.isfinite(high) else
-                       f"between {low:g} and {high:g} Hz" if low else f"below {high:g} Hz")
-            where = (f"half of the difference lies {between}, {100.0 * min(self.share, 1.0):.0f} % of it in the "
-                     f"quarter of the time {self.when}.")
-            parts.append(
-                f"Not told from {what}, {best.amount}." if not best.told else
-                f"Next best is {what}, {best.amount}: {where}" if best.nats > 0.0 else
-                f"With {what} it is {best.amount}: {where} Where both explain nearly the same, the likelier cause or "
-                "the one with fewer parameters is named.")
+            parts.append(f"With {what}, the next best cause, {best.amount}" +
+                         ("." if best.rejected else ", which these data do not reject."))
         parts += [f"With {rival.name}, which has no cause, {rival.amount}." for rival in self.rivals if rival.learned]
-        parts += [f"With nothing in its place {weighed.amount}." for weighed in self.sets if not weighed.name]
-        return f"{' '.join(parts)} Sets weighed: {len(self.sets) + 1}."
+        return f"{' '.join(parts)} Sets compared: {len(self.sets) + 1}."
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        low, high = self.band
         return {"effect": self.name, "joint": self.joint, "channel": self.channel, "text": self.text,
-                "sets": [weighed.to_dict() for weighed in self.sets],
-                "next_best_decided": {"from_hz": low, "to_hz": high if np.isfinite(high) else None, "when": self.when,
-                                      "share": self.share}}
+                "probability": self.probability, "sets": [weighed.to_dict() for weighed in self.sets],
+                "when": self.when, "share": self.share}
 
 
 @dataclass(frozen=True, repr=False)
@@ -314,7 +301,7 @@ class Diagnosis(Summarised):
         verdict: ``effects``, ``none``, ``unknown`` where something remains that matters and has no name, or
             ``undecided`` where the recording moves too little.
         channels: errors before and after.
-        effects: effects of the library, in the order in which they were taken.
+        effects: effects of the library, the best set of them.
         unknown: learned terms.
         held_out: how the reported data were kept apart, and how many seconds they are.
         undecided: joints that move too little, with the reason.
@@ -322,12 +309,11 @@ class Diagnosis(Summarised):
         warnings: for people.
         model: the extended model.
         traces: names of channels and their series for plots, of each domain.
-        not_transferred: effects that were found but are a habit of the recording.
         unused: columns that measure something but took no part, with the reason.
-        refitted: joints whose error refitting the given model explains alone, so that a cause may hide in it.
-        beside_known: where the given model's parameters do not hold and were fitted anew, what explains most of the
-            recording with them as they were: one or two sets of effects, the sizes of each fitted together.
-        arguments: why each cause was named, where that was asked for.
+        taken_for: what a given model's parameters were taken for: those of the same arm, or of another of its type;
+            empty without one.
+        moved: parameters of a given model that are others in this recording, the largest first.
+        arguments: why each cause is in the best set.
     """
 
     verdict: str
@@ -342,10 +328,9 @@ class Diagnosis(Summarised):
     warnings: tuple[str, ...] = ()
     model: Model | None = None
     traces: tuple[tuple[tuple[str, ...], Traces], ...] = ()
-    not_transferred: tuple[NotTransferred, ...] = ()
     unused: dict[str, str] = field(default_factory=dict)
-    refitted: tuple[RefitExplains, ...] = ()
-    beside_known: tuple[tuple[FittedEffect, ...], ...] = ()
+    taken_for: str = ""
+    moved: tuple[MovedParameter, ...] = ()
     arguments: tuple[Argument, ...] = ()
 
     @property
@@ -383,18 +368,15 @@ class Diagnosis(Summarised):
             "channels": [c.to_dict() for c in self.channels],
             "effects": [e.to_dict() for e in self.effects],
             "unknown": [{"joint": u.fitted.joint, "depends_on": list(u.depends_on), "rms_before": u.rms_before,
-                         "rms_after": u.rms_after, "channel": u.fitted.channel, "p_value": u.p_value,
+                         "rms_after": u.rms_after, "channel": u.fitted.channel, "nats": u.nats,
                          "transfers": u.transfers} for u in self.unknown],
             "held_out": {"how": self.held_out_how, "seconds": self.held_out_seconds},
-            "not_transferred": [d.to_dict() for d in self.not_transferred],
             "undecided": [{"joint": joint, "reason": reason} for joint, reason in sorted(self.undecided.items())],
             "residual_before": self.before, "residual_after": self.remaining,
             "warnings": list(self.warnings),
             "unused": [{"columns": names, "reason": reason} for names, reason in self.unused.items()],
-            **({"explained": [a.to_dict() for a in self.arguments]} if self.arguments else {}),
-            "explained_by_refitting": self.refitted,
-            "with_parameters_held": [[{"effect": e.name, "joint": e.joint, "parameters": [p.text for p in e.parameters]}
-                                      for e in effects] for effects in self.beside_known],
+            "explained": [a.to_dict() for a in self.arguments],
+            "parameters_taken_for": self.taken_for, "moved_parameters": list(self.moved),
             "unexplained": [c.channel for c in self.unexplained],
             "above_noise": [c.channel for c in self.channels if c.above_noise],
         })

@@ -1,4 +1,4 @@
-"""What transfers to another recording: effects that make its error worse are habits of the recording they came from."""
+"""What a diagnosis found, taken into the model for another motion as far as a recording of that motion bears it out."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.arm import arm_angle_regression
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
-from ideal_robot.diagnosis.channels.regression import Regression, rms, without_known
-from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
-from ideal_robot.diagnosis.validation.result import Diagnosis, NotTransferred
+from ideal_robot.diagnosis.channels.regression import without_known
+from ideal_robot.diagnosis.prior import TYPE
+from ideal_robot.diagnosis.validation.result import Diagnosis
 from ideal_robot.effects import ARM_POSITION, FittedEffect
 from ideal_robot.friction import PerJointFriction
 from ideal_robot.model.model import Model
@@ -36,30 +36,6 @@ def log_reduction(without: Array, present: Array, channel: int | None) -> float:
     return float(np.mean(ratio) if channel is None else ratio[channel])
 
 
-def eliminated(effects: Sequence[T], error: Error[T],
-               channel_of: Callable[[T], int | None]) -> tuple[list[T], list[tuple[T, Array, Array]]]:
-    """Drops, one after another, the effect without which the error is lowest, until each lowers it.
-
-    Args:
-        effects, error: all of them, and the error with some of them.
-        channel_of: the channel of an effect, None if it has no own.
-
-    Returns:
-        Those that stay, in their order, and those that do not, with the errors without and with each.
-    """
-    remaining, dropped = list(effects), []
-    while remaining:
-        present = error(remaining)
-        absent = [error([other for other in remaining if other is not effect]) for effect in remaining]
-        reductions = [log_reduction(without, present, channel_of(effect))
-                      for effect, without in zip(remaining, absent, strict=True)]
-        worst = int(np.argmin(reductions))
-        if reductions[worst] >= 0.0:
-            break
-        dropped.append((remaining.pop(worst), absent[worst], present))
-    return remaining, dropped
-
-
 def accepted(effects: Sequence[T], error: Error[T], channel_of: Callable[[T], int | None]) -> list[T]:
     """Takes, one after another, the effects that lower the error beside those already taken.
 
@@ -76,40 +52,6 @@ def accepted(effects: Sequence[T], error: Error[T], channel_of: Callable[[T], in
     return chosen
 
 
-def deciding(validation: Regression) -> np.ndarray:
-    """Samples ``(N,)`` of the other recording that decide what transfers: every second block; the others report."""
-    return np.asarray(validation.blocks(held_out=False).of_samples() % 2 == 0)
-
-
-def transferring(problem: Problem, choices: Sequence[Candidate], validation: Regression,
-                 samples: np.ndarray) -> tuple[list[Candidate], tuple[NotTransferred, ...]]:
-    """Drops, one after another, the effect without which samples that took no part are predicted better.
-
-    Each time everything else is fitted anew to the selecting blocks; these samples only compare. Parameters that are
-    known before are held: else they would follow whatever change of them was left out.
-
-    Args:
-        problem, choices: what was searched and selected.
-        validation, samples: the regression of another recording, or of the same, and what of it decides ``(N,)``.
-    """
-    problem, mask = problem.held(), validation.use & samples[:, None]
-
-    def error(kept: Sequence[Candidate]) -> Array:
-        return rms(problem.fit(kept).residual(validation), mask) + 1e-300
-
-    remaining, dropped = eliminated(choices, error, lambda choice: validation.channel_of(choice.joint))
-    return remaining, tuple(_not_transferred(validation, *entry) for entry in dropped)
-
-
-def _not_transferred(validation: Regression, choice: Candidate, without: Array, present: Array) -> NotTransferred:
-    own = validation.channel_of(choice.joint)
-    j = int(np.argmax(present / without)) if own is None else own
-    return NotTransferred(choice.effect.name, choice.joint, validation.channels[j], choice.p_value,
-                          float(without[j]), float(present[j]))
-
-
-# What a diagnosis found, taken into the model for another motion as far as a recording of that motion bears it out.
-#
 # Effects of the torque are fitted together with the friction of their joint: a dry friction that rises towards
 # standstill leaves less to the Coulomb term, and a model's curve may have imitated the effect. So a joint's effects
 # and its friction are one package: they are taken together or not at all. An effect on top of the friction of before
@@ -118,7 +60,7 @@ def _not_transferred(validation: Regression, choice: Candidate, without: Array, 
 def adopted(known: Model, found: Diagnosis, run: Recording, robot: Robot) -> Model:
     """The known model with the joints, changed as the diagnosis says, that predict another recording better.
 
-    Joints count in which something was found, and those whose error refitting the known model alone explains.
+    Joints are tried in which something was found; all of them where the arm is another of its type.
 
     Args:
         known, found: the model that the diagnosis was given, and what it found in one recording.
@@ -136,7 +78,8 @@ def adopted(known: Model, found: Diagnosis, run: Recording, robot: Robot) -> Mod
             model = with_joint(model, fitted, joint, tuple(e for e in at_torque if e.joint == joint))
         return model
 
-    joints = accepted(sorted({effect.joint for effect in at_torque} | {refit.joint for refit in found.refitted}),
+    others = set(range(1, known.n + 1)) if found.taken_for == TYPE else set[int]()
+    joints = accepted(sorted({effect.joint for effect in at_torque} | others),
                       lambda some: with_joints(some).predict(run).relative_error_percent,
                       lambda joint: joint - 1 if joint else None)
     return with_joints(joints)

@@ -9,9 +9,10 @@ import pytest
 
 from ideal_robot.diagnosis import Diagnosis
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
+from ideal_robot.diagnosis.prior import TYPE
 from ideal_robot.diagnosis.validation.refit import friction_anew
-from ideal_robot.diagnosis.validation.result import FoundEffect, RefitExplains
-from ideal_robot.diagnosis.validation.transfer import accepted, adopted, eliminated, log_reduction, with_joint
+from ideal_robot.diagnosis.validation.result import FoundEffect
+from ideal_robot.diagnosis.validation.transfer import accepted, adopted, log_reduction, with_joint
 from ideal_robot.effects import FittedEffect
 from ideal_robot.friction import PerJointFriction, ViscousCoulomb
 from ideal_robot.model.model import Model
@@ -45,7 +46,7 @@ def case() -> tuple[Robot, Model, Diagnosis, Recording]:
     robot = Robot.load("kr15")
     known = with_coulomb(robot, [100.0] * robot.n)
     fitted = with_coulomb(robot, [100.0, 60.0, 60.0, 100.0, 100.0, 100.0]).with_effects((STICKS, HABIT))
-    diagnosis = Diagnosis("effects", (), tuple(FoundEffect(e, 1.0, 0.5, 1e-9) for e in (STICKS, HABIT)), (), "", 0.0,
+    diagnosis = Diagnosis("effects", (), tuple(FoundEffect(e, 1.0, 0.5, 50.0) for e in (STICKS, HABIT)), (), "", 0.0,
                           model=fitted)
     truth = with_joint(known, fitted, 2, (STICKS,))
     return robot, known, diagnosis, recorded(truth)
@@ -74,12 +75,11 @@ def test_without_an_extended_model_nothing_changes(case):
     assert adopted(known, dataclasses.replace(diagnosis, effects=(), model=None), run, robot).effects == known.effects
 
 
-def test_friction_that_refitting_alone_explains_is_taken_where_another_recording_bears_it_out(case):
+def test_friction_of_another_arm_of_the_type_is_taken_where_another_recording_bears_it_out(case):
     robot, known, diagnosis, _ = case
     fitted = with_coulomb(robot, [100.0, 60.0, 60.0, 100.0, 100.0, 100.0])
-    swallowed = tuple(RefitExplains(joint, f"tau_{joint}", 20.0, 1.0, (), "") for joint in (2, 3))
     run = recorded(with_coulomb(robot, [100.0, 60.0, 100.0, 100.0, 100.0, 100.0]))
-    model = adopted(known, dataclasses.replace(diagnosis, effects=(), model=fitted, refitted=swallowed), run, robot)
+    model = adopted(known, dataclasses.replace(diagnosis, effects=(), model=fitted, taken_for=TYPE), run, robot)
     assert [law.coefficients[1, 0] for law in model.friction.laws] == [100.0, 60.0, 100.0, 100.0, 100.0, 100.0]
 
 
@@ -107,15 +107,6 @@ CLAIMED = {"a": 2.0, "b": 1.0, "habit": 1.0}
 def error(kept):
     squares = sum((TRUE[name] - CLAIMED[name] * (name in kept)) ** 2 for name in TRUE)
     return np.array([np.sqrt(squares + 0.1), 1.0])
-
-
-def test_a_habit_is_dropped_and_said_with_its_errors():
-    kept, dropped = eliminated(["habit", "a", "b"], error, lambda name: 0)
-    assert kept == ["a", "b"]
-    (name, without, present), = dropped
-    assert name == "habit"
-    assert without[0] == pytest.approx(error(["a", "b"])[0])
-    assert present[0] == pytest.approx(error(["habit", "a", "b"])[0])
 
 
 def test_what_lowers_the_error_is_taken():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ideal_robot.diagnosis import diagnose
-from ideal_robot.diagnosis.validation.domain_diagnosis import discriminating_motion
+from ideal_robot.diagnosis.report import discriminating_motion
 from ideal_robot.effects import (
     ARM_POSITION,
     MOTOR_TORQUE,

@@ -17,20 +17,20 @@ import numpy as np
 from scipy import optimize
 
 from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.causes import Candidate, Only, candidates
 from ideal_robot.diagnosis.channels.blocks import Columns
 from ideal_robot.diagnosis.channels.regression import spread
-from ideal_robot.diagnosis.search.forward_selection import Only, candidates
 from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms, time_period
-from ideal_robot.diagnosis.statistics.problem import Candidate, Estimate, Problem
+from ideal_robot.diagnosis.statistics.problem import Estimate, Problem
+from ideal_robot.diagnosis.system import System
 from ideal_robot.effects import MOTOR_TORQUE, TCP_POSITION, Effect
 from ideal_robot.effects.base import Theta
-from ideal_robot.effects.drive import DeadTime
 from ideal_robot.effects.registry import find
 from ideal_robot.errors import RaisedBy
-from ideal_robot.estimate.gaussian import Joined, Posterior, joined
+from ideal_robot.estimate.gaussian import Joined, Posterior, joined, posterior
 from ideal_robot.estimate.noise import ColouredNoise
 from ideal_robot.estimate.score import evidence, in_turn
-from studies.best_set.system import System
+from ideal_robot.progress import Progress, silent
 
 CLASS_ERROR = 0.05
 """Share of a channel's residual (RMS) by which a model class may be wrong in the direction of any one cause."""
@@ -48,40 +48,6 @@ FINALISTS = 5
 """Candidates of a round that are refined and scored, at most."""
 MOST = 16
 """Causes of a set, at most."""
-
-
-FORM_ERROR = 0.025
-"""Share of a size to which the form of a cause is right, at best: sizes of causes in four engines of others scatter by
-two to three per cent more than their noise explains."""
-SHAPE = 0.5 * float(np.log(1000.0))
-"""Nats that a physical shape costs: half the logarithm of how many values of it a recording of a thousand independent
-rows tells apart (the asymptotic cost of one parameter)."""
-CURVE = 10.0
-"""Nats that a curve without a cause costs beside its place: what the library has is likelier than what it lacks."""
-PRIOR = {"payload/tau": 3.0, "gravity_spring/tau": -2.0, "dead_time/tau": -3.0, "dead_time/q": -3.0}
-"""Logarithm of how much likelier a cause is than others: tools are changed, few joints have a balancer, clocks are
-common to joints."""
-USUAL = {"presliding_hysteresis/tau": 1.0, "joint_elasticity/tau": 1.0, "joint_elasticity/tau_resonance": 1.0,
-         "dead_time/tau": 1.0, "dead_time/q": 1.0}
-"""By how much more than in the direction of others a model class errs in that of what every arm has something of."""
-
-
-def cost(candidate: Candidate) -> float:
-    """Nats that the starts and the shapes of a cause cost, and what is known of it beforehand."""
-    own = float(np.log(max(candidate.tries, 1))) - PRIOR.get(candidate.effect.key, 0.0)
-    if candidate.effect.learned:
-        return own + CURVE
-    return own + SHAPE * len(candidate.theta) * (candidate.effect.theta_is_physical and not candidate.effect.scanned)
-
-
-def one_at_most(a: Candidate, b: Candidate) -> bool:
-    """Whether two candidates are forms of one cause at one joint, of which it has one at most: it is late once."""
-    late = isinstance(a.effect, DeadTime) and isinstance(b.effect, DeadTime)
-    return a.joint == b.joint and (a.effect.name == b.effect.name or late)
-
-
-def _place(candidate: Candidate) -> tuple[str, int]:
-    return candidate.effect.name, candidate.joint
 
 
 @dataclass(frozen=True)
@@ -107,17 +73,19 @@ class BestSet:
         absorbed: whether effects are tried that the model's own parameters could take over.
         only: names and joints of the effects that may be looked for; then no curve is tried either.
         noise: of each channel, where it is known from elsewhere; from the residual if None.
+        progress: called with the share done and a word.
     """
 
     def __init__(self, problem: Problem, effects: Sequence[Effect], *, absorbed: bool, only: Only | None = None,
-                 noise: Sequence[ColouredNoise] | None = None) -> None:
-        self.problem, self.learns, self.fixed = problem, only is None, noise
+                 noise: Sequence[ColouredNoise] | None = None, progress: Progress = silent) -> None:
+        self.problem, self.progress, self.learns, self.fixed = problem, progress, only is None, noise
+        self.absorbed = absorbed
         r = self.regression = problem.regression
         self.at_rows = r.decimated_signals()
         self.measured_std = np.maximum(spread(r.measured, r.use), 1e-150)
         self.always: list[Candidate] = []
-        self.pool = [starts for starts in candidates(effects, r.signals, {}, absorbed)
-                     if not self._left_out(starts[0]) and (only is None or _place(starts[0]) in only)]
+        self.pool = [starts for starts in candidates(effects, r.signals, absorbed, only)
+                     if not self._left_out(starts[0])]
         self.pool.sort(key=lambda starts: starts[0].joint)
         self.choices: list[Candidate] = []
         self.fitted: Posterior
@@ -254,8 +222,7 @@ class BestSet:
         fitted = self.system.posterior(keys)
         across, own, _ = self.system.beside(candidate.key, keys)
         # A share of the residual, and of other causes of the joint, of which no form is quite right.
-        error = CURVE_ERROR if candidate.effect.learned else CLASS_ERROR
-        error *= 1.0 + USUAL.get(candidate.effect.key, 0.0)
+        error = (CURVE_ERROR if candidate.effect.learned else CLASS_ERROR) * (1.0 + candidate.effect.usual)
         places, squares = self.system.places(keys), error**2 * self._of_channels(candidate.key, self.system.count)
         for other in others:
             if other.key != candidate.key and other.joint == candidate.joint:
@@ -292,7 +259,7 @@ class BestSet:
 
     def cost(self, candidate: Candidate) -> float:
         """Nats that naming it costs."""
-        return float(np.log(max(len(self.pool), 1)) + cost(candidate))
+        return float(np.log(max(len(self.pool), 1)) + candidate.cost)
 
     def better(self, chosen: Sequence[Candidate], than: Sequence[Candidate]) -> float:
         """By how many nats one set is better than another, priors and all."""
@@ -315,7 +282,8 @@ class BestSet:
         self._refresh()
         if start:
             self._improve()
-        for _ in range(MOST):
+        for round_ in range(MOST):
+            self.progress(round_ / (round_ + 4.0), f"round {round_ + 1}")
             best = self._best()
             if best is None or best.nats < ACCEPT:
                 break
@@ -346,11 +314,11 @@ class BestSet:
         rest = [c for c in self.choices if c is not hole]
         keys = ["W", *[c.key for c in rest]]
         fitted = self.fitted if hole is None else self.system.posterior(keys)
-        residual, first = self.system.residual(keys, fitted.mean), list[Weighed]()
+        residual, first = self.system.residual(keys, fitted.mean), []
         for starts in self.pool:
             if not (anywhere or hole is None or not hole.joint or starts[0].joint in (hole.joint, 0)):
                 continue
-            if not starts[0].effect.scanned and any(one_at_most(starts[0], c) for c in rest):
+            if not starts[0].effect.scanned and any(starts[0].one_at_most_with(c) for c in rest):
                 continue
             with RaisedBy(f"effect {starts[0].effect.key} at joint {starts[0].joint}"):
                 best = self._best_start(starts, fitted, keys, residual)
@@ -499,7 +467,22 @@ class BestSet:
         """Score of the best set, its prior included, by which sets beside other priors are compared."""
         return self.score(self.choices) - sum(map(self.cost, self.choices))
 
+    def about(self, problem: Problem) -> BestSet:
+        """The same best set, and its noise, beside a regression about another model."""
+        noise = self.fixed or [channel.noise.scaled(channel.weight**-0.5) if channel.weight else channel.noise
+                               for channel in self.system.channels]
+        other = BestSet(problem, [], absorbed=self.absorbed, noise=noise)
+        other.pool, other.learns, other.choices = self.pool, self.learns, list(self.choices)
+        other._refresh()
+        return other
+
     # Numbers.
+
+    def fit_of(self, choices: Sequence[Candidate]) -> Estimate:
+        """Coefficients of a set fitted together with the model's parameters, without their uncertainty."""
+        for candidate in choices:
+            self.add(candidate)
+        return self.problem.numbers(self.system, choices, uncertainty=False)
 
     def estimate(self) -> Estimate:
         """Numbers of the best set, fitted together with the model's parameters, with their uncertainty.
@@ -511,45 +494,19 @@ class BestSet:
             for _ in range(2):
                 self.system.with_noise(self.system.residual(self.keys, fitted.mean))
                 fitted = self.system.with_levels(self.keys)
-        keys = ["W", *[c.key for c in self.choices]]
-        fitted, places, p = self.system.posterior(keys), self.system.places(keys), self.regression.W.shape[2]
-        own = [fitted.mean[places[c.key]] for c in self.choices]
-        moved = [self._theta_columns(c, values) for c, values in zip(self.choices, own, strict=True)]
-        extra = [key for keys_of in moved for key in keys_of if key]
-        whole, where = self.system.posterior([*keys, *extra]), self.system.places([*keys, *extra])
-        rows = float(self.system.count.sum())
-        free = max(rows - len(whole.mean), 1.0)
-        covariance = whole.covariance * (max(whole.squares / free, 1.0) if self.fixed is not None else rows / free)
-        sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        # No form is right to better.
-        std = [np.hypot(sigma[places[c.key]], FORM_ERROR * np.abs(values))
-               for c, values in zip(self.choices, own, strict=True)]
-        # What repeats is right to its noise: periods are counted.
-        theta_std = [np.array([np.hypot(sigma[where[key].start], FORM_ERROR * abs(value) * (not c.effect.scanned))
-                               if key else 0.0 for key, value in zip(keys_of, c.theta, strict=True)])
-                     for c, keys_of in zip(self.choices, moved, strict=True)]
-        for key in extra:
-            self.system.drop(key)
-        return Estimate(tuple(self.choices), fitted.mean[:p], covariance[:p, :p], tuple(own), tuple(std),
-                        tuple(theta_std))
+        # A noise that is known from elsewhere is not made smaller by what one recording leaves.
+        return self.problem.numbers(self.system, self.choices, inflate=self.fixed is not None)
 
-    def _theta_columns(self, candidate: Candidate, coefficients: Array) -> list[str]:
-        """Adds, for each physical theta, what moving it changes in the prediction; names of groups, empty for none."""
-        effect, signals, joint, theta = candidate.effect, self.regression.signals, candidate.joint, candidate.theta
-        physical = effect.theta_is_physical and bool(effect.bounds(signals, joint))
-        names = []
-        for i, value in enumerate(theta):
-            if not (physical and value != 0.0):
-                names.append("")
-                continue
-            step = 1e-3 * max(abs(value), 1e-6)
-            after, before = (effect.columns(signals, joint, (*theta[:i], value + side, *theta[i + 1 :]))
-                             for side in (step, -step))
-            group = self.problem.prepared((after - before) / (2.0 * step))
-            name = f"d{i}:{candidate.key}"
-            self.system.add(name, Columns((group.values @ coefficients)[:, :, None], group.channels))
-            names.append(name)
-        return names
+    def predicted_by_others(self, choices: Sequence[Candidate]) -> Array:
+        """What a set leaves of each row, fitted to all other blocks of time ``(N, c)``."""
+        for candidate in choices:
+            self.add(candidate)
+        keys = ["W", *[c.key for c in choices]]
+        more = {c.key: self.wide(c) for c in choices}
+        products, precision = self.system.gram(keys), self.system.full_precision(keys, more)
+        total = products.sum(axis=0)
+        means = np.array([posterior(total - own, precision).mean for own in products])
+        return self.system.residual(keys, means[self.system.block_of_row])
 
 
 def _apart(ours: Sequence[Candidate], theirs: Sequence[Candidate]) -> tuple[list[Candidate], list[Candidate]]:

@@ -13,14 +13,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.channels.blocks import Columns
+from ideal_robot.diagnosis.channels.blocks import Columns, time_blocks
+from ideal_robot.diagnosis.channels.regression import FEWEST_ROWS, MOST_BLOCKS
 from ideal_robot.estimate.gaussian import Posterior, posterior
 from ideal_robot.estimate.noise import ColouredNoise, without_kicks
-
-MOST_BLOCKS = 20
-"""Blocks of time by which a score is told; eight give the same names, more of them a standard error."""
-FEWEST_ROWS = 8
-"""Rows of a block, at least: twice the order of the noise."""
 
 
 @dataclass
@@ -68,8 +64,7 @@ class System:
         everywhere = tuple(range(self.c))
         self.groups = {"W": Columns(base * use[:, :, None], everywhere),
                        "y": Columns((y * use)[:, :, None], everywhere)}
-        count = int(np.clip(self.N // FEWEST_ROWS, 2, MOST_BLOCKS))
-        self.edges = np.linspace(0, self.N, count + 1).astype(int)
+        self.edges = np.array(time_blocks(self.N, MOST_BLOCKS, FEWEST_ROWS).edges)
         flat = ColouredNoise.of_autocovariance(np.array([1.0, 0.0]))
         self.channels = [_Channel(use[:, j].copy(), flat) for j in range(self.c)]
 

@@ -1,0 +1,86 @@
+"""Candidates of the one list: an effect at a joint with its shapes, and what it costs to name it.
+
+    ln prior(S) = −Σ_c [ ln(candidates) + ln(starts) + ½ ln(1000) per physical shape + what its effect says ]
+
+A cause is one of all that could be there, at one of the starts of its shapes that were looked at; each shape is known
+beforehand to a factor of about thirty of its uncertainty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ideal_robot.effects import Effect, Signals
+from ideal_robot.effects.drive import DeadTime
+from ideal_robot.errors import RaisedBy
+
+SHAPE = 0.5 * float(np.log(1000.0))
+"""Nats that a physical shape costs: half the logarithm of how many values of it a recording of a thousand independent
+rows tells apart (the asymptotic cost of one parameter)."""
+CURVE = 10.0
+"""Nats that a curve without a cause costs beside its place: what the library has is likelier than what it lacks."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect at a joint with fixed shapes.
+
+    Attributes:
+        effect, joint, theta: see ``Effect``.
+        tries: how many starts of theta were looked at to arrive here.
+    """
+
+    effect: Effect
+    joint: int
+    theta: tuple[float, ...] = ()
+    tries: int = 1
+
+    @property
+    def key(self) -> str:
+        """Name of its group of columns."""
+        return f"{self.place}@{','.join(f'{value:.9g}' for value in self.theta)}"
+
+    @property
+    def place(self) -> str:
+        """Effect, channel and joint without theta: what competes with itself over theta."""
+        return f"{self.effect.name}:{self.effect.channel(self.joint)}:{self.joint}:{hash(self.effect)}"
+
+    @property
+    def cost(self) -> float:
+        """Nats that its starts and shapes cost, and what its effect says beforehand."""
+        own = np.log(max(self.tries, 1)) - self.effect.prior
+        if self.effect.learned:
+            return float(own + CURVE)
+        physical = self.effect.theta_is_physical and not self.effect.scanned
+        return float(own + SHAPE * len(self.theta) * physical)
+
+    def one_at_most_with(self, other: Candidate) -> bool:
+        """Whether the two are forms of one cause at one joint, of which it has one at most: it is late once."""
+        late = isinstance(self.effect, DeadTime) and isinstance(other.effect, DeadTime)
+        return self.joint == other.joint and (self.effect.name == other.effect.name or late)
+
+
+Only = tuple[tuple[str, int], ...]
+"""Names and joints of the effects that may be looked for."""
+
+
+def candidates(effects: Sequence[Effect], signals: Signals, absorbed: bool,
+               only: Only | None = None) -> Iterator[list[Candidate]]:
+    """For every effect and joint the list of its starts.
+
+    Args:
+        effects, signals: to try, in a recording.
+        absorbed: whether effects may be tried that the model's own parameters can take over.
+        only: names and joints of the effects that may be looked for; all if None.
+    """
+    for effect in effects:
+        if effect.absorbed_by_base and not absorbed:
+            continue
+        with RaisedBy(f"effect {effect.key}, as its starts are found"):
+            for joint in effect.joints(signals):
+                if (only is None or (effect.name, joint) in only) and effect.usable(signals, joint):
+                    starts = [()] if effect.scanned else effect.starts(signals, joint)
+                    yield [Candidate(effect, joint, theta, len(starts)) for theta in starts]

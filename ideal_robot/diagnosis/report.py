@@ -1,0 +1,285 @@
+"""What a diagnosis says of one domain: errors before and after, each cause with its numbers, and why it was named.
+
+Errors are of blocks of time that the fit did not see: each block is predicted by the fit to all others; of another
+recording, by the fit to the first one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.best_set import BestSet
+from ideal_robot.diagnosis.causes import Candidate
+from ideal_robot.diagnosis.channels.regression import Regression, noise_left, rms, spread
+from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms
+from ideal_robot.diagnosis.statistics.problem import Estimate
+from ideal_robot.diagnosis.validation.result import (
+    Argument,
+    ChannelResult,
+    FoundEffect,
+    Structure,
+    Traces,
+    WeighedSet,
+    probability,
+)
+from ideal_robot.effects import SENSOR, TCP_POSITION, Effect, EffectParameter, FittedEffect, Signals, library
+from ideal_robot.effects.base import REACH
+from ideal_robot.effects.fitted import Unknown
+from ideal_robot.estimate.score import standard_error
+
+
+@dataclass(frozen=True)
+class DomainResult:
+    """What one domain adds to the diagnosis."""
+
+    channels: tuple[ChannelResult, ...]
+    found: tuple[FoundEffect, ...]
+    before: tuple[Structure, ...]
+    remaining: tuple[Structure, ...]
+    traces: tuple[tuple[str, ...], Traces]
+    arguments: tuple[Argument, ...]
+
+
+@dataclass(frozen=True)
+class DomainDiagnosis:
+    """A domain after its search.
+
+    Attributes:
+        best: the best set of causes, and what it was chosen from.
+        final: its numbers.
+        arguments: why each cause was named.
+        validation: the regression of the validation recording, or None.
+        given: whether the model was given, so that "before" is the model as it was.
+        source: hash of the recording.
+    """
+
+    best: BestSet
+    final: Estimate
+    arguments: tuple[Argument, ...]
+    validation: Regression | None
+    given: bool
+    source: str
+
+    @classmethod
+    def of(cls, best: BestSet, validation: Regression | None, given: bool, source: str) -> DomainDiagnosis:
+        """The domain of a search that has run."""
+        arguments = tuple(argument(best, choice) for choice in best.choices)
+        return cls(best, best.estimate(), arguments, validation, given, source)
+
+    @property
+    def choices(self) -> tuple[Candidate, ...]:
+        """The best set."""
+        return self.final.effects
+
+    @property
+    def regression(self) -> Regression:
+        """That was searched."""
+        return self.best.regression
+
+    @property
+    def reported(self) -> Regression:
+        """The regression whose errors are reported."""
+        return self.validation or self.regression
+
+    @property
+    def held_out_seconds(self) -> float:
+        """How much time errors are reported of."""
+        return float(len(self.reported.t) * self.reported.step)
+
+    def residual(self, choices: Sequence[Candidate]) -> Array:
+        """What a set leaves of what the fit did not see, at the rows that are reported ``(N, c)``."""
+        if self.validation is None:
+            return self.best.predicted_by_others(choices)
+        return self.best.fit_of(choices).residual(self.validation)
+
+    def _rms(self, values: Array) -> Array:
+        return rms(values, self.reported.use)
+
+    @cached_property
+    def without_any(self) -> Array:
+        """What the model leaves, its parameters fitted to this recording ``(N, c)``."""
+        return self.residual(())
+
+    @cached_property
+    def with_all(self) -> Array:
+        """What the best set leaves ``(N, c)``."""
+        return self.residual(self.choices)
+
+    def result(self) -> DomainResult:
+        """Errors, effects with their numbers, and what the residual depends on."""
+        reported = self.reported
+        before, after = reported.y * reported.use if self.given else self.without_any, self._rms(self.with_all)
+        # The floor belongs to the band of the residual, and is part of it.
+        white, usual = noise_left(self.with_all, reported.use)
+        numbers = np.array([self._rms(before), self._rms(self.without_any), after,
+                            np.minimum.reduce([reported.noise_floor, white, after]), self._rms(reported.measured),
+                            self.regression.use.mean(axis=0), spread(reported.measured, reported.use),
+                            usual]).T.tolist()
+        judged = reported.domain != TCP_POSITION or not reported.absent
+        channels = tuple(ChannelResult(name, unit, *values, judged=judged) for j, (name, unit, values) in
+                         enumerate(zip(reported.channels, reported.units, numbers, strict=True))
+                         if j not in reported.absent)
+        own = self.regression
+        at_first = own.y if self.given else self.best.fit_of(()).residual(own)
+        before_it, after_it = _ranked_structure(self.best, [at_first, self.best.fit_of(self.choices).residual(own)])
+        s = reported.decimated_signals()
+        last = self.best.fit_of(self.choices)
+        traces = Traces(reported.t, reported.measured, before, self.with_all, reported.use,
+                        np.ones(len(reported.t), dtype=bool), s.q, s.qd, tuple(last.contributions(reported)))
+        return DomainResult(channels, tuple(map(self._found, range(len(self.choices)))), before_it, after_it,
+                            (reported.channels, traces), self.arguments)
+
+    def _found(self, k: int) -> FoundEffect:
+        """What is said of a cause of the best set."""
+        choice, effect, why = self.choices[k], self.choices[k].effect, self.arguments[k]
+        without = self._rms(self.residual([c for c in self.choices if c is not choice]))
+        j = self._channel(k, without)
+        before, after = float(without[j]), float(self._rms(self.with_all)[j])
+        transfers = None if self.validation is None else after < before
+        rivals = why.not_distinguished
+        evidence = {"nats": why.nats, "nats_std": why.std, "probability": why.probability, "rms_before": before,
+                    "rms_after": after, "indistinguishable_from": list(rivals), "transfers": transfers,
+                    "recording": self.source}
+        fitted = with_limits(self.final.fitted(k, self.reported.prismatic, evidence=evidence), choice,
+                             self.regression.signals)
+        names = tuple(effect.signals_of(choice.joint)) if isinstance(effect, Unknown) else ()
+        return FoundEffect(fitted, before, after, why.nats, why.std, why.probability, rivals,
+                           discriminating_motion(effect.name, rivals), transfers, names, k)
+
+    def _channel(self, k: int, without: Array) -> int:
+        """Index of the channel in which an effect is reported: its own, else where it reduces the error most."""
+        reported = self.reported
+        own = reported.channel_of(self.choices[k].joint)
+        if own is not None:
+            return own
+        if reported.domain == SENSOR:
+            # Not where it reduces most by chance, but where it is largest against the noise.
+            added = self.final.contributions(reported)[k]
+            return int(np.argmax(np.sqrt(np.mean(added**2, axis=0)) / (reported.noise_floor + 1e-300)))
+        return int(np.argmax((without - self._rms(self.with_all)) / (without + 1e-300)))
+
+
+# Why a cause is in the best set.
+
+def argument(best: BestSet, own: Candidate) -> Argument:
+    """Every set with another cause, a curve, or nothing in the place of one of the best set, and what it is worse by.
+
+    Args:
+        best: the search that has run.
+        own: of its choices.
+    """
+    rest = [c for c in best.choices if c is not own]
+    others: list[Candidate | None] = [None]
+    if best.learns:
+        others += [w.candidate for w in best.ranked(own)]
+        channel = best.regression.channel_of(own.joint)
+        others += [] if channel is None or own.effect.learned else best.curves_of(channel, own)[:1]
+    sets, misfit = [], []
+    for other in others:
+        instead = rest if other is None else [*rest, other]
+        gain = best.better_by_block(best.choices, instead)
+        nats, std = best.better(best.choices, instead), standard_error(gain)
+        sets.append(WeighedSet("", 0, nats, std) if other is None else
+                    WeighedSet(_name(other.effect), other.joint, nats, std, other.effect.learned))
+        misfit.append(gain)
+    whole = best.regression.domain.whole
+    share, when = _when(best, own, misfit[0])
+    ordered = sorted(sets, key=lambda s: s.nats)
+    return Argument(own.effect.name, own.joint, own.effect.channel(own.joint),
+                    f"joint {own.joint}" if own.joint else whole, tuple(ordered), when, share,
+                    probability([s for s in ordered if not s.learned], own.effect.name))
+
+
+def _when(best: BestSet, own: Candidate, gain: Array) -> tuple[float, str]:
+    """Share of the evidence against nothing in the quarter of the time that holds most of it, and when that is."""
+    gain, t = np.maximum(gain, 0.0), best.regression.t
+    quarters = [float(part.sum()) for part in np.array_split(gain, 4)]
+    total, k = sum(quarters) or 1.0, int(np.argmax(quarters))
+    edges = np.linspace(float(t[0]), float(t[-1]), 5)
+    return quarters[k] / total, f"from {edges[k]:.1f} to {edges[k + 1]:.1f} s"
+
+
+def _name(effect: Effect) -> str:
+    """Name of what stands in a place; of causes with several forms the form as well."""
+    if isinstance(effect, Unknown):
+        return f"a curve over {' and '.join(effect.depends_on)}"
+    return effect.name
+
+
+def discriminating_motion(name: str, rivals: tuple[str, ...]) -> str:
+    """The motion that would tell an effect from its rivals; empty where there are none."""
+    motions = {frozenset({effect.name, other}): motion for effect in library()
+               for other, motion in effect.discriminating_motion}
+    advice = [motions.get(frozenset({name, rival}), f"a motion with other speeds, ranges and loads ({name} or {rival})")
+              for rival in rivals]
+    return "; ".join(dict.fromkeys(advice))
+
+
+def _ranked_structure(best: BestSet, residuals: Sequence[Array]) -> list[tuple[Structure, ...]]:
+    """For each residual ``(N, c)`` the three strongest dependences of each channel that are not as by chance."""
+    regression, use = best.regression, best.regression.use
+    dependence = DependenceTest(best.at_rows, use, best.problem.blocks)
+    curves = [terms(best.at_rows, j, False, regression.domain) for j in range(use.shape[1])]
+    result = []
+    for residual in residuals:
+        rows: list[Structure] = []
+        for j in np.flatnonzero(use.any(axis=0)).tolist():
+            tests = dependence.tests(residual[:, j], j, curves[j])
+            limit = 0.01 / max(len(tests) * use.shape[1], 1)
+            clear = [d for d in tests if d.p_value < limit and d.share - d.expected > 0.01]
+            clear.sort(key=lambda d: d.expected - d.share)
+            rows += [Structure(regression.channels[j], tuple(d.term.signals_of(j + 1)), d.share, d.expected, d.p_value)
+                     for d in clear[:3]]
+        result.append(tuple(rows))
+    return result
+
+
+# Numbers at the end of what was searched.
+
+def with_limits(fitted: FittedEffect, candidate: Candidate, signals: Signals) -> FittedEffect:
+    """The effect with limits, and no standard deviation, for parameters whose theta stands at its bound.
+
+    Args:
+        fitted, candidate: its numbers, and the theta that they were found with.
+        signals: of the recording.
+    """
+    theta, parameters = candidate.theta, list(fitted.parameters)
+    for i, side in enumerate(sides(candidate, signals)):
+        if not side:
+            continue
+        inward = (*theta[:i], theta[i] - 0.01 * side * (abs(theta[i]) or 1.0), *theta[i + 1 :])
+        moved = candidate.effect.parameters(np.asarray(fitted.coefficients), np.asarray(fitted.std), inward,
+                                            fitted.theta_std)
+        for k, (own, shifted) in enumerate(zip(fitted.parameters, moved, strict=True)):
+            step = shifted.value - own.value
+            if abs(step) > 1e-9 * max(abs(own.value), 1e-300):
+                # What lies beyond the bound lies on the other side than what lies within.
+                parameters[k] = EffectParameter(own.name, own.value, 0.0, own.unit, "≤" if step > 0.0 else "≥")
+    return replace(fitted, parameters=tuple(parameters))
+
+
+def sides(candidate: Candidate, signals: Signals) -> list[int]:
+    """For each theta -1 where it stands at the lower end of what was searched, 1 at the upper, 0 between."""
+    effect, theta = candidate.effect, candidate.theta
+    bounds = effect.bounds(signals, candidate.joint) if effect.theta_is_physical else []
+    if len(bounds) != len(theta):
+        return [0] * len(theta)
+    if len(bounds) == 1 and not effect.scanned:
+        starts = [start[0] for start in effect.starts(signals, candidate.joint) if start and start[0] > 0.0]
+        if starts and bounds[0][0] >= 0.0:
+            low, high = bounds[0]
+            bounds = [(max(low, min(starts) / REACH), min(high, max(starts) * REACH))]
+    return [_side(value, low, high) for value, (low, high) in zip(theta, bounds, strict=True)]
+
+
+def _side(value: float, low: float, high: float) -> int:
+    # Zero below a positive bound is no small value but another form of the effect.
+    if value == 0.0 and low > 0.0:
+        return 0
+    below, above = (0.01 * min(high - low, abs(bound) or high - low) for bound in (low, high))
+    return -1 if value <= low + below else 1 if value >= high - above else 0

@@ -1,1 +1,0 @@
-"""Selection of effects."""
