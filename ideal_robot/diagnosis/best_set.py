@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import optimize
+from scipy import linalg, optimize
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.causes import Candidate, Only, candidates
@@ -27,9 +27,9 @@ from ideal_robot.effects import MOTOR_TORQUE, TCP_POSITION, Effect
 from ideal_robot.effects.base import Theta
 from ideal_robot.effects.registry import find
 from ideal_robot.errors import RaisedBy
-from ideal_robot.estimate.gaussian import Joined, Posterior, joined, posterior
+from ideal_robot.estimate.gaussian import Joined, Posterior, joined, posterior, root_of
 from ideal_robot.estimate.noise import ColouredNoise
-from ideal_robot.estimate.score import evidence, in_turn
+from ideal_robot.estimate.score import evidence
 from ideal_robot.progress import Progress, silent
 
 CLASS_ERROR = 0.05
@@ -38,6 +38,13 @@ CURVE_ERROR = 0.12
 """The same in the direction of a curve, which bends to whatever the class leaves."""
 BESIDE = 0.05
 """Share of its contribution by which the form of a cause may be wrong, in the direction of another of the joint."""
+SMALLEST = {"rad": 8e-6, "m": 12e-6}
+"""What a cause makes of a measured angle or place at most [rad, m] where nobody would care about it; one of four times
+that is seen."""
+SMALLEST_SHARE = 0.01
+"""The same of a torque about a given model, of what was measured (RMS)."""
+LARGEST = 5.0
+"""Standard deviations of its size beforehand beyond which no cause is."""
 WIDE = 1.0
 """What a cause makes beforehand, in units of what its channel measures (RMS)."""
 FREE = 30.0
@@ -91,8 +98,8 @@ class BestSet:
         self.fitted: Posterior
         self._model_alone: Posterior
         self._explained: list[Array | None] | None = None
-        self.system = System(r.y, r.W, r.use, self._weak(r.W) if problem.prior is None else problem.prior)
-        if r.domain == MOTOR_TORQUE and problem.prior is None and r.signals.n > 1:
+        self.system = System(r.y, r.W, r.use, self._weak(r.W) if problem.root is None else problem.root)
+        if r.domain == MOTOR_TORQUE and problem.root is None and r.signals.n > 1:
             self._with_what_every_arm_has()
         self._refresh()
 
@@ -101,10 +108,11 @@ class BestSet:
         return channel is not None and not self.regression.use[:, channel].any()
 
     def _weak(self, base: Array) -> Array:
-        """Precision of parameters of which nothing is known: none moves a channel by ``FREE`` times its spread."""
+        """Parameters of which nothing is known, each as far as it moves a channel by ``FREE`` times its spread."""
         use = self.regression.use
         size = np.sqrt(np.einsum("ncp,nc->cp", base**2, use.astype(float)) / np.maximum(use.sum(axis=0), 1)[:, None])
-        return np.diag(np.max((size / (FREE * self.measured_std[:, None])) ** 2, axis=0))
+        size = np.max(size / (FREE * self.measured_std[:, None]), axis=0)
+        return np.diag(np.where(size > 0.0, 1.0 / np.maximum(size, 1e-300), 0.0))
 
     # What every arm has.
 
@@ -132,7 +140,7 @@ class BestSet:
             W = np.concatenate([r.W, columns[:, :, kept]], axis=2)
             self.system = System(r.y, W, r.use, self._weak(W))
             self._refresh()
-            own = self.fitted.mean[p : p + len(kept)]
+            own = (self.system.root @ self.fitted.mean[: self.system.p])[p : p + len(kept)]
             negative = [self.always[i] for i in np.flatnonzero(own < 0.0)]
             if not negative:
                 break
@@ -191,32 +199,39 @@ class BestSet:
             self.system.add(candidate.key, self.problem.columns(candidate))
 
     def wide(self, candidate: Candidate) -> Array:
-        """Precision of the coefficients beforehand ``(m, m)``: their own part moves a channel as far as it varies."""
+        """Root of the coefficients' covariance beforehand ``(m, m)``: a channel moves as far as it varies.
+
+        Where an effect knows how large it is, as far as it says.
+        """
         if candidate.key not in self._wide:
-            own = self._own_products(candidate.key)
-            measured = np.array([channel.weight * float(self.system.total(j, "measured", "measured")[2].sum())
-                                 if channel.weight else 0.0 for j, channel in enumerate(self.system.channels)])
-            self._wide[candidate.key] = _precision(own, WIDE**2 * self._of_channels(candidate.key, measured))
+            spread = candidate.effect.spread(self.regression.signals, candidate.joint)
+            if spread is None:
+                measured = np.array([channel.weight * float(self.system.total(j, "measured", "measured")[2].sum())
+                                     if channel.weight else 0.0 for j, channel in enumerate(self.system.channels)])
+                self._wide[candidate.key] = _spread_of(self._own_products(candidate.key),
+                                                       WIDE**2 * self._of_channels(candidate.key, measured))
+            else:
+                self._wide[candidate.key] = root_of(spread)
         return self._wide[candidate.key]
 
     def joined(self, candidate: Candidate, fitted: Posterior, keys: Sequence[str]) -> Joined:
         """The candidate beside a fit of other groups."""
         self.add(candidate)
-        across, own, with_y = self.system.beside(candidate.key, keys)
-        if not np.any(own):
-            # Nothing of it is in the rows that are used.
-            return Joined(np.zeros(len(own)), np.zeros_like(own), 0.0)
-        return joined(fitted, across, own, with_y, self.wide(candidate))
+        return joined(fitted, *self.system.beside(candidate.key, keys), self.wide(candidate))
 
     def plausible(self, candidate: Candidate, coefficients: Array) -> bool:
-        """Whether physics allows the coefficients."""
+        """Whether physics allows the coefficients, and nothing is of a size that nobody has seen."""
+        signals = self.regression.signals
+        spread = candidate.effect.spread(signals, candidate.joint)
+        if spread is not None and np.any(np.abs(coefficients) > LARGEST * np.sqrt(np.diag(spread))):
+            return False
         return bool(np.any(coefficients)) and candidate.effect.plausible(
-            coefficients, candidate.theta, self.regression.signals, candidate.joint)
+            coefficients, candidate.theta, signals, candidate.joint)
 
     # The score.
 
     def narrow(self, candidate: Candidate, others: Sequence[Candidate]) -> Array:
-        """Precision of the coefficients ``(m, m)`` of a cause that is not in a set: what the class may err by."""
+        """Root of the coefficients' covariance ``(m, k)`` of a cause that is not in a set: what the class may err by."""
         self.add(candidate)
         keys = ["W", *[c.key for c in others if c.key != candidate.key]]
         fitted = self.system.posterior(keys)
@@ -228,7 +243,21 @@ class BestSet:
             if other.key != candidate.key and other.joint == candidate.joint:
                 mean = fitted.mean[places[other.key]]
                 squares += BESIDE**2 * float(mean @ self._own_products(other.key) @ mean)
-        return _precision(own - across @ fitted.solve(across.T), squares)
+        return np.hstack([_spread_of(own - across @ fitted.solve(across.T), squares),
+                          np.diag(self._nobody_cares(candidate.key))])
+
+    def _nobody_cares(self, key: str) -> Array:
+        """How large each coefficient of a group may be where nobody would care about it ``(m,)``."""
+        r, group = self.regression, self.system.groups[key]
+        size = np.sqrt((group.values**2).sum(axis=0) / np.maximum(r.use[:, list(group.channels)].sum(axis=0), 1)[:, None])
+        if r.domain == MOTOR_TORQUE:
+            least = SMALLEST_SHARE * self.measured_std * self.absorbed
+        else:
+            least = np.array([SMALLEST.get(unit, 0.0) for unit in r.units])
+        # Of each column by the channel in which it is largest.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            spread = np.min(np.where(size > 0.0, least[list(group.channels)][:, None] / size, np.inf), axis=0)
+        return np.where(np.isfinite(spread), spread, 0.0) / np.sqrt(group.m)
 
     def _of_channels(self, key: str, values: Array) -> float:
         """The mean of values of channels ``(c,)``, by how much of a group is in each."""
@@ -242,20 +271,33 @@ class BestSet:
         across, own, _ = self.system.beside(key, ["W"])
         return np.asarray(own - across @ self._model_alone.solve(across.T))
 
-    def _known_of(self, chosen: Sequence[Candidate], beside: Sequence[Candidate]) -> tuple[list[str], Array]:
-        """Groups, and what is known of their coefficients beforehand: wide of a set, narrow beside it."""
-        every = [*chosen, *beside]
+    def _beside(self, rest: Sequence[Candidate], wide: Sequence[Candidate], narrow: Sequence[Candidate],
+                gram: Array | None = None) -> float:
+        """Logarithm of the density of the rows with groups beside others, over that without these groups.
+
+        Args:
+            rest: the others, all wide.
+            wide, narrow: groups that are in the set, and beside it.
+            gram: products of all of them in that order, the model's parameters first; of all rows if None.
+        """
+        every = [*rest, *wide, *narrow]
         for candidate in every:
             self.add(candidate)
         keys = ["W", *[c.key for c in every]]
-        more = {c.key: self.wide(c) for c in chosen}
-        more |= {c.key: self.narrow(c, [x for x in every if x is not c]) for c in beside}
-        return keys, self.system.full_precision(keys, more)
+        gram = self.system.gram_of_all(keys) if gram is None else gram
+        places = self.system.places(keys)
+        roots = [*map(self.wide, wide), *(self.narrow(c, [x for x in every if x is not c]) for c in narrow)]
+        if not roots:
+            return 0.0
+        P = places["W" if not rest else rest[-1].key].stop
+        known = np.append(np.arange(P), len(gram) - 1)
+        present = posterior(gram[np.ix_(known, known)], self._precision(["W", *[c.key for c in rest]]))
+        own = slice(P, len(gram) - 1)
+        return joined(present, gram[own, :P], gram[own, own], gram[own, -1], linalg.block_diag(*roots)).evidence
 
-    def score(self, chosen: Sequence[Candidate], beside: Sequence[Candidate] = ()) -> float:
-        """Logarithm of the density of the rows with a set, others being beside it with a narrow prior."""
-        keys, precision = self._known_of(chosen, beside)
-        return evidence(self.system.gram_of_all(keys), precision)
+    def _precision(self, keys: Sequence[str]) -> Array:
+        """Of the model's parameters and of groups in a set, beforehand ``(P, P)``."""
+        return self.system.full_precision(keys, {key: _inverse(self._wide[key]) for key in keys if key in self._wide})
 
     def cost(self, candidate: Candidate) -> float:
         """Nats that naming it costs."""
@@ -263,16 +305,20 @@ class BestSet:
 
     def better(self, chosen: Sequence[Candidate], than: Sequence[Candidate]) -> float:
         """By how many nats one set is better than another, priors and all."""
-        ours, theirs = _apart(chosen, than)
-        return (self.score(chosen, theirs) - self.score(than, ours) +
+        common, ours, theirs = _apart(chosen, than)
+        return (self._beside(common, ours, theirs) - self._beside(common, theirs, ours) +
                 sum(map(self.cost, theirs)) - sum(map(self.cost, ours)))
 
     def better_by_block(self, chosen: Sequence[Candidate], than: Sequence[Candidate]) -> Array:
         """What each block of time adds to ``better``, without the priors of names ``(B,)``."""
-        ours, theirs = _apart(chosen, than)
-        sets = (self._known_of(chosen, theirs), self._known_of(than, ours))
-        own, other = (in_turn(self.system.gram(keys), precision) for keys, precision in sets)
-        return np.asarray(own - other)
+        common, ours, theirs = _apart(chosen, than)
+        either = []
+        for a, b in ((ours, theirs), (theirs, ours)):
+            for candidate in (*common, *a, *b):
+                self.add(candidate)
+            grams = np.cumsum(self.system.gram(["W", *[c.key for c in (*common, *a, *b)]]), axis=0)
+            either.append(np.diff([0.0, *(self._beside(common, a, b, gram) for gram in grams)]))
+        return np.asarray(either[0] - either[1])
 
     # The search.
 
@@ -331,10 +377,12 @@ class BestSet:
                 break
             refined = self.refined(w.candidate, fitted, keys)
             own = self.joined(refined, fitted, keys)
-            gain = self.score([*rest, refined], [] if hole is None else [hole]) - \
-                self.score(rest, [refined] if hole is None else [refined, hole])
-            result.append(Weighed(refined, own, gain - self.cost(refined)))
-        return sorted(result, key=lambda w: -w.nats)
+            result.append(Weighed(refined, own, own.evidence - self.cost(refined)))
+        # By what they explain; how far the best stands above what the class cannot say decides whether it is taken.
+        result.sort(key=lambda w: -w.nats)
+        beside = [] if hole is None else [hole]
+        return [replace(w, nats=self._beside(rest, [w.candidate], beside) - self._beside(rest, [], [w.candidate, *beside])
+                        - self.cost(w.candidate)) for w in result]
 
     def _best_start(self, starts: list[Candidate], fitted: Posterior, keys: Sequence[str],
                     residual: Array) -> Weighed | None:
@@ -391,7 +439,7 @@ class BestSet:
                 rest = [c for c in self.choices if c is not choice]
                 keys = ["W", *[c.key for c in rest]]
                 other = self.refined(choice, self.system.posterior(keys), keys)
-                if other.key != choice.key and self.score([*rest, other]) > self.score(self.choices):
+                if other.key != choice.key and self._beside(rest, [other], []) > self._beside(rest, [choice], []):
                     self.choices = [other if c is choice else c for c in self.choices]
         self._refresh()
         for _ in range(3):
@@ -465,7 +513,8 @@ class BestSet:
     @property
     def total(self) -> float:
         """Score of the best set, its prior included, by which sets beside other priors are compared."""
-        return self.score(self.choices) - sum(map(self.cost, self.choices))
+        alone = evidence(self.system.gram_of_all(["W"]), self.system.precision)
+        return alone + self._beside([], self.choices, []) - sum(map(self.cost, self.choices))
 
     def about(self, problem: Problem) -> BestSet:
         """The same best set, and its noise, beside a regression about another model."""
@@ -495,29 +544,37 @@ class BestSet:
                 self.system.with_noise(self.system.residual(self.keys, fitted.mean))
                 fitted = self.system.with_levels(self.keys)
         # A noise that is known from elsewhere is not made smaller by what one recording leaves.
-        return self.problem.numbers(self.system, self.choices, inflate=self.fixed is not None)
+        return self.problem.numbers(self.system, self.choices, inflate=self.fixed is not None,
+                                    more={c.key: _inverse(self.wide(c)) for c in self.choices})
 
     def predicted_by_others(self, choices: Sequence[Candidate]) -> Array:
         """What a set leaves of each row, fitted to all other blocks of time ``(N, c)``."""
         for candidate in choices:
             self.add(candidate)
         keys = ["W", *[c.key for c in choices]]
-        more = {c.key: self.wide(c) for c in choices}
+        more = {c.key: _inverse(self.wide(c)) for c in choices}
         products, precision = self.system.gram(keys), self.system.full_precision(keys, more)
         total = products.sum(axis=0)
         means = np.array([posterior(total - own, precision).mean for own in products])
         return self.system.residual(keys, means[self.system.block_of_row])
 
 
-def _apart(ours: Sequence[Candidate], theirs: Sequence[Candidate]) -> tuple[list[Candidate], list[Candidate]]:
-    """What either of two sets has alone."""
+def _apart(ours: Sequence[Candidate], theirs: Sequence[Candidate]) -> tuple[list[Candidate], ...]:
+    """What two sets share, and what either has alone."""
     keys, other = {c.key for c in ours}, {c.key for c in theirs}
-    return [c for c in ours if c.key not in other], [c for c in theirs if c.key not in keys]
+    return ([c for c in ours if c.key in other], [c for c in ours if c.key not in other],
+            [c for c in theirs if c.key not in keys])
 
 
-def _precision(own: Array, squares: float) -> Array:
-    """Precision with which columns of these products ``(m, m)`` make as many squares as that, on average."""
+def _spread_of(own: Array, squares: float) -> Array:
+    """Root of the covariance ``(m, m)`` with which columns of these products make as many squares as that, on average."""
     values, vectors = np.linalg.eigh(0.5 * (own + own.T))
     # What others make all but rounding of has no direction of its own.
     values = np.maximum(values, 1e-6 * max(float(values[-1]), 1e-290))
-    return np.asarray(len(own) * (vectors * values) @ vectors.T / max(squares, 1e-290))
+    return np.asarray(vectors * np.sqrt(max(squares, 0.0) / (len(own) * values)))
+
+
+def _inverse(root: Array) -> Array:
+    """Precision ``(m, m)`` of a covariance ``R R'`` of full rank."""
+    inverse = np.linalg.inv(root)
+    return np.asarray(inverse.T @ inverse)

@@ -76,7 +76,7 @@ def _moved(case: Case, found: Findings) -> tuple[MovedParameter, ...]:
     value, names = parameter_vector(model.base_values, model.friction), model.parameters
     rows = regression.W * regression.use[:, :, None]
     return tuple(MovedParameter(names[i].name, names[i].unit, float(value[i]), float(value[i] + change[i]), sigmas)
-                 for i, sigmas in stages.moved_parameters(model, change, found.problem.prior, rows) if i < len(value))
+                 for i, sigmas in stages.moved_parameters(model, change, found.problem.root, rows) if i < len(value))
 
 
 def _held_out(case: Case) -> str:
@@ -92,7 +92,8 @@ def _extended(case: Case, found: Findings) -> tuple[Model | None, tuple[str, ...
     """The model with the parameters of the joint fit and all effects, and warnings; None for torques in amperes."""
     if not case.shared:
         return None, ()
-    final, added = found.domains[0].final, [effect.fitted for result in found.results for effect in result.found]
+    final = found.domains[0].final.of_model(len(parameter_vector(found.start.base_values, found.start.friction)))
+    added = [effect.fitted for result in found.results for effect in result.found]
     change, covariance = final.change.copy(), final.covariance.copy()
     # What stands at its limit has no scatter.
     index = list(found.fixed)

@@ -1,7 +1,10 @@
-"""What is known of a model's parameters before a recording: nothing, the same arm, or another arm of its type.
+"""What is known of a given model's parameters before a recording: as of the same arm, or of another arm of its type.
 
-    Λ⁻¹ = cov(model) + daily spread                                        the same arm
-    Λ⁻¹ = cov(model) + daily spread + G diag(spread of the type)² G'        another arm of its type
+Each arm differs from its model by what no day repeats: friction, its curve over speed, gains, offsets, gears, the phase
+of a ripple. These are columns beside the parameters, with a spread of their own,
+
+    cov = diag( cov(model | shapes of its friction) , day² )                                 the same arm
+    cov = diag( cov(model | shapes) + G diag(spread of the type)² G' , day² + type² )        another arm of its type
 
 with G the grouping of full into base parameters ([G] 3.1.2). "All parameters are others" is so a set like all others:
 it pays for its parameters by their prior, and a load of one number beats forty free ones.
@@ -10,25 +13,30 @@ it pays for its parameters by their prior, and a load of one number beats forty 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import linalg
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.diagnosis.channels.arm import frames_along, tool_motion
+from ideal_robot.diagnosis.channels.regression import WRENCH, Regression, noise_left
 from ideal_robot.dynamics.base_parameters import parameter_scales
+from ideal_robot.effects import ARM_POSITION, TCP_POSITION
+from ideal_robot.effects.elasticity import turned_arm
+from ideal_robot.effects.registry import find
+from ideal_robot.estimate.gaussian import root_of
 from ideal_robot.estimate.noise import ColouredNoise
+from ideal_robot.friction.table import largest_speeds
+from ideal_robot.friction.terms import friction_terms
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import friction_places, parameter_vector
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.sampling import resampled
 
-DAILY_FRICTION = 0.04
-"""By which friction of one arm differs from day to day: 3 % of dry friction, 5 % of what rises with speed."""
-TYPE_FRICTION = 0.15
-"""By which friction of two arms of one type differs."""
-TYPE_LINK = 0.10
-"""By which a link as a whole is heavier in another arm of the type."""
-TYPE_PARAMETER = 0.05
-"""By which each of its ten parameters differs, of its scale; a rotor's inertia likewise."""
+LINK, BODY, ROTOR = 0.10, 0.05, 0.05
+"""By what arms of one type differ: each link as a whole, each of its ten parameters of its scale, rotors' inertias."""
 ANOTHER_ARM = -float(np.log(2.0))
 """Logarithm of how likely another arm of the type is, against the same: an arm is exchanged, or its model shared."""
 MISFIT = 0.5
@@ -36,6 +44,17 @@ MISFIT = 0.5
 evidence of 0.5, 1 and 2 on short motions of four shipped scenes."""
 MEMORY = 0.2
 """Time over which what a model leaves follows itself [s]."""
+ENCODER = 30e-6
+"""By which the zero of an encoder on the arm's side is off its model [rad]; assumed."""
+GEOMETRY = (3e-4, 3e-4, 3e-4, 3e-4)
+"""By which ``a``, ``d`` [m], ``alpha`` and ``theta`` [rad] of a joint are off the drawing: an industrial arm that nobody
+calibrated is right to half a millimetre or one."""
+LEAST_BEND, LEAST_SWAY, BEND = 5e-6, 5e-6, 0.03
+"""What a gear bends by otherwise than a spring does: at least [rad; at the TCP m], and of its deflection's spread."""
+FAR = 1e3
+"""Of a parameter of which nothing is known, a standard deviation [in its unit, m or rad of a place] beyond all cells."""
+BEND_MEMORY = 0.05
+"""Time over which that follows itself [s]."""
 _ORDER = 8
 """Of the autoregression of a known noise: white noise beside what has a memory."""
 
@@ -46,72 +65,137 @@ class Hypothesis:
 
     Attributes:
         name: in words.
-        precision: of the parameters about the model's ``(P, P)``.
+        root: matrix ``R (P + K, P + K)``, the covariance of the parameters about the model's, and of what differs by
+            the day, being ``R R'``.
         logarithm: of its probability beforehand, against the same arm.
     """
 
     name: str
-    precision: Array
+    root: Array
     logarithm: float
 
 
 SAME, TYPE = "the same arm", "another arm of its type"
 
 
-def hypotheses(model: Model, regression: Regression) -> Iterator[Hypothesis]:
-    """The same arm, and another arm of its type.
+@dataclass(frozen=True)
+class Spread:
+    """What one quantity of one joint, or of all, differs by.
+
+    Attributes:
+        torque: what all of it makes along a motion ``(N, n)`` [N m].
+        day, type: shares of it by which one arm differs from day to day, and two arms of a type beyond that.
+    """
+
+    torque: Array
+    day: float
+    type: float
+
+
+def spreads(model: Model, robot: Robot, regression: Regression, recording: Recording) -> list[Spread]:
+    """What an arm differs by from its model without anything being wrong with it.
 
     Args:
-        model: that was given.
+        model, robot: that was given.
         regression: of the motor torques about it.
+        recording: whose regression it is; a force sensor in it says what pushes the tool.
     """
-    same = _same(model, regression)
-    yield Hypothesis(SAME, _precision(same), 0.0)
-    yield Hypothesis(TYPE, _precision(same + _of_type(model)), ANOTHER_ARM)
+    s, n = regression.signals, model.n
+    dry = np.maximum(model.friction.dry, 1e-6)
+    along = np.column_stack([s.sliding_direction(j + 1) for j in range(n)])
+    shares = s.qd / largest_speeds(robot.v_max)
+    bends = find("joint_elasticity", "tau_further")
+    found = [Spread(dry * along, 0.01, 0.05), Spread(s.friction - dry * along, 0.04, 0.10)]
+    known = np.zeros(n) if model.known_compliance is None else model.known_compliance
+    for j in range(n):
+        def alone(values: Array, j: int = j) -> Array:
+            result = np.zeros((len(values), n))
+            result[:, j] = values
+            return result
+
+        found += [Spread(alone(dry[j] * along[:, j]), 0.03, 0.15),
+                  Spread(alone(s.friction[:, j] - dry[j] * along[:, j]), 0.05, 0.15),
+                  Spread(alone(s.torque[:, j]), 0.005, 0.02),
+                  Spread(alone(np.full(len(s.t), dry[j])), 0.02, 0.03)]
+        # The terms of friction's curve have the spread of all that a law may lack; a third of it is there every day.
+        found += [Spread(alone(dry[j] * term), 0.33, 0.0)
+                  for term in friction_terms(np.ascontiguousarray(shares[:, j]),
+                                             np.ascontiguousarray(along[:, j])).T[2:]]
+        if bends.usable(s, j + 1):
+            found.append(Spread(known[j] * bends.columns(s, j + 1, ())[:, :, 0], 0.05, 0.10))
+    for effect in model.effects:
+        if effect.name == "torque_ripple" and effect.channel.startswith("tau"):
+            j, size = effect.joint - 1, float(np.linalg.norm(effect.coefficients)) / np.sqrt(2.0)
+            for wave in (np.cos, np.sin):
+                torque = np.zeros((len(s.t), n))
+                torque[:, j] = size * wave(effect.theta[0] * s.q[:, j])
+                found.append(Spread(torque, 0.15, 1.0))
+    push = _pushed(recording, robot, regression)
+    # Which way the sensor counts, and how well, is no matter of the model's.
+    return found if push is None else [*found, Spread(push, 1.0, 0.0)]
 
 
-def _same(model: Model, regression: Regression) -> Array:
-    values = parameter_vector(model.base_values, model.friction)
-    spread = np.zeros(len(values))
-    for place in friction_places(model.base, model.friction):
-        spread[place] = DAILY_FRICTION * values[place]
-    covariance = np.array(model.covariance) + np.diag(spread**2)
-    # No parameter is known to better than what moves a torque by a five-hundredth of its size.
-    squares = np.einsum("ncp,nc->cp", regression.W**2, regression.use.astype(float))
-    torque = (regression.measured**2 * regression.use).sum(axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        moves = 0.002 * np.sqrt(torque[:, None] / squares)
-    visible = np.min(np.where(squares > 0.0, moves, np.inf), axis=0)
-    visible = np.where(np.isfinite(visible), visible, 1e-12 + np.abs(values))
-    return np.asarray(covariance + np.diag(visible**2))
+def _pushed(recording: Recording, robot: Robot, regression: Regression) -> Array | None:
+    """Torque of the force that a sensor at the tool shows ``(N, n)`` [N m]; None without one."""
+    names = WRENCH[:3]
+    if not all(name in recording.columns and np.all(np.isfinite(recording.columns[name])) for name in names):
+        return None
+    s = regression.signals
+    force = resampled(recording.t, np.column_stack([recording.columns[name] for name in names]), regression.filtered.t)
+    rotation, _, _ = tool_motion(robot, s.q, s.qd)
+    jacobian = frames_along(robot, s.q).jacobian
+    return np.asarray(np.einsum("nkj,nkl,nl->nj", jacobian, rotation, force))
+
+
+def with_spreads(regression: Regression, found: list[Spread]) -> Array:
+    """Derivatives by the parameters, and by what differs by the day ``(N, n, P + K)``."""
+    more = regression.filtered.decimate(np.stack([spread.torque for spread in found], axis=2))
+    return np.concatenate([regression.W, more], axis=2)
+
+
+def hypotheses(model: Model, found: list[Spread]) -> Iterator[Hypothesis]:
+    """The same arm, and another arm of its type, of a model whose arm differs by what ``spreads`` says."""
+    same, day = _same(model), np.array([spread.day for spread in found])
+    yield Hypothesis(SAME, linalg.block_diag(root_of(same), np.diag(day)), 0.0)
+    other = np.hypot(day, [spread.type for spread in found])
+    yield Hypothesis(TYPE, linalg.block_diag(root_of(same + _of_type(model)), np.diag(other)), ANOTHER_ARM)
+
+
+def same_arm(model: Model) -> Array:
+    """Matrix ``R (P, P)``, the covariance of a model's parameters being ``R R'``, as long as it is the same arm."""
+    return root_of(_same(model))
+
+
+def _same(model: Model) -> Array:
+    """Covariance of the model's parameters, the shapes of its friction laws being as they are ``(P, P)``."""
+    C = np.where(np.isfinite(model.covariance), model.covariance, 0.0)
+    linear = np.zeros(len(C), dtype=bool)
+    linear[: friction_places(model.base, model.friction)[-1].stop] = True
+    result = np.zeros_like(C)
+    own, across, shapes = C[np.ix_(linear, linear)], C[np.ix_(linear, ~linear)], C[np.ix_(~linear, ~linear)]
+    std = np.sqrt(np.maximum(np.diag(shapes), 1e-300))
+    inverse = np.linalg.pinv(shapes / np.outer(std, std), rcond=1e-8) / np.outer(std, std)
+    result[np.ix_(linear, linear)] = own - across @ inverse @ across.T
+    return result
 
 
 def _of_type(model: Model) -> Array:
+    """What the bodies and rotors of two arms of a type differ by, as covariance of base parameters ``(P, P)``."""
     n, b = model.n, model.base.count
     full = np.asarray(model.consistent)
     scale = parameter_scales(full, n)
-    own = np.diag((TYPE_PARAMETER * np.append(scale[: 11 * n], 0.0 * full[11 * n :])) ** 2)
+    own = np.zeros(12 * n)
+    own[: 10 * n] = BODY * scale[: 10 * n]
+    own[10 * n : 11 * n] = ROTOR * full[10 * n : 11 * n]
+    spread = np.diag(own**2)
     for i in range(n):
         link = np.zeros(12 * n)
-        link[10 * i : 10 * i + 10] = TYPE_LINK * full[10 * i : 10 * i + 10]
-        own += np.outer(link, link)
-    values = parameter_vector(model.base_values, model.friction)
-    more = np.zeros((len(values), len(values)))
-    more[:b, :b] = model.base.grouping @ own @ model.base.grouping.T
-    for place in friction_places(model.base, model.friction):
-        more[place, place] += np.diag((TYPE_FRICTION * values[place]) ** 2)
-    return more
-
-
-def _precision(covariance: Array) -> Array:
-    """Inverse of a covariance; none where it is not finite."""
-    known = np.isfinite(covariance).all(axis=0)
-    result = np.zeros_like(covariance)
-    own = covariance[np.ix_(known, known)]
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(own), 1e-300))
-    inverse = np.linalg.inv(own * np.outer(scale, scale) + 1e-9 * np.eye(len(own)))
-    result[np.ix_(known, known)] = inverse * np.outer(scale, scale)
-    return np.asarray(0.5 * (result + result.T))
+        link[10 * i : 10 * i + 10] = LINK * full[10 * i : 10 * i + 10]
+        spread += np.outer(link, link)
+    P = len(parameter_vector(model.base_values, model.friction))
+    result = np.zeros((P, P))
+    result[:b, :b] = model.base.grouping @ spread @ model.base.grouping.T
+    return result
 
 
 def noise_of(model: Model, regression: Regression) -> tuple[ColouredNoise, ...]:
@@ -121,10 +205,56 @@ def noise_of(model: Model, regression: Regression) -> tuple[ColouredNoise, ...]:
         model: whose ``noise_std`` is what it left where it was identified.
         regression: of the motor torques about it.
     """
-    lags = np.arange(_ORDER + 1) * regression.step
-    result = []
-    for floor, left in zip(regression.noise_floor, model.noise_std, strict=True):
-        covariance = (MISFIT * left) ** 2 * np.exp(-lags / MEMORY)
-        covariance[0] += max(float(floor), 1e-3 * float(left)) ** 2
-        result.append(ColouredNoise.of_autocovariance(np.maximum(covariance, 1e-30)))
-    return tuple(result)
+    left = MISFIT * np.asarray(model.noise_std)
+    return _with_memory(np.maximum(regression.noise_floor, 1e-3 * left), left, MEMORY, regression.step)
+
+
+def _with_memory(white: Array, slow: Array, memory: float, step: float) -> tuple[ColouredNoise, ...]:
+    """White noise beside what follows itself, of standard deviations ``(c,)`` each."""
+    following = np.exp(-np.arange(_ORDER + 1) * step / memory)
+    return tuple(ColouredNoise.of_autocovariance(np.maximum(float(s) ** 2 * following, 1e-30)
+                                                 + float(w) ** 2 * (np.arange(_ORDER + 1) == 0))
+                 for w, s in zip(white, slow, strict=True))
+
+
+def positions_known(model: Model, regression: Regression,
+                    name: str) -> tuple[Regression, Array, tuple[ColouredNoise, ...]]:
+    """The regression of arm angles or of the TCP about a model, what is known of its parameters, and the noise.
+
+    An arm's angles differ from the model's by where their encoders' zeros are, by what its gears give, and by the rotor
+    that is taken for load; its TCP by where the measuring device stands, which nothing is known of, by the gears, and
+    by the geometry, which the model has from a drawing.
+
+    Args:
+        model: that was given.
+        regression: about it, with the zeros or the device's place as parameters.
+        name: of the hypothesis that the torques decided for.
+
+    Returns:
+        Regression with more parameters, the root of their covariance, noise of each channel.
+    """
+    s, n, c = regression.signals, model.n, regression.y.shape[1]
+    known = np.zeros(n) if model.known_compliance is None else model.known_compliance
+    day, further = (1.0, 0.0) if name == SAME else (1.0, 1.0)
+    columns, std = [], [np.full(regression.W.shape[2], FAR)]
+    if regression.domain == ARM_POSITION:
+        std[0][:n] = ENCODER
+    give = np.zeros((len(s.t), c))
+    for j in range(n):
+        for turn, spread in ((-s.load[:, j] * known[j], np.hypot(0.05 * day, 0.10 * further)),
+                             (s.qdd[:, j] * known[j] * model.rotor_inertia[j], np.hypot(0.03 * day, 0.05 * further))):
+            if np.any(turn):
+                own = turned_arm(regression.domain, s, j + 1, turn[:, None])
+                columns.append(own)
+                std.append(np.array([spread]))
+        give += turned_arm(regression.domain, s, j + 1, (-s.load[:, j] * known[j])[:, None])[:, :, 0]
+        if regression.domain == TCP_POSITION:
+            columns.append(find("kinematic_error", TCP_POSITION.prefix).columns(s, j + 1, ()))
+            std.append(np.array(GEOMETRY))
+    W = np.concatenate([regression.W, regression.filtered.decimate(np.concatenate(columns, axis=2))], axis=2) \
+        if columns else regression.W
+    white, _ = noise_left(regression.y, regression.use)
+    least = LEAST_BEND if regression.domain == ARM_POSITION else LEAST_SWAY
+    slow = least + BEND * np.std(regression.filtered.decimate(give), axis=0)
+    noise = _with_memory(np.where(np.isfinite(white), white, 0.0), slow, BEND_MEMORY, regression.step)
+    return replace(regression, W=W), np.diag(np.concatenate(std)), noise

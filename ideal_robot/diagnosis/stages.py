@@ -17,7 +17,7 @@ from ideal_robot.diagnosis.channels.force import force_regressions
 from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import about_model, in_position_band, with_reversal_width
 from ideal_robot.diagnosis.channels.regression import Regression, without_known
-from ideal_robot.diagnosis.prior import hypotheses
+from ideal_robot.diagnosis.prior import hypotheses, noise_of, positions_known, spreads, with_spreads
 from ideal_robot.diagnosis.report import DomainDiagnosis
 from ideal_robot.diagnosis.statistics.dependence import reversal_widths
 from ideal_robot.diagnosis.statistics.problem import Problem, with_parameters
@@ -71,9 +71,12 @@ def _searched(case: Case, found: Findings, start: Sequence[Candidate]) -> Findin
         best = BestSet(found.problem, effects, absorbed=False, only=case.only, progress=case.progress)
         best.run(start)
         return replace(found, best=best)
-    sets = []
-    for known in hypotheses(case.given, found.problem.regression):
-        best = BestSet(found.problem.with_prior(known.precision), effects, absorbed=True, only=case.only,
+    sets, differs = [], spreads(case.given, case.robot, found.problem.regression, case.recording)
+    regression = replace(found.problem.regression, W=with_spreads(found.problem.regression, differs))
+    found = replace(found, problem=found.problem.with_regression(regression))
+    noise = noise_of(case.given, regression)
+    for known in hypotheses(case.given, differs):
+        best = BestSet(found.problem.with_root(known.root), effects, absorbed=True, only=case.only, noise=noise,
                        progress=case.progress)
         best.run(start)
         sets.append((best.total + known.logarithm, known.name, best))
@@ -88,6 +91,9 @@ def _finished(case: Case, found: Findings) -> Findings:
     if case.validate is not None:
         validation = case.torque_regression(case.validate, found.start, cutoff=found.problem.regression.filtered.cutoff,
                                             reversal_width=found.reversal_width)
+        if found.taken_for and case.given is not None:
+            differs = spreads(case.given, case.robot, validation, case.validate)
+            validation = replace(validation, W=with_spreads(validation, differs))
         if found.fixed:
             W = validation.W.copy()
             W[:, :, list(found.fixed)] = 0.0
@@ -145,6 +151,15 @@ def _other_channels(case: Case, found: Findings) -> Iterator[DomainDiagnosis]:
     found = _with_what_gears_carry(case, found)
     torque, validation = _in_position_band(case, found)
     for build in (arm_angle_regression, tool_regression):
+        if found.taken_for:
+            # About a known model the torques' band is enough; above it arms swing, which no gear of a model does.
+            regression = build(case.recording, case.robot, found.problem.regression, case.stiffness)
+            if regression is not None:
+                regression = without_known(regression, found.start.effects)
+                if regression.domain == ARM_POSITION:
+                    regression = with_loose_weights(regression, found.best_set.choices)
+                yield _about_model(case, found, regression)
+            continue
         regression = build(case.recording, case.robot, torque, case.stiffness)
         if regression is None:
             continue
@@ -163,6 +178,15 @@ def _other_channels(case: Case, found: Findings) -> Iterator[DomainDiagnosis]:
             case = replace(case, recording=punctual(case.recording, late),
                            validate=None if case.validate is None else punctual(case.validate, late))
     yield from _sensors(case, torque, validation)
+
+
+def _about_model(case: Case, found: Findings, regression: Regression) -> DomainDiagnosis:
+    """The search in arm angles or TCP positions about a model that was given."""
+    regression, root, noise = positions_known(found.start, regression, found.taken_for)
+    effects = [effect for effect in library() if effect.domain == regression.domain]
+    best = BestSet(Problem(regression, root), effects, absorbed=True, only=case.only, noise=noise)
+    best.run()
+    return DomainDiagnosis.of(best, None, True, case.recording.hash)
 
 
 def _with_what_gears_carry(case: Case, found: Findings) -> Findings:
@@ -218,17 +242,17 @@ def errors_before_and_after(case: Case, found: Findings) -> Findings:
     return replace(found, results=tuple(domain.result() for domain in found.domains))
 
 
-def moved_parameters(model: Model, change: Array, precision: Array | None, W: Array) -> list[tuple[int, float]]:
+def moved_parameters(model: Model, change: Array, root: Array | None, W: Array) -> list[tuple[int, float]]:
     """Parameters ``(P,)`` of a given model that this recording moves far, by what they change, with their σ.
 
     Args:
         model, change: that was given, and by how much its parameters moved.
-        precision: of the parameters beforehand.
+        root: matrix ``R``, the parameters' covariance beforehand being ``R R'``.
         W: derivative of the torques ``(N, c, P)``.
     """
-    if precision is None:
+    if root is None:
         return []
-    sigma = np.sqrt(np.maximum(np.diag(np.linalg.pinv(precision)), 1e-300))
+    sigma = np.sqrt(np.maximum((root**2).sum(axis=1), 1e-300))
     weight = np.abs(change) * np.sqrt(np.mean(np.square(W), axis=(0, 1)))
     return [(int(i), float(change[i] / sigma[i])) for i in np.argsort(-weight)
             if abs(change[i]) > 2.0 * sigma[i] and weight[i] > 0.0][:4]

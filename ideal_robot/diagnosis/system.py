@@ -54,13 +54,17 @@ class System:
         y: measured minus predicted ``(N, c)``, in the channels' units.
         base: derivatives by the parameters that are always there ``(N, c, p)``.
         use: rows that are used ``(N, c)``.
-        precision: of these parameters beforehand, about zero ``(p, p)``; None where nothing is known.
+        root: matrix ``R (p, k)``, the parameters' covariance beforehand being ``R R'``, in whose units they are fitted;
+            None where nothing is known.
     """
 
-    def __init__(self, y: Array, base: Array, use: np.ndarray, precision: Array | None = None) -> None:
+    def __init__(self, y: Array, base: Array, use: np.ndarray, root: Array | None = None) -> None:
         self.N, self.c = y.shape
+        self.root = np.eye(base.shape[2]) if root is None else root
+        if root is not None:
+            base = base @ root
         self.y, self.use, self.p = y, use, base.shape[2]
-        self.precision = np.zeros((self.p, self.p)) if precision is None else precision
+        self.precision = np.zeros((self.p, self.p)) if root is None else np.eye(self.p)
         everywhere = tuple(range(self.c))
         self.groups = {"W": Columns(base * use[:, :, None], everywhere),
                        "y": Columns((y * use)[:, :, None], everywhere)}

@@ -265,6 +265,14 @@ class Effect(ABC):
         """
         return bool(self.within[0] < coefficients[0] < self.within[1])
 
+    def spread(self, signals: Signals, joint: int) -> Array | None:
+        """Covariance of the coefficients beforehand ``(m, m)``; None where only their torque's size is known.
+
+        Args:
+            signals, joint: as of ``columns``.
+        """
+        return None
+
     def consistent_theta(self, coefficients: Array, theta: Theta) -> Theta:
         """Theta with which the coefficients ``(m,)`` are exact; by default as it is, for a physical one is fitted."""
         return theta

@@ -17,6 +17,10 @@ HOLD = 5e-4
 and acts half a cycle after its stamp in the mean."""
 
 
+_OFFSET = 0.3
+"""What a current sensor is off by, over the dry friction of its joint."""
+
+
 class CurrentOffset(Effect):
     """``tau = o``: a constant the model does not have."""
 
@@ -25,6 +29,27 @@ class CurrentOffset(Effect):
     absorbed_by_base = True
     changes = "offset"
     source = "[J] section 3: offset of the current sensors"
+
+    def spread(self, signals: Signals, joint: int) -> Array | None:
+        """See ``Effect.spread``. No sensor of a drive is off by more than a part of what its gear rubs."""
+        return None if signals.dry is None else np.diag((_OFFSET * signals.dry[joint - 1 : joint]) ** 2 + 1e-12)
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        return signals.on_joint(joint, np.ones_like(signals.t))
+
+
+class EncoderOffset(Effect):
+    """``q_a = q + o``: the encoder on the arm's side was moved, or its zero set anew."""
+
+    name = "encoder_offset"
+    domain = ARM_POSITION
+    coefficient_names = ("offset",)
+    coefficient_units = ("rad",)
+    absorbed_by_base = True
+    nowhere = "it is a matter of the measurement, the arm moves as before"
+    discriminating_motion = (("backlash", "a motion on which the gear's load changes its sign: play turns with it"),)
+    source = "a constant"
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
         """See ``Effect.columns``. Shape ``(N, n, 1)``."""

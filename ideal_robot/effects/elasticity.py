@@ -81,8 +81,9 @@ class JointElasticity(GearEffect):
     source = "[J] (1), (2): elastic joint"
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """Without a load nothing bends."""
-        return super().usable(signals, joint) and float(np.std(signals.load[:, joint - 1])) > 0.0
+        """Without a load nothing bends; in torques a gear that the model knows gives further, or not at all."""
+        known = self.domain == MOTOR_TORQUE and _known_gear(signals, joint)
+        return super().usable(signals, joint) and not known and float(np.std(signals.load[:, joint - 1])) > 0.0
 
     def bend(self, signals: Signals, joint: int, theta: Theta) -> Array:
         """See ``GearEffect.bend``."""
@@ -105,6 +106,35 @@ class JointElasticity(GearEffect):
         if self.domain == MOTOR_TORQUE:
             return LoopChange(gear_compliance=coefficients[0])
         return LoopChange(further_compliance=coefficients[0], from_arm_angle=self.domain == ARM_POSITION)
+
+
+class FurtherElasticity(JointElasticity):
+    """Seen in the motor torque beside a gear whose stiffness the model knows: what it gives beyond that."""
+
+    coefficient_names = ("further compliance",)
+    # A stiffer gear than the model's is as possible as a softer one.
+    prefix = "tau_further"
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """The model has to know the gear."""
+        return _known_gear(signals, joint) and GearEffect.usable(self, signals, joint)
+
+    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
+        """See ``Effect.plausible``. A spring still holds."""
+        known = 0.0 if signals.compliance is None else float(signals.compliance[joint - 1])
+        return bool(coefficients[0] > -known)
+
+    def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
+        """See ``Effect.parameters``. The compliance, for the stiffness is the model's and this together."""
+        return Effect.parameters(self, coefficients, std, theta, theta_std)
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
+        """See ``Effect.loop_change``. Beyond what was known."""
+        return LoopChange(further_compliance=coefficients[0])
+
+
+def _known_gear(signals: Signals, joint: int) -> bool:
+    return signals.compliance is not None and bool(signals.compliance[joint - 1] > 0.0)
 
 
 class ElasticityAtArm(JointElasticity):
@@ -167,6 +197,7 @@ class GearResonance(GearEffect):
     def usable(self, signals: Signals, joint: int) -> bool:
         """There has to be a load, and an inertia behind the gear."""
         loaded = float(np.std(signals.load[:, joint - 1])) > 0.0 and _mean_inertia(signals, joint) > 0.0
+        loaded = loaded and not _known_gear(signals, joint)
         return super().usable(signals, joint) and loaded and len(signals.t) > 2
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:

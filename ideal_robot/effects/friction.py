@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import Effect, EffectParameter, Theta
+from ideal_robot.effects.base import Effect, EffectParameter, Theta, WholeArmEffect
 from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 from ideal_robot.friction import laws
@@ -363,6 +363,44 @@ class ThermalDrift(WarmingEffect):
         units = ("N m s/(rad K)", "N m/K")
         return [EffectParameter(name, float(value), float(s), unit) for name, unit, value, s in
                 zip(self.coefficient_names, units, coefficients, std, strict=True)]
+
+
+class Warmth(WholeArmEffect):
+    """All gears are colder, or warmer, than when the model was identified: ``tau = d F_j z_j + f (tau_f,j - F_j z_j)``.
+
+    Oil and seals of all joints change together with what the hall and the hours do to them: dry friction by one share,
+    what rises with speed by another. What a joint has of its own is its friction's.
+    """
+
+    name = "warmth"
+    coefficient_names = ("change of dry friction", "change of friction that rises with speed")
+    coefficient_units = ("1", "1")
+    absorbed_by_base = True
+    prior = 1.0  # An arm is cold every morning.
+    source = "[G] Figs 3, 12"
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """The model has to have friction."""
+        return signals.dry is not None and bool(np.any(signals.dry > 0.0))
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 2)``."""
+        if signals.dry is None:
+            return np.zeros((len(signals.t), signals.n, 2))
+        dry = signals.dry * np.column_stack([signals.sliding_direction(j + 1) for j in range(signals.n)])
+        return np.stack([dry, signals.friction - dry], axis=2)
+
+    def spread(self, signals: Signals, joint: int) -> Array | None:
+        """See ``Effect.spread``. Over 20 K dry friction differs by a tenth or two, the rest by half ([G] Fig. 12)."""
+        return np.diag([0.3**2, 1.0])
+
+    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
+        """See ``Effect.plausible``. Friction brakes, and what rises with speed falls or grows with oil's viscosity."""
+        return bool(-1.0 < coefficients[0] < 2.0 and -1.0 < coefficients[1] < 5.0)
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
+        """See ``Effect.loop_change``. Friction of all joints."""
+        return LoopChange(friction_shares=(coefficients[0], coefficients[1]))
 
 
 def _top_speed(signals: Signals, joint: int) -> float:

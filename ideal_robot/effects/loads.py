@@ -20,6 +20,12 @@ _LEAST_WEIGHT = 0.02
 """Of a joint's largest torque, what gravity has to ask of it for a balancing spring to make sense."""
 
 
+_MASS, _LEVER = 5.0, 0.25
+"""What is carried beforehand [kg], and how far out on a link [m]."""
+_NEAR = 0.1
+"""How far the centre of a tool or part is from where tools are held, in each direction [m]."""
+
+
 class LinkLoad(Effect):
     """Mass, first moments and inertias added to one link, [G] (5) with its columns; against a model known before.
 
@@ -49,9 +55,19 @@ class LinkLoad(Effect):
             return np.zeros((len(signals.t), signals.n, 10))
         return np.asarray(signals.bodies(joint))
 
+    def spread(self, signals: Signals, joint: int) -> Array | None:
+        """See ``Effect.spread``. Some kilograms at some decimetres."""
+        return np.diag(np.square([_MASS] + 3 * [_MASS * _LEVER] + 6 * [_MASS * _LEVER**2]))
+
     def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
         """See ``Effect.plausible``. Some columns of the first links show nothing; what shows has a lever of an arm."""
         return bool(np.any(np.abs(coefficients) > 1e-9))
+
+
+def _point(place: Array) -> Array:
+    """Parameters of a kilogram at a place ``(3,)`` [m] of a link ``(10,)``, in their order."""
+    x, y, z = place
+    return np.array([1.0, x, y, z, y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y])
 
 
 class Payload(WholeArmEffect, LinkLoad):
@@ -72,6 +88,17 @@ class Payload(WholeArmEffect, LinkLoad):
         if signals.payload is None:
             return np.zeros((len(signals.t), signals.n, 10))
         return signals.payload
+
+    def spread(self, signals: Signals, joint: int) -> Array | None:
+        """See ``Effect.spread``. What is carried hangs at the tool, its centre some decimetre from it."""
+        if signals.tool is None:
+            return super().spread(signals, joint)
+        step = 1e-3
+        moved = [(_point(signals.tool + step * axis) - _point(signals.tool - step * axis)) / (2.0 * step)
+                 for axis in np.eye(3)]
+        ways = _MASS * np.column_stack([_point(signals.tool), *(_NEAR * way for way in moved)])
+        own = np.diag(np.square(_MASS * np.array([1e-3] + 3 * [1e-2] + 6 * [_NEAR**2])))
+        return np.asarray(ways @ ways.T + own)
 
     def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
         """See ``Effect.plausible``.

@@ -17,6 +17,7 @@ class LoopChange:
     Attributes:
         torque: whether its torque, as it stands, joins what the motor has to give.
         friction_curve: whether the effect's torque at constant speed adds to the friction over speed.
+        friction_shares: added to dry friction of all joints, and to what rises with speed, as shares of it [1].
         friction_per_load: added to the friction per torque at the gear output [1].
         friction_per_driven_load: the same where the motor drives the load, and nothing where the load drives it [1].
         presliding: displacement over which friction builds up after a reversal, at least [rad].
@@ -44,6 +45,7 @@ class LoopChange:
 
     torque: bool = _place("motor torque wanted", False)
     friction_curve: bool = _place("friction over speed", False)
+    friction_shares: tuple[float, float] | None = _place("friction over speed", None)
     friction_per_load: float = _place("friction by load", 0.0)
     friction_per_driven_load: float = _place("friction by load that the motor drives", 0.0)
     presliding: float = _place("way over which friction turns", 0.0)

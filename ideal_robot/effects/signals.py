@@ -130,6 +130,8 @@ class Signals:
         load: torque at the gear output, i.e. of the rigid body without friction and rotors ``(N, n)`` [N m].
         torque: what the model so far predicts for the motor ``(N, n)`` [N m].
         friction: the part of ``torque`` that is friction ``(N, n)`` [N m].
+        dry: dry friction of each joint at standstill, in the model ``(n,)`` [N m]; None where no model says so.
+        compliance: of the gears as far as the model knows it, else zero ``(n,)`` [rad/(N m)]; None where it knows none.
         temperature: gear temperature ``(N, n)`` [°C], or None where it was not measured.
         rigid: the rigid body as a function, for effects that change positions; None where there is none.
         weight: what gravity asks of the motors along the motion ``(N, n)``, in the unit of ``torque``; None where no
@@ -146,6 +148,7 @@ class Signals:
         v_small: velocity below which the direction of motion is lost in noise ``(n,)`` [rad/s]; None for exact data.
         sliding: direction of sliding ``(N, n)``, -1 to 1, of joints whose friction in the model builds up over a
             displacement, NaN for others; None where no model says so.
+        tool: where tools are held, in the frame of the last link ``(3,)`` [m]; None where nobody says so.
     """
 
     t: Array
@@ -167,6 +170,9 @@ class Signals:
     v_small: Array | None = None
     cutoff: float | None = None
     sliding: Array | None = None
+    dry: Array | None = None
+    compliance: Array | None = None
+    tool: Array | None = None
 
     @property
     def n(self) -> int:

@@ -102,27 +102,32 @@ class Joined:
     evidence: float
 
 
-def joined(present: Posterior, with_others: Array, with_itself: Array, with_y: Array, precision: Array) -> Joined:
-    """One more group beside others, whose coefficients have a precision beforehand.
+def root_of(covariance: Array) -> Array:
+    """Matrix ``(m, m)`` whose product with itself transposed is a covariance ``(m, m)``, which may be singular."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    units = np.where(scale > 0.0, scale, 1.0)
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T) / np.outer(units, units))
+    return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
-    With M = C'C − C'X A⁻¹ X'C, g = C'(y − X β) and Λ the precision,
 
-        ln p(y | with) − ln p(y | without) = ½ g'(M + Λ)⁻¹ g − ½ ln |M + Λ| + ½ ln |Λ| .
+def joined(present: Posterior, with_others: Array, with_itself: Array, with_y: Array, root: Array) -> Joined:
+    """One more group beside others, whose coefficients have a covariance ``R R'`` beforehand.
+
+    With M = C'C − C'X A⁻¹ X'C and g = C'(y − X β),
+
+        ln p(y | with) − ln p(y | without) = ½ g'R (I + R'M R)⁻¹ R'g − ½ ln |I + R'M R| .
 
     Args:
         present: the others.
         with_others: products with the others' columns ``(m, P)``.
         with_itself: products with itself ``(m, m)``.
         with_y: products with the measurement ``(m,)``.
-        precision: of the coefficients beforehand ``(m, m)``.
+        root: ``R (m, k)``; what beforehand is zero stays so.
     """
-    M = with_itself - with_others @ present.solve(with_others.T) + ROUNDING * np.diag(np.diag(with_itself))
-    g = with_y - with_others @ present.mean
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(precision), 1e-300))
-    outer = np.outer(scale, scale)
-    before = _root(precision * outer + ROUNDING * np.eye(len(g)))
-    root = _root(0.5 * (M + M.T) * outer + precision * outer + ROUNDING * np.eye(len(g)))
-    x = linalg.solve_triangular(root, scale * g, lower=True, check_finite=False)
-    covariance = linalg.cho_solve((root, True), np.eye(len(g))) * outer
-    logarithm = np.log(np.diag(before)).sum() - np.log(np.diag(root)).sum()
-    return Joined(covariance @ g, covariance, float(0.5 * x @ x + logarithm))
+    M = with_itself - with_others @ present.solve(with_others.T)
+    g = root.T @ (with_y - with_others @ present.mean)
+    A = root.T @ (0.5 * (M + M.T)) @ root
+    factor = _root(A + np.eye(len(g)))
+    x = linalg.solve_triangular(factor, g, lower=True, check_finite=False)
+    inverse = linalg.cho_solve((factor, True), np.eye(len(g)))
+    return Joined(root @ (inverse @ g), root @ inverse @ root.T, float(0.5 * x @ x - np.log(np.diag(factor)).sum()))

@@ -353,6 +353,12 @@ class PerJointFriction:
                                                              for values in (load, q, direction)))
         return tau
 
+    @property
+    def dry(self) -> Array:
+        """Dry friction of an unloaded gear at standstill, mean of both directions ``(n,)`` [N m]; never negative."""
+        creeping = np.full((1, self.n), CREEP)
+        return np.asarray(np.maximum(0.5 * (self.torque(creeping) - self.torque(-creeping))[0], 0.0))
+
     def sliding(self, q: Array, qd: Array) -> Array:
         """Direction of sliding ``(N, n)`` of the joints whose friction builds up over a displacement; NaN for others.
 

@@ -85,6 +85,11 @@ def with_effects(loop: Loop, effects: tuple[FittedEffect, ...]) -> Loop:
         j = effect.joint - 1
         if change.friction_curve:
             sizes[j] += _curve(effect, friction.speeds)
+        if change.friction_shares is not None:
+            dry, rising = change.friction_shares
+            # What the law has beyond dry friction at standstill rises with speed.
+            still = np.array(sizes[:, :, :1])
+            sizes += rising * (sizes - still) + dry * still
         per_load[j] += change.friction_per_load, change.friction_per_driven_load
         distance[j] = max(distance[j], change.presliding)
         offset[j] += change.offset

@@ -111,6 +111,11 @@ class Model(Summarised):
         return None if self.stiffness is None else np.where(np.isnan(self.stiffness), np.inf, self.stiffness)
 
     @property
+    def known_compliance(self) -> Array | None:
+        """Compliance of the gears, zero where nobody knows it ``(n,)`` [rad/(N m)], or None."""
+        return None if self.stiffness is None else np.where(np.isfinite(self.stiffness), 1.0 / self.stiffness, 0.0)
+
+    @property
     def offset(self) -> Array:
         """Constant torque offsets ``(n,)`` [N m]."""
         return self._exact[11 * self.n :]
@@ -183,7 +188,7 @@ class Model(Summarised):
             still = np.zeros_like(q)
             signals = Signals(times, q, qd, qdd, load, tau, friction, temperature, rigid=self.rigid_body,
                               constant=constant_of_weight(self.offset, self.rigid_body(q, still, still)),
-                              cutoff=cutoff, payload=body,
+                              cutoff=cutoff, payload=body, dry=self.friction.dry, compliance=self.known_compliance,
                               sliding=self.friction.sliding(q, qd) if direction is None else direction,
                               bodies=lambda link: self._body_on(link, q, qd, qdd),
                               gravity_across=lambda at: gravity_across(self._exact_chain, at))

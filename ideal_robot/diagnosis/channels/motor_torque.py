@@ -26,6 +26,7 @@ from ideal_robot.dynamics import regressor
 from ideal_robot.dynamics.base_parameters import full_regressor
 from ideal_robot.dynamics.newton_euler import chain_of, gravity_across, inverse_dynamics
 from ideal_robot.effects import MOTOR_TORQUE, Signals
+from ideal_robot.effects.registry import find
 from ideal_robot.effects.signals import constant_of_weight
 from ideal_robot.estimate.score import CLEAR
 from ideal_robot.model.model import Model
@@ -79,7 +80,7 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     body = body_on(n) if payload else None
     still = np.zeros_like(q)
     signals = Signals(t, q, qd, qdd, still, still, still, filtered.temperature, extra=extra, payload=body,
-                      v_small=noise_velocity, cutoff=filtered.cutoff, bodies=body_on if payload else None)
+                      v_small=noise_velocity, cutoff=filtered.cutoff, bodies=body_on if payload else None, tool=np.array(robot.tool_place, dtype=float))
     load = inverse_dynamics(chain_of(model._exact_model), q, qd, qdd)
     # Of a long recording the bodies' columns at all samples would be the largest thing in memory.
     bodies = filtered.decimate_motion(lambda some: full_regressor(robot.pinocchio, q[some], qd[some], qdd[some],
@@ -198,7 +199,8 @@ def about_model(made: Regression, model: Model) -> Regression:
     signals = replace(s, load=load, torque=torque, friction=friction, weight=weight,
                       constant=constant_of_weight(model.offset, weight), sliding=model.friction.sliding(s.q, s.qd),
                       rigid=lambda a, b, c: inverse_dynamics(chain, a, b, c),
-                      gravity_across=lambda at: gravity_across(chain, at))
+                      gravity_across=lambda at: gravity_across(chain, at), dry=model.friction.dry,
+                      compliance=model.known_compliance)
     prediction = torque
     for effect in model.effects:
         if effect.domain == MOTOR_TORQUE:
@@ -209,6 +211,12 @@ def about_model(made: Regression, model: Model) -> Regression:
                 # What the gears carry besides bends them as well.
                 load = load + added
     signals = replace(signals, load=load)
+    for j in np.flatnonzero(0.0 if signals.compliance is None else signals.compliance):
+        # Gears that the model knows bend under what they carry; the rigid body is asked at the motors' angles.
+        swings = find("joint_elasticity", "tau_resonance")
+        if swings.usable(replace(signals, compliance=None), j + 1):
+            stiffness = 1.0 / float(signals.compliance[j])
+            prediction = prediction + swings.columns(signals, j + 1, (stiffness,))[:, :, 0]
     return replace(made, signals=signals, y=made.measured - made.filtered.decimate(prediction))
 
 

@@ -18,7 +18,7 @@ from ideal_robot.diagnosis.channels.motor_torque import in_position_band
 from ideal_robot.diagnosis.next_motion.motion import Foresight, MotionSearch
 from ideal_robot.diagnosis.next_motion.questions import Causes, Open, undecided_joints
 from ideal_robot.diagnosis.next_motion.separation import Pair, Products, Separation
-from ideal_robot.diagnosis.prior import hypotheses
+from ideal_robot.diagnosis.prior import same_arm
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, Domain, library
 from ideal_robot.errors import InputError
@@ -169,8 +169,7 @@ def _problems(case: Case, found: Findings) -> Iterator[tuple[Domain, Problem]]:
     problem = found.problem
     torque = in_position_band(problem.regression, case.recording)
     if case.given is not None and np.any(found.start.covariance):
-        same, _ = hypotheses(found.start, problem.regression)
-        problem = problem.with_prior(same.precision)
+        problem = problem.with_root(same_arm(found.start))
     yield MOTOR_TORQUE, problem
     for regression in position_regressions(case.recording, case.robot, torque, case.stiffness):
         yield regression.domain, Problem(regression)

@@ -166,7 +166,7 @@ class Causes:
         level = rms(self.best.fit_of(self.best.choices).residual(regression), regression.use)
         weights = np.where(level > 0.0, 1.0 / np.maximum(level, 1e-300) ** 2, 0.0)
         colours = [channel.noise.colour for channel in self.best.system.channels if channel.use.any()]
-        return Pair(cause, other, tuple(rest), weights, max(float(np.median(colours)), 1.0), self.problem.prior,
+        return Pair(cause, other, tuple(rest), weights, max(float(np.median(colours)), 1.0), self.problem.root,
                     regression.domain)
 
     def _best(self, effects: Sequence[Effect], joint: int | None, own: Candidate | None = None) -> Candidate | None:

@@ -106,7 +106,7 @@ class Pair:
         others: further causes, whose numbers are free.
         weights: 1/σ² of each channel ``(c,)``.
         colour: how many samples count for one, as the noise is coloured.
-        prior: precision of the model's parameters ``(p, p)`` in weighted units, or None.
+        root: matrix ``R (p, k)``, the covariance of the model's parameters being ``R R'``, or None.
         domain: in which they show.
     """
 
@@ -115,7 +115,7 @@ class Pair:
     others: tuple[Candidate, ...]
     weights: Array
     colour: float
-    prior: Array | None
+    root: Array | None
     domain: Domain = MOTOR_TORQUE
 
     def products(self, made: Regression) -> Products:
@@ -130,7 +130,8 @@ class Pair:
             flat = flat.reshape(-1, flat.shape[2])
             return np.asarray(flat.T @ flat)
 
-        known = [made.W * scale[:, :, None], *(rows(candidate, candidate.theta) for candidate in self.others)]
+        W = made.W if self.root is None else made.W @ self.root
+        known = [W * scale[:, :, None], *(rows(candidate, candidate.theta) for candidate in self.others)]
         sides = []
         causes = [self.cause] if self.rival is None else [self.cause, self.rival]
         for true in causes:
@@ -142,9 +143,9 @@ class Pair:
 
     def separation(self, products: Products) -> Separation:
         """How far the motions of the products tell the two apart."""
-        results = []
+        results, known = [], 0 if self.root is None else self.root.shape[1]
         for energy, *matrices in products.sides:
-            rest, *beside = (max(_left(matrix, self.prior), 0.0) for matrix in matrices)
+            rest, *beside = (max(_left(matrix, known), 0.0) for matrix in matrices)
             whole, strongest = max(float(energy.sum()), 1e-300), int(np.argmax(energy))
             count = max(float(products.samples[strongest]), 1.0)
             if self.rival is None:
@@ -157,11 +158,15 @@ class Pair:
         return Separation(*map(min, zip(*results, strict=True)))
 
 
-def _left(matrix: Array, prior: Array | None) -> float:
-    """Squares of the last column that the others leave, ``(m, m)`` being the matrix of all."""
+def _left(matrix: Array, known: int) -> float:
+    """Squares of the last column that the others leave; ``known`` first ones are in units of what is known of them.
+
+    Args:
+        matrix: products of all ``(m, m)``.
+        known: how many.
+    """
     A, across, square = matrix[:-1, :-1].copy(), matrix[:-1, -1], float(matrix[-1, -1])
-    if prior is not None:
-        A[: len(prior), : len(prior)] += prior
+    A[np.arange(known), np.arange(known)] += 1.0
     diagonal = np.diag(A)
     used = diagonal > 0.0
     scale = 1.0 / np.sqrt(diagonal[used])

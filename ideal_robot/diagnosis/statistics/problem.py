@@ -28,8 +28,6 @@ from ideal_robot.model.parametrisation import friction_places
 from ideal_robot.robots.robot import sliding_unit
 from ideal_robot.signals.filters import decimated_columns
 
-FIXED = 1e9
-"""Times what is known of parameters that fixes them, while their changes are effects: the rounding of products."""
 FORM_ERROR = 0.025
 """Share of a size to which the form of a cause is right, at best: sizes of causes in four engines of others scatter by
 two to three per cent more than their noise explains."""
@@ -52,6 +50,10 @@ class Estimate:
     coefficients: tuple[Array, ...]
     std: tuple[Array, ...]
     theta_std: tuple[Array, ...]
+
+    def of_model(self, count: int) -> Estimate:
+        """The same numbers of the first ``count`` parameters, those of the model; others differ by the day."""
+        return replace(self, change=self.change[:count], covariance=self.covariance[:count, :count])
 
     def residual(self, regression: Regression) -> Array:
         """What a regression leaves with these numbers ``(N, c)``."""
@@ -130,25 +132,22 @@ class Problem:
 
     Attributes:
         regression: what was measured, what is expected, what may change.
-        prior: precision of the model's parameters about zero ``(P, P)``; None where they are free.
+        root: matrix ``R (P, k)``, the covariance of the model's parameters about zero being ``R R'`` beforehand; None
+            where they are free.
         recent: columns of candidates that were asked for last.
     """
 
     regression: Regression
-    prior: Array | None = None
+    root: Array | None = None
     recent: dict[str, Columns] = field(default_factory=dict, repr=False, compare=False)
 
     def with_regression(self, regression: Regression) -> Problem:
         """The same problem about another model."""
         return self if regression is self.regression else replace(self, regression=regression, recent={})
 
-    def with_prior(self, prior: Array | None) -> Problem:
+    def with_root(self, root: Array | None) -> Problem:
         """The same problem with other knowledge of its parameters."""
-        return replace(self, prior=prior)
-
-    def fixed(self) -> Problem:
-        """The same problem with parameters as the prior has them, so that changes have to be said as effects."""
-        return self if self.prior is None else self.with_prior(self.prior * FIXED)
+        return replace(self, root=root)
 
     @cached_property
     def blocks(self) -> Blocks:
@@ -189,7 +188,7 @@ class Problem:
     def system(self, effects: Sequence[Candidate] = ()) -> System:
         """The whitened rows, with the noise that the model's parameters and these effects leave."""
         r = self.regression
-        system = System(r.y, r.W, r.use, self.prior)
+        system = System(r.y, r.W, r.use, self.root)
         keys = ["W", *[c.key for c in effects]]
         for candidate in effects:
             system.add(candidate.key, self.columns(candidate))
@@ -209,22 +208,23 @@ class Problem:
         return self.numbers(self.system(effects), effects, uncertainty)
 
     def numbers(self, system: System, effects: Sequence[Candidate], uncertainty: bool = True,
-                inflate: bool = False) -> Estimate:
+                inflate: bool = False, more: dict[str, Array] | None = None) -> Estimate:
         """Numbers of effects in a system whose noise is known, fitted together with the model's parameters.
 
         Args:
             system, effects: rows in units of their noise, with the effects' columns.
             uncertainty: whether standard deviations are wanted; theta's derivative columns then join the fit.
             inflate: whether a residual that is larger than its noise widens them.
+            more: precisions of effects' coefficients beforehand ``(m, m)`` by their groups.
         """
         keys = ["W", *[c.key for c in effects]]
-        fitted, places, p = system.posterior(keys), system.places(keys), self.regression.W.shape[2]
-        own = [fitted.mean[places[c.key]] for c in effects]
+        fitted, places, p = system.posterior(keys, more), system.places(keys), self.regression.W.shape[2]
+        own, change = [fitted.mean[places[c.key]] for c in effects], (system.root @ fitted.mean[: system.p])[:p]
         if not uncertainty:
-            return Estimate(tuple(effects), fitted.mean[:p], np.zeros((p, p)), tuple(own), (), ())
+            return Estimate(tuple(effects), change, np.zeros((p, p)), tuple(own), (), ())
         moved = [self._theta_columns(system, c, values) for c, values in zip(effects, own, strict=True)]
         extra = [key for keys_of in moved for key in keys_of if key]
-        whole, where = system.posterior([*keys, *extra]), system.places([*keys, *extra])
+        whole, where = system.posterior([*keys, *extra], more), system.places([*keys, *extra])
         rows = float(system.count.sum())
         free = max(rows - len(whole.mean), 1.0)
         covariance = whole.covariance * (max(whole.squares / free, 1.0) if inflate else rows / free)
@@ -238,7 +238,8 @@ class Problem:
                      for c, keys_of in zip(effects, moved, strict=True)]
         for key in extra:
             system.drop(key)
-        return Estimate(tuple(effects), fitted.mean[:p], covariance[:p, :p], tuple(own), tuple(std), tuple(theta_std))
+        own_covariance = (system.root @ covariance[: system.p, : system.p] @ system.root.T)[:p, :p]
+        return Estimate(tuple(effects), change, own_covariance, tuple(own), tuple(std), tuple(theta_std))
 
     def _theta_columns(self, system: System, candidate: Candidate, coefficients: Array) -> list[str]:
         """Adds, for each physical theta, what moving it changes in the prediction; names of groups, empty for none."""

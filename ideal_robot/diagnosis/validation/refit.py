@@ -15,7 +15,6 @@ from ideal_robot.diagnosis.channels.force import force_regressions
 from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import in_position_band, torque_regression
 from ideal_robot.diagnosis.channels.regression import Regression
-from ideal_robot.diagnosis.prior import hypotheses
 from ideal_robot.diagnosis.statistics.problem import Problem, with_parameters
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, Domain, Effect, FittedEffect, library, names
 from ideal_robot.errors import InputError
@@ -31,10 +30,9 @@ from ideal_robot.signals.recording import Recording
 # tells badly goes anywhere: into rotors, gravity, other joints' friction. On another motion that is an error of its
 # own. Where the model is known and the effects are named, what the recording holds beyond the model is theirs alone.
 
-def _fixed_problem(regression: Regression, model: Model) -> Problem:
-    """The problem of the motor torques about a model with its parameters held."""
-    same, _ = hypotheses(model, regression)
-    return Problem(regression, same.precision).fixed()
+def _held(regression: Regression) -> Problem:
+    """The problem of a regression whose model stays as it is: what changes is said as effects."""
+    return Problem(replace(regression, W=regression.W[:, :, :0]))
 
 
 def beside_held_model(regression: Regression, model: Model,
@@ -49,7 +47,7 @@ def beside_held_model(regression: Regression, model: Model,
     if not of_torque:
         return ()
     candidates = [Candidate(effect.effect, effect.joint, effect.theta) for effect in of_torque]
-    estimate = _fixed_problem(regression, model).fit(candidates, uncertainty=True)
+    estimate = _held(regression).fit(candidates, uncertainty=True)
     return tuple(replace(effect, coefficients=tuple(own.tolist()), std=tuple(std.tolist()), theta_std=(), parameters=())
                  for effect, own, std in zip(of_torque, estimate.coefficients, estimate.std, strict=True)
                  if np.all(np.isfinite(own))
@@ -108,7 +106,7 @@ def with_named_effects(recording: Recording, robot: Robot, model: Model,
     fitted: list[FittedEffect] = []
     for domain, regression in by_domain.items():
         if domain in wanted:
-            problem = _fixed_problem(regression, model) if domain == MOTOR_TORQUE else Problem(regression)
+            problem = _held(regression) if domain == MOTOR_TORQUE else Problem(regression)
             fitted += _together(problem, wanted[domain])
     return model.with_effects(tuple(fitted))
 
