@@ -23,7 +23,7 @@ from ideal_robot.diagnosis.channels.regression import spread
 from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms, time_period
 from ideal_robot.diagnosis.statistics.problem import Estimate, Problem
 from ideal_robot.diagnosis.system import System
-from ideal_robot.effects import MOTOR_TORQUE, TCP_POSITION, Effect
+from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION, Effect
 from ideal_robot.effects.base import Theta
 from ideal_robot.effects.registry import find
 from ideal_robot.errors import RaisedBy
@@ -41,6 +41,8 @@ BESIDE = 0.05
 SMALLEST = {"rad": 8e-6, "m": 12e-6}
 """What a cause makes of a measured angle or place at most [rad, m] where nobody would care about it; one of four times
 that is seen."""
+SMALLEST_SEEN = 25e-6
+"""The same of a point that a camera sees [m]: a tenth of a millimetre is what it is bought for."""
 SMALLEST_SHARE = 0.01
 """The same of a torque about a given model, of what was measured (RMS)."""
 LARGEST = 5.0
@@ -230,8 +232,13 @@ class BestSet:
 
     # The score.
 
-    def narrow(self, candidate: Candidate, others: Sequence[Candidate]) -> Array:
-        """Root of the coefficients' covariance ``(m, k)`` of a cause that is not in a set: what the class may err by."""
+    def narrow(self, candidate: Candidate, others: Sequence[Candidate], matters: bool = False) -> Array:
+        """Root of the coefficients' covariance ``(m, k)`` of a cause that is not in a set: what the class may err by.
+
+        Args:
+            candidate, others: the cause, and all that is in the set or beside it.
+            matters: whether it may besides be as large as nobody would care about.
+        """
         self.add(candidate)
         keys = ["W", *[c.key for c in others if c.key != candidate.key]]
         fitted = self.system.posterior(keys)
@@ -243,17 +250,19 @@ class BestSet:
             if other.key != candidate.key and other.joint == candidate.joint:
                 mean = fitted.mean[places[other.key]]
                 squares += BESIDE**2 * float(mean @ self._own_products(other.key) @ mean)
-        return np.hstack([_spread_of(own - across @ fitted.solve(across.T), squares),
-                          np.diag(self._nobody_cares(candidate.key))])
+        root = _spread_of(own - across @ fitted.solve(across.T), squares)
+        return np.hstack([root, np.diag(self._nobody_cares(candidate.key))]) if matters else root
 
     def _nobody_cares(self, key: str) -> Array:
         """How large each coefficient of a group may be where nobody would care about it ``(m,)``."""
         r, group = self.regression, self.system.groups[key]
-        size = np.sqrt((group.values**2).sum(axis=0) / np.maximum(r.use[:, list(group.channels)].sum(axis=0), 1)[:, None])
+        count = np.maximum(r.use[:, list(group.channels)].sum(axis=0), 1)
+        size = np.sqrt((group.values**2).sum(axis=0) / count[:, None])
         if r.domain == MOTOR_TORQUE:
             least = SMALLEST_SHARE * self.measured_std * self.absorbed
         else:
-            least = np.array([SMALLEST.get(unit, 0.0) for unit in r.units])
+            least = np.array([(SMALLEST_SEEN if r.domain == SENSOR and unit == "m" else SMALLEST.get(unit, 0.0))
+                              for unit in r.units])
         # Of each column by the channel in which it is largest.
         with np.errstate(divide="ignore", invalid="ignore"):
             spread = np.min(np.where(size > 0.0, least[list(group.channels)][:, None] / size, np.inf), axis=0)
@@ -272,13 +281,14 @@ class BestSet:
         return np.asarray(own - across @ self._model_alone.solve(across.T))
 
     def _beside(self, rest: Sequence[Candidate], wide: Sequence[Candidate], narrow: Sequence[Candidate],
-                gram: Array | None = None) -> float:
+                gram: Array | None = None, matters: bool = False) -> float:
         """Logarithm of the density of the rows with groups beside others, over that without these groups.
 
         Args:
             rest: the others, all wide.
             wide, narrow: groups that are in the set, and beside it.
             gram: products of all of them in that order, the model's parameters first; of all rows if None.
+            matters: see ``narrow``.
         """
         every = [*rest, *wide, *narrow]
         for candidate in every:
@@ -286,7 +296,7 @@ class BestSet:
         keys = ["W", *[c.key for c in every]]
         gram = self.system.gram_of_all(keys) if gram is None else gram
         places = self.system.places(keys)
-        roots = [*map(self.wide, wide), *(self.narrow(c, [x for x in every if x is not c]) for c in narrow)]
+        roots = [*map(self.wide, wide), *(self.narrow(c, [x for x in every if x is not c], matters) for c in narrow)]
         if not roots:
             return 0.0
         P = places["W" if not rest else rest[-1].key].stop
@@ -308,6 +318,11 @@ class BestSet:
         common, ours, theirs = _apart(chosen, than)
         return (self._beside(common, ours, theirs) - self._beside(common, theirs, ours) +
                 sum(map(self.cost, theirs)) - sum(map(self.cost, ours)))
+
+    def matters(self, choice: Candidate) -> bool:
+        """Whether a cause of the set is larger than nobody would care about; if not, it explains without a name."""
+        rest = [c for c in self.choices if c is not choice]
+        return self._beside(rest, [choice], []) - self._beside(rest, [], [choice], matters=True) > self.cost(choice)
 
     def better_by_block(self, chosen: Sequence[Candidate], than: Sequence[Candidate]) -> Array:
         """What each block of time adds to ``better``, without the priors of names ``(B,)``."""
@@ -381,8 +396,8 @@ class BestSet:
         # By what they explain; how far the best stands above what the class cannot say decides whether it is taken.
         result.sort(key=lambda w: -w.nats)
         beside = [] if hole is None else [hole]
-        return [replace(w, nats=self._beside(rest, [w.candidate], beside) - self._beside(rest, [], [w.candidate, *beside])
-                        - self.cost(w.candidate)) for w in result]
+        return [replace(w, nats=self._beside(rest, [w.candidate], beside) - self.cost(w.candidate)
+                        - self._beside(rest, [], [w.candidate, *beside])) for w in result]
 
     def _best_start(self, starts: list[Candidate], fitted: Posterior, keys: Sequence[str],
                     residual: Array) -> Weighed | None:
@@ -516,11 +531,15 @@ class BestSet:
         alone = evidence(self.system.gram_of_all(["W"]), self.system.precision)
         return alone + self._beside([], self.choices, []) - sum(map(self.cost, self.choices))
 
+    @property
+    def noise(self) -> Sequence[ColouredNoise]:
+        """Of each channel, with its level."""
+        return self.fixed or [channel.noise.scaled(channel.weight**-0.5) if channel.weight else channel.noise
+                              for channel in self.system.channels]
+
     def about(self, problem: Problem) -> BestSet:
         """The same best set, and its noise, beside a regression about another model."""
-        noise = self.fixed or [channel.noise.scaled(channel.weight**-0.5) if channel.weight else channel.noise
-                               for channel in self.system.channels]
-        other = BestSet(problem, [], absorbed=self.absorbed, noise=noise)
+        other = BestSet(problem, [], absorbed=self.absorbed, noise=self.noise)
         other.pool, other.learns, other.choices = self.pool, self.learns, list(self.choices)
         other._refresh()
         return other
@@ -567,7 +586,7 @@ def _apart(ours: Sequence[Candidate], theirs: Sequence[Candidate]) -> tuple[list
 
 
 def _spread_of(own: Array, squares: float) -> Array:
-    """Root of the covariance ``(m, m)`` with which columns of these products make as many squares as that, on average."""
+    """Root of the covariance ``(m, m)`` with which columns of these products make so many squares, on average."""
     values, vectors = np.linalg.eigh(0.5 * (own + own.T))
     # What others make all but rounding of has no direction of its own.
     values = np.maximum(values, 1e-6 * max(float(values[-1]), 1e-290))

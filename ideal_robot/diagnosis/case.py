@@ -72,6 +72,7 @@ class Findings:
         reversal_width: speed over which dry friction changes sign ``(n,)`` [rad/s], where it was fitted.
         best: the search for the causes of the motor torque, once it has run.
         taken_for: what a given model's parameters were taken for.
+        pushed: see ``prior.Known``.
         validation: the regression of the validation recording, or None.
         domains: the domains after their search, that of the motor torque first.
         results: what they add to the report.
@@ -84,6 +85,7 @@ class Findings:
     reversal_width: Array | None = None
     best: BestSet | None = None
     taken_for: str = ""
+    pushed: int = 0
     validation: Regression | None = None
     domains: tuple[DomainDiagnosis, ...] = ()
     results: tuple[DomainResult, ...] = ()

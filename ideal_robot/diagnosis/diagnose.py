@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from ideal_robot.diagnosis import stages
@@ -9,6 +10,7 @@ from ideal_robot.diagnosis.case import Case, Findings, joints_share
 from ideal_robot.diagnosis.causes import Only
 from ideal_robot.diagnosis.channels.regression import rms, spread, unused_columns
 from ideal_robot.diagnosis.prior import TYPE
+from ideal_robot.diagnosis.report import DomainResult
 from ideal_robot.diagnosis.statistics.problem import with_parameters, with_possible_inertias
 from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, MovedParameter
 from ideal_robot.effects import MOTOR_TORQUE
@@ -60,11 +62,18 @@ def _of_domains(case: Case, found: Findings) -> Diagnosis:
     return Diagnosis(
         "none", tuple(channel for result in results for channel in result.channels), effects, unknown,
         _held_out(case), found.domains[0].held_out_seconds if found.domains else 0.0,
-        found.problem.regression.undecided, warnings=found.warnings,
+        found.problem.regression.undecided, warnings=(*found.warnings, *_small(results)),
         before=tuple(structure for result in results for structure in result.before),
         remaining=tuple(structure for result in results for structure in result.remaining),
         traces=tuple(result.traces for result in results), unused=unused_columns(case.recording, tuple(searched)),
         arguments=tuple(argument for result in results for argument in result.arguments))
+
+
+def _small(results: Sequence[DomainResult]) -> Iterator[str]:
+    """One sentence on causes that are there and too small to matter."""
+    small = [f"{effect.name} in {effect.channel}" for result in results for effect in result.small]
+    if small:
+        yield f"also in the recording, too small to matter to anybody: {', '.join(small)}"
 
 
 def _moved(case: Case, found: Findings) -> tuple[MovedParameter, ...]:
@@ -93,7 +102,8 @@ def _extended(case: Case, found: Findings) -> tuple[Model | None, tuple[str, ...
     if not case.shared:
         return None, ()
     final = found.domains[0].final.of_model(len(parameter_vector(found.start.base_values, found.start.friction)))
-    added = [effect.fitted for result in found.results for effect in result.found]
+    added = [effect for result in found.results
+             for effect in (*(named.fitted for named in result.found), *result.small)]
     change, covariance = final.change.copy(), final.covariance.copy()
     # What stands at its limit has no scatter.
     index = list(found.fixed)

@@ -21,6 +21,7 @@ from scipy import linalg
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.arm import frames_along, tool_motion
 from ideal_robot.diagnosis.channels.regression import WRENCH, Regression, noise_left
+from ideal_robot.diagnosis.system import System
 from ideal_robot.dynamics.base_parameters import parameter_scales
 from ideal_robot.effects import ARM_POSITION, TCP_POSITION
 from ideal_robot.effects.elasticity import turned_arm
@@ -37,22 +38,24 @@ from ideal_robot.signals.sampling import resampled
 
 LINK, BODY, ROTOR = 0.10, 0.05, 0.05
 """By what arms of one type differ: each link as a whole, each of its ten parameters of its scale, rotors' inertias."""
-ANOTHER_ARM = -float(np.log(2.0))
-"""Logarithm of how likely another arm of the type is, against the same: an arm is exchanged, or its model shared."""
+ANOTHER_ARM = -float(np.log(20.0))
+"""Logarithm of how likely another arm of the type is, against the same: who gives a model means it for the arm."""
 MISFIT = 0.5
 """Of what a model left where it was identified, the part that is there again on another motion; 0.5 has the largest
 evidence of 0.5, 1 and 2 on short motions of four shipped scenes."""
+FORCE_GAIN = 0.15
+"""What the gain of a force sensor is off by, weight and motion of what it carries included."""
 MEMORY = 0.2
 """Time over which what a model leaves follows itself [s]."""
 ENCODER = 30e-6
 """By which the zero of an encoder on the arm's side is off its model [rad]; assumed."""
 GEOMETRY = (3e-4, 3e-4, 3e-4, 3e-4)
-"""By which ``a``, ``d`` [m], ``alpha`` and ``theta`` [rad] of a joint are off the drawing: an industrial arm that nobody
+"""By which ``a``, ``d`` [m], ``alpha`` and ``theta`` [rad] of a joint are off the drawing: an arm that nobody
 calibrated is right to half a millimetre or one."""
 LEAST_BEND, LEAST_SWAY, BEND = 5e-6, 5e-6, 0.03
 """What a gear bends by otherwise than a spring does: at least [rad; at the TCP m], and of its deflection's spread."""
-FAR = 1e3
-"""Of a parameter of which nothing is known, a standard deviation [in its unit, m or rad of a place] beyond all cells."""
+FAR = 10.0
+"""Standard deviation of where a measuring device stands [m, rad], and of a weight that nothing is known of."""
 BEND_MEMORY = 0.05
 """Time over which that follows itself [s]."""
 _ORDER = 8
@@ -92,13 +95,12 @@ class Spread:
     type: float
 
 
-def spreads(model: Model, robot: Robot, regression: Regression, recording: Recording) -> list[Spread]:
+def spreads(model: Model, robot: Robot, regression: Regression) -> list[Spread]:
     """What an arm differs by from its model without anything being wrong with it.
 
     Args:
         model, robot: that was given.
         regression: of the motor torques about it.
-        recording: whose regression it is; a force sensor in it says what pushes the tool.
     """
     s, n = regression.signals, model.n
     dry = np.maximum(model.friction.dry, 1e-6)
@@ -130,9 +132,48 @@ def spreads(model: Model, robot: Robot, regression: Regression, recording: Recor
                 torque = np.zeros((len(s.t), n))
                 torque[:, j] = size * wave(effect.theta[0] * s.q[:, j])
                 found.append(Spread(torque, 0.15, 1.0))
-    push = _pushed(recording, robot, regression)
-    # Which way the sensor counts, and how well, is no matter of the model's.
-    return found if push is None else [*found, Spread(push, 1.0, 0.0)]
+    return found
+
+
+@dataclass(frozen=True)
+class Known:
+    """The regression of motor torques about a given model, with all that an arm differs by from it.
+
+    Attributes:
+        regression: with what differs by the day as further parameters.
+        differs: what that is.
+        noise: of each torque.
+        pushed: whether what a force sensor at the tool shows acts along (1), against its readings (-1), or not at all.
+    """
+
+    regression: Regression
+    differs: list[Spread]
+    noise: tuple[ColouredNoise, ...]
+    pushed: int = 0
+
+
+def known(model: Model, robot: Robot, regression: Regression, recording: Recording, pushed: int | None = None) -> Known:
+    """The regression about a given model, with all that an arm differs by from it.
+
+    Args:
+        model, robot: that was given.
+        regression: of the motor torques about it.
+        recording: whose regression it is; a force sensor in it says what pushes the tool.
+        pushed: see ``Known``; found in the recording if None.
+    """
+    differs, noise, push = spreads(model, robot, regression), noise_of(model, regression), _pushed(recording, robot,
+                                                                                                 regression)
+    if push is None:
+        return Known(replace(regression, W=_with_spreads(regression, differs)), differs, noise)
+    W = _with_spreads(regression, [*differs, Spread(push, 1.0, 0.0)])
+    if pushed is None:
+        # Which way the sensor counts no recording says in words.
+        root = next(iter(hypotheses(model, [*differs, Spread(push, 1.0, 0.0)]))).root
+        system = System(regression.y, W, regression.use, root)
+        system.take_noise(noise)
+        pushed = 1 if (root @ system.posterior(["W"]).mean)[-1] > 0.0 else -1
+    y = regression.y - pushed * W[:, :, -1]
+    return Known(replace(regression, y=y, W=W), [*differs, Spread(push, FORCE_GAIN, 0.0)], noise, pushed)
 
 
 def _pushed(recording: Recording, robot: Robot, regression: Regression) -> Array | None:
@@ -147,7 +188,7 @@ def _pushed(recording: Recording, robot: Robot, regression: Regression) -> Array
     return np.asarray(np.einsum("nkj,nkl,nl->nj", jacobian, rotation, force))
 
 
-def with_spreads(regression: Regression, found: list[Spread]) -> Array:
+def _with_spreads(regression: Regression, found: list[Spread]) -> Array:
     """Derivatives by the parameters, and by what differs by the day ``(N, n, P + K)``."""
     more = regression.filtered.decimate(np.stack([spread.torque for spread in found], axis=2))
     return np.concatenate([regression.W, more], axis=2)

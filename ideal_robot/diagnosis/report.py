@@ -43,6 +43,7 @@ class DomainResult:
     remaining: tuple[Structure, ...]
     traces: tuple[tuple[str, ...], Traces]
     arguments: tuple[Argument, ...]
+    small: tuple[FittedEffect, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,8 @@ class DomainDiagnosis:
     Attributes:
         best: the best set of causes, and what it was chosen from.
         final: its numbers.
-        arguments: why each cause was named.
+        arguments: why each cause is in the set.
+        named: those of the set, from 0, that are large enough to matter.
         validation: the regression of the validation recording, or None.
         given: whether the model was given, so that "before" is the model as it was.
         source: hash of the recording.
@@ -61,6 +63,7 @@ class DomainDiagnosis:
     best: BestSet
     final: Estimate
     arguments: tuple[Argument, ...]
+    named: tuple[int, ...]
     validation: Regression | None
     given: bool
     source: str
@@ -69,7 +72,8 @@ class DomainDiagnosis:
     def of(cls, best: BestSet, validation: Regression | None, given: bool, source: str) -> DomainDiagnosis:
         """The domain of a search that has run."""
         arguments = tuple(argument(best, choice) for choice in best.choices)
-        return cls(best, best.estimate(), arguments, validation, given, source)
+        named = tuple(k for k, choice in enumerate(best.choices) if best.matters(choice))
+        return cls(best, best.estimate(), arguments, named, validation, given, source)
 
     @property
     def choices(self) -> tuple[Candidate, ...]:
@@ -131,8 +135,10 @@ class DomainDiagnosis:
         last = self.best.fit_of(self.choices)
         traces = Traces(reported.t, reported.measured, before, self.with_all, reported.use,
                         np.ones(len(reported.t), dtype=bool), s.q, s.qd, tuple(last.contributions(reported)))
-        return DomainResult(channels, tuple(map(self._found, range(len(self.choices)))), before_it, after_it,
-                            (reported.channels, traces), self.arguments)
+        return DomainResult(channels, tuple(map(self._found, self.named)), before_it, after_it,
+                            (reported.channels, traces), tuple(self.arguments[k] for k in self.named),
+                            tuple(self.final.fitted(k, reported.prismatic) for k, choice in enumerate(self.choices)
+                                  if k not in self.named and not choice.effect.learned))
 
     def _found(self, k: int) -> FoundEffect:
         """What is said of a cause of the best set."""

@@ -19,6 +19,8 @@ and acts half a cycle after its stamp in the mean."""
 
 _OFFSET = 0.3
 """What a current sensor is off by, over the dry friction of its joint."""
+_GAIN = 0.15
+"""What the gain of a drive is off by."""
 
 
 class CurrentOffset(Effect):
@@ -65,11 +67,15 @@ class DriveGain(Effect):
     name = "drive_gain"
     coefficient_names = ("relative error of the gain",)
     coefficient_units = ("1",)
-    # A gain is positive and not wrong by a factor of three.
+    # A gain is positive and not wrong by a factor of three; most are right to a tenth.
     within = (-0.7, 2.0)
     absorbed_by_base = True
     changes = "gain"
     source = "[J] (15): drive gains"
+
+    def spread(self, signals: Signals, joint: int) -> Array | None:
+        """See ``Effect.spread``. Magnets scatter by some per cent, and lose more with warmth and age."""
+        return np.diag([_GAIN**2])
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
         """See ``Effect.columns``. Shape ``(N, n, 1)``."""

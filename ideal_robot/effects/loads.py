@@ -14,8 +14,6 @@ from ideal_robot.effects.signals import Signals
 
 _UPRIGHT = 1e-6
 """Weight that the first axis carries, over the most that any does, up to which it stands upright."""
-_LEAST_RANGE = 0.3
-"""Range of a joint over which a balancing spring's sine can be told from a line at all [rad]."""
 _LEAST_WEIGHT = 0.02
 """Of a joint's largest torque, what gravity has to ask of it for a balancing spring to make sense."""
 
@@ -34,6 +32,7 @@ class LinkLoad(Effect):
     reported as they are.
     """
 
+    prior = -1.1  # Links are not changed; one of three that seem so is.
     name = "link_load"
     coefficient_names = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
     coefficient_units = ("kg", "kg m", "kg m", "kg m", *["kg m²"] * 6)
@@ -220,9 +219,7 @@ class GravitySpring(AngleLaw):
         return [(-np.pi, 3.0 * np.pi), (0.1, 0.9)]
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """Over a small range the shape is a straight line; where gravity does nothing none is balanced."""
-        if np.ptp(signals.q[:, joint - 1]) <= _LEAST_RANGE:
-            return False
+        """Where gravity does nothing none is balanced."""
         if signals.weight is None:
             return True
         weight, torque = (np.max(np.abs(values[:, joint - 1])) for values in (signals.weight, signals.torque))

@@ -127,7 +127,10 @@ def joined(present: Posterior, with_others: Array, with_itself: Array, with_y: A
     M = with_itself - with_others @ present.solve(with_others.T)
     g = root.T @ (with_y - with_others @ present.mean)
     A = root.T @ (0.5 * (M + M.T)) @ root
-    factor = _root(A + np.eye(len(g)))
-    x = linalg.solve_triangular(factor, g, lower=True, check_finite=False)
-    inverse = linalg.cho_solve((factor, True), np.eye(len(g)))
-    return Joined(root @ (inverse @ g), root @ inverse @ root.T, float(0.5 * x @ x - np.log(np.diag(factor)).sum()))
+    # What others make all but rounding of is nothing, and not less.
+    values, vectors = np.linalg.eigh(0.5 * (A + A.T))
+    values = 1.0 + np.maximum(values, 0.0)
+    along = vectors.T @ g
+    back = root @ vectors
+    return Joined(back @ (along / values), (back / values) @ back.T,
+                  float(0.5 * (along**2 / values).sum() - 0.5 * np.log(values).sum()))

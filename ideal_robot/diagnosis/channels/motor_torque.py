@@ -80,7 +80,8 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     body = body_on(n) if payload else None
     still = np.zeros_like(q)
     signals = Signals(t, q, qd, qdd, still, still, still, filtered.temperature, extra=extra, payload=body,
-                      v_small=noise_velocity, cutoff=filtered.cutoff, bodies=body_on if payload else None, tool=np.array(robot.tool_place, dtype=float))
+                      v_small=noise_velocity, cutoff=filtered.cutoff, bodies=body_on if payload else None,
+                      tool=np.array(robot.tool_place, dtype=float))
     load = inverse_dynamics(chain_of(model._exact_model), q, qd, qdd)
     # Of a long recording the bodies' columns at all samples would be the largest thing in memory.
     bodies = filtered.decimate_motion(lambda some: full_regressor(robot.pinocchio, q[some], qd[some], qdd[some],
