@@ -44,7 +44,7 @@ GROUPS = {
         "measured": "measured", "measured-adapted": "measured", "twins": "measured", "twin-arms": "measured",
     },
     "strangers": {"strangers": "diagnoses", "certainty": "diagnoses", "each-effect": "diagnoses",
-                  "sensors": "diagnoses"},
+                  "sensors": "diagnoses", "users-way": "users_way"},
     "closings": {"closings": "closings", "outside": "closings", "true-friction": "closings"},
     "robustness": {
         "findings": "findings", "limits": "limits", "fuzz": "broken", "kill": "broken",

@@ -364,13 +364,14 @@ class BestSet:
         return ranked[0] if ranked else None
 
     def ranked(self, hole: Candidate | None = None, finalists: int = FINALISTS, *,
-               anywhere: bool = False) -> list[Weighed]:
+               anywhere: bool = False, least: float = 0.0) -> list[Weighed]:
         """Candidates that are refined and scored beside the present set, or in the place of one of it, best first.
 
         Args:
             hole: the cause of the set in whose place they are looked at, at its joint or ``anywhere``.
             finalists: how many of them are refined.
             anywhere: whether other joints are looked at too.
+            least: nats below which a candidate is none.
         """
         rest = [c for c in self.choices if c is not hole]
         keys = ["W", *[c.key for c in rest]]
@@ -382,7 +383,7 @@ class BestSet:
             if not starts[0].effect.scanned and any(starts[0].one_at_most_with(c) for c in rest):
                 continue
             with RaisedBy(f"effect {starts[0].effect.key} at joint {starts[0].joint}"):
-                best = self._best_start(starts, fitted, keys, residual)
+                best = self._best_start(starts, fitted, keys, residual, least)
             if best is not None and (hole is None or best.candidate.place != hole.place):
                 first.append(best)
         first.sort(key=lambda w: -w.nats)
@@ -400,7 +401,7 @@ class BestSet:
                         - self._beside(rest, [], [w.candidate, *beside])) for w in result]
 
     def _best_start(self, starts: list[Candidate], fitted: Posterior, keys: Sequence[str],
-                    residual: Array) -> Weighed | None:
+                    residual: Array, least: float) -> Weighed | None:
         """The plausible start with most evidence; None where there is none."""
         first = starts[0]
         if first.effect.scanned:
@@ -409,7 +410,7 @@ class BestSet:
         best: Weighed | None = None
         for start in starts:
             own = self.joined(start, fitted, keys)
-            if (best is None or own.evidence > best.nats) and own.evidence > 0.0 and self.plausible(start, own.mean):
+            if (best is None or own.evidence > best.nats) and own.evidence > least and self.plausible(start, own.mean):
                 best = Weighed(start, own, own.evidence)
         return None if best is None else replace(best, nats=best.nats - self.cost(best.candidate))
 

@@ -43,6 +43,8 @@ ANOTHER_ARM = -float(np.log(20.0))
 MISFIT = 0.5
 """Of what a model left where it was identified, the part that is there again on another motion; 0.5 has the largest
 evidence of 0.5, 1 and 2 on short motions of four shipped scenes."""
+UNKNOWN = 100.0
+"""Standard deviation of a parameter of which a model knows nothing, over one and its value [in its unit]."""
 FORCE_GAIN = 0.15
 """What the gain of a force sensor is off by, weight and motion of what it carries included."""
 MEMORY = 0.2
@@ -209,7 +211,11 @@ def same_arm(model: Model) -> Array:
 
 def _same(model: Model) -> Array:
     """Covariance of the model's parameters, the shapes of its friction laws being as they are ``(P, P)``."""
-    C = np.where(np.isfinite(model.covariance), model.covariance, 0.0)
+    finite = np.isfinite(model.covariance).all(axis=0) & np.isfinite(model.covariance).all(axis=1)
+    C = np.where(finite[:, None] & finite, np.where(np.isfinite(model.covariance), model.covariance, 0.0), 0.0)
+    # Of a parameter without a finite covariance nothing is known.
+    values = parameter_vector(model.base_values, model.friction)
+    C[np.diag_indices(len(C))] += np.where(finite, 0.0, (UNKNOWN * (1.0 + np.abs(values))) ** 2)
     linear = np.zeros(len(C), dtype=bool)
     linear[: friction_places(model.base, model.friction)[-1].stop] = True
     result = np.zeros_like(C)

@@ -44,6 +44,7 @@ class DomainResult:
     traces: tuple[tuple[str, ...], Traces]
     arguments: tuple[Argument, ...]
     small: tuple[FittedEffect, ...] = ()
+    gone: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,7 @@ class DomainDiagnosis:
         final: its numbers.
         arguments: why each cause is in the set.
         named: those of the set, from 0, that are large enough to matter.
+        gone: those that the validation recording contradicts.
         validation: the regression of the validation recording, or None.
         given: whether the model was given, so that "before" is the model as it was.
         source: hash of the recording.
@@ -64,16 +66,18 @@ class DomainDiagnosis:
     final: Estimate
     arguments: tuple[Argument, ...]
     named: tuple[int, ...]
+    gone: tuple[Candidate, ...]
     validation: Regression | None
     given: bool
     source: str
 
     @classmethod
     def of(cls, best: BestSet, validation: Regression | None, given: bool, source: str) -> DomainDiagnosis:
-        """The domain of a search that has run."""
+        """The domain of a search that has run; what another recording contradicts leaves its set."""
+        gone = _not_transferred(best, validation)
         arguments = tuple(argument(best, choice) for choice in best.choices)
         named = tuple(k for k, choice in enumerate(best.choices) if best.matters(choice))
-        return cls(best, best.estimate(), arguments, named, validation, given, source)
+        return cls(best, best.estimate(), arguments, named, gone, validation, given, source)
 
     @property
     def choices(self) -> tuple[Candidate, ...]:
@@ -138,7 +142,8 @@ class DomainDiagnosis:
         return DomainResult(channels, tuple(map(self._found, self.named)), before_it, after_it,
                             (reported.channels, traces), tuple(self.arguments[k] for k in self.named),
                             tuple(self.final.fitted(k, reported.prismatic) for k, choice in enumerate(self.choices)
-                                  if k not in self.named and not choice.effect.learned))
+                                  if k not in self.named and not choice.effect.learned),
+                            tuple(f"{_name(c.effect)} in {c.effect.channel(c.joint)}" for c in self.gone))
 
     def _found(self, k: int) -> FoundEffect:
         """What is said of a cause of the best set."""
@@ -168,6 +173,25 @@ class DomainDiagnosis:
             added = self.final.contributions(reported)[k]
             return int(np.argmax(np.sqrt(np.mean(added**2, axis=0)) / (reported.noise_floor + 1e-300)))
         return int(np.argmax((without - self._rms(self.with_all)) / (without + 1e-300)))
+
+
+def _not_transferred(best: BestSet, validation: Regression | None) -> tuple[Candidate, ...]:
+    """Causes that leave the best set, for with them another recording is predicted worse than without them."""
+    gone: list[Candidate] = []
+    while validation is not None and best.choices:
+        def error(choices: Sequence[Candidate], other: Regression = validation) -> float:
+            # In units of what each channel varies by, for a cause may act on several.
+            left = rms(best.fit_of(choices).residual(other), other.use)
+            return float(np.sum((left / np.maximum(spread(other.measured, other.use), 1e-300)) ** 2))
+
+        whole = error(best.choices)
+        without = [error([c for c in best.choices if c is not choice]) for choice in best.choices]
+        worst = int(np.argmin(without))
+        if without[worst] >= whole:
+            break
+        gone.append(best.choices[worst])
+        best.take([c for k, c in enumerate(best.choices) if k != worst])
+    return tuple(gone)
 
 
 # Why a cause is in the best set.

@@ -446,6 +446,6 @@ def validate(
             diagnosis_page(diagnosis, f"{mjcf.name} on {recording.name}").write(page_file)
             write_signed(json_file, {"recording_hash": loaded.hash, "residual_percent": errors.tolist(),
                                      "left_out": list(arm.left_out), **diagnosis.to_dict()})
-    _show_diagnosed(diagnosis)
+    _show_diagnosed(diagnosis, False)
     typer.echo(summary(diagnosis))
     typer.echo(f"report: {page}")

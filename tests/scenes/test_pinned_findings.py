@@ -19,10 +19,8 @@ from scipy.io import savemat
 
 from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import read_json, read_toml
-from ideal_robot.diagnosis import stages
-from ideal_robot.diagnosis.case import Case
-from ideal_robot.diagnosis.search.choice import Options
-from ideal_robot.diagnosis.statistics.problem import prior_precision
+from ideal_robot.diagnosis import diagnose
+from ideal_robot.diagnosis.prior import same_arm
 from ideal_robot.elasticity.stiffness_analysis import analyse_stiffness
 from ideal_robot.errors import InputError
 from ideal_robot.identification.excitation import design_excitation
@@ -349,9 +347,10 @@ def test_of_a_parameter_without_a_finite_covariance_nothing_is_known(tmp_path: P
     covariance = np.diag(np.full(len(nominal.covariance), 1e-4))
     covariance[0, 3] = np.nan
     model = replace(nominal, covariance=covariance)
-    case = Case(recording, robot, model, None, Options(), silent, True, None)
-    precision = prior_precision(model, stages.prepared(case, ()).problem)
-    assert np.isfinite(precision).all()
-    assert not precision[0].any()
-    assert not precision[:, 3].any()
-    assert precision[1, 1] > 0.0
+    root = same_arm(model)
+    std = np.sqrt((root**2).sum(axis=1))
+    assert np.isfinite(root).all()
+    assert std[0] > 10.0
+    assert std[3] > 10.0
+    assert std[1] == pytest.approx(0.01, rel=0.01)
+    assert diagnose(recording, robot, model=model).verdict

@@ -212,13 +212,23 @@ def about_model(made: Regression, model: Model) -> Regression:
                 # What the gears carry besides bends them as well.
                 load = load + added
     signals = replace(signals, load=load)
-    for j in np.flatnonzero(0.0 if signals.compliance is None else signals.compliance):
-        # Gears that the model knows bend under what they carry; the rigid body is asked at the motors' angles.
-        swings = find("joint_elasticity", "tau_resonance")
-        if swings.usable(replace(signals, compliance=None), j + 1):
-            stiffness = 1.0 / float(signals.compliance[j])
-            prediction = prediction + swings.columns(signals, j + 1, (stiffness,))[:, :, 0]
-    return replace(made, signals=signals, y=made.measured - made.filtered.decimate(prediction))
+    return replace(made, signals=signals,
+                   y=made.measured - made.filtered.decimate(prediction + _bent_gears(signals)))
+
+
+def _bent_gears(signals: Signals) -> Array:
+    """What the gears that the model knows bend, and swing, changes in the torques ``(N, n)`` [N m].
+
+    The rigid body is asked at the motors' angles; the arm is where its gears leave it.
+    """
+    result = np.zeros_like(signals.load)
+    if signals.compliance is None:
+        return result
+    swings, rigid = find("joint_elasticity", "tau_resonance"), replace(signals, compliance=None)
+    for j, compliance in enumerate(signals.compliance.tolist()):
+        if compliance > 0.0 and swings.usable(rigid, j + 1):
+            result += swings.columns(signals, j + 1, (1.0 / compliance,))[:, :, 0]
+    return result
 
 
 def with_reversal_width(made: Regression, model: Model, reversal_width: Array) -> Regression:

@@ -173,7 +173,7 @@ class Causes:
         """What takes most away at one joint or (None) at all, in the place of a choice if ``own``, theta refined."""
         self.best.pool = [starts for starts in candidates(effects, self.problem.regression.signals, True)
                           if joint in (None, starts[0].joint) and (own is None or starts[0].place != own.place)]
-        ranked = self.best.ranked(own, 1, anywhere=True)
+        ranked = self.best.ranked(own, 1, anywhere=True, least=-np.inf)
         return ranked[0].candidate if ranked else None
 
 

@@ -241,4 +241,4 @@ def test_a_parameter_that_moves_nothing_has_not_moved() -> None:
     change = np.ones(len(nominal.covariance))
     W = np.zeros((20, 6, len(change)))
     W[:, :, 3] = 1.0
-    assert moved_parameters(nominal, change, 100.0 * np.eye(len(change)), W) == [(3, pytest.approx(10.0))]
+    assert moved_parameters(nominal, change, 0.1 * np.eye(len(change)), W) == [(3, pytest.approx(10.0))]

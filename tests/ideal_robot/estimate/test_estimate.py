@@ -44,7 +44,7 @@ def test_one_more_group_is_the_ratio_of_two_densities(seed: int) -> None:
     both = linalg.block_diag(before, np.diag(std**2))
     expected = density(np.column_stack([X, C]), both) - density(X, before)
     rows = np.column_stack([X, y])
-    one = joined(posterior(rows.T @ rows, precision), C.T @ X, C.T @ C, C.T @ y, np.diag(std**-2.0))
+    one = joined(posterior(rows.T @ rows, precision), C.T @ X, C.T @ C, C.T @ y, np.diag(std))
     assert one.evidence == pytest.approx(expected, rel=1e-6)
     together = np.column_stack([X, C])
     A = np.linalg.inv(both) + together.T @ together
