@@ -137,8 +137,7 @@ MODULES = [importlib.import_module(module.name) for package in (ideal_robot, sce
 RESULT = re.compile(r"(Result|Comparison|Identification|Analysis|Plan|Diagnosis|Prediction)$")
 """How classes are called that public functions return."""
 OTHERS = {"scenes.closing.loop:Comparison", "ideal_robot.diagnosis.validation.result:ChannelResult",
-          "ideal_robot.diagnosis.validation.domain_diagnosis:DomainResult",
-          "ideal_robot.diagnosis.validation.domain_diagnosis:DomainDiagnosis"}
+          "ideal_robot.diagnosis.report:DomainResult", "ideal_robot.diagnosis.report:DomainDiagnosis"}
 """A line of numbers, and parts of a diagnosis that nobody is handed."""
 
 

@@ -217,7 +217,12 @@ class BestSet:
         return self._wide[candidate.key]
 
     def joined(self, candidate: Candidate, fitted: Posterior, keys: Sequence[str]) -> Joined:
-        """The candidate beside a fit of other groups."""
+        """The candidate beside a fit of other groups.
+
+        Args:
+            candidate: with its shapes.
+            fitted, keys: posterior of the others, and their names.
+        """
         self.add(candidate)
         return joined(fitted, *self.system.beside(candidate.key, keys), self.wide(candidate))
 
@@ -415,7 +420,12 @@ class BestSet:
         return None if best is None else replace(best, nats=best.nats - self.cost(best.candidate))
 
     def refined(self, candidate: Candidate, fitted: Posterior, keys: Sequence[str]) -> Candidate:
-        """The candidate with the shapes of most evidence beside a fit of others."""
+        """The candidate with the shapes of most evidence beside a fit of others.
+
+        Args:
+            candidate: with shapes to begin with.
+            fitted, keys: posterior of the others, and their names.
+        """
         effect, signals = candidate.effect, self.regression.signals
         if not effect.theta_is_physical:
             def coefficients(theta: Theta) -> Array | None:

@@ -73,7 +73,14 @@ class DomainDiagnosis:
 
     @classmethod
     def of(cls, best: BestSet, validation: Regression | None, given: bool, source: str) -> DomainDiagnosis:
-        """The domain of a search that has run; what another recording contradicts leaves its set."""
+        """The domain of a search that has run; what another recording contradicts leaves its set.
+
+        Args:
+            best: the search.
+            validation: regression of another recording, whose errors are reported then; None for blocks left out.
+            given: whether the model was given.
+            source: hash of the recording.
+        """
         gone = _not_transferred(best, validation)
         arguments = tuple(argument(best, choice) for choice in best.choices)
         named = tuple(k for k, choice in enumerate(best.choices) if best.matters(choice))
@@ -205,8 +212,9 @@ def argument(best: BestSet, own: Candidate) -> Argument:
     """
     rest = [c for c in best.choices if c is not own]
     others: list[Candidate | None] = [None]
+    # What shows in several channels may sit at another joint.
+    others += [w.candidate for w in best.ranked(own, anywhere=len(best.system.groups[own.key].channels) > 1)]
     if best.learns:
-        others += [w.candidate for w in best.ranked(own)]
         channel = best.regression.channel_of(own.joint)
         others += [] if channel is None or own.effect.learned else best.curves_of(channel, own)[:1]
     sets, misfit = [], []

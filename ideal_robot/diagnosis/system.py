@@ -152,7 +152,12 @@ class System:
         return channel.rows[key]
 
     def product(self, j: int, a: str, b: str) -> tuple[np.ndarray, np.ndarray, Array]:
-        """``a'b`` of innovations of channel ``j``: acting columns of each, and their products ``(B, m_a, m_b)``."""
+        """Products of innovations of two groups: acting columns of each, and ``a'b`` block by block ``(B, m_a, m_b)``.
+
+        Args:
+            j: the channel, from 0.
+            a, b: names of the groups.
+        """
         (left, rows_a), (right, rows_b) = self._rows(j, a), self._rows(j, b)
         products = self.channels[j].products
         if (a, b) not in products:
@@ -161,7 +166,12 @@ class System:
         return left, right, products[a, b]
 
     def total(self, j: int, a: str, b: str) -> tuple[np.ndarray, np.ndarray, Array]:
-        """See ``product``. The sum over all blocks ``(m_a, m_b)``."""
+        """The sum of ``product`` over all blocks: acting columns of each, and ``a'b`` ``(m_a, m_b)``.
+
+        Args:
+            j: the channel, from 0.
+            a, b: names of the groups.
+        """
         left, right, totals = self._rows(j, a)[0], self._rows(j, b)[0], self.channels[j].totals
         if (a, b) not in totals:
             totals[a, b] = self.product(j, a, b)[2].sum(axis=0)

@@ -243,6 +243,7 @@ class TorqueFilter(CommonDelay):
     The column is ``(tau(T) - tau_model)/T``, exact where theta has become the time constant.
     """
 
+    prior = -2.0  # All that is late is a delay; a lag says besides that what is quick is weakened.
     name = "torque_filter"
     coefficient_names = ("time constant",)
     held = (-np.inf, 0.0)

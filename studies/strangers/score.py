@@ -119,9 +119,11 @@ def _probabilities(diagnosis: Any, true: frozenset[tuple[str, int]]) -> tuple[tu
     """Of each cause that was named: its probability, and whether it or one it is not told from is there."""
     result = []
     for effect in diagnosis.effects:
+        if not hasattr(effect, "probability"):
+            continue
         alike, fitted = {effect.fitted.name, *getattr(effect, "indistinguishable_from", ())}, effect.fitted
         right = any((said_name(name, fitted.channel), joint) in true for name in alike for joint in (fitted.joint, 0))
-        result.append((float(getattr(effect, "probability", float("nan"))), right))
+        result.append((float(effect.probability), right))
     return tuple(result)
 
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ideal_robot.diagnosis.validation.result import Argument, Weighed
+from ideal_robot.diagnosis.validation.result import WeighedSet, probability
 from ideal_robot.errors import InputError
 from ideal_robot.signals.recording import Recording
 from studies.__main__ import GROUPS, STUDIES, main
@@ -18,7 +18,7 @@ from studies.strangers.effects import INSIDE, Setup
 from studies.strangers.engines import ENGINES, TURNS
 from studies.strangers.logger import draw_logger, left, read, record, sizes
 from studies.strangers.other_effects import NEW
-from studies.strangers.score import Score, detection, leaving_out, power, probability, rates, reliability, score
+from studies.strangers.score import Score, detection, power, rates, reliability, score
 from studies.strangers.trial import KINDS, SHARES, Cause, Trial, draw_trial, right_names
 from tests.arms import a_logger, a_motion, a_plant, an_arm
 
@@ -223,30 +223,24 @@ def test_the_size_that_is_found_half_of_the_time_comes_back_from_what_was_found(
 
 
 def test_the_probability_of_a_cause_is_against_what_else_could_be_named() -> None:
-    def of(*sets: Weighed) -> float:
-        every = (*sets, Weighed("", 0, 310.0, 40.0))
-        return probability(Argument("stribeck", 3, "tau_3", "joint 3", every, (2.0, 4.0), "", 1.0),
-                           {"stribeck", "degressive"})
+    def of(*sets: WeighedSet) -> float:
+        return probability((*sets, WeighedSet("", 0, 310.0, 40.0)), "stribeck")
 
     # Without a standard error the odds are those of the score.
-    assert of(Weighed("backlash/tau_flight", 3, np.log(4.0), 0.0)) == pytest.approx(0.8)
+    assert of(WeighedSet("backlash/tau_flight", 3, np.log(4.0), 0.0)) == pytest.approx(0.8, abs=1e-4)
     # Nothing is certain because of a difference within its standard error.
-    assert 0.6 < of(Weighed("backlash", 3, 20.0, 40.0)) < 0.75
-    assert of(Weighed("backlash", 3, -20.0, 40.0)) < 0.4
-    # A curve is no cause, and a cause that is said beside it takes nothing away.
-    certain = of()
-    assert certain > 0.99
-    assert of(Weighed("a curve over qd_3", 3, -50.0, 3.0, learned=True)) == certain
-    assert of(Weighed("degressive", 3, -5.0, 3.0)) >= certain
+    assert 0.6 < of(WeighedSet("backlash", 3, 20.0, 40.0)) < 0.75
+    assert of(WeighedSet("backlash", 3, -20.0, 40.0)) < 0.4
+    # Another form of the same cause speaks for it.
+    assert of() > 0.99
+    assert of(WeighedSet("stribeck", 3, -5.0, 3.0)) == of()
 
 
 def test_causes_said_with_a_probability_are_counted_where_it_was_asked_for() -> None:
     trial, answer = a_trial(("stribeck", 2)), said("effects", ("stribeck", 2), ("dead_time", 5), unknown=(3,))
     assert score(trial, answer).probabilities == ()
-    for effect, rivals in zip(answer.effects, (("degressive",), ()), strict=True):
-        effect.indistinguishable_from = rivals
-    answer.arguments = [SimpleNamespace(name=name, sets=(Weighed("", 0, np.log(odds), 0.0),)) for name, odds in (
-        ("stribeck", 24.0), ("unknown", 1.0), ("dead_time", 1.5))]
+    for effect, rivals, likely in zip(answer.effects, (("degressive",), ()), (0.96, 0.6), strict=True):
+        effect.indistinguishable_from, effect.probability = rivals, likely
     result = score(trial, answer)
     assert result.probabilities == (pytest.approx((0.96, True)), pytest.approx((0.6, False)))
     lines = reliability([result, score(a_trial(), said("none"))]).splitlines()
@@ -281,19 +275,6 @@ def test_a_name_is_as_probable_as_it_was_right_in_other_recordings() -> None:
 @pytest.mark.parametrize(("joint", "allowed"), [(5, True), (2, False)])
 def test_a_load_is_a_payload_only_next_to_the_flange(joint: int, allowed: bool) -> None:
     assert (("payload", 0) in right_names("link_load", joint, 6)) is allowed
-
-
-def test_an_engine_left_out_is_judged_by_the_factor_of_the_others() -> None:
-    def empty(engine: str, *margins: float) -> Score:
-        names = tuple(("degressive", j + 1) for j in range(len(margins)))
-        result = dataclasses.replace(score(a_trial(), said("effects", *names)), engine=engine, margins=margins)
-        return dataclasses.replace(result, right=not margins)
-
-    # Played with halved shares: a margin of 3 is one and a half times the usual share.
-    every = [empty("mujoco", 3.0), empty("mujoco"), empty("pybullet", 1.2), empty("pybullet")]
-    text = leaving_out(every, 0.5)
-    assert "| mujoco | 0.60 | 1 of 2 | 1 of 2 |" in text
-    assert "| pybullet | 1.50 | 2 of 2 | 2 of 2 |" in text
 
 
 def test_a_joints_delay_holds_what_all_torques_are_late_by_unless_that_has_a_name() -> None:

@@ -216,7 +216,7 @@ def test_a_run_in_which_no_joint_moves_enough_still_tells_of_the_camera(gantry_r
     assert diagnosis.model is not None
     assert [e.name for e in diagnosis.model.effects] == [kind]
     assert all(c.rms_after <= 1.01 * c.rms_before for c in diagnosis.channels if c.channel.startswith("tau"))
-    assert diagnosis.traces[0][0] == ("line",)
+    assert ("line",) in [names for names, _ in diagnosis.traces]
     assert "cam_t, line_x_i, line_y_i, line_z_i" not in diagnosis.unused
 
 

@@ -212,7 +212,7 @@ def _softer(key: str) -> Case:
     of_currents = key.endswith("/tau")
     soft = k.copy()
     soft[1] = 1.0 / (true.coefficients[0] + (0.0 if of_currents else 1.0 / k[1]))
-    return Case(arm.WORLD.replace(stiffness=soft.tolist()), true, shown=not of_currents)
+    return Case(arm.WORLD.replace(stiffness=soft.tolist()), true, shown=not key.partition("/")[2].startswith("tau"))
 
 
 def _swinging() -> Case:
@@ -250,9 +250,18 @@ def kinematic_error() -> Case:
     return Case(arm.WORLD, true, _turned(3, a * x + d * z, alpha * x + theta * z))
 
 
+def warmth() -> Case:
+    """Dry friction that is known is larger by three tenths, viscous by six: an oil that is cold."""
+    dry = TIMES * max(0.25 * NOISE * float(arm.ROBOT.tau_max[1]), SHARE * float(np.std(signals().torque[:, 1]))) / 0.3
+    viscous = dry / float(np.std(signals().qd[:, 1]))
+    true = FittedEffect("warmth", 0, "tau", (0.3, 0.6))
+    case = _with_torque(true, lambda t, q, qd, q_a: 1.6 * viscous * qd[1] + 1.3 * dry * _along(qd[1]), 2)
+    return dataclasses.replace(case, friction=(viscous, dry))
+
+
 CASES: dict[str, Callable[[], Case]] = {
     **{key: partial(_of_torque, key) for key in TORQUES},
-    "asymmetric_friction/tau": asymmetric_friction,
+    "asymmetric_friction/tau": asymmetric_friction, "warmth/tau": warmth,
     "load_dependent_friction/tau": lambda: _of_load(
         "load_dependent_friction/tau", lambda load, along: abs(load) * along),
     "load_direction_friction/tau": lambda: _of_load(
@@ -261,7 +270,8 @@ CASES: dict[str, Callable[[], Case]] = {
     "drive_gain/tau": drive_gain, "rotor_inertia/tau": rotor_inertia,
     "payload/tau": lambda: _body("payload/tau", 6, 0), "link_load/tau": lambda: _body("link_load/tau", 3, 3),
     "zero_error/tau": zero_error, "base_tilt/tau": base_tilt,
-    **{f"joint_elasticity/{prefix}": partial(_softer, f"joint_elasticity/{prefix}") for prefix in ("tau", "qa", "tcp")},
+    **{f"joint_elasticity/{prefix}": partial(_softer, f"joint_elasticity/{prefix}") for prefix in ("tau", "tau_further", "qa",
+                                                                                               "tcp")},
     "joint_elasticity/tau_resonance": _swinging,
     **{f"backlash/{prefix}": partial(_gap, prefix) for prefix in ("tau", "qa_load", "tcp_load")},
     **{f"transmission_error/{prefix}": partial(_uneven, prefix) for prefix in ("qa", "tcp")},

@@ -21,7 +21,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.closing.result import Closing
-from scenes.diagnosis.figures import contributions, effect_figure, ladder_figure
+from scenes.diagnosis.figures import contributions, effect_figure, without_each_figure
 from scenes.diagnosis.page import diagnosis_page, summary
 from scenes.path.page import path_replay, run_page
 from scenes.play import run_scene
@@ -155,10 +155,10 @@ def test_the_effect_is_drawn_over_the_signal_it_depends_on() -> None:
     assert "asymmetric friction" in caption
 
 
-def test_the_ladder_has_a_step_an_effect_and_the_noise() -> None:
-    figure = ladder_figure(diagnosis(found(2.0, 0.9), dataclasses.replace(found(0.9, 0.2), taken=1)))
+def test_what_each_cause_is_worth_stands_between_before_and_after() -> None:
+    figure = without_each_figure(diagnosis(found(2.0, 0.2), dataclasses.replace(found(0.9, 0.2), taken=1)))
     (axes,) = figure.axes
-    assert [round(bar.get_width(), 3) for bar in axes.patches] == [2.0, 0.9, 0.2]
+    assert [round(bar.get_width(), 3) for bar in axes.patches] == [2.0, 2.0, 0.9, 0.2]
     assert any(np.allclose(line.get_xdata(), 0.19) for line in axes.lines)
 
 
