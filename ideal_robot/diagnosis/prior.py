@@ -211,8 +211,9 @@ def same_arm(model: Model) -> Array:
 
 def _same(model: Model) -> Array:
     """Covariance of the model's parameters, the shapes of its friction laws being as they are ``(P, P)``."""
-    finite = np.isfinite(model.covariance).all(axis=0) & np.isfinite(model.covariance).all(axis=1)
-    C = np.where(finite[:, None] & finite, np.where(np.isfinite(model.covariance), model.covariance, 0.0), 0.0)
+    there = np.isfinite(model.covariance)
+    finite = np.asarray(there.all(axis=0) & there.all(axis=1))
+    C = np.where(np.outer(finite, finite), np.where(there, model.covariance, 0.0), 0.0)
     # Of a parameter without a finite covariance nothing is known.
     values = parameter_vector(model.base_values, model.friction)
     C[np.diag_indices(len(C))] += np.where(finite, 0.0, (UNKNOWN * (1.0 + np.abs(values))) ** 2)
