@@ -270,8 +270,8 @@ CASES: dict[str, Callable[[], Case]] = {
     "drive_gain/tau": drive_gain, "rotor_inertia/tau": rotor_inertia,
     "payload/tau": lambda: _body("payload/tau", 6, 0), "link_load/tau": lambda: _body("link_load/tau", 3, 3),
     "zero_error/tau": zero_error, "base_tilt/tau": base_tilt,
-    **{f"joint_elasticity/{prefix}": partial(_softer, f"joint_elasticity/{prefix}") for prefix in ("tau", "tau_further", "qa",
-                                                                                               "tcp")},
+    **{f"joint_elasticity/{prefix}": partial(_softer, f"joint_elasticity/{prefix}")
+       for prefix in ("tau", "tau_further", "qa", "tcp")},
     "joint_elasticity/tau_resonance": _swinging,
     **{f"backlash/{prefix}": partial(_gap, prefix) for prefix in ("tau", "qa_load", "tcp_load")},
     **{f"transmission_error/{prefix}": partial(_uneven, prefix) for prefix in ("qa", "tcp")},

@@ -9,16 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ideal_robot.diagnosis import Diagnosis
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
 from scenes import load_scene
 from scenes.close_clamped import CloseClampedScene, stiffness_of
 from scenes.close_clamped import close_loop as close_clamped
-from scenes.closing.loop import Form, Group
+from scenes.closing.loop import Form
 from scenes.closing.result import tool_deviation, visible
-from scenes.path.candidates import Candidates, covering, diagnostic_motion
+from scenes.path.candidates import covering, diagnostic_motion
 from scenes.path.cell import PathCell, training_path
 from scenes.path.close_loop import ArmOnPath, close_loop, doubt_of_load, left_unexplained
 from scenes.scene_files.path_scene import PathScene
@@ -224,24 +223,6 @@ def test_a_change_that_hardly_shows_on_the_loop_is_played(worse: float, playable
     order, reason = subject.foreseen((Form("payload", lambda model, run: changed),), [changed], arm.model(), None)
     assert (order == [0]) is playable
     assert "explains less" in reason
-
-
-def test_what_explains_a_recording_with_the_model_as_it_was_is_tried_too() -> None:
-    """Where parameters were fitted anew, a body hides in them, and all that has a name then may be what cannot act."""
-    case = CASES["payload/tau"]()
-    moved = arm.recording(case.world, of=case.individual)
-    offset = FittedEffect("current_offset", 1, "tau_1", (1.0,))
-    diagnosis = Diagnosis("unknown", (), (), (), "", 0.0, beside_known=((case.true, offset),))
-    (of_arm, of_tool), refused = Candidates(arm.model(), diagnosis, moved, moved, arm.ROBOT, "tcp").groups()
-    (together,), (alone, of_offset) = of_arm.together, of_arm.apart
-    assert of_tool == Group((), ())
-    assert together.places == (("payload", 0), ("current_offset", 1))
-    for form in (together, *alone):
-        added = form.change(arm.model(), None).effects
-        assert added[0].coefficients[0] == pytest.approx(case.true.coefficients[0], rel=0.05)
-    assert [form.places for form in alone] == [(("payload", 0),)] * 2
-    assert [form.places for form in of_offset] == [(("current_offset", 1),)] * 2
-    assert not refused
 
 
 def cell(robot=arm.ROBOT) -> PathCell:
