@@ -479,7 +479,7 @@ def slowed(rows: Array, rate: Array, a_max: Array, T: float) -> Array:
         T: cycle [s].
     """
     if len(rows) < 3:
-        return T * np.arange(len(rows))
+        return np.asarray(T * np.arange(float(len(rows))))
     rate = np.clip(rate, _SLOWEST, 1.0)
     # Of the two steps beside each row the faster one: between rows the path is straight.
     step = np.abs(np.diff(rows, axis=0)) / T

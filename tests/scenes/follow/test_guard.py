@@ -82,7 +82,7 @@ class Wall(Tame):
 def connected(wall: Wall, folder: Path, weighed: bool) -> LiveArm:
     """A guarded arm at the wall."""
     robot = wall.robot
-    arm = LiveArm(wall, Journal(folder, robot, {}))  # type: ignore[arg-type]
+    arm = LiveArm(wall, Journal(folder, robot, {}))
     wall.force = force = LiveForce(wall, arm)  # type: ignore[arg-type]
     origin = robot.tool_places(robot.home[None])[0]
     E = stiffness_of(model_at("shipped", robot), robot, robot.home, UP)
