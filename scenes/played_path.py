@@ -108,7 +108,13 @@ class PlannedPath:
                        meta={**self.meta, "method": "none"})
 
     def player(self, link: Any, felt: Felt | None = None, patience: float = PATIENCE) -> PathPlayer:
-        """Who plays it on a link, with a force sensor if there is one; see ``PathPlayer``."""
+        """Who plays it, see ``PathPlayer``.
+
+        Args:
+            link: the arm, connected.
+            felt: force sensor; None without one.
+            patience: how long an arm that stands still is waited for [s].
+        """
         return PathPlayer(link, self.law, self.commands, self.rest, self.meta, self.warnings, recorded=self.desired,
                           led=True, response=self.response, felt=felt, patience=patience)
 

@@ -491,7 +491,13 @@ def slowed(rows: Array, rate: Array, a_max: Array, T: float) -> Array:
 
 
 def at_cycles(values: Array, instants: Array, T: float) -> Array:
-    """Values ``(M, …)`` at the cycles of what belongs to instants: ``(N, …)``, ``(N,)`` [s]."""
+    """Values ``(M, …)`` at the cycles of what is known at other instants.
+
+    Args:
+        values: at the instants ``(N, …)``.
+        instants: rising, the first is 0 ``(N,)`` [s].
+        T: cycle [s].
+    """
     return np.asarray(interpolated(T * np.arange(np.ceil(instants[-1] / T - 1e-9) + 1), instants, values))
 
 
