@@ -272,7 +272,8 @@ def _through_rsi(law: Feedforward, robot: Robot, kind: str, cycles: int) -> Shar
         with suppress(IdealRobotError):
             arm.send(arm.commanded)
             # Beside the arm's own quantities the link reports currents.
-            server._answer(q_d, arm.receive(), RowLog(1 + 5 * robot.n), silent)
+            server._state = arm.receive()
+            server._answer(q_d, RowLog(1 + 5 * robot.n), silent)
         shares.add(_at_rest(wire.commands))
     return shares
 

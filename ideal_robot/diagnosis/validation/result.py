@@ -269,7 +269,7 @@ class Argument:
     def not_distinguished(self) -> tuple[str, ...]:
         """Names of other causes that the data do not reject in its place, with the joint where it is another one."""
         names = [s.name if s.joint == self.joint else s.words for s in self.rivals
-                 if not (s.learned or s.rejected) and s.name != self.name]
+                 if not (s.learned or s.rejected) and (s.name, s.joint) != (self.name, self.joint)]
         return tuple(dict.fromkeys(names))
 
     @property
