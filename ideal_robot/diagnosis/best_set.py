@@ -329,14 +329,19 @@ class BestSet:
         rest = [c for c in self.choices if c is not choice]
         return self._beside(rest, [choice], []) - self._beside(rest, [], [choice], matters=True) > self.cost(choice)
 
-    def better_by_block(self, chosen: Sequence[Candidate], than: Sequence[Candidate]) -> Array:
-        """What each block of time adds to ``better``, without the priors of names ``(B,)``."""
+    def better_by_block(self, chosen: Sequence[Candidate], than: Sequence[Candidate], step: int = 1) -> Array:
+        """What each block of time adds to ``better``, without the priors of names ``(B / step,)``.
+
+        Args:
+            chosen, than: two sets.
+            step: blocks that are looked at together.
+        """
         common, ours, theirs = _apart(chosen, than)
         either = []
         for a, b in ((ours, theirs), (theirs, ours)):
             for candidate in (*common, *a, *b):
                 self.add(candidate)
-            grams = np.cumsum(self.system.gram(["W", *[c.key for c in (*common, *a, *b)]]), axis=0)
+            grams = np.cumsum(self.system.gram(["W", *[c.key for c in (*common, *a, *b)]]), axis=0)[step - 1 :: step]
             either.append(np.diff([0.0, *(self._beside(common, a, b, gram) for gram in grams)]))
         return np.asarray(either[0] - either[1])
 

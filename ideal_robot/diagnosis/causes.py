@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -38,12 +39,12 @@ class Candidate:
     theta: tuple[float, ...] = ()
     tries: int = 1
 
-    @property
+    @cached_property
     def key(self) -> str:
         """Name of its group of columns."""
         return f"{self.place}@{','.join(f'{value:.9g}' for value in self.theta)}"
 
-    @property
+    @cached_property
     def place(self) -> str:
         """Effect, channel and joint without theta: what competes with itself over theta."""
         return f"{self.effect.name}:{self.effect.channel(self.joint)}:{self.joint}:{hash(self.effect)}"

@@ -220,7 +220,8 @@ def argument(best: BestSet, own: Candidate) -> Argument:
     sets, misfit = [], []
     for other in others:
         instead = rest if other is None else [*rest, other]
-        gain = best.better_by_block(best.choices, instead)
+        # Ten pieces of time are enough for a standard error; when a cause shows is asked of all.
+        gain = best.better_by_block(best.choices, instead, 1 if other is None else 2)
         nats, std = best.better(best.choices, instead), standard_error(gain)
         sets.append(WeighedSet("", 0, nats, std) if other is None else
                     WeighedSet(_name(other.effect), other.joint, nats, std, other.effect.learned))

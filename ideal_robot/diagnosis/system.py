@@ -29,7 +29,7 @@ class _Channel:
         weight: inverse square of the innovations' size in units of the noise's.
         rows: of each group its columns that act here and their innovations block by block ``(B, L, m)``.
         products: of two groups ``(B, m_a, m_b)``.
-        totals: their sums over blocks ``(m_a, m_b)``.
+        totals: acting columns of either, and the sums of their products over blocks ``(m_a, m_b)``.
     """
 
     use: np.ndarray
@@ -37,14 +37,15 @@ class _Channel:
     weight: float = 1.0
     rows: dict[str, tuple[np.ndarray, Array]] = field(default_factory=dict)
     products: dict[tuple[str, str], Array] = field(default_factory=dict)
-    totals: dict[tuple[str, str], Array] = field(default_factory=dict)
+    totals: dict[tuple[str, str], tuple[np.ndarray, np.ndarray, Array]] = field(default_factory=dict)
 
     def forget(self, key: str) -> None:
         """Forgets what was made of a group."""
         self.rows.pop(key, None)
-        for made in (self.products, self.totals):
-            for pair in [pair for pair in made if key in pair]:
-                del made[pair]
+        for pair in [pair for pair in self.products if key in pair]:
+            del self.products[pair]
+        for pair in [pair for pair in self.totals if key in pair]:
+            del self.totals[pair]
 
 
 class System:
@@ -68,6 +69,7 @@ class System:
         everywhere = tuple(range(self.c))
         self.groups = {"W": Columns(base * use[:, :, None], everywhere),
                        "y": Columns((y * use)[:, :, None], everywhere)}
+        self._posteriors: dict[tuple[str, ...], Posterior] = {}
         self.edges = np.array(time_blocks(self.N, MOST_BLOCKS, FEWEST_ROWS).edges)
         flat = ColouredNoise.of_autocovariance(np.array([1.0, 0.0]))
         self.channels = [_Channel(use[:, j].copy(), flat) for j in range(self.c)]
@@ -94,6 +96,8 @@ class System:
     def drop(self, key: str) -> None:
         """Forgets a group."""
         self.groups.pop(key, None)
+        for kept in [kept for kept in self._posteriors if key in kept]:
+            del self._posteriors[kept]
         for channel in self.channels:
             channel.forget(key)
 
@@ -107,6 +111,7 @@ class System:
             explained: of each channel orthonormal columns ``(N, k)`` that hold no noise; what of the residual is along
                 them is left out.
         """
+        self._posteriors.clear()
         for j, channel in enumerate(self.channels):
             if not channel.use.any():
                 continue
@@ -125,12 +130,14 @@ class System:
         """Takes a noise of each channel that is known from elsewhere, unless it has it."""
         for j, (channel, own) in enumerate(zip(self.channels, noise, strict=True)):
             if channel.noise is not own:
+                self._posteriors.clear()
                 self.channels[j] = _Channel(channel.use, own)
 
     def with_levels(self, keys: Sequence[str]) -> Posterior:
         """Takes each channel's level from what groups leave, and returns their posterior at these levels."""
         for _ in range(2):
             fitted = self.posterior(keys)
+            self._posteriors.clear()
             left = self.squares(keys, fitted.mean)
             for channel, squares, count in zip(self.channels, left, self.count, strict=True):
                 channel.weight = count / squares if count and squares > 0.0 else 0.0
@@ -172,10 +179,11 @@ class System:
             j: the channel, from 0.
             a, b: names of the groups.
         """
-        left, right, totals = self._rows(j, a)[0], self._rows(j, b)[0], self.channels[j].totals
+        totals = self.channels[j].totals
         if (a, b) not in totals:
-            totals[a, b] = self.product(j, a, b)[2].sum(axis=0)
-        return left, right, totals[a, b]
+            left, right, products = self.product(j, a, b)
+            totals[a, b] = left, right, products.sum(axis=0)
+        return totals[a, b]
 
     def places(self, keys: Sequence[str]) -> dict[str, slice]:
         """Where the columns of each group stand."""
@@ -229,7 +237,12 @@ class System:
 
     def posterior(self, keys: Sequence[str], more: dict[str, Array] | None = None) -> Posterior:
         """Coefficients of groups, fitted together; ``more`` are precisions of groups beforehand."""
-        return posterior(self.gram_of_all(keys), self.full_precision(keys, more))
+        if more:
+            return posterior(self.gram_of_all(keys), self.full_precision(keys, more))
+        kept = tuple(keys)
+        if kept not in self._posteriors:
+            self._posteriors[kept] = posterior(self.gram_of_all(keys), self.full_precision(keys))
+        return self._posteriors[kept]
 
     def squares(self, keys: Sequence[str], mean: Array) -> Array:
         """Squares of what coefficients leave in each channel, in units of its noise, unweighted ``(c,)``."""
