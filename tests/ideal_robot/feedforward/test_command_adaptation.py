@@ -77,13 +77,14 @@ def compared(seed: int, seconds: float, controller: Controller) -> tuple[float, 
     return plain, ideal, adapted
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_on_the_identified_controller_nothing_is_lost(seed: int) -> None:
     plain, ideal, adapted = compared(seed, 12.0, lambda t: (LATE, GAIN, 0.0))
     assert ideal < 0.05 * plain
     assert adapted < max(1.5 * ideal, 0.02 * plain)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 4])
 def test_a_lag_that_grows_is_followed(seed: int) -> None:
     """From 80 to 176 ms in all, as was measured of a controller with duty."""
@@ -92,13 +93,14 @@ def test_a_lag_that_grows_is_followed(seed: int) -> None:
     assert adapted < 0.15 * ideal
 
 
-@pytest.mark.parametrize("gain", [0.6, 1.5])
+@pytest.mark.parametrize("gain", [0.6, pytest.param(1.5, marks=pytest.mark.slow)])
 def test_gains_that_are_changed_are_found(gain: float) -> None:
     _, ideal, adapted = compared(5, 16.0, lambda t: (LATE, gain * GAIN, 0.0))
     assert adapted < 0.2 * ideal
 
 
-@pytest.mark.parametrize("controller", [(0.0, 60.0, 0.95), (0.0, 15.0, 1.0), (0.1, 8.0, 0.5)])
+@pytest.mark.parametrize("controller", [(0.0, 60.0, 0.95), *(pytest.param(other, marks=pytest.mark.slow) for other in (
+    (0.0, 15.0, 1.0), (0.1, 8.0, 0.5)))])
 def test_behind_another_controller_it_does_not_end_worse_than_the_plain_path(
         controller: tuple[float, float, float]) -> None:
     plain, _, adapted = compared(6, 16.0, lambda t: controller)
