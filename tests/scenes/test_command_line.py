@@ -106,7 +106,8 @@ def test_a_run_that_loses_the_line_ends_with_one_and_keeps_its_recording(program
 @pytest.mark.parametrize("verb", ["rsi", "precorrect"])
 def test_the_help_lists_the_methods_of_the_registry(program, verb: str) -> None:
     text = " ".join(program(verb, "--help").out.replace("│", " ").split())
-    assert ", ".join(methods_of(verb)) in text
+    # Settings behind a method have a hyphen; they are named where they are compared.
+    assert all(key in text for key in methods_of(verb) if "-" not in key)
     assert "Example" in text
     assert completed(verb, "id") == ["ideal"]
 

