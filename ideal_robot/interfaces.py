@@ -60,7 +60,7 @@ class ArmInterface:
         cycles: interpolation cycles, in words.
         reports: what the controller reports, in words.
         tried: what it was tried against, in words.
-        library: package of the wire, as it is imported; empty where the wire is ours.
+        package: of the wire, as it is imported; empty where the wire is ours.
         extra: of ``pip install 'ideal-robot[…]'``; empty where none is needed.
         cycle: the interpolation cycle where there is only one [s]; None where the robot's data or ``--cycle`` say it.
     """
@@ -71,7 +71,7 @@ class ArmInterface:
     cycles: str
     reports: str
     tried: str
-    library: str = ""
+    package: str = ""
     extra: str = ""
     cycle: float | None = None
 
@@ -86,12 +86,12 @@ class ArmInterface:
 
     def require(self, option: str = "--arm") -> None:
         """Raises InputError where its library is not installed, with the command that installs it."""
-        if not self.library:
+        if not self.package:
             return
         try:
-            import_module(self.library)
+            import_module(self.package)
         except ImportError as error:
-            raise InputError(f"{self.title} needs {self.library} ({error}); pip install 'ideal-robot[{self.extra}]'",
+            raise InputError(f"{self.title} needs {self.package} ({error}); pip install 'ideal-robot[{self.extra}]'",
                              field=option) from error
 
 

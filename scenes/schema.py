@@ -291,9 +291,9 @@ def catalogue(what: str, kind: str = "line") -> tuple[list[str], list[list[Any]]
 
 def _library(interface: ArmInterface) -> str:
     """What speaks an interface's wire, and how it is installed where it is not there."""
-    if not interface.library:
+    if not interface.package:
         return "own"
-    return interface.library if interface.installed else f"pip install 'ideal-robot[{interface.extra}]'"
+    return interface.package if interface.installed else f"pip install 'ideal-robot[{interface.extra}]'"
 
 
 if __name__ == "__main__":

@@ -134,9 +134,7 @@ class BestSet:
             group = self.problem.columns(candidate)
             columns[:, list(group.channels), i] = group.values[:, :, 0]
         self.always, p = found, r.W.shape[2]
-        names = {"joint_elasticity"}
-        self.pool = [starts for starts in self.pool
-                     if not (starts[0].effect.key == "joint_elasticity/tau" and names)]
+        self.pool = [starts for starts in self.pool if starts[0].effect.key != "joint_elasticity/tau"]
         while True:
             kept = [k for k, candidate in enumerate(found) if candidate in self.always]
             W = np.concatenate([r.W, columns[:, :, kept]], axis=2)

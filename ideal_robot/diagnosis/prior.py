@@ -51,10 +51,10 @@ MEMORY = 0.2
 """Time over which what a model leaves follows itself [s]."""
 ENCODER = 30e-6
 """By which the zero of an encoder on the arm's side is off its model [rad]; assumed."""
-GEOMETRY = (3e-4, 3e-4, 3e-4, 3e-4)
+GEOMETRY = 3e-4
 """By which ``a``, ``d`` [m], ``alpha`` and ``theta`` [rad] of a joint are off the drawing: an arm that nobody
 calibrated is right to half a millimetre or one."""
-LEAST_BEND, LEAST_SWAY, BEND = 5e-6, 5e-6, 0.03
+LEAST_BEND, BEND = 5e-6, 0.03
 """What a gear bends by otherwise than a spring does: at least [rad; at the TCP m], and of its deflection's spread."""
 FAR = 10.0
 """Standard deviation of where a measuring device stands [m, rad], and of a weight that nothing is known of."""
@@ -107,33 +107,29 @@ def spreads(model: Model, robot: Robot, regression: Regression) -> list[Spread]:
     s, n = regression.signals, model.n
     dry = np.maximum(model.friction.dry, 1e-6)
     along = np.column_stack([s.sliding_direction(j + 1) for j in range(n)])
-    shares = s.qd / largest_speeds(robot.v_max)
+    rubs, rises = dry * along, s.friction - dry * along
+    shares = np.ascontiguousarray((s.qd / largest_speeds(robot.v_max)).T)
     bends = find("joint_elasticity", "tau_further")
-    found = [Spread(dry * along, 0.01, 0.05), Spread(s.friction - dry * along, 0.04, 0.10)]
+
+    def alone(j: int, values: Array) -> Array:
+        return np.asarray(s.on_joint(j + 1, values)[:, :, 0])
+
+    found = [Spread(rubs, 0.01, 0.05), Spread(rises, 0.04, 0.10)]
     known = np.zeros(n) if model.known_compliance is None else model.known_compliance
     for j in range(n):
-        def alone(values: Array, j: int = j) -> Array:
-            result = np.zeros((len(values), n))
-            result[:, j] = values
-            return result
-
-        found += [Spread(alone(dry[j] * along[:, j]), 0.03, 0.15),
-                  Spread(alone(s.friction[:, j] - dry[j] * along[:, j]), 0.05, 0.15),
-                  Spread(alone(s.torque[:, j]), 0.005, 0.02),
-                  Spread(alone(np.full(len(s.t), dry[j])), 0.02, 0.03)]
+        found += [Spread(alone(j, rubs[:, j]), 0.03, 0.15), Spread(alone(j, rises[:, j]), 0.05, 0.15),
+                  Spread(alone(j, s.torque[:, j]), 0.005, 0.02),
+                  Spread(alone(j, np.full(len(s.t), dry[j])), 0.02, 0.03)]
         # The terms of friction's curve have the spread of all that a law may lack; a third of it is there every day.
-        found += [Spread(alone(dry[j] * term), 0.33, 0.0)
-                  for term in friction_terms(np.ascontiguousarray(shares[:, j]),
-                                             np.ascontiguousarray(along[:, j])).T[2:]]
+        terms = friction_terms(shares[j], np.ascontiguousarray(along[:, j]))
+        found += [Spread(alone(j, dry[j] * term), 0.33, 0.0) for term in terms.T[2:]]
         if bends.usable(s, j + 1):
             found.append(Spread(known[j] * bends.columns(s, j + 1, ())[:, :, 0], 0.05, 0.10))
     for effect in model.effects:
         if effect.name == "torque_ripple" and effect.channel.startswith("tau"):
             j, size = effect.joint - 1, float(np.linalg.norm(effect.coefficients)) / np.sqrt(2.0)
-            for wave in (np.cos, np.sin):
-                torque = np.zeros((len(s.t), n))
-                torque[:, j] = size * wave(effect.theta[0] * s.q[:, j])
-                found.append(Spread(torque, 0.15, 1.0))
+            found += [Spread(alone(j, size * wave(effect.theta[0] * s.q[:, j])), 0.15, 1.0)
+                      for wave in (np.cos, np.sin)]
     return found
 
 
@@ -163,14 +159,15 @@ def known(model: Model, robot: Robot, regression: Regression, recording: Recordi
         recording: whose regression it is; a force sensor in it says what pushes the tool.
         pushed: see ``Known``; found in the recording if None.
     """
-    differs, noise, push = spreads(model, robot, regression), noise_of(model, regression), _pushed(recording, robot,
-                                                                                                 regression)
+    differs, noise = spreads(model, robot, regression), noise_of(model, regression)
+    push = _pushed(recording, robot, regression)
     if push is None:
         return Known(replace(regression, W=_with_spreads(regression, differs)), differs, noise)
-    W = _with_spreads(regression, [*differs, Spread(push, 1.0, 0.0)])
+    anyway = [*differs, Spread(push, 1.0, 0.0)]
+    W = _with_spreads(regression, anyway)
     if pushed is None:
         # Which way the sensor counts no recording says in words.
-        root = next(iter(hypotheses(model, [*differs, Spread(push, 1.0, 0.0)]))).root
+        root = _root_of_day(model, anyway)
         system = System(regression.y, W, regression.use, root)
         system.take_noise(noise)
         pushed = 1 if (root @ system.posterior(["W"]).mean)[-1] > 0.0 else -1
@@ -198,10 +195,14 @@ def _with_spreads(regression: Regression, found: list[Spread]) -> Array:
 
 def hypotheses(model: Model, found: list[Spread]) -> Iterator[Hypothesis]:
     """The same arm, and another arm of its type, of a model whose arm differs by what ``spreads`` says."""
-    same, day = _same(model), np.array([spread.day for spread in found])
-    yield Hypothesis(SAME, linalg.block_diag(root_of(same), np.diag(day)), 0.0)
-    other = np.hypot(day, [spread.type for spread in found])
-    yield Hypothesis(TYPE, linalg.block_diag(root_of(same + _of_type(model)), np.diag(other)), ANOTHER_ARM)
+    yield Hypothesis(SAME, _root_of_day(model, found), 0.0)
+    other = np.diag([np.hypot(spread.day, spread.type) for spread in found])
+    yield Hypothesis(TYPE, linalg.block_diag(root_of(_same(model) + _of_type(model)), other), ANOTHER_ARM)
+
+
+def _root_of_day(model: Model, found: list[Spread]) -> Array:
+    """See ``Hypothesis.root``. Of the same arm."""
+    return np.asarray(linalg.block_diag(same_arm(model), np.diag([spread.day for spread in found])))
 
 
 def same_arm(model: Model) -> Array:
@@ -281,28 +282,27 @@ def positions_known(model: Model, regression: Regression,
     Returns:
         Regression with more parameters, the root of their covariance, noise of each channel.
     """
-    s, n, c = regression.signals, model.n, regression.y.shape[1]
+    s, n = regression.signals, model.n
     known = np.zeros(n) if model.known_compliance is None else model.known_compliance
-    day, further = (1.0, 0.0) if name == SAME else (1.0, 1.0)
+    of_type, at_arm = float(name == TYPE), regression.domain == ARM_POSITION
     columns, std = [], [np.full(regression.W.shape[2], FAR)]
-    if regression.domain == ARM_POSITION:
+    if at_arm:
         std[0][:n] = ENCODER
-    give = np.zeros((len(s.t), c))
+    give = np.zeros((len(s.t), regression.y.shape[1]))
     for j in range(n):
-        for turn, spread in ((-s.load[:, j] * known[j], np.hypot(0.05 * day, 0.10 * further)),
-                             (s.qdd[:, j] * known[j] * model.rotor_inertia[j], np.hypot(0.03 * day, 0.05 * further))):
-            if np.any(turn):
-                own = turned_arm(regression.domain, s, j + 1, turn[:, None])
-                columns.append(own)
-                std.append(np.array([spread]))
-        give += turned_arm(regression.domain, s, j + 1, (-s.load[:, j] * known[j])[:, None])[:, :, 0]
-        if regression.domain == TCP_POSITION:
+        bent = turned_arm(regression.domain, s, j + 1, (-s.load[:, j] * known[j])[:, None])
+        rotor = turned_arm(regression.domain, s, j + 1, (s.qdd[:, j] * known[j] * model.rotor_inertia[j])[:, None])
+        give += bent[:, :, 0]
+        for column, day, further in ((bent, 0.05, 0.10), (rotor, 0.03, 0.05)):
+            if np.any(column):
+                columns.append(column)
+                std.append(np.array([np.hypot(day, further * of_type)]))
+        if not at_arm:
             columns.append(find("kinematic_error", TCP_POSITION.prefix).columns(s, j + 1, ()))
-            std.append(np.array(GEOMETRY))
+            std.append(np.full(4, GEOMETRY))
     W = np.concatenate([regression.W, regression.filtered.decimate(np.concatenate(columns, axis=2))], axis=2) \
         if columns else regression.W
     white, _ = noise_left(regression.y, regression.use)
-    least = LEAST_BEND if regression.domain == ARM_POSITION else LEAST_SWAY
-    slow = least + BEND * np.std(regression.filtered.decimate(give), axis=0)
+    slow = LEAST_BEND + BEND * np.std(regression.filtered.decimate(give), axis=0)
     noise = _with_memory(np.where(np.isfinite(white), white, 0.0), slow, BEND_MEMORY, regression.step)
     return replace(regression, W=W), np.diag(np.concatenate(std)), noise

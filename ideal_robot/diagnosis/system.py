@@ -7,7 +7,7 @@ made of. Products of a group with another are made once for each noise.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -192,36 +192,35 @@ class System:
 
     def gram_of_all(self, keys: Sequence[str]) -> Array:
         """See ``gram``. Of all blocks together ``(P + 1, P + 1)``."""
-        places = self.places([*keys, "y"])
-        size = places["y"].stop
-        total = np.zeros((size, size))
-        for j, channel in enumerate(self.channels):
-            here = [key for key in places if j in self.groups[key].channels] if channel.weight else []
-            for k, a in enumerate(here):
-                for b in here[: k + 1]:
-                    left, right, product = self.total(j, a, b)
-                    rows, columns = places[a].start + left, places[b].start + right
-                    total[rows[:, None], columns] += channel.weight * product
-                    if a != b:
-                        total[columns[:, None], rows] += channel.weight * product.T
-        return total
+        return self._assembled(keys, self.total, ())
 
     def gram(self, keys: Sequence[str]) -> Array:
         """Weighted products of groups with each other and with ``y``, which is last ``(B, P + 1, P + 1)``."""
+        return self._assembled(keys, self.product, (self.blocks,))
+
+    def _assembled(self, keys: Sequence[str], of: Callable[[int, str, str], tuple[np.ndarray, np.ndarray, Array]],
+                   leading: tuple[int, ...]) -> Array:
+        """Weighted products of groups and ``y`` in one matrix ``(*leading, P + 1, P + 1)``.
+
+        Args:
+            keys: names of the groups.
+            of: products of two of them in a channel, see ``product`` and ``total``.
+            leading: first dimensions of these.
+        """
         places = self.places([*keys, "y"])
         size = places["y"].stop
-        total = np.zeros((self.blocks, size, size))
+        whole = np.zeros((*leading, size, size))
         for j, channel in enumerate(self.channels):
             here = [key for key in places if j in self.groups[key].channels] if channel.weight else []
             for k, a in enumerate(here):
                 for b in here[: k + 1]:
-                    left, right, product = self.product(j, a, b)
+                    left, right, product = of(j, a, b)
                     rows, columns = places[a].start + left, places[b].start + right
                     product = channel.weight * product
-                    total[:, rows[:, None], columns] += product
+                    whole[..., rows[:, None], columns] += product
                     if a != b:
-                        total[:, columns[:, None], rows] += np.swapaxes(product, 1, 2)
-        return total
+                        whole[..., columns[:, None], rows] += np.swapaxes(product, -1, -2)
+        return whole
 
     def full_precision(self, keys: Sequence[str], more: dict[str, Array] | None = None) -> Array:
         """Precision of all columns beforehand ``(P, P)``: of those that are always there, and ``more`` of groups."""

@@ -41,16 +41,6 @@ def evidence(products: Array, precision: Array) -> float:
     return float(-0.5 * (products[P, P] - along @ along) - logarithm + 0.5 * _log_determinant(precision))
 
 
-def in_turn(products: Array, precision: Array) -> Array:
-    """Logarithm of the density of each block given those before it ``(B,)``; their sum is the evidence of all.
-
-    Args:
-        products: of whitened rows, block by block ``(B, P + 1, P + 1)``.
-        precision: of the parameters beforehand ``(P, P)``.
-    """
-    return np.diff([0.0, *(evidence(some, precision) for some in np.cumsum(products, axis=0))])
-
-
 def _log_determinant(precision: Array) -> float:
     """Logarithm of the determinant over what is known at all."""
     own = np.diag(precision)

@@ -33,7 +33,6 @@ from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.estimate.gaussian import Posterior
 from ideal_robot.feedforward.friction_at_work import CUTOFF
 from ideal_robot.feedforward.learned_friction import SLIDES, estimated, evidence, noise_variance, unknown_mass
-from ideal_robot.friction.presliding import CREEP
 from ideal_robot.friction.table import largest_speeds
 from ideal_robot.friction.terms import OWN, SHARED, TERMS, friction_terms
 from ideal_robot.model.model import Model
@@ -117,8 +116,7 @@ def _nearby(model: Model, change: Array, heavier: Array) -> Array:
 
 def _dry(model: Model) -> Array:
     """Dry friction ``(n,)`` [N m]."""
-    slow = np.full((2, model.n), CREEP) * np.array([[1.0], [-1.0]])
-    return np.asarray(np.maximum(model.friction.sizes(slow)[0].mean(axis=0), 1e-6))
+    return np.asarray(np.maximum(model.friction.dry, 1e-6))
 
 
 def _behind_gears(s: FilteredSignals, model: Model, friction: Array) -> tuple[Array, Array, Array]:

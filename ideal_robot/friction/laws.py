@@ -362,8 +362,8 @@ class PerJointFriction:
     @property
     def dry(self) -> Array:
         """Dry friction of an unloaded gear at standstill, mean of both directions ``(n,)`` [N m]; never negative."""
-        creeping = np.full((1, self.n), CREEP)
-        return np.asarray(np.maximum(0.5 * (self.torque(creeping) - self.torque(-creeping))[0], 0.0))
+        creeping = np.full((2, self.n), CREEP) * np.array([[1.0], [-1.0]])
+        return np.asarray(np.maximum(self.sizes(creeping)[0].mean(axis=0), 0.0))
 
     def sliding(self, q: Array, qd: Array) -> Array:
         """Direction of sliding ``(N, n)`` of the joints whose friction builds up over a displacement; NaN for others.

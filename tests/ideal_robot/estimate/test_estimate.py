@@ -8,7 +8,7 @@ from scipy import linalg, signal, stats
 
 from ideal_robot.estimate.gaussian import joined, posterior
 from ideal_robot.estimate.noise import ColouredNoise, position_in_stretch, without_kicks
-from ideal_robot.estimate.score import evidence, in_turn
+from ideal_robot.estimate.score import evidence
 
 
 def problem(seed: int, blocks: int = 6) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -26,7 +26,8 @@ def test_the_score_is_the_density_of_each_block_given_those_before(seed: int) ->
     whole = np.eye(len(y)) + X @ np.linalg.inv(precision) @ X.T
     density = [float(stats.multivariate_normal.logpdf(y[:n], np.zeros(n), whole[:n, :n])) + 0.5 * n * np.log(2 * np.pi)
                for n in range(20, len(y) + 1, 20)]
-    assert in_turn(products, precision) == pytest.approx(np.diff([0.0, *density]), rel=1e-6)
+    in_turn = np.diff([0.0, *(evidence(some, precision) for some in np.cumsum(products, axis=0))])
+    assert in_turn == pytest.approx(np.diff([0.0, *density]), rel=1e-6)
     assert evidence(products.sum(axis=0), precision) == pytest.approx(density[-1], rel=1e-6)
 
 
