@@ -62,6 +62,8 @@ _SHARE_OFF = np.log(3.0)
 """The same of one joint, where all torques come in the round steps of a share of a rated torque."""
 _MOST = 2.0 / 3.0
 """Share of the joints that are off, at least, where the recording has another unit: one alone is a drive gain."""
+_SEEN, _FELL = np.log(2.5), 2.0
+"""A joint's factor is determined where the evidence falls by so many nats within this range to either side."""
 _COMMON_OFF = np.log(4.0)
 """A factor that all joints share is said from here on: masses guessed for a measured arm are 3.2 times off."""
 _CUTOFF, _BAND = 10.0, 5.0
@@ -511,15 +513,28 @@ def _scale(reading: Reading, rows: _Rows, robot: Robot, nats: float) -> Finding 
     told = rows.shares and any(abs(logs[i]) > _SHARE_OFF for i in live)
     if not told and abs(common) <= _COMMON_OFF and len(apart) < _MOST * len(live):
         return None
-    off = [i for i in live if abs(logs[i]) > _OFF]
+    # Shares of a rated torque are those of every joint, though one may be near a newton metre by chance.
+    off = live if told else [i for i in live if abs(logs[i]) > _OFF]
+    known = [i for i in off if _determined(reading, rows, i)]
     ratio = np.asarray(robot.gear_ratio)
-    motor = np.all(np.abs(logs[off] + np.log(np.maximum(ratio[off], 1e-9))) < _OFF) and np.all(ratio[off] > 1.0)
+    motor = bool(known) and np.all(np.abs(logs[known] + np.log(np.maximum(ratio[known], 1e-9))) < _OFF) and np.all(
+        ratio[off] > 1.0)
     why = ("they are at the motor's side of the gear: multiply by the gear ratio" if motor else
            "another unit (per cent or per mille of the rated torque, the motor's side of the gear), or masses that are "
            "not the arm's")
-    factors = ", ".join(f"tau_{i + 1} × {1.0 / reading.unit[i]:.3g}" for i in off)
+    friction = [i for i in off if i not in known]
+    fits = ["what fits is about " + ", ".join(f"tau_{i + 1} × {1.0 / reading.unit[i]:.3g}" for i in known)
+            if known else "", f"of {_columns(friction)}, mostly friction, no factor can be seen" if friction else ""]
     return Finding(WRONG_SCALE, tuple(i + 1 for i in off), f"the torques are not in N m by the URDF's masses: {why}; "
-                   f"what fits is {factors} (--columns map.toml with factor)", nats)
+                   f"{'; '.join(filter(None, fits))} (--columns map.toml with factor)", nats)
+
+
+def _determined(reading: Reading, rows: _Rows, joint: int) -> bool:
+    """Whether the rigid body, not the prior, says of a joint what the unit of its torque is."""
+    best = rows.evidence(reading)
+    return all(max(rows.evidence(replace(reading, unit=_with(reading.unit, joint, reading.unit[joint] * factor)))
+                   for factor in np.exp(side * _SEEN * np.array([1.0, 2.0, 4.0])).tolist()) < best - _FELL
+               for side in (-1.0, 1.0))
 
 
 def _listed(joints: list[int]) -> str:

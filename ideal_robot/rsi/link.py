@@ -16,7 +16,7 @@ from typing import Any
 
 from ideal_robot.deadline import Deadline
 from ideal_robot.errors import BAD_ADDRESS, InputError
-from ideal_robot.rsi.message import MAX_PACKET, PacketError, RobMessage, RsiError, parse_rob
+from ideal_robot.rsi.message import MAX_PACKET, PacketError, RobMessage, RsiError, RsiFormat, parse_rob
 
 # When a packet came, by the system's word: a program that was not let run meanwhile does not take it for late.
 
@@ -195,6 +195,7 @@ class PacketLink:
         host, port: where to listen; port 0 for any free one.
         n: number of axes.
         controller: the one address whose packets count; None for whoever is first.
+        form: what a packet has to hold besides, see ``parse_rob``.
 
     Raises:
         InputError: an address that cannot be listened on.
@@ -204,9 +205,10 @@ class PacketLink:
         arrived: when the last sound packet came, by ``time.perf_counter`` [s].
     """
 
-    def __init__(self, host: str, port: int, n: int, controller: str | None = None) -> None:
+    def __init__(self, host: str, port: int, n: int, controller: str | None = None,
+                 form: RsiFormat | None = None) -> None:
         self.counts, self.arrived = LinkCounts(), 0.0
-        self._n, self._controller = n, controller
+        self._n, self._controller, self._form = n, controller, form
         self._peer: tuple[str, int] | None = None
         self._socket = self._door = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._waiting: deque[tuple[bytes, Any, float]] = deque(maxlen=_QUEUE)
@@ -312,7 +314,7 @@ class PacketLink:
             self._stranger(packet, sender)
             return None
         try:
-            message = parse_rob(packet, self._n)
+            message = parse_rob(packet, self._n, self._form)
         except PacketError as error:
             self.counts.refuse(str(error))
             return None
@@ -366,7 +368,7 @@ class PacketLink:
         if not read:
             return
         try:
-            parse_rob(packet, self._n)
+            parse_rob(packet, self._n, self._form)
         except PacketError:
             return
         self.counts.second += 1

@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -42,12 +44,14 @@ class RsiFormat:
     """What a controller calls the parts of its messages.
 
     Attributes:
-        correction: element with the axis corrections in our answer; ``AK``, ``AKorr`` …
+        correction: element with the corrections in our answer; ``AK``, ``AKorr``, ``RKorr`` …
         sender: ``Type`` of our answer, ``SENTYPE`` in the controller's configuration.
-        decimals: decimals of a correction in degrees.
+        decimals: decimals of a correction in degrees or millimetres.
         hold_on: what the controller takes where no answer came in time: the last values again, or none. None where
             nothing says so.
         port: UDP port to which the controller sends, where its configuration says so.
+        pose: whether the tool's pose is corrected (``X`` to ``C``), in the place of the axes (``A1`` …).
+        held: external axes that the controller takes corrections of, ``EK.E1`` …: they are told zeros.
 
     Raises:
         InputError: a name that no XML element may have, another number of decimals than 1 to 9.
@@ -58,6 +62,8 @@ class RsiFormat:
     decimals: int = 6
     hold_on: bool | None = None
     port: int | None = None
+    pose: bool = False
+    held: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("correction", "sender"):
@@ -66,18 +72,30 @@ class RsiFormat:
         if not 1 <= self.decimals <= 9:
             raise InputError("expected 1 to 9 decimals", field="decimals", value=self.decimals)
 
+    @cached_property
+    def still(self) -> str:
+        """What an answer tells external axes that are held."""
+        groups: dict[str, list[str]] = {}
+        for name in self.held:
+            group, _, axis = name.partition(".")
+            groups.setdefault(group, []).append(axis)
+        nothing = f"{0.0:.{self.decimals}f}"
+        return "".join(f"<{group} " + " ".join(f'{axis}="{nothing}"' for axis in axes) + "/>"
+                       for group, axes in groups.items())
+
     @classmethod
     def read(cls, file: str | Path, n: int, correction: str | None = None) -> RsiFormat:
         """From the controller's RSI ethernet XML (``CONFIG``, ``SEND``, ``RECEIVE``).
 
         Args:
             file, n: the file as it lies on the controller, and the number of axes.
-            correction: element to be used where several hold axis corrections; None if there is only one.
+            correction: element to be used where several hold corrections; None for the only one of axes, else of the
+                pose.
 
         Raises:
-            InputError: unreadable or too large, no such XML, declarations or entities, measured axes not sent, no
-                element with ``n`` axis corrections or several, ``HOLDON`` that differs between axes, a controller that
-                only sends, corrections of the pose or of external axes in the place of the arm's.
+            InputError: unreadable or too large, no such XML, declarations or entities, measured axes or pose not sent,
+                no element with ``n`` axis corrections, or those of a whole pose, or several, ``HOLDON`` that differs
+                between them, a controller that only sends, corrections of external axes in the place of the arm's.
         """
         root = _root(Path(file))
         if (root.findtext("CONFIG/ONLYSEND") or "").strip().upper() == "TRUE":
@@ -91,26 +109,44 @@ class RsiFormat:
         for element in root.findall("RECEIVE/ELEMENTS/ELEMENT"):
             group, _, axis = element.get("TAG", "").partition(".")
             received.setdefault(group, {})[axis] = element.get("HOLDON", "1")
-        axes = [f"A{i + 1}" for i in range(n)]
-        groups = [group for group, attributes in received.items() if all(axis in attributes for axis in axes)]
-        if correction is not None:
-            groups = [group for group in groups if group == correction]
-        if len(groups) > 1:
-            raise InputError(f"several elements hold corrections A1 to A{n} in RECEIVE: {', '.join(groups)[:80]}; name "
-                             "one with --tag", file=file, field="RECEIVE")
-        if not groups:
+        wanted = received if correction is None else {correction: received.get(correction, {})}
+        group, names = _corrected(wanted, n, file)
+        if not group:
             raise InputError(_unsupported(received, n, correction), file=file, field="RECEIVE",
                              value=", ".join(f"{group}.{axis}" for group, attributes in received.items()
                                              for axis in attributes)[:80])
-        hold = {received[groups[0]][axis].strip() for axis in axes}
+        pose = names is _POSE
+        if pose and "DEF_RIst" not in sent:
+            raise InputError('the controller does not send its pose, which corrections of it start from; add <ELEMENT '
+                             'TAG="DEF_RIst" TYPE="DOUBLE" INDX="INTERNAL"/> to SEND', file=file, field="SEND")
+        hold = {received[group][axis].strip() for axis in names}
         if len(hold) != 1 or not hold <= {"0", "1"}:
-            raise InputError("expected HOLDON 0 or 1, the same for all axes", file=file, field="HOLDON",
+            raise InputError("expected HOLDON 0 or 1, the same for all of an element", file=file, field="HOLDON",
                              value=sorted(hold))
+        held = tuple(f"{other}.{axis}" for other, attributes in received.items() for axis in attributes
+                     if other != group and axis in _EXTERNAL)
         port = (root.findtext("CONFIG/PORT") or "").strip()
         if not (port.isascii() and port.isdigit() and 0 < int(port[:6]) < 65536):
             raise InputError("expected a UDP port", file=file, field="CONFIG.PORT", value=port[:40])
-        return cls(correction=groups[0], sender=(root.findtext("CONFIG/SENTYPE") or cls.sender).strip(),
-                   hold_on=hold == {"1"}, port=int(port))
+        return cls(correction=group, sender=(root.findtext("CONFIG/SENTYPE") or cls.sender).strip(),
+                   hold_on=hold == {"1"}, port=int(port), pose=pose, held=held)
+
+
+_POSE = ("X", "Y", "Z", "A", "B", "C")
+"""Attributes of an element that corrects a pose."""
+_EXTERNAL = tuple(f"E{i + 1}" for i in range(6))
+
+
+def _corrected(received: dict[str, dict[str, str]], n: int, file: str | Path) -> tuple[str, tuple[str, ...]]:
+    """The element to be used and its attributes: one of all ``n`` axes, else of the whole pose; empty for none."""
+    for names in (tuple(f"A{i + 1}" for i in range(n)), _POSE if n == len(_POSE) else ()):
+        groups = [group for group, attributes in received.items() if names and set(names) <= set(attributes)]
+        if len(groups) > 1:
+            raise InputError(f"several elements hold corrections {names[0]} to {names[-1]} in RECEIVE: "
+                             f"{', '.join(groups)[:80]}; name one with --tag", file=file, field="RECEIVE")
+        if groups:
+            return groups[0], names
+    return "", ()
 
 
 def _unsupported(received: dict[str, dict[str, str]], n: int, wanted: str | None) -> str:
@@ -130,8 +166,11 @@ def _unsupported(received: dict[str, dict[str, str]], n: int, wanted: str | None
         return (f"the controller takes corrections of {most} axes{held}, the robot has {n} joints: give the URDF of "
                 "the arm alone, its track or table fixed")
     if not most and any(set("XYZ") & set(attributes) for attributes in received.values()):
-        return (f"the controller takes corrections of the pose, which are not supported: correct the axes, by "
-                f"AXISCORR with A1 to A{n} in the place of POSCORR in the RSI context")
+        if n != len(_POSE):
+            return (f"the controller takes corrections of the pose, which lead six axes; the robot has {n} joints: "
+                    "correct the axes, by AXISCORR in the place of POSCORR in the RSI context")
+        return ("the controller takes a part of the corrections of the pose; all of X, Y, Z, A, B and C are needed in "
+                "one element")
     return f"no element holds corrections of all axes, A1 to A{n}"
 
 
@@ -187,6 +226,8 @@ class RobMessage:
         setpoint: commanded axis angles ``(n,)`` [deg], ``ASPos``; None where it is not sent.
         current: motor currents ``(n,)``, ``MACur``; None where it is not sent.
         late: answers the controller has counted as late, ``Delay``; None where it is not sent.
+        pose: measured pose of the tool X, Y, Z [mm], A, B, C [deg], ``RIst``; None where it is not sent.
+        external: measured external axes ``E1`` … [deg or mm], ``EIPos``; None where they are not sent.
         ignored: optional elements that stood there and could not be used.
     """
 
@@ -195,11 +236,17 @@ class RobMessage:
     setpoint: Array | None = None
     current: Array | None = None
     late: int | None = None
+    pose: Array | None = None
+    external: Array | None = None
     ignored: tuple[str, ...] = ()
 
 
-def parse_rob(packet: bytes, n: int) -> RobMessage:
+def parse_rob(packet: bytes, n: int, form: RsiFormat | None = None) -> RobMessage:
     """Reads ``<Rob Type="KUKA">…</Rob>`` of an arm with ``n`` axes; elements that are not needed are passed over.
+
+    Args:
+        packet, n: as it came, and the number of axes.
+        form: where it corrects the pose that is needed, where it holds external axes they are read.
 
     Raises PacketError if too large, not such a message, IPOC or AIPos missing, another number of axes, a number that is
     none or not finite.
@@ -210,16 +257,17 @@ def parse_rob(packet: bytes, n: int) -> RobMessage:
     text = packet.rstrip(b"\0 \t\r\n").decode("latin-1")
     if "\0" in text or "<![" in text or "<!D" in text or "<!E" in text:
         raise PacketError("packet holds a declaration, an entity or a zero byte")
-    elements, ignored = _elements(text), []
+    elements, ignored = _elements(text), list[str]()
+    axes = [f"A{i + 1}" for i in range(n)]
 
-    def optional(tag: str) -> Array | None:
+    def optional(tag: str, names: Sequence[str] = axes, *, some: bool = False) -> Array | None:
         try:
-            return _axes(elements, tag, n)
+            return _values(elements, tag, names, some)
         except PacketError:
             ignored.append(tag)
             return None
 
-    actual = _axes(elements, "AIPos", n)
+    actual = _values(elements, "AIPos", axes)
     if actual is None:
         raise PacketError("AIPos is missing; add DEF_AIPos to what the controller sends")
     ipoc = _only(elements, "IPOC")
@@ -228,6 +276,11 @@ def parse_rob(packet: bytes, n: int) -> RobMessage:
     if _WHOLE.fullmatch(ipoc[1].strip(_BLANKS)) is None:
         raise PacketError(f"IPOC is no whole number ({ipoc[1][:40]!a})")
     setpoint, current = optional("ASPos"), optional("MACur")
+    pose = external = None
+    if form is not None and form.pose and (pose := _values(elements, "RIst", _POSE, others=True)) is None:
+        raise PacketError("RIst is missing; add DEF_RIst to what the controller sends")
+    if form is not None and form.held:
+        external = optional("EIPos", _EXTERNAL, some=True)
     late = None
     if "Delay" in elements:
         named = {name: double or single for name, double, single in _ATTRIBUTE.findall(elements["Delay"][0][0])}
@@ -236,19 +289,23 @@ def parse_rob(packet: bytes, n: int) -> RobMessage:
             ignored.append("Delay")
         else:
             late = int(counted[1])
-    return RobMessage(int(ipoc[1].strip(_BLANKS)), actual, setpoint, current, late, tuple(ignored))
+    return RobMessage(int(ipoc[1].strip(_BLANKS)), actual, setpoint, current, late, pose, external,
+                      tuple(ignored))
 
 
 def format_sen(correction: Array, ipoc: int, form: RsiFormat) -> bytes:
-    """The answer with axis corrections.
+    """The answer with corrections.
 
     Args:
-        correction, ipoc: of the axes ``(n,)`` [°], and the number of the cycle that is answered.
+        correction: of the axes ``(n,)`` [deg], or of the pose ``(6,)`` [mm, deg].
+        ipoc: number of the cycle that is answered.
         form: tags and format that the controller expects.
     """
-    axes = " ".join(f'A{i + 1}="{value:.{form.decimals}f}"' for i, value in enumerate(correction.tolist()))
-    tag = form.correction
-    return f'<Sen Type="{form.sender}"><{tag} {axes}/><IPOC>{ipoc}</IPOC></Sen>'.encode("ascii")
+    names = _POSE if form.pose else [f"A{i + 1}" for i in range(len(correction))]
+    told = " ".join(f'{name}="{value:.{form.decimals}f}"' for name, value in zip(names, correction.tolist(),
+                                                                               strict=True))
+    return (f'<Sen Type="{form.sender}"><{form.correction} {told}/>{form.still}<IPOC>{ipoc}</IPOC></Sen>'
+            ).encode("ascii")
 
 
 def _elements(text: str) -> dict[str, list[_Element]]:
@@ -293,17 +350,27 @@ def _only(by_name: dict[str, list[_Element]], tag: str) -> _Element | None:
     return elements[0] if elements else None
 
 
-def _axes(elements: dict[str, list[_Element]], tag: str, n: int) -> Array | None:
+def _values(elements: dict[str, list[_Element]], tag: str, names: Sequence[str], some: bool = False,
+            others: bool = False) -> Array | None:
+    """The numbers of an element's attributes ``(m,)``, None where it is not there.
+
+    Args:
+        elements: of the message, by name.
+        tag, names: element and attributes.
+        some: the first ones may be all there are; else all have to be there.
+        others: other attributes may stand beside them.
+    """
     element = _only(elements, tag)
     if element is None:
         return None
     pairs = _ATTRIBUTE.findall(element[0])
     # External axes (E1 to E6) may stand beside the arm's own; an A7 would be another arm.
-    values = {name: double or single for name, double, single in pairs if not name.startswith("E")}
-    names = [f"A{i + 1}" for i in range(n)]
-    if values.keys() != set(names) or len({name for name, _, _ in pairs}) != len(pairs):
-        raise PacketError(f"{tag} has {' '.join(sorted(values))[:80]!a}, expected A1 to A{n}")
-    return np.array([_number(tag, name, values[name]) for name in names])
+    values = {name: double or single for name, double, single in pairs if names is _EXTERNAL or name[0] != "E"}
+    wanted = names[: len(values)] if some and values else names
+    sound = set(wanted) <= values.keys() if others else values.keys() == set(wanted)
+    if not sound or len({name for name, _, _ in pairs}) != len(pairs):
+        raise PacketError(f"{tag} has {' '.join(sorted(values))[:80]!a}, expected {names[0]} to {names[-1]}")
+    return np.array([_number(tag, name, values[name]) for name in wanted])
 
 
 def _number(tag: str, name: str, text: str) -> float:

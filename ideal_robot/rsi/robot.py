@@ -18,25 +18,30 @@ from ideal_robot.interfaces import LinkSettings
 from ideal_robot.robots.address import Address
 from ideal_robot.robots.interface import LinkedRobot, RobotState
 from ideal_robot.robots.robot import Robot
+from ideal_robot.rsi.corrections import Corrections, corrections_of
 from ideal_robot.rsi.link import PacketLink, Stamps
 from ideal_robot.rsi.message import Axes, RobMessage, RsiError, RsiFormat, format_sen
 
 # Which corrections the controller has in force: it is told what was sent and what of it came too late.
 
 class InForce:
-    """The sum of corrections in force at the controller, ``position``, and its last change, ``step``, ``(n,)`` [deg].
+    """The whole correction in force at the controller, ``position``, and its last change, ``step``, ``(m,)``.
 
     In a cycle without an answer the controller goes on as in the last one (increments that are held on) where it
     ``repeats``, or stays where it was commanded.
+
+    Args:
+        corrections: how increments follow each other.
+        repeats: see above.
     """
 
-    def __init__(self, n: int, repeats: bool) -> None:
-        self.position = self.step = np.zeros(n)
-        self.repeats = repeats
+    def __init__(self, corrections: Corrections, repeats: bool) -> None:
+        self.position = self.step = self._nothing = np.zeros(len(corrections.names))
+        self.repeats, self._corrections = repeats, corrections
         self._sent: Array | None = None
 
     def send(self, position: Array) -> None:
-        """The answer to this cycle asks for ``position (n,)`` [deg]."""
+        """The answer to this cycle asks for ``position (m,)``."""
         self._sent = position
 
     def advance(self, used: bool, missed: int) -> bool:
@@ -45,24 +50,25 @@ class InForce:
         Returns whether anything is otherwise than the answer asked for.
         """
         if used and self._sent is not None:
-            self.position, self.step = self._sent, self._sent - self.position
+            self.position, self.step = self._sent, self._corrections.between(self.position, self._sent)
         else:
             missed += 1
         self._sent = None
         if missed and self.repeats:
-            self.position = self.position + missed * self.step
+            for _ in range(missed):
+                self.position = self._corrections.behind(self.position, self.step)
         elif missed:
-            self.step = np.zeros_like(self.step)
+            self.step = self._nothing
         return missed > 0
 
     @property
-    def sent(self) -> Array:
-        """What the answer to this cycle asks for beyond what is in force ``(n,)`` [deg]."""
-        return np.zeros_like(self.position) if self._sent is None else self._sent - self.position
+    def asks(self) -> bool:
+        """Whether the answer to this cycle asks for anything else than what is in force."""
+        return self._sent is not None and not np.array_equal(self._sent, self.position)
 
     def is_at(self, position: Array) -> None:
-        """The controller turned out to be at rest at ``position (n,)`` [deg]."""
-        self.position, self.step, self._sent = position, np.zeros_like(position), None
+        """The controller turned out to be at rest at ``position (m,)``."""
+        self.position, self.step, self._sent = position, self._nothing, None
 
 
 _APART = 1.0
@@ -85,13 +91,16 @@ _UNTOLD = 3.0
 """Times the usual tolerance of following where the controller does not tell which increments came too late."""
 _RESYNC = 1e-3
 """Difference of measured and commanded position at rest that is made good [rad]; less is the controller's own."""
+_EXTERNAL_MOVES = 0.05
+"""Change of an external axis' position beyond which it moves [deg or mm]."""
 
 
 class RsiRobot(LinkedRobot):
     """A ``RobotInterface`` to an arm whose controller speaks RSI; listens as soon as it is made.
 
     Absolute corrections are the whole difference from where the arm was commanded when RSI began; relative ones are
-    what is added in this cycle. What is sent is rounded, and the rest of the rounding is made good in the next cycle.
+    what is added in this cycle, of the axes or of the tool's pose, as ``form`` has it. What is sent is rounded, and the
+    rest of the rounding is made good in the next cycle.
 
     Args:
         robot: number of joints, limits, cycle time, drive gains and ``[rsi]`` axes.
@@ -106,10 +115,12 @@ class RsiRobot(LinkedRobot):
 
     Raises:
         InputError: an address that cannot be listened on, an arm with sliding joints, absolute corrections of which
-            the controller says that it gives them up without an answer.
+            the controller says that it gives them up without an answer, corrections of the pose of an arm that has not
+            six joints.
 
     Attributes:
         counts: what happened on the link.
+        corrections: how joint angles are told the controller.
         stamps: how the controller's time stamps rise.
         too_fast: times the expected pace at which packets count as those of another cycle, where stamps do not tell it.
     """
@@ -125,10 +136,12 @@ class RsiRobot(LinkedRobot):
         self.axes, self.relative, self.timeout = Axes.of(robot), relative, timeout
         self.too_fast = _TOO_FAST
         self.stamps = Stamps(round(1e3 * robot.t_ipo))
-        self._link = PacketLink(host, port, robot.n, controller)
+        self.corrections = corrections_of(robot, self.axes, self.form.pose)
+        self._link = PacketLink(host, port, robot.n, controller, self.form)
         self.counts = self._link.counts
         self._brake = 1.8 * self._room * robot.t_ipo**2
-        self._in_force = InForce(robot.n, relative and self.form.hold_on is True)
+        self._in_force = InForce(self.corrections, relative and self.form.hold_on is True)
+        self._shrinks: tuple[Array, int] | None = None
         self._first: RobMessage | None = None
         self._elapsed = self._ahead = self._still = self._late = self._back = self._older = 0
         self._in_doubt = False
@@ -152,7 +165,8 @@ class RsiRobot(LinkedRobot):
     @property
     def meta(self) -> dict[str, Any]:
         """How corrections are taken."""
-        return {"corrections": "relative" if self.relative else "absolute"}
+        return {"corrections": ("relative" if self.relative else "absolute")
+                               + (" of the pose" if self.form.pose else "")}
 
     def connect(self, patience: float = 60.0) -> RobotState:
         """Waits for the controller's first packet; who sends it is the controller from then on.
@@ -178,7 +192,8 @@ class RsiRobot(LinkedRobot):
                            f"{held[axis]:.2f}° (AIPos, ASPos) before anything was sent; start RSI anew, from rest")
         self._first = self._last = first
         self._late = first.late or 0
-        self._begin, self._step = held.copy(), np.zeros(self.robot.n)
+        self.corrections.begin(held, first)
+        self._step = np.zeros(self.robot.n)
         self.commanded = self._wanted = self.axes.joints(held)
         if self.relative and first.late is None:
             # Increments may get lost without a word: they add up until the next rest.
@@ -195,12 +210,12 @@ class RsiRobot(LinkedRobot):
             self._answer_with(self._slowed())
             return
         self._resynchronise(self._step)
-        q_c = self._led_back(q_c, self.axes.turned(self._in_force.step))
-        position = self._in_force.position
-        correction = self.axes.angles(q_c) - self._begin
+        q_c = self._led_back(q_c, self._speed() if self.missed else self._step)
+        self.fault = self.fault or self.corrections.unusable(q_c, self.relative)
+        position, correction = self._in_force.position, self.corrections.of(q_c)
         if self.relative:
-            correction = np.round(correction - position, self.form.decimals)
-            self._in_force.send(position + correction)
+            correction = np.round(self.corrections.between(position, correction), self.form.decimals)
+            self._in_force.send(self.corrections.behind(position, correction))
         else:
             correction = np.round(correction, self.form.decimals)
             self._in_force.send(correction)
@@ -239,11 +254,23 @@ class RsiRobot(LinkedRobot):
         self._link.send(self._answer)
         self.answer_times.append(time.perf_counter() - self._link.arrived)
 
+    def _speed(self) -> Array:
+        """What the joints move in a cycle by the corrections in force ``(n,)`` [rad]."""
+        position = self._in_force.position
+        return np.asarray(self.corrections.joints(self.corrections.behind(position, self._in_force.step))
+                          - self.corrections.joints(position))
+
     def _slowed(self) -> Array:
         """Corrections that shrink to nothing within the acceleration limit: the controller adds them up."""
-        correction = self._in_force.position
-        shrunk = np.sign(correction) * np.maximum(np.abs(correction) - np.degrees(self._brake), 0.0)
-        self._in_force.send(np.round(shrunk, self.form.decimals))
+        if self._shrinks is None:
+            # By joint angles: the whole correction is what the controller turns them by in a cycle.
+            moves = np.abs(self.commanded - self.corrections.joints(np.zeros(len(self.corrections.names))))
+            self._shrinks = self._in_force.position, max(int(np.ceil(np.max(moves / self._brake))), 1)
+            self._slower = 0
+        correction, cycles = self._shrinks
+        self._slower = min(self._slower + 1, cycles)
+        shrunk = np.round(correction * (1.0 - self._slower / cycles), self.form.decimals)
+        self._in_force.send(shrunk)
         return shrunk
 
     def _resynchronise(self, step: Array) -> None:
@@ -255,7 +282,7 @@ class RsiRobot(LinkedRobot):
             beside = self._measured - self._watch.rest - self.commanded
             if np.max(np.abs(beside)) > _RESYNC:
                 self.commanded = self.commanded + beside
-                self._in_force.is_at(self.axes.angles(self.commanded) - self._begin)
+                self._in_force.is_at(self.corrections.of(self.commanded))
                 self.missed = True
                 self.counts.resynchronised += 1
 
@@ -291,11 +318,11 @@ class RsiRobot(LinkedRobot):
         self._late = self._late if newest.late is None else newest.late
         self.counts.late += late
         # An increment of nothing may get lost.
-        untold = newest.late is None and bool(self._in_force.sent.any())
+        untold = newest.late is None and self._in_force.asks
         self._in_doubt = self._in_doubt or (self.relative and (late + lost > 0 or untold))
         if self._in_force.advance(used=late <= lost, missed=lost):
             self.missed = True
-            self.commanded = self.axes.joints(self._begin + self._in_force.position)
+            self.commanded = self.corrections.joints(self._in_force.position)
         self._last, self._answer = newest, None
         self._check_pace()
         return self._state(newest)
@@ -321,11 +348,22 @@ class RsiRobot(LinkedRobot):
             self.counts.implausible = self._watch.missing
         else:
             self.fault = self._watch.stopping(self.commanded, self._measured) or self.fault
+        self.fault = self.fault or self.corrections.contradiction(message) or self._external(message)
         current = np.full(self.robot.n, np.nan)
         if message.current is not None:
             current = self.axes.sign * message.current
         return RobotState(self.t_ipo * self._elapsed, self._measured, current * self.robot.drive_gain,
                           {"current": current})
+
+    def _external(self, message: RobMessage) -> str | None:
+        """An external axis that moves, though it is held."""
+        begun = None if self._first is None else self._first.external
+        if begun is None or message.external is None or len(begun) != len(message.external):
+            return None
+        moved = np.abs(message.external - begun)
+        axis = int(np.argmax(moved))
+        return None if moved[axis] <= _EXTERNAL_MOVES else (
+            f"external axis E{axis + 1} moves (by {moved[axis]:.3g}); it has to stand still while the arm is led")
 
 
 PORT = 49152

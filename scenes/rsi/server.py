@@ -27,6 +27,7 @@ from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi import RsiRobot
+from ideal_robot.rsi.corrections import require_led
 from scenes.arms import shipped_model
 from scenes.online.live_arm import answers_within, at_cycle, response_of
 from scenes.online.path_player import PathPlayer, PathRun
@@ -121,6 +122,9 @@ def rsi_server(path: Path, *, robot: str | None = None, model: Path | None = Non
     _, q_d, warnings = path_at_cycles(given.t, given.q_d, arm, rest=rest, file=str(path), column=given.column)
     warnings = (*given.warnings, *warnings)
     require_within_limits(q_d, arm, start=-rest, file=path)
+    form = link_options.get("form")
+    if form is not None and form.pose:
+        require_led(q_d, arm, relative=link_options.get("relative", False), file=str(path))
     if loop is not None:
         link_options.setdefault("answers_within", answers_within(loop, arm))
         if cycle is not None:

@@ -26,9 +26,12 @@ from ideal_robot.rsi.link import received, stamp_arrivals
 from ideal_robot.signals.recording import Recording
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
+from sim.devices.rsi_pose import PoseMotion, numbers
 
-_ANSWER = re.compile(r'<Sen Type="ImFree">.*<AK((?: A\d="[-+.\d]+")+)/>.*<IPOC>(\d{1,18})</IPOC></Sen>', re.ASCII)
-_AXIS = re.compile(r' A(\d)="([-+]?\d{1,9}(?:\.\d{0,18})?)"', re.ASCII)
+_ANSWER = re.compile(r'<Sen Type="ImFree">.*<(AK|RKorr)((?: \w{1,2}="[-+.\d]+")+)/>.*<IPOC>(\d{1,18})</IPOC></Sen>',
+                     re.ASCII)
+_NUMBER = re.compile(r' (\w{1,2})="([-+]?\d{1,9}(?:\.\d{0,18})?)"', re.ASCII)
+_POSE = ("X", "Y", "Z", "A", "B", "C")
 
 Disturbance = Callable[[int, bytes], list[bytes]]
 """What is sent in place of the packet of a cycle: called with its number and the packet."""
@@ -68,11 +71,15 @@ class RsiController:
         patience: cycles in a row without an answer after which it ends; fifty times as many before the first answer,
             which a server that compiles its code takes half a minute to give.
         disturbance: see ``Disturbance``; None sends every packet as it is.
+        pose: how corrections of the pose move it; None where corrections are those of the axes.
+        external: positions of its external axes [deg or mm], which stand still.
     """
 
     def __init__(self, arm: SimulatedArm, address: tuple[str, int], *, relative: bool = False,
                  sign: Collection[float] = (-1.0, 1.0, 1.0, -1.0, 1.0, -1.0), timeout: float | None = 0.3,
-                 patience: int = 10, disturbance: Disturbance | None = None) -> None:
+                 patience: int = 10, disturbance: Disturbance | None = None,
+                 pose: PoseMotion | None = None, external: tuple[float, ...] = ()) -> None:
+        self.pose, self.external = pose, external
         self.arm, self.address, self.relative, self.sign = arm, address, relative, np.array(list(sign))
         self.timeout, self.patience, self.disturbance = timeout, patience, disturbance
         self._stopped = threading.Event()
@@ -109,12 +116,29 @@ class RsiController:
                         break
                 else:
                     silent = 0
-                    command = (command if self.relative else start) + correction
+                    try:
+                        command = self.corrected(command, start, correction)
+                    except ValueError as error:
+                        ended = f"the controller refuses: {error}"
+                        break
                 commands.append(command)
                 state = self.arm.cycle(self.sign * np.radians(command))
                 if self.timeout is None:
                     time.sleep(max(begin + (k + 1) * self.arm.t_ipo - time.perf_counter(), 0.0))
         return ControllerRun(np.array(commands), np.array(answered), ended)
+
+    def corrected(self, command: Array, start: Array, correction: Array) -> Array:
+        """Commanded axis angles ``(n,)`` [deg] with a correction; ValueError where a pose has none.
+
+        Args:
+            command, start: in force ``(n,)`` [deg], and when RSI began.
+            correction: of the axes ``(n,)`` [deg], or of the pose ``(6,)`` [mm, deg].
+        """
+        begin = command if self.relative else start
+        if self.pose is None:
+            return np.asarray(begin + correction)
+        wanted = self.pose.corrected(self.pose.pose(self.sign * np.radians(begin)), correction)
+        return np.asarray(self.sign * np.degrees(self.pose.joints(wanted, self.sign * np.radians(command))))
 
     def packet(self, state: RobotState, start: Array, late: int, stamp: int) -> bytes:
         """The packet of a cycle.
@@ -129,8 +153,13 @@ class RsiController:
             return f"<{tag} " + " ".join(f'A{i + 1}="{value:.6f}"' for i, value in enumerate(values)) + "/>"
 
         current = axes("MACur", self.sign * state.tau / self.arm.robot.drive_gain)
-        return ('<Rob Type="KUKA"><RIst X="0.0" Y="0.0" Z="0.0" A="0.0" B="0.0" C="0.0"/>'
-                + axes("AIPos", self.sign * np.degrees(state.q)) + axes("ASPos", start) + current
+        place = np.zeros(6) if self.pose is None else numbers(self.pose.pose(state.q))
+        pose = "<RIst " + " ".join(f'{name}="{value:.6f}"' for name, value in zip(_POSE, place, strict=True)) + "/>"
+        external = ""
+        if self.external:
+            external = "<EIPos " + " ".join(f'E{i + 1}="{at:.4f}"' for i, at in enumerate(self.external)) + "/>"
+        return (f'<Rob Type="KUKA">{pose}'
+                + axes("AIPos", self.sign * np.degrees(state.q)) + axes("ASPos", start) + external + current
                 + f'<Delay D="{late}"/><IPOC>{stamp}</IPOC></Rob>').encode("ascii")
 
     def answer(self, link: socket.socket, stamp: int, end: float) -> Array | None:
@@ -163,12 +192,14 @@ class RsiController:
     def _correction(self, answer: str, stamp: int) -> Array | None:
         """The corrections of a sound answer to the cycle [deg]; None for any other."""
         match = _ANSWER.fullmatch(answer)
-        if match is None or int(match[2]) != stamp:
+        if match is None or int(match[3]) != stamp:
             return None
-        axes = _AXIS.findall(match[1])
-        if [int(number) for number, _ in axes] != list(range(1, self.arm.robot.n + 1)):
+        told = _NUMBER.findall(match[2])
+        tag, names = ("AK", tuple(f"A{i + 1}" for i in range(self.arm.robot.n))) if self.pose is None else (
+            "RKorr", _POSE)
+        if match[1] != tag or tuple(name for name, _ in told) != names:
             return None
-        return np.array([float(value) for _, value in axes])
+        return np.array([float(value) for _, value in told])
 
 
 def main(words: Sequence[str] | None = None) -> int:

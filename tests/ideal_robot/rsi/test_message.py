@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -163,25 +164,60 @@ def test_of_two_elements_with_axes_one_has_to_be_named(tmp_path: Path) -> None:
     assert RsiFormat.read(file, 6, "AK").correction == "AK"
 
 
-@pytest.mark.parametrize("group", ["RKorr", "POSCORR", "Seam"])
-def test_corrections_of_the_pose_are_refused_for_what_they_are(group: str, tmp_path: Path) -> None:
-    """The advice to name an element by --tag led back to the same line."""
+def pose_config(group: str, names: str = "XYZABC") -> str:
+    """A configuration that takes corrections of the pose."""
     pose = "".join(f'<ELEMENT TAG="{group}.{axis}" TYPE="DOUBLE" INDX="{i}" HOLDON="1"/>'
-                   for i, axis in enumerate("XYZABC", 1))
-    file = written(tmp_path, CONFIG.replace(AXES, pose))
+                   for i, axis in enumerate(names, 1))
+    return CONFIG.replace(AXES, pose).replace("<SEND><ELEMENTS>", '<SEND><ELEMENTS><ELEMENT TAG="DEF_RIst"/>')
+
+
+@pytest.mark.parametrize("group", ["RKorr", "POSCORR", "Seam"])
+def test_corrections_of_the_pose_are_read_where_the_axes_are_not_corrected(group: str, tmp_path: Path) -> None:
+    file = written(tmp_path, pose_config(group))
     for tag in (None, group):
-        with pytest.raises(InputError, match="corrections of the pose, which are not supported") as refused:
-            RsiFormat.read(file, 6, tag)
-        assert refused.value.field == "RECEIVE"
+        form = RsiFormat.read(file, 6, tag)
+        assert form.pose
+        assert form.correction == group
     with pytest.raises(InputError, match="no element Other"):
         RsiFormat.read(file, 6, "Other")
+    both = written(tmp_path, pose_config(group).replace("<RECEIVE><ELEMENTS>", "<RECEIVE><ELEMENTS>" + AXES))
+    assert not RsiFormat.read(both, 6).pose
+    assert RsiFormat.read(both, 6, group).pose
+    answer = format_sen(np.array([1.5, -2.0, 0.25, 0.1, 0.0, -0.5]), 7, replace(form, decimals=3))
+    assert f'<{group} X="1.500" Y="-2.000" Z="0.250" A="0.100" B="0.000" C="-0.500"/>'.encode() in answer
+
+
+@pytest.mark.parametrize(("config", "n", "says"), [
+    (pose_config("RKorr", "XYZ"), 6, "all of X, Y, Z, A, B and C"),
+    (pose_config("RKorr"), 7, "lead six axes; the robot has 7 joints"),
+    (pose_config("RKorr").replace("DEF_RIst", "DEF_RSol"), 6, "does not send its pose"),
+    (pose_config("RKorr").replace('INDX="6" HOLDON="1"', 'INDX="6" HOLDON="0"'), 6, "the same for all"),
+])
+def test_poses_that_cannot_be_corrected_are_refused(config: str, n: int, says: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=says):
+        RsiFormat.read(written(tmp_path, config), n)
+
+
+def test_a_pose_is_needed_where_it_is_corrected_and_external_axes_are_read_where_they_are_held() -> None:
+    pose = PACKET.replace(b'C="0.0"/>', b'C="6" S="2" T="35"/><EIPos E1="7" E2="8"/>', 1)
+    form = RsiFormat("RKorr", pose=True, held=("EK.E1", "EK.E2"))
+    message = parse_rob(pose, 6, form)
+    assert message.pose is not None
+    np.testing.assert_array_equal(message.pose, [1, 2, 3, 0, 0, 6])
+    np.testing.assert_array_equal(message.external, [7, 8])
+    with pytest.raises(PacketError, match="RIst"):
+        parse_rob(pose.replace(b"RIst", b"RSol"), 6, form)
+    assert parse_rob(pose.replace(b"RIst", b"RSol"), 6).pose is None
+    assert b'<EK E1="0.000000" E2="0.000000"/>' in format_sen(np.zeros(6), 7, form)
 
 
 @pytest.mark.parametrize("count", [1, 3])
 def test_external_axes_are_held_and_an_arm_with_its_track_is_told_so(count: int, tmp_path: Path) -> None:
     track = "".join(f'<ELEMENT TAG="EK.E{i}" TYPE="DOUBLE" INDX="{6 + i}" HOLDON="1"/>' for i in range(1, count + 1))
     file = written(tmp_path, CONFIG.replace(AXES, AXES + track))
-    assert RsiFormat.read(file, 6).correction == "AKorr"
+    form = RsiFormat.read(file, 6)
+    assert form.correction == "AKorr"
+    assert form.held == tuple(f"EK.E{i}" for i in range(1, count + 1))
     with pytest.raises(InputError, match=f"6 axes and {count} external axes, which are held, the robot has 7 joints"):
         RsiFormat.read(file, 7)
 
@@ -191,7 +227,7 @@ def test_external_axes_are_held_and_an_arm_with_its_track_is_told_so(count: int,
     ("AKorr.A6", "AKorr.E6", "corrections of 5 axes and 1 external axes"),
     ("AKorr.A6", "AKorr.A7", "no element holds corrections of all axes"),
     ("<CONFIG>", "<CONFIG><ONLYSEND>true</ONLYSEND>", "ONLYSEND to FALSE"),
-    ('INDX="6" HOLDON="1"', 'INDX="6" HOLDON="0"', "the same for all axes"),
+    ('INDX="6" HOLDON="1"', 'INDX="6" HOLDON="0"', "the same for all of an element"),
     ("6008", "99999", "expected a UDP port"),
     ("<ROOT>", '<!DOCTYPE ROOT [<!ENTITY a SYSTEM "file:///etc/passwd">]><ROOT>', "entity"),
     ("<SEND>", "<SEND><SEND>", "is not XML"),
