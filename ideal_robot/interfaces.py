@@ -100,7 +100,7 @@ RSI = ArmInterface(
     "own and four public simulators")
 RTDE = ArmInterface(
     "Universal Robots RTDE", "ideal_robot.rtde.robot:opened", "rtde://192.168.1.30", "2 or 8 ms",
-    "angles, currents, safety state", "own simulator; ur_rtde as client")
+    "angles, currents, safety state, override, payload, accelerometer", "own simulator; ur_rtde as client")
 FRANKA = ArmInterface(
     "Franka FCI", "ideal_robot.fci.robot:opened", "franka://192.168.1.11", "1 ms, or whole milliseconds interpolated",
     "angles, setpoints, torques, external torques and wrench, mode", "franky-sim (MuJoCo)", "pylibfranka", "franka",

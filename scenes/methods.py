@@ -76,7 +76,7 @@ class SceneMethod:
         Raises InputError where it needs more: the whole path, plays beforehand, or a longer horizon.
         """
         feedforward = self.feedforward(setting)
-        if setting.n_d is not None and feedforward.n_d > setting.n_d:
+        if setting.n_d is not None and feedforward.n_d > setting.n_d and not feedforward.extends:
             raise InputError(f"the scene knows {setting.n_d} desired positions ahead, {self.key} wants more",
                              field="n_d", value=feedforward.n_d)
         return feedforward

@@ -26,6 +26,8 @@ _STANDING = 0.3
 """How long the arm is held after braking [s]."""
 LONGEST_STOP = 5.0
 """Longest that braking takes, and coming to rest behind it or behind a path [s]."""
+_CHANGES = 0.5
+"""Share of the joints' accelerations that a change of the path's speed takes."""
 _STILL = 1e-7
 """Change of a command that counts as rest [rad or m]."""
 
@@ -121,6 +123,9 @@ def play(driver: RobotInterface, feedforward: Feedforward, q_d: Array, *, robot:
 class PathCommands:
     """Commands of a feedforward along a path, cycle by cycle, each with the desired position it is for.
 
+    The path may be passed more slowly than it was planned: places on it are rows, with what lies between them, and the
+    rate is how many rows a cycle takes.
+
     Args:
         feedforward: what corrects the path; who plays it may give ``state`` what was measured between two commands.
         path: desired joint positions at the cycles ``(N, n)`` [rad].
@@ -135,27 +140,56 @@ class PathCommands:
         self._last = np.tile(path[0], (2, 1))
         self._governor = None if robot is None else CommandGovernor(robot, path[0], t_ipo=T)
 
-    def row(self, k: int) -> tuple[Array, Array]:
-        """Row ``k`` of the path and its command, ``(n,)`` each [rad]; LimitError where that would leave a limit."""
-        q_c, after = self._step(self._ahead[k : k + self.feedforward.n_d])
-        if self.robot is not None and self._governor is not None:
-            check_limits(np.vstack([self._last, q_c]), self.robot, self._T, start=(k - 2) * self._T)
-            self._governor.require_room(q_c, start=k * self._T)
-            self._governor.passed(q_c)
-        return self._handed_over(self._ahead[k], q_c, after)
+    def row(self, place: float, rate: float = 1.0) -> tuple[Array, Array]:
+        """What is desired at a place of the path and its command, ``(n,)`` each [rad].
 
-    def brake(self, k: int) -> Iterator[tuple[Array, Array]]:
-        """To rest on the path from row ``k`` on, of which nothing has been commanded."""
+        Raises LimitError where that would leave a limit.
+        """
+        horizon = self._horizon(place, rate, self.feedforward.n_d)
+        q_c, after = self._step(horizon)
+        if self.robot is not None and self._governor is not None:
+            check_limits(np.vstack([self._last, q_c]), self.robot, self._T, start=(place - 2) * self._T)
+            self._governor.require_room(q_c, start=place * self._T)
+            self._governor.passed(q_c)
+        return self._handed_over(horizon[0], q_c, after)
+
+    def rate_behind(self, place: float, rate: float, wanted: float) -> float:
+        """The rate of the next cycle on the way from one ``rate`` to another, within the joints' accelerations."""
+        if self.robot is None or rate == wanted:
+            return wanted
+        k = min(int(place), self.length - 1)
+        speed = np.abs(self._ahead[k + 1] - self._ahead[k]) / self._T
+        with np.errstate(divide="ignore"):
+            most = self._T * _CHANGES * float(np.min(np.where(speed > 0.0, self.robot.a_max / speed, np.inf)))
+        return float(np.clip(wanted, rate - most, rate + most))
+
+    def brake(self, place: float, rate: float = 1.0) -> Iterator[tuple[Array, Array]]:
+        """To rest on the path from a place on, of which nothing has been commanded."""
         if self.robot is None:
             return
+        ahead = self._horizon(place, rate, 2)
         # How fast the path is, as a share of what the joints may brake with.
-        speed = float(np.max(np.abs(self._ahead[k + 1] - self._ahead[k]) / self._T / self.robot.a_max))
+        speed = float(np.max(np.abs(ahead[1] - ahead[0]) / self._T / self.robot.a_max))
         braking, n_d = max(speed, _BRAKING_MIN), self.feedforward.n_d
         cycles = int(np.ceil((min(1.5 * braking, LONGEST_STOP) + _STANDING) / self._T))
-        planned = held(self._ahead[k:], after=max(0, cycles + n_d - len(self._ahead) + k))[: cycles + n_d]
+        planned = self._horizon(place, rate, cycles + n_d)
         for rows in islice(stopping_rows(planned, self._T, braking, 1.0), cycles):
             yield self.governed(rows[:n_d])
         yield from self.to_rest(rows[0])
+
+    def _horizon(self, place: float, rate: float, count: int) -> Array:
+        """The path at the coming cycles ``(count, n)`` [rad]; at its end where it is over."""
+        last = len(self._ahead) - 1
+        if rate == 1.0 and float(place).is_integer():
+            rows = self._ahead[int(place) : int(place) + count]
+            return rows if len(rows) == count else held(rows, after=count - len(rows))
+        at = np.minimum(place + rate * np.arange(count), last - 2.0)
+        k = at.astype(int)
+        u = (at - k)[:, None]
+        # Catmull and Rom's cubic: through the rows, with the slope of their neighbours.
+        before, here, there, behind = (self._ahead[np.clip(k + i, 0, last)] for i in (-1, 0, 1, 2))
+        return np.asarray(here + 0.5 * u * (there - before + u * (
+            2.0 * before - 5.0 * here + 4.0 * there - behind + u * (3.0 * (here - there) + behind - before))))
 
     def governed(self, horizon: Array) -> tuple[Array, Array]:
         """The command for a horizon ``(n_d, n)`` [rad], as near as the limits let it come."""

@@ -25,10 +25,12 @@ class Feedforward(ABC):
     Attributes:
         n_d: number of desired positions the law wants, current one included.
         t_ipo: the cycle it was made for [s].
+        extends: whether a horizon of fewer rows will do: the path is then continued.
     """
 
     n_d: int
     t_ipo: float
+    extends: bool = False
 
     @abstractmethod
     def init(self, q0: Array) -> Any:

@@ -103,6 +103,8 @@ class AdaptedCommand(Feedforward):
         inverse: by the law as it was identified.
     """
 
+    extends = True
+
     def __init__(self, inverse: CommandInverse) -> None:
         self.inverse, self.t_ipo = inverse, inverse.t_ipo
         law, dt = inverse.law, inverse.t_ipo

@@ -68,6 +68,8 @@ class CommandInverse(Feedforward):
         InputError: the model has no law.
     """
 
+    extends = True
+
     def __init__(self, model: Model, robot: Robot, *, delay: int = 0) -> None:
         model.require_arm(robot)
         if model.command is None:

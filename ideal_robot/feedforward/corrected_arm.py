@@ -120,7 +120,7 @@ class ForCorrectedArm(Feedforward):
 
     def __init__(self, feedforward: Feedforward, arm: CorrectedArm) -> None:
         self.feedforward, self.arm = feedforward, arm
-        self.n_d, self.t_ipo = feedforward.n_d, feedforward.t_ipo
+        self.n_d, self.t_ipo, self.extends = feedforward.n_d, feedforward.t_ipo, feedforward.extends
 
     def init(self, q0: Array) -> CorrectedState:
         """See ``Feedforward.init``."""

@@ -333,6 +333,9 @@ class LinkedRobot(ABC):
         counts: what happened on the link.
         arrived: when the last packet was read, by ``time.perf_counter`` [s].
         horizon: coming cycles of which the link can hand over expected commands; 0 where it cannot.
+        speed: share of the path's speed that the controller lets the arm have now: its override.
+        paused: why the controller holds the arm for a while; None while it does not.
+        notes: what the controller told that its user shall know.
         ahead: expected commands of the cycles behind the next one, ``(horizon, n)`` [rad], for that one; None where
             they are not known: then the arm is expected to come to rest.
     """
@@ -340,6 +343,9 @@ class LinkedRobot(ABC):
     counts: Any
     arrived: float = math.nan
     horizon: int = 0
+    speed: float = 1.0
+    paused: str | None = None
+    notes: tuple[str, ...] = ()
     ahead: Array | None = None
 
     def __init__(self, robot: Robot, bridge: float, answers_within: float, relative: bool = False) -> None:

@@ -9,8 +9,10 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.deadline import Deadline
@@ -23,12 +25,24 @@ from ideal_robot.rtde.wire import Recipe, RtdeConnection, RtdeError, Values
 
 _OUTPUTS = {"timestamp": "DOUBLE", "actual_q": "VECTOR6D", "target_q": "VECTOR6D", "actual_current": "VECTOR6D",
             "runtime_state": "UINT32", "safety_status_bits": "UINT32"}
+_OPTIONAL = {"speed_scaling": "DOUBLE", "target_speed_fraction": "DOUBLE", "payload": "DOUBLE",
+             "payload_cog": "VECTOR3D", "actual_tool_accelerometer": "VECTOR3D"}
+"""What is read where the controller knows it."""
 _AXES = 6  # a VECTOR6D has
 _MANY = 2.0**31  # cycles between two packages at most: a time stamp may be anything
 _LARGEST = 1e9
 """No number is as large, in seconds, radians or ampere."""
 _PLAYING = 2
 """``runtime_state`` of a running program."""
+_PAUSED = {3: "is being paused", 4: "is paused", 5: "is being resumed"}
+"""``runtime_state`` of a program that goes on after a while."""
+_STANDS = 1e-3
+"""Speed below which the override holds the arm."""
+_G, _FALLS = 9.81, 1.0
+"""Gravity, and by how much an accelerometer at rest may be beside it [m/s²]."""
+_TILTED = np.radians(15.0)
+"""Angle between gravity as measured and the URDF's beyond which the arm is mounted otherwise: the accelerometer is
+good to some degrees, and its frame is the flange's."""
 _SAFETY = {2: "protective stop", 4: "safeguard stop", 5: "emergency stop (system)", 6: "emergency stop (robot)",
            7: "emergency stop", 8: "violation", 9: "fault", 10: "stopped by safety"}
 """Bits of ``safety_status_bits`` with which the controller stops the arm by itself."""
@@ -54,7 +68,8 @@ class RtdeCounts:
 class RtdeRobot(LinkedRobot):
     """A ``RobotInterface`` to an arm whose controller speaks RTDE.
 
-    Where a cycle was missed, ``servoj`` held the arm, which does not go on by itself.
+    Where a cycle was missed, ``servoj`` held the arm, which does not go on by itself. ``speed`` is the speed slider
+    times the scaling of the controller's own limiter; a program that is paused is waited for (``paused``).
 
     Args:
         robot: six joints, limits, cycle time, drive gains.
@@ -73,6 +88,10 @@ class RtdeRobot(LinkedRobot):
         counts: what happened on the connection.
         version: the controller's version, once connected.
         arrived: when the last data package was read, by ``time.perf_counter`` [s].
+        payload: mass [kg] and its centre in the flange's frame [m] as the controller knows them, ``(4,)``; NaN where it
+            does not tell them.
+        gravity: its direction in the base by the tool's accelerometer at rest ``(3,)``, up to its sign; NaN where it
+            is not measured.
     """
 
     def __init__(self, robot: Robot, host: str = "127.0.0.1", *, port: int = 30004, register: int = 24,
@@ -86,6 +105,7 @@ class RtdeRobot(LinkedRobot):
         self.counts = RtdeCounts()
         self.version: tuple[int, int, int, int] | None = None
         self.arrived = math.nan
+        self.payload, self.gravity = np.full(4, np.nan), np.full(3, np.nan)
         self._inputs = {**{f"input_double_register_{register + i}": "DOUBLE" for i in range(_AXES)},
                         f"input_int_register_{register}": "INT32"}
         self._timeout = timeout
@@ -103,7 +123,7 @@ class RtdeRobot(LinkedRobot):
         """
         self._connection = link = RtdeConnection(self.host, self.port, self._timeout)
         self.version = link.agree()
-        self._outputs: Recipe = link.outputs(_OUTPUTS, 1.0 / self.t_ipo)
+        self._outputs: Recipe = link.outputs(_OUTPUTS, 1.0 / self.t_ipo, _OPTIONAL)
         self._recipe = link.inputs(self._inputs)
         link.start()
         self._step = np.zeros(self.robot.n)
@@ -119,7 +139,18 @@ class RtdeRobot(LinkedRobot):
         data = self._next(Deadline.within(self._timeout))
         self._begun = self._last = data["timestamp"][0]
         self._watch.begin(self.commanded, np.array(data["actual_q"]))
+        self._loaded(data)
         return self._state(data)
+
+    @property
+    def meta(self) -> dict[str, Any]:
+        """What the controller takes the arm to carry, and how it is mounted."""
+        told: dict[str, Any] = {}
+        if np.isfinite(self.payload).all():
+            told.update(payload_kg=float(self.payload[0]), payload_centre_m=self.payload[1:].tolist())
+        if np.isfinite(self.gravity).all():
+            told["gravity_direction"] = self.gravity.round(3).tolist()
+        return told
 
     def send(self, q_c: Array) -> None:
         """The first half of ``cycle``: commands and returns, which leaves the cycle's time for computing.
@@ -155,9 +186,13 @@ class RtdeRobot(LinkedRobot):
             self.counts.lost += since - 1
             self.missed = True
         self._last += since * self.t_ipo
-        if not self._playing(data):
+        state = int(data["runtime_state"][0])
+        if state not in (_PLAYING, *_PAUSED):
             raise RtdeError("the controller's program does not run any more")
-        return self._state(data)
+        told = self._state(data)
+        self.paused = (f"the controller's program {_PAUSED[state]}" if state != _PLAYING else
+                       "the controller's speed is at zero" if self.speed < _STANDS else None)
+        return told
 
     def close(self) -> None:
         """Ends the connection; the watchdog of the controller's program stops the arm."""
@@ -165,6 +200,25 @@ class RtdeRobot(LinkedRobot):
             self._connection.pause()
             self._connection.close()
             self._connection = None
+
+    def _loaded(self, data: Values) -> None:
+        """Notes payload and gravity, and where it acts along another line than the URDF's."""
+        if "payload" in data and "payload_cog" in data:
+            self.payload = np.array([*data["payload"], *data["payload_cog"]])
+        felt = np.array(data.get("actual_tool_accelerometer", (0.0, 0.0, 0.0)))
+        if abs(float(np.linalg.norm(felt)) - _G) > _FALLS:
+            return
+        model = self.robot.pinocchio
+        places = model.createData()
+        pin.forwardKinematics(model, places, np.array(data["actual_q"]))
+        # The last joint's frame is the flange's in UR's own URDFs, whatever tool is behind it.
+        self.gravity = np.asarray(places.oMi[_AXES].rotation @ felt / np.linalg.norm(felt))
+        expected = np.array(model.gravity.linear)
+        angle = float(np.arccos(np.clip(np.abs(self.gravity @ expected) / np.linalg.norm(expected), 0.0, 1.0)))
+        if angle > _TILTED:
+            self.notes = (f"by the tool's accelerometer gravity acts {np.degrees(angle):.0f}° from the URDF's; mount "
+                          "the URDF as the arm is (a fixed joint from the world to the base), unless the frame of its "
+                          "last joint is not the flange's",)
 
     def _next(self, deadline: Deadline) -> Values:
         """The newest data package, if the arm is not stopped and all numbers are numbers."""
@@ -176,8 +230,7 @@ class RtdeRobot(LinkedRobot):
         if stopped:
             raise RtdeError(f"the controller has stopped the arm: {', '.join(stopped)}"
                             + (f"; it says: {self._connection.texts[-1]}" if self._connection.texts else ""))
-        values = [data[name] for name in ("timestamp", "actual_q", "target_q", "actual_current")]
-        if not (np.abs(np.concatenate(values)) < _LARGEST).all():
+        if not all(abs(value) < _LARGEST for values in data.values() for value in values):
             raise RtdeError("the controller tells times, positions or currents that cannot be")
         return data
 
@@ -197,7 +250,9 @@ class RtdeRobot(LinkedRobot):
             self.fault = self._watch.check(self.commanded, measured)
             self.counts.implausible = self._watch.missing
         current = np.array(data["actual_current"])
-        return RobotState(self._last - self._begun, measured, current * self.robot.drive_gain, {"current": current})
+        self.speed = float(np.prod([data.get(name, (1.0,))[0] for name in ("speed_scaling", "target_speed_fraction")]))
+        return RobotState(self._last - self._begun, measured, current * self.robot.drive_gain,
+                          {"current": current, "speed_scale": self.speed})
 
 
 PORT = 30004

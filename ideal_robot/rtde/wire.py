@@ -24,7 +24,7 @@ class RtdeError(IdealRobotError):
 MAX_PACKAGE = 4096
 """Largest package that is read [bytes]; the field names of a recipe have 2048 at most."""
 _HEADER = struct.Struct(">HB")
-_FORMATS = {"UINT32": "I", "INT32": "i", "DOUBLE": "d", "VECTOR6D": "6d"}
+_FORMATS = {"UINT32": "I", "INT32": "i", "DOUBLE": "d", "VECTOR3D": "3d", "VECTOR6D": "6d"}
 _REFUSALS = {"NOT_FOUND": "the controller does not know it", "IN_USE": "another client writes it"}
 
 Values = dict[str, tuple[float, ...]]
@@ -169,10 +169,22 @@ class RtdeConnection:
         major, minor, fix, build = struct.unpack(">4I", answer)
         return major, minor, fix, build
 
-    def outputs(self, fields: Mapping[str, str], frequency: float) -> Recipe:
-        """What the controller is to send, names and types, so often a second; raises as ``Recipe.agreed``."""
-        request = struct.pack(">d", frequency) + ",".join(fields).encode()
-        return Recipe.agreed(fields, self._asked(Kind.OUTPUTS, request))
+    def outputs(self, fields: Mapping[str, str], frequency: float, optional: Mapping[str, str] | None = None) -> Recipe:
+        """What the controller is to send, names and types; raises as ``Recipe.agreed``.
+
+        Args:
+            fields: that are needed.
+            frequency: how often a second they are sent.
+            optional: that are left out where the controller does not know them.
+        """
+        wanted = {**fields, **(optional or {})}
+        answer = self._asked(Kind.OUTPUTS, struct.pack(">d", frequency) + ",".join(wanted).encode())
+        unknown = {name for name, kind in zip(wanted, answer[1:].decode("ascii", "replace").split(","), strict=False)
+                   if kind == "NOT_FOUND" and name not in fields}
+        if unknown:
+            known = {name: kind for name, kind in wanted.items() if name not in unknown}
+            return self.outputs(known, frequency)
+        return Recipe.agreed(wanted, answer)
 
     def inputs(self, fields: Mapping[str, str]) -> Recipe:
         """What we are to send, names and types; raises as ``Recipe.agreed``."""

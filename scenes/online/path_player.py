@@ -105,6 +105,9 @@ class PathRun(Summarised):
                                  ["answer after, worst ms", self.answer_times_ms["max"]]]
         if len(self.recording.t) > self.begun:
             rows.append(["motor error, worst joint mrad rms", float(np.max(self.errors_mrad()))])
+        if (slowest := self.details.get("guard", {}).get("least_speed", 1.0)) < 1.0:
+            rows.append(["least override, %", 100.0 * slowest])
+        rows += [["note", text] for text in self.details.get("notes", ())]
         return ["figure", "value"], rows
 
 
@@ -146,7 +149,8 @@ class PathPlayer:
 
     The command of the next cycle is computed while the controller is busy with this one, so that a packet is answered
     at once. Where a cycle is lost the path waits for it if the controller held the arm, and goes on if it did. Where a
-    command would leave a limit the arm is brought to rest on the path and the rest of the path is given up.
+    command would leave a limit the arm is brought to rest on the path and the rest of the path is given up. Where the
+    controller's override is below 100 % the path is passed as much more slowly.
 
     Args:
         link: the arm, not yet connected.
@@ -181,6 +185,7 @@ class PathPlayer:
         self._force: FeltForce | None = None
         self._state: RobotState | None = None
         self._in_force = _InForce(link)
+        self._slowest = 1.0
         self._waited, self._where = 0, "stopped on the way to the start"
 
     @property
@@ -286,6 +291,8 @@ class PathPlayer:
                                                             last.q + share * (state.q - last.q))
             self.guard.look(t - self._time.zero, q_c, q)
         self._in_force.taken()
+        if self.link.paused is not None:
+            self.guard.held = self.guard.held or self.link.paused
         if before is None and self._reason is not None:
             self.guard.reason = f"{self._where} at {state.t:.3f} s: {self._reason}"
         return state
@@ -378,19 +385,27 @@ class PathPlayer:
 
     def _leg(self, commands: PathCommands, rows: Array, shift: Array) -> Generator[_Cycle, None, int | None]:
         """Cycles of a path to its end, returns None; or until the arm is held, returns the row in which it is."""
-        T = self.link.t_ipo
-        for k in range(len(rows)):
+        T, last = self.link.t_ipo, len(rows) - 1
+        place, rate = 0.0, 1.0
+        while True:
+            k = int(place)
             if self.guard.held is not None and self._reason is None:
                 return k
+            beside = shift[k] + (place - k) * (shift[min(k + 1, last)] - shift[k])
             try:
-                row = commands.row(k) if self._reason is None else None
+                row = commands.row(place, rate) if self._reason is None else None
             except LimitError as error:
                 row = None
-                self.stop(f"stopped on the path at {k * T:.3f} s: {error}")
+                self.stop(f"stopped on the path at {place * T:.3f} s: {error}")
             if row is None:
-                yield from self._stopped(commands, k, shift[k])
+                yield from self._stopped(commands, place, beside, rate)
                 return None
-            yield _Cycle(row[0] + shift[k], row[1], self._ahead(rows, k, row[1]))
+            yield _Cycle(row[0] + beside, row[1], self._ahead(rows, k, row[1]))
+            if place >= last:
+                break
+            rate = commands.rate_behind(place, rate, float(np.clip(self.link.speed, 0.0, 1.0)))
+            self._slowest = min(self._slowest, rate)
+            place = min(place + rate, float(last))
         yield from (_Cycle(desired + shift[-1], q_c) for desired, q_c in commands.to_rest(rows[-1]))
         for _ in range(round(_SETTLING / T)):
             if self.link.settled or self._reason is not None:
@@ -402,12 +417,12 @@ class PathPlayer:
             yield from (_Cycle(q_c, q_c) for q_c in self.guard.leaving())
         return None if self._reason is not None or self.guard.held is None else len(rows) - 1
 
-    def _stopped(self, commands: PathCommands, k: int, shift: Array) -> Iterator[_Cycle]:
-        """To rest on the path from row ``k`` on, or to where the arm stands; then back until nothing is felt."""
+    def _stopped(self, commands: PathCommands, place: float, shift: Array, rate: float) -> Iterator[_Cycle]:
+        """To rest on the path from a place on, or to where the arm stands; then back until nothing is felt."""
         if self.guard.astray:
             yield from (_Cycle(q_c, q_c) for q_c in self.guard.leaving())
             return
-        yield from (_Cycle(desired + shift, q_c) for desired, q_c in commands.brake(k))
+        yield from (_Cycle(desired + shift, q_c) for desired, q_c in commands.brake(place, rate))
         yield from (_Cycle(q_c, q_c) for q_c in self.guard.back())
 
     def _answered(self) -> tuple[dict[str, Any], dict[str, float]]:
@@ -417,11 +432,11 @@ class PathPlayer:
     def _run(self, log: RowLog, names: dict[str, tuple[int, ...]], granted: list[str],
              answered: tuple[dict[str, Any], dict[str, float]]) -> PathRun:
         guarded: dict[str, Any] = {"acceleration_share": self._in_force.largest,
-                                   "waited_s": self._waited * self.link.t_ipo}
+                                   "waited_s": self._waited * self.link.t_ipo, "least_speed": self._slowest}
         if self._force is not None:
             guarded["largest_force_N"] = self._force.largest
         return PathRun(self._recording(log, names), self._reason, *answered, granted, self.rest, len(self.q_d),
-                       details={"guard": guarded})
+                       details={"guard": guarded, "notes": list(self.link.notes)})
 
     def _recording(self, log: RowLog, names: dict[str, tuple[int, ...]]) -> Recording:
         robot = self.link.robot

@@ -6,8 +6,8 @@ import math
 import re
 import socket
 import struct
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from itertools import islice
 
 _HEADER = struct.Struct(">HB")
@@ -37,6 +37,9 @@ class RtdeFaults:
         in_use: input fields another client writes.
         skips: cycles whose data package is left out.
         protective_stop: cycle from which the arm is stopped by its safety system.
+        speed: of the slider, by the cycle from which it stands there; the first one is 1.
+        pauses: cycles in which the program is paused.
+        mounted: gravity in the frame of the arm's base (3) [m/s²].
         program_begins, program_ends: cycles from which the program runs, and does not any more.
         clock_stands: cycle from which the time stamps stay what they are.
         disconnects: cycle at which it closes the connection.
@@ -48,6 +51,9 @@ class RtdeFaults:
     in_use: tuple[str, ...] = ()
     skips: tuple[int, ...] = ()
     protective_stop: int | None = None
+    speed: Mapping[int, float] = field(default_factory=dict)
+    pauses: range = range(0)
+    mounted: tuple[float, float, float] = (0.0, 0.0, -9.81)
     program_begins: int = 0
     program_ends: int | None = None
     clock_stands: int | None = None

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 
 import numpy as np
+import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import IdealRobotError
@@ -105,8 +106,10 @@ class RtdeController:
                 break
             answered = self.exchange(state, held, time.perf_counter() + (self.timeout if self.led else self.arm.t_ipo))
             stopped = self.faults.protective_stop is not None and k >= self.faults.protective_stop
-            if answered and self.commanded is not None and not stopped:
-                held = self.commanded
+            if (answered or self.speed(k) < 1.0) and self.commanded is not None and not (
+                    stopped or k in self.faults.pauses):
+                # servoj's own time runs as slowly as the slider has it: what is commanded is reached later.
+                held = held + self.speed(k) * (self.commanded - held)
             self.commands.append(held)
             try:
                 state = self.arm.cycle(held)
@@ -114,6 +117,10 @@ class RtdeController:
                 self.ended = f"the controller refuses: {error}"
                 break
         self.close()
+
+    def speed(self, k: int) -> float:
+        """The slider's speed in cycle ``k``."""
+        return next((speed for begin, speed in sorted(self.faults.speed.items(), reverse=True) if begin <= k), 1.0)
 
     def exchange(self, state: RobotState, held: Array, end: float) -> bool:
         """Tells every client the state; returns whether the one that leads has written since the last time.
@@ -201,11 +208,19 @@ class RtdeController:
         """What a data package tells; of what this arm does not have, zeros."""
         stop, end, stands = self.faults.protective_stop, self.faults.program_ends, self.faults.clock_stands
         playing = self.playing and self.faults.program_begins <= k and (end is None or k < end)
+        paused = k in self.faults.pauses
+        model = self.arm.robot.pinocchio
+        places = model.createData()
+        pin.forwardKinematics(model, places, state.q)
+        tool = places.oMi[model.nv].rotation
         values: dict[str, Iterable[float]] = {
             "timestamp": (100.0 + (k if stands is None else min(k, stands)) * self.arm.t_ipo,), "target_q": held,
             "actual_q": state.q, "actual_current": state.tau / self.arm.robot.drive_gain, "robot_mode": (7,),
-            "safety_mode": (1,), "safety_status": (1,), "runtime_state": (2 if playing else 1,),
-            "speed_scaling": (1.0,), "target_speed_fraction": (1.0,), "robot_status_bits": (3 if playing else 1,),
+            "safety_mode": (1,), "safety_status": (1,), "runtime_state": (4 if paused else 2 if playing else 1,),
+            "speed_scaling": (1.0,), "target_speed_fraction": (self.speed(k),), "payload": (1.5,),
+            "payload_cog": (0.0, 0.01, 0.05),
+            "actual_tool_accelerometer": -tool.T @ np.array(self.faults.mounted),
+            "robot_status_bits": (3 if playing else 1,),
             "safety_status_bits": (_PROTECTIVE if stop is not None and k >= stop else 1,), **self.inputs}
         payload = b""
         for name in names:

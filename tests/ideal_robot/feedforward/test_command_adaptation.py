@@ -105,3 +105,20 @@ def test_behind_another_controller_it_does_not_end_worse_than_the_plain_path(
         controller: tuple[float, float, float]) -> None:
     plain, _, adapted = compared(6, 16.0, lambda t: controller)
     assert adapted < 1.05 * plain
+
+
+@pytest.mark.parametrize("short", [1, 3, 8])
+def test_a_horizon_that_is_too_short_is_continued_as_it_ends(short: int) -> None:
+    """Followers know their path over so many cycles; a law that looks ahead one more is no reason to refuse them."""
+    ramp = ARM.home + T * np.arange(120.0)[:, None] * np.array([0.1, -0.05, 0.08, 0.2, -0.1, 0.15])
+    for feedforward in (CommandInverse(law(), ARM), AdaptedCommand(CommandInverse(law(), ARM))):
+        assert feedforward.extends
+        states = [feedforward.init(ramp[0]), feedforward.init(ramp[0])]
+        for k in range(60):
+            commands = []
+            for i, rows in enumerate((feedforward.n_d, feedforward.n_d - short)):
+                q_c, states[i] = feedforward.step(states[i], ramp[k : k + rows])
+                commands.append(q_c)
+            # At the start a horizon of one row does not show that the arm is to move.
+            if k >= 10:
+                np.testing.assert_allclose(*commands, atol=1e-9)

@@ -29,20 +29,21 @@ class Lockstep(Wall):
     """The arm at a wall as a ``LinkedRobot``; it stands still from one cycle to another."""
 
     tolerance, horizon, gone_on, settled = TOLERANCE, 0, 0, True
-    fault = None
+    fault = paused = None
+    speed, notes = 1.0, ()
 
-    def __init__(self, q: Array, height: float, stiffness: float, paused: tuple[int, int] = (0, 0)) -> None:
+    def __init__(self, q: Array, height: float, stiffness: float, standing: tuple[int, int] = (0, 0)) -> None:
         super().__init__(q, height, stiffness, 0.01, 1.0, 1)
         self.counts: Any = _Counts()
         self.meta: dict[str, Any] = {}
         self.player: Any = None
-        self.paused, self.wire = paused, list[Array]()
+        self.standing, self.wire = standing, list[Array]()
         self.ahead: Array | None = None
 
     def receive(self) -> RobotState:
         if self.force is None and self.player._force is not None:
             self.force = self.player._force._force
-        stands = self.paused[0] <= len(self.taken) < self.paused[1]
+        stands = self.standing[0] <= len(self.taken) < self.standing[1]
         before = self.q.copy()
         state = super().receive()
         if stands:
