@@ -5,7 +5,10 @@ from __future__ import annotations
 import gc
 import time
 from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
@@ -21,12 +24,11 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from planning.line.line_follower import FollowerSettings, LineFollower
-from scenes.line import play
 from scenes.line.cell import prepared
 from scenes.line.kind import run
 from scenes.methods import ADAPTED, IDEAL
 from scenes.models import shipped_model
-from scenes.online.line_task import LineTask
+from scenes.online.task import Task
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import chosen
 from sim.camera.bullet_camera import BulletCamera
@@ -90,19 +92,23 @@ def _timed(laws: list[Feedforward], q_d: Array, cycles: int) -> tuple[Array, Arr
     return times, busy
 
 
-class _TimedTask(LineTask):
-    """A task that writes down how long its part of each cycle takes."""
+@contextmanager
+def _timed_tasks() -> Iterator[list[float]]:
+    """Yields how long each task's part of each of its cycles takes, by processor time [s]."""
+    cycles, begun = list[float](), [0.0]
+    observe, command = Task.observe, Task.command
 
-    cycles: list[float] = []  # noqa: RUF012 (of the run that is being played)
+    def observed(task: Task, t: float, q: Array, q_d: Array) -> None:
+        begun[0] = time.thread_time()
+        observe(task, t, q, q_d)
 
-    def observe(self, *arguments: Any) -> None:
-        self._begun = time.thread_time()
-        super().observe(*arguments)
-
-    def command(self, t: float, q_d: Array) -> Array:
-        q_c = super().command(t, q_d)
-        self.cycles.append(time.thread_time() - self._begun)
+    def commanded(task: Task, t: float, q_d: Array) -> Array:
+        q_c = command(task, t, q_d)
+        cycles.append(time.thread_time() - begun[0])
         return q_c
+
+    with mock.patch.object(Task, "observe", observed), mock.patch.object(Task, "command", commanded):
+        yield cycles
 
 
 def line_cycles(runs: int = 5, world: str = "", tool_mm: float = 0.0, seed: int = 1) -> None:
@@ -113,17 +119,16 @@ def line_cycles(runs: int = 5, world: str = "", tool_mm: float = 0.0, seed: int 
     error is that of `adapted`.
     """
     scene = chosen(scene_of(LineScene, "line"), world=world or None).changed(tool_mm=tool_mm, seed=seed)
-    vars(play)["LineTask"] = _TimedTask
-    with prepared(scene) as cell:
+    with _timed_tasks() as cycles, prepared(scene) as cell:
         run(scene, method=ADAPTED, shared=cell)
         played: dict[str, list[tuple[float, Array, Any]]] = {IDEAL: [], ADAPTED: []}
         for _ in range(runs):
             for method, figures in played.items():
-                _TimedTask.cycles.clear()
+                cycles.clear()
                 begun = time.process_time()
                 result = run(scene, method=method, shared=cell)
                 factor = result.timing.simulated / (time.process_time() - begun)
-                figures.append((factor, 1e3 * np.array(_TimedTask.cycles), result.timing.with_field))
+                figures.append((factor, 1e3 * np.array(cycles), result.timing.with_field))
         camera = cell.camera
     shown = len(camera.arm.bodies) if isinstance(camera, BulletCamera) and camera.arm is not None else 0
     head("", "real-time factor", "a cycle with a new field", "one without")

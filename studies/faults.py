@@ -90,9 +90,9 @@ def sound_forces(scenes: str = "force_wave,contour,glue", speeds: str = "0", see
         with tempfile.TemporaryDirectory() as folder:
             run = followed(loaded, Path(folder))
         stopped += run.failure is not None
-        task, rms = run.job._task, run.job.figures()["force_N"]["rms_error"]
-        row(name, f"{loaded.speed:g}", str(seed), *(f"{task.nearest.get(sign, 0.0):.2f}" for sign in signs),
-            f"{task.force.signs.answered:.2f}", run.failure or f"{rms:.2f}")
+        witness, rms = run.job.contact.witness, run.job.figures()["force_N"]["rms_error"]
+        row(name, f"{loaded.speed:g}", str(seed), *(f"{witness.nearest.get(sign, 0.0):.2f}" for sign in signs),
+            f"{run.job.contact.device.signs.answered:.2f}", run.failure or f"{rms:.2f}")
     if stopped:
         sys.exit(1)
 

@@ -15,7 +15,8 @@ from ideal_robot.arrays import Array
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.inverse import Inverse
 from ideal_robot.feedforward.method import Setting
-from planning.force.contact import ContactSettings, Phase
+from planning.follower import Phase
+from planning.force.contact import ContactSettings
 from planning.force.surface_forecast import LENGTHS, SmoothSurface
 from planning.line.filter_bank import FilterBank
 from planning.line.fusion import DeviationFilter
@@ -25,7 +26,9 @@ from scenes.force.cell import Cell, calibrated, friction_shown, set_up
 from scenes.force.kind import run
 from scenes.force.play import ForceResult, methods, play, pressed
 from scenes.methods import DIRECT, IDEAL, method_of
-from scenes.online.force_task import ForceTask
+from scenes.online.configured import force_task
+from scenes.online.contact import ContactSensor
+from scenes.online.task import Sensor, Work
 from scenes.scene_files.force_scene import ForceScene
 from studies.closings import with_true_friction
 from studies.report import head, row, scene_of
@@ -129,23 +132,25 @@ def forecast_gains(speed: float = 0.2, stiffness: float = 20.0, hertz: str = "2,
         row(f"{1e3 * length:g}", *(f"{gain:.0f}" for gain in gains))
 
 
-class _Watched(ForceTask):
+class _Watched(Sensor):
     """Writes down for each cycle of the travel what was planned, where the arm is, and later where it is thought."""
 
-    def connect(self, sensor: Any, camera: Any) -> None:
-        super().connect(sensor, camera)
-        self.arm = vars(sensor)["_arm"]
+    def __init__(self, contact: ContactSensor) -> None:
+        self._contact = contact
         self.rows: list[tuple[float, float, float, Array]] = []
         self.believed: dict[float, Array] = {}
 
+    def fuse(self, t: float) -> Work:
+        return Work.NOTHING
+
     def request(self, t0: float, t1: float) -> None:
-        super().request(t0, t1)
-        follower = self.follower
+        follower, log = self._contact.follower, self._contact.log
         if follower.phase is Phase.TRAVEL:
-            self.rows.append((t0, follower.s_at(t0), follower.planned()[1], self.arm.q_a.copy()))
-        late = len(self.log.t) - 1 - LATER
+            arm = vars(self._contact.device)["_arm"]
+            self.rows.append((t0, follower.s_at(t0), follower.desired_deviation(t0)[1], arm.q_a.copy()))
+        late = len(log.t) - 1 - LATER
         if late >= 0:
-            self.believed[self.log.t[late]] = follower.history.q(self.log.t[late])
+            self.believed[log.t[late]] = follower.history.q(log.t[late])
 
 
 class _KnownSurface(FilterBank):
@@ -186,19 +191,23 @@ def _played(scene: ForceScene, method: Any = IDEAL, surface: _KnownSurface | Non
     """One play, taken apart; by a method's key or factory, on what is felt unless the surface is known."""
     tool, elasticity = calibrated(scene)
     cell = set_up(scene)
-    task = _Watched(cell.known, method_of(method, methods()), None, tool, elasticity, cell.camera_streams[0],
-                    friction_shown(scene))
+    configured = force_task(cell.known, method_of(method, methods()), tool, elasticity,
+                            friction=friction_shown(scene))
+    contact = configured.contact
+    assert contact is not None
+    watched = _Watched(contact)
+    configured.task.sensors.append(watched)
     if surface is not None:
-        surface.in_place_of(vars(task.follower)["fusion"])
-        vars(task.follower)["fusion"] = surface
-    result = pressed(cell, task, "ideal")
+        surface.in_place_of(vars(contact.follower)["fusion"])
+        vars(contact.follower)["fusion"] = surface
+    result = pressed(cell, configured, "ideal")
     if result.failure:
         raise SystemExit(result.failure)
-    return _taken_apart(cell, task, scene, result.history)
+    return _taken_apart(cell, watched, scene, result.history)
 
 
 def _taken_apart(cell: Cell, task: _Watched, scene: ForceScene, history: dict[str, Array]) -> _Parts:
-    fk, reference = cell.known.robot.fk(), vars(task.follower)["reference"]
+    fk, reference = cell.known.robot.fk(), cell.known.reference
 
     def height(q: Array, s: float) -> float:
         return float(reference.project(fk(q).translation[None], s, span=0.06)[2][0])

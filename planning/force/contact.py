@@ -1,10 +1,9 @@
-"""What is wanted of a contact, the phases of a motion in contact."""
+"""What is wanted of a contact, and when a motion in contact has to stop."""
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 import pinocchio as pin
@@ -49,16 +48,6 @@ beyond what is wanted still holds."""
 def most_force(wanted: float) -> float:
     """Largest force on the surface [N] whatever the sensor says: half as much again as wanted, or what a hand bears."""
     return max(1.5 * wanted, 40.0)
-
-
-class Phase(Enum):
-    """Phases of a motion in contact, in their order."""
-
-    APPROACH = "approach"
-    SETTLE = "settle"
-    TRAVEL = "travel"
-    LIFT = "lift"
-    DONE = "done"
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ import pinocchio as pin
 from ideal_robot.arrays import Array, held
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
-from planning.force.contact import Phase
+from planning.follower import Phase
 from planning.path.desired_path import Smoother, planned_cycles
 from planning.path.kinematics import InverseKinematics
 from planning.path.pose_history import PoseHistory
@@ -186,7 +186,11 @@ class ContourFollower:
         """Speed along the contour at ``t`` [m/s]."""
         return float(self._way(t + 1e-3) - self._way(t - 1e-3)) / 2e-3
 
-    def planned(self) -> Array:
+    def done(self, t: float) -> bool:
+        """See ``planning.follower.Follower``."""
+        return self.phase is Phase.DONE
+
+    def desired_deviation(self, t: float) -> Array:
         """Desired position in the plane at the current cycle ``(2,)`` [m]."""
         return self._plan.position[0].copy()
 
@@ -208,8 +212,8 @@ class ContourFollower:
         """Assumes this elasticity of tip and surface [N/m] from now on."""
         self.settings = replace(self.settings, elasticity=elasticity)
 
-    def update_force(self, t: Array, contact: Array) -> None:
-        """Takes contact forces ``(m, 3)`` in the tool frame [N], measured at ``t (m,)`` [s]."""
+    def measured(self, t: Array, contact: Array) -> None:
+        """Takes contact forces ``(m, 3)`` in the tool frame [N], measured at ``t (m,)`` [s]; None: there is no map."""
         sideways = 0.0
         for instant, force_tool in zip(t, contact, strict=True):
             pose = self.history.pose(max(float(instant), self.history.first))
@@ -293,10 +297,10 @@ class ContourFollower:
         """Direction of travel: along the contour, square to the last normal."""
         return np.array([self._normal[1], -self._normal[0]])
 
-    def horizon(self, t: float) -> Array:
+    def horizon(self, t: float, anew: bool = True) -> Array:
         """Desired joint positions ``q_d(k) … q_d(k + n_d - 1)`` from ``t`` on ``(n_d, n)`` [rad].
 
-        Raises ``OutOfReachError`` where the contour leads out of the arm's reach.
+        Raises ``OutOfReachError`` where the contour leads out of the arm's reach. There is always time to plan.
         """
         self._plan.advance(round(t / self._T))
         if self._moving_from is None and self.in_contact and t - float(self._contact_since or 0) > self.settings.settle:

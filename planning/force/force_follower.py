@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
-from planning.force.contact import ASKED, FORCE_ERRORS, SLOPE, TOGETHER, ContactSettings, Phase
+from planning.follower import Phase
+from planning.force.contact import ASKED, FORCE_ERRORS, SLOPE, TOGETHER, ContactSettings
 from planning.force.contour import SPARE, SlidingPlan
 from planning.force.force_noise import ForceNoise
 from planning.force.surface_forecast import surfaces
@@ -131,11 +132,6 @@ class SurfaceFollower:
         """Of a surface of which nothing was felt, on a contact of the elasticity that is assumed."""
         ratio, lateness = self._force_errors
         return self._made((ratio, min(lateness, self.settings.lateness), FRICTION))
-
-    def update_force(self, t: Array, contact: Array) -> Fused | None:
-        """Fuses what ``measured`` makes of the same; returns what became of it, None while there is no contact yet."""
-        measurement = self.measured(t, contact)
-        return None if measurement is None else self.fuse(t, measurement)
 
     def fuse(self, t: Array, measurement: Measurement) -> Fused:
         """Fuses what ``measured`` made of the forces at ``t (m,)`` [s]; what their innovations say of their noise."""
@@ -304,7 +300,11 @@ class SurfaceFollower:
             estimate = self._lift_from + np.column_stack([np.zeros(len(rise)), rise])
         return np.asarray(estimate)
 
-    def planned(self) -> Array:
+    def done(self, t: float) -> bool:
+        """See ``planning.follower.Follower``."""
+        return self.phase is Phase.DONE
+
+    def desired_deviation(self, t: float) -> Array:
         """Desired deviation (lateral, up) at the current cycle ``(2,)`` [m]."""
         return self._plan.position[0].copy()
 
@@ -351,6 +351,17 @@ class DirectForceFeedback:
         self._q = follower.q_start
         self.lifted = 0.0
         """How far the tip has been lifted at the end [m]."""
+
+    def horizon(self, t: float, q_d: Array) -> Array:
+        """The follower's horizon ``(n_d, n)`` [rad] until there is contact; it then goes its own way."""
+        if self._follower.phase is Phase.APPROACH:
+            return self._follower.horizon(t)
+        self._follower.advance(t)
+        return q_d
+
+    def done(self, t: float) -> bool:
+        """Whether the tip is off the surface at the end of its path."""
+        return self.lifted >= self._follower.settings.lift
 
     def update(self, force: float) -> None:
         """Takes the newest normal force [N]."""

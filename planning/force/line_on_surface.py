@@ -21,10 +21,13 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from planning import LineLostError, LineNeverSeenError
+from planning.follower import Phase
 from planning.force.force_follower import SurfaceFollower
-from planning.line.measurement import Fused, LineAhead, Measurement, SeenLine
+from planning.line.measurement import SEEN_AHEAD, Fused, LineAhead, Measurement, SeenLine
 from planning.path.path_kernels import sensor_errors, unit
 
+NARROW = 0.06
+"""Length of line over which a field's points are spread at least, however much of the view the tool passes [m]."""
 OBLIQUE = 0.1
 """Slope of the rays across the path from which a field says something of the height, too."""
 
@@ -94,7 +97,7 @@ class LineOnSurface:
         s_now = follower.s_at(t)
         near, far = self.settings.view
         passed = float(follower.speed_at(t)) * (self.settings.latency + 2 * follower.robot.t_ipo)
-        first = min(max(near, passed), max(near, far - 0.06))
+        first = min(max(near, passed), max(near, far - NARROW))
         s = s_now + np.linspace(first, min(far, first + 0.1), 5)
         step, m = 1e-3, len(s)
         # Of what the tool has passed the map knows nothing: in a field that is so late it is as where the tool is.
@@ -107,14 +110,17 @@ class LineOnSurface:
         points = frames.position + d[:m, :1] * frames.normal + height[:, None] * frames.up
         return LineAhead(s, points, tangents, frames.up, np.sqrt(variance[:m, 0]))
 
-    def update(self, line: SeenLine) -> Fused | None:
-        """Fuses one field, whenever it arrives; None if it showed nothing."""
+    def update(self, line: SeenLine, pose: pin.SE3 | None = None) -> Fused | None:
+        """Fuses one field, whenever it arrives; None if it showed nothing.
+
+        The TCP's ``pose`` at the exposure is interpolated from what was observed by default.
+        """
         if not line.seen:
             return None
         used = np.asarray(line.used, dtype=bool) & np.isfinite(line.points_tcp).all(axis=1)
         if not used.any():
             return None
-        measurement = self._measurement(line.t, line.points_tcp[used], line.sigma[used])
+        measurement = self._measurement(line.t, line.points_tcp[used], line.sigma[used], pose)
         reason = self._implausible(measurement)
         # What the tool has passed meanwhile tells nothing of what is ahead, and the filter would go back for it.
         ahead = measurement.s >= self.follower.fusion.s
@@ -122,16 +128,16 @@ class LineOnSurface:
             nothing = np.zeros(len(measurement.s), dtype=bool)
             return Fused(nothing, np.zeros(len(nothing)), float("nan"), 0, reason or "behind the tool by now")
         if not ahead.all():
-            measurement = self._measurement(line.t, line.points_tcp[used][ahead], line.sigma[used][ahead])
+            measurement = self._measurement(line.t, line.points_tcp[used][ahead], line.sigma[used][ahead], pose)
         fused = self.follower.fusion.update(measurement)
         if fused.dof:
             self._last_seen = max(self._last_seen or (-np.inf, 0.0), (line.t, self.follower.s_at(line.t)))
             self._front = max(self._front, float(measurement.s[fused.used].max()))
         return fused
 
-    def _measurement(self, t: float, points_tcp: Array, sigma: Array) -> Measurement:
+    def _measurement(self, t: float, points_tcp: Array, sigma: Array, pose: pin.SE3 | None = None) -> Measurement:
         follower, settings = self.follower, self.settings
-        pose = follower.history.row_pose(t)
+        pose = follower.history.row_pose(t) if pose is None else pose
         eye = pose.act(self._camera.translation)
         axis = self._camera.rotation[:, 2]
         beside = points_tcp - self._camera.translation
@@ -140,7 +146,7 @@ class LineOnSurface:
         lever = (points_tcp + (settings.distance_ratio - 1.0) * beside) @ pose.rotation.T
         beside = beside @ pose.rotation.T
         points = lever + pose.translation
-        s, lateral, height = follower.reference.project(points, follower.s_at(t) + 0.06)
+        s, lateral, height = follower.reference.project(points, follower.s_at(t) + SEEN_AHEAD)
         frames = follower.reference.frames(s)
         # As in ``LineFollower``: turned about the camera, moved on the tool.
         ray = points - eye
@@ -183,7 +189,9 @@ class LineOnSurface:
         return "" if abs(earlier - here) < settings.agreement else "does not agree with the field before"
 
     def check(self, t: float) -> None:
-        """Raises ``LineLostError`` if the line has not been seen for too long a way."""
+        """Raises ``LineLostError`` if the line has not been seen for too long a way of the travel."""
+        if self.follower.phase is not Phase.TRAVEL:
+            return
         s, limit = self.follower.s_at(t - self.settings.latency), self.settings.max_gap
         begin, end = self._span
         if self._last_seen is None:

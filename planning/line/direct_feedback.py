@@ -7,11 +7,12 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from planning.line.line_follower import LineFollower, SeenLine
+from planning.line.line_follower import LineFollower, Uncorrected
+from planning.line.measurement import SEEN_AHEAD, SeenLine
 from planning.path.kinematics import InverseKinematics
 
 
-class DirectFeedback:
+class DirectFeedback(Uncorrected):
     r"""Adds the sensed deviation, times a gain, to the command at every cycle.
 
     .. math:: x_c(k) = x_c(k-1) + (x_r(k) - x_r(k-1)) + K_p\, \Delta s(k) + K_d\, (\Delta s(k) - \Delta s(k-1))
@@ -31,7 +32,8 @@ class DirectFeedback:
     def __init__(self, follower: LineFollower, k_p: float, k_d: float = 0.0, limit: float = 0.06) -> None:
         if not k_p >= 0:
             raise InputError("expected zero or a positive number", field="k_p", value=k_p)
-        self._follower, self._k_p, self._k_d, self._limit = follower, k_p, k_d, limit
+        super().__init__(follower)
+        self._k_p, self._k_d, self._limit = k_p, k_d, limit
         self._kinematics = InverseKinematics(follower.robot)
         self.correction = 0.0
         """Lateral offset of the command from the reference [m]."""
@@ -47,14 +49,14 @@ class DirectFeedback:
         pose = f.history.pose(line.t) if pose is None else pose
         points = line.points_tcp[used] @ pose.rotation.T + pose.translation
         s_tcp = f.profile.at(line.t - f.t_start)[0]
-        s, lateral, _ = f.reference.project(points, s_tcp + 0.06)
+        s, lateral, _ = f.reference.project(points, s_tcp + SEEN_AHEAD)
         nearest = int(np.argmin(s))
         # The line as seen from the TCP against the reference as seen from the reference's TCP.
         _, own, _ = f.reference.project(pose.translation[None], s_tcp)
         self._signal = float(lateral[nearest] - own[0])
 
-    def command(self, t: float) -> Array:
-        """Commanded joint angles ``q_c(k) (n,)`` [rad] at the cycle ``t``; once a cycle."""
+    def command(self, t: float, q_d: Array | None = None) -> Array:
+        """Commanded joint angles ``q_c(k) (n,)`` [rad] at the cycle ``t``; once a cycle, whatever is planned."""
         change = self._k_p * self._signal + self._k_d * (self._signal - self._last_signal)
         self._last_signal = self._signal
         self.correction = float(np.clip(self.correction + change, -self._limit, self._limit))

@@ -11,9 +11,17 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from planning import LineLostError, LineNeverSeenError
+from planning.follower import Phase
 from planning.line.deviation_model import SHAPES, Expected, PathDeviation
 from planning.line.fusion import DeviationFilter
-from planning.line.measurement import Fused, LineAhead, Measurement, SeenLine, polynomial_measurement
+from planning.line.measurement import (
+    SEEN_AHEAD,
+    Fused,
+    LineAhead,
+    Measurement,
+    SeenLine,
+    polynomial_measurement,
+)
 from planning.path.desired_path import DesiredPath, planned_cycles
 from planning.path.path_kernels import displaced_frames, sensor_errors
 from planning.path.pose_history import PoseHistory, check_cycle
@@ -31,6 +39,8 @@ ALONG = 0.03
 """How much earlier than its reference the line may end [m]: drawn elsewhere along the path, and seen point by point."""
 SILENCE = 0.25
 """Time without any field after which the line counts as not seen [s]."""
+REST = 0.2
+"""Time at rest behind the end of the path until the motion is done [s]."""
 
 
 @dataclass(frozen=True)
@@ -119,6 +129,9 @@ class LineFollower:
         t_start: controller time at which the travel begins [s].
     """
 
+    phase = Phase.TRAVEL
+    """Of a motion that touches nothing."""
+
     def __init__(self, robot: Robot, reference: ReferencePath, profile: SpeedProfile, n_d: int = 25, *,
                  settings: FollowerSettings | None = None, fusion: DeviationFilter | None = None,
                  t_start: float = 0.0) -> None:
@@ -164,6 +177,27 @@ class LineFollower:
     def finished(self, t: float) -> bool:
         """Whether the desired path has come to rest at its end."""
         return t - self.t_start >= self.profile.duration
+
+    @property
+    def lasts(self) -> int:
+        """Cycles from the first to the last, in which the path has come to rest."""
+        return int(np.ceil((self.t_start + self.duration + REST) / self._T))
+
+    def done(self, t: float) -> bool:
+        """See ``planning.follower.Follower``."""
+        return round(t / self._T) + 1 >= self.lasts
+
+    def s_at(self, t: float) -> float:
+        """Arc length of the travel at ``t`` [m]."""
+        return float(self.profile.s(t - self.t_start))
+
+    def speed_at(self, t: float) -> float:
+        """Speed of the travel at ``t`` [m/s]."""
+        return float(self.profile.speed(t - self.t_start))
+
+    def contact_torque(self, q_d: Array) -> None:
+        """None: what is followed by eye is not touched."""
+        return
 
     def observe(self, t: float, q: Array) -> None:
         """Takes the joint angles ``q (n,)`` [rad] of the arm at ``t`` [s]; every cycle, before fields are handed in."""
@@ -227,7 +261,7 @@ class LineFollower:
         pose = self.history.pose(t) if pose is None else pose
         lever = points_tcp @ pose.rotation.T
         points = lever + pose.translation
-        s, value, height = self.reference.project(points, self.profile.at(t - self.t_start)[0] + 0.06)
+        s, value, height = self.reference.project(points, self.profile.at(t - self.t_start)[0] + SEEN_AHEAD)
         frames = self.reference.frames(s)
         covariance = np.diag(sigma**2 + self.settings.noise**2) + self.settings.common**2
         # A camera turned about itself moves a point by up × (point - camera), a wrong time stamp by the velocity the
@@ -249,13 +283,14 @@ class LineFollower:
         mean, variance = self.fusion.deviation(np.asarray(s, dtype=float))
         return mean[:, 0], np.sqrt(variance[:, 0])
 
-    def planned(self, t: float) -> tuple[float, float, float]:
-        """Desired lateral deviation at ``t``, its velocity and acceleration [m, m/s, m/s²]."""
-        d, velocity, acceleration = self.path.deviation(t)[:, 0]
-        return float(d), float(velocity), float(acceleration)
+    def desired_deviation(self, t: float) -> Array:
+        """Desired deviation in the sensed directions at ``t`` ``(directions,)`` [m]."""
+        return np.asarray(self.path.deviation(t)[0])
 
-    def horizon(self, t: float) -> Array:
+    def horizon(self, t: float, anew: bool = True) -> Array:
         """Desired joint positions ``q_d(k) … q_d(k + n_d - 1)`` from ``t`` on, shape ``(n_d, n)`` [rad].
+
+        What a new estimate does not change is not planned again, so there is time for a plan in every cycle.
 
         Raises:
             LineLostError: nothing was seen for longer than allowed, and the map does not know the line at the tool.
@@ -267,6 +302,10 @@ class LineFollower:
         q = self.path.horizon(t, self.fusion.mean, self._changed)
         self._changed = False
         return q
+
+    def check(self, t: float) -> None:
+        """Nothing: ``horizon`` looks whether the line was seen."""
+        return
 
     def _check_seen(self, t: float, s: float) -> None:
         """Limits what is travelled without a sight of the line, from field to field; late fields are not missing.
@@ -284,6 +323,32 @@ class LineFollower:
             sigma = float(self.deviation(np.array([min(s, end - ALONG)]))[1][0])
             if sigma > self.settings.unsure:
                 raise LineLostError(t, s, *self._last_seen, self.settings.max_gap, sigma)
+
+
+class Uncorrected:
+    """The reference alone, in the place of what a follower would plan.
+
+    Args:
+        follower: for its reference and its tables; its map goes along, so that it says where the line should be.
+    """
+
+    def __init__(self, follower: LineFollower) -> None:
+        self._follower = follower
+
+    def horizon(self, t: float, q_d: Array) -> Array:
+        """The reference over the horizon ``(n_d, n)`` [rad] from ``t`` [s] on."""
+        f = self._follower
+        f.fusion.travel(f.s_at(t))
+        k = min(max(round((t - f.t_start) / f.robot.t_ipo), 0), len(f.q_reference) - f.n_d)
+        return f.q_reference[k : k + f.n_d]
+
+    def command(self, t: float, q_d: Array) -> Array | None:
+        """None: the reference is commanded as it is planned."""
+        return None
+
+    def done(self, t: float) -> bool:
+        """See ``planning.follower.Follower``."""
+        return self._follower.done(t)
 
 
 def line_ahead(reference: ReferencePath, fusion: DeviationFilter, s: Array) -> LineAhead:

@@ -90,6 +90,9 @@ def check(measurement: Measurement, directions: int) -> None:
         raise InputError("expected finite numbers", field=f"measurement of {measurement.sensor}")
 
 
+SEEN_AHEAD = 0.06
+"""Way ahead of the tool, near which the points of a camera's field are looked for on the reference [m]."""
+
 # What passes between the line follower and the camera: points seen, and where to look for the next ones.
 
 class SeenLine(Protocol):

@@ -25,10 +25,11 @@ from scenes.metrics import ControlError
 from scenes.models import model_for
 from scenes.online.force_calibration import Pressed
 from scenes.online.force_known import Known, force_reference
-from scenes.online.line_log import SETTLING
+from scenes.online.log import SETTLING
 from scenes.scene_files.drawn_line import Geometry, believed_camera, geometry, true_camera
 from scenes.scene_files.force_scene import Assumed, CameraTrouble, Emergency, ForceScene, TipTable, UnknownSurface
 from sensing.camera.camera_model import CameraModel
+from sensing.camera.detector import DETECTORS
 from sensing.camera.hand_eye import HandEye
 from sensing.camera.line_search import DetectionSettings
 from sensing.force.force_calibration import ContactElasticity, ToolLoad, identify_tool
@@ -102,7 +103,8 @@ def set_up(scene: ForceScene, seen: tuple[HandEye, DetectionSettings] | None = N
     with found_in(scene.source):
         reference, profile = force_reference(scene, robot, where.reference)
     known = Known(scene=scene, robot=robot, delay=int(world.correction_delay), model=model_for(scene, robot),
-                  reference=reference, profile=profile, camera=camera, detection=detection)
+                  reference=reference, profile=profile, camera=camera, detection=detection,
+                  detector=DETECTORS.get(scene.camera.detector)())
     return Cell(known=known, world=world, surface=true_surface(scene.surface), geometry=where,
                 sensor=ForceSensor(ForceSensorSettings(**scene.sensor.model_dump()), sensor_noise), noise=noise,
                 camera_streams=(camera_noise, calibration))

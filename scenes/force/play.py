@@ -16,15 +16,19 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.results import over_time
 from ideal_robot.row_log import finished, let_go, new_columns
-from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.recording import WRENCH, Recording
 from scenes.force.cell import Cell, GlueWorld, calibrated, camera_shown, friction_shown, set_up, true_tip
+from scenes.force.trouble import Trouble, TroubledCamera, TroubledDetector
 from scenes.methods import DIRECT, following_methods, method_of
 from scenes.metrics import ControlError
+from scenes.online.configured import Configured, force_task
+from scenes.online.contact import ContactSensor
 from scenes.online.cycle import CycleSettings, play_cycles
-from scenes.online.force_task import BRAKING, LONGEST, ForceLog, ForceTask
+from scenes.online.force_known import BRAKING, LONGEST
+from scenes.online.log import TaskLog
 from scenes.result import Progress, ShownRun, silent
 from scenes.scene_file import as_typed
-from scenes.scene_files.force_scene import ForceScene
+from scenes.scene_files.force_scene import CameraTrouble, ForceScene
 from sensing.camera.hand_eye import HandEye
 from sim.arm.arm import SimulatedArm
 from sim.contact.contact import TipContact
@@ -68,7 +72,7 @@ class ForceResult(ShownRun):
     """E assumed, its standard deviation from calibration, and the truth [N/m]."""
     tool: dict[str, float]
     history: dict[str, Array] = field(repr=False)
-    log: ForceLog = field(repr=False)
+    log: TaskLog = field(repr=False)
     recording: Recording = field(repr=False)
     urdf: Path
     real_time_factor: float
@@ -144,17 +148,13 @@ def _figures(scene: ForceScene, history: dict[str, Array], moving: list[float]) 
     return figures
 
 
-WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
-"""Columns of a force sensor."""
-
-
-def _recording(arm: SimulatedArm, scene: ForceScene, method: str, task: ForceTask) -> Recording:
+def _recording(arm: SimulatedArm, scene: ForceScene, method: str, contact: ContactSensor) -> Recording:
     """The controller's recording, with columns added.
 
     ``q_d_i``, the wrench as sensed, the felt force ``f_normal``; in the metadata what calibration said of tool and
     contact, and why the arm stopped.
     """
-    recording, log = arm.recording(external=True), task.log
+    recording, log = arm.recording(external=True), contact.log
     t, q_d, felt = recording.t, np.asarray(log.q_d), np.asarray(log.samples)
     names = [f"q_d_{i + 1}" for i in range(q_d.shape[1])]
     names += (["f_normal"] if len(felt) else []) + ([*WRENCH] if len(log.wrenches) else [])
@@ -170,8 +170,9 @@ def _recording(arm: SimulatedArm, scene: ForceScene, method: str, task: ForceTas
         for i, name in enumerate(WRENCH, start=1):
             columns[name][:] = np.interp(t, instants, log.wrenches.column(i))
             let_go(columns[name])
-    tool = {"bias": task.tool.bias.tolist(), "mass": task.tool.mass, "com": task.tool.com.tolist()}
-    meta = {**recording.meta, "tool": tool, "contact_stiffness": task.assumed_stiffness, "scene": scene.name,
+    load = contact.tool
+    tool = {"bias": load.bias.tolist(), "mass": load.mass, "com": load.com.tolist()}
+    meta = {**recording.meta, "tool": tool, "contact_stiffness": contact.assumed_stiffness, "scene": scene.name,
             "method": method, "speed": scene.speed, "seed": scene.seed, "stopped_because": log.failure}
     return Recording({**recording.columns, **finished(columns)}, meta, recording.source)
 
@@ -202,28 +203,38 @@ def play(scene: ForceScene, method: Any, gains: tuple[float, float] | None = Non
     tool, elasticity = calibrated(scene)
     shown = camera_shown(scene)
     cell = set_up(scene, shown)
-    task = ForceTask(cell.known, method, gains, tool, elasticity, cell.camera_streams[0],
-                     friction_shown(scene) if method.knows_model else None)
-    return replace(pressed(cell, task, method.key, progress), hand_eye=None if shown is None else shown[0])
+    trouble = None if scene.trouble == CameraTrouble() else Trouble(scene.trouble, cell.camera_streams[0])
+    known = cell.known if trouble is None else replace(
+        cell.known, detector=TroubledDetector(cell.known.detector, trouble))
+    configured = force_task(known, method, tool, elasticity, gains,
+                            friction_shown(scene) if method.knows_model else None)
+    return replace(pressed(cell, configured, method.key, progress, trouble),
+                   hand_eye=None if shown is None else shown[0])
 
 
-def pressed(cell: Cell, task: ForceTask, method: str, progress: Progress = silent) -> ForceResult:
+def pressed(cell: Cell, configured: Configured, method: str, progress: Progress = silent,
+            trouble: Trouble | None = None) -> ForceResult:
     """What comes of a task on the simulated arm.
 
     Args:
         cell: the scene set up.
-        task: what is done, its devices not yet connected.
+        configured: what is done, its devices not yet connected.
         method: its key.
         progress: called with the fraction done.
+        trouble: what happens to the camera on the way.
     """
-    scene = cell.known.scene
+    scene, task = cell.known.scene, configured.task
     glue = GlueWorld(cell) if scene.task == "glue" else None
     with (nullcontext() if glue is None else closing(glue),
           SimulatedArm(cell.known.robot, cell.world, cell.noise, task.q_start) as arm):
         contact = TipContact(arm, cell.surface, true_tip(scene.tip))
         sensor = CarriedForceSensor(cell.sensor, arm, contact)
         camera = None if glue is None else CarriedCamera(glue.rendered, arm, Knock.of(scene.camera))
-        task.connect(sensor, camera)
+        if trouble is None or camera is None:
+            configured.connect(sensor, camera)
+        else:
+            trouble.follower = task.follower
+            configured.connect(sensor, TroubledCamera(camera, trouble))
         started = time.perf_counter()
         duration = cell.known.profile.duration
         carried: list[Carried] = [sensor] if camera is None else [camera, sensor]
@@ -231,21 +242,21 @@ def pressed(cell: Cell, task: ForceTask, method: str, progress: Progress = silen
                     CycleSettings(BRAKING, REST * arm.t_ipo, duration + LONGEST, duration + 2.0, method), progress)
         wall = time.perf_counter() - started
         task.log.wrenches = sensor.samples
-        return _result(cell, method, task, glue, arm, contact, wall)
+        return _result(cell, method, configured, glue, arm, contact, wall)
 
 
-def _result(cell: Cell, method: str, task: ForceTask, glue: GlueWorld | None, arm: SimulatedArm,
+def _result(cell: Cell, method: str, configured: Configured, glue: GlueWorld | None, arm: SimulatedArm,
             contact: TipContact, wall: float) -> ForceResult:
     """Collects what a run leaves behind."""
-    scene, history, log = cell.known.scene, contact.history(), task.log
+    scene, history, log, felt = cell.known.scene, contact.history(), configured.task.log, configured.contact
+    assert felt is not None
     moving, error = log.travel, None
-    if task.vision is not None and glue is not None and moving:
-        log.fields = task.vision.fields
+    if glue is not None and moving:
         first, last = np.searchsorted(history["t"], moving[0]), np.searchsorted(history["t"], moving[-1], side="right")
-        error = glue.control_error(task.vision.first_used, history["t"][first:last], history["tip"][first:last])
+        error = glue.control_error(log.first_used, history["t"][first:last], history["tip"][first:last])
     return ForceResult(
         scene=scene, method=method, figures=_figures(scene, history, moving),
-        elasticity=(task.follower.settings.elasticity, task.elasticity.std, scene.tip.stiffness),
-        tool={"mass": task.tool.mass, "force_residual_N": float(task.tool.residual[0])}, history=history, log=log,
-        recording=_recording(arm, scene, method, task), urdf=cell.known.robot.urdf,
+        elasticity=(felt.follower.settings.elasticity, felt.elasticity.std, scene.tip.stiffness),
+        tool={"mass": felt.tool.mass, "force_residual_N": float(felt.tool.residual[0])}, history=history, log=log,
+        recording=_recording(arm, scene, method, felt), urdf=cell.known.robot.urdf,
         real_time_factor=arm.t / wall, control_error=error, failure=log.failure)

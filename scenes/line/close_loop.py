@@ -26,6 +26,7 @@ from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.validation.refit import beside_held_model, named_sensor_effects, with_named_effects
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, FittedEffect
+from ideal_robot.effects.camera import CameraErrors
 from ideal_robot.errors import InputError
 from ideal_robot.execution.play import play as play_motion
 from ideal_robot.feedforward.base import PassThrough
@@ -53,7 +54,6 @@ from scenes.line.play import play
 from scenes.line.result import LineResult
 from scenes.methods import IDEAL
 from scenes.models import model_for
-from scenes.online.line_task import assumed_latency
 from scenes.result import Progress, silent
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError
@@ -72,6 +72,11 @@ EFFECTS = {"camera_latency": ("camera", "stamp_offset"), "clock_drift": ("camera
            "camera_scale": ("calibration", "focal_percent", "height_mm"),
            "camera_offset": ("calibration", "yaw_deg", "pitch_deg"), "lens_distortion": ("calibration", "k1")}
 """What a camera that is wrong is called in the effect library: table of the scene and its keys."""
+
+
+def assumed_latency(model: Model) -> float:
+    """By how much the model says that the camera's time stamps are wrong [s]; 0 where it says nothing."""
+    return CameraErrors.of(model.effects).late_by(0.0)
 
 
 def close_loop(scene: LineScene, *, measured: str = "tcp", out: Path | None = None,

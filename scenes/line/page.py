@@ -16,7 +16,7 @@ from ideal_robot.signals.recording import Recording
 from planning.path.reference import ReferencePath
 from scenes.line.compare import LineComparison
 from scenes.line.result import LineResult
-from scenes.online.line_log import FieldShown
+from scenes.online.log import FieldShown
 from scenes.report.page import COLUMNS, Report, world_rows
 from scenes.report.replay import Replay, arm_angles, sensed_force, sensed_line, shown_motion
 from scenes.result import step

@@ -16,14 +16,16 @@ from ideal_robot.feedforward.registry import method as registered
 from ideal_robot.row_log import finished, let_go, new_columns
 from ideal_robot.signals.recording import Recording
 from planning.line.deviation_sensor import DeviationSensor
+from planning.line.line_follower import REST
 from scenes.line.cell import Cell, LineWorld, Prepared, prepared, set_up
+from scenes.line.pictures import Pictures
 from scenes.line.result import LineResult, Timing, far_from_line
 from scenes.methods import DIRECT, IDEAL, NONE, SceneMethod, following_methods, method_of
 from scenes.metrics import ControlError, PathErrors, path_errors
 from scenes.models import model_for
+from scenes.online.configured import line_task
 from scenes.online.cycle import CycleSettings, play_cycles
-from scenes.online.line_log import SETTLING, LineLog, field_columns, plan_error
-from scenes.online.line_task import REST, LineTask
+from scenes.online.log import SETTLING, TaskLog, plan_error, point_columns
 from scenes.result import Progress, silent
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError
@@ -32,7 +34,7 @@ from sim.arm.arm import SimulatedArm
 from sim.equipped_arm import CarriedCamera, EquippedArm, Knock
 
 
-def _recording(arm: SimulatedArm, scene: LineScene, method: str, log: LineLog, camera: CameraModel) -> Recording:
+def _recording(arm: SimulatedArm, scene: LineScene, method: str, log: TaskLog, camera: CameraModel) -> Recording:
     """The arm's own recording with columns added.
 
     ``q_d_i`` desired arm angles; for each camera field, in the row at its time stamp and NaN elsewhere: ``cam_t`` [s]
@@ -42,11 +44,11 @@ def _recording(arm: SimulatedArm, scene: LineScene, method: str, log: LineLog, c
     recording = arm.recording(external=scene.tracker)
     rows, t, q_d = recording.t, np.asarray(log.t), np.asarray(log.q_d)
     desired = [f"q_d_{i + 1}" for i in range(q_d.shape[1])]
-    columns = new_columns([*desired, *field_columns(scene.points)], len(rows))
+    columns = new_columns([*desired, *point_columns(scene.points)], len(rows))
     for name, angle in zip(desired, q_d.T, strict=True):
         columns[name][:] = np.interp(rows, t, angle)
         let_go(columns[name])
-    for name, values in log.field_columns(rows, scene.points):
+    for name, values in log.point_columns(rows, scene.points):
         columns[name][:] = values
         let_go(columns[name])
     mount = camera.T_tool_camera
@@ -95,41 +97,44 @@ def play(scene: LineScene, method: Any, *, shared: Prepared | None = None,
 def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, shared: Prepared,
           sensors: Sequence[DeviationSensor], progress: Progress, pictures: bool) -> LineResult:
     scene, follower = cell.known.scene, cell.known.follower
-    log = LineLog()
     with SimulatedArm(cell.known.robot, cell.world, cell.noise, follower.q_start) as arm:
-        camera = CarriedCamera(shared.camera, arm, Knock.of(scene.camera))
+        carried = CarriedCamera(shared.camera, arm, Knock.of(scene.camera))
         # Sensors that are simulated are shown the world.
         for sensor in (candidate for candidate in sensors if hasattr(candidate, "mount")):
             sensor.mount(LineWorld(arm, cell.line))
         model = model_for(scene, cell.known.robot) if method.knows_model else None
         if model is not None and method.adapts and shared.recorded is not None:
             model = arm_of_its_type(shared.recorded, model, cell.known.robot)
-        task = LineTask(cell.known, method, camera, model, gains, log, sensors)
+        configured = line_task(cell.known, method, model, gains, sensors)
+        configured.connect(camera=carried)
+        task, log = configured.task, configured.task.log
+        if pictures and configured.camera is not None:
+            task.sensors.append(Pictures(configured.camera, follower))
         task.learn(shared.moved)
         started = time.perf_counter()
-        play_cycles(EquippedArm(arm, [camera]), cell.known.robot, task, log,
-                    CycleSettings(scene.reference.acceleration, REST, task.longest, task.longest, method.key),
-                    progress)
+        longest = (follower.lasts + 0.5) * arm.t_ipo
+        play_cycles(EquippedArm(arm, [carried]), cell.known.robot, task, log,
+                    CycleSettings(scene.reference.acceleration, REST, longest, longest, method.key), progress)
         wall = time.perf_counter() - started
         t, tcp = arm.tcp_path()
         if log.failure and len(t) < 2:
             raise SceneError(f"the arm did not move: {log.failure or 'no cycle was played'}")
-        shown = tuple(replace(frame, image=camera.whole(frame.field)) for frame in log.shown) if pictures else ()
+        shown = tuple(replace(frame, image=carried.whole(frame.field)) for frame in log.shown)
         recording = _recording(arm, scene, method.key, log, cell.known.camera)
     whole, error = _control_error(cell, t, tcp, log.first_used)
     far = "" if method.key == NONE else far_from_line(error.mean)
     return LineResult(
         scene=scene, method=method.key, control_error=error, control_error_from_start=whole,
-        path_errors=_path_errors(cell, log, t, tcp), fields_seen=len(log.fields), fields_used=log.used,
+        path_errors=_path_errors(cell, log, t, tcp), fields_seen=len(log.fields), fields_used=log.seen,
         recording=recording, timing=Timing(np.array(log.cycles), np.array(log.with_field, dtype=bool), wall,
                                            float(t[-1])),
         geometry=cell.geometry, failure=log.failure, urdf=cell.known.robot.urdf, shown=shown,
         world=cell.world.table(), hand_eye=shared.hand_eye, warning="; ".join(filter(None, [shared.warning, far])),
         assumed=cell.known.robot.assumed,
-        s_reference=np.array(log.s), believed=np.array(log.believed),
+        s_reference=np.array(log.s), believed=log.lateral,
         looked_back=follower.fusion.looked_back(np.array(log.s))[0][:, 0],
         plan_error_mm=plan_error(log, follower.fusion),
-        sensors={sensor.name: (log.sensor_values[sensor.name], log.sensor_used[sensor.name]) for sensor in sensors})
+        sensors=dict(log.readings))
 
 
 def _control_error(cell: Cell, t: Array, tcp: Array, first_used: float) -> tuple[ControlError, ControlError]:
@@ -144,7 +149,7 @@ def _control_error(cell: Cell, t: Array, tcp: Array, first_used: float) -> tuple
     return ControlError.of(t, s, lateral, inside), ControlError.of(t, s, lateral, counts)
 
 
-def _path_errors(cell: Cell, log: LineLog, t: Array, tcp: Array) -> PathErrors | None:
+def _path_errors(cell: Cell, log: TaskLog, t: Array, tcp: Array) -> PathErrors | None:
     """The true TCP against the desired path, once the line is followed."""
     times, q_d = np.array(log.t), np.array(log.q_d)
     moving = np.flatnonzero(np.logical_or.reduce([np.abs(np.diff(column)) > 1e-7 for column in q_d.T]))

@@ -13,7 +13,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.results import over_time
 from ideal_robot.signals.recording import Recording
 from scenes.metrics import ControlError, PathErrors, spread_ms
-from scenes.online.line_log import FieldShown
+from scenes.online.log import FieldShown
 from scenes.result import ShownRun
 from scenes.scene_file import as_typed
 from scenes.scene_files.drawn_line import Geometry

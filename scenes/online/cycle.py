@@ -30,57 +30,42 @@ STANDSTILL = 1e-9
 """Change of the desired angles within a horizon below which the arm rests [rad]."""
 
 
-class Task(Protocol):
-    """What a play does in each cycle; ``n_d``: desired positions in a horizon, the current one included."""
+class Cycled(Protocol):
+    """What ``play_cycles`` goes through; ``scenes.online.task.Task`` is it, and says what each method does.
+
+    Attributes:
+        n_d: desired positions in a horizon, the current one included.
+    """
 
     n_d: int
 
     @property
     def q_start(self) -> Array:
-        """Joint angles at which the arm rests before the first cycle ``(n,)`` [rad]."""
+        """See ``Task``."""
 
     def observe(self, t: float, q: Array, q_d: Array) -> None:
-        """Takes the motor angles at the begin of a cycle.
-
-        Args:
-            t: begin of the cycle [s].
-            q: motor angles ``(n,)`` [rad].
-            q_d: horizon of the last cycle ``(n_d, n)`` [rad].
-        """
+        """See ``Task``."""
 
     def plan(self, t: float, q_d: Array) -> Array:
-        """The horizon ``(n_d, n)`` [rad] from ``t`` on, from what the sensors have delivered by ``t``.
-
-        Raises:
-            PlanningError, LimitError: the path cannot go on; the arm is then stopped on what was planned last.
-        """
+        """See ``Task``."""
 
     def command(self, t: float, q_d: Array) -> Array:
-        """Commanded joint angles ``(n,)`` [rad]."""
+        """See ``Task``."""
 
     def request(self, t0: float, t1: float) -> None:
-        """Asks the sensors for what they shall measure in the cycle from ``t0`` to ``t1`` [s]."""
+        """See ``Task``."""
 
     def collect(self, t0: float, t1: float, measured: RobotState) -> None:
-        """Takes note of a cycle that is over.
-
-        Args:
-            t0: its begin [s].
-            t1: its end [s].
-            measured: what the controller reported at its end.
-        """
+        """See ``Task``."""
 
     def away(self, q_d: Array) -> Array | None:
-        """What to add to the joint angles ``(n,)`` [rad] while the arm brakes, so that it presses on nothing at rest.
-
-        None where it stays on its path. ``q_d``: where it comes to rest ``(m, n)`` [rad].
-        """
+        """See ``Task``."""
 
     def speed(self, t: float) -> float:
-        """Path speed at ``t`` [m/s], from which the arm is braked."""
+        """See ``Task``."""
 
     def done(self, t: float) -> bool:
-        """Whether the cycle that began at ``t`` was the last one."""
+        """See ``Task``."""
 
 
 @dataclass
@@ -128,7 +113,7 @@ class CycleSettings:
     text: str
 
 
-def play_cycles(robot: RobotInterface, limits: Robot, task: Task, log: CycleLog, settings: CycleSettings,
+def play_cycles(robot: RobotInterface, limits: Robot, task: Cycled, log: CycleLog, settings: CycleSettings,
                 progress: Progress) -> None:
     """Cycle by cycle until the task is done, or the arm has come to rest because it could not go on.
 
@@ -148,7 +133,7 @@ def play_cycles(robot: RobotInterface, limits: Robot, task: Task, log: CycleLog,
         gc.unfreeze()
 
 
-def _cycles(robot: RobotInterface, limits: Robot, task: Task, log: CycleLog, settings: CycleSettings,
+def _cycles(robot: RobotInterface, limits: Robot, task: Cycled, log: CycleLog, settings: CycleSettings,
             progress: Progress) -> None:
     T, q = robot.t_ipo, task.q_start
     q_d = np.tile(q, (task.n_d, 1))
@@ -205,7 +190,7 @@ def _cycles(robot: RobotInterface, limits: Robot, task: Task, log: CycleLog, set
             progress(min(1.0, t / settings.expected), settings.text)
 
 
-def _planned(task: Task, t: float, q_d: Array) -> Array:
+def _planned(task: Cycled, t: float, q_d: Array) -> Array:
     """The task's plan ``(n_d, n)`` [rad]; refused where it holds values that are not numbers."""
     planned = task.plan(t, q_d)
     if not np.isfinite(planned).all():
@@ -213,7 +198,7 @@ def _planned(task: Task, t: float, q_d: Array) -> Array:
     return planned
 
 
-def _stopped(error: Exception, log: CycleLog, task: Task, q_d: Array, motion: tuple[float, float], limits: Robot,
+def _stopped(error: Exception, log: CycleLog, task: Cycled, q_d: Array, motion: tuple[float, float], limits: Robot,
              T: float) -> Iterator[Array]:
     """Notes why the arm stops; rows of the last plan ``q_d (n_d, n)`` [rad] on which it does, and lets go if it has to.
 

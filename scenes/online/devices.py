@@ -20,13 +20,13 @@ from scenes.line_way import shapes_about
 from scenes.methods import SceneMethod
 from scenes.online.camera_process import CalibratedCamera
 from scenes.online.cell_check import CalibrationMotion, Look, Piece
-from scenes.online.cycle import CycleLog, Task
+from scenes.online.configured import Configured
 from scenes.online.force_known import Known as ForceKnown
-from scenes.online.force_task import ForceTask
 from scenes.online.line_known import Known as LineKnown
-from scenes.online.line_task import LineTask
 from scenes.online.live_arm import Link, LiveArm, response_of
 from scenes.online.live_sensors import LiveCamera, LiveForce
+from scenes.online.log import TaskLog
+from scenes.online.task import Task
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
 from sensing.camera.camera_model import CameraModel
@@ -106,7 +106,7 @@ class Job(ABC):
         braking: deceleration of a stop on the path [m/s²].
         longest: time after which a run is stuck [s].
         expected: usual length of a run [s].
-        log: what happened.
+        configured: the task and its sensors.
         detection: how the line looks.
     """
 
@@ -114,9 +114,8 @@ class Job(ABC):
     braking: float
     longest: float
     expected: float
-    log: CycleLog
+    configured: Configured
     _known: LineKnown | ForceKnown
-    _task: LineTask | ForceTask
 
     def __init__(self, scene: LineScene | ForceScene, robot: Robot, model: Model, method: SceneMethod, delay: int,
                  answers_within: float, calibration: CalibratedCamera) -> None:
@@ -143,7 +142,12 @@ class Job(ABC):
     @property
     def q_start(self) -> Array:
         """Where the arm has to rest at first ``(n,)`` [rad]."""
-        return self._task.q_start
+        return self.configured.task.q_start
+
+    @property
+    def log(self) -> TaskLog:
+        """What happened."""
+        return self.configured.task.log
 
     def calibration_motion(self) -> CalibrationMotion:
         """From ``q_start`` and back, for the camera to be calibrated on; raises ``SceneError`` where there is none."""

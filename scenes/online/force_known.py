@@ -26,7 +26,7 @@ from planning.path.speed_profile import Limits, SpeedProfile
 from scenes.line_way import check_clear, shapes_about
 from scenes.scene_files.force_scene import ForceScene
 from sensing.camera.camera_model import CameraModel
-from sensing.camera.detector import DETECTORS, LineDetector
+from sensing.camera.detector import LineDetector
 from sensing.camera.hand_eye import BENT
 from sensing.camera.line_search import DetectionSettings
 
@@ -38,6 +38,10 @@ DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
 """Orientation of a tool that points down."""
 JERK = 40.0
 """Of a travel [m/s³]."""
+BRAKING = 2.0
+"""Deceleration of a stop on the path [m/s²]."""
+LONGEST = 60.0
+"""A run that has not ended so long after its travel is stuck [s]."""
 START_HEIGHT = 0.01
 """Of the tip above the reference when the approach begins [m]."""
 
@@ -67,13 +71,9 @@ class Known:
     reference: ReferencePath
     profile: SpeedProfile
     camera: CameraModel
+    detector: LineDetector
     detection: DetectionSettings = field(default_factory=DetectionSettings)
     asking: float = 0.0
-
-    @property
-    def detector(self) -> LineDetector:
-        """A new one of those that find a line's points in a field."""
-        return DETECTORS.get(self.scene.camera.detector)()
 
     @property
     def n_d(self) -> int:

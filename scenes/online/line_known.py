@@ -63,10 +63,6 @@ class Known:
     detector: LineDetector
     detection: DetectionSettings = field(default_factory=DetectionSettings)
 
-    def predicted(self, t: float) -> PredictedLine:
-        """Where the line should be in a picture taken at ``t`` [s], in the tool frame."""
-        return self.follower.predict(t).seen_by(self.camera, t, self.follower.history.row_pose)
-
 
 def line_follower(scene: LineScene, robot: Robot, points: Array, camera: CameraModel, surface: pin.SE3 | None = None,
                   latency: float = FollowerSettings.latency, shape: tuple[float, float] | None = None

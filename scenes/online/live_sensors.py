@@ -19,7 +19,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.row_log import RowLog
 from planning.line.measurement import Fused
 from scenes.online.camera_process import CameraProcess, Header
-from scenes.online.cycle import Task
+from scenes.online.cycle import Cycled
 from scenes.online.live_arm import LiveArm
 from sensing import SensingError
 from sensing.camera.camera_device import Field, WindowsAt
@@ -331,7 +331,7 @@ class ImaginedForce:
         return [WrenchSample(instant, t, self.wrench) for instant in (t - 0.008, t - 0.004, t) if instant >= 0.0]
 
 
-def rehearse(task: Task, robot: Robot, cycles: int, first: int = 0) -> None:
+def rehearse(task: Cycled, robot: Robot, cycles: int, first: int = 0) -> None:
     """Plays cycles with an arm that does at once what is desired.
 
     Args:

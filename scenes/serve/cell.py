@@ -22,7 +22,7 @@ from scenes.line.cell import lamp_over
 from scenes.line.cell import set_up as set_up_line
 from scenes.line.cell import streams as line_streams
 from scenes.metrics import ControlError
-from scenes.online.line_log import SETTLING
+from scenes.online.log import SETTLING
 from scenes.online.processes import stopping_on_signals, undisturbed
 from scenes.report.page import write_json
 from scenes.scene_files.force_scene import ForceScene

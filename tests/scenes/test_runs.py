@@ -29,9 +29,7 @@ from scenes.closing.result import Measured, visible
 from scenes.metrics import path_errors, reduction_percent
 from scenes.models import model_for, shipped_model
 from scenes.online.force_known import Known as KnownSurface
-from scenes.online.force_task import ForceTask
 from scenes.online.line_known import Known as KnownLine
-from scenes.online.line_task import LineTask
 from scenes.scene_files.scene import chosen
 from scenes.sweep import jobs
 from sim.arm.specimen import draw_specimen
@@ -281,23 +279,24 @@ def attributes(known: type) -> set[str]:
 
 
 @pytest.mark.parametrize(("name", "changes", "module", "task", "known"), [
-    ("straight", {"world": "bench", "line": {"points": [(0.4, 0.0), (0.7, 0.0)]}}, line_play, LineTask, KnownLine),
-    ("force_wave", {"line": {"length": 0.1}}, force_play, ForceTask, KnownSurface),
+    ("straight", {"world": "bench", "line": {"points": [(0.4, 0.0), (0.7, 0.0)]}}, line_play, "line_task", KnownLine),
+    ("force_wave", {"line": {"length": 0.1}}, force_play, "force_task", KnownSurface),
 ])
-def test_the_task_asks_for_nothing_of_the_world(name: str, changes: dict[str, Any], module: Any, task: type,
+def test_the_task_asks_for_nothing_of_the_world(name: str, changes: dict[str, Any], module: Any, task: str,
                                                 known: type, monkeypatch: pytest.MonkeyPatch) -> None:
     """The commands are the same bit by bit, so the guard was in force and changed nothing."""
     scene = load_scene(name).changed(**changes)
     free = module.play(scene, "ideal")
     guarded: list[Any] = []
+    configured = getattr(module, task)
 
     def made(cell: Any, *arguments: Any, **options: Any) -> Any:
         assert type(cell) is known
         inner = dataclasses.replace(cell, scene=Guard(cell.scene, None, OF_THE_WORLD))
         guarded.append(inner)
-        return task(Guard(inner, attributes(known)), *arguments, **options)
+        return configured(Guard(inner, attributes(known)), *arguments, **options)
 
-    monkeypatch.setattr(module, task.__name__, made)
+    monkeypatch.setattr(module, task, made)
     played = module.play(scene, "ideal")
     assert len(guarded) == 1
     for column in ("q_c_1", "q_1"):

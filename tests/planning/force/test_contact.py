@@ -245,7 +245,7 @@ def test_the_felt_path_tells_the_normal_whatever_friction_pulls_at_the_tip() -> 
     for k in range(1, 400):
         t = k * robot.t_ipo
         if late is not None:
-            follower.update_force(np.array([late[0]]), late[1][None])
+            follower.measured(np.array([late[0]]), late[1][None])
         q = follower.horizon(t)[0]
         follower.observe(t, q)
         tip = fk(q)

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from scipy.special import gamma, kv
 
 from ideal_robot.robots.robot import Robot
-from planning.force.contact import ContactSettings, Phase
+from planning.follower import Phase
+from planning.force.contact import ContactSettings
 from planning.force.force_follower import DirectForceFeedback, Errors, SurfaceFollower, surface_filter
 from planning.force.line_on_surface import LineOnSurface, SightSettings
 from planning.force.surface_forecast import ORDER, SmoothSurface, surfaces
@@ -26,6 +27,12 @@ from planning.path.reference import ReferencePath
 from planning.path.speed_profile import SpeedProfile
 from sensing.camera.camera_model import default_mount
 from tests.planning.cell import Seen
+
+
+def fused(follower: SurfaceFollower, t: Any, contact: Any) -> Fused | None:
+    """Fuses contact forces; None while there is no contact yet."""
+    measurement = follower.measured(t, contact)
+    return None if measurement is None else follower.fuse(t, measurement)
 
 
 def above_the_surface(**camera: Any) -> SurfaceFollower:
@@ -74,7 +81,7 @@ def pressed(surface: Callable[[np.ndarray], np.ndarray]) -> Pressed:
     fk, up, late, rows = follower.robot.fk(), np.array([0.0, 0.0, 1.0]), (0.06, np.zeros(3)), []
     while follower.phase is not Phase.DONE:
         t = late[0] + follower.robot.t_ipo
-        follower.update_force(np.array([late[0]]), late[1][None])
+        fused(follower, np.array([late[0]]), late[1][None])
         q = follower.horizon(t)[0]
         follower.observe(t, q)
         tip = fk(q)
@@ -179,12 +186,12 @@ def test_a_camera_turned_about_itself_moves_what_it_sees_about_itself(follower: 
 def test_approach_ends_with_touch_and_travel_begins_when_the_force_has_settled(follower: SurfaceFollower) -> None:
     up = follower.history.pose(0.03).rotation.T @ np.array([0.0, 0.0, 1.0])
     assert follower.phase is Phase.APPROACH
-    assert follower.update_force(np.array([0.03]), 1.0 * up[None]) is None
+    assert fused(follower, np.array([0.03]), 1.0 * up[None]) is None
     assert follower.phase is Phase.APPROACH
     for k in range(6, 40):
         t = 0.012 * k
         follower.observe(t, follower.q_start)
-        follower.update_force(np.array([t - 0.02]), 20.0 * up[None])
+        fused(follower, np.array([t - 0.02]), 20.0 * up[None])
         q_d = follower.horizon(t)
         assert q_d.shape == (20, 6)
     assert follower.phase is Phase.TRAVEL
@@ -231,7 +238,7 @@ def test_the_expected_torques_do_the_work_of_the_wanted_force(follower: SurfaceF
     q_d, fk = np.tile(follower.q_start, (20, 1)), follower.robot.fk()
     assert not follower.contact_torque(q_d).any()
     up = follower.history.pose(0.03).rotation.T @ np.array([0.0, 0.0, 1.0])
-    follower.update_force(np.array([0.03]), 20.0 * up[None])
+    fused(follower, np.array([0.03]), 20.0 * up[None])
     torque = follower.contact_torque(q_d)
     assert torque.shape == q_d.shape
     for joint in range(6):
@@ -245,7 +252,7 @@ def test_direct_force_feedback_follows_its_law(follower: SurfaceFollower, k_p: f
     """[L] (1): the command rises by K_p Δs in every cycle, and by K_d times what Δs has changed by."""
     feedback, fk = DirectForceFeedback(follower, k_p, k_d), follower.robot.fk()
     up = follower.history.pose(0.03).rotation.T @ np.array([0.0, 0.0, 1.0])
-    follower.update_force(np.array([0.03]), 20.0 * up[None])
+    fused(follower, np.array([0.03]), 20.0 * up[None])
     error, heights = np.array([0.0, 4.0, 4.0, -3.0, -3.0, 8.0]), []
     for excess in error:
         feedback.update(follower.settings.force + excess)

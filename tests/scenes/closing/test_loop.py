@@ -19,8 +19,7 @@ from scenes.closing.loop import MODEL, Closed, Comparison, Form, Found, Group, S
 from scenes.closing.result import Closing
 from scenes.force.close_loop import close_loop as close_force_loop
 from scenes.force.close_loop import undeclared_effects as undeclared_on_force
-from scenes.line.close_loop import close_loop, undeclared_effects
-from scenes.online.line_task import assumed_latency
+from scenes.line.close_loop import assumed_latency, close_loop, undeclared_effects
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError

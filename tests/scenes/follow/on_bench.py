@@ -167,7 +167,7 @@ def followed(scene: ForceScene, folder: Path, before: dict[str, Any] | None = No
         camera = None if eye is None else LiveCamera(eye, live, job.detection)  # type: ignore[arg-type]
 
         def ready() -> Any:
-            bench.task = job._task
+            bench.task = job.configured.task
             return job.ready(live, camera, force)
 
         failure = led(live, job, force, ready)

@@ -26,9 +26,9 @@ from scenes.online.camera_process import CalibratedCamera, CameraProcess, Header
 from scenes.online.camera_worker import _Worker, work
 from scenes.online.cycle import holding_share
 from scenes.online.journal import Journal, left_behind, owned, rescue
-from scenes.online.line_log import LineLog
 from scenes.online.live_arm import FollowStoppedError, LiveArm, moves
 from scenes.online.live_sensors import LiveCamera, LiveForce
+from scenes.online.log import TaskLog
 from scenes.online.processes import stopping_on_signals
 from scenes.online.run import _recorded, load_cell
 from scenes.scene_files.drawn_line import CameraTable, believed_camera
@@ -96,7 +96,7 @@ def test_where_the_controller_went_on_the_path_goes_on_with_it(link: Tame, arm: 
 def test_pictures_are_recorded_by_the_clock_of_the_motor_angles(repeats: bool, link: Tame, tmp_path: Path) -> None:
     """Whatever came before the run, and whatever packets are lost on the way: poses are looked up at ``cam_t``."""
     journal = Journal(tmp_path, link.robot, {})
-    arm, log, instants, T = LiveArm(link, journal), LineLog(), [], link.t_ipo
+    arm, log, instants, T = LiveArm(link, journal), TaskLog(), [], link.t_ipo
     link.repeats, link.lost = repeats, (60, 64, 68, 90)
     arm.lead(np.tile(link.robot.home, (50, 1)))
     arm.begin()
@@ -105,9 +105,9 @@ def test_pictures_are_recorded_by_the_clock_of_the_motor_angles(repeats: bool, l
         arm.cycle(link.robot.home)
         if k % 3 == 2 and arm.steps == 1:
             instants.append(arm.controller_time - 0.25 * T)
-            log.add_field(LineField(arm.t - 0.25 * T, np.zeros((1, 3)), *np.zeros((4, 1)), np.ones(1, dtype=bool), True,
-                                    ""), 1)
-    job: Any = SimpleNamespace(log=log, columns=lambda t: dict(log.field_columns(t, 1)))
+            log.add_points(LineField(arm.t - 0.25 * T, np.zeros((1, 3)), *np.zeros((4, 1)), np.ones(1, dtype=bool),
+                                     True, ""), 1)
+    job: Any = SimpleNamespace(log=log, columns=lambda t: dict(log.point_columns(t, 1)))
     recording = _recorded(journal, job)
     seen = np.isfinite(recording.columns["cam_t"])
     np.testing.assert_allclose(recording.columns["cam_t"][seen], instants, atol=1e-9)

@@ -16,20 +16,22 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from planning import PlanningError
-from planning.force.contact import Phase
+from planning.follower import Phase
 from planning.line.measurement import Fused
 from scenes.arms import shipped_model
 from scenes.online.cell_check import CalibrationMotion, Piece, calibrated_by_moving
+from scenes.online.contact_witness import ContactWitness
 from scenes.online.cycle import CycleSettings, play_cycles
 from scenes.online.devices import Devices
 from scenes.online.force_job import ForceJob
 from scenes.online.journal import Journal, Later
 from scenes.online.line_job import LineJob
 from scenes.online.line_known import START, line_follower, span_of
-from scenes.online.line_log import LineLog
 from scenes.online.live_arm import LiveArm
 from scenes.online.live_sensors import EvaluatedField, ImaginedCamera, ImaginedForce
+from scenes.online.log import TaskLog
 from scenes.online.run import _job, load_cell
+from scenes.online.task import Ahead, Work
 from scenes.result import silent
 from scenes.scene_files.drawn_line import believed_camera, reference_points
 from sensing.camera.camera_device import Field
@@ -75,34 +77,34 @@ class Seen(ImaginedCamera):
         return [field]
 
 
-def _played(tmp_path: Path, *, ahead: bool, later: int = 0, failing: int = -1) -> tuple[Wire, LineLog]:
+def _played(tmp_path: Path, *, ahead: bool, later: int = 0, failing: int = -1) -> tuple[Wire, TaskLog]:
     """Forty cycles on the way; ``later``: cycles by which fields are late, ``failing``: one that cannot be planned."""
     job = _job(load_cell("line"), Devices("rsi:", cycle=0.004), None, None)
     assert isinstance(job, LineJob)
     link = Wire(robot=job.robot)
     link.said, link.commanded = [], job.q_start
-    arm, task, known = LiveArm(link, Journal(tmp_path, link.robot, {})), job._task, job._known
+    arm, task, known = LiveArm(link, Journal(tmp_path, link.robot, {})), job.configured.task, job._known
     camera = Seen(job.robot.t_ipo, later)
     camera.predict = lambda t: known.follower.predict(t).seen_from(known.follower.history.pose(t))
-    task.prepare(0.0)
-    task.camera = camera  # type: ignore[assignment]
-    update, plan = known.follower.update, task.sensed_plan
+    job.configured.connect(camera=camera)  # type: ignore[arg-type]
+    update, plan = known.follower.update, known.follower.horizon
 
     def fused(*given: Any) -> Any:
         link.said.append("field")
         return update(*given)
 
-    def planned(t: float) -> Array:
+    def planned(t: float, anew: bool = True) -> Array:
         link.said.append("plan")
         if round(t / job.robot.t_ipo) == failing:
             raise PlanningError("nothing to be planned")
-        return plan(t)
+        return plan(t, anew)
 
     known.follower.update = fused  # type: ignore[method-assign]
-    task.sensed_plan = planned  # type: ignore[method-assign]
-    task.arm = arm
+    known.follower.horizon = planned  # type: ignore[method-assign]
     if ahead:
         task.lead(arm)
+    link.said.clear()
+    link.taken.clear()
     arm.begin()
     end = _CYCLES * job.robot.t_ipo
     play_cycles(arm, job.robot, task, job.log, CycleSettings(job.braking, 0.05, end, end, ""), silent)
@@ -113,9 +115,10 @@ def test_between_packet_and_answer_there_is_no_field(tmp_path: Path) -> None:
     link, log = _played(tmp_path, ahead=True)
     fields = [i for i, event in enumerate(link.said) if event == "field"]
     assert len(fields) >= _CYCLES // _EVERY - 2
-    assert {link.said[i - 2 : i] == ["answer", "plan"] for i in fields} == {True}
+    assert {tuple(link.said[i - 1 : i + 2]) for i in fields} == {("answer", "field", "plan")}
     # Nor is a plan made there, not even the first.
-    assert not [i for i, event in enumerate(link.said) if event == "plan" and link.said[i - 1] != "answer"]
+    before = [link.said[i - 1] for i, event in enumerate(link.said) if event == "plan"]
+    assert set(before) == {"answer", "field"}
     assert log.failure is not None
     assert "not done" in log.failure
 
@@ -133,27 +136,27 @@ class Waited(Wire):
 
 def _glued(tmp_path: Path, link: Waited, job: ForceJob, camera: Seen, *, fails: bool = False) -> None:
     """Forty cycles of a glue scene; ``fails``: a field cannot be fused."""
-    task, vision = job._task, job._task.vision
+    task, vision, contact = job.configured.task, job.configured.camera, job.contact
     link.said, link.commanded = [], job.q_start
-    arm = LiveArm(link, Journal(tmp_path, link.robot, {}))
+    arm, follower = LiveArm(link, Journal(tmp_path, link.robot, {})), contact.follower
     assert vision is not None
-    camera.predict = lambda t: vision.sight.predict(t).seen_from(vision.follower.history.pose(t))
-    task.connect(ImaginedForce(), camera)
+    camera.predict = lambda t: vision.sight.predict(t).seen_from(vision.history.pose(t))
+    job.configured.connect(ImaginedForce(), camera)  # type: ignore[arg-type]
     update = vision.sight.update
 
-    def fused(seen: Any) -> Any:
+    def fused(*given: Any) -> Any:
         link.said.append("field")
         if fails:
             raise PlanningError("nothing to be seen")
-        return update(seen)
+        return update(*given)
 
-    horizon = task._surface.horizon
+    horizon = follower.horizon
 
     def planned(t: float, anew: bool = True) -> Array:
         link.said.append("plan" if anew else "goes on")
         return horizon(t, anew)
 
-    measured, known = task._surface.measured, task._fused
+    measured, known = follower.measured, contact._fused
 
     def felt(t: Array, contact: Array) -> Any:
         link.said.append("felt")
@@ -164,9 +167,12 @@ def _glued(tmp_path: Path, link: Waited, job: ForceJob, camera: Seen, *, fails: 
         known(t, told)
 
     vision.sight.update = fused  # type: ignore[method-assign]
-    task._surface.horizon = planned  # type: ignore[method-assign]
-    task._surface.measured, task._fused = felt, pressed  # type: ignore[method-assign]
+    follower.horizon = planned  # type: ignore[method-assign]
+    follower.measured, contact._fused = felt, pressed  # type: ignore[method-assign]
+    contact.witnessed(SimpleNamespace(owes=False, fused=lambda *_: None, look=lambda: None, check=lambda t: None,
+                                      ended=lambda *_: None), short=arm.t_ipo < contact.at_once)
     task.lead(arm)
+    link.said.clear()
     arm.begin()
     end = 40 * job.robot.t_ipo
     play_cycles(arm, job.robot, task, job.log, CycleSettings(job.braking, 0.05, end, end, ""), silent)
@@ -187,8 +193,8 @@ def test_fields_of_a_surface_are_fused_between_packets_too(tmp_path: Path, fails
     before = [link.said[i - 1] for i, event in enumerate(link.said) if event == "field"]
     assert set(before) == {"answer"}
     assert len(before) >= 6 or fails
-    # Nor is anything planned there but in the first cycle, and what was fused has no plan beside it.
-    planned_behind = [link.said[i - 1] for i, event in enumerate(link.said) if event == "plan"][1:]
+    # Nor is anything planned there, and what was fused has no plan beside it.
+    planned_behind = [link.said[i - 1] for i, event in enumerate(link.said) if event == "plan"]
     assert set(planned_behind) <= {"answer", "felt"}
     assert fails or {link.said[i + 1] for i, event in enumerate(link.said) if event == "field"} == {"goes on"}
     assert str(job.log.failure).startswith("nothing to be seen" if fails else "not done")
@@ -210,19 +216,22 @@ def test_one_thing_is_done_between_two_packets_and_what_is_felt_is_fused_behind_
 
 def test_no_fusion_is_left_out_where_the_sensor_is_looked_at_later() -> None:
     """At 4 ms there is time for that behind two of five fusions, and none where a camera is quick: fields wait then."""
-    task, fits, answers = glue()._task, list[float](), list[Array]()
+    job, fits, answers = glue(), list[float](), list[Array]()
+    contact, follower = job.contact, job.contact.follower
     signs = SimpleNamespace(fits=lambda innovation, values: fits.append(innovation),
                             answers=lambda felt, stiffness, frequency: answers.append(felt))
-    task.force = SimpleNamespace(signs=signs)  # type: ignore[assignment]
-    task.follower.phase = Phase.TRAVEL
+    contact.witnessed(ContactWitness(job.scene, follower, SimpleNamespace(signs=signs),  # type: ignore[arg-type]
+                                     contact.elasticity, job.model), short=True)
+    follower.phase = Phase.TRAVEL  # type: ignore[misc]
     for k in range(5):
-        task._surface.felt = np.full((3, 4), float(k))
-        task._fused(np.array([0.01 * k]), Fused(np.ones(3, dtype=bool), np.zeros(3), 3.0 * k, 3, ""))
-    task.fuse_fields = lambda t: True  # type: ignore[method-assign]
-    task._fused_at = 0.0
-    task._surface.horizon = lambda t, anew: task._surface.felt  # type: ignore[method-assign]
-    task.prepare(0.0)
-    task.prepare(0.0)
+        follower.felt = np.full((3, 4), float(k))  # type: ignore[union-attr]
+        contact._fused(np.array([0.01 * k]), Fused(np.ones(3, dtype=bool), np.zeros(3), 3.0 * k, 3, ""))
+    assert job.configured.camera is not None
+    job.configured.camera.fuse = lambda t: Work.FUSED  # type: ignore[method-assign]
+    follower.horizon = lambda t, anew: np.zeros((3, 6))  # type: ignore[method-assign]
+    ahead = Ahead(job.configured.task, SimpleNamespace(t_ipo=0.004, behind=False))  # type: ignore[arg-type]
+    ahead.prepare(0.0)
+    ahead.prepare(0.0)
     assert fits == [0.0, 1.0, 2.0, 3.0, 4.0]
     assert [felt[:, 0].tolist() for felt in answers] == [np.repeat(np.arange(5.0), 3).tolist()]
 
@@ -295,9 +304,9 @@ def test_a_feedforward_that_adapts_knows_what_the_arm_has_shown_before_the_line(
     arm.reported.extend(shown[120:])
     camera = SimpleNamespace(use=lambda *_: None, fused=lambda _: None)
     job.ready(arm, camera, None)  # type: ignore[arg-type]
-    other._task.learn(shown)
-    learned, expected, cold = (task._state.factors.values for task in (job._task, other._task, LineJob(
-        job.scene, job.robot, job.model, job.method, 0, 0.3, job.calibration)._task))
+    other.configured.task.learn(shown)
+    learned, expected, cold = (one.configured.task._state.factors.values for one in (job, other, LineJob(
+        job.scene, job.robot, job.model, job.method, 0, 0.3, job.calibration)))
     np.testing.assert_array_equal(learned, expected)
     assert np.abs(learned - cold).max() > 0.01
 

@@ -24,8 +24,12 @@ from scenes.force.compare import best_gains
 from scenes.force.kind import run
 from scenes.force.page import forces_figure
 from scenes.force.play import ForceResult, play
-from scenes.online.force_task import GlueCamera
+from scenes.force.trouble import Trouble
+from scenes.methods import SceneMethod
+from scenes.online.configured import force_task
+from scenes.scene_files.force_scene import CameraTrouble
 from sensing.camera.line_detection import LineField
+from sensing.force.force_calibration import ContactElasticity, ToolLoad
 from sim.arm.drive import steady_friction
 from sim.arm.specimen import draw_specimen
 from studies.force import StabilityRun, bounds, curve
@@ -221,19 +225,20 @@ def test_a_controller_of_slow_cycles_is_stopped_on_the_path_too() -> None:
 def test_a_field_that_comes_when_its_places_are_passed_is_looked_for_where_the_tool_is() -> None:
     """The map told heights of 10⁸ m there, and the prediction in the picture was a division by zero."""
     known = set_up(load_scene("glue")).known
-    follower = known.follower(elasticity=1e4)
-    for member in follower.fusion.members:
+    configured = force_task(known, SceneMethod("ideal"), ToolLoad(np.zeros(6), 0.0, np.zeros(3), np.zeros(2)),
+                            ContactElasticity(1e4, 1e3, 0.0))
+    for member in configured.task.follower.fusion.members:
         member._stand, member._track.kf.x[:] = Stand(member.model.begin, 0.3), 1e-3
-    ahead = GlueCamera(known, follower, np.random.default_rng(1)).sight.predict(0.0)
+    ahead = configured.camera.sight.predict(0.0)
     assert np.all(np.abs(ahead.points) < 2.0)
 
 
 def test_garbage_leaves_the_noise_of_the_pictures_as_it_is() -> None:
-    known, pictures = set_up(load_scene("glue")).known, np.random.default_rng(1)
-    camera = GlueCamera(known, known.follower(4e3), pictures)
+    pictures = np.random.default_rng(1)
+    trouble = Trouble(CameraTrouble(), pictures)
     points = np.zeros((5, 3))
     field = LineField(0.0, points, points[:, :2], *np.zeros((3, 5)), np.ones(5, dtype=bool), True, "")
-    assert np.ptp(camera._garbage(field).points_tcp[:, 1]) > 0.0
+    assert np.ptp(trouble.garbage(field).points_tcp[:, 1]) > 0.0
     np.testing.assert_array_equal(pictures.standard_normal(9), np.random.default_rng(1).standard_normal(9))
 
 
@@ -308,7 +313,7 @@ def test_what_draws_pictures_is_given_back_where_a_play_ends_in_an_error(monkeyp
     monkeypatch.setattr(playing, "GlueWorld", lambda _: SimpleNamespace(close=lambda: closed.append(True)))
     monkeypatch.setattr(playing, "SimulatedArm", no_arm)
     cell: Any = SimpleNamespace(known=SimpleNamespace(scene=load_scene("glue"), robot=None), world=None, noise=None)
-    task: Any = SimpleNamespace(q_start=None)
+    task: Any = SimpleNamespace(task=SimpleNamespace(q_start=None))
     with pytest.raises(InputError, match="no such arm"):
         playing.pressed(cell, task, "ideal")
     assert closed == [True]

@@ -1,0 +1,60 @@
+"""Camera fields that are kept as pictures for the report."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.robots.interface import RobotState
+from planning.line.line_follower import LineFollower
+from planning.line.measurement import SEEN_AHEAD
+from scenes.online.line_camera import LineCamera
+from scenes.online.log import FieldShown
+from scenes.online.task import Sensor, Work
+from sensing.camera.camera_device import Field
+from sensing.camera.line_detection import LineField
+from sensing.camera.line_polynomial import fit_of_lowest_order
+
+SHOWN = 4
+"""Camera fields kept as pictures."""
+
+
+class Pictures(Sensor):
+    """Looks over a camera's shoulder, and keeps a field now and then.
+
+    Args:
+        camera: whose fields.
+        follower: whose reference the line is drawn about.
+    """
+
+    def __init__(self, camera: LineCamera, follower: LineFollower) -> None:
+        self._camera, self._follower = camera, follower
+        self._at = set(np.linspace(0.35 * follower.lasts, 0.9 * follower.lasts, SHOWN).astype(int))
+
+    def fuse(self, t: float) -> Work:
+        """Nothing: what it looks at is the camera's."""
+        return Work.NOTHING
+
+    def ended(self, t0: float, measured: RobotState, torque: Array | None) -> None:
+        """See ``Sensor``."""
+        k = round(t0 / self._follower.robot.t_ipo)
+        if k not in self._at:
+            return
+        self._at.discard(k)
+        if self._camera.last is not None and self._camera.last[1].seen:
+            self._camera.log.shown.append(self._picture(*self._camera.last))
+        else:
+            self._at.add(k + 1)
+
+    def _picture(self, raw: Field, seen: LineField) -> FieldShown:
+        """The points found in a field and the polynomial through them ([L] 5); the whole image is drawn later."""
+        follower, reference = self._follower, self._follower.reference
+        pose = follower.history.row_pose(seen.t)
+        points = seen.points_tcp[seen.used] @ pose.rotation.T + pose.translation
+        s, deviation, _ = reference.project(points, follower.s_at(seen.t) + SEEN_AHEAD)
+        polynomial = fit_of_lowest_order(s, deviation, seen.sigma[seen.used])
+        places = np.linspace(polynomial.span[0] - 0.01, polynomial.span[1] + 0.01, 60)
+        frames = reference.frames(places)
+        curve = frames.position + polynomial.deviation(places)[0][:, None] * frames.normal
+        return FieldShown(seen.t, raw, np.empty((0, 0), dtype=np.uint8), seen.pixels, seen.used,
+                          self._camera.known.camera.project_tool((curve - pose.translation) @ pose.rotation))

@@ -1,0 +1,61 @@
+"""Where the arm is behind its gears, from motor angles and what a model knows."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.elasticity.observer import ArmObserver, GearDeflection
+from ideal_robot.feedforward.corrected_arm import CorrectedArm
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from planning.force.surface_forecast import FeltArm
+from planning.path.kinematics import InverseKinematics
+from planning.path.pose_history import PoseHistory
+
+
+class FreeArm:
+    """Arm that touches nothing: its gears give way under weight and inertia of the desired motion.
+
+    Args:
+        robot: the arm as drawn.
+        model: None where the gears are not known: commands and motor angles then share the same error.
+    """
+
+    def __init__(self, robot: Robot, model: Model | None) -> None:
+        self._deflection = None if model is None else GearDeflection(model, robot.t_ipo)
+        self._geometry = CorrectedArm(robot, () if model is None else model.effects)
+
+    def at(self, t: float, q: Array, q_d: Array, torque: Array | None, steps: int) -> Array:
+        """See ``scenes.online.task.ArmAngles``."""
+        return self._geometry.as_drawn(q if self._deflection is None else q - self._deflection.at(q_d))
+
+
+class PressingArm:
+    """Arm that presses: its gears give way under the contact as well, whose forces are felt late.
+
+    Args:
+        robot: the arm as drawn.
+        model: None where the gears are not known: commands and motor angles then share the same error.
+        q_start: motor angles at rest before the first cycle ``(n,)`` [rad].
+    """
+
+    def __init__(self, robot: Robot, model: Model | None, q_start: Array) -> None:
+        self._geometry = CorrectedArm(robot, () if model is None else model.effects)
+        self._arm = None if model is None else FeltArm(ArmObserver(model, robot.t_ipo), q_start,
+                                                       InverseKinematics(robot).torque)
+
+    def at(self, t: float, q: Array, q_d: Array, torque: Array | None, steps: int) -> Array:
+        """See ``scenes.online.task.ArmAngles``."""
+        if self._arm is None:
+            return q
+        expected = np.zeros_like(q) if torque is None else torque[0]
+        return self._geometry.as_drawn(self._arm.step(t, q, expected, steps))
+
+    def feel(self, t: Array, contact: Array, history: PoseHistory) -> None:
+        """Contact forces ``(m, 3)`` [N, tool frame] of the instants ``t (m,)`` [s] say where the arm was then."""
+        if self._arm is None:
+            return
+        force = np.array([history.pose(max(at, history.first)).rotation @ f for at, f in zip(t, contact, strict=True)])
+        for at, q_a in self._arm.feel(t, force):
+            history.revise(at, self._geometry.as_drawn(q_a))

@@ -1,0 +1,153 @@
+"""The camera as a sensor of a task: fields that come when they come, the line's points in them, what became of them."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.effects.camera import CameraErrors
+from ideal_robot.errors import RaisedBy
+from ideal_robot.model.model import Model
+from ideal_robot.signals.recording import expect
+from planning.line.measurement import Fused, LineAhead, SeenLine
+from planning.path.pose_history import PoseHistory
+from scenes.online.live_sensors import EvaluatedField
+from scenes.online.log import FieldUse, TaskLog
+from scenes.online.task import Sensor, Work
+from sensing.camera.camera_device import Camera, Field, Window
+from sensing.camera.camera_model import CameraModel
+from sensing.camera.detector import LineDetector
+from sensing.camera.line_detection import LineField, at_middle_row
+from sensing.camera.line_search import DetectionSettings, PredictedLine, search_windows
+
+AT_ONCE = 0.008
+"""Cycle from which on there is time to fuse a field, or forces beside fields, between packet and answer [s]."""
+RECENT = 32
+"""Fields among which one that comes twice is recognised by its time stamp."""
+
+
+class Sight(Protocol):
+    """Where to look for the line, and what a field says of the deviation."""
+
+    def predict(self, t: float) -> LineAhead:
+        """Where the line should be in a field exposed at ``t`` [s]."""
+
+    def update(self, line: SeenLine, pose: pin.SE3 | None = None) -> Fused | None:
+        """Fuses one field, with the TCP's ``pose`` at the exposure; None if it showed nothing."""
+
+    def check(self, t: float) -> None:
+        """Raises ``LineLostError`` if the line has not been seen for too long by ``t`` [s]."""
+
+
+class Look(Protocol):
+    """What is known of the camera and of how the line looks."""
+
+    camera: CameraModel
+    detection: DetectionSettings
+
+    @property
+    def detector(self) -> LineDetector:
+        """Finds a line's points in a field."""
+
+
+class LineCamera(Sensor):
+    """A camera that sees a line.
+
+    Args:
+        known: camera, how the line looks and what finds it.
+        sight: what is fused into.
+        history: where the tool was.
+        log: is written to.
+        model: of the arm, whose effects say what is wrong with the camera; None for a method that knows of none.
+        at_once: see ``Sensor``.
+        newest: whether of several fields that come at once the newest is fused alone, which shows of the line what
+            those before it have shown.
+        points: line points of a field that are kept for the recording.
+        shown_to: is shown what each field shows as well, with the tool's pose then.
+    """
+
+    def __init__(self, known: Look, sight: Sight, history: PoseHistory, log: TaskLog,
+                 model: Model | None = None, *, at_once: float = AT_ONCE, newest: bool = False, points: int = 0,
+                 shown_to: Callable[[LineField, pin.SE3], None] | None = None) -> None:
+        self.known, self.sight, self.history, self.log = known, sight, history, log
+        self.camera: Camera
+        self.at_once, self.newest, self._points, self._shown_to = at_once, newest, points, shown_to
+        self.heard: Callable[[Fused | None], None] | None = None
+        self._errors = CameraErrors.of(() if model is None else model.effects)
+        self._detector = known.detector
+        self._stamps: deque[float] = deque(maxlen=RECENT)
+        self._worked = False
+        self.last: tuple[Field, LineField] | None = None
+        """The last field that was fused in this cycle, and what was seen in it."""
+
+    def connect(self, camera: Camera, heard: Callable[[Fused | None], None] | None = None) -> None:
+        """From now on with this camera; ``heard`` looks at what became of each field (None: it showed nothing)."""
+        self.camera, self.heard = camera, heard
+
+    def predicted(self, t: float) -> PredictedLine:
+        """Where the line should be in a picture taken at ``t`` [s], in the tool frame."""
+        return self.sight.predict(t).seen_by(self.known.camera, t, self.history.row_pose)
+
+    def fuse(self, t: float) -> Work:
+        """See ``Sensor``."""
+        self.last = None
+        # A field that a network delivers twice is one measurement.
+        fields: list[Field] = []
+        for field in self.camera.arrived(t):
+            if field.t_stamp not in self._stamps:
+                self._stamps.append(field.t_stamp)
+                fields.append(field)
+        for field in fields[-1:] if self.newest else fields:
+            self._fuse(t, field)
+        self._worked = self._worked or bool(fields)
+        return Work.FUSED if fields else Work.NOTHING
+
+    def _fuse(self, t: float, field: Field) -> None:
+        log = self.log
+        arrived = replace(field, t_stamp=field.t_stamp + self._errors.late_by(field.t_stamp))
+        pose = self.history.row_pose(arrived.t_stamp)
+        seen = self._seen(arrived)
+        if self._shown_to is not None:
+            self._shown_to(seen, pose)
+        fused = self.sight.update(seen, pose)
+        if self.heard is not None:
+            self.heard(fused)
+        self.last = arrived, seen
+        if self._points:
+            log.add_points(seen, self._points)
+        values = 0 if fused is None else fused.dof
+        log.seen += seen.seen
+        log.fields.append(FieldUse(field.t_stamp, values, seen.reason if fused is None else fused.reason))
+        if values and not np.isfinite(log.first_used):
+            log.first_used = t
+
+    def _seen(self, field: Field) -> LineField:
+        """Line points of a field, in the tool frame at the instant of its middle row."""
+        camera, detector = self.known.camera, self._detector
+        if isinstance(field, EvaluatedField):
+            seen = replace(field.seen, t=field.t_stamp)
+        else:
+            with RaisedBy(f"detector {detector.name}: detect"):
+                seen = detector.detect(field, camera, self.predicted(field.t_stamp), self.known.detection)
+            expect(seen, LineField, f"detector {detector.name}", "return one from detect, also where no line is seen")
+        seen = replace(seen, points_tcp=self._errors.points(seen.points_tcp, camera.axis_on_surface))
+        return at_middle_row(seen, camera, self.history.row_pose)
+
+    def check(self, t: float) -> None:
+        """See ``Sensor``."""
+        self.sight.check(t)
+
+    def request(self, t0: float, t1: float) -> None:
+        """See ``Sensor``: asks for windows where the line should be."""
+        self.log.with_field.append(self._worked)
+        self._worked = False
+        self.camera.request(t0, t1, self._windows)
+
+    def _windows(self, exposure: float) -> Sequence[Window]:
+        ahead = self.predicted(exposure + self._errors.late_by(exposure))
+        return search_windows(self.known.camera, ahead, self.known.detection)

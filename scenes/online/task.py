@@ -1,0 +1,325 @@
+"""The one task, whatever is sensed and wherever it runs: sense, estimate, plan, command ([L] Fig. 1).
+
+A line, a surface, a contour, a line on a surface and sensors of the user's are lists of sensors over one follower;
+simulated or on devices is the ``RobotInterface``, the ``Camera`` and the ``ForceSensor`` that they are given.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
+from enum import IntEnum
+from typing import Protocol
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import IdealRobotError, RaisedBy
+from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.robots.interface import RobotState
+from planning.follower import Follower
+from scenes.methods import SceneMethod
+from scenes.online.live_arm import LiveArm
+from scenes.online.log import TaskLog
+
+
+class Work(IntEnum):
+    """What has been done with what a sensor delivered: nothing, a part of it, or it is in the map now."""
+
+    NOTHING = 0
+    PREPARED = 1
+    FUSED = 2
+
+
+class Sensor(ABC):
+    """What one device measures of the deviation from the reference, in its direction and with errors of its own.
+
+    Attributes:
+        at_once: cycle from which on there is time to fuse between a controller's packet and its answer [s].
+        owes: whether more has been fused than was looked at whether the device lives.
+    """
+
+    at_once = 0.0
+    owes = False
+
+    def take(self, t: float) -> None:
+        """Takes what no answer may go without at ``t`` [s].
+
+        Raises:
+            PlanningError: what is sensed must end the motion.
+        """
+        return
+
+    @abstractmethod
+    def fuse(self, t: float) -> Work:
+        """Fuses what has arrived by ``t`` [s], or does the next part of it."""
+
+    def look(self) -> None:
+        """Looks whether the device lives, at what was fused since it was last called."""
+        return
+
+    def check(self, t: float) -> None:
+        """Raises ``PlanningError`` where what is followed has been lost by ``t`` [s]."""
+        return
+
+    def bears(self, t: float, q_d: Array) -> None:
+        """Raises ``PlanningError`` where a horizon ``(n_d, n)`` [rad] must not be commanded at ``t`` [s]."""
+        return
+
+    def request(self, t0: float, t1: float) -> None:
+        """Asks the device for what it shall measure in the cycle from ``t0`` to ``t1`` [s]."""
+        return
+
+    def ended(self, t0: float, measured: RobotState, torque: Array | None) -> None:
+        """A cycle that began at ``t0`` [s] is over.
+
+        Args:
+            t0: its begin [s].
+            measured: what the controller reported at its end.
+            torque: joint torques of the contact that were expected ``(n_d, n)`` [N m].
+        """
+        return
+
+    def away(self, q_d: Array) -> Array | None:
+        """What lets go of what is touched, see ``Task.away``; None where nothing is."""
+        return None
+
+
+class ArmAngles(Protocol):
+    """Arm angles from motor angles."""
+
+    def at(self, t: float, q: Array, q_d: Array, torque: Array | None, steps: int) -> Array:
+        """Arm angles ``(n,)`` [rad] of the arm as drawn at the begin of a cycle.
+
+        Args:
+            t: begin of the cycle [s].
+            q: motor angles ``(n,)`` [rad].
+            q_d: horizon of the last cycle ``(n_d, n)`` [rad].
+            torque: joint torques of the contact that were expected then ``(n_d, n)`` [N m].
+            steps: cycles of the controller since the last motor angles.
+        """
+
+
+class Baseline(Protocol):
+    """What stands in the place of the planned path and of the ideal robot: no correction, or direct feedback."""
+
+    def horizon(self, t: float, q_d: Array) -> Array:
+        """What is planned ``(n_d, n)`` [rad] from ``t`` [s] on, after ``q_d`` in the cycle before."""
+
+    def command(self, t: float, q_d: Array) -> Array | None:
+        """Commanded joint angles ``(n,)`` [rad]; None where the method's feedforward makes them of what is planned."""
+
+    def done(self, t: float) -> bool:
+        """See ``Follower.done``."""
+
+
+PRESSING = 0.1
+"""Speed from which an arm that presses is braked at least [m/s]: a stop at rest takes some time, too."""
+
+
+class Task:
+    """Following with one method; ``scenes.online.cycle.play_cycles`` goes through its cycles.
+
+    Args:
+        follower: makes the desired path of what the sensors fuse into its map.
+        sensors: the more urgent first.
+        method: how ``q_d`` becomes ``q_c``.
+        feedforward: of the method.
+        arm_angles: what the arm does behind its motors.
+        log: is written to.
+        baseline: in the place of the planned path; None where the follower's is gone.
+
+    Attributes:
+        arm: that is led on devices; None of one that is simulated, which needs no leading.
+        ahead: what is computed before a cycle's answer is asked for; None where all is done at once.
+    """
+
+    def __init__(self, follower: Follower, sensors: Sequence[Sensor], method: SceneMethod, feedforward: Feedforward,
+                 arm_angles: ArmAngles, log: TaskLog, baseline: Baseline | None = None) -> None:
+        self.follower, self.sensors, self.method, self.log = follower, list(sensors), method, log
+        self.feedforward, self.n_d, self._baseline = feedforward, follower.n_d, baseline
+        self._angles = arm_angles
+        self._state = feedforward.init(follower.q_start)
+        self._torque = follower.contact_torque(np.tile(follower.q_start, (self.n_d, 1)))
+        self._lets_go = False
+        self.arm: LiveArm | None = None
+        self.ahead: Ahead | None = None
+
+    def lead(self, arm: LiveArm) -> None:
+        """From now on with this arm, which rests at the start, and is held there until its first cycle is planned."""
+        ahead = Ahead(self, arm)
+        if ahead.plans:
+            arm.meanwhile(ahead.begin)
+        self.arm, self.ahead = arm, ahead
+        arm.between.append(ahead.work)
+
+    def learn(self, moved: Iterable[RobotState]) -> None:
+        """A feedforward that adapts learns from what the controller reported when the arm moved last."""
+        with RaisedBy(f"method {self.method.key}: observe"):
+            for measured in moved:
+                self._state = self.feedforward.observe(self._state, measured)
+
+    @property
+    def q_start(self) -> Array:
+        """Where the arm rests before the first cycle ``(n,)`` [rad]."""
+        return self.follower.q_start
+
+    def observe(self, t: float, q: Array, q_d: Array) -> None:
+        """Takes the motor angles at the begin of a cycle.
+
+        Args:
+            t: begin of the cycle [s].
+            q: motor angles ``(n,)`` [rad].
+            q_d: horizon of the last cycle ``(n_d, n)`` [rad].
+        """
+        self.follower.observe(t, self._angles.at(t, q, q_d, self._torque, 1 if self.arm is None else self.arm.steps))
+
+    def plan(self, t: float, q_d: Array) -> Array:
+        """The horizon ``(n_d, n)`` [rad] from ``t`` on, from what the sensors have delivered by ``t``.
+
+        Raises:
+            PlanningError, LimitError: the path cannot go on; the arm is then stopped on what was planned last.
+        """
+        if self.arm is not None:
+            self.arm.check(t)
+        for sensor in self.sensors:
+            sensor.take(t)
+        prepared = None if self.ahead is None else self.ahead.taken(t)
+        for sensor in self.sensors if self.ahead is None else self.ahead.at_once:
+            sensor.fuse(t)
+        for sensor in self.sensors:
+            sensor.check(t)
+        q_d = self._planned(t, q_d) if prepared is None else prepared
+        for sensor in self.sensors:
+            sensor.bears(t, q_d)
+        return q_d
+
+    def _planned(self, t: float, q_d: Array) -> Array:
+        return self.follower.horizon(t) if self._baseline is None else self._baseline.horizon(t, q_d)
+
+    def command(self, t: float, q_d: Array) -> Array:
+        """Commanded joint angles ``(n,)`` [rad] of a horizon ``(n_d, n)`` [rad] at ``t`` [s]."""
+        if self.arm is not None:
+            self.arm.q_d = q_d[0]
+        torque = self.follower.contact_torque(q_d)
+        self._torque = torque = np.zeros_like(q_d) if self._lets_go and torque is not None else torque
+        if self._baseline is not None and (q_c := self._baseline.command(t, q_d)) is not None:
+            return q_c
+        n_d = self.feedforward.n_d
+        with RaisedBy(f"method {self.method.key}: step"):
+            q_c, self._state = self.feedforward.step(self._state, q_d[:n_d], None if torque is None else torque[:n_d])
+        return q_c
+
+    def request(self, t0: float, t1: float) -> None:
+        """Asks the sensors for what they shall measure in the cycle from ``t0`` to ``t1`` [s]."""
+        log, follower = self.log, self.follower
+        log.phase.append(follower.phase.value)
+        log.s.append(follower.s_at(t0))
+        log.planned.append(follower.desired_deviation(t0))
+        for sensor in self.sensors:
+            sensor.request(t0, t1)
+
+    def collect(self, t0: float, t1: float, measured: RobotState) -> None:
+        """Takes note of a cycle that is over; a feedforward that adapts learns from it.
+
+        Args:
+            t0: its begin [s].
+            t1: its end [s].
+            measured: what the controller reported at its end.
+        """
+        self.learn([measured])
+        for sensor in self.sensors:
+            sensor.ended(t0, measured, self._torque)
+
+    def away(self, q_d: Array) -> Array | None:
+        """What to add to the joint angles ``(n,)`` [rad] while the arm brakes, so that it presses on nothing at rest.
+
+        From where it stands, where it has not followed its commands; None where it stays on its path. ``q_d``: where it
+        comes to rest ``(m, n)`` [rad].
+        """
+        ways = [sensor.away(q_d) for sensor in self.sensors]
+        self._lets_go = self._lets_go or any(way is not None for way in ways)
+        ways += [] if self.arm is None else [self.arm.guard.back_to_arm(q_d[0])]
+        away = [way for way in ways if way is not None]
+        return sum(away[1:], start=away[0]) if away else None
+
+    def speed(self, t: float) -> float:
+        """Path speed at ``t`` [m/s], from which the arm is braked."""
+        speed = self.follower.speed_at(t)
+        return speed if self._torque is None else max(speed, PRESSING)
+
+    def done(self, t: float) -> bool:
+        """Whether the cycle that began at ``t`` [s] was the last one."""
+        return (self.follower if self._baseline is None else self._baseline).done(t)
+
+
+class Ahead:
+    """What is computed before a controller asks for the answer to its packet: behind the command of the cycle before.
+
+    What no answer waits for is fused as soon as the command of a cycle has gone: the sensors for which there is no time
+    before an answer, see ``Sensor.at_once``. Where there is none for any, the plan of the coming cycle is made there as
+    well, and one thing is done at a time: a sensor fuses, the more urgent first, or its signs of life are looked at.
+    Where answers are behind only the most urgent sensor is fused. A measurement takes effect a cycle later for it; the
+    map it goes into is one over places ([L] 4.3), to which its age makes no difference.
+
+    Args:
+        task: whose sensors fuse, and whose path is planned.
+        arm: that is led.
+
+    Attributes:
+        at_once: sensors that are fused between packet and answer.
+        plans: whether each cycle is planned in the one before.
+    """
+
+    def __init__(self, task: Task, arm: LiveArm) -> None:
+        T = arm.t_ipo
+        self._task, self._arm, self._T = task, arm, T
+        self.at_once = [sensor for sensor in task.sensors if sensor.at_once <= T]
+        self._later = [sensor for sensor in task.sensors if sensor.at_once > T]
+        self.plans = not self.at_once
+        self._prepared: tuple[int, Array] | None = None
+        self._failed: IdealRobotError | None = None
+
+    def begin(self) -> None:
+        """Plans the first cycle: a whole new plan takes longer than an answer may wait."""
+        self._prepared = 0, self._task.follower.horizon(0.0)
+
+    def taken(self, t: float) -> Array | None:
+        """The horizon ``(n_d, n)`` [rad] that was prepared for ``t`` [s]; None where there is none.
+
+        Of several lost cycles that are made good at once, the first alone has one. Raises what went wrong meanwhile.
+        """
+        if self._failed is not None:
+            raise self._failed
+        (number, q_d), self._prepared = self._prepared or (-1, None), None
+        return q_d if number == round(t / self._T) else None
+
+    def work(self) -> None:
+        """What is done once a command has gone; the next cycle is told if something goes wrong."""
+        try:
+            if self.plans:
+                self.prepare(self._arm.t + self._T)
+            else:
+                for sensor in self._task.sensors:
+                    sensor.look()
+                for sensor in self._later if not self._arm.behind else ():
+                    sensor.fuse(self._arm.t)
+        except IdealRobotError as error:
+            self._failed = error
+
+    def prepare(self, t: float) -> None:
+        """Fuses what has come by now, and plans the cycle that begins at ``t`` [s]."""
+        done = self._one(t)
+        self._prepared = round(t / self._T), self._task.follower.horizon(t, anew=done < Work.FUSED)
+
+    def _one(self, t: float) -> Work:
+        """Does the most urgent thing that is to be done before ``t`` [s]."""
+        for number, sensor in enumerate(self._task.sensors):
+            if number and (self._arm.behind or any(one.owes for one in self._task.sensors[:number])):
+                break
+            if done := sensor.fuse(t):
+                return done
+        if not self._arm.behind:
+            for sensor in self._task.sensors:
+                sensor.look()
+        return Work.NOTHING
