@@ -16,8 +16,8 @@ from planning import OutOfReachError
 from planning.line.line_follower import line_ahead
 from planning.path.kinematics import InverseKinematics
 from scenes.line_way import shapes_about
-from scenes.online.force_known import Known as ForceKnown
-from scenes.online.line_known import REST, CalibrationView, Known, SeenBefore, calibration_postures, piece_map, view_of
+from scenes.online.known import Known
+from scenes.online.line_known import REST, CalibrationView, SeenBefore, calibration_postures, piece_map, view_of
 from scenes.online.live_arm import moves
 from sensing import SensingError
 from sensing.camera.camera_device import Field
@@ -37,7 +37,7 @@ BEFORE = 10**7
 """Numbers the calibration's fields apart from those of the run: their noise must not be the same."""
 
 
-def calibrate_by_moving(known: Known | ForceKnown, arm: SimulatedArm, camera: RenderedCamera,
+def calibrate_by_moving(known: Known, arm: SimulatedArm, camera: RenderedCamera,
                         deflection: GearDeflection | None, at: float, before: SeenBefore,
                         moved: list[RobotState] | None = None) -> HandEye:
     """The camera that explains all that is seen while the arm moves it over one piece of the line.
@@ -91,7 +91,7 @@ LOOKS = 5
 """Whole pictures of a line that are taken at least; one of them may fall into a gap."""
 
 
-def look_at_line(known: Known | ForceKnown, arm: SimulatedArm, camera: RenderedCamera, span: tuple[float, float],
+def look_at_line(known: Known, arm: SimulatedArm, camera: RenderedCamera, span: tuple[float, float],
                  rng: np.random.Generator) -> SeenBefore:
     """Takes pictures of all of the line from above where it ought to be: how it looks and where it is.
 

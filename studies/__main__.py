@@ -37,7 +37,7 @@ GROUPS = {
         "photographs": "photographs", "real-camera": "photographs",
         "line-photographs": "line_photographs", "line-weights": "line_photographs",
         "line-films": "line_photographs",
-        "fusion": "fusion", "fusion-banks": "fusion",
+        "parts": "parts", "fusion": "fusion", "fusion-banks": "fusion",
         "force": "force", "force-parts": "force", "stability": "force", "surface-shapes": "force",
         "forecast-gains": "force", "forecast-errors": "fusion",
         "line-shapes": "line",

@@ -18,7 +18,7 @@ from filterpy.kalman import IMMEstimator, KalmanFilter, MMAEFilterBank
 
 from ideal_robot.arrays import Array
 from planning.force.force_follower import surface_filter
-from planning.line import fusion as fusing
+from planning.line import hypotheses as fusing
 from planning.line.fusion import DeviationFilter
 from planning.line.measurement import Fused, Measurement
 from scenes import load_scene
@@ -225,7 +225,8 @@ SWITCH = 0.01
 def _bank(taken: Taken, kind: str) -> tuple[list[float], Array, float]:
     """Recorded measurements in a bank of two: sensor as it was, and its errors drawn anew at each measurement."""
     filter_ = taken.fresh()
-    entries, sigmas = filter_._bias_at["camera"], np.square(filter_._moved["camera"])
+    entries, errors = filter_.hypotheses.moved["camera"]
+    sigmas = np.square(errors)
     members = [filter_._fresh().kf for _ in range(2)]
     size, p, used, off = filter_._size, [], 0.0, []
     for member in members:

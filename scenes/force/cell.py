@@ -24,7 +24,7 @@ from scenes.camera_calibration import calibrate_by_moving, look_at_line
 from scenes.metrics import ControlError
 from scenes.models import model_for
 from scenes.online.force_calibration import Pressed
-from scenes.online.force_known import Known, force_reference
+from scenes.online.force_known import KnownSurface, force_reference
 from scenes.online.log import SETTLING
 from scenes.scene_files.drawn_line import Geometry, believed_camera, geometry, true_camera
 from scenes.scene_files.force_scene import Assumed, CameraTrouble, Emergency, ForceScene, TipTable, UnknownSurface
@@ -61,7 +61,7 @@ class Cell:
     The follower is given ``known`` alone; the rest is the world.
     """
 
-    known: Known
+    known: KnownSurface
     world: World
     surface: HeightSurface
     geometry: Geometry
@@ -102,7 +102,7 @@ def set_up(scene: ForceScene, seen: tuple[HandEye, DetectionSettings] | None = N
     where = geometry(scene, place)
     with found_in(scene.source):
         reference, profile = force_reference(scene, robot, where.reference)
-    known = Known(scene=scene, robot=robot, delay=int(world.correction_delay), model=model_for(scene, robot),
+    known = KnownSurface(scene=scene, robot=robot, delay=int(world.correction_delay), model=model_for(scene, robot),
                   reference=reference, profile=profile, camera=camera, detection=detection,
                   detector=DETECTORS.get(scene.camera.detector)())
     return Cell(known=known, world=world, surface=true_surface(scene.surface), geometry=where,

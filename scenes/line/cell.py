@@ -16,7 +16,7 @@ from ideal_robot.robots.interface import RobotState
 from ideal_robot.signals.recording import Recording
 from scenes.camera_calibration import calibrate_by_moving, look_at_line
 from scenes.models import model_for
-from scenes.online.line_known import Known, SeenBefore, line_follower, looked_again, span_of
+from scenes.online.line_known import KnownLine, SeenBefore, line_follower, looked_again, span_of
 from scenes.result import Progress, silent
 from scenes.scene_files.drawn_line import Geometry, believed_camera, geometry, true_camera
 from scenes.scene_files.line_scene import LineScene, Wear
@@ -129,7 +129,7 @@ class Cell:
     The follower is given ``known`` alone; the rest is the world.
     """
 
-    known: Known
+    known: KnownLine
     world: World
     geometry: Geometry
     line: DrawnLine
@@ -169,7 +169,7 @@ def set_up(scene: LineScene, hand_eye: HandEye | None = None, camera: CameraMode
     with found_in(scene.source):
         reference, follower = line_follower(scene, robot, where.reference, believed,
                                             None if hand_eye is None else hand_eye.surface, shape=shape)
-    known = Known(scene=scene, robot=robot, delay=int(world.correction_delay), camera=believed, reference=reference,
+    known = KnownLine(scene=scene, robot=robot, delay=int(world.correction_delay), camera=believed, reference=reference,
                   follower=follower, detector=detector)
     return Cell(known=known, world=world, geometry=where, line=line, true_camera=true, noise=noise,
                 camera_noise=camera_noise, relief=relief)

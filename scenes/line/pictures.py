@@ -36,7 +36,7 @@ class Pictures(Sensor):
         return Work.NOTHING
 
     def ended(self, t0: float, measured: RobotState, torque: Array | None) -> None:
-        """See ``Sensor``."""
+        """See ``Sensor.ended``."""
         k = round(t0 / self._follower.robot.t_ipo)
         if k not in self._at:
             return

@@ -27,7 +27,7 @@ class FreeArm:
         self._geometry = CorrectedArm(robot, () if model is None else model.effects)
 
     def at(self, t: float, q: Array, q_d: Array, torque: Array | None, steps: int) -> Array:
-        """See ``scenes.online.task.ArmAngles``."""
+        """See ``ArmAngles.at``."""
         return self._geometry.as_drawn(q if self._deflection is None else q - self._deflection.at(q_d))
 
 
@@ -46,14 +46,20 @@ class PressingArm:
                                                        InverseKinematics(robot).torque)
 
     def at(self, t: float, q: Array, q_d: Array, torque: Array | None, steps: int) -> Array:
-        """See ``scenes.online.task.ArmAngles``."""
+        """See ``ArmAngles.at``."""
         if self._arm is None:
             return q
         expected = np.zeros_like(q) if torque is None else torque[0]
         return self._geometry.as_drawn(self._arm.step(t, q, expected, steps))
 
     def feel(self, t: Array, contact: Array, history: PoseHistory) -> None:
-        """Contact forces ``(m, 3)`` [N, tool frame] of the instants ``t (m,)`` [s] say where the arm was then."""
+        """Contact forces say where the arm was when they were felt.
+
+        Args:
+            t: instants ``(m,)`` [s].
+            contact: forces then ``(m, 3)`` [N, tool frame].
+            history: where the arm was thought to be; is revised.
+        """
         if self._arm is None:
             return
         force = np.array([history.pose(max(at, history.first)).rotation @ f for at, f in zip(t, contact, strict=True)])

@@ -26,9 +26,9 @@ from planning.path.desired_path import planned_cycles
 from scenes.methods import DIRECT, SceneMethod
 from scenes.online.arm_angles import FreeArm, PressingArm
 from scenes.online.contact import ContactSensor
-from scenes.online.force_known import Known as ForceKnown
+from scenes.online.force_known import KnownSurface
 from scenes.online.line_camera import AT_ONCE, LineCamera
-from scenes.online.line_known import Known as LineKnown
+from scenes.online.line_known import KnownLine
 from scenes.online.log import TaskLog
 from scenes.online.own_sensor import OwnSensor
 from scenes.online.task import Baseline, Sensor, Task
@@ -62,7 +62,7 @@ KNOWN = 1e-6
 """Standard deviation of a relative error that is not estimated."""
 
 
-def line_task(known: LineKnown, method: SceneMethod, model: Model | None, gains: tuple[float, float] | None = None,
+def line_task(known: KnownLine, method: SceneMethod, model: Model | None, gains: tuple[float, float] | None = None,
               sensors: Sequence[DeviationSensor] = ()) -> Configured:
     """Following a line by eye: a camera, and sensors of the user's.
 
@@ -89,7 +89,7 @@ def line_task(known: LineKnown, method: SceneMethod, model: Model | None, gains:
     return Configured(task, camera=camera)
 
 
-def force_task(known: ForceKnown, method: SceneMethod, tool: ToolLoad, elasticity: ContactElasticity,
+def force_task(known: KnownSurface, method: SceneMethod, tool: ToolLoad, elasticity: ContactElasticity,
                gains: tuple[float, float] | None = None, friction: FrictionAtWork | None = None,
                newest: bool = False) -> Configured:
     """Pressing on a surface or along a contour: a force sensor, and for ``glue`` a camera that sees a line on it.
@@ -125,7 +125,7 @@ def force_task(known: ForceKnown, method: SceneMethod, tool: ToolLoad, elasticit
     return Configured(Task(follower, sensors, method, method.following(setting), arm, log, direct), contact, camera)
 
 
-def glue_fusion(known: ForceKnown) -> Callable[[Errors], FilterBank]:
+def glue_fusion(known: KnownSurface) -> Callable[[Errors], FilterBank]:
     """One filter for both sensors: a map across the path, the height along it, and the sensors' own errors."""
     sight = SightSettings()
     camera = (sight.yaw, sight.stamp, sight.scale if known.scene.assumed.distance_estimated else KNOWN)

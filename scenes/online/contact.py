@@ -46,7 +46,7 @@ class Witness(Protocol):
         """Raises ``PlanningError`` where what is felt at ``t`` [s] cannot be."""
 
     def ended(self, t0: float, measured: RobotState, torque: Array) -> None:
-        """See ``scenes.online.task.Sensor.ended``."""
+        """See ``Sensor.ended``."""
 
 
 class ContactSensor(Sensor):
@@ -183,7 +183,7 @@ class ContactSensor(Sensor):
             self.witness.check(t)
 
     def ended(self, t0: float, measured: RobotState, torque: Array | None) -> None:
-        """See ``Sensor``."""
+        """See ``Sensor.ended``."""
         if self.witness is not None and torque is not None:
             self.witness.ended(t0, measured, torque)
 

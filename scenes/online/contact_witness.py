@@ -79,7 +79,7 @@ class ContactWitness:
             self._swung.clear()
 
     def ended(self, t0: float, measured: RobotState, torque: Array) -> None:
-        """See ``scenes.online.contact.Witness``."""
+        """See ``Sensor.ended``."""
         if self._follower.phase is Phase.TRAVEL:
             self._motors.hear(measured, torque[0] / self._scene.force, self._follower.force,
                               self._follower.speed_at(t0))

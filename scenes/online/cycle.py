@@ -44,28 +44,28 @@ class Cycled(Protocol):
         """See ``Task``."""
 
     def observe(self, t: float, q: Array, q_d: Array) -> None:
-        """See ``Task``."""
+        """See ``Task.observe``."""
 
     def plan(self, t: float, q_d: Array) -> Array:
-        """See ``Task``."""
+        """See ``Task.plan``."""
 
     def command(self, t: float, q_d: Array) -> Array:
-        """See ``Task``."""
+        """See ``Task.command``."""
 
     def request(self, t0: float, t1: float) -> None:
-        """See ``Task``."""
+        """See ``Task.request``."""
 
     def collect(self, t0: float, t1: float, measured: RobotState) -> None:
-        """See ``Task``."""
+        """See ``Task.collect``."""
 
     def away(self, q_d: Array) -> Array | None:
-        """See ``Task``."""
+        """See ``Task.away``."""
 
     def speed(self, t: float) -> float:
-        """See ``Task``."""
+        """See ``Task.speed``."""
 
     def done(self, t: float) -> bool:
-        """See ``Task``."""
+        """See ``Task.done``."""
 
 
 @dataclass

@@ -21,7 +21,7 @@ from planning.force.felt_by_motors import WINDOW, FeltByMotors
 from planning.path.kinematics import InverseKinematics
 from scenes.line_way import shapes_about
 from scenes.online.felt_force import ZEROED, FeltForce
-from scenes.online.force_known import START_HEIGHT, Known
+from scenes.online.force_known import START_HEIGHT, KnownSurface
 from scenes.online.live_arm import LiveArm, moves
 from scenes.online.live_sensors import LiveForce
 from scenes.scene_files.scene import SceneError
@@ -68,7 +68,7 @@ _MARGIN = 0.05
 """Distance from the joints' limits that turned postures keep [rad]."""
 
 
-def tool_by_turning(known: Known, start: Array, arm: LiveArm, force: LiveForce) -> tuple[ToolLoad, Array]:
+def tool_by_turning(known: KnownSurface, start: Array, arm: LiveArm, force: LiveForce) -> tuple[ToolLoad, Array]:
     """Bias and weight of the tool, turned in the air; the sensor's noise goes into its signs of life.
 
     Nothing comes near the surface before the tool was weighed: the way leads up from where the arm is held.
@@ -109,7 +109,7 @@ def tool_by_turning(known: Known, start: Array, arm: LiveArm, force: LiveForce) 
     return arm.meanwhile(lambda: identify_tool(wrenches, rotations)), postures[0]
 
 
-def postures_to_weigh(known: Known, start: Array) -> list[Array]:
+def postures_to_weigh(known: KnownSurface, start: Array) -> list[Array]:
     """Postures above the start, the first not turned; each can be reached from the one before and the first.
 
     Raises:
@@ -138,7 +138,7 @@ def postures_to_weigh(known: Known, start: Array) -> list[Array]:
     return postures
 
 
-def elasticity_by_pressing(known: Known, start: Array, arm: LiveArm, force: LiveForce, felt: FeltForce
+def elasticity_by_pressing(known: KnownSurface, start: Array, arm: LiveArm, force: LiveForce, felt: FeltForce
                            ) -> ContactElasticity:
     """E by moving: the tip is pressed slowly into the surface at the start of the path and drawn back.
 
@@ -180,7 +180,7 @@ class Pressed:
         q: commanded joint angles ``(n,)`` [rad].
     """
 
-    def __init__(self, known: Known, tool: ToolLoad, start: Array) -> None:
+    def __init__(self, known: KnownSurface, tool: ToolLoad, start: Array) -> None:
         self._wanted, self._tool = known.scene.force, tool
         self.kinematics = InverseKinematics(known.robot)
         self._deflection = GearDeflection(known.model, known.robot.t_ipo)
@@ -228,7 +228,7 @@ class Pressed:
 class _Press(Pressed):
     """One time down and up with a connected arm, as fast as what gives way under the tip allows."""
 
-    def __init__(self, known: Known, start: Array, arm: LiveArm, force: LiveForce, felt: FeltForce) -> None:
+    def __init__(self, known: KnownSurface, start: Array, arm: LiveArm, force: LiveForce, felt: FeltForce) -> None:
         assert felt.tool is not None
         super().__init__(known, felt.tool, start)
         self._known, self._arm, self._force, self._watch, self._speed = known, arm, force, felt, 0.0

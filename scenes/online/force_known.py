@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -24,11 +24,9 @@ from planning.path.pose_history import check_cycle
 from planning.path.reference import ReferencePath
 from planning.path.speed_profile import Limits, SpeedProfile
 from scenes.line_way import check_clear, shapes_about
+from scenes.online.known import Known
 from scenes.scene_files.force_scene import ForceScene
-from sensing.camera.camera_model import CameraModel
-from sensing.camera.detector import LineDetector
 from sensing.camera.hand_eye import BENT
-from sensing.camera.line_search import DetectionSettings
 
 HORIZON = 0.24
 """How far ahead the ideal robot is given desired positions [s]."""
@@ -47,32 +45,20 @@ START_HEIGHT = 0.01
 
 
 @dataclass(kw_only=True)
-class Known:
-    """What a follower of the surface is given.
+class KnownSurface(Known):
+    """What a follower of a surface is given; where that lies, and how it is shaped, the force is to find.
 
     Attributes:
-        scene: the file; of its tables those of the world are not looked at.
-        robot: as its data sheet has it, with the controller's cycles.
-        delay: cycles between the hand-over of a command and the begin of its interpolation.
+        model: of the arm.
         profile: travel along the reference.
-        camera: of a ``glue`` scene, as it is believed to be.
-        clear: how far the tip keeps away from the reference while the camera is calibrated [m]: where the surface
-            lies the force is to find.
-        prior: of that calibration: how the surface is shaped is not known.
         asking: see ``ContactSettings``.
     """
 
     clear: ClassVar[float] = CLEAR
     prior: ClassVar[Mapping[str, float]] = BENT
     scene: ForceScene
-    robot: Robot
-    delay: int
     model: Model
-    reference: ReferencePath
     profile: SpeedProfile
-    camera: CameraModel
-    detector: LineDetector
-    detection: DetectionSettings = field(default_factory=DetectionSettings)
     asking: float = 0.0
 
     @property

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
 
 import numpy as np
 import pinocchio as pin
@@ -23,13 +22,14 @@ from planning.path.kinematics import InverseKinematics
 from planning.path.pose_history import PoseHistory
 from planning.path.reference import ReferencePath
 from scenes.line_way import FOUND, line_way
+from scenes.online.known import Known
 from scenes.placing import where_it_fits
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError
 from sensing.camera.camera_device import Field, Gray
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.detector import LineDetector
-from sensing.camera.hand_eye import PRIOR, Observation, calibration_poses
+from sensing.camera.hand_eye import Observation, calibration_poses
 from sensing.camera.line_search import DetectionSettings, PredictedLine, search_windows
 
 HORIZON = 0.3
@@ -41,27 +41,11 @@ START = 0.48
 
 
 @dataclass(kw_only=True)
-class Known:
-    """What a follower of the line is given.
+class KnownLine(Known):
+    """What a follower of a line is given: the camera's place and the line's, and what becomes of them on the way."""
 
-    Attributes:
-        scene: the file; of its tables those of the world are not looked at.
-        robot: as its data sheet has it, with the controller's cycles.
-        delay: cycles between the hand-over of a command and the begin of its interpolation.
-        camera: as it is believed: by hand at first, then as calibrated.
-        clear, prior: of the camera's calibration: how far the tip keeps off the reference [m], see ``calibrate``.
-    """
-
-    clear: ClassVar[float] = 0.0
-    prior: ClassVar[Mapping[str, float]] = PRIOR
     scene: LineScene
-    robot: Robot
-    delay: int
-    camera: CameraModel
-    reference: ReferencePath
     follower: LineFollower
-    detector: LineDetector
-    detection: DetectionSettings = field(default_factory=DetectionSettings)
 
 
 def line_follower(scene: LineScene, robot: Robot, points: Array, camera: CameraModel, surface: pin.SE3 | None = None,
@@ -214,7 +198,7 @@ class SeenBefore:
                 "followed surely: draw reference.shape or surface.origin nearer to the line, or go slower")
 
 
-def looked_again(known: Known, camera: CameraModel, before: SeenBefore, span: tuple[float, float]
+def looked_again(known: KnownLine, camera: CameraModel, before: SeenBefore, span: tuple[float, float]
                  ) -> tuple[float, float] | None:
     """How far the line's shape leaves its reference's, by the pictures before the run and the camera as calibrated.
 

@@ -83,6 +83,10 @@ class TaskLog(CycleLog):
         count = min(len(self.t), len(self.planned))
         return np.column_stack([np.asarray(self.t)[:count], self.lateral[:count]])
 
+    def counts(self) -> dict[str, int]:
+        """How many camera fields arrived, and in how many the line was found and used."""
+        return {"seen": len(self.fields), "used": self.seen}
+
     @property
     def travel(self) -> list[float]:
         """When the cycles of the travel began [s]."""

@@ -26,10 +26,9 @@ from scenes.metrics import spread_ms
 from scenes.online.camera_process import CameraProcess, calibrated_camera
 from scenes.online.cell_check import CalibrationMotion, calibrated_by_moving, check_line
 from scenes.online.cycle import CycleSettings, holding_share, play_cycles
-from scenes.online.devices import Devices, Job, opened_arm
-from scenes.online.force_job import ForceJob
+from scenes.online.devices import Devices, opened_arm
+from scenes.online.job import Job
 from scenes.online.journal import Journal, Later, owned, remove, rescued, written
-from scenes.online.line_job import LineJob
 from scenes.online.live_arm import LiveArm, answers_within, at_cycle
 from scenes.online.live_sensors import LiveCamera, LiveForce
 from scenes.online.processes import (
@@ -94,9 +93,8 @@ def _followed(scene: Scene, devices: Devices, job: Job, method: str | None, cali
         remove(folder)
         # Planned on the surface that was found; the controller has to begin RSI anew.
         job = _job(scene, devices, method, calibration)
-        if isinstance(job, LineJob):
-            job.moved = moved
-    if devices.check and isinstance(job, ForceJob):
+        job.moved = moved
+    if devices.check:
         job.before = _before(folder, scene)
     progress(0.0, "rehearsing")
     job.rehearse()
@@ -137,8 +135,7 @@ def _job(scene: Scene, devices: Devices, method: str | None, calibration: Path |
     chosen = method_of(method or scene.method, following_methods())
     feedforward("ideal", model, robot, delay=int(devices.delay))
     camera = calibrated_camera(believed_camera(scene.camera, scene.calibration), calibration)
-    kind: type[Job] = LineJob if isinstance(scene, LineScene) else ForceJob
-    return kind(scene, robot, model, chosen, int(devices.delay), within, camera)
+    return Job(scene, robot, model, chosen, int(devices.delay), within, camera)
 
 
 def _check_devices(job: Job, devices: Devices) -> None:

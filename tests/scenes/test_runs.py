@@ -28,8 +28,8 @@ from scenes import load_scene, models, run_scene
 from scenes.closing.result import Measured, visible
 from scenes.metrics import path_errors, reduction_percent
 from scenes.models import model_for, shipped_model
-from scenes.online.force_known import Known as KnownSurface
-from scenes.online.line_known import Known as KnownLine
+from scenes.online.force_known import KnownSurface
+from scenes.online.line_known import KnownLine
 from scenes.scene_files.scene import chosen
 from scenes.sweep import jobs
 from sim.arm.specimen import draw_specimen

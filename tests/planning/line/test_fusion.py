@@ -78,7 +78,7 @@ def ride(
         if k == 40:
             where = s + np.array([0.0, 0.05, 0.2])
             H = fusion.model.basis(where)[:, 0]
-            P = H @ fusion._track.kf.P[: fusion.model.size, : fusion.model.size] @ H.T
+            P = H @ fusion.kf.P[: fusion.model.size, : fusion.model.size] @ H.T
             error = H @ fusion.state - truth.at(where)[:, 0]
             nees, count = float(error @ np.linalg.solve(P, error)), 3
     return nis, dof, nees, count
@@ -369,5 +369,5 @@ def test_without_a_doubt_no_sensor_is_thought_to_be_moved() -> None:
     truth, before = Truth(np.random.default_rng(5)), 0
     fusion = DeviationFilter(path_model(), biases={"camera": (0.003,)}, moved={"camera": (0.01,)})
     for *_, fused in truth.seen(fusion, 60, lambda k: 0.0):
-        assert fused.nis > 5.0 or len(fusion._shaken) <= before
-        before = len(fusion._shaken)
+        assert fused.nis > 5.0 or len(fusion.hypotheses.shaken) <= before
+        before = len(fusion.hypotheses.shaken)

@@ -88,7 +88,7 @@ def test_innovations_and_errors_are_as_large_as_the_filter_says() -> None:
         where = np.array([0.05, 0.2, 0.35])
         H = deviation.basis(where)[:, 0]
         error = H @ (fusion.state - truth)
-        spread = H @ fusion._track.kf.P[: deviation.size, : deviation.size] @ H.T
+        spread = H @ fusion.kf.P[: deviation.size, : deviation.size] @ H.T
         nees, count = nees + float(error @ np.linalg.solve(spread, error)), count + 3
     assert chi2.ppf(0.025, dof) < nis < chi2.ppf(0.975, dof)
     assert chi2.ppf(0.025, count) < nees < chi2.ppf(0.975, count)

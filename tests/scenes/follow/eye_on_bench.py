@@ -22,8 +22,8 @@ from scenes.online.camera_process import CalibratedCamera, Header
 from scenes.online.camera_worker import _Worker
 from scenes.online.cell_check import check_line
 from scenes.online.cycle import CycleSettings, play_cycles
+from scenes.online.job import Job
 from scenes.online.journal import Journal
-from scenes.online.line_job import LineJob
 from scenes.online.live_arm import LiveArm, Worked
 from scenes.online.live_sensors import LiveCamera
 from scenes.scene_files.line_scene import LineScene
@@ -194,7 +194,7 @@ def followed(scene: LineScene, folder: Path, *, stamp: Stamp | None = None, pict
         eye = Eye(cell, stamp, picture)
         bench = Bench(arm, known.robot, eye)
         model = model_at(scene.model, known.robot, scene.source)
-        job = LineJob(scene, known.robot, model, method_of(scene.method, following_methods()), known.delay, 0.3,
+        job = Job(scene, known.robot, model, method_of(scene.method, following_methods()), known.delay, 0.3,
                       CalibratedCamera(cell.true_camera, folder / "camera.json") if calibrated
                       else CalibratedCamera(known.camera))
         live = WaitingArm(bench, Journal(folder, known.robot, {}))  # type: ignore[arg-type]

@@ -17,7 +17,7 @@ from planning.path.kinematics import InverseKinematics
 from scenes.force.cell import Cell, set_up, true_tip
 from scenes.methods import following_methods, method_of
 from scenes.online.camera_process import CalibratedCamera
-from scenes.online.force_job import ForceJob
+from scenes.online.job import Job
 from scenes.online.journal import Journal
 from scenes.online.live_sensors import LiveCamera, LiveForce
 from scenes.scene_files.force_scene import ForceScene
@@ -158,7 +158,7 @@ def followed(scene: ForceScene, folder: Path, before: dict[str, Any] | None = No
     with SimulatedArm(cell.known.robot, cell.world, cell.noise, held) as arm:
         known, eye = cell.known, Eye(cell) if scene.task == "glue" else None
         bench = Bench(cell, arm, eye, **faults)
-        job = ForceJob(scene, known.robot, known.model, method_of(scene.method, following_methods()), known.delay, 0.3,
+        job = Job(scene, known.robot, known.model, method_of(scene.method, following_methods()), known.delay, 0.3,
                        CalibratedCamera(known.camera if eye is None else eye.true, folder / "camera.json"))
         job.before = before or {}
         journal = Journal(folder, known.robot, {})

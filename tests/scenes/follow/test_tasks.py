@@ -23,10 +23,9 @@ from scenes.online.cell_check import CalibrationMotion, Piece, calibrated_by_mov
 from scenes.online.contact_witness import ContactWitness
 from scenes.online.cycle import CycleSettings, play_cycles
 from scenes.online.devices import Devices
-from scenes.online.force_job import ForceJob
+from scenes.online.job import Job
 from scenes.online.journal import Journal, Later
-from scenes.online.line_job import LineJob
-from scenes.online.line_known import START, line_follower, span_of
+from scenes.online.line_known import START, KnownLine, line_follower, span_of
 from scenes.online.live_arm import LiveArm
 from scenes.online.live_sensors import EvaluatedField, ImaginedCamera, ImaginedForce
 from scenes.online.log import TaskLog
@@ -80,10 +79,10 @@ class Seen(ImaginedCamera):
 def _played(tmp_path: Path, *, ahead: bool, later: int = 0, failing: int = -1) -> tuple[Wire, TaskLog]:
     """Forty cycles on the way; ``later``: cycles by which fields are late, ``failing``: one that cannot be planned."""
     job = _job(load_cell("line"), Devices("rsi:", cycle=0.004), None, None)
-    assert isinstance(job, LineJob)
+    assert isinstance(job.known, KnownLine)
     link = Wire(robot=job.robot)
     link.said, link.commanded = [], job.q_start
-    arm, task, known = LiveArm(link, Journal(tmp_path, link.robot, {})), job.configured.task, job._known
+    arm, task, known = LiveArm(link, Journal(tmp_path, link.robot, {})), job.configured.task, job.known
     camera = Seen(job.robot.t_ipo, later)
     camera.predict = lambda t: known.follower.predict(t).seen_from(known.follower.history.pose(t))
     job.configured.connect(camera=camera)  # type: ignore[arg-type]
@@ -134,7 +133,7 @@ class Waited(Wire):
         return state
 
 
-def _glued(tmp_path: Path, link: Waited, job: ForceJob, camera: Seen, *, fails: bool = False) -> None:
+def _glued(tmp_path: Path, link: Waited, job: Job, camera: Seen, *, fails: bool = False) -> None:
     """Forty cycles of a glue scene; ``fails``: a field cannot be fused."""
     task, vision, contact = job.configured.task, job.configured.camera, job.contact
     link.said, link.commanded = [], job.q_start
@@ -178,9 +177,8 @@ def _glued(tmp_path: Path, link: Waited, job: ForceJob, camera: Seen, *, fails: 
     play_cycles(arm, job.robot, task, job.log, CycleSettings(job.braking, 0.05, end, end, ""), silent)
 
 
-def glue(cycle: float | None = 0.004) -> ForceJob:
+def glue(cycle: float | None = 0.004) -> Job:
     job = _job(load_cell("glue"), Devices("rsi:", cycle=cycle), None, None)
-    assert isinstance(job, ForceJob)
     return job
 
 
@@ -292,8 +290,7 @@ def test_progress_is_shown_when_nobody_waits() -> None:
 
 def test_a_feedforward_that_adapts_knows_what_the_arm_has_shown_before_the_line(tmp_path: Path) -> None:
     """Else it begins each run on devices anew, and leaves half as much again as in simulation."""
-    jobs = [_job(load_cell("line"), Devices("rsi:"), None, None) for _ in range(2)]
-    job, other = (line_job for line_job in jobs if isinstance(line_job, LineJob))
+    job, other = (_job(load_cell("line"), Devices("rsi:"), None, None) for _ in range(2))
     assert job.method.key == "adapted"
     T, q = job.robot.t_ipo, job.q_start
     rng = np.random.default_rng(0)
@@ -305,7 +302,7 @@ def test_a_feedforward_that_adapts_knows_what_the_arm_has_shown_before_the_line(
     camera = SimpleNamespace(use=lambda *_: None, fused=lambda _: None)
     job.ready(arm, camera, None)  # type: ignore[arg-type]
     other.configured.task.learn(shown)
-    learned, expected, cold = (one.configured.task._state.factors.values for one in (job, other, LineJob(
+    learned, expected, cold = (one.configured.task._state.factors.values for one in (job, other, Job(
         job.scene, job.robot, job.model, job.method, 0, 0.3, job.calibration)))
     np.testing.assert_array_equal(learned, expected)
     assert np.abs(learned - cold).max() > 0.01

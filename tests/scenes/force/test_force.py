@@ -228,7 +228,7 @@ def test_a_field_that_comes_when_its_places_are_passed_is_looked_for_where_the_t
     configured = force_task(known, SceneMethod("ideal"), ToolLoad(np.zeros(6), 0.0, np.zeros(3), np.zeros(2)),
                             ContactElasticity(1e4, 1e3, 0.0))
     for member in configured.task.follower.fusion.members:
-        member._stand, member._track.kf.x[:] = Stand(member.model.begin, 0.3), 1e-3
+        member._stand, member.kf.x[:] = Stand(member.model.begin, 0.3), 1e-3
     ahead = configured.camera.sight.predict(0.0)
     assert np.all(np.abs(ahead.points) < 2.0)
 

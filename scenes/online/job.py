@@ -1,0 +1,324 @@
+"""A task on devices: what is moved for before it, what it is given, and what is told of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.execution.following import Following
+from ideal_robot.loop.from_model import loop_model
+from ideal_robot.model.model import Model
+from ideal_robot.robots.interface import TOLERANCE, RobotState
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import WRENCH
+from planning import PlanningError
+from planning.force.contact import ASKING, most_force
+from planning.line.line_follower import FollowerSettings, LineFollower
+from scenes.line_way import shapes_about
+from scenes.methods import SceneMethod
+from scenes.online.camera_process import CalibratedCamera
+from scenes.online.cell_check import CalibrationMotion, Look, Piece
+from scenes.online.configured import Configured, force_task, line_task
+from scenes.online.contact import ContactSensor
+from scenes.online.contact_witness import ContactWitness
+from scenes.online.felt_force import WITHIN, FeltForce, Surface, stiffness_of
+from scenes.online.force_calibration import elasticity_by_pressing, tool_by_turning
+from scenes.online.force_known import BRAKING, LONGEST, KnownSurface, force_reference
+from scenes.online.line_camera import AT_ONCE
+from scenes.online.line_known import START, KnownLine, line_follower
+from scenes.online.live_arm import START_TOLERANCE, LiveArm, moves, near_start, response_of
+from scenes.online.live_sensors import FoundBefore, ImaginedCamera, ImaginedForce, LiveCamera, LiveForce, rehearse
+from scenes.online.log import TaskLog, plan_error
+from scenes.online.task import Task
+from scenes.scene_files.drawn_line import reference_points
+from scenes.scene_files.force_scene import CameraTrouble, ForceScene
+from scenes.scene_files.line_scene import LineScene
+from scenes.scene_files.scene import SceneError
+from sensing.camera.camera_model import CameraModel
+from sensing.force.force_calibration import ContactElasticity, ToolLoad
+
+_UNDER_WAY = 2
+"""Cycles from a picture's arrival until a plan is made with its line points; one more where plans are made ahead."""
+_OTHER_TOOL, _OTHER_SURFACE = 0.05, 1.5
+"""Difference of the tool's mass from the last run's that is no scatter [kg], and ratio of elasticities. On the
+simulated cell three scenes differ by 0.006 kg and 1 %."""
+# Until pressing and turning have told them.
+_GUESS = ContactElasticity(4000.0, 1000.0, 0.0)  # [N/m]
+_NO_LOAD = ToolLoad(np.zeros(6), 0.0, np.zeros(3), np.zeros(2))  # [N], [kg]
+_TOUCHED, _TRAVELLED = 0.2, 1.5
+"""Times of a rehearsal until the surface is felt, and from then on [s]."""
+
+
+class Job:
+    """Something that is followed on devices.
+
+    Args:
+        scene: what is followed; of its tables those of the world are not looked at.
+        robot: with the controller's cycle.
+        model: of the arm.
+        method: how what is sensed becomes commands.
+        delay: cycles of the controller's own delay.
+        answers_within: time in which the arm's loop answers a command [s].
+        calibration: of the camera, and whether it is to be made by moving.
+
+    Attributes:
+        configured: the task and its sensors.
+        needs: devices beside the arm: ``camera``, ``force``.
+        braking: deceleration of a stop on the path [m/s²].
+        expected: usual length of a run [s].
+        longest: time after which a run is stuck [s].
+        detection: how the line looks.
+        moved: what the controller reported in a session before this one, cycle by cycle.
+        before: figures of the last run of this scene, with which the calibrations are compared.
+    """
+
+    def __init__(self, scene: LineScene | ForceScene, robot: Robot, model: Model, method: SceneMethod, delay: int,
+                 answers_within: float, calibration: CalibratedCamera) -> None:
+        if isinstance(scene, ForceScene):
+            # What happens to the simulated camera is the world's.
+            most = min(scene.emergency.force, most_force(scene.force))
+            emergency = scene.emergency.model_copy(update={"force": most})
+            scene = scene.model_copy(update={"trouble": CameraTrouble(), "emergency": emergency})
+        self.scene, self.robot, self.model, self.method, self.delay = scene, robot, model, method, delay
+        self.answers_within, self.calibration, self.detection = answers_within, calibration, scene.line.detection
+        self.moved: Sequence[RobotState] = ()
+        self.before: Mapping[str, Any] = MappingProxyType({})
+        self.known, self.configured = self._new_task()
+        camera, contact = self.configured.camera, self.configured.contact
+        self.needs = (*(("force",) if contact is not None else ()), *(("camera",) if camera is not None else ()))
+        if isinstance(self.known, KnownSurface):
+            self.braking, self.expected = BRAKING, self.known.profile.duration + 4.0
+            self.longest = self.expected + LONGEST
+        else:
+            self.braking = scene.reference.acceleration
+            self.longest = self.expected = (self.known.follower.lasts + 0.5) * robot.t_ipo
+        self._force: LiveForce | None = None
+        self._felt: FeltForce | None = None
+
+    def _new_task(self) -> tuple[KnownLine | KnownSurface, Configured]:
+        scene, robot, camera, points = self.scene, self.robot, self.calibration.camera, reference_points(self.scene)
+        known: KnownLine | KnownSurface
+        if isinstance(scene, ForceScene):
+            reference, profile = force_reference(scene, robot, points)
+            known = KnownSurface(scene=scene, robot=robot, delay=self.delay, model=self.model, reference=reference,
+                                 profile=profile, camera=camera, asking=ASKING, detection=self.detection,
+                                 detector=FoundBefore())
+            return known, force_task(known, self.method, _NO_LOAD, _GUESS, newest=True)
+        under_way = (_UNDER_WAY + (robot.t_ipo < AT_ONCE)) * robot.t_ipo
+        reference, follower = line_follower(scene, robot, points, camera, self.calibration.surface,
+                                            latency=FollowerSettings.latency + under_way)
+        known = KnownLine(scene=scene, robot=robot, delay=self.delay, camera=camera, reference=reference,
+                          follower=follower, detector=FoundBefore())
+        return known, line_task(known, self.method, self.model if self.method.knows_model else None)
+
+    @property
+    def log(self) -> TaskLog:
+        """What happened."""
+        return self.configured.task.log
+
+    @property
+    def contact(self) -> ContactSensor:
+        """The force sensor of a task that presses."""
+        assert self.configured.contact is not None
+        return self.configured.contact
+
+    @property
+    def camera(self) -> CameraModel | None:
+        """As it is believed to be; None where none is needed."""
+        return self.calibration.camera if self.configured.camera is not None else None
+
+    @property
+    def look(self) -> Look | None:
+        """What is looked at before the job; None where no camera is calibrated."""
+        if self.camera is None or not self.calibration.known:
+            return None
+        return Look(self.known.reference, self.scene.reference.run_up, self.q_start, self.camera, self.model)
+
+    @property
+    def q_start(self) -> Array:
+        """Where the arm has to rest at first ``(n,)`` [rad]."""
+        return self.configured.task.q_start
+
+    def calibration_motion(self) -> CalibrationMotion:
+        """From ``q_start`` and back, for the camera to be calibrated on; raises ``SceneError`` where there is none."""
+        known, ends = self.known, self.scene.reference
+        piece = Piece(known.reference, 0.5 * (ends.run_up + (known.reference.length - ends.run_out)), self.q_start,
+                      known.clear, shapes_about(self.scene, self.robot), known.prior)
+        return CalibrationMotion.planned(piece, self.calibration.camera, self.model, self.robot, self.detection)
+
+    def rehearse(self) -> None:
+        """Loads what is compiled: nothing of it may fall into a cycle."""
+        _, configured = self._new_task()
+        camera, force, T = ImaginedCamera(), ImaginedForce(), self.robot.t_ipo
+        configured.connect(force, camera)
+        if configured.camera is not None:
+            camera.predict = configured.camera.predicted
+        if configured.contact is None:
+            rehearse(configured.task, self.robot, math.ceil((START + 0.6) / T))
+            return
+        first = math.ceil(_TOUCHED / T)
+        try:
+            rehearse(configured.task, self.robot, first)
+            force.wrench = np.array([0.0, 0.0, -configured.contact.scene.force, 0.0, 0.0, 0.0])
+            rehearse(configured.task, self.robot, math.ceil(_TRAVELLED / T), first=first)
+        except PlanningError:
+            # What is felt fits no surface: that is no matter here, the code is loaded.
+            return
+
+    # Before the job.
+
+    def approach(self, arm: LiveArm, force: LiveForce | None) -> None:
+        """Brings the arm from near ``q_start``, where it is held, to it; what is learned on the way is kept.
+
+        A tool that presses is weighed first, high above the path; it then comes down as slowly as a touch asks for.
+
+        Args:
+            arm: connected.
+            force: None where none is needed.
+
+        Raises:
+            SceneError: it is not near, or what is felt on the way cannot be.
+            FollowStoppedError: it could not go on.
+        """
+        if self.configured.contact is None:
+            self._watch_following(arm)
+            arm.approach(self.q_start)
+            return
+        if force is None:
+            raise SceneError("following a surface needs a force sensor")
+        near_start(arm.link.commanded, self.q_start, START_TOLERANCE)
+        self._watch_following(arm)
+        self._felt = felt = arm.meanwhile(lambda: self._watch(force))
+        arm.at_begin.append(felt.begin)
+        arm.guard.watches.append(felt)
+        felt.tool, above = tool_by_turning(self._surface, self.q_start, arm, force)
+        self._as_before("tool_mass_kg", mass := felt.tool.mass, "kg", lambda last: abs(mass - last) > _OTHER_TOOL)
+        arm.lead(moves(self.robot, [above, self.q_start], 2 * self.robot.t_ipo))
+
+    def _watch_following(self, arm: LiveArm) -> None:
+        """From now on the guard looks whether the arm goes where its commands lead."""
+        def loaded() -> Following:
+            loop = loop_model(self.model, self.robot, delay=self.delay)
+            return Following(lambda: arm.link.commanded, self.robot, response_of(loop, self.robot),
+                             tolerance=getattr(arm.link, "tolerance", None) or TOLERANCE,
+                             cause=getattr(arm.link, "cause", None))
+
+        arm.guard.watches.append(arm.meanwhile(loaded))
+
+    @property
+    def _surface(self) -> KnownSurface:
+        assert isinstance(self.known, KnownSurface)
+        return self.known
+
+    def _watch(self, force: LiveForce) -> FeltForce:
+        """The force sensor as a watch over every motion."""
+        frames = self.known.reference.frames(np.zeros(1))
+        up = frames.up[0]
+        surface = Surface(frames.position[0], up, WITHIN, stiffness_of(self.model, self.robot, self.q_start, up))
+        return FeltForce(force, self.robot, surface, self.contact.scene.emergency.force)
+
+    def ready(self, arm: LiveArm, camera: LiveCamera | None, force: LiveForce | None) -> Task:
+        """Whatever has to be moved for before; the arm is at ``q_start`` and is left there.
+
+        Args:
+            arm: connected, at the start.
+            camera: None where none is needed.
+            force: None where none is needed.
+        """
+        task, eye = self.configured.task, self.configured.camera
+        if eye is not None and camera is None:
+            raise SceneError("following a line needs a camera")
+        if self.configured.contact is not None:
+            self._pressed(arm, force)
+        else:
+            # What the arm reports while it presses is no friction: only one that has touched nothing is learned from.
+            moved = [*self.moved, *arm.reported]
+            arm.meanwhile(lambda: task.learn(moved))
+        self.configured.connect(force, camera)
+        if camera is not None and eye is not None:
+            camera.use(self.calibration.camera, self.calibration.time_offset)
+            if self.configured.contact is None:
+                # On a surface the sight itself leaves out what does not fit.
+                camera.calibrated, eye.heard = self.calibration.known, camera.fused
+        task.lead(arm)
+        if camera is not None and eye is not None:
+            camera.predict = eye.predicted
+        return task
+
+    def _pressed(self, arm: LiveArm, force: LiveForce | None) -> None:
+        """The elasticity by pressing; from then on what is felt is looked at."""
+        felt, contact, wanted = self._felt, self.contact, self.contact.scene.force
+        if force is None or felt is None or felt.tool is None:
+            raise SceneError("following a surface needs a force sensor, and its tool weighed")
+        tool, elasticity = felt.tool, elasticity_by_pressing(self._surface, self.q_start, arm, force, felt)
+        self._as_before("elasticity_N_m", E := elasticity.stiffness, "N/m",
+                        lambda last: max(E, last) > _OTHER_SURFACE * min(E, last))
+        arm.meanwhile(lambda: contact.calibrated(tool, elasticity))
+        witness = ContactWitness(contact.scene, contact.follower, force, elasticity, self.model)
+        contact.witnessed(witness, arm.t_ipo < contact.at_once)
+        self._force, felt.wanted = force, wanted
+
+    def _as_before(self, figure: str, value: float, unit: str, other: Callable[[float], bool]) -> None:
+        """Raises ``SceneError`` where ``other`` says that a calibration differs from the figure of the last run."""
+        last = self.before.get(figure)
+        if isinstance(last, float) and last > 0.0 and other(last):
+            raise SceneError(f"{figure} is {value:.3g} {unit} and was {last:.3g} {unit} at the last calibration; look "
+                             "whether the tool is the same and firmly mounted, and if it is to be another one, follow "
+                             "once with --no-check")
+
+    # After the job.
+
+    def columns(self, t: Array) -> dict[str, Array]:
+        """What the recording holds besides the arm's own, at times of the run ``t (N,)`` [s]; times in it are such.
+
+        ``cam_t`` and the line points of each field, as in recordings of line scenes; the wrench as sensed and the felt
+        normal force, NaN before the first and behind the last.
+        """
+        columns: dict[str, Array] = {}
+        if isinstance(self.scene, LineScene):
+            columns |= self.log.point_columns(t, self.scene.points)
+        sensed: Any = [] if self._force is None else self._force.samples
+        for names, samples in ((("f_normal",), self.log.samples), (WRENCH, sensed)):
+            if samples:
+                rows = np.array(samples)
+                order = np.argsort(rows[:, 0])
+                columns |= {name: np.interp(t, rows[order, 0], rows[order, i], left=np.nan, right=np.nan)
+                            for i, name in enumerate(names, start=1)}
+        return columns
+
+    def figures(self) -> dict[str, Any]:
+        """Key figures for ``--json``."""
+        figures: dict[str, Any] = {}
+        if self.configured.contact is not None:
+            figures |= {"force_N": self._kept(), **self._calibrated()}
+        if self.configured.camera is not None:
+            figures["fields"] = self.log.counts()
+        if isinstance(follower := self.configured.task.follower, LineFollower):
+            figures |= {"first_used_s": self.log.first_used, "calibration": self.calibration.json(),
+                        "plan_error_mm": plan_error(self.log, follower.fusion),
+                        "stamp_error_ms": 1e3 * float(follower.fusion.bias("camera")[0][1])}
+        return figures
+
+    def _kept(self) -> dict[str, float]:
+        """How the force was kept, as it was felt [N]."""
+        log, wanted, moving = self.log, self.contact.scene.force, self.log.travel
+        felt = np.array([force for t, force, *_ in log.samples if moving and moving[0] <= t <= moving[-1]])
+        return {"wanted": wanted,
+                "rms_error": float(np.sqrt(np.mean((felt - wanted) ** 2))) if len(felt) else float("nan"),
+                "largest": float(max((force for _, force, *_ in log.samples), default=float("nan")))}
+
+    def _calibrated(self) -> dict[str, float]:
+        """What calibrations have found, the last run's where this one has not come so far."""
+        keys = "elasticity_N_m", "tool_mass_kg"
+        if self._force is None:
+            return {key: float(self.before.get(key) or math.nan) for key in keys}
+        return dict(zip(keys, (self.contact.elasticity.stiffness, self.contact.tool.mass), strict=True))
+
+    def planned(self) -> Array:
+        """Time [s] and planned deviation from the reference [m] of each cycle ``(N, 2)``."""
+        return self.log.desired
