@@ -304,13 +304,14 @@ class BestSet:
             return 0.0
         P = places["W" if not rest else rest[-1].key].stop
         known = np.append(np.arange(P), len(gram) - 1)
-        present = posterior(gram[np.ix_(known, known)], self._precision(["W", *[c.key for c in rest]]))
+        beforehand = self.system.full_precision(["W", *[c.key for c in rest]], self._precisions(rest))
+        present = posterior(gram[np.ix_(known, known)], beforehand)
         own = slice(P, len(gram) - 1)
         return joined(present, gram[own, :P], gram[own, own], gram[own, -1], linalg.block_diag(*roots)).evidence
 
-    def _precision(self, keys: Sequence[str]) -> Array:
-        """Of the model's parameters and of groups in a set, beforehand ``(P, P)``."""
-        return self.system.full_precision(keys, {key: _inverse(self._wide[key]) for key in keys if key in self._wide})
+    def _precisions(self, chosen: Sequence[Candidate]) -> dict[str, Array]:
+        """Of each cause of a set, beforehand ``(m, m)``."""
+        return {c.key: _inverse(self.wide(c)) for c in chosen}
 
     def cost(self, candidate: Candidate) -> float:
         """Nats that naming it costs."""
@@ -578,15 +579,14 @@ class BestSet:
                 fitted = self.system.with_levels(self.keys)
         # A noise that is known from elsewhere is not made smaller by what one recording leaves.
         return self.problem.numbers(self.system, self.choices, inflate=self.fixed is not None,
-                                    more={c.key: _inverse(self.wide(c)) for c in self.choices})
+                                    more=self._precisions(self.choices))
 
     def predicted_by_others(self, choices: Sequence[Candidate]) -> Array:
         """What a set leaves of each row, fitted to all other blocks of time ``(N, c)``."""
         for candidate in choices:
             self.add(candidate)
         keys = ["W", *[c.key for c in choices]]
-        more = {c.key: _inverse(self.wide(c)) for c in choices}
-        products, precision = self.system.gram(keys), self.system.full_precision(keys, more)
+        products, precision = self.system.gram(keys), self.system.full_precision(keys, self._precisions(choices))
         total = products.sum(axis=0)
         means = np.array([posterior(total - own, precision).mean for own in products])
         return self.system.residual(keys, means[self.system.block_of_row])
