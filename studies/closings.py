@@ -366,7 +366,9 @@ def with_true_friction(loop: Loop, robot: Robot, world: World, joints: list[int]
     mask = np.isin(np.arange(n) + 1, joints)
     sizes[mask] = np.stack([falling, whole - falling], axis=3)[mask]
     per_load[mask, 0] = load[mask]
-    distance = np.where(mask, world.per_joint("presliding", n), loop.friction.distance)
+    # Bristles have the stiffness that Coulomb friction gives them.
+    further = 1.0 + world.per_joint("stribeck", n) / np.maximum(world.per_joint("coulomb", n), 1e-9)
+    distance = np.where(mask, further * world.per_joint("presliding", n), loop.friction.distance)
     return loop.changed(sizes=sizes, per_load=per_load, distance=distance)
 
 

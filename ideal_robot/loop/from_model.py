@@ -11,7 +11,7 @@ from ideal_robot.dynamics.newton_euler import Chain, chain_of, inverse_dynamics,
 from ideal_robot.effects import FittedEffect, Signals
 from ideal_robot.errors import InputError
 from ideal_robot.friction.presliding import CREEP
-from ideal_robot.friction.table import Friction, braking
+from ideal_robot.friction.table import DRY, Friction, braking
 from ideal_robot.loop.loop import Cascade, CommandPath, Drives, Loop, checked, low_pass_taps
 from ideal_robot.model.arm_with_effects import chain_with, changes_of, stiffness_with
 from ideal_robot.model.model import Model
@@ -84,7 +84,9 @@ def with_effects(loop: Loop, effects: tuple[FittedEffect, ...]) -> Loop:
     for effect, change in changes:
         j = effect.joint - 1
         if change.friction_curve:
-            sizes[j] += _curve(effect, friction.speeds)
+            more = _curve(effect, friction.speeds)
+            distance[j] *= _further(sizes[j, :, :, DRY], more[:, :, DRY])
+            sizes[j] += more
         if change.friction_shares is not None:
             dry, rising = change.friction_shares
             # What the law has beyond dry friction at standstill rises with speed.
@@ -109,6 +111,21 @@ def with_effects(loop: Loop, effects: tuple[FittedEffect, ...]) -> Loop:
         drives=Drives(rotor, offset, gain, np.concatenate(ripples), stiffness_with(drives.stiffness, changes),
                       drives.damping, np.concatenate(uneven), half_gap, gap_load),
         terms=(*loop.terms, *(effect for effect, change in changes if change.torque)))
+
+
+def _further(dry: Array, more: Array) -> float:
+    """By how much longer the presliding distance is with further dry friction.
+
+    What falls with speed (Stribeck) holds the contacts at rest for longer, it makes none: they are as stiff as before,
+    and bend further (LuGre: the bristles' stiffness is a constant). What is there at all speeds presses more of them
+    together, and the distance stays.
+
+    Args:
+        dry: of an unloaded gear before, forward and backward, over speed ``(2, m)`` [N m].
+        more: what is added ``(2, m)`` [N m].
+    """
+    still = float(dry[:, 0].mean())
+    return 1.0 + max(float((more[:, 0] - more[:, -1]).mean()), 0.0) / still if still > 0.0 else 1.0
 
 
 def _curve(effect: FittedEffect, speeds: Array) -> Array:

@@ -24,7 +24,7 @@ from ideal_robot.arrays import Array, interpolated
 from ideal_robot.diagnosis import diagnose
 from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
-from ideal_robot.diagnosis.validation.refit import beside_held_model, named_sensor_effects, with_named_effects
+from ideal_robot.diagnosis.validation.refit import named_sensor_effects, with_named_effects
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, FittedEffect
 from ideal_robot.effects.camera import CameraErrors
 from ideal_robot.errors import InputError
@@ -167,14 +167,10 @@ class _Line(Subject[LineResult]):
     def asked(self, found: Found, model: Model, run: LineResult, progress: Progress) -> Found | None:
         if not self.looks_at_arm or self.about:
             return None
-        moved, robot = self.moved(), self.robot
-        diagnosis = diagnose(moved, robot, model=model, progress=progress)
+        moved = self.moved()
+        diagnosis = diagnose(moved, self.robot, model=model, progress=progress)
         effects = [e.fitted for e in (*diagnosis.effects, *diagnosis.unknown) if e.fitted.domain != SENSOR]
-        # Effects of the torque beside the model as it is.
-        regression = torque_regression(checked([moved], robot)[0][0], robot, model, payload=True)
-        sized = (*beside_held_model(regression, model, effects),
-                 *(effect for effect in effects if effect.domain != MOTOR_TORQUE))
-        return Found(diagnosis, moved, (Group.adding([effect for effect in sized if _acts(effect)]),))
+        return Found(diagnosis, moved, (Group.adding([effect for effect in effects if _acts(effect)]),))
 
     def readings(self, before: LineResult, after: LineResult, model: Model) -> list[tuple[Array, Array]]:
         of_camera = not model.effects or model.effects[-1].channel == "line"

@@ -37,7 +37,7 @@ from scenes.closing.result import (
 from scenes.methods import IDEAL
 from scenes.metrics import PathErrors
 from scenes.models import model_for
-from scenes.path.candidates import AskedMotion, Candidates, asked_motion, diagnostic_motion
+from scenes.path.candidates import AskedMotion, asked_motion, changes, diagnostic_motion
 from scenes.path.cell import PathCell, Play, set_up
 from scenes.report.page import Report
 from scenes.result import Progress, silent
@@ -131,12 +131,10 @@ class ArmOnPath(Subject[Play]):
         self.cell, self._round = dataclasses.replace(self.cell, model=model), self._round + 1
         played = self.cell.play(PassThrough(self.cell.world.t_ipo), path=diagnostic_motion(self.cell))
         moved = visible(played.recording, self.measured)
-        return self._suggested(diagnose(moved, self.cell.robot, model=model, progress=progress), moved, run)
+        return self._suggested(diagnose(moved, self.cell.robot, model=model, progress=progress), moved)
 
-    def _suggested(self, diagnosis: Diagnosis, moved: Recording, run: Play) -> Found:
-        groups, refused = Candidates(self.cell.model, diagnosis, moved, visible(run.recording, self.measured),
-                                     self.cell.robot, self.measured).groups()
-        return Found(diagnosis, moved, groups, refused)
+    def _suggested(self, diagnosis: Diagnosis, moved: Recording) -> Found:
+        return Found(diagnosis, moved, *changes(self.cell.model, diagnosis, self.measured))
 
     def readings(self, before: Play, after: Play, model: Model) -> list[tuple[Array, Array]]:
         """See ``Subject.readings``."""
@@ -172,7 +170,7 @@ class ArmOnPath(Subject[Play]):
         self.plan = asked_motion(self.cell, found.diagnosis, found.recording, self.measured, self._round, progress)
         if self.plan is None or self.plan.diagnosis is None or self.plan.recording is None:
             return None
-        return self._suggested(self.plan.diagnosis, self.plan.recording, run)
+        return self._suggested(self.plan.diagnosis, self.plan.recording)
 
     def section(self, page: Report) -> None:
         """See ``Subject.section``."""

@@ -1,4 +1,4 @@
-"""Fits beside a model whose parameters are fixed: effects by their names, friction of one joint anew."""
+"""Effects by their names, fitted beside a model whose parameters are fixed."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.causes import Candidate
@@ -15,67 +14,18 @@ from ideal_robot.diagnosis.channels.force import force_regressions
 from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import in_position_band, torque_regression
 from ideal_robot.diagnosis.channels.regression import Regression
-from ideal_robot.diagnosis.statistics.problem import Problem, with_parameters
+from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, Domain, Effect, FittedEffect, library, names
 from ideal_robot.errors import InputError
 from ideal_robot.identification.checks import checked
 from ideal_robot.model.model import Model
-from ideal_robot.model.parametrisation import friction_places
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 
-# Effects of the motor torque beside a model that stays as it is.
-#
-# A joint fit shares what a recording shows among the effects and all parameters of the model, and what the recording
-# tells badly goes anywhere: into rotors, gravity, other joints' friction. On another motion that is an error of its
-# own. Where the model is known and the effects are named, what the recording holds beyond the model is theirs alone.
 
 def _held(regression: Regression) -> Problem:
     """The problem of a regression whose model stays as it is: what changes is said as effects."""
     return Problem(replace(regression, W=regression.W[:, :, :0]))
-
-
-def beside_held_model(regression: Regression, model: Model,
-                      effects: Sequence[FittedEffect]) -> tuple[FittedEffect, ...]:
-    """Effects of the motor torque with the sizes that they have together, where physics allows these, in their order.
-
-    Args:
-        regression, model: with the regressor of a payload, about the model, whose parameters and effects are held.
-        effects: of which those of the motor torque are fitted, with their theta.
-    """
-    of_torque = [effect for effect in effects if effect.effect.at_motor]
-    if not of_torque:
-        return ()
-    candidates = [Candidate(effect.effect, effect.joint, effect.theta) for effect in of_torque]
-    estimate = _held(regression).fit(candidates, uncertainty=True)
-    return tuple(replace(effect, coefficients=tuple(own.tolist()), std=tuple(std.tolist()), theta_std=(), parameters=())
-                 for effect, own, std in zip(of_torque, estimate.coefficients, estimate.std, strict=True)
-                 if np.all(np.isfinite(own))
-                 and effect.effect.plausible(own, effect.theta, regression.signals, effect.joint))
-
-
-def friction_anew(regression: Regression, model: Model, joints: tuple[int, ...]) -> dict[int, Model]:
-    """The model with the friction coefficients of one joint as a recording has them, for each that can be told.
-
-    A coefficient at most doubles, and none changes its sign: what a motion tells badly stays near what was known. The
-    law and its shape stay, so does all else of the model.
-
-    Args:
-        regression, model: of the motor torques, about the model.
-        joints: from 1.
-    """
-    result: dict[int, Model] = {}
-    places = friction_places(model.base, model.friction)
-    for joint, (law, columns) in enumerate(zip(model.friction.laws, places, strict=True), start=1):
-        use, known = regression.use[:, joint - 1], law.coefficients[:, 0]
-        free = np.abs(known) > 0.0
-        if joint not in joints or joint in regression.undecided or not free.any() or np.count_nonzero(use) < len(known):
-            continue
-        change, own = np.zeros(regression.W.shape[2]), np.arange(columns.start, columns.stop)[free]
-        change[own] = lsq_linear(regression.W[use, joint - 1][:, own], regression.y[use, joint - 1],
-                                 (-np.abs(known[free]), np.abs(known[free]))).x
-        result[joint] = with_parameters(model, change)
-    return result
 
 
 def with_named_effects(recording: Recording, robot: Robot, model: Model,

@@ -15,9 +15,10 @@ from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.prior import SAME
 from ideal_robot.diagnosis.report import argument
 from ideal_robot.diagnosis.statistics.problem import Problem
-from ideal_robot.diagnosis.validation.refit import beside_held_model, with_named_effects
+from ideal_robot.diagnosis.validation.refit import with_named_effects
 from ideal_robot.dynamics.regressor import regressor
 from ideal_robot.effects import MOTOR_TORQUE, FittedEffect, library
+from ideal_robot.friction import PerJointFriction, ViscousCoulomb
 from ideal_robot.identification.idim import identify
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
@@ -29,7 +30,6 @@ from studies.strangers.engines import ENGINES
 from studies.strangers.logger import record
 from studies.strangers.plant import BRISTLE, TANH
 from tests.arms import a_logger, a_plant, an_arm, written
-from tests.ideal_robot.diagnosis.test_adoption import STICKS, recorded, with_coulomb
 from tests.ideal_robot.diagnosis.test_diagnose import arm, torque
 
 # What tests of causes beside a known model draw alike: a motion of all joints, and a body of no extent.
@@ -128,6 +128,26 @@ def test_where_their_delay_is_named_a_model_made_of_late_torques_is_that_of_punc
 
 # What is named is estimated beside a model that stays as it is: nothing else moves, and it has its true size.
 
+STICKS = FittedEffect("stribeck", 2, "tau_2", (60.0,), theta=(0.05,))
+
+
+def with_coulomb(robot: Robot, levels: list[float]) -> Model:
+    laws = [ViscousCoulomb(np.array([[100.0], [level]])) for level in levels]
+    return dataclasses.replace(Model.nominal(robot), friction=PerJointFriction(laws))
+
+
+def recorded(model: Model) -> Recording:
+    t = 0.004 * np.arange(2000.0)
+    rate = 0.7 + 0.2 * np.arange(model.n)
+    phase = np.outer(t, rate) + np.arange(model.n)
+    q, qd, qdd = 0.3 * np.sin(phase), 0.3 * rate * np.cos(phase), -0.3 * rate**2 * np.sin(phase)
+    tau = model.inverse_dynamics(q, qd, qdd, t=t)
+    tau = tau + np.random.default_rng(1).normal(0.0, 1.0, tau.shape)
+    columns = {"t": t, **{f"q_{i + 1}": q[:, i].copy() for i in range(model.n)},
+               **{f"tau_{i + 1}": tau[:, i].copy() for i in range(model.n)}}
+    return Recording(columns, {"robot": model.robot_name})
+
+
 OFFSET = FittedEffect("current_offset", 3, "tau_3", (8.0,))
 
 
@@ -150,16 +170,6 @@ def test_oracle_finds_sizes_and_leaves_the_model_as_it_was(known_kr15):
     assert extended.effects[1].coefficients[0] == pytest.approx(8.0, rel=0.1)
     before, after = (model.predict(recording).relative_error_percent for model in (known, extended))
     assert np.all(after[1:3] < 0.6 * before[1:3])
-
-
-def test_an_effect_of_a_joint_fit_has_its_own_size_beside_the_model(known_kr15):
-    """A joint fit had given half of it to friction."""
-    robot, known, recording = known_kr15
-    half = dataclasses.replace(STICKS, coefficients=(30.0,))
-    regression = torque_regression(recording, robot, known, payload=True)
-    own = beside_held_model(regression, known, (half, dataclasses.replace(OFFSET, coefficients=(1.0,))))
-    assert own[0].coefficients[0] == pytest.approx(60.0, rel=0.1)
-    assert own[1].coefficients[0] == pytest.approx(8.0, rel=0.1)
 
 
 def test_errors_of_several_joints_kinematics_are_estimated_together(known_kr15):

@@ -12,7 +12,7 @@ from ideal_robot.dynamics.regressor import regressor
 from ideal_robot.effects import FittedEffect
 from ideal_robot.effects.fitted import Unknown
 from ideal_robot.errors import IdealRobotError, InputError
-from ideal_robot.friction.table import DRY, FLUID
+from ideal_robot.friction.table import DRY, FLUID, friction_along
 from ideal_robot.loop.from_model import further_torque, with_effects, with_rotors
 from ideal_robot.loop.loop import checked, low_pass_taps
 from ideal_robot.loop.simulation import simulate
@@ -161,6 +161,36 @@ def test_friction_curve_and_constants_go_into_the_drive():
     assert changed.drives.offset[0] - loop.drives.offset[0] == pytest.approx(0.7)
     assert changed.drives.rotor_inertia[0] - loop.drives.rotor_inertia[0] == pytest.approx(0.2)
     assert changed.drives.ripple[-1, :, 0].tolist() == [40.0, 1.0, 2.0]
+
+
+@pytest.mark.parametrize("surplus", [0.5, 1.0, 2.0])
+def test_a_joint_that_sticks_starts_as_bristles_of_its_stiffness_do(surplus):
+    """LuGre with the bristles of before: what holds the joint at rest for longer does not make them stiffer."""
+    loop, v_s, joint = plant(), 0.05, 1
+    dry, distance = loop.friction.dry[joint], loop.friction.distance[joint]
+    sticks = with_effects(loop, (FittedEffect("stribeck", 2, "tau_bell_2", (surplus * dry,), theta=(v_s,)),))
+    t = np.arange(0.0, 1.0, 1e-4)
+    v = 0.02 * np.sin(2.0 * np.pi * t)
+    steps = v * 1e-4
+    true, force = np.zeros(len(t)), 0.0
+    for k, (speed, step) in enumerate(zip(v, steps, strict=True)):
+        size = dry * (1.0 + surplus * np.exp(-((speed / v_s) ** 2)))
+        force += dry / distance * (step - abs(step) * force / size)
+        true[k] = force
+
+    def left(friction):
+        fluid = friction._replace(sizes=friction.sizes * np.array([1.0, 0.0]))
+        rows = np.zeros((len(t), 6))
+        rows[:, joint], moved = v, np.zeros((len(t), 6))
+        moved[:, joint] = steps
+        return rms(friction_along(fluid, rows, np.zeros_like(rows), moved, np.zeros(6))[0][:, joint] - true)
+
+    assert left(sticks.friction) < 0.04 * surplus * dry
+    same = sticks.friction._replace(distance=loop.friction.distance)
+    assert left(sticks.friction) < 0.5 * left(same)
+    # More contacts do.
+    presses = with_effects(loop, (FittedEffect("coulomb", 2, "tau_2", (surplus * dry,)),))
+    assert presses.friction.distance[joint] == distance
 
 
 def test_measured_arm_angles_say_more_of_a_gear_than_its_torque():

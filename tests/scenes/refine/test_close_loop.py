@@ -9,15 +9,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ideal_robot.diagnosis import Diagnosis
+from ideal_robot.diagnosis.prior import SAME, TYPE
+from ideal_robot.diagnosis.validation.result import FoundEffect
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
 from scenes import load_scene
+from scenes.arms import arm_of
 from scenes.close_clamped import CloseClampedScene, stiffness_of
 from scenes.close_clamped import close_loop as close_clamped
 from scenes.closing.loop import Form
 from scenes.closing.result import tool_deviation, visible
-from scenes.path.candidates import covering, diagnostic_motion
+from scenes.path.candidates import changes, covering, diagnostic_motion
 from scenes.path.cell import PathCell, training_path
 from scenes.path.close_loop import ArmOnPath, close_loop, doubt_of_load, left_unexplained
 from scenes.scene_files.path_scene import PathScene
@@ -106,6 +110,28 @@ def test_an_oracle_told_of_what_the_arm_does_not_measure_leaves_the_path_as_it_w
     result = close_loop(scene, measured="motor", ask=False)
     assert result.undeclared == (("backlash", 3),)
     assert result.errors["oracle"].aligned.E_car <= result.errors["before"].aligned.E_car
+
+
+@pytest.mark.parametrize("taken_for", [SAME, TYPE])
+def test_what_was_found_is_tried_as_it_was_found(taken_for: str) -> None:
+    """The parameters of the same arm stay, those of another of its type are what the recording says."""
+    known = Model.nominal(arm_of("kr6"))
+    sticks, too_small = (FittedEffect("stribeck", joint, f"tau_{joint}", (9.0,), theta=(0.05,)) for joint in (2, 3))
+    soft = FittedEffect("joint_elasticity", 1, "tau_1", (1e-5,))
+    other = dataclasses.replace(known, base_values=known.base_values + 1.0, effects=(sticks, soft, too_small))
+    found = Diagnosis("effects", (), tuple(FoundEffect(e, 1.0, 0.5, 50.0) for e in (sticks, soft)), (), "", 0.0,
+                      model=other, taken_for=taken_for)
+    (group,), refused = changes(known, found, "motor")
+    (whole,), first = group.together, group.apart[0][0]
+    made = whole.change(known, None)
+    assert made.effects == (sticks, too_small)
+    of_type = taken_for == TYPE
+    assert np.array_equal(made.base_values, other.base_values if of_type else known.base_values)
+    assert (first.label == TYPE) == of_type
+    # Motor currents do not show a gear: nothing that is measured could decide.
+    assert [step.places for step in refused] == [(("joint_elasticity", 1),)]
+    (empty,), _ = changes(known, dataclasses.replace(found, effects=(), model=known), "motor")
+    assert bool(empty.together) == of_type
 
 
 def test_another_word_for_what_is_measured_is_refused() -> None:
