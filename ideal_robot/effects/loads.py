@@ -192,18 +192,18 @@ class GravitySpring(AngleLaw):
     """Torque of a spring between a point on the link and one on the frame ([J] section 2: gravity compensator).
 
     With lever ratio ``rho`` of the two attachment points and the angle ``phi`` at which they are in line, the length
-    in units of the longer lever is ``l = sqrt(1 + rho^2 + 2 rho cos(q - phi))`` and the torque
+    in units of the longer lever is ``l = sqrt(1 + rho^2 + 2 rho cos(q - phi))``, at a right angle ``l_0``, and the torque
 
-        tau = c_1 sin(q - phi) + c_2 sin(q - phi) / l ,
+        tau = c_1 sin(q - phi) + c_2 sin(q - phi) (1 / l - 1 / l_0) .
 
-    the first term from the stiffness, the second from the preload; the first alone is like gravity.
+    ``c_1`` is the torque at a right angle, which is like gravity's; how it deviates from a sine comes from the preload.
     """
 
     prior = -2.0  # Few arms have one, and in one joint.
     name = "gravity_spring"
     theta_names = ("phi", "rho")
     theta_units = ("rad", "1")
-    coefficient_names = ("stiffness term", "preload term")
+    coefficient_names = ("torque at a right angle", "preload term")
     coefficient_units = ("N m", "N m")
     discriminating_motion = (
         ("cable_spring", "the joint's whole range: a cable pulls in proportion, a balancer with the sine"),
@@ -230,7 +230,7 @@ class GravitySpring(AngleLaw):
         phi, rho = theta
         angle = signals.q[:, joint - 1] - phi
         length = np.sqrt(1.0 + rho**2 + 2.0 * rho * np.cos(angle))
-        return signals.on_joint(joint, np.sin(angle), np.sin(angle) / length)
+        return signals.on_joint(joint, np.sin(angle), np.sin(angle) * (1.0 / length - 1.0 / np.sqrt(1.0 + rho**2)))
 
     def like_the_model(self, signals: Signals, joint: int) -> Array:
         """See ``Effect.like_the_model``. Gravity's two components, turned with the joint."""

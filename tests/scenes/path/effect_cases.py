@@ -99,7 +99,7 @@ TORQUES: dict[str, tuple[tuple[float, ...], tuple[float, ...], Callable[..., flo
     "axis_coupling/tau": ((0.0, 1.0, 0.3), (3.0, 1.0, 1.0),
                           lambda c, q, qd: c[1] * qd[2] + c[2] * _along(qd[1] + qd[2])),
     "gravity_spring/tau": ((1.0, 0.5), (0.4, 0.5), lambda c, q, qd: np.sin(q[1] - 0.4) * (
-        c[0] + c[1] / np.hypot(1.0 + 0.5 * np.cos(q[1] - 0.4), 0.5 * np.sin(q[1] - 0.4)))),
+        c[0] + c[1] * (1.0 / np.hypot(1.0 + 0.5 * np.cos(q[1] - 0.4), 0.5 * np.sin(q[1] - 0.4)) - 1.25**-0.5))),
 }
 """Of joint 2: what the coefficients are in proportion to, nonlinear parameters, torque of coefficients, q and qd."""
 
