@@ -119,6 +119,11 @@ class FurtherElasticity(JointElasticity):
         """The model has to know the gear."""
         return _known_gear(signals, joint) and GearEffect.usable(self, signals, joint)
 
+    def spread(self, signals: Signals, joint: int) -> Array | None:
+        """See ``Effect.spread``. A gear twice as soft as it is known to be is one standard deviation off."""
+        known = 0.0 if signals.compliance is None else float(signals.compliance[joint - 1])
+        return np.array([[known**2]])
+
     def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
         """See ``Effect.plausible``. A spring still holds."""
         known = 0.0 if signals.compliance is None else float(signals.compliance[joint - 1])

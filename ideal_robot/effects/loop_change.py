@@ -71,6 +71,11 @@ class LoopChange:
     nowhere: str = ""
 
     @property
+    def of_gear(self) -> bool:
+        """Whether it is what a gear gives, or its play."""
+        return self.gear_compliance is not None or self.further_compliance is not None or bool(self.half_gap)
+
+    @property
     def places(self) -> tuple[str, ...]:
         """Where it acts, in words; empty where it does not."""
         words = (one.metadata["place"] for one in fields(self)

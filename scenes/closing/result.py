@@ -31,10 +31,11 @@ from scenes.scene_files.scene import Scene
 
 SHARES = {"before": 0.05, "rounds": 0.6, "oracle": 0.15, "report": 0.2}
 """Measured shares of a closing's time."""
-_MODELS = {"before": ("with the model as it was", "#b0413e"), "after": ("with what was found", "#2f6690"),
-           "tracker": ("with the arm angles of a tracker", "#8893a1"),
-           "oracle": ("with an oracle that knows what is wrong", "#8893a1"), "true": ("with the true numbers", "")}
-"""In words, and their colour in the figure."""
+_COLOURS = {"before": "#b0413e", "after": "#2f6690", "tracker": "#8893a1", "oracle": "#8893a1"}
+"""Of each play in the figure; one without is not drawn."""
+_ANSWERS = {"before": "before", "after": "after", "tracker": "with a tracker's arm angles",
+            "oracle": "with an oracle that knows what is wrong"}
+"""How the answer tells each play; one without is in the table alone."""
 
 
 @dataclass(frozen=True)
@@ -128,6 +129,18 @@ class Closing(ShownTable):
         otherwise = f"a scene of kind {self.scene.kind} does not close it"
         return [f"{said(*place)} named, refused: {why.get(place, otherwise)}" for place in named if place not in stay]
 
+    def answer(self) -> str:
+        """What was hidden, what stays in the model, and the error before and after, in a sentence or two."""
+        hidden = " and ".join(said(*place) for place in self.undeclared)
+        places = dict.fromkeys(place for step in self.steps if step.taken for place in step.places)
+        # What fits parameters anew adds no effect.
+        anew = dict.fromkeys(step.tried for step in self.steps if step.taken and not step.places)
+        kept = [*(said(*place) for place in places), *anew]
+        errors = ", ".join(f"{self.plays[name].error:.3g} {words}" for name, words in _ANSWERS.items()
+                           if name in self.plays)
+        return (f"Hidden: {hidden or 'nothing that has a name'}. Found and kept: "
+                f"{' and '.join(kept) or 'nothing, the model is as it was'}. {self.words.error}: {errors}.")
+
     def json(self) -> dict[str, Any]:
         """The content of ``--json``."""
         diagnosis = {} if self.diagnosis is None else {"diagnosis": self.diagnosis.to_dict()}
@@ -154,11 +167,7 @@ class Closing(ShownTable):
 
     def page(self) -> Report:
         """The report."""
-        hidden = " and ".join(said(*place) for place in self.undeclared)
-        plays = ", ".join(f"{played.error:.3g} {_MODELS[name][0]}" for name, played in self.plays.items())
-        page = Report(f"{self.scene.title or self.scene.name}: the loop closed",
-                      f"The model did not know {hidden or 'what the world holds'}. {self.words.error}: {plays}."
-                      + (f" {summary(self.diagnosis)}" if self.diagnosis else ""))
+        page = Report(f"{self.scene.title or self.scene.name}: the loop closed", self.answer())
         for refused in self.refusals():
             page.warning(f"{refused[:1].upper()}{refused[1:]}.")
         page.heading("Before and after")
@@ -171,7 +180,8 @@ class Closing(ShownTable):
                    "scatter along the motion and from play to play.")
         self.section(page)
         if self.diagnosis is not None:
-            page.heading("The diagnosis between")
+            page.heading("The first diagnosis")
+            page.text(summary(self.diagnosis))
             add_diagnosis(page, self.diagnosis)
         return page
 
@@ -179,8 +189,8 @@ class Closing(ShownTable):
         figure = Figure(figsize=(5.4, 3.0), layout="constrained")
         axes = figure.subplots()
         for name, played in self.plays.items():
-            if played.curve is not None and _MODELS[name][1]:
-                axes.plot(*played.curve, color=_MODELS[name][1], lw=1.1, label=name)
+            if played.curve is not None and name in _COLOURS:
+                axes.plot(*played.curve, color=_COLOURS[name], lw=1.1, label=name)
         axes.set(xlabel=abscissa, ylabel=ordinate)
         axes.legend(frameon=False, ncols=3)
         axes.grid(alpha=0.3)

@@ -257,7 +257,6 @@ def close_loop(
 
     Example: `ideal-robot close-loop close_elastic --json circle.json`
     """
-    from scenes.diagnosis.page import summary
     from scenes.play import close_scene
     from scenes.scene_files.scene import chosen
 
@@ -274,11 +273,10 @@ def close_loop(
         typer.echo(f"asked for in round {plan['round']}: "
                    + (f"a motion of {plan['duration_s']:.0f} s, played, that tells {separated} of "
                       f"{len(plan['pairs'])} pairs" if plan["played"] else str(plan["reason"])))
-    if result.diagnosis is not None:
-        typer.echo(summary(result.diagnosis))
-    typer.echo(f"report: {result.report}")
     for refused in result.refusals():
         typer.echo(refused)
+    typer.echo(result.answer())
+    typer.echo(f"report: {result.report}")
 
 
 def prepare(

@@ -226,7 +226,7 @@ def _acts(effect: FittedEffect) -> bool:
     change = effect.effect.loop_change(effect.coefficients, effect.theta)
     if change.nowhere or change.zero or change.geometry is not None:
         return False
-    return effect.domain != MOTOR_TORQUE or not (change.gear_compliance is not None or change.half_gap)
+    return effect.domain != MOTOR_TORQUE or not change.of_gear
 
 
 def _played(name: str, run: LineResult, latency: float) -> Played:

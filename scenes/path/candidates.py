@@ -58,12 +58,11 @@ def _not_tried(effect: FittedEffect, measured: Measured) -> str:
     change = effect.effect.loop_change(effect.coefficients, effect.theta)
     if effect.domain == SENSOR or change.nowhere:
         return f"does not act: {change.nowhere or 'no sensor takes part in this path'}"
-    gear = change.gear_compliance is not None or bool(change.half_gap)
-    if effect.domain != MOTOR_TORQUE or not (gear or change.zero):
+    if effect.domain != MOTOR_TORQUE or not (change.of_gear or change.zero):
         return ""
     if measured == "motor":
         return _ONLY_BEHIND
-    return _SHOWN_BEHIND if gear else ""
+    return _SHOWN_BEHIND if change.of_gear else ""
 
 
 # The motion of every round, and the one that a diagnosis asks for.
