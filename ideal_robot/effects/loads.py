@@ -192,7 +192,8 @@ class GravitySpring(AngleLaw):
     """Torque of a spring between a point on the link and one on the frame ([J] section 2: gravity compensator).
 
     With lever ratio ``rho`` of the two attachment points and the angle ``phi`` at which they are in line, the length
-    in units of the longer lever is ``l = sqrt(1 + rho^2 + 2 rho cos(q - phi))``, ``l_0`` at a right angle, and the torque
+    in units of the longer lever is ``l = sqrt(1 + rho^2 + 2 rho cos(q - phi))``, ``l_0`` at a right angle, and the
+    torque
 
         tau = c_1 sin(q - phi) + c_2 sin(q - phi) (1 / l - 1 / l_0) .
 
