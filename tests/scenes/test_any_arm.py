@@ -92,7 +92,8 @@ def on_every_surface(scene: LineScene, seeds: Sequence[int]) -> None:
         assert found.travel().top_speed >= 0.97 * scene.speed
 
 
-@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 13))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(1, 13))
 def test_what_is_placed_is_taken_wherever_the_line_may_lie(seed: int, tmp_path: Path) -> None:
     """A scene that `new` wrote was refused by `run`: one looked at the assumed surface, the other at a tilted one."""
     path = written(tmp_path, drawn_arm(np.random.default_rng(seed)))
@@ -404,6 +405,7 @@ FIVE = (("0 0 1", "0 0 0.3", (-3.0, 3.0), 3, 400, 20.0, 0.2), ("0 1 0", "0.1 0 0
 """Axis, place [m], limits [rad], speed [rad/s], effort [N m], mass [kg] and length [m] of five joints."""
 
 
+@pytest.mark.slow
 def test_a_motion_is_found_for_an_arm_that_few_can_be_driven_to(tmp_path: Path) -> None:
     """``new`` wrote a scene for it, and ``run`` ended: nine of ten motions lie behind the column or the floor."""
     parts = ['<robot name="five"><link name="l0"/>']

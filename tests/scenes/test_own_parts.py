@@ -113,6 +113,7 @@ class Fast(Ahead):
 
 
 @pytest.mark.parametrize("name", ["straight", "force_wave", "edge"])
+@pytest.mark.slow
 def test_a_feedforward_that_cannot_be_played_is_told_from_one_that_follows_badly(name: str) -> None:
     for wrong, says in ((AllRows(), r"step has to return a command of shape \(6,\)"),
                         (Fast(), "made for a cycle of 0.004 s, the arm has 0.01"),

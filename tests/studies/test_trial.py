@@ -48,6 +48,7 @@ def test_size_that_came_out_is_near_the_one_drawn() -> None:
     assert trial.recording.n >= 2
 
 
+@pytest.mark.slow
 def test_a_cause_that_was_asked_for_is_in_the_trial_or_there_is_none() -> None:
     trial = draw_trial(12, "inside", "integrator", seconds=(8.0, 10.0), cause="torque_ripple")
     assert [c.name for c in trial.causes] == ["torque_ripple"]

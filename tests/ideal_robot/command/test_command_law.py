@@ -149,7 +149,7 @@ def test_the_error_of_the_plain_path_is_foretold(tmp_path: Path, controller: Law
 
 @pytest.mark.skipif(not EMPS.exists(), reason="the measured machine's recordings are not here")
 @pytest.mark.parametrize("torque", [True, False])
-@pytest.mark.parametrize("which", ["estimation", "validation"])
+@pytest.mark.parametrize("which", ["estimation", pytest.param("validation", marks=pytest.mark.slow)])
 def test_a_measured_machine_s_error_is_foretold(which: str, torque: bool) -> None:
     """Of both files from either, with and without its torque."""
     machine = Robot.load(EMPS / "emps.urdf")

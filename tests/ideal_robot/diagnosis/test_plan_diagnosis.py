@@ -142,6 +142,7 @@ def with_arm_angles(recording: Recording) -> Recording:
     return Recording({**columns, **{f"qa_{i}": columns[f"q_{i}"] for i in (1, 2)}})
 
 
+@pytest.mark.slow
 def test_undecided_joint_is_made_to_move():
     columns = dict(poor_recording().columns)
     columns["q_2"] = np.full_like(columns["q_2"], columns["q_2"][0])
@@ -153,6 +154,7 @@ def test_undecided_joint_is_made_to_move():
     assert {pair.rival for pair in plan.pairs} == {""}
 
 
+@pytest.mark.slow
 def test_currents_without_known_gains_are_planned_for_in_their_own_units(planned):
     """Each joint has a gain of its own, so they share no inertia; what told torques apart tells currents apart."""
     first, plain, *_ = planned

@@ -189,6 +189,7 @@ def test_latency_is_found_and_nothing_where_there_is_none(gantry_robot: Robot) -
         assert names == expected
 
 
+@pytest.mark.slow
 def test_a_sloping_surface_is_no_error_of_the_camera(gantry_robot: Robot) -> None:
     """Points come nearer along the line by 1 % a second, which no one told the camera: its stamps do not drift."""
     _, size, recording = draw_line_trial(36, "camera_latency")

@@ -78,6 +78,7 @@ def compared(seed: int, seconds: float, controller: Controller) -> tuple[float, 
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_on_the_identified_controller_nothing_is_lost(seed: int) -> None:
     plain, ideal, adapted = compared(seed, 12.0, lambda t: (LATE, GAIN, 0.0))
     assert ideal < 0.05 * plain
@@ -94,6 +95,7 @@ def test_a_lag_that_grows_is_followed(seed: int) -> None:
 
 
 @pytest.mark.parametrize("gain", [0.6, pytest.param(1.5, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_gains_that_are_changed_are_found(gain: float) -> None:
     _, ideal, adapted = compared(5, 16.0, lambda t: (LATE, gain * GAIN, 0.0))
     assert adapted < 0.2 * ideal

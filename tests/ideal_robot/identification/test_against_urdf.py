@@ -87,7 +87,7 @@ def test_other_units_are_said(unit: np.ndarray) -> None:
     assert not {WRONG_SIGN, NO_GRAVITY} & said.keys()
 
 
-@pytest.mark.parametrize("degrees", [20.0, 90.0, 180.0])
+@pytest.mark.parametrize("degrees", [pytest.param(20.0, marks=pytest.mark.slow), 90.0, 180.0])
 def test_an_arm_that_is_mounted_otherwise_is_said(degrees: float) -> None:
     arm = robot()
     model = arm.pinocchio.copy()

@@ -305,7 +305,7 @@ def heard(way: Array, unfelt: float, currents: bool = True, speed: float = 0.2) 
     return motors.excess
 
 
-@pytest.mark.parametrize("unfelt", [0.0, 25.0])
+@pytest.mark.parametrize("unfelt", [pytest.param(0.0, marks=pytest.mark.slow), 25.0])
 def test_friction_of_slow_joints_that_no_model_knows_is_no_force(unfelt: float) -> None:
     """5 to 30 mrad/s, friction beside the model's as large as its residual; it turns round over the presliding way."""
     robot, model = known()

@@ -20,9 +20,10 @@ from scenes.scene_file import load_scene
 from tests.scenes.follow.on_bench import FAULTS, STAGES, Bench, followed
 
 QUICK = [("nothing but noise of 0.3 mN", "turning", "weigh the same"), ("wrong sign", "turning", "wrong sign"),
-         ("stuck, with its usual noise", "search", "the motors feel"),
+         pytest.param("stuck, with its usual noise", "search", "the motors feel", marks=pytest.mark.slow),
          ("a leap of -30 N", "approach", "felt in the air"),
-         ("stuck, with its usual noise", "travel", "of what the tip's swing on the surface makes")]
+         pytest.param("stuck, with its usual noise", "travel", "of what the tip's swing on the surface makes",
+                      marks=pytest.mark.slow)]
 
 
 @pytest.mark.parametrize(("fault", "stage", "says"), QUICK)
@@ -69,6 +70,7 @@ def test_a_drift_is_noticed_on_a_job_that_is_long_enough_for_it(name: str, speed
     pytest.param("nothing but noise of 0.3 N", 1.0, "lies deeper", marks=pytest.mark.slow),
     ("stuck, with its usual noise", 1.0, "lies deeper"),
     ("stuck, with its usual noise", 2.5, "no push")])
+@pytest.mark.slow
 def test_a_contour_is_not_pressed_by_a_sensor_that_does_not_answer(fault: str, begins: float, says: str, tmp_path: Path,
                                                                    monkeypatch: pytest.MonkeyPatch) -> None:
     """The tip's own way was taken for the contour, which receded and turned round: up to 123 N."""
@@ -105,6 +107,7 @@ def test_a_sound_sensor_is_believed(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(("before", "says"), [
     ({"tool_mass_kg": 0.5}, r"tool_mass_kg is 0.[78].* kg and was 0.5 kg at the last calibration"),
     ({"tool_mass_kg": 0.81, "elasticity_N_m": 9000.0}, r"elasticity_N_m is 3.9.*N/m and was 9e\+03 N/m")])
+@pytest.mark.slow
 def test_what_differs_from_the_last_calibration_is_said_with_its_size(before: dict, says: str, tmp_path: Path) -> None:
     run = followed(load_scene("force_wave"), tmp_path, before=before)
     assert re.search(says, str(run.failure)), run.failure

@@ -221,6 +221,7 @@ def test_the_law_of_the_trials_is_recovered() -> None:
     assert _reaching(trials, 3e-5 + 4e-5 * 1.44) == pytest.approx(1.2)
 
 
+@pytest.mark.slow
 def test_the_speed_found_keeps_the_tolerance() -> None:
     scene = short()
     with prepared(scene) as shared:
@@ -361,6 +362,7 @@ def test_pictures_tell_a_copy_of_the_reference_where_they_show_all_of_it(
 
 
 @pytest.mark.parametrize("camera", [{"rate": 500}, {"stamp_offset": -0.03}])
+@pytest.mark.slow
 def test_a_camera_is_calibrated_whose_first_picture_is_stamped_before_the_arm_moves(camera: dict[str, float]) -> None:
     with prepared(load_scene("line").changed(camera=camera)) as cell:
         assert cell.hand_eye is not None

@@ -172,6 +172,7 @@ def test_the_tool_in_the_picture_is_not_taken_for_the_line() -> None:
     # 0.6 in the workshop, where two factors alone, without friction's shape over speed, gave 0.87.
     pytest.param({}, 0.75, id="friction that falls before it rises, at reversals", marks=pytest.mark.slow),
 ])
+@pytest.mark.slow
 def test_adapting_while_the_camera_is_calibrated_leaves_a_share_of_the_error(change: dict[str, Any], share: float
                                                                             ) -> None:
     scene = load_scene("line").changed(**change)

@@ -222,12 +222,14 @@ def torques_alone(setting: Setting) -> Feedforward:
 @pytest.mark.parametrize(("name", "bound"), [
     ("iso9283_1", 0.85), pytest.param("vertical_circle", 0.95, marks=pytest.mark.slow),
     pytest.param("edge", 1.03, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_following_errors_tell_more_than_torques_on_known_paths(name: str, bound: float) -> None:
     scene = load_scene(name)
     both, torques = (run(scene, method=method).errors.time_matched.E_car for method in (ADAPTED, torques_alone))
     assert both < bound * torques
 
 
+@pytest.mark.slow
 def test_what_another_motion_tells_is_kept_where_the_path_is_followed_better() -> None:
     """Joints 2, 3 and 5 creep round in the edge, where the practice tells friction wrong: 1.22 times the error."""
     learned, fixed = (run(load_scene("edge"), method=method).errors.aligned.E_car for method in (ADAPTED, IDEAL))

@@ -92,6 +92,7 @@ def test_a_plain_path_has_nothing_to_compare(tmp_path: Path) -> None:
         played_path(planned, settings)
 
 
+@pytest.mark.slow
 def test_the_same_path_behind_rsi(tmp_path: Path) -> None:
     port = free_port()
     settings = PlaySettings(f"rsi://127.0.0.1:{port}", "kr6", rest=0.1, patience=PATIENCE)

@@ -53,6 +53,7 @@ def test_the_first_worse_version_is_named_and_only_in_its_scene(tmp_path: Path, 
     assert f"v{first}" in history.headline
 
 
+@pytest.mark.slow
 def test_unchanged_versions_are_as_good_as_the_best_in_all_of_ten_draws(tmp_path: Path,
                                                                       monkeypatch: pytest.MonkeyPatch) -> None:
     for draw in range(10):

@@ -57,8 +57,8 @@ def test_a_camera_anywhere_is_found(mounted: str, seed: int) -> None:
     assert found.used.all()
 
 
-@pytest.mark.parametrize("mounted", ["tool", "cell"])
-@pytest.mark.parametrize(("shift", "turn"), [(0.0, 0.0), (3e-4, 3e-4)])
+@pytest.mark.parametrize("mounted", ["tool", pytest.param("cell", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("shift", "turn"), [(0.0, 0.0), pytest.param(3e-4, 3e-4, marks=pytest.mark.slow)])
 def test_the_covariance_is_honest(mounted: str, shift: float, turn: float) -> None:
     squares = []
     for seed in range(12):
