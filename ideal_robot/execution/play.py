@@ -154,7 +154,12 @@ class PathCommands:
         return self._handed_over(horizon[0], q_c, after)
 
     def rate_behind(self, place: float, rate: float, wanted: float) -> float:
-        """The rate of the next cycle on the way from one ``rate`` to another, within the joints' accelerations."""
+        """The rate of the next cycle, within the joints' accelerations.
+
+        Args:
+            place, rate: of this cycle.
+            wanted: rate that is to be reached.
+        """
         if self.robot is None or rate == wanted:
             return wanted
         k = min(int(place), self.length - 1)
