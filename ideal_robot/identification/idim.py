@@ -145,6 +145,8 @@ def identify(recordings: Sequence[Recording], robot: Robot, *, validation: Seque
     settings = {"cutoff": signals[0].cutoff, "cutoff_decimation": signals[0].cutoff_decimation,
                 **(_described(filters) if filters is not None else {})}
     model = _model_of(fit, robot, base, usable, settings, budgets)
+    if amperes:
+        model = replace(model, provenance={**model.provenance, "amperes": robot.without_gain})
     warnings += excitation_warnings(model, fit.solution)
     contradictions, said = contradicting(usable, robot, amperes=amperes)
     warnings += said

@@ -198,6 +198,7 @@ def identify_two_step(recordings: Sequence[Recording], robot: Robot, *, validati
     p_g = _weighted(gravity, base.of(nominal), prior)[0]
     measurements = [*gravity, *(m for s in signals for m in inertia_measurements(s, robot, base, p_g))]
     values, covariance, residual, unexcited = _weighted(measurements, base.of(nominal), prior)
+    amperes = any("unknown-drive-gain" in text for text in warnings)
     points = tuple(_friction_points(signals, robot, base, values, j) for j in range(robot.n))
     fits = tuple(choose_law(*p) if friction == "auto" else fit_law(law_of(friction), *p) for p in points)
     laws = [_with_presliding(fit.law, signals, robot, base, values, j) for j, fit in enumerate(fits)]
@@ -207,14 +208,15 @@ def identify_two_step(recordings: Sequence[Recording], robot: Robot, *, validati
         robot.name, robot.description, robot.urdf_hash, base, values, PerJointFriction(laws),
         joint_covariance, consistency.full, np.zeros(robot.n),
         provenance={"method": "two-step", "recordings": [{"source": r.source, "hash": r.hash} for r in usable],
-                    "filters": {"cutoff": _CUTOFF, "cutoff_decimation": signals[0].cutoff_decimation}})
+                    "filters": {"cutoff": _CUTOFF, "cutoff_decimation": signals[0].cutoff_decimation},
+                    **({"amperes": robot.without_gain} if amperes else {})})
     estimation = tuple(model.predict(r) for r in usable)
     noise = np.sqrt(np.mean(np.concatenate([p.measured - p.tau for p in estimation]) ** 2, axis=0))
     model = replace(model, noise_std=noise)
     solution = _statistics(measurements, values, joint_covariance, unexcited, residual, noise)
     warnings += [f"{text} (validation)" for text in more]
     warnings += excitation_warnings(model, solution)
-    contradictions, said = contradicting(usable, robot, amperes=any("unknown-drive-gain" in text for text in warnings))
+    contradictions, said = contradicting(usable, robot, amperes=amperes)
     warnings += said
     held_out = tuple(model.predict(r) for r in unseen)
     model = with_errors(model, estimation, held_out, warnings)

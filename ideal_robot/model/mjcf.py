@@ -105,8 +105,9 @@ def export_mjcf(model: Model, path: str | Path, like: str | Path | None = None) 
         What the format cannot say, in words.
 
     Raises:
-        InputError: MuJoCo is missing, no such file, or a description of another arm.
+        InputError: MuJoCo is missing, no such file, a description of another arm, or a model in amperes.
     """
+    model.require_torques()
     library = mujoco()
     spec, compiled = _spec(library, like, model)
     names = _matched(list(model.kinematics.names)[1:], [joint.name for joint in spec.joints], like)
@@ -316,6 +317,7 @@ def _unsaid(model: Model, spec: Any, names: list[str]) -> Iterator[str]:
 
 def urdf_with_dynamics(model: Model) -> str:
     """The URDF with the consistent inertias and ``<dynamics damping friction>`` of each joint."""
+    model.require_torques()
     text = urdf_with_inertials(model.urdf, model.kinematics, model.consistent[: 10 * model.n])
     root = ET.fromstring(text)
     names = list(model.kinematics.names)[1:]

@@ -23,7 +23,7 @@ from ideal_robot.friction import PerJointFriction
 from ideal_robot.model.model_file import SCHEMA, read_values, require_consistent, urdf_with_inertials, write_values
 from ideal_robot.model.parametrisation import ControllerModel, Parameter, Prediction, described, sensitivity
 from ideal_robot.results import Summarised, plain
-from ideal_robot.robots.robot import Robot, joint_units
+from ideal_robot.robots.robot import Robot, joint_units, unit_in_amperes
 from ideal_robot.robots.urdf import model_of
 from ideal_robot.signals.preprocess import FilteredSignals, evenly_sampled
 from ideal_robot.signals.recording import Recording
@@ -94,8 +94,10 @@ class Model(Summarised):
         return self.friction.n
 
     def units(self, unit: str) -> tuple[str, ...]:
-        """A unit of each joint, e.g. "N m": as it is where it turns, "N" where it slides ``(n,)``."""
-        return joint_units(unit, self.kinematics)
+        """A unit of each joint, e.g. "N m": as it is where it turns, "N" where it slides, of amperes ``(n,)``."""
+        amperes = self.provenance.get("amperes", ())
+        return tuple(unit_in_amperes(own) if j + 1 in amperes else own
+                     for j, own in enumerate(joint_units(unit, self.kinematics)))
 
     @property
     def rotor_inertia(self) -> Array:
@@ -135,7 +137,10 @@ class Model(Summarised):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Every parameter with name, joint, value, standard deviation and unit."""
-        return described(self.base, self.base_values, self.friction, self.covariance, self.kinematics)
+        amperes = self.provenance.get("amperes", ())
+        found = described(self.base, self.base_values, self.friction, self.covariance, self.kinematics)
+        return tuple(dataclasses.replace(own, unit=unit_in_amperes(own.unit)) if own.joint in amperes else own
+                     for own in found)
 
     @cached_property
     def _exact(self) -> Array:
@@ -246,6 +251,13 @@ class Model(Summarised):
         """A copy with these effects added to those it has."""
         return dataclasses.replace(self, effects=self.effects + tuple(effects))
 
+    def require_torques(self) -> None:
+        """Raises InputError where parameters are in amperes, which are no masses: no drive gain was known."""
+        if amperes := self.provenance.get("amperes"):
+            raise InputError("the parameters of joint" + "s" * (len(amperes) > 1) + f" {', '.join(map(str, amperes))} "
+                             "are in amperes; give drive gains (torque_constant in the robot's TOML) and identify "
+                             "again", field="model", value=self.robot_name)
+
     def require_arm(self, robot: Robot, *, file: Path | str | None = None) -> None:
         """Raises InputError for a robot that this is no model of: other joints, or joints at other places."""
         mine, own = self.kinematics.jointPlacements, robot.pinocchio.jointPlacements
@@ -319,6 +331,7 @@ class Model(Summarised):
 
     def export_urdf(self, path: str | Path) -> Path:
         """Writes the URDF with the physically consistent inertias; what is fixed to a link is merged into it."""
+        self.require_torques()
         return write_text(path, urdf_with_inertials(self.urdf, self.kinematics, self.consistent[: 10 * self.n]))
 
 

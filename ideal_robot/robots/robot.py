@@ -45,6 +45,14 @@ def sliding_unit(unit: str) -> str:
     return unit
 
 
+def unit_in_amperes(unit: str) -> str:
+    """What a unit of torques, forces and inertias is where the torque is a current whose gain nobody knows."""
+    for of_torque, of_current in (("kg m²", "A s²"), ("kg m", "A s²/m"), ("kg", "A s²/m²"), ("N m", "A"), ("N", "A")):
+        if of_torque in unit:
+            return unit.replace(of_torque, of_current)
+    return unit
+
+
 TOOL_TIP = "ideal_robot_tool_tip"
 """Name of the frame at the end of a tool that a scene puts on."""
 
@@ -122,12 +130,17 @@ class Robot(Summarised):
         return not self.unknown_drive_gain
 
     @property
+    def without_gain(self) -> list[int]:
+        """Joints, counted from 1, whose currents are not known to be so many N m an ampere."""
+        return [int(j) + 1 for j in np.flatnonzero(self.drive_gain == 1.0)]
+
+    @property
     def unknown_drive_gain(self) -> str:
         """Warning of whoever makes torques of the arm's currents; empty where all drive gains are known."""
-        unknown = np.flatnonzero(self.drive_gain == 1.0) + 1
-        if not unknown.size:
+        unknown = self.without_gain
+        if not unknown:
             return ""
-        joints = "no drive gains are" if unknown.size == self.n else (
+        joints = "no drive gains are" if len(unknown) == self.n else (
             f"the drive gain of joint {', '.join(map(str, unknown))} is not")
         return (f"unknown-drive-gain: {joints} known (torque_constant of the robot's TOML, --robot); torques are in "
                 "amperes there and so are all parameters")

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import signal
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from ideal_robot.arrays import Array
 from ideal_robot.signals.preprocess import FilteredSignals
@@ -25,6 +26,8 @@ _SHORTEST_BRAKED, _RARE = 10, 10.0
 """Samples of a run of exact zeros, and how many times the usual run of equal values it is as long, for brakes."""
 _HELD = 1e-3
 """A joint that a brake holds stays within this [rad or m]."""
+_RESTS = 0.2
+"""Time within which a joint that stands stays where it is [s]: a drive at its limit moves it by more."""
 _LEVELS = 8
 """Levels from which on the ends of a channel's range are limits; of fewer the ends are visited by rounding."""
 _COARSE = 0.05
@@ -79,7 +82,7 @@ def channel_findings(recording: Recording) -> tuple[ChannelFinding, ...]:
         if step > _COARSE * np.std(values):
             notes.append(ChannelFinding(STEPPED, name, j, f"{name} comes in steps of {step:.3g}, "
                                         f"{100 * step / np.std(values):.0f} % of its standard deviation"))
-        clipped = at_limits(values, step)
+        clipped = at_limits(values, step, stands(recording.t, q[:, j]))
         if clipped > _AT_LIMIT:
             notes.append(ChannelFinding(CLIPPED, name, j, f"{name} stands at its extreme value in {100 * clipped:.1f} "
                                         "% of the samples; the drive was at its limit, a slower motion avoids it"))
@@ -138,29 +141,52 @@ def lattice(values: Array) -> float:
     return step if np.mean(np.abs(places - np.round(places)) < 0.1) > 0.95 else 0.0
 
 
-def at_limits(values: Array, step: float) -> float:
+def stands(t: Array, q: Array) -> np.ndarray:
+    """Mask ``(N,)`` of samples about which a joint stays where it is for a while: at rest a torque may be one level.
+
+    Args:
+        t, q: instants [s] and positions of the joint [rad or m] ``(N,)``.
+    """
+    half = max(1, round(0.5 * _RESTS / max(float(np.median(np.diff(t))), 1e-9)))
+    width = 2 * half + 1
+    still = maximum_filter1d(q, width) - minimum_filter1d(q, width) < _HELD
+    # Every sample of a window in which it stays.
+    return np.asarray(maximum_filter1d(still.astype(np.uint8), width) > 0)
+
+
+def at_limits(values: Array, step: float, still: np.ndarray | None = None) -> float:
     """Share of samples in runs of three or more at the largest or the smallest value ``(N,)``.
 
     Of levels ``step`` apart an extreme one that is not fuller than the one before it is no limit.
+
+    Args:
+        values, step: of a torque, and the step that it comes in.
+        still: samples at which its joint stands ``(N,)``, which a torque's level says nothing of; None for none.
     """
-    return float(sum(np.mean(top[:-2] & top[1:-1] & top[2:]) for top in _limits(values, step)))
+    moves = np.ones(len(values), dtype=bool) if still is None else ~still
+    return float(sum(np.mean(top[:-2] & top[1:-1] & top[2:]) for top in _limits(values, step, moves)))
 
 
-def clipped(values: Array) -> np.ndarray:
-    """Mask ``(N,)`` of samples at a limit that a channel ``(N,)`` stands at often enough to be clipped there."""
+def clipped(values: Array, still: np.ndarray | None = None) -> np.ndarray:
+    """Mask ``(N,)`` of samples at a limit that a channel ``(N,)`` stands at often enough to be clipped there.
+
+    Args:
+        values, still: see ``at_limits``.
+    """
     step = lattice(values)
-    if at_limits(values, step) <= _AT_LIMIT:
+    if at_limits(values, step, still) <= _AT_LIMIT:
         return np.zeros(len(values), dtype=bool)
-    return np.any(list(_limits(values, step)), axis=0)
+    moves = np.ones(len(values), dtype=bool) if still is None else ~still
+    return np.any(list(_limits(values, step, moves)), axis=0)
 
 
-def _limits(values: Array, step: float) -> Iterator[np.ndarray]:
-    """For each side on which there is a limit, the samples that stand at it ``(N,)``."""
+def _limits(values: Array, step: float, moves: np.ndarray) -> Iterator[np.ndarray]:
+    """For each side on which there is a limit, the samples that stand at it while the joint ``moves`` ``(N,)``."""
     if len(np.unique(values[: 20 * _LEVELS])) <= _LEVELS and len(np.unique(values)) <= _LEVELS:
         return
     for side in (values, -values):
-        top = side >= side.max()
-        below = ~top & (side >= side.max() - 1.5 * step)
+        top = (side >= side.max()) & moves
+        below = (side < side.max()) & (side >= side.max() - 1.5 * step) & moves
         if top.sum() > 2 * below.sum():
             yield top
 

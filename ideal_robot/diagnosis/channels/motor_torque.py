@@ -32,7 +32,7 @@ from ideal_robot.estimate.score import CLEAR
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import friction_places, friction_sensitivity
 from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.channels import clipped
+from ideal_robot.signals.channels import clipped, stands
 from ideal_robot.signals.cutoff import thinned
 from ideal_robot.signals.preprocess import FilteredSignals, preprocess
 from ideal_robot.signals.recording import Recording, is_known_column
@@ -113,7 +113,7 @@ def _counting_rows(recording: Recording, filtered: FilteredSignals, noise_veloci
     use = apart_from_reversals(filtered.q, filtered.qd, moving, MEMORY / filtered.cutoff,
                                filtered.dt)[::factor][filtered.keep]
     for j in range(recording.n):
-        at_limit = clipped(recording.columns[f"tau_{j + 1}"])
+        at_limit = clipped(recording.columns[f"tau_{j + 1}"], stands(recording.t, recording.columns[f"q_{j + 1}"]))
         if at_limit.any():
             near = np.interp(filtered.t, recording.t, at_limit.astype(float)) > 0.0
             use[:, j] &= ~ndimage.maximum_filter1d(near, 4 * factor + 1)[::factor][filtered.keep]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from ideal_robot.friction import ViscousCoulomb
 from ideal_robot.identification.checks import checked, require_motion
 from ideal_robot.identification.idim import identify
 from ideal_robot.identification.whole_model import identify_model
+from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.filters import lowpass
 from ideal_robot.signals.preprocess import preprocess
@@ -100,6 +102,23 @@ def test_current_becomes_torque(good: Recording) -> None:
     some = replace(arm, drive_gain=np.where(np.arange(6) == 2, 1.0, arm.drive_gain))
     _, warnings = checked([Recording(columns)], some)
     assert warnings[0].startswith("unknown-drive-gain: the drive gain of joint 3 is not known")
+
+
+@pytest.mark.parametrize("unknown", [(0, 1, 2, 3, 4, 5), (2,)])
+def test_parameters_in_amperes_are_said_to_be_and_are_no_masses(unknown: tuple[int, ...], tmp_path: Path) -> None:
+    model = Model.nominal(robot())
+    joints = [j + 1 for j in unknown]
+    amperes = replace(model, provenance={**model.provenance, "amperes": joints})
+    for j in range(6):
+        assert amperes.units("N m")[j] == ("A" if j in unknown else "N m")
+        assert amperes.units("N m/rad")[j] == ("A/rad" if j in unknown else "N m/rad")
+    for own, plain in zip(amperes.parameters, model.parameters, strict=True):
+        assert ("kg" in own.unit or "N" in own.unit) == (("kg" in plain.unit or "N" in plain.unit)
+                                                         and own.joint not in joints)
+    with pytest.raises(InputError, match="in amperes; give drive gains"):
+        amperes.export_urdf(tmp_path / "arm.urdf")
+    assert not (tmp_path / "arm.urdf").exists()
+    model.export_urdf(tmp_path / "arm.urdf")
 
 
 def test_joint_names_tell_which_joint_it_is_or_are_refused(good: Recording) -> None:

@@ -187,6 +187,23 @@ def test_dead_stepped_clipped_and_filtered() -> None:
     assert kinds(np.column_stack([slow, tau[:, 1]])) == [("filtered", "tau_1")]
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("levels", [1, 2, 3])
+def test_a_torque_that_stands_with_its_joint_is_not_at_a_limit(levels: int, seed: int) -> None:
+    """A joint that rests in a few postures: the logged torque is one level in each, and the largest is one of them."""
+    rng = np.random.default_rng(seed)
+    q, tau = motion(), torque(rng)
+    joint, other = seed % 2, 1 - seed % 2
+    rest = np.array_split(np.arange(len(T)), 2 * levels + 1)[1::2]
+    for k, rows in enumerate(rest):
+        q[rows[0]:, joint] += q[rows[0], joint] - q[rows, joint][-1]
+        q[rows, joint] = q[rows[0], joint]
+        tau[rows, joint] = 12.0 * (-1.0) ** k
+    assert ("clipped", f"tau_{joint + 1}") not in kinds(tau, q=q)
+    tau[:, other] = np.clip(tau[:, other], -8.0, 8.0)
+    assert ("clipped", f"tau_{other + 1}") in kinds(tau, q=q)
+
+
 def test_coarse_encoders_and_irregular_stamps() -> None:
     rng = np.random.default_rng(2)
     tau = torque(rng)
