@@ -5,7 +5,6 @@ Its result holds forces, what was felt of the surface, the recording and the tim
 
 from __future__ import annotations
 
-import time
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,24 +14,25 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.results import over_time
-from ideal_robot.row_log import finished, let_go, new_columns
-from ideal_robot.signals.recording import WRENCH, Recording
+from ideal_robot.row_log import let_go
+from ideal_robot.signals.recording import Recording
 from scenes.force.cell import Cell, GlueWorld, calibrated, camera_shown, friction_shown, set_up, true_tip
 from scenes.force.trouble import Trouble, TroubledCamera, TroubledDetector
 from scenes.methods import DIRECT, following_methods, method_of
 from scenes.metrics import ControlError
 from scenes.online.configured import Configured, force_task
 from scenes.online.contact import ContactSensor
-from scenes.online.cycle import CycleSettings, play_cycles
+from scenes.online.cycle import CycleSettings
 from scenes.online.force_known import BRAKING, LONGEST
 from scenes.online.log import TaskLog
 from scenes.result import Progress, ShownRun, silent
 from scenes.scene_file import as_typed
 from scenes.scene_files.force_scene import CameraTrouble, ForceScene
+from scenes.simulated import done, recorded
 from sensing.camera.hand_eye import HandEye
 from sim.arm.arm import SimulatedArm
 from sim.contact.contact import TipContact
-from sim.equipped_arm import Carried, CarriedCamera, CarriedForceSensor, EquippedArm, Knock
+from sim.equipped_arm import Carried, CarriedCamera, CarriedForceSensor, Knock
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -148,33 +148,11 @@ def _figures(scene: ForceScene, history: dict[str, Array], moving: list[float]) 
     return figures
 
 
-def _recording(arm: SimulatedArm, scene: ForceScene, method: str, contact: ContactSensor) -> Recording:
-    """The controller's recording, with columns added.
-
-    ``q_d_i``, the wrench as sensed, the felt force ``f_normal``; in the metadata what calibration said of tool and
-    contact, and why the arm stopped.
-    """
-    recording, log = arm.recording(external=True), contact.log
-    t, q_d, felt = recording.t, np.asarray(log.q_d), np.asarray(log.samples)
-    names = [f"q_d_{i + 1}" for i in range(q_d.shape[1])]
-    names += (["f_normal"] if len(felt) else []) + ([*WRENCH] if len(log.wrenches) else [])
-    columns = new_columns(names, len(t))
-    for name, angle in zip(names, q_d.T, strict=False):
-        columns[name][:] = np.interp(t, np.asarray(log.t), angle)
-        let_go(columns[name])
-    if len(felt):
-        order = np.argsort(felt[:, 0])
-        columns["f_normal"][:] = np.interp(t, felt[order, 0], felt[order, 1])
-    if len(log.wrenches):
-        instants = log.wrenches.column(0)
-        for i, name in enumerate(WRENCH, start=1):
-            columns[name][:] = np.interp(t, instants, log.wrenches.column(i))
-            let_go(columns[name])
+def _calibrated(contact: ContactSensor) -> dict[str, Any]:
+    """What calibration said of tool and contact."""
     load = contact.tool
-    tool = {"bias": load.bias.tolist(), "mass": load.mass, "com": load.com.tolist()}
-    meta = {**recording.meta, "tool": tool, "contact_stiffness": contact.assumed_stiffness, "scene": scene.name,
-            "method": method, "speed": scene.speed, "seed": scene.seed, "stopped_because": log.failure}
-    return Recording({**recording.columns, **finished(columns)}, meta, recording.source)
+    return {"tool": {"bias": load.bias.tolist(), "mass": load.mass, "com": load.com.tolist()},
+            "contact_stiffness": contact.assumed_stiffness}
 
 
 REST = 12
@@ -235,12 +213,10 @@ def pressed(cell: Cell, configured: Configured, method: str, progress: Progress 
         else:
             trouble.follower = task.follower
             configured.connect(sensor, TroubledCamera(camera, trouble))
-        started = time.perf_counter()
         duration = cell.known.profile.duration
         carried: list[Carried] = [sensor] if camera is None else [camera, sensor]
-        play_cycles(EquippedArm(arm, carried), cell.known.robot, task, task.log,
+        wall = done(task, arm, carried, cell.known.robot,
                     CycleSettings(BRAKING, REST * arm.t_ipo, duration + LONGEST, duration + 2.0, method), progress)
-        wall = time.perf_counter() - started
         task.log.wrenches = sensor.samples
         return _result(cell, method, configured, glue, arm, contact, wall)
 
@@ -258,5 +234,5 @@ def _result(cell: Cell, method: str, configured: Configured, glue: GlueWorld | N
         scene=scene, method=method, figures=_figures(scene, history, moving),
         elasticity=(felt.follower.settings.elasticity, felt.elasticity.std, scene.tip.stiffness),
         tool={"mass": felt.tool.mass, "force_residual_N": float(felt.tool.residual[0])}, history=history, log=log,
-        recording=_recording(arm, scene, method, felt), urdf=cell.known.robot.urdf,
+        recording=recorded(arm, scene, method, log, True, _calibrated(felt)), urdf=cell.known.robot.urdf,
         real_time_factor=arm.t / wall, control_error=error, failure=log.failure)

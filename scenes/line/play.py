@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
@@ -13,8 +12,6 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.feedforward.arm_of_its_type import arm_of_its_type
 from ideal_robot.feedforward.registry import method as registered
-from ideal_robot.row_log import finished, let_go, new_columns
-from ideal_robot.signals.recording import Recording
 from planning.line.deviation_sensor import DeviationSensor
 from planning.line.line_follower import REST
 from scenes.line.cell import Cell, LineWorld, Prepared, prepared, set_up
@@ -24,40 +21,15 @@ from scenes.methods import DIRECT, IDEAL, NONE, SceneMethod, following_methods, 
 from scenes.metrics import ControlError, PathErrors, path_errors
 from scenes.models import model_for
 from scenes.online.configured import line_task
-from scenes.online.cycle import CycleSettings, play_cycles
-from scenes.online.log import SETTLING, TaskLog, plan_error, point_columns
+from scenes.online.cycle import CycleSettings
+from scenes.online.log import SETTLING, TaskLog, plan_error
 from scenes.result import Progress, silent
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError
+from scenes.simulated import done, recorded
 from sensing.camera.camera_model import CameraModel
 from sim.arm.arm import SimulatedArm
-from sim.equipped_arm import CarriedCamera, EquippedArm, Knock
-
-
-def _recording(arm: SimulatedArm, scene: LineScene, method: str, log: TaskLog, camera: CameraModel) -> Recording:
-    """The arm's own recording with columns added.
-
-    ``q_d_i`` desired arm angles; for each camera field, in the row at its time stamp and NaN elsewhere: ``cam_t`` [s]
-    and the line points in the tool frame ``line_x_i line_y_i line_z_i`` [m] (points that were left out are NaN). In the
-    metadata where the optical axis of the camera, as it is believed, meets the surface, and how far away.
-    """
-    recording = arm.recording(external=scene.tracker)
-    rows, t, q_d = recording.t, np.asarray(log.t), np.asarray(log.q_d)
-    desired = [f"q_d_{i + 1}" for i in range(q_d.shape[1])]
-    columns = new_columns([*desired, *point_columns(scene.points)], len(rows))
-    for name, angle in zip(desired, q_d.T, strict=True):
-        columns[name][:] = np.interp(rows, t, angle)
-        let_go(columns[name])
-    for name, values in log.point_columns(rows, scene.points):
-        columns[name][:] = values
-        let_go(columns[name])
-    mount = camera.T_tool_camera
-    meta = {**recording.meta, "scene": scene.name, "method": method, "speed": scene.speed, "seed": scene.seed,
-            "stopped_because": log.failure, "camera": {
-                "axis": [float(v) for v in camera.axis_on_surface],
-                "distance": float(-mount.translation[2] / mount.rotation[2, 2])}}
-    return replace(recording, columns={**recording.columns, **finished(columns)}, meta=meta)
-
+from sim.equipped_arm import CarriedCamera, Knock
 
 POINTS = "ideal_points"
 """The ideal robot behind a map of single points in place of polynomials, for comparison."""
@@ -111,16 +83,14 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
         if pictures and configured.camera is not None:
             task.sensors.append(Pictures(configured.camera, follower))
         task.learn(shared.moved)
-        started = time.perf_counter()
         longest = (follower.lasts + 0.5) * arm.t_ipo
-        play_cycles(EquippedArm(arm, [carried]), cell.known.robot, task, log,
+        wall = done(task, arm, [carried], cell.known.robot,
                     CycleSettings(scene.reference.acceleration, REST, longest, longest, method.key), progress)
-        wall = time.perf_counter() - started
         t, tcp = arm.tcp_path()
         if log.failure and len(t) < 2:
             raise SceneError(f"the arm did not move: {log.failure or 'no cycle was played'}")
         shown = tuple(replace(frame, image=carried.whole(frame.field)) for frame in log.shown)
-        recording = _recording(arm, scene, method.key, log, cell.known.camera)
+        recording = recorded(arm, scene, method.key, log, scene.tracker, _mounted(cell.known.camera), scene.points)
     whole, error = _control_error(cell, t, tcp, log.first_used)
     far = "" if method.key == NONE else far_from_line(error.mean)
     return LineResult(
@@ -135,6 +105,13 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
         looked_back=follower.fusion.looked_back(np.array(log.s))[0][:, 0],
         plan_error_mm=plan_error(log, follower.fusion),
         sensors=dict(log.readings))
+
+
+def _mounted(camera: CameraModel) -> dict[str, Any]:
+    """Where the optical axis of the camera, as it is believed, meets the surface, and how far away."""
+    mount = camera.T_tool_camera
+    return {"camera": {"axis": [float(v) for v in camera.axis_on_surface],
+                       "distance": float(-mount.translation[2] / mount.rotation[2, 2])}}
 
 
 def _control_error(cell: Cell, t: Array, tcp: Array, first_used: float) -> tuple[ControlError, ControlError]:
