@@ -32,6 +32,8 @@ _FOLLOWS = 0.5
 _BLOCKS = 20
 _STEPS = 1e4
 """What ``q_c - q`` is resolved to at least, over its own size; below, nothing is to be corrected."""
+_FINER = 0.75
+"""Share of the interpolation cycle below which commands are logged more finely than they are handed over."""
 
 
 def identify_command(recordings: Sequence[Recording], model: Model, *, torque: bool,
@@ -134,7 +136,11 @@ def judged(law: CommandLaw, recordings: Sequence[Recording], model: Model, robot
     stretches = stretches_of(recordings, commands_of(recordings[0]), still=law.still)
     try:
         loop = loop_model(model, robot)
-        left = np.concatenate([_left_by_loop(s, loop)[s.rows] for s in stretches])
+        # Commands logged more finely than they are handed over are set-points in force: a command is one at its cycle's
+        # end. Some controllers log what they were handed over as finely; what the loop predicts better is it.
+        early = (0.0, loop.t_ipo) if law.t_cycle < _FINER * loop.t_ipo else (0.0,)
+        each = [np.concatenate([_left_by_loop(s, loop, by)[s.rows] for s in stretches]) for by in early]
+        left = min(each, key=lambda rows: float(np.sum(rows**2)))
         own = np.concatenate([law.expected(s.motion)[s.rows] for s in stretches])
     except IdealRobotError:
         return law
@@ -145,9 +151,15 @@ def judged(law: CommandLaw, recordings: Sequence[Recording], model: Model, robot
     return dataclasses.replace(law, cascade=np.sqrt(np.mean(left**2, axis=0)), leads=better)
 
 
-def _left_by_loop(stretch: Stretch, loop: Loop) -> Array:
-    """Measured motor angles minus those that the loop makes of the commands ``(N, n)`` [rad]."""
+def _left_by_loop(stretch: Stretch, loop: Loop, early: float = 0.0) -> Array:
+    """Measured motor angles minus those that the loop makes of the commands ``(N, n)`` [rad].
+
+    Args:
+        stretch: of a recording.
+        loop: identified.
+        early: by how much a command is handed over before the instant at which it was logged [s].
+    """
     t = stretch.motion.dt * np.arange(float(len(stretch.command)))
-    at = np.arange(0.0, t[-1], loop.t_ipo)
+    at = np.minimum(np.arange(0.0, t[-1], loop.t_ipo) + early, t[-1])
     made = simulate(loop, np.asarray(CubicSpline(t, stretch.command)(at)))
     return np.asarray(stretch.motion.q - interpolated(t, made.t, made.q_m))

@@ -18,11 +18,13 @@ from ideal_robot.command.words import beyond_cascade, described
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.command_inverse import CommandInverse
 from ideal_robot.identification.angles_alone import identify_arm, identify_from_commands
-from ideal_robot.identification.command import identify_command
+from ideal_robot.identification.command import identify_command, judged
+from ideal_robot.loop.from_model import loop_model
+from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from tests.sources import DATA
+from tests.sources import DATA, ROOT
 
 Law = Callable[[Array, Array, Array], Array]
 """What a controller sees of the command beyond its position, of positions, speeds and torques ``(N, n)``."""
@@ -231,3 +233,28 @@ def test_a_log_that_starts_in_motion_says_so_and_is_used_from_then_on(tmp_path: 
     identified = identify_from_commands(
         spoilt(recorded(arm, cascade, late=0.006, seed=1, torque=False), "in motion"), arm)
     assert any("moves in the first row" in warning for warning in identified.warnings)
+
+
+@pytest.mark.parametrize("logged", ["handed over", "in force, finely"])
+def test_the_cascade_is_judged_by_commands_as_they_were_logged(logged: str) -> None:
+    """A set-point in force at the end of a cycle is the command of its beginning; a cycle beside, any law is better."""
+    arm, model = Robot.load("kr6"), Model.load(ROOT / "scenes" / "models" / "kr6.json")
+    loop, rng = loop_model(model, arm), np.random.default_rng(2)
+    t = loop.t_ipo * np.arange(400.0)
+    swell = np.clip(np.minimum(t, t[-1] - t) / 1.0, 0.0, 1.0)[:, None] ** 2
+    q_c = arm.home + swell * sum(rng.uniform(0.03, 0.08, 6) * np.sin(2.0 * np.pi * f * t[:, None]
+                                                                     + rng.uniform(0.0, 6.0, 6)) for f in (0.3, 0.7))
+    made = simulate(loop, q_c)
+    fine = loop.t_ipo if logged == "handed over" else loop.t_ipo / 6.0
+    at = np.arange(0.0, t[-1], fine)
+    told = CubicSpline(t, q_c)(at if logged == "handed over" else np.maximum(at - loop.t_ipo, 0.0))
+    q = CubicSpline(made.t, made.q_m)(at)
+    recording = Recording.from_arrays(at, q_c=told, q=q, tau=model.inverse_dynamics(q, 0.0 * q, 0.0 * q))
+    # A law that leaves a tenth of a milliradian.
+    joint = JointLaw(Shape(late=0.03), (Column("offset"), Column("velocity")), np.array([0.0, 0.05]), 1e-8 * np.eye(2),
+                     np.full(PARTS, 1e-4**2 / PARTS), 0.02, 1e-4, "lag")
+    law = CommandLaw((joint,) * 6, fine, np.full(6, 0.02), arm.home, np.ones(6))
+    found = judged(law, [recording], model, arm)
+    assert found.cascade is not None
+    assert np.all(found.cascade < 1e-4)
+    assert not found.leads
