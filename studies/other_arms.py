@@ -1,19 +1,25 @@
-"""Arms that others simulate, behind their makers' interfaces: for tests, and for the chains of the evidence page.
+"""Arms that are simulated behind their makers' interfaces: for tests, and for the chains of the evidence page.
 
 ``python -m studies.other_arms fr3 127.0.0.9 1.0`` serves one until it is ended; the context managers do it in a process
-of its own, and write the URDF and drive data that go with it.
+of its own, and write the URDF and drive data that go with it. FR3 and CRX are simulators of others; the KR 6 is ours,
+behind controllers that were written from the makers' documents.
 """
 
 from __future__ import annotations
 
+import select
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+
+ANSWER_WITHIN = 0.5
+"""How long a controller that waits for answers waits for one [s]; then it goes on without, as a real one does."""
 
 FR3_HOME = (0.0, -0.7854, 0.0, -2.3562, 0.0, 1.5708, 0.7854)
 """Where the arm stands first [rad]."""
@@ -74,7 +80,8 @@ def fr3(folder: Path, *, host: str = "127.0.0.9", slowed: float = 1.0) -> Iterat
     Args:
         folder: where URDF and drive data are written.
         host: loopback address.
-        slowed: how many times as long a millisecond of the simulation takes: on a busy computer answers come in time.
+        slowed: how many times as long a millisecond of the simulation takes; 0: a millisecond begins when the one
+            before was answered, so that no busy computer decides what is played.
     """
     from franky_sim import FR3_URDF
 
@@ -90,12 +97,35 @@ def crx(folder: Path, *, slowed: float = 1.0) -> Iterator[tuple[str, Path]]:
 
     Args:
         folder: where URDF and drive data are written.
-        slowed: how many times as long a cycle takes: on a busy computer answers come in time.
+        slowed: how many times as long a cycle takes; 0: see ``fr3``.
     """
     (folder / "crx10ial.urdf").write_text(crx_urdf(), encoding="utf-8")
     (folder / "crx10ial.toml").write_text(CRX_DATA, encoding="utf-8")
     with _served("crx", str(slowed)) as ports:
         yield "fanuc://127.0.0.1:{}?rmi={}".format(*ports.split()), folder / "crx10ial.urdf"
+
+
+@contextmanager
+def kr6(wire: str, *, port: int = 0) -> Iterator[str]:
+    """The simulated KR 6, at home in the default world, behind the controller of a maker; yields its address.
+
+    It serves one session, in which a cycle begins when the one before was answered.
+
+    Args:
+        wire: ``rsi``, ``rtde``, ``egm`` or ``ros2``.
+        port: where the program listens for RSI or EGM; any free one if 0.
+    """
+    with _served("kr6", wire, str(port or free_port())) as address:
+        yield address
+
+
+def free_port() -> int:
+    """A UDP port that nobody uses now."""
+    import socket
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.bind(("127.0.0.1", 0))
+        return int(link.getsockname()[1])
 
 
 @contextmanager
@@ -121,7 +151,30 @@ def _serve_fr3(host: str, slowed: str) -> None:
         sim.add_robot(initial_q=FR3_HOME, kv=FR3_GAINS)
         with SimulationServer(sim, [host]) as server:
             print("ready", flush=True)
-            server.run_forever(float(slowed))
+            if float(slowed):
+                server.run_forever(float(slowed))
+            _answered_milliseconds(server)
+
+
+def _answered_milliseconds(server: Any) -> None:
+    """Milliseconds of ``franky-sim``, each of which begins when the one before was answered."""
+    (robot,) = server.robot_servers
+    handled, answers = robot._handle_udp_command, []
+
+    def heard(data: bytes) -> None:
+        answers.append(data)
+        handled(data)
+
+    robot._handle_udp_command = heard
+    while True:
+        answers.clear()
+        begun = time.perf_counter()
+        # Without a motion nobody answers, and states go out as by the clock.
+        while not answers and time.perf_counter() - begun < (ANSWER_WITHIN if robot.current_motion_id else 1e-3):
+            robot.process_commands()
+            time.sleep(5e-5)
+        server.sim.step()
+        robot.send_state()
 
 
 def _serve_crx(slowed: str) -> None:
@@ -129,17 +182,79 @@ def _serve_crx(slowed: str) -> None:
 
     start = np.append(np.degrees(CRX_HOME), np.zeros(3))
     with FakeCRXController(FakeCRXConfig(), initial_q_deg=start) as controller:
-        controller.start_realtime(speed=1.0 / float(slowed))
+        if float(slowed):
+            controller.start_realtime(speed=1.0 / float(slowed))
         print(controller.sm_port, controller.rmi_port, flush=True)
         told = 0
         while True:
-            time.sleep(0.05)
+            if float(slowed):
+                time.sleep(0.05)
+            else:
+                answered_cycle(controller)
             for violation in controller.sm.violations[told:]:
                 print(violation, file=sys.stderr, flush=True)
             told = len(controller.sm.violations)
 
 
-SERVERS: dict[str, Callable[..., None]] = {"fr3": _serve_fr3, "crx": _serve_crx}
+def answered_cycle(controller: Any) -> None:
+    """A cycle of ``airo-fanuc``'s emulated controller, which ends when its status was answered.
+
+    Args:
+        controller: a ``FakeCRXController`` that was started without a clock.
+    """
+    begun = time.monotonic()
+    controller.sm.tick(raise_on_violation=False)
+    controller.clock.advance(controller.sm.itp_s)
+    # Before the arm can be moved nobody answers.
+    while time.monotonic() - begun < (ANSWER_WITHIN if controller.state.motion_possible() else 5e-3):
+        if select.select([controller.sm._sock], [], [], 1e-3)[0]:
+            return
+
+
+def _serve_kr6(wire: str, port: str) -> None:
+    from ideal_robot.robots.robot import Robot
+    from sim.arm.arm import SimulatedArm
+    from sim.arm.world import World
+
+    robot = Robot.load("kr6")
+    with SimulatedArm(robot, World.default("kr6"), np.random.default_rng(1)) as arm:
+        # Compiled code is loaded before anybody waits for it.
+        arm.cycle(arm.truth.q_m)
+        _KR6[wire](arm, int(port))
+
+
+def _rsi(arm: Any, port: int) -> None:
+    from sim.devices.rsi_controller import RsiController
+
+    print(f"rsi://127.0.0.1:{port}", flush=True)
+    RsiController(arm, ("127.0.0.1", port), timeout=ANSWER_WITHIN).run()
+
+
+def _rtde(arm: Any, port: int) -> None:
+    from sim.devices.rtde_controller import RtdeController
+
+    controller = RtdeController(arm)
+    print("rtde://{}:{}".format(*controller.address), flush=True)
+    controller.run()
+
+
+def _egm(arm: Any, port: int) -> None:
+    from sim.devices.egm_controller import EgmController
+
+    print(f"egm://127.0.0.1:{port}", flush=True)
+    EgmController(arm, ("127.0.0.1", port), timeout=ANSWER_WITHIN).run()
+
+
+def _ros2(arm: Any, port: int) -> None:
+    from sim.devices.ros2_arm import Ros2Arm
+
+    controllers = Ros2Arm(arm)
+    print("ros2://", flush=True)
+    controllers.play(slowed=0.0)
+
+
+_KR6: dict[str, Callable[[Any, int], None]] = {"rsi": _rsi, "rtde": _rtde, "egm": _egm, "ros2": _ros2}
+SERVERS: dict[str, Callable[..., None]] = {"fr3": _serve_fr3, "crx": _serve_crx, "kr6": _serve_kr6}
 """Arms that are served."""
 
 if __name__ == "__main__":

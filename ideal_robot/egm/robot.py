@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import socket
 import time
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from ideal_robot.deadline import Deadline
 from ideal_robot.errors import BAD_ADDRESS, IdealRobotError, InputError
 from ideal_robot.interfaces import LinkSettings
 from ideal_robot.robots.address import Address
-from ideal_robot.robots.interface import LinkedRobot, RobotState
+from ideal_robot.robots.interface import LinkedRobot, RobotState, cycles_since, read_waiting
 from ideal_robot.robots.robot import Robot
 
 PORT = 6510
@@ -28,7 +27,6 @@ _OWN = 6
 """Joints of a message; a seventh is its first external one."""
 _LARGEST = 1e4
 """No angle is as large [deg]."""
-_PACKET = 65536
 _PACE = 25
 """Messages after which their time stamps tell the cycle."""
 _WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
@@ -36,27 +34,6 @@ _WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 
 class EgmError(IdealRobotError):
     """The controller is not there, does not let itself be led, or has stopped the arm."""
-
-
-@dataclass
-class EgmCounts:
-    """What happened on the link.
-
-    Attributes:
-        cycles: messages that were a cycle of their own.
-        lost: cycles whose message never came.
-        repeated, outdated: messages of a cycle already answered, and of one before it.
-        refused, foreign: packets that are no message, and of other senders.
-        implausible: measured positions that cannot be; they count as missing.
-    """
-
-    cycles: int = 0
-    lost: int = 0
-    repeated: int = 0
-    outdated: int = 0
-    refused: int = 0
-    foreign: int = 0
-    implausible: int = 0
 
 
 class EgmRobot(LinkedRobot):
@@ -74,10 +51,9 @@ class EgmRobot(LinkedRobot):
 
     Raises:
         InputError: an address that cannot be listened on, an arm with another number of joints.
-
-    Attributes:
-        counts: what happened on the link.
     """
+
+    lost_link, packets = EgmError, "messages"
 
     def __init__(self, robot: Robot, *, host: str = "127.0.0.1", port: int = PORT, timeout: float = 1.0,
                  bridge: float = 0.1, answers_within: float = 0.5) -> None:
@@ -85,7 +61,7 @@ class EgmRobot(LinkedRobot):
             raise InputError(f"EGM moves arms with {_OWN} or {_OWN + 1} joints that turn", field="robot",
                              value=f"{robot.name}: {robot.n}")
         super().__init__(robot, bridge, answers_within)
-        self.counts, self._timeout = EgmCounts(), timeout
+        self._timeout = timeout
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind((host, port))
@@ -124,25 +100,13 @@ class EgmRobot(LinkedRobot):
         measured, planned = self._joints(message.feedBack), self._joints(message.planned)
         # What has other joints is no message of the arm.
         assert measured is not None
-        self.commanded = self._wanted = measured if planned is None else planned
         self._begun = self._number = message.header.seqno
         self._clock, self._paced = message.header.tm, message.header.seqno
-        self._step = np.zeros(self.robot.n)
-        self._watch.begin(self.commanded, measured)
+        self._at_rest(measured if planned is None else planned, measured)
         return self._state(message)
 
-    def send(self, q_c: Array) -> None:
-        """The first half of ``cycle``: answers the last message, which leaves the cycle's time for computing.
-
-        Raises EgmError before ``connect``.
-        """
-        if self._peer is None:
-            raise EgmError("connect to the controller before a command is handed over")
-        # Without an answer the arm was held: its speed is gone, the one that is wanted is not.
-        q_c = self._led_back(self._want(q_c), np.zeros(self.robot.n))
+    def _handed_over(self, q_c: Array) -> None:
         self._answer(q_c)
-        self.answer_times.append(time.perf_counter() - self.arrived)
-        self.commanded = q_c
 
     def receive(self) -> RobotState:
         """The second half of ``cycle``: waits for the next message.
@@ -152,20 +116,14 @@ class EgmRobot(LinkedRobot):
         deadline = Deadline.within(self._timeout)
         while True:
             message = self._next(deadline)
-            # Numbers have 32 bits and begin anew behind the last.
-            since = (message.header.seqno - self._number + 2**31) % 2**32 - 2**31
+            since = cycles_since(message.header.seqno, self._number)
             if since > 0:
                 break
             self.counts.repeated += since == 0
             self.counts.outdated += since < 0
         if (reason := self._stopped(message)) is not None:
             raise EgmError(f"the controller has stopped the arm: {reason}")
-        if since - 1 > self.max_lost:
-            raise EgmError(f"{since - 1} messages in a row were lost, more than {self.max_lost}; check network and "
-                           "load")
-        if since > 1:
-            self.counts.lost += since - 1
-            self.missed = True
+        self._bridged(since)
         self._number = message.header.seqno
         self._check_pace(message.header.tm)
         return self._state(message)
@@ -205,32 +163,29 @@ class EgmRobot(LinkedRobot):
 
     def _next(self, deadline: Deadline) -> Any:
         """The newest message of the controller; raises EgmError for silence."""
-        newest: Any = None
-        while True:
-            try:
-                # What waits is looked through, so that no answer stays behind.
-                self._socket.settimeout(max(deadline.left, 1e-3) if newest is None else 0.0)
-                packet, sender = self._socket.recvfrom(_PACKET)
-            except (BlockingIOError, TimeoutError) as error:
-                if newest is not None:
-                    return newest
-                raise EgmError("no message of a controller; check the UDPUC device's remote address and port, that EGM "
-                               "is active in its program, and the network") from error
-            except ConnectionError:
-                continue
-            except OSError as error:
-                raise EgmError(f"the system does not let the port be read any more ({error})") from error
-            if self._peer not in (None, sender):
-                self.counts.foreign += 1
-                continue
-            message = self._decoded(packet)
-            if message is None:
-                self.counts.refused += 1
-                continue
-            if newest is not None and (message.header.seqno - newest.header.seqno) % 2**32 >= 2**31:
-                self.counts.outdated += 1
-                continue
-            self._peer, newest, self.arrived = sender, message, time.perf_counter()
+        self._newest = None
+        try:
+            found = read_waiting(self._socket, deadline, self._taken)
+        except OSError as error:
+            raise EgmError(f"the system does not let the port be read any more ({error})") from error
+        if not found:
+            raise EgmError("no message of a controller; check the UDPUC device's remote address and port, that EGM "
+                           "is active in its program, and the network")
+        return self._newest
+
+    def _taken(self, packet: bytes, sender: Any) -> bool:
+        if self._peer not in (None, sender):
+            self.counts.foreign += 1
+            return False
+        message = self._decoded(packet)
+        if message is None:
+            self.counts.refused += 1
+            return False
+        if self._newest is not None and cycles_since(message.header.seqno, self._newest.header.seqno) < 0:
+            self.counts.outdated += 1
+            return False
+        self._peer, self._newest, self.arrived = sender, message, time.perf_counter()
+        return True
 
     def _decoded(self, packet: bytes) -> Any:
         """A state of the arm; None for another message, another number of joints, or angles that cannot be."""
@@ -260,16 +215,12 @@ class EgmRobot(LinkedRobot):
 
     def _state(self, message: Any) -> RobotState:
         """EGM reports no torques."""
-        self.counts.cycles += 1
         measured, planned = self._joints(message.feedBack), self._joints(message.planned)
         assert measured is not None
-        if self.fault is None:
-            self.fault = self._watch.check(self.commanded, measured)
-            self.counts.implausible = self._watch.missing
         nothing = np.full(self.robot.n, np.nan)
         force = list(message.measuredForce.force) if message.HasField("measuredForce") else []
         wrench = force if len(force) == len(_WRENCH) else [float("nan")] * len(_WRENCH)
-        return RobotState(((self._number - self._begun) % 2**32) * self.t_ipo, measured, nothing, {
+        return RobotState(((self._number - self._begun) % 2**32) * self.t_ipo, self._looked_at(measured), nothing, {
             "q_set": nothing if planned is None else planned,
             "utilization": float(message.utilizationRate) if message.HasField("utilizationRate") else float("nan"),
             **dict(zip(_WRENCH, wrench, strict=True))})

@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 import time
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -58,23 +57,6 @@ class FciError(IdealRobotError):
     """The controller is not there, does not let itself be led, or has stopped the arm."""
 
 
-@dataclass
-class FciCounts:
-    """What happened on the connection.
-
-    Attributes:
-        cycles: interpolation cycles with a state of their own.
-        lost: interpolation cycles of which no state came in time; the controller went on by itself.
-        late: milliseconds without an answer of ours.
-        implausible: measured positions that cannot be; they count as missing.
-    """
-
-    cycles: int = 0
-    lost: int = 0
-    late: int = 0
-    implausible: int = 0
-
-
 class FciRobot(LinkedRobot):
     """A ``RobotInterface`` to a Franka arm.
 
@@ -90,10 +72,9 @@ class FciRobot(LinkedRobot):
 
     Raises:
         InputError: an arm without seven joints, a cycle that is no whole number of milliseconds.
-
-    Attributes:
-        counts: what happened on the connection.
     """
+
+    lost_link, packets = FciError, "states"
 
     def __init__(self, robot: Robot, host: str, *, cartesian: bool = False, bridge: float = 0.1,
                  answers_within: float = 0.3) -> None:
@@ -103,7 +84,7 @@ class FciRobot(LinkedRobot):
         if self._steps < 1 or not math.isclose(self._steps * _PERIOD, robot.t_ipo):
             raise InputError("FCI has a cycle of 1 ms; expected whole milliseconds", field="--cycle", value=robot.t_ipo)
         super().__init__(robot, bridge, answers_within)
-        self.host, self.counts, self._cartesian = host, FciCounts(), cartesian
+        self.host, self._cartesian = host, cartesian
         self._franka: Any = None
         self._control: Any = None
         self._ticks = self._cycle_began = 0
@@ -134,26 +115,19 @@ class FciRobot(LinkedRobot):
         if state.current_errors:
             raise FciError(f"the arm has stopped: {said(str(state.current_errors))}; recover it in Desk")
         self._first = self._ticks = self._cycle_began = round(state.time.to_sec() / _PERIOD)
-        self.commanded = self._wanted = np.array(state.q_d)
-        self._step = self._speed = np.zeros(_AXES)
+        self._at_rest(np.array(state.q_d), np.array(state.q))
         self._knots[:] = self.commanded
-        self._watch.begin(self.commanded, np.array(state.q))
         return self._state(state)
 
     def send(self, q_c: Array) -> None:
-        """The first half of ``cycle``: commands and returns, which leaves the cycle's time for computing.
-
-        Raises FciError before ``connect``, or where the controller has stopped the arm.
-        """
-        if self._franka is None:
-            raise FciError("connect to the controller before a command is handed over")
-        if self._control is None:
+        """See ``LinkedRobot.send``; the first command begins the motion."""
+        if self._franka is not None and self._control is None:
             self._start()
-        q_c = self._led_back(self._want(q_c), self._speed)
+        super().send(q_c)
+
+    def _handed_over(self, q_c: Array) -> None:
         self._knots = np.vstack([self._knots[1:], q_c])
         self._write()
-        self.answer_times.append(time.perf_counter() - self.arrived)
-        self.commanded = q_c
 
     def receive(self) -> RobotState:
         """The second half of ``cycle``: answers the milliseconds in between and waits for the cycle's end.
@@ -168,18 +142,14 @@ class FciRobot(LinkedRobot):
             if (since := (self._ticks - self._cycle_began) // self._steps) > 0:
                 break
             self._write()
-        if since - 1 > self.max_lost:
-            raise FciError(f"{since - 1} states in a row were lost, more than {self.max_lost}; check network and load")
+        self._bridged(since)
         self._cycle_began += since * self._steps
         self.gone_on = since - 1
-        set_point = np.array(state.q_d)
         if since > 1:
-            self.counts.lost += since - 1
-            self.missed = True
             # It holds or extrapolates: what is in force it reports itself.
             self._speed = np.array(state.dq_d) * self.t_ipo
-            self.commanded = set_point
-            self._knots[:] = set_point
+            self.commanded = np.array(state.q_d)
+            self._knots[:] = self.commanded
         return self._state(state)
 
     def close(self) -> None:
@@ -223,11 +193,7 @@ class FciRobot(LinkedRobot):
 
     def _state(self, state: Any) -> RobotState:
         """Torque is measured at the link side, gravity included where the arm measures it so."""
-        self.counts.cycles += 1
-        measured = np.array(state.q)
-        if self.fault is None:
-            self.fault = self._watch.check(self.commanded, measured)
-            self.counts.implausible = self._watch.missing
+        measured = self._looked_at(np.array(state.q))
         wrench = dict(zip(_WRENCH, state.K_F_ext_hat_K, strict=True))
         return RobotState((self._ticks - self._first) * _PERIOD, measured, np.array(state.tau_J), {
             "q_set": np.array(state.q_d), "tau_ext": np.array(state.tau_ext_hat_filtered),

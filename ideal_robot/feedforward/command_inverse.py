@@ -18,6 +18,12 @@ from ideal_robot.robots.robot import Robot
 
 _BEFORE, _AFTER = 6, 6
 """Desired positions on either side of an instant that its derivatives are taken from."""
+_TURNS = 0.25
+"""Share of a joint's acceleration that its command may take where friction turns."""
+_WIDTHS, _LONGEST = (0.0, 0.6, 1.0, 1.5, 2.2, 3.3, 5.0, 7.5, 11.0, 17.0, 25.0, 37.0, 56.0), 0.06
+"""Standard deviations of the smoothing of friction that are tried [cycles], and the longest [s]."""
+_RESTS = 1e-6
+"""Of the speed below which a joint counts as reversing, what is rounding of a joint that rests."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +31,7 @@ class InverseState:
     """What one cycle hands to the next.
 
     Attributes:
-        q_d: desired positions before ``(6, n)`` [rad].
+        q_d: desired positions before ``(W, n)`` [rad].
         filters: states of each joint's filters of direct and integrated terms ``(n, 2, k)``.
         start: command minus position at rest at the start ``(n,)`` [rad].
         cycle: cycles since the start.
@@ -56,6 +62,8 @@ class CommandInverse(Feedforward):
     """Commands that make an arm with this law follow the desired positions.
 
     Gears that are known to be elastic are wound up first: the law is of motor angles, the desired ones are the arm's.
+    Where dry friction turns, the law asks for a leap of the command. It is spread over as many cycles as the joints'
+    acceleration needs for it; with a long cycle over none.
     What commands and positions differ by at rest is taken up over the first ``SETTLE`` seconds.
 
     Args:
@@ -82,8 +90,39 @@ class CommandInverse(Feedforward):
         # Commands act at lines from one to the next: a cycle other than the recording's shifts them by its half.
         self.shift = delay * self.t_ipo + 0.5 * (self.t_ipo - self.law.t_cycle)
         self.ahead = np.maximum([own.shape.ahead + self.shift for own in self.law.joints], 0.0)
-        self.n_d = int(np.ceil(self.ahead.max() / self.t_ipo)) + _AFTER
         self.discrete = [own.shape.discrete(self.t_ipo) for own in self.law.joints]
+        self._spread: list[Array] = [np.ones(1)] * self.n
+        if self.law.torque != "none":
+            # What the friction of each joint changes by where it reverses.
+            turns = -np.diff(self.model.friction.torque(np.array([[1.0], [-1.0]]) * self.law.still), axis=0)[0]
+            self._spread = [_bell(self._width(i, turns, robot.a_max)) for i in range(self.n)]
+        spread = max(len(kernel) for kernel in self._spread) // 2
+        self.before = _BEFORE + spread
+        self.n_d = int(np.ceil(self.ahead.max() / self.t_ipo)) + _AFTER + spread
+
+    def _width(self, i: int, turns: Array, a_max: Array) -> float:
+        """Least spread of the friction of joint ``i`` (from 0) with which no command leaps where it turns [cycles].
+
+        Args:
+            i: joint, from 0.
+            turns: by how much the friction of each joint changes there ``(n,)`` [N m].
+            a_max: acceleration of the joints ``(n,)`` [rad/s²].
+        """
+        rows = round(8 * _LONGEST / self.t_ipo)
+        motion = Motion.of(np.tile(self.law.middle, (rows, 1)), self.t_ipo, self.law.still, self.bodies)
+        turned, width = np.zeros((rows, self.n)), 0.0
+        turned[rows // 2 :, i] = turns[i]
+        rest = self.law.commands(motion.with_torque(np.zeros_like(turned)), 1, self.ahead)
+        for width in _WIDTHS:
+            if width * self.t_ipo > _LONGEST:
+                break
+            torque = turned.copy()
+            torque[:, i] = _spread_over(turned[:, i], _bell(width))
+            commands = self.law.commands(motion.with_torque(torque), rows, self.ahead) - rest
+            bend = np.abs(np.diff(commands, 2, axis=0)).max(axis=0) / self.t_ipo**2
+            if np.all(bend <= _TURNS * a_max):
+                break
+        return width
 
     def motion(self, q_d: Array, tau_ext_d: Array | None = None) -> Motion:
         """Motion of the motors ``(N, n)`` along desired positions, with the torques that it asks for."""
@@ -98,7 +137,12 @@ class CommandInverse(Feedforward):
         """A motion with the model's torques where the law has any, less those of contact ``(N, n)`` [N m]."""
         if self.law.torque == "none":
             return motion
-        return motion.with_torque(self.model.inverse_dynamics(motion.q, motion.qd, motion.qdd) - external)
+        moves = np.abs(motion.qd) > _RESTS * self.law.still
+        torque = self.model.inverse_dynamics(motion.q, np.where(moves, motion.qd, 0.0), motion.qdd)
+        # What the bodies ask for is as smooth as the motion; the rest of it is friction.
+        friction = torque - motion.body
+        spread = np.stack([_spread_over(friction[:, i], kernel) for i, kernel in enumerate(self._spread)], axis=1)
+        return motion.with_torque(motion.body + spread - external)
 
     def along(self, q_d: Array) -> Array:
         """See ``Feedforward.along``; the whole path at once."""
@@ -109,7 +153,7 @@ class CommandInverse(Feedforward):
         """See ``Feedforward.init``."""
         from scipy import signal
 
-        rows = np.tile(q0, (2 * _BEFORE, 1))
+        rows = np.tile(q0, (2 * self.before, 1))
         motion, filters, start = self.motion(rows), [], np.empty(self.n)
         for j, (num, den) in enumerate(self.discrete):
             sums = self.law.sums(motion, j)
@@ -117,7 +161,7 @@ class CommandInverse(Feedforward):
                       for b, x in zip(num, sums, strict=True)]
             filters.append(np.array(states))
             start[j] = motion.q[0, j] + self.law.error(motion, j)[0] - q0[j]
-        return InverseState(np.tile(q0, (_BEFORE, 1)), tuple(filters), start, 0)
+        return InverseState(np.tile(q0, (self.before, 1)), tuple(filters), start, 0)
 
     def step(self, state: InverseState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, InverseState]:
         """See ``Feedforward.step``."""
@@ -139,9 +183,9 @@ class CommandInverse(Feedforward):
         external = None
         if tau_ext_d is not None:
             contact = held(tau_ext_d, after=max(n_d - len(tau_ext_d), 0))[:n_d]
-            external = held(contact, before=_BEFORE)
+            external = held(contact, before=self.before)
         motion = self.motion(np.vstack([state.q_d, ahead]), external)
-        q_c, filters = np.empty(self.n), []
+        q_c, filters, now_row = np.empty(self.n), [], self.before
         for j, (num, den) in enumerate(self.discrete):
             total, states = np.zeros(len(motion.q)), []
             sums = self.law.sums(motion, j, None if changed is None else changed.factors[j])
@@ -150,15 +194,15 @@ class CommandInverse(Feedforward):
                     total += b[0] / den[0] * x
                     states.append(zi)
                     continue
-                now, after = signal.lfilter(b, den, x[_BEFORE : _BEFORE + 1], zi=zi)
-                total[_BEFORE], total[_BEFORE + 1 :] = total[_BEFORE] + now[0], total[_BEFORE + 1 :] + signal.lfilter(
-                    b, den, x[_BEFORE + 1 :], zi=after)[0]
+                now, after = signal.lfilter(b, den, x[now_row : now_row + 1], zi=zi)
+                total[now_row] += now[0]
+                total[now_row + 1 :] += signal.lfilter(b, den, x[now_row + 1 :], zi=after)[0]
                 states.append(after)
             filters.append(np.array(states))
-            now_at, late = np.array([_BEFORE * self.t_ipo]), self.ahead[j]
+            now_at, late = np.array([now_row * self.t_ipo]), self.ahead[j]
             if changed is not None:
                 late, total = max(late + changed.late[j], 0.0), total + changed.offset[j]
-            q_c[j] = self.law.early(motion, j, total, now_at, late, first=_BEFORE)[0]
+            q_c[j] = self.law.early(motion, j, total, now_at, late, first=now_row)[0]
         rest = 1.0 - _settled(np.array([state.cycle * self.t_ipo]), self.t_ipo)[0]
         return q_c - rest * state.start, InverseState(np.vstack([state.q_d[1:], ahead[:1]]), tuple(filters),
                                                       state.start, state.cycle + 1)
@@ -174,6 +218,22 @@ class CommandInverse(Feedforward):
     def _required(self, q: Array) -> Array:
         """Commands ``(N, n)`` [rad] with which the arm makes this motion, whatever it rests with at the start."""
         return self.law.commands(self.motion(held(q, after=self.n_d)), len(q), self.ahead)
+
+
+def _bell(width: float) -> Array:
+    """Weights of about a Gaussian's shape, of a standard deviation in rows ``(k,)``, k odd; one for none.
+
+    ``(1 - u²)⁶`` ends with five derivatives: a law that smooths commands asks for four of the torque.
+    """
+    half = int(np.ceil(np.sqrt(15.0) * width)) if width else 0
+    weights = (1.0 - (np.arange(-half, half + 1.0) / (half + 1.0)) ** 2) ** 6
+    return np.asarray(weights / weights.sum())
+
+
+def _spread_over(rows: Array, kernel: Array) -> Array:
+    """Rows ``(N,)`` smoothed by weights ``(k,)``; the first and the last hold beyond the ends."""
+    half = len(kernel) // 2
+    return np.convolve(np.pad(rows, half, mode="edge"), kernel, mode="valid") if half else rows
 
 
 def _settled(t: Array, t_ipo: float) -> Array:

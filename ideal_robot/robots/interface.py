@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+import socket
+import time
 from abc import ABC, abstractmethod
 from array import array
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.errors import InputError, LimitError
+from ideal_robot.deadline import Deadline
+from ideal_robot.errors import IdealRobotError, InputError, LimitError
 from ideal_robot.robots.robot import Robot
 
 
@@ -312,10 +315,75 @@ def _plans(longest: int) -> list[Array]:
 
 # What arms behind the links of controllers have in common.
 
+@dataclass
+class LinkCounts:
+    """What happened on a link; a controller whose wire cannot show something leaves it 0.
+
+    Attributes:
+        cycles: packets that were an interpolation cycle of their own.
+        lost: cycles whose packet never came, or came too late.
+        late: cycles of the controller's own that had no answer of ours.
+        repeated: packets of a cycle already answered.
+        outdated: packets of a cycle before the last one.
+        partial: messages without all of the arm's joints, as those of a gripper.
+        refused: packets that are no message of a controller.
+        foreign: packets of other senders.
+        implausible: measured positions that cannot be; they count as missing.
+    """
+
+    cycles: int = 0
+    lost: int = 0
+    late: int = 0
+    repeated: int = 0
+    outdated: int = 0
+    partial: int = 0
+    refused: int = 0
+    foreign: int = 0
+    implausible: int = 0
+
+
+def cycles_since(number: int, before: int) -> int:
+    """By how much a packet's number is further than that of one before; numbers of 32 bits begin anew behind the last.
+
+    >>> cycles_since(2, 2**32 - 1), cycles_since(5, 7)
+    (3, -2)
+    """
+    return (number - before + 2**31) % 2**32 - 2**31
+
+
+def read_waiting(link: socket.socket, deadline: Deadline, taken: Callable[[bytes, Any], bool], size: int = 65536
+                 ) -> bool:
+    """Reads what waits at a socket until nothing does, so that no packet's answer stays behind.
+
+    Args:
+        link: of datagrams.
+        deadline: until when a packet that is taken is waited for.
+        taken: called with each packet and its sender; whether it is one that was waited for.
+        size: of the largest packet.
+
+    Returns whether one was taken in time.
+
+    Raises:
+        OSError: the system does not let the socket be read any more.
+    """
+    found = False
+    while True:
+        try:
+            link.settimeout(0.0 if found else max(deadline.left, 1e-3))
+            packet, sender = link.recvfrom(size)
+        except (BlockingIOError, TimeoutError):
+            return found
+        except ConnectionError:  # what was sent before did not find anybody
+            continue
+        found = taken(packet, sender) or found
+
+
 class LinkedRobot(ABC):
     """A ``RobotInterface`` to an arm behind a link on which cycles may be missed.
 
-    Where one was missed, the next commands lead from what the controller has in force back to what is wanted.
+    Where one was missed, the next commands lead from what the controller has in force back to what is wanted. An
+    interface says what its packets are (``_handed_over``, ``receive``); what follows from them is the same for all:
+    ``_at_rest``, ``_bridged`` and ``_looked_at``.
 
     Args:
         robot: limits and cycle time.
@@ -347,14 +415,20 @@ class LinkedRobot(ABC):
     paused: str | None = None
     notes: tuple[str, ...] = ()
     ahead: Array | None = None
+    lost_link: ClassVar[type[IdealRobotError]] = IdealRobotError
+    """What is raised where the link breaks."""
+    packets: ClassVar[str] = "packets"
+    """What the interface calls them."""
 
     def __init__(self, robot: Robot, bridge: float, answers_within: float, relative: bool = False) -> None:
-        self.robot, self.t_ipo = robot, robot.t_ipo
+        self.robot, self.t_ipo, self.counts = robot, robot.t_ipo, LinkCounts()
         self.max_lost = max(math.ceil(bridge / robot.t_ipo), 1)
         self.fault: str | None = None
         self.commanded = self._wanted = self._step = np.full(robot.n, np.nan)
         self.answer_times = array("d")
         self.gone_on, self.missed = 0, False
+        # Of the commands in force, a cycle; where a controller holds the arm without one there is none.
+        self._speed = np.zeros(robot.n)
         # Data of an arm without limits give no room; then a start from rest takes a third of a second.
         v_max = np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
         self._room = np.where(np.isfinite(robot.a_max), 0.5 * robot.a_max, v_max / 0.3)
@@ -376,7 +450,7 @@ class LinkedRobot(ABC):
     def skip(self, q_c: Array) -> None:
         """What was wanted in a cycle that is not commanded: the next command leads from there; raises as ``cycle``."""
         self._want(q_c)
-        self.missed = True
+        self.missed = self.missed or not self.horizon
 
     def _want(self, q_c: Array) -> Array:
         """Notes what is wanted from now on, and by how much that is further than before."""
@@ -416,9 +490,45 @@ class LinkedRobot(ABC):
     def connect(self, patience: float = 60.0) -> RobotState:
         """Waits for the controller up to ``patience`` [s]; the state at rest, ``commanded`` is where it is held."""
 
-    @abstractmethod
     def send(self, q_c: Array) -> None:
-        """The first half of ``cycle``: commands and returns, which leaves the cycle's time for computing."""
+        """The first half of ``cycle``: commands and returns, which leaves the cycle's time for computing.
+
+        Raises ``lost_link`` before ``connect``, or where the link is broken.
+        """
+        if not np.isfinite(self.commanded).all():
+            raise self.lost_link("connect to the controller before a command is handed over")
+        q_c = self._led_back(self._want(q_c), self._speed)
+        self._handed_over(q_c)
+        self.answer_times.append(time.perf_counter() - self.arrived)
+        self.commanded = q_c
+
+    def _handed_over(self, q_c: Array) -> None:
+        """Answers the last packet with a command ``(n,)`` [rad]."""
+        raise NotImplementedError
+
+    def _at_rest(self, commanded: Array, measured: Array) -> None:
+        """The controller is there and holds the arm: positions ``(n,)`` each [rad]."""
+        self.commanded = self._wanted = commanded
+        self._step = np.zeros(self.robot.n)
+        self._watch.begin(commanded, measured)
+
+    def _bridged(self, since: int) -> None:
+        """A packet has come so many cycles after the last one; raises ``lost_link`` for more than can be bridged."""
+        if since - 1 > self.max_lost:
+            raise self.lost_link(f"{since - 1} {self.packets} in a row were lost, more than {self.max_lost}; check "
+                                 "network and load")
+        if since > 1:
+            self.counts.lost += since - 1
+            # What was told beforehand is not missed as long as the horizon reaches.
+            self.missed = since - 1 > self.horizon or self.missed
+
+    def _looked_at(self, q: Array) -> Array:
+        """Looks whether the arm, measured at ``q (n,)`` [rad], does what was commanded; returns ``q``."""
+        self.counts.cycles += 1
+        if self.fault is None:
+            self.fault = self._watch.check(self.commanded, q)
+            self.counts.implausible = self._watch.missing
+        return q
 
     @abstractmethod
     def receive(self) -> RobotState:

@@ -44,6 +44,7 @@ class Node:
         from rclpy.parameter import Parameter
 
         self._rclpy, self._context = rclpy, rclpy.Context()
+        self._listened: list[tuple[Any, Callable[[Any], None]]] = []
         try:
             rclpy.init(context=self._context, signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
             self.ros = rclpy.create_node(
@@ -66,6 +67,13 @@ class Node:
         """Runs the callbacks of what has arrived, of one message; waits for it up to ``timeout`` [s]."""
         self._executor.spin_once(timeout_sec=max(timeout, 0.0))
 
+    def drain(self) -> None:
+        """Takes every message that waits, so that the newest is known: what lags behind once would do so for ever."""
+        for subscription, taken in self._listened:
+            # The executor's own turn takes one at most, and none where it looks after itself.
+            while (waiting := subscription.handle.take_message(subscription.msg_type, False)) is not None:
+                taken(waiting[0])
+
     def newest_only(self, kind: Any, topic: str, taken: Callable[[Any], None], depth: int = 5) -> None:
         """Subscribes so that any publisher matches, reliable or not.
 
@@ -83,7 +91,7 @@ class Node:
         quality = QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT,
                              durability=DurabilityPolicy.VOLATILE)
         try:
-            self.ros.create_subscription(kind, topic, taken, quality)
+            self._listened.append((self.ros.create_subscription(kind, topic, taken, quality), taken))
         except Exception as error:  # the library's own, for a topic of another type
             raise Ros2Error(f"{topic} cannot be listened to as {kind.__name__}: {' '.join(str(error).split())}"
                             ) from error

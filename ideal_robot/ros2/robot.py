@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -32,25 +31,6 @@ _OTHERS = 1.0
 """Time between two looks at whether another publisher commands the arm [s]."""
 
 
-@dataclass
-class Ros2Counts:
-    """What happened on the topics.
-
-    Attributes:
-        cycles: joint states that were a cycle of their own.
-        lost: cycles whose joint state never came.
-        outdated: joint states that are not newer than the one before.
-        partial: messages without all of the arm's joints, as those of a gripper.
-        implausible: measured positions that cannot be; they count as missing.
-    """
-
-    cycles: int = 0
-    lost: int = 0
-    outdated: int = 0
-    partial: int = 0
-    implausible: int = 0
-
-
 class Ros2Robot(LinkedRobot):
     """A ``RobotInterface`` to an arm behind ROS 2.
 
@@ -68,10 +48,9 @@ class Ros2Robot(LinkedRobot):
 
     Raises:
         InputError: joints that the URDF does not have.
-
-    Attributes:
-        counts: what happened on the topics.
     """
+
+    lost_link, packets = Ros2Error, "joint states"
 
     def __init__(self, robot: Robot, states: str, commands: str, *, trajectory: bool = False,
                  joints: tuple[str, ...] = (), sim_time: bool = False, subnet: bool = False, timeout: float = 1.0,
@@ -81,7 +60,7 @@ class Ros2Robot(LinkedRobot):
             raise InputError(f"expected the joints of {robot.name} in some order: {', '.join(names)}", field="joints",
                              value=", ".join(joints)[:80])
         super().__init__(robot, bridge, answers_within)
-        self.counts, self.states, self.commands, self.trajectory = Ros2Counts(), states, commands, trajectory
+        self.states, self.commands, self.trajectory = states, commands, trajectory
         self.horizon = max(math.ceil(HORIZON / robot.t_ipo), 2) if trajectory else 0
         self._names, self._order = names, [names.index(name) for name in joints or names]
         self._timeout, self._sim_time, self._subnet = timeout, sim_time, subnet
@@ -118,29 +97,14 @@ class Ros2Robot(LinkedRobot):
         self._check_cycle(np.diff(stamps))
         state = self._next(self._timeout)
         self._begun = self._last = self._stamp(state)
-        measured = self._measured(state)
-        self._require_radians(measured)
-        self.commanded = self._wanted = measured
-        self._step = np.zeros(self.robot.n)
-        self._watch.begin(measured, measured)
+        stands = np.array(state.position)[self._indices(state)]
+        self._require_radians(stands)
+        self._at_rest(stands, stands)
         return self._state(state)
 
-    def send(self, q_c: Array) -> None:
-        """The first half of ``cycle``: commands and returns, which leaves the cycle's time for computing.
-
-        Raises Ros2Error before ``connect``.
-        """
-        if self._node is None:
-            raise Ros2Error("connect to the controller before a command is handed over")
-        wanted = self._want(q_c)
-        # What is missed of a trajectory was told before; where a single command is missed the arm was held.
-        if self.trajectory:
-            self.missed = False
-        q_c = self._led_back(wanted, np.zeros(self.robot.n))
+    def _handed_over(self, q_c: Array) -> None:
         self._publisher.publish(self._trajectory(q_c) if self.trajectory
                                 else self._message(data=q_c[self._order].tolist()))
-        self.answer_times.append(time.perf_counter() - self.arrived)
-        self.commanded = q_c
 
     def receive(self) -> RobotState:
         """The second half of ``cycle``: waits for the next joint state.
@@ -149,16 +113,9 @@ class Ros2Robot(LinkedRobot):
         """
         message = self._next(self._timeout)
         since = round((self._stamp(message) - self._last) / self.t_ipo)
-        if since - 1 > self.max_lost:
-            raise Ros2Error(f"{since - 1} joint states in a row were lost, more than {self.max_lost}; check network "
-                            "and load")
-        if since > 1:
-            self.counts.lost += since - 1
-            self.missed = True
-            # The controller goes on along the horizon that it has.
-            self.gone_on = min(since - 1, self.horizon)
-        else:
-            self.gone_on = 0
+        self._bridged(since)
+        # The controller goes on along the horizon that it has.
+        self.gone_on = min(max(since - 1, 0), self.horizon)
         self._last = self._stamp(message)
         self._check_others()
         return self._state(message)
@@ -194,7 +151,7 @@ class Ros2Robot(LinkedRobot):
                 if self._node.ros.count_publishers(self.states) == 0:
                     raise Ros2Error(f"the publisher of {self.states} is gone")
                 raise Ros2Error(f"no message on {self.states} for {timeout:g} s")
-        self._node.spin(0.0)
+        self._node.drain()
         return self._newest
 
     @staticmethod
@@ -246,9 +203,6 @@ class Ros2Robot(LinkedRobot):
             message.points.append(point)
         return message
 
-    def _measured(self, message: Any) -> Array:
-        return np.array(message.position)[self._indices(message)]
-
     def _indices(self, message: Any) -> list[int]:
         """Where the arm's joints stand in a message."""
         names = tuple(message.name)
@@ -258,12 +212,8 @@ class Ros2Robot(LinkedRobot):
 
     def _state(self, message: Any) -> RobotState:
         """Torque is the effort, NaN where the message has none."""
-        self.counts.cycles += 1
         at = self._indices(message)
-        measured = np.array(message.position)[at]
-        if self.fault is None:
-            self.fault = self._watch.check(self.commanded, measured)
-            self.counts.implausible = self._watch.missing
+        measured = self._looked_at(np.array(message.position)[at])
         whole = len(message.name)
         effort, speed = (np.array(values)[at] if len(values) == whole else np.full(self.robot.n, np.nan)
                          for values in (message.effort, message.velocity))

@@ -6,9 +6,8 @@ The controller's program reads the commanded angles from input registers and han
 
 from __future__ import annotations
 
-import math
-import time
-from dataclasses import dataclass
+from typing import Any
+
 from typing import Any
 
 import numpy as np
@@ -48,23 +47,6 @@ _SAFETY = {2: "protective stop", 4: "safeguard stop", 5: "emergency stop (system
 """Bits of ``safety_status_bits`` with which the controller stops the arm by itself."""
 
 
-@dataclass
-class RtdeCounts:
-    """What happened on the connection.
-
-    Attributes:
-        cycles: data packages that were a cycle of their own.
-        lost: cycles whose data package never came, or was found when a newer one was there already.
-        outdated: data packages of a time already past.
-        implausible: measured positions that cannot be; they count as missing.
-    """
-
-    cycles: int = 0
-    lost: int = 0
-    outdated: int = 0
-    implausible: int = 0
-
-
 class RtdeRobot(LinkedRobot):
     """A ``RobotInterface`` to an arm whose controller speaks RTDE.
 
@@ -85,14 +67,14 @@ class RtdeRobot(LinkedRobot):
         InputError: an arm without six joints, a register that is none.
 
     Attributes:
-        counts: what happened on the connection.
         version: the controller's version, once connected.
-        arrived: when the last data package was read, by ``time.perf_counter`` [s].
         payload: mass [kg] and its centre in the flange's frame [m] as the controller knows them, ``(4,)``; NaN where it
             does not tell them.
         gravity: its direction in the base by the tool's accelerometer at rest ``(3,)``, up to its sign; NaN where it
             is not measured.
     """
+
+    lost_link, packets = RtdeError, "data packages"
 
     def __init__(self, robot: Robot, host: str = "127.0.0.1", *, port: int = 30004, register: int = 24,
                  timeout: float = 1.0, bridge: float = 0.1, answers_within: float = 0.5) -> None:
@@ -102,9 +84,7 @@ class RtdeRobot(LinkedRobot):
             raise InputError(f"expected 0 to {48 - _AXES}", field="register", value=register)
         super().__init__(robot, bridge, answers_within)
         self.host, self.port = host, port
-        self.counts = RtdeCounts()
         self.version: tuple[int, int, int, int] | None = None
-        self.arrived = math.nan
         self.payload, self.gravity = np.full(4, np.nan), np.full(3, np.nan)
         self._inputs = {**{f"input_double_register_{register + i}": "DOUBLE" for i in range(_AXES)},
                         f"input_int_register_{register}": "INT32"}
@@ -126,7 +106,6 @@ class RtdeRobot(LinkedRobot):
         self._outputs: Recipe = link.outputs(_OUTPUTS, 1.0 / self.t_ipo, _OPTIONAL)
         self._recipe = link.inputs(self._inputs)
         link.start()
-        self._step = np.zeros(self.robot.n)
         started, playing = Deadline.within(patience), False
         while not playing:
             data = self._next(Deadline.within(self._timeout))
@@ -138,7 +117,7 @@ class RtdeRobot(LinkedRobot):
             link.send(self._recipe.packed(*self.commanded.tolist(), 0))
         data = self._next(Deadline.within(self._timeout))
         self._begun = self._last = data["timestamp"][0]
-        self._watch.begin(self.commanded, np.array(data["actual_q"]))
+        self._at_rest(self.commanded, np.array(data["actual_q"]))
         self._loaded(data)
         return self._state(data)
 
@@ -152,19 +131,11 @@ class RtdeRobot(LinkedRobot):
             told["gravity_direction"] = self.gravity.round(3).tolist()
         return told
 
-    def send(self, q_c: Array) -> None:
-        """The first half of ``cycle``: commands and returns, which leaves the cycle's time for computing.
-
-        Raises RtdeError before ``connect``, or where the connection is broken.
-        """
+    def _handed_over(self, q_c: Array) -> None:
         if self._connection is None:
-            raise RtdeError("connect to the controller before a command is handed over")
-        # Where an arm was held its speed is gone, the one that is wanted is not.
-        q_c = self._led_back(self._want(q_c), np.zeros(self.robot.n))
+            raise RtdeError("the connection is closed")
         self._number = self._number % (2**31 - 1) + 1
         self._connection.send(self._recipe.packed(*q_c.tolist(), self._number))
-        self.answer_times.append(time.perf_counter() - self.arrived)
-        self.commanded = q_c
 
     def receive(self) -> RobotState:
         """The second half of ``cycle``: waits for the next data package.
@@ -179,12 +150,7 @@ class RtdeRobot(LinkedRobot):
             if deadline.left < 0.5 * self._timeout:
                 raise RtdeError(f"the controller's time stamps do not go on ({data['timestamp'][0]:.3f} s after "
                                 f"{self._last:.3f} s); its clock was set anew: begin anew, from rest")
-        if since - 1 > self.max_lost:
-            raise RtdeError(f"{since - 1} data packages in a row were lost, more than {self.max_lost}; check network "
-                            "and load")
-        if since > 1:
-            self.counts.lost += since - 1
-            self.missed = True
+        self._bridged(since)
         self._last += since * self.t_ipo
         state = int(data["runtime_state"][0])
         if state not in (_PLAYING, *_PAUSED):
@@ -244,11 +210,7 @@ class RtdeRobot(LinkedRobot):
 
     def _state(self, data: Values) -> RobotState:
         """Torque is the current in ampere times the drive gain."""
-        self.counts.cycles += 1
-        measured = np.array(data["actual_q"])
-        if self.fault is None:
-            self.fault = self._watch.check(self.commanded, measured)
-            self.counts.implausible = self._watch.missing
+        measured = self._looked_at(np.array(data["actual_q"]))
         current = np.array(data["actual_current"])
         self.speed = float(np.prod([data.get(name, (1.0,))[0] for name in ("speed_scaling", "target_speed_fraction")]))
         return RobotState(self._last - self._begun, measured, current * self.robot.drive_gain,

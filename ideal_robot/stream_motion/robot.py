@@ -11,7 +11,6 @@ import socket
 import struct
 import time
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from ideal_robot.deadline import Deadline
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.interfaces import LinkSettings
 from ideal_robot.robots.address import Address
-from ideal_robot.robots.interface import LinkedRobot, RobotState
+from ideal_robot.robots.interface import LinkedRobot, RobotState, cycles_since, read_waiting
 from ideal_robot.robots.robot import Robot
 
 PORT, RMI_PORT = 60015, 16001
@@ -45,26 +44,6 @@ class StreamMotionError(IdealRobotError):
     """The controller is not there, does not let itself be led, or has stopped the arm."""
 
 
-@dataclass
-class StreamMotionCounts:
-    """What happened on the connection.
-
-    Attributes:
-        cycles: status packets that were a cycle of their own.
-        lost: cycles whose status never came.
-        repeated, outdated: status packets of a cycle already answered, and of one before it.
-        refused: packets that are none.
-        implausible: measured positions that cannot be; they count as missing.
-    """
-
-    cycles: int = 0
-    lost: int = 0
-    repeated: int = 0
-    outdated: int = 0
-    refused: int = 0
-    implausible: int = 0
-
-
 class StreamMotionRobot(LinkedRobot):
     """A ``RobotInterface`` to a FANUC arm with the options Stream Motion and Remote Motion Interface.
 
@@ -79,10 +58,9 @@ class StreamMotionRobot(LinkedRobot):
 
     Raises:
         InputError: an arm without six joints.
-
-    Attributes:
-        counts: what happened on the connection.
     """
+
+    lost_link = StreamMotionError
 
     def __init__(self, robot: Robot, host: str, *, port: int = PORT, rmi_port: int = RMI_PORT, j23: float = 0.0,
                  timeout: float = 1.0, bridge: float = 0.1, answers_within: float = 0.8) -> None:
@@ -90,12 +68,12 @@ class StreamMotionRobot(LinkedRobot):
             raise InputError(f"Stream Motion moves arms with {_AXES} joints", field="robot",
                              value=f"{robot.name}: {robot.n}")
         super().__init__(robot, bridge, answers_within)
-        self.host, self.port, self.rmi_port, self.counts = host, port, rmi_port, StreamMotionCounts()
+        self.host, self.port, self.rmi_port = host, port, rmi_port
         self._timeout, self._wire = timeout, np.eye(_AXES)
         self._wire[2, 1] = j23
         self._socket: socket.socket | None = None
         self._rmi: Any = None
-        self._version = _VERSION
+        self._version, self._answered = _VERSION, False
 
     def connect(self, patience: float = 60.0) -> RobotState:
         """Starts the controller's program and the stream; commands have to come from now on.
@@ -136,23 +114,19 @@ class StreamMotionRobot(LinkedRobot):
                 raise StreamMotionError(f"the controller's program {_PROGRAM} does not give motion to the stream")
             status = self._next(Deadline.within(self._timeout))
         self._begun = self._number = int(status["sequence_no"])
-        self.commanded = self._wanted = self._angles(status)
-        self._step = np.zeros(_AXES)
-        self._watch.begin(self.commanded, self.commanded)
-        return self._state(status, 0)
+        stands = self._angles(status)
+        self._at_rest(stands, stands)
+        return self._state(status)
 
     def send(self, q_c: Array) -> None:
-        """The first half of ``cycle``: answers the last status, which leaves the cycle's time for computing.
+        """See ``LinkedRobot.send``; a status that has its answer gets no other one: the next is waited for."""
+        if self._answered:
+            self.receive()
+        super().send(q_c)
 
-        Raises StreamMotionError before ``connect``.
-        """
-        if self._rmi is None:
-            raise StreamMotionError("connect to the controller before a command is handed over")
-        # Where it was without a command the arm was held: its speed is gone, the one that is wanted is not.
-        q_c = self._led_back(self._want(q_c), np.zeros(_AXES))
+    def _handed_over(self, q_c: Array) -> None:
         self._command(q_c, last=False)
-        self.answer_times.append(time.perf_counter() - self.arrived)
-        self.commanded = q_c
+        self._answered = True
 
     def receive(self) -> RobotState:
         """The second half of ``cycle``: waits for the next status.
@@ -162,33 +136,28 @@ class StreamMotionRobot(LinkedRobot):
         deadline = Deadline.within(self._timeout)
         while True:
             status = self._next(deadline)
-            # Numbers have 32 bits and begin anew behind the last.
-            since = (int(status["sequence_no"]) - self._number + 2**31) % 2**32 - 2**31
+            since = cycles_since(int(status["sequence_no"]), self._number)
             if since > 0:
                 break
-            if since == 0:
-                self.counts.repeated += 1
-            else:
-                self.counts.outdated += 1
+            self.counts.repeated += since == 0
+            self.counts.outdated += since < 0
         self._check(status)
         if not status["status"] & _MOVES:
             raise StreamMotionError("the controller has taken motion from the stream" + self._alarm())
-        if since - 1 > self.max_lost:
-            raise StreamMotionError(f"{since - 1} packets in a row were lost, more than {self.max_lost}; check network "
-                                    "and load")
-        if since > 1:
-            self.counts.lost += since - 1
-            self.missed = True
-        self._number = int(status["sequence_no"])
-        return self._state(status, since)
+        self._bridged(since)
+        self._number, self._answered = int(status["sequence_no"]), False
+        return self._state(status)
 
     def close(self) -> None:
         """Ends the stream with the last command, and the connection."""
         if self._socket is not None:
-            with suppress(OSError):
+            with suppress(OSError, StreamMotionError):
                 if np.isfinite(self.commanded).all():
+                    # A number is answered once: the last command belongs to a status that has no answer yet.
+                    if self._answered:
+                        self._number = int(self._next(Deadline.within(_AGAIN))["sequence_no"])
                     self._command(self.commanded, last=True)
-                self._tell(_HEADER.pack(_STOP, self._version))
+            self._tell(_HEADER.pack(_STOP, self._version))
             self._socket.close()
             self._socket = None
         if self._rmi is not None:
@@ -220,7 +189,7 @@ class StreamMotionRobot(LinkedRobot):
 
     def _tell(self, packet: bytes) -> None:
         if self._socket is not None:
-            with suppress(ConnectionRefusedError):
+            with suppress(ConnectionRefusedError):  # nobody is there any more, which silence will say
                 self._socket.send(packet)
 
     def _command(self, q: Array, last: bool) -> None:
@@ -232,25 +201,17 @@ class StreamMotionRobot(LinkedRobot):
     def _next(self, deadline: Deadline) -> dict[str, Any]:
         """The newest status that is one; raises StreamMotionError for silence."""
         assert self._socket is not None
-        newest: dict[str, Any] | None = None
-        while True:
-            try:
-                # What waits is looked through, so that no answer stays behind.
-                self._socket.settimeout(max(deadline.left, 1e-3) if newest is None else 0.0)
-                packet = self._socket.recv(2048)
-            except (BlockingIOError, TimeoutError) as error:
-                if newest is not None:
-                    return newest
-                raise StreamMotionError("the controller is silent; its program has ended, or the network is gone"
-                                        ) from error
-            except ConnectionError:
-                continue
-            self.arrived = time.perf_counter()
-            status = self._decoded(packet)
-            if status is None:
-                self.counts.refused += 1
-            else:
-                newest = status
+        if not read_waiting(self._socket, deadline, self._taken, 2048):
+            raise StreamMotionError("the controller is silent; its program has ended, or the network is gone")
+        return self._newest
+
+    def _taken(self, packet: bytes, sender: Any) -> bool:
+        self.arrived, status = time.perf_counter(), self._decoded(packet)
+        if status is None:
+            self.counts.refused += 1
+            return False
+        self._newest = status
+        return True
 
     def _decoded(self, packet: bytes) -> dict[str, Any] | None:
         """A status packet, taken apart; None for another one, or angles that cannot be."""
@@ -285,13 +246,9 @@ class StreamMotionRobot(LinkedRobot):
         """Joint angles ``(n,)`` [rad] of a status."""
         return np.asarray(self._wire @ np.radians(status["joint_angle"][:_AXES]))
 
-    def _state(self, status: dict[str, Any], since: int) -> RobotState:
+    def _state(self, status: dict[str, Any]) -> RobotState:
         """Torque is the current in ampere times the drive gain, NaN where the controller reports none."""
-        self.counts.cycles += since > 0
-        measured = self._angles(status)
-        if self.fault is None:
-            self.fault = self._watch.check(self.commanded, measured)
-            self.counts.implausible = self._watch.missing
+        measured = self._looked_at(self._angles(status))
         current = np.array(status["current"][:_AXES])
         current = current if current.any() else np.full(_AXES, np.nan)
         force = [float(status[name]) for name in _FORCE] if int(status["packet_type"]) == _STATUS_WITH_FORCE else (

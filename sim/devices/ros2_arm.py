@@ -20,6 +20,10 @@ from ideal_robot.errors import LimitError
 from ideal_robot.robots.interface import RobotState
 from sim.arm.arm import SimulatedArm
 
+_ANSWER_WITHIN = 0.5
+"""How long a command is waited for where no clock decides [s]."""
+_MORE = 3e-3
+"""Time in which another command would come behind it [s]."""
 _GRIPPER = 10
 """Cycles between two joint states of the gripper."""
 Delivered = Callable[[int], list[float]]
@@ -101,11 +105,19 @@ class Ros2Arm:
         self._stopped = True
 
     def play(self, *, slowed: float = 1.0) -> Ros2Run:
-        """Plays in real time until ``stop``; every cycle takes ``slowed`` times as long."""
+        """Plays in real time until ``stop``.
+
+        Args:
+            slowed: how many times as long every cycle takes; 0: a cycle ends when a command has come, so that no busy
+                computer decides what is played.
+        """
         T = self.arm.t_ipo
         due = time.perf_counter()
         while not self._stopped:
             self.cycle()
+            if not slowed:
+                self._answered()
+                continue
             due += slowed * T
             while not self._stopped:
                 self._deliver()
@@ -115,6 +127,18 @@ class Ros2Arm:
                     break
             due = max(due, time.perf_counter() - 0.5)
         return self.run
+
+    def _answered(self) -> None:
+        """Waits for a command; not longer than a cycle before the first one, then until it is surely not coming."""
+        heard, begun = self.run.heard, time.perf_counter()
+        patience = _ANSWER_WITHIN if heard else self.arm.t_ipo
+        while not self._stopped and time.perf_counter() - begun < patience:
+            self._deliver()
+            before = self.run.heard
+            self._executor.spin_once(timeout_sec=_MORE)
+            # A command does not say which state it answers: of several, to states before, the last one counts.
+            if self.run.heard == before > heard:
+                return
 
     def cycle(self) -> None:
         """One cycle of the controllers: reference, arm, joint states."""

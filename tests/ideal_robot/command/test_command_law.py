@@ -17,6 +17,7 @@ from ideal_robot.command.recorded import command_cycle, update_instants
 from ideal_robot.command.words import beyond_cascade, described
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.command_inverse import CommandInverse
+from ideal_robot.friction.laws import Arctan, PerJointFriction
 from ideal_robot.identification.angles_alone import identify_arm, identify_from_commands
 from ideal_robot.identification.command import identify_command, judged
 from ideal_robot.loop.from_model import loop_model
@@ -258,3 +259,30 @@ def test_the_cascade_is_judged_by_commands_as_they_were_logged(logged: str) -> N
     assert found.cascade is not None
     assert np.all(found.cascade < 1e-4)
     assert not found.leads
+
+
+@pytest.mark.parametrize(("cycle", "steepness", "shape"), [
+    (1e-3, 300.0, Shape()), (1e-3, 30.0, Shape(reset=0.08)), (1e-3, 300.0, Shape(smoothing="second_order", time=0.03)),
+    (4e-3, 300.0, Shape())])
+def test_no_command_leaps_where_friction_turns_however_short_the_cycle(tmp_path: Path, cycle: float, steepness: float,
+                                                                       shape: Shape) -> None:
+    arm = dataclasses.replace(robot(tmp_path), t_ipo=cycle, a_max=np.full(2, 10.0))
+    friction = PerJointFriction([Arctan(np.array([[0.1], [0.2], [0.6]]), np.array([[steepness]]))] * 2)
+    own = JointLaw(shape, (Column("velocity"), Column("torque")), np.array([0.05, 4e-4]), np.zeros((2, 2)),
+                   np.zeros(PARTS))
+    law = CommandLaw((own, own), cycle, np.full(2, 0.02), np.zeros(2), np.ones(2), "model")
+    inverse = CommandInverse(dataclasses.replace(Model.nominal(arm), friction=friction, command=law), arm)
+    t = np.arange(0.0, 5.0, cycle)[:, None]
+    swell = np.sin(np.pi * np.clip((t - 0.4) / 4.2, 0.0, 1.0)) ** 6
+    q_d = 0.4 * swell * np.sin(2 * np.pi * np.array([0.5, 0.8]) * t + np.array([0.3, 1.0]))
+    q_c = inverse.along(q_d)
+    # Two derivatives of what is commanded beyond the path; a leap of one N m alone would be 4e-4 / cycle**2.
+    bend = np.abs(np.diff(q_c - q_d, 2, axis=0)) / cycle**2
+    assert bend.max() < 0.8 * arm.a_max.max()
+    # At rest rounding of the velocity has no direction.
+    assert np.abs(np.diff((q_c - q_d)[: round(0.2 / cycle)], 4, axis=0)).max() < 1e-6
+    state, stepped = inverse.init(q_d[0]), []
+    for k in range(round(0.7 / cycle)):
+        command, state = inverse.step(state, q_d[k : k + inverse.n_d])
+        stepped.append(command)
+    np.testing.assert_allclose(stepped, q_c[: len(stepped)], atol=1e-5)

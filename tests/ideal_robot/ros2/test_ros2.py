@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -40,13 +41,14 @@ def alone(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @contextmanager
-def led(address: str = FORWARD, patience: float = 20.0, **options: Any) -> Iterator[tuple[Ros2Robot, Ros2Arm]]:
+def led(address: str = FORWARD, patience: float = 20.0, slowed: float = 6.0, **options: Any
+        ) -> Iterator[tuple[Ros2Robot, Ros2Arm]]:
     """A link that is connected to controllers in a thread."""
     with SimulatedArm(ROBOT, World.ideal("kr6"), np.random.default_rng(1)) as arm:
         arm.cycle(arm.truth.q_m)
         controllers = Ros2Arm(arm, **options)
         # Slower than true time: both sides share one interpreter, and a busy computer.
-        thread = threading.Thread(target=controllers.play, kwargs={"slowed": 6.0}, daemon=True)
+        thread = threading.Thread(target=controllers.play, kwargs={"slowed": slowed}, daemon=True)
         thread.start()
         link = opened(Address.parse(address), ROBOT, LinkSettings(bridge=0.5))
         link._timeout = 5.0
@@ -90,6 +92,16 @@ def test_joints_are_found_by_name_and_commands_go_by_the_controllers_order(addre
     # Time is that of the headers.
     steps = np.diff(run.recording.t) / T
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
+
+
+def test_who_was_behind_once_is_not_behind_for_ever() -> None:
+    with led(slowed=0.0) as (link, controllers):
+        time.sleep(6 * T)
+        for k in range(5):
+            link.cycle(way(k))
+            # What was answered last is what was published last, so that no command is older than it has to be.
+            assert link._last == pytest.approx(controllers._stamp, abs=1e-6) or k == 0
+    assert link.counts.lost >= 3
 
 
 def test_a_trajectorys_horizon_bridges_what_is_lost_and_late() -> None:

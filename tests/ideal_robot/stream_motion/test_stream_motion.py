@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import select
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -18,7 +16,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from ideal_robot.stream_motion import StreamMotionError, StreamMotionRobot
-from studies.other_arms import CRX_DATA, CRX_HOME, crx_urdf
+from studies.other_arms import CRX_DATA, CRX_HOME, answered_cycle, crx_urdf
 
 testing = pytest.importorskip("airo_fanuc.testing", reason="pip install 'ideal-robot[fanuc]'")
 HOME, T = np.array(CRX_HOME), 0.008
@@ -42,14 +40,7 @@ def lockstep(robot: Robot, *, version: int = 3, **options: Any) -> Iterator[tupl
 
     def ticks() -> None:
         while not ended.is_set():
-            begun = time.monotonic()
-            controller.sm.tick(raise_on_violation=False)
-            controller.clock.advance(T)
-            # Before the arm can be moved nobody answers.
-            while not ended.is_set() and time.monotonic() - begun < (
-                    0.5 if controller.state.motion_possible() else 0.005):
-                if _waits(controller.sm._sock):
-                    break
+            answered_cycle(controller)
 
     thread = threading.Thread(target=ticks, daemon=True)
     thread.start()
@@ -61,11 +52,6 @@ def lockstep(robot: Robot, *, version: int = 3, **options: Any) -> Iterator[tupl
         ended.set()
         thread.join(5.0)
         controller.close()
-
-
-def _waits(sock: Any) -> bool:
-    """Whether a packet waits within a millisecond."""
-    return bool(select.select([sock], [], [], 1e-3)[0])
 
 
 def way(k: int, span: int = 60) -> Array:
@@ -99,6 +85,17 @@ def test_lost_status_packets_delay_the_arm_and_are_made_good(robot: Robot) -> No
     np.testing.assert_allclose(np.sort(np.diff([state.t for state in states]))[-3:], [T, 4 * T, 4 * T], atol=1e-9)
     np.testing.assert_allclose(link.commanded, way(140), atol=1e-9)
     assert controller.sm.violations == []
+
+
+def test_no_number_is_answered_twice_when_a_path_or_the_stream_ends_behind_a_command(robot: Robot) -> None:
+    with lockstep(robot) as (link, controller):
+        until(link, 20)
+        link.send(way(20))
+        # Another path begins with a command as well.
+        until(link, 20)
+        link.send(way(20))
+    assert controller.sm.violations == []
+    assert link.counts.repeated == 0
 
 
 def test_doubled_status_packets_are_answered_once(robot: Robot) -> None:
