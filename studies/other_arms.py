@@ -8,6 +8,7 @@ behind controllers that were written from the makers' documents.
 from __future__ import annotations
 
 import select
+import socket
 import subprocess
 import sys
 import time
@@ -17,6 +18,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from ideal_robot.robots.robot import Robot
+from sim.arm.arm import SimulatedArm
+from sim.arm.world import World
+from sim.devices.egm_controller import EgmController
+from sim.devices.ros2_arm import Ros2Arm
+from sim.devices.rsi_controller import RsiController
+from sim.devices.rtde_controller import RtdeController
 
 ANSWER_WITHIN = 0.5
 """How long a controller that waits for answers waits for one [s]; then it goes on without, as a real one does."""
@@ -121,8 +130,6 @@ def kr6(wire: str, *, port: int = 0) -> Iterator[str]:
 
 def free_port() -> int:
     """A UDP port that nobody uses now."""
-    import socket
-
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.bind(("127.0.0.1", 0))
         return int(link.getsockname()[1])
@@ -212,10 +219,6 @@ def answered_cycle(controller: Any) -> None:
 
 
 def _serve_kr6(wire: str, port: str) -> None:
-    from ideal_robot.robots.robot import Robot
-    from sim.arm.arm import SimulatedArm
-    from sim.arm.world import World
-
     robot = Robot.load("kr6")
     with SimulatedArm(robot, World.default("kr6"), np.random.default_rng(1)) as arm:
         # Compiled code is loaded before anybody waits for it.
@@ -224,30 +227,22 @@ def _serve_kr6(wire: str, port: str) -> None:
 
 
 def _rsi(arm: Any, port: int) -> None:
-    from sim.devices.rsi_controller import RsiController
-
     print(f"rsi://127.0.0.1:{port}", flush=True)
     RsiController(arm, ("127.0.0.1", port), timeout=ANSWER_WITHIN).run()
 
 
 def _rtde(arm: Any, port: int) -> None:
-    from sim.devices.rtde_controller import RtdeController
-
     controller = RtdeController(arm)
     print("rtde://{}:{}".format(*controller.address), flush=True)
     controller.run()
 
 
 def _egm(arm: Any, port: int) -> None:
-    from sim.devices.egm_controller import EgmController
-
     print(f"egm://127.0.0.1:{port}", flush=True)
     EgmController(arm, ("127.0.0.1", port), timeout=ANSWER_WITHIN).run()
 
 
 def _ros2(arm: Any, port: int) -> None:
-    from sim.devices.ros2_arm import Ros2Arm
-
     controllers = Ros2Arm(arm)
     print("ros2://", flush=True)
     controllers.play(slowed=0.0)

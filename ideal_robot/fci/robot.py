@@ -147,7 +147,7 @@ class FciRobot(LinkedRobot):
         self.gone_on = since - 1
         if since > 1:
             # It holds or extrapolates: what is in force it reports itself.
-            self._speed = np.array(state.dq_d) * self.t_ipo
+            self._wire_speed = np.array(state.dq_d) * self.t_ipo
             self.commanded = np.array(state.q_d)
             self._knots[:] = self.commanded
         return self._state(state)

@@ -428,7 +428,7 @@ class LinkedRobot(ABC):
         self.answer_times = array("d")
         self.gone_on, self.missed = 0, False
         # Of the commands in force, a cycle; where a controller holds the arm without one there is none.
-        self._speed = np.zeros(robot.n)
+        self._wire_speed = np.zeros(robot.n)
         # Data of an arm without limits give no room; then a start from rest takes a third of a second.
         v_max = np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
         self._room = np.where(np.isfinite(robot.a_max), 0.5 * robot.a_max, v_max / 0.3)
@@ -497,7 +497,7 @@ class LinkedRobot(ABC):
         """
         if not np.isfinite(self.commanded).all():
             raise self.lost_link("connect to the controller before a command is handed over")
-        q_c = self._led_back(self._want(q_c), self._speed)
+        q_c = self._led_back(self._want(q_c), self._wire_speed)
         self._handed_over(q_c)
         self.answer_times.append(time.perf_counter() - self.arrived)
         self.commanded = q_c

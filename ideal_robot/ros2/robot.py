@@ -91,7 +91,8 @@ class Ros2Robot(LinkedRobot):
         node.require_publisher("sensor_msgs/msg/JointState", self.states, deadline)
         node.require_alone(name, self.commands, deadline)
         self._looked = time.perf_counter()
-        stamps = [self._stamp(self._next(self._timeout))]
+        # Who has made its publisher may publish later.
+        stamps = [self._stamp(self._next(max(deadline.left, self._timeout)))]
         while len(stamps) < _SETTLED:
             stamps.append(self._stamp(self._next(self._timeout)))
         self._check_cycle(np.diff(stamps))

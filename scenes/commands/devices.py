@@ -204,8 +204,9 @@ class SimulateOptions:
     scene: Annotated[str, typer.Argument(help="Scene of kind line or force: name of a shipped one, or path (.toml).",
                                          callback=scenes_there)]
     serve: Annotated[bool, typer.Option("--serve", help="Play the cell in real time behind its devices.")] = False
-    arm: Annotated[str, typer.Option(help="rsi://host:port where the follower listens for the controller, "
-                                     "or rtde://127.0.0.1:port where this controller listens.")
+    arm: Annotated[str, typer.Option(help="rsi://host:port or egm://host:port where the follower listens for the "
+                                     "controller, rtde://127.0.0.1:port where this controller listens, or "
+                                     "ros2://namespace.")
                    ] = "rsi://127.0.0.1:49152"
     host: Annotated[str, typer.Option(help="Address of this computer on which camera and force sensor listen.")
                     ] = "127.0.0.1"
@@ -226,17 +227,20 @@ class SimulateOptions:
                     ] = None
 
     def places(self) -> Places:
-        """Where the devices listen; InputError for an arm behind neither RSI nor RTDE."""
-        from scenes.serve.cell import Places
-        from sensing.stream import host_and_port
+        """Where the devices listen; InputError for an arm behind an interface that is not served."""
+        from ideal_robot.interfaces import interface_of
+        from scenes.serve.cell import CONTROLLERS, Places
 
-        scheme, _, rest = self.arm.partition(":")
-        ports = {"rsi": 49152, "rtde": 30004}
-        if scheme not in ports:
-            raise InputError("expected an address such as rsi://127.0.0.1:49152 or rtde://127.0.0.1:30004",
-                             field="--arm", value=self.arm)
-        return Places(host_and_port(rest, "--arm", ports[scheme]), self.host, self.camera_port, self.force_port,
-                      self.relative, scheme == "rtde")
+        ports = {"rsi": 49152, "rtde": 30004, "egm": 6510}
+        _, place = interface_of(self.arm)
+        if place.scheme not in CONTROLLERS:
+            served = ", ".join(f"{name}://" for name in CONTROLLERS)
+            raise InputError(f"expected one of {served}; others have simulators of their own", field="--arm",
+                             value=self.arm[:80])
+        place.knows()
+        at = ("", 0) if place.scheme == "ros2" else place.at(ports[place.scheme], "127.0.0.1")
+        return Places(at, self.host, self.camera_port, self.force_port, self.relative, place.scheme,
+                      place.host + place.path)
 
     def unkindness(self) -> Unkindness:
         """What becomes of the devices' packets."""
@@ -247,7 +251,7 @@ class SimulateOptions:
 
 
 def simulate(options: SimulateOptions) -> None:
-    """Plays a scene's cell in real time: a controller behind RSI, a camera behind our stream, a NetFT force sensor.
+    """Plays a scene's cell in real time: a controller behind RSI, RTDE, EGM or ROS 2, camera stream, NetFT sensor.
 
     The arm waits at the start of the scene's path until a follower answers. When the answers stop it is braked, rests,
     and goes back to the start for the next one. Exit code 0 after Ctrl-C or the last session.

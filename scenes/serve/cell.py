@@ -36,11 +36,15 @@ from sim.camera.lamp import ArmShape
 from sim.camera.live_camera import LiveCamera
 from sim.camera.surface import DrawnLine
 from sim.contact.contact import TipContact
-from sim.devices.served_arm import Carried, ServedArm, ServedRtde, Session
+from sim.devices.served_arm import Carried, ServedArm, ServedEgm, ServedRos2, ServedRtde, Session
 from sim.devices.stream_server import DeviceClock, NetFTServer, Outbox, Unkindness
 
 MARGIN = 0.002
 """Distance from where the travel on the surface begins and ends within which the force does not count [m]."""
+
+
+CONTROLLERS: dict[str, type[ServedArm]] = {"rsi": ServedArm, "rtde": ServedRtde, "egm": ServedEgm, "ros2": ServedRos2}
+"""Controllers that a cell can be served behind, by the scheme of their address."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +52,12 @@ class Places:
     """Where devices are.
 
     Attributes:
-        arm: where the follower listens for RSI.
+        arm: where the follower listens for RSI or EGM, or this controller for RTDE.
         host: address of this computer on which camera and force sensor listen.
         camera, force: ports; 0 for any free one.
         relative: whether corrections add up.
-        rtde: whether the controller speaks RTDE; ``arm`` is then where it listens.
+        scheme: which interface the controller speaks: a key of ``CONTROLLERS``.
+        namespace: of ROS 2's topics.
     """
 
     arm: tuple[str, int] = ("127.0.0.1", 49152)
@@ -60,7 +65,8 @@ class Places:
     camera: int = 50001
     force: int = 49151
     relative: bool = False
-    rtde: bool = False
+    scheme: str = "rsi"
+    namespace: str = ""
 
 
 class ServedCell:
@@ -180,8 +186,9 @@ def _served_cell(scene: Scene, places: Places, unkind: Unkindness) -> Iterator[t
                                     netft, outbox)
                 served.force = netft.address
                 carried.append(force)
-            served_arm = (ServedRtde if places.rtde else ServedArm)(
-                arm, places.arm, relative=places.relative, unkind=unkind, rng=streams[2],
+            named = {"namespace": places.namespace} if places.scheme == "ros2" else {}
+            served_arm = CONTROLLERS[places.scheme](
+                arm, places.arm, **named, relative=places.relative, unkind=unkind, rng=streams[2],
                 carried=tuple(carried), sign=Axes.of(cell.known.robot).sign)
             served_arm.anew = served.anew
         except BAD_ADDRESS as error:
@@ -242,7 +249,10 @@ def serve_scene(scene: Scene, places: Places, unkind: Unkindness, sessions: int,
 
 def _say_where(cell: ServedCell, places: Places, scene: Scene, say: Callable[[str], None]) -> None:
     """Where the devices are, once they answer."""
-    say("controller: {} {}:{}".format("listens on" if places.rtde else "sends to", *places.arm))
+    if places.scheme == "ros2":
+        say(f"controller: ros2://{places.namespace}")
+    else:
+        say("controller: {} {}:{}".format("listens on" if places.scheme == "rtde" else "sends to", *places.arm))
     if cell.camera is not None:
         say("camera: stream://{}:{}".format(*cell.camera))
     if cell.force is not None and isinstance(scene, ForceScene):

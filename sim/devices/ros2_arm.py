@@ -142,15 +142,42 @@ class Ros2Arm:
 
     def cycle(self) -> None:
         """One cycle of the controllers: reference, arm, joint states."""
-        if self._points:
-            self._along()
+        reference = self.reference()
         try:
-            self._state = self.arm.cycle(self._reference)
+            state = self.arm.cycle(reference)
         except LimitError as error:
             # As hardware does: it stands, and says why.
             self.run.refused, self._stopped = str(error), True
             return
-        self.run.commands.append(self._reference.copy())
+        self.run.commands.append(reference)
+        self.tell(state)
+
+    @property
+    def led(self) -> bool:
+        """Whether a trajectory reaches into the coming cycle."""
+        return bool(self._points) and self._points[-1][0] > self._stamp + 1e-9
+
+    def reference(self) -> Array:
+        """What the controllers want of the arm in the coming cycle ``(n,)`` [rad]."""
+        if self._points:
+            self._along()
+        return self._reference.copy()
+
+    def rest(self, q: Array) -> None:
+        """The controllers begin anew: the arm rests at ``q (n,)`` [rad]."""
+        self._points, self._reference, self._speed = [], q.copy(), np.zeros_like(q)
+
+    def listen(self, end: float) -> bool:
+        """Takes commands until one is there, or ``end`` by ``time.perf_counter`` [s]; whether one was."""
+        heard = self.run.heard
+        while self.run.heard == heard and (remaining := end - time.perf_counter()) > 0:
+            self._deliver()
+            self._executor.spin_once(timeout_sec=min(remaining, 2e-3))
+        return self.run.heard > heard
+
+    def tell(self, state: RobotState) -> None:
+        """A cycle is over: publishes the state of the arm, with the next stamp."""
+        self._state = state
         self._k += 1
         if not self.frozen:
             self._stamp += self.arm.t_ipo

@@ -16,6 +16,8 @@ from ideal_robot.errors import IdealRobotError
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.rsi.link import stamp_arrivals
 from sim.arm.arm import SimulatedArm
+from sim.devices.egm_controller import EgmController
+from sim.devices.ros2_arm import Ros2Arm
 from sim.devices.rsi_controller import IPOC, RsiController
 from sim.devices.rtde_controller import RtdeController
 from sim.devices.stream_server import Unkindness
@@ -298,3 +300,67 @@ class ServedRtde(ServedArm):
     def _moved(self, q: Array, session: Session | None = None) -> None:
         self._controller.exchange(self._state, q, 0.0)
         super()._moved(q, session)
+
+
+# Controllers of ABB and of ROS 2 in real time around a simulated arm, session after session.
+
+class ServedEgm(ServedArm):
+    """As ``ServedArm``, behind EGM: ``address`` is where the follower listens."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._egm, self._number = EgmController(self.arm, self._address), 0
+
+    def stop(self) -> None:
+        """Ends ``sessions`` after the present cycle."""
+        super().stop()
+        self._egm.stop()
+
+    def _answered(self, session: Session) -> bool:
+        self._number += 1
+        self._send(self._egm.message(self._number, self._state, self._pose))
+        wanted = self._egm.answer(self._link, self._until())
+        if wanted is None or self._rng.random() < self._unkind.loss:
+            return False
+        self._pose = wanted
+        return True
+
+
+class ServedRos2(ServedArm):
+    """As ``ServedArm``, behind ROS 2's controllers, in a namespace; joint states are published all the time.
+
+    Without a command the forward controller holds the arm; a trajectory goes on as far as it reaches.
+    """
+
+    _awaited = "command"
+
+    def __init__(self, *args: Any, namespace: str = "", **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._controllers = Ros2Arm(self.arm, namespace=namespace, delivered=self._delivered)
+
+    @contextmanager
+    def _wired(self) -> Iterator[None]:
+        with closing(self._controllers):
+            yield
+
+    def _answered(self, session: Session) -> bool:
+        controllers = self._controllers
+        if not session.commands:
+            controllers.rest(self._start)
+        controllers.tell(self._state)
+        heard = controllers.listen(self._until()) and not self._rng.random() < self._unkind.loss
+        if heard or controllers.led:
+            self._pose = controllers.reference()
+        return heard or (bool(session.commands) and controllers.led)
+
+    def _delivered(self, cycle: int) -> list[float]:
+        """Delays with which a joint state goes out [s]."""
+        u = self._unkind
+        lost, twice, late = self._rng.random(3) < (u.loss, u.doubled, u.late_share)
+        return [] if lost else [u.late if late else 0.0] * (2 if twice else 1)
+
+    def _moved(self, q: Array, session: Session | None = None) -> None:
+        super()._moved(q, session)
+        self._controllers.tell(self._state)
+        # Who led the arm may have sent more: nobody is listened to.
+        self._controllers.listen(time.perf_counter() + 1e-3)
