@@ -1,4 +1,4 @@
-"""A cell behind any maker's controller: who leads the arm moves it, who falls silent lets it go back for the next one."""
+"""A cell behind any controller: who leads the arm moves it, who falls silent lets it go back for the next one."""
 
 from __future__ import annotations
 
