@@ -330,6 +330,10 @@ class ServedRos2(ServedArm):
     """As ``ServedArm``, behind ROS 2's controllers, in a namespace; joint states are published all the time.
 
     Without a command the forward controller holds the arm; a trajectory goes on as far as it reaches.
+
+    Args:
+        args, kwargs: see ``ServedArm``; there is no address.
+        namespace: of the topics.
     """
 
     _awaited = "command"
