@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
-
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -95,7 +93,7 @@ def comparison_page(comparison: ForceComparison) -> Report:
         page.table(["camera", "mean distance from the line [mm]", "largest [mm]", "RMS force error [N]", "fields used",
                     "fields left out"],
                    [[name, run.lateral["control_error_mm"]["mean"], run.lateral["control_error_mm"]["max"],
-                     run.figures.rms, run.lateral["fields"]["used"], run.lateral["fields"]["left_out"]]
+                     run.figures.rms, run.lateral["fields"]["used"], sum(run.lateral["fields"]["left_out"].values())]
                     for name, run in comparison.troubles])
     if comparison.trials:
         page.heading("Search for the best direct feedback")
@@ -126,14 +124,13 @@ def forces_figure(comparison: ForceComparison) -> Figure:
 
 def _camera_story(result: ForceResult) -> str:
     """What the camera went through, and what was made of it."""
-    scene, fields = result.scene, result.log.fields
+    scene = result.scene
     story = [f"The camera took {scene.camera.rate:g} fields a second."]
     for span, what in ((scene.trouble.loss, "showed nothing"), (scene.trouble.garbage, "reported garbage")):
         if len(span) == 2:
             story.append(f"It {what} from {span[0]:g} s to {span[1]:g} s after the beginning of the travel.")
-    reasons = Counter(reason.split(",")[0] for _, used, reason in fields if used == 0 and reason)
-    if reasons:
-        story.append("Left out: " + "; ".join(f"{count} × {reason}" for reason, count in reasons.most_common(5)) + ".")
+    if reasons := result.log.why_left_out():
+        story.append(f"Left out: {reasons}.")
     return " ".join(story)
 
 

@@ -89,9 +89,8 @@ class ForceResult(ShownRun):
         """For ``glue``: figures of the distance from the drawn line, and of the camera's fields."""
         if self.control_error is None:
             return {}
-        used = sum(count > 0 for _, count, _ in self.log.fields)
         return {"control_error_mm": self.control_error.json_mm(),
-                "fields": {"seen": len(self.log.fields), "used": used, "left_out": len(self.log.fields) - used}}
+                "fields": self.log.counts()}
 
     def json(self) -> dict[str, Any]:
         """The content of ``--json``."""

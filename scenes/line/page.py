@@ -124,7 +124,7 @@ def run_page(result: LineResult, moving: Replay | None) -> Report:
     report.text(f"The drawn line was moved {1e3 * abs(across):.1f} mm sideways and turned by "
                 f"{np.degrees(abs(turn)):.2f}° from where the scene file puts it; pictures arrived "
                 f"{1e3 * scene.camera.latency:.0f} ms late, and {result.fields_used} of {result.fields_seen} were "
-                "used.")
+                f"used{_why(result)}.")
     report.table(["", "mean mm", "95 % mm", "max mm", "speed m/s"],
                  [[f"this run ({result.method})", mm["mean"], mm["p95"], mm["max"], scene.speed],
                   ["[L] section 5, KUKA KR 6/1", PAPER_MEAN_MM, None, None, PAPER_SPEED]],
@@ -146,6 +146,12 @@ def run_page(result: LineResult, moving: Replay | None) -> Report:
     _timing(report, result)
     _settings(report, result)
     return report
+
+
+def _why(result: LineResult) -> str:
+    """Why the other pictures were not used, in words."""
+    reasons = "; ".join(f"{count} × {reason}" for reason, count in result.left_out.items())
+    return f". Left out: {reasons}" if reasons else ""
 
 
 def _path_errors(report: Report, result: LineResult) -> None:

@@ -95,7 +95,8 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
     far = "" if method.key == NONE else far_from_line(error.mean)
     return LineResult(
         scene=scene, method=method.key, control_error=error, control_error_from_start=whole,
-        path_errors=_path_errors(cell, log, t, tcp), fields_seen=len(log.fields), fields_used=log.seen,
+        path_errors=_path_errors(cell, log, t, tcp), fields_seen=len(log.fields), fields_used=log.used,
+        left_out=dict(log.left_out().most_common()),
         recording=recording, timing=Timing(np.array(log.cycles), np.array(log.with_field, dtype=bool), wall,
                                            float(t[-1])),
         geometry=cell.geometry, failure=log.failure, urdf=cell.known.robot.urdf, shown=shown,

@@ -83,6 +83,7 @@ class LineResult(ShownRun):
         control_error_from_start: the same from the line's first point on.
         path_errors: true TCP against the desired path, three ways; None where the run was too short to tell.
         fields_seen, fields_used: camera fields that arrived, and those that gave a measurement.
+        left_out: why the others gave none, each with how many.
         recording: what a controller would have logged, plus desired angles and line points.
         shown: fields for the report.
         world: the world's settings.
@@ -115,6 +116,7 @@ class LineResult(ShownRun):
     s_reference: Array = field(repr=False, default_factory=lambda: np.empty(0))
     believed: Array = field(repr=False, default_factory=lambda: np.empty(0))
     sensors: dict[str, tuple[int, int]] = field(default_factory=dict)
+    left_out: dict[str, int] = field(default_factory=dict)
     looked_back: Array = field(repr=False, default_factory=lambda: np.empty(0))
     plan_error_mm: dict[str, float | None] = field(default_factory=dict)
     recording_path: Path | None = None
@@ -140,7 +142,7 @@ class LineResult(ShownRun):
             "path_error_mm": errors.json_mm() if errors is not None
             else {"time_matched": nothing, "aligned": nothing, "geometric": nothing},
             "plan_error_mm": self.plan_error_mm,
-            "fields": {"seen": self.fields_seen, "used": self.fields_used},
+            "fields": {"seen": self.fields_seen, "used": self.fields_used, "left_out": self.left_out},
             "sensors": {name: {"values": values, "used": used} for name, (values, used) in self.sensors.items()},
             "recording": self.recording_path,
             "recording_hash": self.recording.hash,

@@ -121,7 +121,6 @@ class LineCamera(Sensor):
         if self._points:
             log.add_points(seen, self._points)
         values = 0 if fused is None else fused.dof
-        log.seen += seen.seen
         log.fields.append(FieldUse(field.t_stamp, values, seen.reason if fused is None else fused.reason))
         if values and not np.isfinite(log.first_used):
             log.first_used = t

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +49,6 @@ class TaskLog(CycleLog):
         planned: desired deviation from the reference there, in the sensed directions ``(directions,)`` [m].
         with_field: whether a camera field was worked on in each cycle.
         fields: what became of each camera field.
-        seen: in how many of them the line was found.
         points: of each of them its time stamp [s] and the line points used in the tool frame, three values each, NaN
             where one was left out [m]; nothing where they are not kept.
         shown: fields for the report.
@@ -64,7 +64,6 @@ class TaskLog(CycleLog):
     planned: RowLog = field(default_factory=RowLog)
     with_field: RowLog = field(default_factory=RowLog)
     fields: list[FieldUse] = field(default_factory=list)
-    seen: int = 0
     points: RowLog = field(default_factory=RowLog)
     shown: list[FieldShown] = field(default_factory=list)
     first_used: float = np.nan
@@ -83,9 +82,22 @@ class TaskLog(CycleLog):
         count = min(len(self.t), len(self.planned))
         return np.column_stack([np.asarray(self.t)[:count], self.lateral[:count]])
 
-    def counts(self) -> dict[str, int]:
-        """How many camera fields arrived, and in how many the line was found and used."""
-        return {"seen": len(self.fields), "used": self.seen}
+    def counts(self) -> dict[str, Any]:
+        """How many camera fields arrived, how many of them gave a measurement, and why the others did not."""
+        return {"seen": len(self.fields), "used": self.used, "left_out": dict(self.left_out().most_common())}
+
+    @property
+    def used(self) -> int:
+        """Camera fields that gave a measurement."""
+        return sum(field.values > 0 for field in self.fields)
+
+    def left_out(self) -> Counter[str]:
+        """How often a field was left out for which reason."""
+        return Counter(field.reason.split(",")[0] or "no value" for field in self.fields if not field.values)
+
+    def why_left_out(self, most: int = 5) -> str:
+        """The commonest reasons in words, each with how many fields; empty where all were used."""
+        return "; ".join(f"{count} × {reason}" for reason, count in self.left_out().most_common(most))
 
     @property
     def travel(self) -> list[float]:

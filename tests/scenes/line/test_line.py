@@ -98,6 +98,13 @@ def test_ideal_robot_at_seven_tenths_of_a_metre_per_second(ideal: LineResult) ->
     assert ideal.fields_used > 60
 
 
+def test_each_picture_is_used_or_left_out_for_a_reason(ideal: LineResult) -> None:
+    assert ideal.fields_used + sum(ideal.left_out.values()) == ideal.fields_seen
+    assert all(len(reason) > 8 for reason in ideal.left_out)
+    # Before the line begins and behind its end there is none to be seen.
+    assert sum(ideal.left_out.values()) > 20
+
+
 def test_figures_count_the_distance_of_the_true_tool_from_the_drawn_line(ideal: LineResult) -> None:
     """The same figure from the recording's external measurement, by an independent computation."""
     recording = ideal.recording
