@@ -143,7 +143,8 @@ def _downloaded(entry: DataSet) -> bytes:
     except (urllib.error.URLError, TimeoutError, OSError) as error:
         reason = error if isinstance(error, urllib.error.HTTPError) else getattr(error, "reason", error)
         raise IdealRobotError(f"{urlsplit(entry.url).netloc} cannot be reached or does not have it ({reason}); where "
-                              f"there is internet, download {entry.url} and give it with --file") from error
+                              f"there is internet, download {entry.url} and give it with --file, in Python as fetch(…, "
+                              "file=…)") from error
     if len(content) > _LARGEST:
         raise IdealRobotError(f"{entry.url} is larger than {_LARGEST // 1_000_000} MB, no data set is")
     return content

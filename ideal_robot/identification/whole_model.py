@@ -33,7 +33,7 @@ from ideal_robot.progress import Progress, Steps, silent
 from ideal_robot.results import Figure, Summarised, listed, over_time, plain
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import preprocess
-from ideal_robot.signals.recording import Recording, expect, recordings_of
+from ideal_robot.signals.recording import Recording, expect, recordings_of, short_names
 from ideal_robot.signals.sampling import stretches
 
 METHODS = ("joint", "two-step")
@@ -95,6 +95,7 @@ class IdentificationResult(Summarised):
     def to_dict(self) -> dict[str, Any]:
         """The figures as plain values."""
         model = self.model
+        names = iter(short_names([r.source for r in (*self.estimation, *self.validation)]))
         return plain({
             "robot": {"name": model.robot_name, "urdf_hash": model.urdf_hash, "joints": model.n},
             "method": model.provenance["method"],
@@ -104,11 +105,11 @@ class IdentificationResult(Summarised):
                       "validation": getattr(joined(self.result.validation), name) if self.validation else []}
                for name in ("relative_error_percent", "residual_std_percent")},
             "recordings": [
-                {"source": Path(r.source).name, "role": role, "relative_error_percent": p.relative_error_percent,
+                {"source": next(names), "role": role, "relative_error_percent": p.relative_error_percent,
                  "residual_std_percent": p.residual_std_percent}
-                for role, recordings, predictions in (("estimation", self.estimation, self.result.estimation),
-                                                      ("validation", self.validation, self.result.validation))
-                for r, p in zip(recordings, predictions, strict=True)
+                for role, predictions in (("estimation", self.result.estimation),
+                                          ("validation", self.result.validation))
+                for p in predictions
             ],
             "condition_number": self.result.solution.condition_number,
             "condition_number_scaled": self.result.solution.condition_number_scaled,

@@ -371,6 +371,20 @@ def recordings_of(given: Recording | Sequence[Recording], field: str) -> tuple[R
     return tuple(given)
 
 
+def short_names(sources: Sequence[str]) -> list[str]:
+    """Names of files by which a reader tells them apart: of those that are called alike with their folders.
+
+    Args:
+        sources: where recordings come from, see ``Recording.source``.
+    """
+    parts = [Path(source).parts or (source,) for source in sources]
+    depths = [1] * len(parts)
+    for i, own in enumerate(parts):
+        while depths[i] < len(own) and any(other != own and other[-depths[i]:] == own[-depths[i]:] for other in parts):
+            depths[i] += 1
+    return ["/".join(own[-depth:]) for own, depth in zip(parts, depths, strict=True)]
+
+
 def expect(given: Any, kind: type, field: str, remedy: str) -> None:
     """Raises InputError for what is of another kind.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,7 @@ from ideal_robot.model.parametrisation import Prediction, joined
 from ideal_robot.results import one_unit
 from ideal_robot.signals.channels import segments
 from ideal_robot.signals.preprocess import preprocess
+from ideal_robot.signals.recording import short_names
 from scenes.report.page import Report
 from scenes.verdict import Verdict
 
@@ -42,9 +42,10 @@ def identification_page(analysis: IdentificationResult) -> Report:
     _verdicts(page, analysis)
     shown = [("unseen", *pair) for pair in zip(analysis.validation, result.validation, strict=True)]
     shown += [("estimation", *pair) for pair in zip(analysis.estimation, result.estimation, strict=True)]
-    for role, recording, prediction in shown[:4]:
+    names = short_names([recording.source for _, recording, _ in shown])
+    for name, (role, _, prediction) in list(zip(names, shown, strict=True))[:4]:
         page.figure(torque_figure(prediction, model.units("N m")),
-                    f"{Path(recording.source).name} ({role}): measured and predicted torque with two standard "
+                    f"{name} ({role}): measured and predicted torque with two standard "
                     "deviations of the prediction (cut off at reversals, where the angle over which friction turns "
                     "decides), and the residual on the same scale. Above each panel: std(residual) / std(torque).")
     page.heading("Friction")
@@ -122,10 +123,10 @@ def _verdicts(page: Report, analysis: IdentificationResult) -> None:
 def _errors(page: Report, analysis: IdentificationResult) -> None:
     page.heading("Errors")
     rows = []
-    for role, recordings, predictions in (("estimation", analysis.estimation, analysis.result.estimation),
-                                          ("unseen", analysis.validation, analysis.result.validation)):
-        for recording, prediction in zip(recordings, predictions, strict=True):
-            name = Path(recording.source).name
+    names = iter(short_names([recording.source for recording in (*analysis.estimation, *analysis.validation)]))
+    for role, predictions in (("estimation", analysis.result.estimation), ("unseen", analysis.result.validation)):
+        for prediction in predictions:
+            name = next(names)
             rows.append([name, role, "std(e) / std(τ) [%]", *prediction.residual_std_percent])
             rows.append([name, role, "‖e‖ / ‖τ‖ [%]", *prediction.relative_error_percent])
     page.table(["recording", "role", "error", *[f"joint {j + 1}" for j in range(analysis.model.n)]], rows,
@@ -189,12 +190,13 @@ def _segments(page: Report, analysis: IdentificationResult) -> None:
     filters = analysis.model.provenance["filters"]
     kinds = ("rest", "constant", "reversal", "other")
     rows = []
-    for recording in analysis.estimation:
+    names = short_names([recording.source for recording in analysis.estimation])
+    for name, recording in zip(names, analysis.estimation, strict=True):
         s = preprocess(recording, cutoff=filters["cutoff"], cutoff_decimation=filters["cutoff_decimation"])
         episodes = segments(s)
         for j in range(analysis.model.n):
             share = {kind: sum(x.stop - x.start for x in episodes if x.joint == j and x.kind == kind) for kind in kinds}
-            rows.append([Path(recording.source).name, j + 1, *[100.0 * share[kind] / len(s.t) for kind in kinds]])
+            rows.append([name, j + 1, *[100.0 * share[kind] / len(s.t) for kind in kinds]])
     page.table(["recording", "joint", "at rest [%]", "constant velocity [%]", "near a reversal [%]", "other [%]"], rows,
                "What the joints do in the estimation recordings.")
 

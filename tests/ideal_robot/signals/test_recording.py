@@ -18,7 +18,7 @@ from ideal_robot.signals import sampling as module
 from ideal_robot.signals import table_file
 from ideal_robot.signals.export import write_mcap, write_rosbag2
 from ideal_robot.signals.plausible import text_columns
-from ideal_robot.signals.recording import WRITTEN_ROWS, Recording
+from ideal_robot.signals.recording import WRITTEN_ROWS, Recording, short_names
 from ideal_robot.signals.sampling import shortened, stretches, uniform_time
 
 
@@ -288,3 +288,12 @@ def test_a_spreadsheet_shows_columns_titles_as_they_stand(tmp_path: Path) -> Non
         titles, *rows = csv.reader(file)
     assert titles == ["t", "'=1+1|cmd", "'+1", "'-1", "'@sum", "'\tq", "q_1"]
     assert [row[0] for row in rows] == ["0.0", "1.0", "2.0"]
+
+
+@pytest.mark.parametrize(("sources", "names"), [
+    (["out/plan/r.parquet", "out/other/r.parquet"], ["plan/r.parquet", "other/r.parquet"]),
+    (["a/x/r.csv", "b/x/r.csv", "b/x/s.csv"], ["a/x/r.csv", "b/x/r.csv", "s.csv"]),
+    (["r.csv", "r.csv"], ["r.csv", "r.csv"]), (["here/r.csv"], ["r.csv"]), (["", "play"], ["", "play"]),
+])
+def test_recordings_that_are_called_alike_are_named_with_their_folders(sources: list[str], names: list[str]) -> None:
+    assert short_names(sources) == names
