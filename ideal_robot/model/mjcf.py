@@ -17,6 +17,8 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import read_text
+from ideal_robot.command.law import CommandLaw, JointLaw
+from ideal_robot.command.words import described
 from ideal_robot.dynamics import base_parameters, link_parameters
 from ideal_robot.errors import InputError
 from ideal_robot.friction import PerJointFriction
@@ -29,6 +31,8 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.robots.urdf import without_meshes
 from ideal_robot.whole_file import write_text
 
+_SURE = 3.0
+"""Standard deviations by which a coefficient of the command's law is other than nothing."""
 ELSEWHERE = 2e-3
 """What joints of two descriptions of the same arm may be apart [m, or of a direction cosine]."""
 SLOW, FAST = 0.05, 1.0
@@ -124,7 +128,13 @@ def export_mjcf(model: Model, path: str | Path, like: str | Path | None = None) 
         joint.damping = _like(joint.damping, friction.damping)
         comments[name] = (f"frictionloss ± {friction.loss_std:.2g} {unit}, damping ± {friction.damping_std:.2g} "
                           f"{unit} s, {_rotor_words(model, j)}")
-    _actuators(library, spec, model, names)
+    law = model.command
+    if law is not None and law.leads:
+        for name, servo in _pd_actuators(library, spec, law, names).items():
+            comments[name] += (f", gain {servo.stiffness:.5g} ± {servo.stiffness_std:.2g}, of the speed "
+                               f"{servo.damping:.5g} ± {servo.damping_std:.2g}")
+    else:
+        _actuators(library, spec, model, names)
     spec.compile()
     write_text(path, _commented(spec.to_xml(), comments, model))
     return tuple(_unsaid(model, spec, names))
@@ -161,7 +171,12 @@ def _read(library: Any, path: str | Path) -> tuple[Any, Any]:
 
 
 def _matched(own: list[str], theirs: list[str], file: str | Path | None) -> list[str]:
-    """Their names of our joints: the same, or the only ones that end so."""
+    """Their names of our joints: the same, all of them with one word before, or the only ones that end so."""
+    before = {other.removesuffix(own[0]) for other in theirs if other.endswith(own[0])}
+    # Fingers have joints of the same names behind another word, not all of them.
+    whole = sorted(word for word in before if {word + name for name in own} <= set(theirs))
+    if whole and (len(whole) == 1 or whole[0] == ""):
+        return [whole[0] + name for name in own]
     found = []
     for name in own:
         ends = [other for other in theirs if other == name] or [
@@ -249,6 +264,44 @@ def _rotor_words(model: Model, j: int) -> str:
     return f"armature ± {own.std:.2g} {own.unit}"
 
 
+@dataclass(frozen=True)
+class _Servo:
+    """PD control of a joint: torque per position error and per speed, with standard deviations."""
+
+    stiffness: float
+    stiffness_std: float
+    damping: float
+    damping_std: float
+
+    @classmethod
+    def of(cls, law: JointLaw) -> _Servo | None:
+        """Of a command's law ``q_c - q = τ / K + (D / K) q̇``, commands at once; None where it is another law."""
+        names = [column.name for column in law.columns]
+        if "torque" not in names or law.shape.reset is not None or law.shape.smoothing != "none":
+            return None
+        std = np.sqrt(np.diag(law.covariance))
+        at, torque = names.index("torque"), law.coefficient("torque")
+        if torque <= _SURE * std[at]:
+            return None
+        speed = law.coefficient("velocity")
+        speed_std = float(std[names.index("velocity")]) if "velocity" in names else 0.0
+        stiffness, share = 1.0 / torque, float(std[at]) / torque
+        return cls(stiffness, stiffness * share, speed * stiffness,
+                   stiffness * float(np.hypot(speed_std, speed * share)))
+
+
+def _pd_actuators(library: Any, spec: Any, law: CommandLaw, names: list[str]) -> dict[str, _Servo]:
+    """Gains of the joints behind PD control as the command's law has them; other joints keep what they have."""
+    servos = {name: servo for name, own in zip(names, law.joints, strict=True) if (servo := _Servo.of(own))}
+    for actuator in [actuator for actuator in spec.actuators if actuator.target in servos]:
+        spec.delete(actuator)
+    for name, servo in servos.items():
+        actuator = spec.add_actuator(name=f"{name}_position", target=name, trntype=library.mjtTrn.mjTRN_JOINT)
+        actuator.gainprm[0], actuator.biastype = servo.stiffness, library.mjtBias.mjBIAS_AFFINE
+        actuator.biasprm[1:3] = [-servo.stiffness, -servo.damping]
+    return servos
+
+
 def _actuators(library: Any, spec: Any, model: Model, names: list[str]) -> None:
     """Position and speed of the command as the joint controllers take them; those that were there are replaced."""
     if model.controller is None:
@@ -303,7 +356,15 @@ def _unsaid(model: Model, spec: Any, names: list[str]) -> Iterator[str]:
     stiffness = model.known_stiffness
     if stiffness is not None and np.isfinite(stiffness).any():
         yield "the gears' stiffness: motor and link are one joint in MuJoCo"
-    if model.controller is not None:
+    command = model.command
+    if command is not None and command.leads:
+        for j, own in enumerate(command.joints):
+            servo, gravity = _Servo.of(own), own.coefficient("gravity")
+            if servo is None:
+                yield f"joint {j + 1}: its controller, {described(own, model.units('N m/rad')[j])}"
+            elif gravity < 0.0:
+                yield f"joint {j + 1}: its controller compensates {-100.0 * gravity * servo.stiffness:.0f} % of gravity"
+    elif model.controller is not None:
         if np.any(model.controller.k_i > 0.0):
             yield "the integrators of the velocity loops"
         if np.any(model.controller.filter_time > 0.0) or model.controller.delay > 0.0:

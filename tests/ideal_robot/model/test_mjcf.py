@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from ideal_robot.arrays import Array
+from ideal_robot.command.law import PARTS, Column, CommandLaw, JointLaw, Shape
 from ideal_robot.errors import InputError
 from ideal_robot.friction import PerJointFriction
 from ideal_robot.friction.laws import ViscousCoulomb
-from ideal_robot.model.mjcf import arm_of_mjcf, export_mjcf, friction_of, urdf_with_dynamics
+from ideal_robot.model.mjcf import _matched, arm_of_mjcf, export_mjcf, friction_of, urdf_with_dynamics
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.robots.urdf import without_meshes
@@ -111,6 +112,43 @@ def test_what_is_given_is_kept_in_all_else(prefix: str, tmp_path: Path) -> None:
     states = drawn(Robot.load("kr6"), np.random.default_rng(4))
     export_mjcf(model, tmp_path / "own.xml")
     np.testing.assert_allclose(torque(path, states), torque(tmp_path / "own.xml", states), atol=1e-2)
+
+
+@pytest.mark.parametrize("word", ["fr3_", "left/"])
+def test_joints_behind_a_word_are_matched_beside_fingers_of_the_same_names(word: str) -> None:
+    own = [f"joint{i}" for i in range(1, 8)]
+    theirs = [word + name for name in own] + ["finger_joint1", "finger_joint2"]
+    assert _matched(own, theirs, None) == theirs[:7]
+    assert _matched(own, [*theirs, *own], None) == own
+    with pytest.raises(InputError, match="joint1"):
+        _matched(own, [*theirs, *("right/" + name for name in own)], None)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_gains_of_pd_control_come_from_the_commands_law(seed: int, tmp_path: Path) -> None:
+    """A controller that is no cascade: its gains leave with their deviations, another joint's law is said."""
+    rng = np.random.default_rng(seed)
+    model = plain(Model.load(shipped_model("kr6")), rng)
+    K, D = rng.uniform(500.0, 5000.0, 6), rng.uniform(50.0, 500.0, 6)
+    columns = (Column("offset"), Column("velocity"), Column("torque"), Column("gravity"))
+    laws = [JointLaw(Shape(), columns, np.array([0.0, D[j] / K[j], 1.0 / K[j], -1.0 / K[j]]),
+                     np.diag([1e-12, 1e-10, (0.02 / K[j]) ** 2, 1e-12]), np.full(PARTS, 1e-10), 0.02, 1e-3, "joint_pd")
+            for j in range(6)]
+    other = int(rng.integers(6))
+    laws[other] = dataclasses.replace(laws[other], shape=Shape(reset=0.1))
+    law = CommandLaw(tuple(laws), 0.012, np.full(6, 0.01), np.zeros(6), np.ones(6))
+    path = tmp_path / "arm.xml"
+    said = export_mjcf(dataclasses.replace(model, command=law), path)
+    compiled = mujoco.MjModel.from_xml_path(str(path))
+    assert compiled.nu == 5
+    for i in range(compiled.nu):
+        j = int(compiled.actuator_trnid[i, 0])
+        np.testing.assert_allclose(compiled.actuator_gainprm[i, 0], K[j], rtol=1e-4)
+        np.testing.assert_allclose(compiled.actuator_biasprm[i, 1:3], [-K[j], -D[j]], rtol=1e-4)
+    assert any(text.startswith(f"joint {other + 1}: its controller, P/PI cascade") for text in said)
+    assert any("compensates 100 % of gravity" in text for text in said)
+    deviations = [float(x) for x in re.findall(r"gain [\d.e+]+ ± ([\d.e+]+)", path.read_text())]
+    np.testing.assert_allclose(deviations, 0.02 * np.delete(K, other), rtol=0.06)
 
 
 def test_bad_input_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
