@@ -51,7 +51,7 @@ GROUPS = {
         "findings": "findings", "limits": "limits", "fuzz": "broken", "kill": "broken",
         "rsi-packets": "packets", "packets": "packets", "mutations": "mutations",
         "faults": "faults", "sound-forces": "faults", "camera-faults": "faults", "arm-faults": "faults",
-        "lockstep": "lockstep",
+        "lockstep": "lockstep", "link-faults": "link_faults",
         "sweep-kills": "sweeps", "sweep-efficiency": "sweeps", "sweep-plan": "sweeps",
         "check-suite": "sweeps", "mutants": "mutants", "constants": "constants",
         "rsi-hour": "rsi", "rsi-simulators": "rsi", "loopback": "loopback", "follow-hour": "loopback",

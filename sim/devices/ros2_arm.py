@@ -20,8 +20,6 @@ from ideal_robot.errors import LimitError
 from ideal_robot.robots.interface import RobotState
 from sim.arm.arm import SimulatedArm
 
-_ANSWER_WITHIN = 0.5
-"""How long a command is waited for where no clock decides [s]."""
 _MORE = 3e-3
 """Time in which another command would come behind it [s]."""
 _GRIPPER = 10
@@ -62,6 +60,7 @@ class Ros2Arm:
         run: what has happened.
         frozen: while true time stands: stamps do not go on.
         silent: while true no joint state is published.
+        timeout: how long a command is waited for where no clock decides [s].
     """
 
     def __init__(self, arm: SimulatedArm, *, namespace: str = "", domain: int | None = None,
@@ -75,7 +74,7 @@ class Ros2Arm:
         from std_msgs.msg import Float64MultiArray
         from trajectory_msgs.msg import JointTrajectory
 
-        self.arm, self.run, self.frozen, self.silent = arm, Ros2Run(), False, False
+        self.arm, self.run, self.frozen, self.silent, self.timeout = arm, Ros2Run(), False, False, 0.5
         self._names = list(arm.robot.pinocchio.names)[1:]
         self._order = shuffled or list(range(arm.robot.n))
         self._delivered, self._degrees, self._kind = delivered, degrees, JointState
@@ -131,7 +130,7 @@ class Ros2Arm:
     def _answered(self) -> None:
         """Waits for a command; not longer than a cycle before the first one, then until it is surely not coming."""
         heard, begun = self.run.heard, time.perf_counter()
-        patience = _ANSWER_WITHIN if heard else self.arm.t_ipo
+        patience = self.timeout if heard else self.arm.t_ipo
         while not self._stopped and time.perf_counter() - begun < patience:
             self._deliver()
             before = self.run.heard
