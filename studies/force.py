@@ -22,7 +22,7 @@ from planning.line.filter_bank import FilterBank
 from planning.line.fusion import DeviationFilter
 from planning.line.measurement import Measurement
 from scenes.commands.common import numbers, whole_numbers
-from scenes.force.cell import Cell, calibrated, friction_shown, set_up
+from scenes.force.cell import Cell, Prepared, set_up
 from scenes.force.kind import run
 from scenes.force.play import ForceResult, methods, play, pressed
 from scenes.methods import DIRECT, IDEAL, method_of
@@ -189,10 +189,10 @@ class _Parts:
 
 def _played(scene: ForceScene, method: Any = IDEAL, surface: _KnownSurface | None = None) -> _Parts:
     """One play, taken apart; by a method's key or factory, on what is felt unless the surface is known."""
-    tool, elasticity = calibrated(scene)
+    shared = Prepared(scene)
     cell = set_up(scene)
-    configured = force_task(cell.known, method_of(method, methods()), tool, elasticity,
-                            friction=friction_shown(scene))
+    configured = force_task(cell.known, method_of(method, methods()), *shared.contact,
+                            friction=shared.friction)
     contact = configured.contact
     assert contact is not None
     watched = _Watched(contact)

@@ -20,7 +20,7 @@ from planning.line.fusion import DeviationFilter
 from planning.line.measurement import Fused, Measurement
 from scenes.arms import arm_of
 from scenes.commands.common import whole_numbers
-from scenes.force import play as force_play
+from scenes.force import cell as force_cell
 from scenes.force.kind import run as run_force
 from scenes.line.kind import run as run_line
 from scenes.line.play import POINTS
@@ -105,8 +105,8 @@ FORCE = (
     Part("feedforward: the sensed path as it is", method=SENSOR_PATH),
     Part("latency: a force belongs to when it arrives", without=((CarriedForceSensor, "arrived", _forces_at_arrival),)),
     Part("estimate of the elasticity on the way", {"assumed": {"elasticity_estimated": False}}),
-    Part("calibration of tool and contact", without=((force_play, "calibrated", _not_calibrated),)),
-    Part("friction as a dry run shows it", without=((force_play, "friction_shown", lambda scene: None),)),
+    Part("calibration of tool and contact", without=((force_cell, "calibrated", _not_calibrated),)),
+    Part("friction as a dry run shows it", without=((force_cell, "friction_shown", lambda scene: None),)),
     Part("stiffness of the gears in the model", model=_rigid),
 )
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
-from functools import lru_cache, wraps
-from typing import TypeVar
+from functools import cached_property
 
 import numpy as np
 
@@ -27,7 +25,7 @@ from scenes.online.force_calibration import Pressed
 from scenes.online.force_known import KnownSurface, force_reference
 from scenes.online.log import SETTLING
 from scenes.scene_files.drawn_line import Geometry, believed_camera, geometry, true_camera
-from scenes.scene_files.force_scene import Assumed, CameraTrouble, Emergency, ForceScene, TipTable, UnknownSurface
+from scenes.scene_files.force_scene import ForceScene, TipTable, UnknownSurface
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.detector import DETECTORS
 from sensing.camera.hand_eye import HandEye
@@ -146,24 +144,34 @@ def calibrate_elasticity(cell: Cell, tool: ToolLoad) -> ContactElasticity:
     return pressed.elasticity()
 
 
-Shown = TypeVar("Shown")
-"""By a scene before it is played."""
+class Prepared:
+    """What plays of a scene share, whatever their method: tool, contact, camera and friction as moving shows them.
+
+    Each is found when it is first asked for. What happens to the sensor later it does not know yet.
+
+    Args:
+        scene: what is played.
+    """
+
+    def __init__(self, scene: ForceScene) -> None:
+        self._scene = scene.model_copy(update={"sensor": scene.sensor.model_copy(update={"drift": ()})})
+
+    @cached_property
+    def contact(self) -> tuple[ToolLoad, ContactElasticity]:
+        """See ``calibrated``."""
+        return calibrated(self._scene)
+
+    @cached_property
+    def camera(self) -> tuple[HandEye, DetectionSettings] | None:
+        """See ``camera_shown``."""
+        return camera_shown(self._scene)
+
+    @cached_property
+    def friction(self) -> FrictionAtWork | None:
+        """See ``friction_shown``."""
+        return friction_shown(self._scene)
 
 
-def _once(show: Callable[[ForceScene], Shown]) -> Callable[[ForceScene], Shown]:
-    """A function that is called once for all scenes which differ only in what it does not see, such as the method."""
-    cached = lru_cache(maxsize=64)(show)
-
-    @wraps(show)
-    def shown(scene: ForceScene) -> Shown:
-        return cached(scene.model_copy(update={
-            "method": "ideal", "gains": None, "assumed": Assumed(), "emergency": Emergency(),
-            "trouble": CameraTrouble(), "sensor": scene.sensor.model_copy(update={"drift": ()})}))
-
-    return shown
-
-
-@_once
 def calibrated(scene: ForceScene) -> tuple[ToolLoad, ContactElasticity]:
     """Tool and contact as calibration by moving finds them in this scene."""
     cell = set_up(scene)
@@ -171,7 +179,6 @@ def calibrated(scene: ForceScene) -> tuple[ToolLoad, ContactElasticity]:
     return tool, calibrate_elasticity(cell, tool)
 
 
-@_once
 def friction_shown(scene: ForceScene) -> FrictionAtWork | None:
     """Friction as a dry run above the path shows it.
 
@@ -192,7 +199,6 @@ def friction_shown(scene: ForceScene) -> FrictionAtWork | None:
     return friction_at_work(recording, loop_model(cell.known.model, cell.known.robot, delay=cell.known.delay))
 
 
-@_once
 def camera_shown(scene: ForceScene) -> tuple[HandEye, DetectionSettings] | None:
     """Camera and looks of the line as moving over it shows them.
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from scenes.force.cell import Prepared
 from scenes.force.play import ForceResult, play
 from scenes.methods import DIRECT, IDEAL, GainSearch, GainTrial, SceneMethod
 from scenes.result import Progress, ShownTable, silent
@@ -18,10 +19,17 @@ DIFFERENTIAL = (0.25, 0.5, 1.0)
 """K_d tried with the best K_p and its neighbours, as shares of 1/E."""
 
 
-def best_gains(scene: ForceScene, *, progress: Progress = silent) -> tuple[tuple[float, float], tuple[GainTrial, ...]]:
-    """K_p [m/N per cycle] and K_d [m/N] with the smallest RMS force error [N] in this scene, and all that was tried."""
+def best_gains(scene: ForceScene, shared: Prepared, *, progress: Progress = silent
+               ) -> tuple[tuple[float, float], tuple[GainTrial, ...]]:
+    """K_p [m/N per cycle] and K_d [m/N] with the smallest RMS force error [N] in this scene, and all that was tried.
+
+    Args:
+        scene: in which they are searched.
+        shared: of the scene.
+        progress: called with the fraction done.
+    """
     def rms(k_p: float, k_d: float) -> float:
-        result = play(scene, DIRECT, (k_p, k_d))
+        result = play(scene, DIRECT, (k_p, k_d), shared=shared)
         return result.figures.rms if result.failure is None else float("inf")
 
     search = GainSearch(rms, len(PROPORTIONAL) + 2 * len(DIFFERENTIAL), progress)
@@ -84,15 +92,17 @@ def compare_forces(scene: ForceScene, methods: Sequence[SceneMethod], *, progres
         progress: called with the fraction done.
     """
     gains: tuple[float, float] | None = None
+    shared = Prepared(scene)
     trials: tuple[GainTrial, ...] = ()
     if any(method.key == DIRECT for method in methods):
-        gains, trials = best_gains(scene, progress=lambda part, text: progress(0.7 * part, text))
+        gains, trials = best_gains(scene, shared, progress=lambda part, text: progress(0.7 * part, text))
     runs = {}
     for i, method in enumerate(methods):
         progress(0.7 + 0.3 * i / len(methods), method.key)
-        runs[method.key] = play(scene, method, gains)
+        runs[method.key] = play(scene, method, gains, shared=shared)
     troubles = []
     for name, changes in TROUBLES.items() if scene.task == "glue" else ():
         progress(0.9, f"camera: {name}")
-        troubles.append((name, play(scene.changed(**changes), IDEAL)))
+        troubles.append((name, play(scene.changed(**changes), IDEAL,
+                                    shared=None if "camera" in changes else shared)))
     return ForceComparison(scene, runs, trials, tuple(troubles))

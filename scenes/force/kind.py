@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ideal_robot.progress import Steps
-from scenes.force.cell import scene_curves
+from scenes.force.cell import Prepared, scene_curves
 from scenes.force.compare import ForceComparison, best_gains, compare_forces
 from scenes.force.page import comparison_page, force_replay, run_page
 from scenes.force.play import ForceResult, play
@@ -29,13 +29,14 @@ def run(scene: ForceScene, *, method: Any = None, out: Path | None = None, progr
     ``gains`` are K_p [m/N per cycle], K_d [m/N] of direct feedback; the scene's, or found by search, if None.
     """
     chosen = method_of(method or scene.method, force_methods(scene.task))
+    shared = Prepared(scene)
     if chosen.key == DIRECT and gains is None:
-        gains = scene.gains or best_gains(scene, progress=lambda part, text: progress(0.8 * part, text))[0]
+        gains = scene.gains or best_gains(scene, shared, progress=lambda part, text: progress(0.8 * part, text))[0]
         progress = part_of(progress, 0.8, 0.2)
     steps = Steps(progress, SHARES)
     steps.begin("calibrating by moving")
     # The first thing that playing says is that it has calibrated.
-    result = play(scene, chosen, gains, steps.part("playing"))
+    result = play(scene, chosen, gains, steps.part("playing"), shared)
     steps.begin("report")
     return result if out is None else write_run_files(result, run_page, out, force_replay(result))
 

@@ -16,7 +16,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.results import over_time
 from ideal_robot.row_log import let_go
 from ideal_robot.signals.recording import Recording
-from scenes.force.cell import Cell, GlueWorld, calibrated, camera_shown, friction_shown, set_up, true_tip
+from scenes.force.cell import Cell, GlueWorld, Prepared, set_up, true_tip
 from scenes.force.trouble import Trouble, TroubledCamera, TroubledDetector
 from scenes.methods import DIRECT, following_methods, method_of
 from scenes.metrics import ControlError
@@ -164,7 +164,7 @@ def methods(task: str = "surface") -> tuple[str, ...]:
 
 
 def play(scene: ForceScene, method: Any, gains: tuple[float, float] | None = None,
-         progress: Progress = silent) -> ForceResult:
+         progress: Progress = silent, shared: Prepared | None = None) -> ForceResult:
     """One run without files.
 
     Args:
@@ -172,19 +172,21 @@ def play(scene: ForceScene, method: Any, gains: tuple[float, float] | None = Non
         method: a key, a ``Feedforward``, a factory of one, or a ``Method``.
         gains: K_p [m/N per cycle], K_d [m/N] of direct feedback.
         progress: called with the fraction done.
+        shared: of the same scene but for what a method, a limit or trouble of the camera changes, to save its time.
 
     Raises:
         InputError: no such method, or a scene that cannot be played.
     """
     method = method_of(method, methods(scene.task))
-    tool, elasticity = calibrated(scene)
-    shown = camera_shown(scene)
+    shared = shared or Prepared(scene)
+    tool, elasticity = shared.contact
+    shown = shared.camera
     cell = set_up(scene, shown)
     trouble = None if scene.trouble == CameraTrouble() else Trouble(scene.trouble, cell.camera_streams[0])
     known = cell.known if trouble is None else replace(
         cell.known, detector=TroubledDetector(cell.known.detector, trouble))
     configured = force_task(known, method, tool, elasticity, gains,
-                            friction_shown(scene) if method.knows_model else None)
+                            shared.friction if method.knows_model else None)
     return replace(pressed(cell, configured, method.key, progress, trouble),
                    hand_eye=None if shown is None else shown[0])
 

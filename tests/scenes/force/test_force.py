@@ -19,7 +19,7 @@ from ideal_robot.signals.recording import Recording
 from planning.line.deviation_model import Stand
 from scenes import load_scene
 from scenes.force import play as playing
-from scenes.force.cell import camera_shown, friction_shown, glue_line, set_up
+from scenes.force.cell import Prepared, camera_shown, friction_shown, glue_line, set_up
 from scenes.force.compare import best_gains
 from scenes.force.kind import run
 from scenes.force.page import forces_figure
@@ -128,7 +128,7 @@ def test_a_stiff_contact_does_not_bounce(stiffness: float, friction: float, rms:
 @pytest.mark.slow
 def test_search_finds_no_better_direct_feedback(wave: ForceResult) -> None:
     scene = load_scene("force_wave")
-    _, trials = best_gains(scene)
+    _, trials = best_gains(scene, Prepared(scene))
     best = min(trial.error for trial in trials)
     assert best >= 0.98 * play(scene, "direct_feedback", scene.gains).figures.rms
     assert wave.figures.rms <= 0.25 * best
