@@ -28,7 +28,7 @@ SINGLE = ("t", "x", "y", "z", "qx", "qy", "qz", "qw", "fx", "fy", "fz", "mx", "m
 _QUANTITIES = {
     "q": "position positions pos angle angles q theta istposition sollposition istwinkel sollwinkel winkel lage",
     "qd": "velocity velocities vel speed qd dq qdot geschwindigkeit drehzahl",
-    "tau": "effort efforts torque torques tau moment drehmoment trq motortorque",
+    "tau": "effort efforts torque torques tau tq moment drehmoment trq motortorque",
     "current": "current currents strom motorstrom",
     "temp": "temperature temperatures temp temperatur",
 }

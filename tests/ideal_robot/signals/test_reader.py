@@ -53,6 +53,8 @@ def table(titles: Callable[[int], tuple[str, str]], time: str, clock: np.ndarray
     ("time", lambda j: (f"q[{j}]", f"tau_J[{j}]")),
     ("Zeit [s]", lambda j: (f"A{j + 1} Istposition [rad]", f"A{j + 1} Drehmoment [Nm]")),
     ("Time", lambda j: (f"Axis {j + 1}.Position actual value", f"Axis {j + 1}.Torque actual value")),
+    ("timestamp", lambda j: (f"actual_q_{j}", f"measured_tq_{j}")),
+    ("Timestamp", lambda j: (f"MeasJntPos{j + 1}", f"MeasJntTrq{j + 1}")),
     ("t", lambda j: (f"$AXIS_ACT[{j + 1}]", f"$TORQUE_AXIS_ACT[{j + 1}]")),
     ("stamp", lambda j: (f"{'abcdef'[j]}_joint_position", f"{'abcdef'[j]}_joint_torque"))])
 def test_titles_of_other_programs_are_recognised(time: str, titles: Any, tmp_path: Path) -> None:
