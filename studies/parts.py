@@ -111,12 +111,12 @@ FORCE = (
 )
 
 
-def parts(seeds: str = "1", scenes: str = "line,force_wave") -> None:
+def parts(seeds: str = "1,2,3", scenes: str = "line,force_wave") -> None:
     """Each part of the task switched off by itself: distance from the line in mm, error of the force in N.
 
     `line` and `force_wave` in the workshop with the method `adapted`; a run that has to stop is said with why.
     """
-    head("scene", "switched off", "mean mm, or RMS N", "times as much", "stopped")
+    head("without", "mean mm, or RMS N, each seed", "times as much", "stopped")
     numbers = whole_numbers(seeds, "--seeds")
     for name in scenes.split(","):
         whole = math.nan
@@ -125,8 +125,8 @@ def parts(seeds: str = "1", scenes: str = "line,force_wave") -> None:
             mean = float(np.mean(errors))
             whole = mean if part.name == "nothing" else whole
             stopped = [stop for stop in stops if stop]
-            row(f"`{name}`", part.name, ", ".join(f"{error:.3f}" for error in errors), f"{mean / whole:.2f}",
-                f"{len(stopped)} of {len(stops)}: {stopped[0]}" if stopped else "")
+            row(f"`{name}`: {part.name}", ", ".join(f"{error:.3f}" for error in errors), f"{mean / whole:.2f}",
+                f"{len(stopped)} of {len(stops)}: {stopped[0].partition(',')[0]}" if stopped else "")
 
 
 def _played(name: str, seed: int, part: Part) -> tuple[float, str]:
