@@ -19,10 +19,10 @@ import numpy as np
 from scipy import linalg
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.channels.arm import frames_along, tool_motion
-from ideal_robot.diagnosis.channels.regression import WRENCH, Regression, noise_left
+from ideal_robot.diagnosis.channels.regression import Regression, noise_left
 from ideal_robot.diagnosis.system import System
 from ideal_robot.dynamics.base_parameters import parameter_scales
+from ideal_robot.dynamics.tool_force import felt_at_tool, torques_of_tool_force
 from ideal_robot.effects import ARM_POSITION, TCP_POSITION
 from ideal_robot.effects.elasticity import turned_arm
 from ideal_robot.effects.registry import find
@@ -34,7 +34,6 @@ from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import friction_places, parameter_vector
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from ideal_robot.signals.sampling import resampled
 
 LINK, BODY, ROTOR = 0.10, 0.05, 0.05
 """By what arms of one type differ: each link as a whole, each of its ten parameters of its scale, rotors' inertias."""
@@ -47,6 +46,8 @@ UNKNOWN = 100.0
 """Standard deviation of a parameter of which a model knows nothing, over one and its value [in its unit]."""
 FORCE_GAIN = 0.15
 """What the gain of a force sensor is off by, weight and motion of what it carries included."""
+FORCE_ZERO = 2.0
+"""What the zero of a force sensor is off by along each of its axes [N]: what it carries was weighed, or it was not."""
 MEMORY = 0.2
 """Time over which what a model leaves follows itself [s]."""
 ENCODER = 30e-6
@@ -163,7 +164,9 @@ def known(model: Model, robot: Robot, regression: Regression, recording: Recordi
     push = _pushed(recording, robot, regression)
     if push is None:
         return Known(replace(regression, W=_with_spreads(regression, differs)), differs, noise)
-    anyway = [*differs, Spread(push, 1.0, 0.0)]
+    felt, zero = push
+    differs += [Spread(along, FORCE_ZERO, 0.0) for along in zero]
+    anyway = [*differs, Spread(felt, 1.0, 0.0)]
     W = _with_spreads(regression, anyway)
     if pushed is None:
         # Which way the sensor counts no recording says in words.
@@ -172,19 +175,20 @@ def known(model: Model, robot: Robot, regression: Regression, recording: Recordi
         system.take_noise(noise)
         pushed = 1 if (root @ system.posterior(["W"]).mean)[-1] > 0.0 else -1
     y = regression.y - pushed * W[:, :, -1]
-    return Known(replace(regression, y=y, W=W), [*differs, Spread(push, FORCE_GAIN, 0.0)], noise, pushed)
+    return Known(replace(regression, y=y, W=W), [*differs, Spread(felt, FORCE_GAIN, 0.0)], noise, pushed)
 
 
-def _pushed(recording: Recording, robot: Robot, regression: Regression) -> Array | None:
-    """Torque of the force that a sensor at the tool shows ``(N, n)`` [N m]; None without one."""
-    names = WRENCH[:3]
-    if not all(name in recording.columns and np.all(np.isfinite(recording.columns[name])) for name in names):
-        return None
+def _pushed(recording: Recording, robot: Robot, regression: Regression) -> tuple[Array, list[Array]] | None:
+    """Torques of the force that a sensor at the tool shows, and of 1 N along each of its axes; None without one.
+
+    Each is ``(N, n)`` [N m].
+    """
     s = regression.signals
-    force = resampled(recording.t, np.column_stack([recording.columns[name] for name in names]), regression.filtered.t)
-    rotation, _, _ = tool_motion(robot, s.q, s.qd)
-    jacobian = frames_along(robot, s.q).jacobian
-    return np.asarray(np.einsum("nkj,nkl,nl->nj", jacobian, rotation, force))
+    force = felt_at_tool(recording, regression.filtered.t)
+    if force is None:
+        return None
+    by_axis = torques_of_tool_force(robot, s.q)
+    return np.asarray(np.einsum("nlj,nl->nj", by_axis, force)), list(np.moveaxis(by_axis, 1, 0))
 
 
 def _with_spreads(regression: Regression, found: list[Spread]) -> Array:

@@ -27,6 +27,7 @@ from scipy import linalg, special
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics import regressor
+from ideal_robot.dynamics.tool_force import felt_at_tool, torques_of_tool_force
 from ideal_robot.estimate.gaussian import ROUNDING
 from ideal_robot.estimate.noise import ColouredNoise
 from ideal_robot.robots.robot import Robot
@@ -68,6 +69,8 @@ _COMMON_OFF = np.log(4.0)
 """A factor that all joints share is said from here on: masses guessed for a measured arm are 3.2 times off."""
 _CUTOFF, _BAND = 10.0, 5.0
 """Of the position filter and of the rows [Hz]: an arm's motion; a share of the sampling rate where that is low."""
+_FORCE_ZERO = 2.0
+"""What the zero of a force sensor is off by along each of its axes [N]."""
 _ROWS = 1500
 """Rows that are compared at most; they are spread over the recording."""
 _MISFIT = 0.02
@@ -190,21 +193,23 @@ class _Rows:
         dry = own[1]
         # What viscous friction adds to dry friction of the same size may have either sign.
         own[2] = own[2] - dry * np.sum(own[2] * dry, axis=0) / np.maximum(np.sum(dry * dry, axis=0), 1e-12)
+        pushed = _pushed(recording, robot, s, stride)
         # The acceleration's own column has half of the torque's spread, friction too; their sign is what is known.
-        X = [np.column_stack([*(one[:, i] @ root for one in bodies), *(scale[i] * column[:, i] for column in own),
+        X = [np.column_stack([*(np.hstack([one[:, i] @ root, pushed[:, i] * (k == 0)]) for k, one in enumerate(bodies)),
+                              *(scale[i] * column[:, i] for column in own),
                               np.full(len(y), scale[i]), *(one[:, i] @ mean for one in bodies)]) for i in range(n)]
         use = np.ones(len(y), dtype=bool)
         noise = [_noise(X, y[:, j], use) for j in range(n)]
-        C = X[0].shape[1] + 1
+        C, P = X[0].shape[1] + 1, root.shape[1] + pushed.shape[2]
         products = np.zeros((n, n, C, C))
         for i in range(n):
             for j in np.flatnonzero(live):
                 # A joint's own columns have the spread of the column that is taken for its torque.
                 own_scale = np.ones(C - 1)
-                own_scale[4 * root.shape[1] : 4 * root.shape[1] + 4] = scale[j] / scale[i] if live[i] else 1.0
+                own_scale[4 * P : 4 * P + 4] = scale[j] / scale[i] if live[i] else 1.0
                 white = noise[j].whiten(np.column_stack([X[i] * own_scale, y[:, j]]), use)
                 products[i, j] = white.T @ white
-        return cls(products, n, root.shape[1], live, _in_round_steps(recording.joints("tau")[:, live]))
+        return cls(products, n, P, live, _in_round_steps(recording.joints("tau")[:, live]))
 
     def under(self, i: int, j: int, gravity: tuple[float, float, float]) -> Array:
         """Products ``[β, own, mean, τ]`` of joint i's equation and column j under a gravity ``(P + 6, P + 6)``."""
@@ -273,6 +278,19 @@ def _filtered(recording: Recording) -> FilteredSignals:
     rate = 1.0 / float(even.t[1] - even.t[0])
     length = float(even.t[-1] - even.t[0])
     return even.filtered(max(min(_CUTOFF, 0.2 * rate), 4.0 / length), max(min(_BAND, 0.1 * rate), 2.0 / length))
+
+
+def _pushed(recording: Recording, robot: Robot, s: FilteredSignals, stride: int) -> Array:
+    """Torques of what pushes the tool, in units of their spread ``(M, n, k)``; none without a force sensor.
+
+    The force that the sensor shows, whichever way it counts, and what its zero is off by along each axis.
+    """
+    force = felt_at_tool(recording, s.t)
+    if force is None:
+        return np.empty((len(s.decimate(s.tau)[::stride]), robot.n, 0))
+    by_axis = torques_of_tool_force(robot, s.q)
+    columns = np.concatenate([np.einsum("nlj,nl->nj", by_axis, force)[:, None], _FORCE_ZERO * by_axis], axis=1)
+    return s.decimate(np.moveaxis(columns, 1, 2))[::stride]
 
 
 def _in_units(column: Array) -> Array:
