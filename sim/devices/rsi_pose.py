@@ -1,9 +1,9 @@
 """What a KUKA controller makes of corrections of its tool's pose: POSCORR behind an ETHERNET object.
 
-Written from KUKA's manuals of RobotSensorInterface and of the system software alone, without the code of the client's
-side: a pose is X, Y, Z [mm] and A, B, C [deg], turns about Z, then the new Y, then the new X, of the tool in the base.
-Corrections are added in the reference system, from where RSI began or to those in force, and the controller finds the
-axes for the pose.
+Written from what is commonly known of POSCORR and of KUKA's angles, not from a manual's text, and without the code of
+the client's side. That rotations of increments multiply is assumed. A pose is X, Y, Z [mm] and A, B, C [deg], turns
+about Z, then the new Y, then the new X, of the tool in the base. Corrections are added in the reference system, from
+where RSI began or to those in force, and the controller finds the axes for the pose.
 """
 
 from __future__ import annotations

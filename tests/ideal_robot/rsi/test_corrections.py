@@ -1,4 +1,4 @@
-"""Corrections of the pose, against a controller that was written from KUKA's manuals without the client's code."""
+"""Corrections of the pose, against a controller that was written without the client's code."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def test_an_external_axis_that_moves_stops_the_arm() -> None:
         assert "E1 moves" in str(link._external(RobMessage(2, held, external=np.array([100.2]))))
 
 
-def test_angles_are_those_of_the_manual() -> None:
+def test_angles_turn_about_z_then_y_then_x() -> None:
     """A turns about Z, B about the new Y, C about the new X."""
     for _ in range(20):
         told = np.append(RNG.uniform(-500, 500, 3), RNG.uniform(-80, 80, 3))
