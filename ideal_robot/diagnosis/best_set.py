@@ -205,12 +205,7 @@ class BestSet:
         """
         if candidate.key not in self._wide:
             spread = candidate.effect.spread(self.regression.signals, candidate.joint)
-            if candidate.effect.learned:
-                # Nowhere does a curve reach further than its channel, where the motion hardly goes neither.
-                (channel,) = self.system.groups[candidate.key].channels
-                count = self.system.groups[candidate.key].m
-                self._wide[candidate.key] = WIDE * self.measured_std[channel] * np.eye(count)
-            elif spread is None:
+            if spread is None:
                 measured = np.array([channel.weight * float(self.system.total(j, "measured", "measured")[2].sum())
                                      if channel.weight else 0.0 for j, channel in enumerate(self.system.channels)])
                 self._wide[candidate.key] = _spread_of(self._own_products(candidate.key),
