@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all: written under another name beside their place and moved there.
+"""Files that are there whole or not at all: written in a hidden folder beside their place and moved there.
 
 Whatever ends the program in between — an error, a full disk, ``kill -9`` — the file that was there before stays.
 """
@@ -8,11 +8,11 @@ from __future__ import annotations
 import errno
 import glob
 import os
-import secrets
 import shutil
+import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +20,6 @@ from ideal_robot.errors import IdealRobotError
 
 _ABANDONED = 86_400.0
 """What a killed run left of a file is removed by the next one when it is older than this [s]."""
-
-
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Errors of the system where there is no room."""
 _REMEDIES = {errno.ENOSPC: "make room", errno.EDQUOT: "make room", errno.EFBIG: "raise the limit on the size of files",
@@ -57,7 +55,8 @@ class OutputError(IdealRobotError):
 def whole_file(path: str | Path) -> Iterator[Path]:
     """Yields the name to write to; moved to ``path`` when the block ends without an error, else removed.
 
-    Missing parents are made. Raises OutputError where it cannot be written, e.g. the disk is full.
+    Missing parents are made, and the rights of a file that was there stay. Raises OutputError where it cannot be
+    written, e.g. the disk is full.
     """
     with whole_files(path) as (partial,):
         yield partial
@@ -71,24 +70,23 @@ def whole_files(*paths: str | Path | None) -> Iterator[list[Any]]:
     """
     places = [None if path is None else Path(path) for path in paths]
     moves: list[tuple[Path, Path]] = []
-    folders: list[Path] = []
     try:
-        partials = []
-        for place in places:
-            if place is not None:
-                if is_device(place):
-                    raise OutputError(f"{place}: is a device or a pipe; expected the name of a file")
-                folders += make_folder(place.parent)
-                # pandas takes a leading ~ for a home.
-                moves.append((partial_name(place).absolute(), place))
-            partials.append(None if place is None else moves[-1][0])
-        yield partials
-        for partial, _ in moves:
-            synchronise(partial)
-        for partial, place in moves:
-            partial.replace(place)
-        for folder in {place.parent for _, place in moves}:
-            synchronise(folder)
+        with ExitStack() as stack:
+            for place in places:
+                if place is not None:
+                    if is_device(place):
+                        raise OutputError(f"{place}: is a device or a pipe; expected the name of a file")
+                    moves.append((stack.enter_context(beside(place)), place))
+            partials = iter(moves)
+            yield [None if place is None else next(partials)[0] for place in places]
+            for partial, place in moves:
+                with suppress(FileNotFoundError):
+                    shutil.copymode(place, partial)
+                synchronise(partial)
+            for partial, place in moves:
+                partial.replace(place)
+            for folder in {place.parent for _, place in moves}:
+                synchronise(folder)
     except OSError as error:
         names = ", ".join(str(place) for _, place in moves) or str(places[0])
         raise OutputError.of(names, error) from error
@@ -97,12 +95,6 @@ def whole_files(*paths: str | Path | None) -> Iterator[list[Any]]:
         for partial, place in moves:
             error = error.named(partial, place)
         raise error from error.__cause__
-    finally:
-        # Any way out, an interrupt included; of what was moved nothing is left under that name.
-        for partial, _ in moves:
-            with suppress(OSError):  # a disk that has become read-only, of which is told already
-                partial.unlink(missing_ok=True)
-        remove_empty(folders)
 
 
 def write_text(path: str | Path, text: str) -> Path:
@@ -122,14 +114,25 @@ def is_device(place: Path) -> bool:
     return place.exists() and not (place.is_file() or place.is_dir())
 
 
-def partial_name(path: Path) -> Path:
-    """An unused name beside ``path`` with the same ending; removes what killed runs left of the same file."""
-    beginning, ending = f".{path.stem[:100]}.", f".part{path.suffix}"
-    for old in path.parent.glob(f"{glob.escape(beginning)}*{glob.escape(ending)}"):
-        with suppress(OSError):
-            if time.time() - old.stat().st_mtime > _ABANDONED:
-                shutil.rmtree(old) if old.is_dir() else old.unlink()
-    return path.parent / f"{beginning}{secrets.token_hex(6)}{ending}"
+@contextmanager
+def beside(place: Path) -> Iterator[Path]:
+    """Yields a name for what will be moved to ``place``: its own, in a hidden folder beside it, which goes afterwards.
+
+    Missing parents are made, and go where nothing lies in them in the end. What killed runs left of the same name is
+    removed after a day.
+    """
+    made = make_folder(place.parent)
+    beginning = f".{place.name[:40]}."  # at most four bytes each, of the 255 that a name may have
+    try:
+        for old in place.parent.glob(f"{glob.escape(beginning)}*.part"):
+            with suppress(OSError):
+                if time.time() - old.stat().st_mtime > _ABANDONED:
+                    shutil.rmtree(old)
+        with tempfile.TemporaryDirectory(".part", beginning, place.parent, ignore_cleanup_errors=True) as folder:
+            # pandas takes a leading ~ for a home.
+            yield Path(folder).absolute() / place.name
+    finally:
+        remove_empty(made)
 
 
 def make_folder(folder: Path) -> list[Path]:

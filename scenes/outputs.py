@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import ctypes
 import os
-import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 
 from ideal_robot.errors import InputError
-from ideal_robot.whole_file import OutputError, is_device, make_folder, partial_name, remove_empty, synchronise
+from ideal_robot.whole_file import OutputError, beside, is_device, synchronise
 
 _EXCHANGE = 2
 """``RENAME_EXCHANGE`` of renameat2(2)."""
 _TRIED = 4096
 """How much is written to find out whether there is room [bytes]; no report is smaller."""
-_Held = list[tuple[Path, Path, list[Path]]]
-"""New folders that are written, their places, and what was made of their parents."""
+_Held = list[tuple[Path, Path, ExitStack]]
+"""New folders that are written, their places, and what removes them."""
 _HELD: ContextVar[_Held | None] = ContextVar("folders that wait for other files", default=None)
 _TRIES = 100
 """How often a folder that other runs exchange meanwhile is looked at anew."""
@@ -93,9 +92,8 @@ def folders_held() -> Iterator[None]:
                 raise OutputError.of(place, error) from error
     finally:
         _HELD.reset(token)
-        for new, _, parents in held:
-            shutil.rmtree(new, ignore_errors=True)
-            remove_empty(parents)
+        for _, _, stack in held:
+            stack.close()
 
 
 @contextmanager
@@ -107,30 +105,24 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     made. Raises OutputError where it cannot be written; ``folder`` is as it was.
     """
     new: Path | None = None
-    parents: list[Path] = []
     held = _HELD.get()
     try:
-        parents = make_folder(folder.parent)
-        place = folder.absolute()
-        new = partial_name(place / place.name if _fixed(place) else place)
-        new.mkdir()
-        yield new
-        for file in new.iterdir():
-            synchronise(file)
-        if held is None:
-            _take_place(new, place)
-            synchronise(place.parent)
-        else:
-            held.append((new, place, parents))
-            new, parents = None, []
+        with ExitStack() as stack:
+            place = folder.absolute()
+            new = stack.enter_context(beside(place / place.name if _fixed(place) else place))
+            new.mkdir()
+            yield new
+            for file in new.iterdir():
+                synchronise(file)
+            if held is None:
+                _take_place(new, place)
+                synchronise(place.parent)
+            else:
+                held.append((new, place, stack.pop_all()))
     except OSError as error:
         raise OutputError.of(folder, error) from error
     except OutputError as error:
         raise (error if new is None else error.named(new, folder)) from error.__cause__
-    finally:
-        if new is not None:
-            shutil.rmtree(new, ignore_errors=True)
-        remove_empty(parents)
 
 
 def _fixed(folder: Path) -> bool:
@@ -146,7 +138,7 @@ def _take_place(new: Path, folder: Path) -> None:
             return
     written = set(new.iterdir())
     for _ in range(_TRIES):
-        entries = [entry for entry in folder.iterdir() if new / entry.name not in written and entry != new]
+        entries = [entry for entry in folder.iterdir() if new / entry.name not in written and entry != new.parent]
         if _fixed(folder) or any(entry.is_dir() for entry in entries):
             break
         try:

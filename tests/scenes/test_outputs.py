@@ -197,6 +197,16 @@ def test_places_that_cannot_be_written_are_told_by_option_and_nothing_is_made(tm
     assert _visible(tmp_path) == ["file", "folder"]
 
 
+def test_a_file_that_is_written_anew_keeps_its_rights_and_a_new_one_has_the_usual_ones(tmp_path: Path) -> None:
+    usual, private, new = (tmp_path / name for name in ("usual", "private", "new"))
+    for path in (usual, private):
+        path.touch()
+    private.chmod(0o600)
+    for path in (usual, private, new):
+        write_text(path, "x")
+    assert [path.stat().st_mode & 0o777 for path in (private, new)] == [0o600, usual.stat().st_mode & 0o777]
+
+
 def test_a_device_or_pipe_is_not_replaced_by_a_file(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
@@ -216,9 +226,10 @@ def test_a_folder_that_vanishes_while_writing_is_an_error_of_one_line(tmp_path: 
 
 
 def test_what_killed_runs_left_is_removed_after_a_day(tmp_path: Path) -> None:
-    old, young = tmp_path / ".a.0123.part.json", tmp_path / ".a.4567.part.json"
+    old, young = tmp_path / ".a.json.0123.part", tmp_path / ".a.json.4567.part"
     for path in (old, young):
-        path.write_text("")
+        path.mkdir()
+        (path / "a.json").write_text("")
     os.utime(old, (0, 0))
     write_text(tmp_path / "a.json", "{}")
     assert sorted(path.name for path in tmp_path.iterdir()) == [young.name, "a.json"]
