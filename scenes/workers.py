@@ -17,8 +17,9 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
-from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING, Any
 
 from ideal_robot.deadline import TIME_LIMIT, Deadline
@@ -31,8 +32,6 @@ ATTEMPTS = 2
 """How often a task is begun whose process is lost each time."""
 TASKS = 200
 """So many tasks a process does: a third of a megabyte of each run stays with the libraries until it ends."""
-_NO_MEMORY = 137
-"""Exit code of a process without memory, as if the system had ended it."""
 _LOOK = 0.5
 """How often a process looks whether its parent is still there [s]."""
 
@@ -51,83 +50,68 @@ def work_off(tasks: Sequence[Any], function: Callable[[Any], Any], processes: in
         processes: how many at once.
         limit: how long a task may take [s]; its process is ended then.
     """
-    waiting = deque(range(len(tasks)))
-    attempts = [0] * len(tasks)
-    workers: list[_Worker] = []
+    waiting = deque((index, 1) for index in range(len(tasks)))
+    crew: list[_Process] = []
+    working: dict[Future[Any], tuple[_Process, int, int]] = {}
     try:
-        while waiting or workers:
-            while waiting and len(workers) < processes:
-                workers.append(_Worker(function))
-            for worker in workers:
-                if worker.index is None and waiting:
-                    worker.index = waiting.popleft()
-                    attempts[worker.index] += 1
-                    worker.begin(tasks[worker.index], limit)
-            for worker in [worker for worker in workers if worker.index is None]:
-                _dismissed(workers, worker)
-            if not workers:
-                continue
-            soonest = min(worker.deadline.left for worker in workers)
-            ready = set(wait([worker.ours for worker in workers if worker.index is not None], timeout=soonest))
-            for worker in [worker for worker in workers if worker.ours in ready or worker.deadline.passed]:
-                index = worker.index
-                assert index is not None
-                try:
-                    yield index, worker.answer()
-                    worker.index = None
-                    worker.done += 1
-                    if worker.done >= TASKS:
-                        _dismissed(workers, worker)
-                except (EOFError, OSError):
-                    code = _dismissed(workers, worker)
-                    if attempts[index] < ATTEMPTS:
-                        waiting.appendleft(index)
-                    else:
-                        why = f"did not end within {limit:g} s" if worker.deadline.passed else f"exit code {code}"
-                        yield index, LostError(f"its process was lost {ATTEMPTS} times ({why})")
+        while waiting or working:
+            while waiting and len(working) < processes:
+                index, attempt = waiting.popleft()
+                process = next((one for one in crew if one.idle), None) or _Process()
+                crew = [*(one for one in crew if one is not process), process]
+                working[process.begun(function, tasks[index], limit)] = process, index, attempt
+            for future in wait(working, return_when=FIRST_COMPLETED).done:
+                process, index, attempt = working.pop(future)
+                process.idle = True
+                error = future.exception()
+                if error is None and process.tasks < TASKS:
+                    yield index, future.result()
+                    continue
+                # Another process may have the memory that this one has not, with all that its tasks have left behind.
+                crew.remove(process)
+                code = process.end()
+                if error is None:
+                    yield index, future.result()
+                elif not isinstance(error, BrokenProcessPool | MemoryError):
+                    raise error
+                elif attempt < ATTEMPTS:
+                    waiting.appendleft((index, attempt + 1))
+                else:
+                    why = ("no memory" if isinstance(error, MemoryError) else
+                           f"did not end within {limit:g} s" if code == -signal.SIGALRM else f"exit code {code}")
+                    yield index, LostError(f"its process was lost {ATTEMPTS} times ({why})")
     finally:
-        for worker in workers:
-            worker.end()
+        for process in crew:
+            process.end()
 
 
-def _dismissed(workers: list[_Worker], worker: _Worker) -> int | None:
-    workers.remove(worker)
-    return worker.end()
+class _Process(ProcessPoolExecutor):
+    """A pool of one process, so that what ends it is known to be the one task that it works on.
 
+    Attributes:
+        idle: whether it has nothing to do.
+        tasks: how many it was given.
+    """
 
-class _Worker:
-    """A process and the line to it."""
+    def __init__(self) -> None:
+        super().__init__(1, initializer=_prepared, initargs=(os.getpid(),))
+        self.idle, self.tasks = True, 0
+        number = self.submit(os.getpid).result()
+        self._own = next(child for child in multiprocessing.active_children() if child.pid == number)
 
-    def __init__(self, function: Callable[[Any], Any]) -> None:
-        self.ours, theirs = multiprocessing.Pipe()
-        self.index: int | None = None
-        self.done = 0
-        self.deadline = Deadline.within(0.0)
-        self._process = multiprocessing.Process(target=_serve, args=(theirs, function, os.getpid()), daemon=True)
-        self._process.start()
-        theirs.close()
-
-    def begin(self, task: Any, limit: float) -> None:
-        """Hands a task over, which may take so long [s]."""
-        self.deadline = Deadline.within(limit)
-        with suppress(OSError):  # already gone: found when its answer is waited for
-            self.ours.send(task)
-
-    def answer(self) -> Any:
-        """The result that has come; EOFError where none has, because the process is lost or takes too long."""
-        if not self.ours.poll():
-            raise EOFError
-        return self.ours.recv()
+    def begun(self, function: Callable[[Any], Any], task: Any, limit: float) -> Future[Any]:
+        """What will be the task's result."""
+        self.idle, self.tasks = False, self.tasks + 1
+        return self.submit(_limited, function, task, limit)
 
     def end(self) -> int | None:
         """Ends the process at once and returns its exit code."""
-        self.ours.close()
-        self._process.kill()
-        self._process.join(5.0)
-        return self._process.exitcode
+        self._own.kill()
+        self.shutdown(cancel_futures=True)
+        return self._own.exitcode
 
 
-def _serve(line: Connection, function: Callable[[Any], Any], parent: int) -> None:
+def _prepared(parent: int) -> None:
     # Ctrl-C goes to all processes of a terminal; the parent answers it for all.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -135,16 +119,11 @@ def _serve(line: Connection, function: Callable[[Any], Any], parent: int) -> Non
     half = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
     resource.setrlimit(resource.RLIMIT_DATA, (half, resource.getrlimit(resource.RLIMIT_DATA)[1]))
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
-    while True:
-        try:
-            task = line.recv()
-        except EOFError:
-            return
-        try:
-            line.send(function(task))
-        except MemoryError:
-            # Another process may have the memory that this one has not, with all that its tasks have left behind.
-            os._exit(_NO_MEMORY)
+
+
+def _limited(function: Callable[[Any], Any], task: Any, limit: float) -> Any:
+    with _ended_after(limit):
+        return function(task)
 
 
 def _end_with(parent: int) -> None:
@@ -233,8 +212,7 @@ def _batch(function: Callable[[Any], Any], tasks: list[Any], limit: float) -> tu
     """On a worker: the time that a task takes [s], and the results."""
     start, results = time.perf_counter(), []
     for task in tasks:
-        with _ended_after(limit):
-            results.append(function(task))
+        results.append(_limited(function, task, limit))
     return (time.perf_counter() - start) / len(tasks), results
 
 

@@ -99,7 +99,7 @@ def test_a_task_that_hangs_crashes_or_takes_all_memory_costs_only_itself() -> No
     done = dict(work_off(tasks, _poisoned_in_its_way, 2, limit=3.0))
     assert (done[0], done[4]) == ("a", "b")
     assert [str(done[i]).partition("2 times ")[2] for i in (1, 2, 3)] == [
-        "(did not end within 3 s)", "(exit code -11)", "(exit code 137)"]
+        "(did not end within 3 s)", "(exit code -11)", "(no memory)"]
 
 
 def test_a_scene_that_cannot_be_played_is_a_row_with_its_reason() -> None:
