@@ -113,7 +113,7 @@ def force_task(known: KnownSurface, method: SceneMethod, tool: ToolLoad, elastic
               if method.key == DIRECT and gains is not None and isinstance(follower, SurfaceFollower) else None)
     arm = PressingArm(known.robot, model, follower.q_start)
     contact, camera = ContactSensor(scene, follower, arm, log, tool, elasticity, model, direct=direct,
-                                    at_once=AT_ONCE if glue else 0.0), None
+                                    at_once=AT_ONCE, in_one=AT_ONCE), None
     if glue and isinstance(follower, SurfaceFollower):
         span = (scene.reference.run_up, known.reference.length - scene.reference.run_out)
         sight = LineOnSurface(follower, known.camera.T_tool_camera,

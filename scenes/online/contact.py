@@ -28,6 +28,11 @@ from sensing.force.sensors import ForceSensor, WrenchSample
 GATHERED = 0.01
 """Time for which samples are gathered before they are fused [s]: three samples at 250 Hz take no longer than one."""
 
+IN_ANSWER, IN_CYCLE = 0.2, 0.75
+"""Shares of a cycle that computing may take between packet and answer, and all in all, as the rehearsal has it. Beside
+other work it takes up to two and a half times as long (3.0 ms, and 4.4 to 7.5 ms with both cores busy), and a
+controller wants its answer within three quarters of its cycle; behind it less is done where answers are behind."""
+
 
 class Witness(Protocol):
     """Who looks on devices whether what is felt can be."""
@@ -61,8 +66,8 @@ class ContactSensor(Sensor):
         elasticity: of tip and surface, from calibration; the follower says what is assumed of it.
         model: of the arm, whose effects say what is wrong with the sensor; None for a method that knows of none.
         direct: direct feedback of the force, where that is the method.
-        at_once: see ``Sensor``. In shorter cycles what is felt is worked out behind one command, and fused behind the
-            next.
+        at_once, in_one: see ``Sensor``. In cycles shorter than the latter what is felt is worked out behind one
+            command, and fused behind the next.
 
     Attributes:
         assumed_stiffness: E of tip and surface that is assumed [N/m].
@@ -70,8 +75,8 @@ class ContactSensor(Sensor):
 
     def __init__(self, scene: ForceScene, follower: SurfaceFollower | ContourFollower, arm: PressingArm, log: TaskLog,
                  tool: ToolLoad, elasticity: ContactElasticity, model: Model | None = None, *,
-                 direct: DirectForceFeedback | None = None, at_once: float = 0.0) -> None:
-        self.scene, self.follower, self.log, self.at_once = scene, follower, log, at_once
+                 direct: DirectForceFeedback | None = None, at_once: float = 0.0, in_one: float = 0.0) -> None:
+        self.scene, self.follower, self.log, self.at_once, self.in_one = scene, follower, log, at_once, in_one
         self._arm, self._direct = arm, direct
         errors = ForceErrors.of(() if model is None else model.effects)
         self.tool = replace(tool, bias=tool.bias + errors.wrench)
@@ -91,8 +96,12 @@ class ContactSensor(Sensor):
         self.device = device
 
     def witnessed(self, witness: Witness, short: bool) -> None:
-        """From now on what is felt is looked at; ``short``: cycles are short, see ``at_once``."""
+        """From now on what is felt is looked at; ``short``: cycles are short, see ``in_one``."""
         self.witness, self._in_two = witness, short
+
+    def takes(self, usual: float) -> None:
+        """This computer takes so long to fuse, to plan and to command [s], see ``Sensor``."""
+        self.at_once, self.in_one = usual / IN_ANSWER, usual / IN_CYCLE
 
     def calibrated(self, tool: ToolLoad, elasticity: ContactElasticity) -> None:
         """Takes what a calibration has found meanwhile.

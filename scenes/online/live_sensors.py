@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import threading
+import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
@@ -331,8 +332,8 @@ class ImaginedForce:
         return [WrenchSample(instant, t, self.wrench) for instant in (t - 0.008, t - 0.004, t) if instant >= 0.0]
 
 
-def rehearse(task: Cycled, robot: Robot, cycles: int, first: int = 0) -> None:
-    """Plays cycles with an arm that does at once what is desired.
+def rehearse(task: Cycled, robot: Robot, cycles: int, first: int = 0) -> Iterator[float]:
+    """Plays cycles with an arm that does at once what is desired; how long each was computed [s].
 
     Args:
         task: to be thrown away afterwards.
@@ -344,10 +345,11 @@ def rehearse(task: Cycled, robot: Robot, cycles: int, first: int = 0) -> None:
     q_d = np.tile(q, (task.n_d, 1))
     governor = CommandGovernor(robot, q, t_ipo=T)
     for k in range(first, first + cycles):
-        t = k * T
+        t, begun = k * T, time.perf_counter()
         task.observe(t, q, q_d)
         q_d = task.plan(t, q_d)
         governor.allowed(task.command(t, q_d))
+        yield time.perf_counter() - begun
         task.request(t, t + T)
         task.collect(t, t + T, RobotState(t + T, q_d[0], np.zeros_like(q)))
         q = q_d[0]

@@ -36,10 +36,13 @@ class Sensor(ABC):
 
     Attributes:
         at_once: cycle from which on there is time to fuse between a controller's packet and its answer [s].
+        in_one: cycle from which on there is time to fuse and to plan anew behind one command [s]; in shorter ones one
+            thing is done at a time.
         owes: whether more has been fused than was looked at whether the device lives.
     """
 
     at_once = 0.0
+    in_one = 0.0
     owes = False
 
     def take(self, t: float) -> None:
@@ -258,9 +261,10 @@ class Ahead:
 
     What no answer waits for is fused as soon as the command of a cycle has gone: the sensors for which there is no time
     before an answer, see ``Sensor.at_once``. Where there is none for any, the plan of the coming cycle is made there as
-    well, and one thing is done at a time: a sensor fuses, the more urgent first, or its signs of life are looked at.
-    Where answers are behind only the most urgent sensor is fused. A measurement takes effect a cycle later for it; the
-    map it goes into is one over places ([L] 4.3), to which its age makes no difference.
+    well; in the shortest cycles one thing is done at a time: a sensor fuses, the more urgent first, or its signs of
+    life are looked at. So it is where answers are behind, and then only the most urgent sensor is fused. A measurement
+    takes effect a cycle later for it; the map it goes into is one over places ([L] 4.3), to which its age makes no
+    difference.
 
     Args:
         task: whose sensors fuse, and whose path is planned.
@@ -269,6 +273,7 @@ class Ahead:
     Attributes:
         at_once: sensors that are fused between packet and answer.
         plans: whether each cycle is planned in the one before.
+        pieces: whether one thing is done at a time behind a command.
     """
 
     def __init__(self, task: Task, arm: LiveArm) -> None:
@@ -277,6 +282,7 @@ class Ahead:
         self.at_once = [sensor for sensor in task.sensors if sensor.at_once <= T]
         self._later = [sensor for sensor in task.sensors if sensor.at_once > T]
         self.plans = not self.at_once
+        self.pieces = self.plans and any(sensor.in_one > T for sensor in task.sensors)
         self._prepared: tuple[int, Array] | None = None
         self._failed: IdealRobotError | None = None
 
@@ -309,17 +315,18 @@ class Ahead:
 
     def prepare(self, t: float) -> None:
         """Fuses what has come by now, and plans the cycle that begins at ``t`` [s]."""
-        done = self._one(t)
-        self._prepared = round(t / self._T), self._task.follower.horizon(t, anew=done < Work.FUSED)
+        busy = self._done(t) == Work.FUSED and (self.pieces or self._arm.behind)
+        self._prepared = round(t / self._T), self._task.follower.horizon(t, anew=not busy)
 
-    def _one(self, t: float) -> Work:
-        """Does the most urgent thing that is to be done before ``t`` [s]."""
+    def _done(self, t: float) -> Work:
+        """Does the most urgent thing that is to be done before ``t`` [s], or all of it where there is time."""
+        done = Work.NOTHING
         for number, sensor in enumerate(self._task.sensors):
             if number and (self._arm.behind or any(one.owes for one in self._task.sensors[:number])):
                 break
-            if done := sensor.fuse(t):
+            if (done := max(done, sensor.fuse(t))) and self.pieces:
                 return done
         if not self._arm.behind:
             for sensor in self._task.sensors:
                 sensor.look()
-        return Work.NOTHING
+        return done

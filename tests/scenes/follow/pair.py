@@ -44,12 +44,13 @@ class Cell:
     protocol: str = "rsi"
 
     def follow(self, scene: str, *options: str) -> subprocess.Popen[str]:
-        """Starts a follower."""
+        """Starts a follower of a shipped scene, or of a file whose name begins like one's."""
+        kind = Path(scene).stem
         devices = ["--arm", f"{self.protocol}://127.0.0.1:{self.ports['arm']}", "--out", str(self.folder / "out")]
         devices += ["--relative"] if self.relative else []
-        if scene != "force_wave":
+        if not kind.startswith("force_wave"):
             devices += ["--camera", f"stream://127.0.0.1:{self.ports['camera']}"]
-        if scene != "line":
+        if not kind.startswith("line"):
             devices += ["--force", f"netft://127.0.0.1:{self.ports['force']}?rate=250", "--force-delay", "19"]
         (self.folder / "follow.json").unlink(missing_ok=True)
         return started("follow", scene, "--delay", "--wait", "240", "--json", str(self.folder / "follow.json"),

@@ -17,9 +17,11 @@ from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from planning import PlanningError
 from planning.follower import Phase
+from planning.force.force_follower import SurfaceFollower
 from planning.line.measurement import Fused
 from scenes.arms import shipped_model
 from scenes.online.cell_check import CalibrationMotion, Piece, calibrated_by_moving
+from scenes.online.contact import IN_CYCLE
 from scenes.online.contact_witness import ContactWitness
 from scenes.online.cycle import CycleSettings, play_cycles
 from scenes.online.devices import Devices
@@ -169,7 +171,7 @@ def _glued(tmp_path: Path, link: Waited, job: Job, camera: Seen, *, fails: bool 
     follower.horizon = planned  # type: ignore[method-assign]
     follower.measured, contact._fused = felt, pressed  # type: ignore[method-assign]
     contact.witnessed(SimpleNamespace(owes=False, fused=lambda *_: None, look=lambda: None, check=lambda t: None,
-                                      ended=lambda *_: None), short=arm.t_ipo < contact.at_once)
+                                      ended=lambda *_: None), short=arm.t_ipo < contact.in_one)
     task.lead(arm)
     link.said.clear()
     arm.begin()
@@ -197,6 +199,36 @@ def test_fields_of_a_surface_are_fused_between_packets_too(tmp_path: Path, fails
     assert fails or {link.said[i + 1] for i, event in enumerate(link.said) if event == "field"} == {"goes on"}
     assert str(job.log.failure).startswith("nothing to be seen" if fails else "not done")
     assert link.said.count("packet") > 12
+
+
+@pytest.mark.parametrize("takes", [0.001, 0.003, 0.02])
+def test_what_takes_long_on_this_computer_waits_for_no_answer(tmp_path: Path, takes: float) -> None:
+    """At 12 ms 5 to 7 ms of forces and planning before an answer came too late in every third cycle."""
+    job = glue(None)
+    job.contact.takes(takes)
+    link = Waited(robot=job.robot)
+    _glued(tmp_path, link, job, Seen(job.robot.t_ipo, 0))
+    before = {event for cycle in " ".join(link.said).split("packet")[2:] for event in cycle.split("answer")[0].split()}
+    behind = [cycle.split("answer")[-1].split() for cycle in " ".join(link.said).split("packet")[2:-1]]
+    assert ("felt" in before) == ("plan" in before) == (takes == 0.001)
+    # Where there is time, all of a cycle is done behind one command.
+    assert any({"force", "plan"} <= set(cycle) for cycle in behind) == (takes == 0.003)
+    assert max(sum(event in ("felt", "force", "field") for event in cycle) for cycle in behind) == (
+        1 if takes != 0.003 else 3)
+
+
+def test_a_rehearsal_learns_how_long_this_computer_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    horizon = SurfaceFollower.horizon
+
+    def slow(follower: SurfaceFollower, t: float, anew: bool = True) -> Array:
+        time.sleep(0.006)
+        return horizon(follower, t, anew)
+
+    monkeypatch.setattr(SurfaceFollower, "horizon", slow)
+    job = glue(None)
+    job.rehearse()
+    assert job.contact.at_once > job.robot.t_ipo
+    assert 0.006 < job.contact.in_one * IN_CYCLE < 0.1
 
 
 def test_one_thing_is_done_between_two_packets_and_what_is_felt_is_fused_behind_the_next(tmp_path: Path) -> None:
