@@ -127,7 +127,7 @@ def with_loose_weights(made: Regression, effects: Sequence[Candidate]) -> Regres
     such ``effects`` of the motor torques.
     """
     loose = [made.columns_of(choice.effect, choice.joint, choice.theta) for choice in effects
-             if choice.joint not in made.undecided and isinstance(choice.effect, AngleLaw)
+             if isinstance(choice.effect, AngleLaw) and made.use[:, choice.joint - 1].any()
              and choice.effect.like_the_model(made.signals, choice.joint) is not None]
     return replace(made, W=np.concatenate([made.W, *loose], axis=2)) if loose else made
 

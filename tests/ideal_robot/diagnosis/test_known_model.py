@@ -11,6 +11,8 @@ import pytest
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis import diagnose
 from ideal_robot.diagnosis.best_set import BestSet
+from ideal_robot.diagnosis.causes import Candidate
+from ideal_robot.diagnosis.channels.arm import arm_angle_regression, with_loose_weights
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.prior import SAME
 from ideal_robot.diagnosis.report import argument
@@ -18,6 +20,7 @@ from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.diagnosis.validation.refit import with_named_effects
 from ideal_robot.dynamics.regressor import regressor
 from ideal_robot.effects import MOTOR_TORQUE, FittedEffect, library
+from ideal_robot.effects.registry import find
 from ideal_robot.friction import PerJointFriction, ViscousCoulomb
 from ideal_robot.identification.idim import identify
 from ideal_robot.model.model import Model
@@ -184,6 +187,20 @@ def test_errors_of_several_joints_kinematics_are_estimated_together(known_kr15):
     alone = [with_named_effects(tracked, robot, known, (error,)).effects[0] for error in every]
     size = [np.linalg.norm([effect.coefficients for effect in effects], axis=1) for effects in (jointly.effects, alone)]
     assert not np.allclose(size[0], size[1], rtol=0.1)
+
+
+@pytest.mark.parametrize("reversals", [0, 1, 3])
+def test_what_a_spring_bends_its_gear_by_is_open_however_often_the_joint_turns_round(known_kr15, reversals):
+    robot, known, recording = known_kr15
+    t = np.arange(0.0, 4.0, 0.004)
+    q = recording.joints("q").mean(axis=0) + 0.4 * np.cos(np.pi * (reversals + 1) * t / t[-1])[:, None]
+    short = Recording.from_arrays(t, q=q, tau=np.zeros_like(q), qa=q)
+    angles = arm_angle_regression(short, robot, torque_regression(short, robot, known), None)
+    springs = [Candidate(effect, joint, effect.starts(angles.signals, joint)[0])
+               for joint in (2, 3) for effect in (find("gravity_spring", "tau"),)]
+    unmeasured = dataclasses.replace(angles, use=angles.use & (np.arange(robot.n) != 2))
+    assert with_loose_weights(angles, springs).W.shape[2] == angles.W.shape[2] + 4
+    assert with_loose_weights(unmeasured, springs).W.shape[2] == angles.W.shape[2] + 2
 
 
 # A body that the given model does not know: on the flange it is a payload, on another link a load of that link.
