@@ -26,7 +26,7 @@ from ideal_robot.errors import IdealRobotError, InputError  # noqa: E402
 GROUPS = {
     "speed and memory": {
         "speed": "speed", "line-cycles": "cycles", "cycle": "cycles", "planning": "cycles", "growth": "speed",
-        "fusion-cost": "fusion", "walks": "speed",
+        "fusion-cost": "fusion",
     },
     "accuracy": {
         "arms": "arms", "arms-models": "arms", "arms-adapted": "arms", "arms-fast": "arms", "knew": "arms",
@@ -48,12 +48,10 @@ GROUPS = {
                   "sensors": "diagnoses", "users-way": "users_way"},
     "closings": {"closings": "closings", "outside": "closings", "true-friction": "closings"},
     "robustness": {
-        "findings": "findings", "limits": "limits", "fuzz": "broken", "kill": "broken",
-        "rsi-packets": "packets", "packets": "packets", "mutations": "mutations",
-        "faults": "faults", "sound-forces": "faults", "camera-faults": "faults", "arm-faults": "faults",
+        "limits": "limits", "faults": "faults",
+        "sound-forces": "faults", "camera-faults": "faults", "arm-faults": "faults",
         "lockstep": "lockstep", "link-faults": "link_faults",
-        "sweep-kills": "sweeps", "sweep-efficiency": "sweeps", "sweep-plan": "sweeps",
-        "check-suite": "sweeps", "mutants": "mutants", "constants": "constants",
+        "sweep-kills": "sweeps", "sweep-efficiency": "sweeps", "sweep-plan": "sweeps", "check-suite": "sweeps",
         "rsi-hour": "rsi", "rsi-simulators": "rsi", "loopback": "loopback", "follow-hour": "loopback",
     },
 }

@@ -31,7 +31,7 @@ SHOWS = {
     "sweep": "worst mean",
 }
 """What each of them prints."""
-QUICK = ("own_driver", "own_effect")
+QUICK = ("own_driver",)
 """Those that take a few seconds, and are played each time."""
 
 

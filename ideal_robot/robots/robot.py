@@ -339,17 +339,7 @@ def spread_postures(q_min: Array, q_max: Array, count: int = 128) -> Array:
         q_min, q_max: position limits ``(n,)`` [rad or m].
         count: how many.
     """
+    from scipy.stats import qmc  # what loads a robot alone need not wait for it
+
     low, high = np.clip(q_min, -np.pi, np.pi), np.clip(q_max, -np.pi, np.pi)
-    # Primes as bases, more than any arm has joints.
-    primes = [base for base in range(2, 200) if all(base % divisor for divisor in range(2, base))]
-    spread = np.column_stack([_radical_inverse(count, base) for base in primes[: len(low)]])
-    return np.asarray(low + spread * (high - low))
-
-
-def _radical_inverse(count: int, base: int) -> Array:
-    """The numbers from 0 on, their digits in a base written behind the point ``(count,)``."""
-    remaining, digit, numbers = np.arange(count), 1.0 / base, np.zeros(count)
-    while remaining.any():
-        numbers += (remaining % base) * digit
-        remaining, digit = remaining // base, digit / base
-    return numbers
+    return np.asarray(low + qmc.Halton(len(low), scramble=False).random(count) * (high - low))

@@ -1,6 +1,6 @@
 """Broken files and words, a few hundred of them: no traceback, no hang, no half-written result.
 
-Thousands are played by ``python -m studies fuzz``. Here the readers and checks get most of them, whole verbs a few.
+The readers and checks get most of them, whole verbs a few, and every kind of call one among the slow tests.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from scenes.online.camera_process import calibrated_camera
 from scenes.scene_file import library, load_scene
 from scenes.scene_files.shape import first_path
 from sensing.camera.camera_model import CameraModel
-from tests.fuzz import mutate, originals
-from tests.fuzz.cases import drawn
+from tests.fuzz import cases, mutate, originals
+from tests.fuzz.cases import MAKERS, drawn
 from tests.fuzz.play import play, warm_up
 
 T = TypeVar("T")
@@ -41,6 +41,12 @@ def unless_refused(call: Callable[[], T]) -> T | None:
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("sound")
+
+
+@pytest.fixture(scope="module")
+def all_loaded(sound: Path) -> None:
+    """Cases fork from this process: what is loaded here need not be loaded by each."""
+    warm_up(cases.sound(sound))
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -113,6 +119,15 @@ def test_a_verb_keeps_its_promises(seed: int, sound: Path) -> None:
     warm_up()
     case = drawn(seed, sound, ("stiffness", "precorrect_model", "rsi_arm", "robot"))
     assert play(case).broken is None, f"{case.words}"
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("kind", MAKERS)
+def test_every_kind_of_call_keeps_its_promises(kind: str, sound: Path, all_loaded: None) -> None:
+    for seed in range(2):
+        case = drawn(seed, sound, (kind,))
+        assert play(case).broken is None, f"{case.words}"
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -12,7 +12,6 @@ from ideal_robot.diagnosis.validation.result import WeighedSet, probability
 from ideal_robot.errors import InputError
 from ideal_robot.signals.recording import Recording
 from studies.__main__ import GROUPS, STUDIES, main
-from studies.constants import jobs_of, numbers_of
 from studies.diagnoses import by_name
 from studies.strangers.effects import INSIDE, Setup
 from studies.strangers.engines import ENGINES, TURNS
@@ -316,23 +315,3 @@ def test_what_cannot_be_played_is_said_in_a_line(words: list[str], capsys: pytes
 
 
 # Numbers of modules that are halved and doubled.
-
-def test_numbers_of_a_module_are_found_and_scaled_each_for_itself(tmp_path):
-    """Not those that follow from others, nor texts; whole numbers stay whole, of a tuple each is scaled."""
-    (tmp_path / "m.py").write_text('A, _B = 1.5, 3\nC = (0.25, -2.0)\nD = 2 * _B\nUNITS = ("kg", 1)\nlower = 4.0\n'
-                                   'E: float = np.radians(30.0)\n"""Ü."""\nF = {"x": 1e-3}\nG = True\n')
-    source = (tmp_path / "m.py").read_bytes()
-    numbers = {number.name: number for number in numbers_of(tmp_path, "m.py")}
-    assert list(numbers) == ["A", "_B", "C", "E"]
-    halved = {name: number.times(0.5, source).decode() for name, number in numbers.items()}
-    assert halved["A"].startswith("A, _B = 0.75, 3\n")
-    assert halved["_B"].startswith("A, _B = 1.5, 2\n")
-    assert "C = (0.125, (-2.0) * 0.5,)\n" in halved["C"]
-    assert "E: float = (np.radians(30.0)) * 0.5\n" in halved["E"]
-    assert halved["E"].endswith('"""Ü."""\nF = {"x": 1e-3}\nG = True\n')
-
-
-def test_jobs_of_a_number_are_those_of_the_longest_beginning():
-    assert jobs_of("planning/force/line_on_surface.py") == ("glue",)
-    assert jobs_of("planning/force/contact.py") == ("force", "contour")
-    assert jobs_of("sim/arm/arm.py") == ()

@@ -137,21 +137,21 @@ def test_the_inverse_commands_what_the_controller_needs(tmp_path: Path, controll
 
 
 @pytest.mark.parametrize(("controller", "torque"), [(cascade, True), (pd, True), (cascade, False), (pd, False)])
-@pytest.mark.parametrize("seed", [9, 10])
-def test_the_error_of_the_plain_path_is_foretold(tmp_path: Path, controller: Law, torque: bool, seed: int) -> None:
+def test_the_error_of_the_plain_path_is_foretold(tmp_path: Path, controller: Law, torque: bool) -> None:
     arm = dataclasses.replace(robot(tmp_path), t_ipo=DT)
     law = identify_command([recorded(arm, controller, late=0.006, seed=1, torque=torque)], Model.nominal(arm),
                            torque=torque)
-    other = recorded(arm, controller, late=0.006, seed=seed)
-    q_c, q = other.joints("q_c"), other.joints("q")
-    foretold = CommandInverse(dataclasses.replace(Model.nominal(arm), command=law), arm).uncorrected(q_c)
-    settled = slice(100, -100)
-    measured, off = (np.sqrt(np.mean(x[settled] ** 2, axis=0)) for x in (q_c - q, q_c - q - foretold))
-    assert np.all(off < 0.05 * measured)
+    for seed in (9, 10):
+        other = recorded(arm, controller, late=0.006, seed=seed)
+        q_c, q = other.joints("q_c"), other.joints("q")
+        foretold = CommandInverse(dataclasses.replace(Model.nominal(arm), command=law), arm).uncorrected(q_c)
+        settled = slice(100, -100)
+        measured, off = (np.sqrt(np.mean(x[settled] ** 2, axis=0)) for x in (q_c - q, q_c - q - foretold))
+        assert np.all(off < 0.05 * measured)
 
 
 @pytest.mark.skipif(not EMPS.exists(), reason="the measured machine's recordings are not here")
-@pytest.mark.parametrize("torque", [True, False])
+@pytest.mark.parametrize("torque", [True, pytest.param(False, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("which", ["estimation", pytest.param("validation", marks=pytest.mark.slow)])
 def test_a_measured_machine_s_error_is_foretold(which: str, torque: bool) -> None:
     """Of both files from either, with and without its torque."""

@@ -360,7 +360,7 @@ def test_masses_that_are_not_the_arms_are_replaced_and_believable_ones_stay(tmp_
 
 
 def test_a_place_in_the_arm_that_is_not_three_numbers_is_refused(tmp_path: Path) -> None:
-    """Before the place of the tool is looked for; seed 7000845 of ``python -m studies fuzz``."""
+    """Before the place of the tool is looked for."""
     text = urdf(6)
     wrong = text[: (place := text.rindex('rpy="') + 5)] + "0 " + text[text.index('"', place):]
     with pytest.raises(InputError, match=r"origin\.rpy: expected 3 numbers"):

@@ -93,7 +93,7 @@ def connected(wall: Wall, folder: Path, weighed: bool) -> LiveArm:
     return arm
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(4, 8))])
 def test_no_motion_presses_on_a_surface_that_lies_elsewhere(seed: int, tmp_path: Path) -> None:
     rng = np.random.default_rng(seed)
     robot = Robot.load("kr6")

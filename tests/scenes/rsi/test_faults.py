@@ -114,7 +114,8 @@ LOSSES = {"one late answer": {"late": lambda k: k == 150},
 
 @pytest.mark.parametrize("loss", [*LOSSES, "50 ms stalls"])
 @pytest.mark.parametrize(("mode", "cycle"), [
-    ("absolute", 0.012), ("increments", 0.012), ("increments held on", 0.012), ("increments held on", 0.004),
+    ("absolute", 0.012), ("increments", 0.012), ("increments held on", 0.012),
+    pytest.param("increments held on", 0.004, marks=pytest.mark.slow),
     pytest.param("absolute", 0.004, marks=pytest.mark.slow), pytest.param("increments", 0.004, marks=pytest.mark.slow)])
 def test_what_is_missed_is_made_good_within_the_limits(tmp_path: Path, loss: str, cycle: float, mode: str) -> None:
     stall = {"held_back": lambda k: k % round(0.4 / cycle) < round(0.048 / cycle) and k > 20}

@@ -44,7 +44,7 @@ def test_another_protocol_another_version_and_what_is_too_large_are_refused(wire
     lambda host: StreamConnection(host, 9, 0.0), lambda host: NetFT(host), lambda host: RtdeConnection(host, 9, 0.1),
     lambda host: PacketLink(host, 0, 6)])
 def test_an_address_that_is_no_text_is_refused_by_every_device(host: str, connect: Callable[[str], object]) -> None:
-    """Once a traceback, "encoding of hostname failed": seed 7001757 of ``python -m studies fuzz``."""
+    """Once a traceback, "encoding of hostname failed"."""
     with pytest.raises((InputError, RtdeError)):
         connect(host)
 

@@ -155,7 +155,7 @@ def pushed(world: World, q: Array, force: Array) -> Array:
     bends, still = structure(world, q), np.zeros(ROBOT.n)
     before = bends.off
     bends.touch = force
-    for _ in range(3000):
+    for _ in range(1200):
         bends.update(q, still, np.full(ROBOT.n, world.reference_temperature))
     return bends.off - before
 
@@ -168,9 +168,9 @@ def test_bending_is_that_of_springs(seed: int) -> None:
     compliance = np.array([pushed(world, q, 100.0 * unit)[:3] for unit in np.eye(3)]).T / 100.0
     np.testing.assert_allclose(compliance, compliance.T, atol=1e-3 * np.abs(compliance).max())
     assert np.linalg.eigvalsh(0.5 * (compliance + compliance.T))[0] > -1e-12
-    half = np.array([pushed(world.replace(link_bending=0.2, column_stiffness=1e7), q, 100.0 * u)[:3]
-                     for u in np.eye(3)]).T
-    np.testing.assert_allclose(half / 100.0, 0.5 * compliance, rtol=1e-2, atol=1e-9)
+    force = np.array([60.0, -50.0, 80.0])
+    half = pushed(world.replace(link_bending=0.2, column_stiffness=1e7), q, force)[:3]
+    np.testing.assert_allclose(half, 0.5 * compliance @ force, rtol=1e-2, atol=1e-7)
 
 
 def test_a_bending_arm_sags_and_its_motors_do_not_see_it() -> None:
