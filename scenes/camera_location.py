@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from scenes.detection import pictures
+from scenes.detection import read_picture
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.target_hand_eye import MOUNTED, CameraPose, TargetView, april_tags, checkerboard, locate_camera
 
@@ -93,7 +93,7 @@ def located(table: Path, target: Target, mounted: str, intrinsics: Path | None) 
     views, shown, without = [], [], []
     size: tuple[int, int] | None = None
     for name, pose in _poses(table):
-        picture = next(iter(pictures(str(table.parent / name))))[1]
+        picture = read_picture(table.parent / name)
         if size is not None and picture.shape[1::-1] != size:
             raise InputError(f"a picture of {picture.shape[1]} × {picture.shape[0]} pixels among others of {size[0]} × "
                              f"{size[1]}; one camera's are needed", file=table, field="picture", value=name)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,10 +33,18 @@ class Detected(NamedTuple):
     state: str | None = None
 
 
-def pictures(source: str, *, every: int = 1, most: int = 100) -> Iterator[tuple[str, Picture]]:
+class Unreadable(NamedTuple):
+    """Name of a file that is no readable picture, and what is wrong with it."""
+
+    name: str
+    error: InputError
+
+
+def pictures(source: str, *, every: int = 1, most: int = 100) -> Iterator[tuple[str, Picture | InputError]]:
     """Names and pictures, gray ``(height, width)`` or BGR ``(height, width, 3)``, of a source, one after the other.
 
-    Raises InputError for nothing of that name, nothing readable in it, or a picture that is too large.
+    In a folder the error of a file that is not readable, or too large, comes in the place of its picture; else it is
+    raised, as an InputError is for nothing of that name and for a folder without pictures.
 
     Args:
         source: path of a picture, a folder of pictures or a video; number of a camera; or an ``rtsp://``, ``http://``
@@ -50,32 +58,52 @@ def pictures(source: str, *, every: int = 1, most: int = 100) -> Iterator[tuple[
         if not files:
             raise InputError(f"no pictures in this folder; expected files ending in {', '.join(PICTURES)}", file=path)
         for file in files[:most]:
-            yield file.name, _read(file)
+            yield file.name, _read_or_error(file)
     elif path.suffix.lower() in PICTURES:
-        if not os.path.isfile(path):
-            raise InputError("no such picture", file=path)
-        yield path.name, _read(path)
+        yield path.name, read_picture(path)
     else:
         yield from _frames(source, every, most)
 
 
-def detected(source: str, *, every: int, most: int, kind: str | None, near: tuple[float, float] | None,
-             points: int) -> Iterator[Detected]:
-    """What is found in each picture of a source; in a film the line is followed from picture to picture.
+def detected(sources: Sequence[str], *, every: int, most: int, kind: str | None, near: tuple[float, float] | None,
+             points: int) -> Iterator[Detected | Unreadable]:
+    """What is found in each picture of all sources; in a film the line is followed from picture to picture.
+
+    What is not readable is said in its place, and the others go on; InputError where it is all that there is.
 
     Args:
-        source, every, most: see ``pictures``.
-        kind, near, points: see ``detect_in_picture``; errors as of both.
+        sources: see ``pictures``.
+        every, most: see ``pictures``; ``most`` of all sources together.
+        kind, near, points: see ``detect_in_picture``; errors as of it.
     """
-    # Pictures of a video, a camera or a stream follow each other.
-    film = not os.path.isdir(source) and Path(source).suffix.lower() not in PICTURES
-    last = None
-    for name, picture in pictures(source, every=every, most=most):
-        if film:
-            last = track(picture, last, kind=kind, near=near, points=points)
-            yield Detected(name, picture, last.line, last.state)
-        else:
-            yield Detected(name, picture, detect_in_picture(picture, kind=kind, near=near, points=points))
+    count, first = 0, None
+    for source in sources:
+        # Pictures of a video, a camera or a stream follow each other.
+        film = not os.path.isdir(source) and Path(source).suffix.lower() not in PICTURES
+        last = None
+        for name, picture in _of_one(source, every, most - count):
+            if isinstance(picture, InputError):
+                first = first or picture
+                yield Unreadable(name, picture)
+                continue
+            count += 1
+            if film:
+                last = track(picture, last, kind=kind, near=near, points=points)
+                yield Detected(name, picture, last.line, last.state)
+            else:
+                yield Detected(name, picture, detect_in_picture(picture, kind=kind, near=near, points=points))
+        if count >= most:
+            break
+    if not count and first is not None:
+        raise first
+
+
+def _of_one(source: str, every: int, most: int) -> Iterator[tuple[str, Picture | InputError]]:
+    """See ``pictures``. Its error in the place of a picture."""
+    try:
+        yield from pictures(source, every=every, most=most)
+    except InputError as error:
+        yield Path(source).name, error
 
 
 def pixel(words: str) -> tuple[float, float]:
@@ -88,7 +116,17 @@ def pixel(words: str) -> tuple[float, float]:
     return u, v
 
 
-def _read(path: Path) -> Picture:
+def _read_or_error(path: Path) -> Picture | InputError:
+    try:
+        return read_picture(path)
+    except InputError as error:
+        return error
+
+
+def read_picture(path: Path) -> Picture:
+    """The picture of a file, gray or BGR; InputError where it is none, not readable or too large."""
+    if not os.path.isfile(path):
+        raise InputError("no such picture", file=path)
     _check_header(path)
     try:
         with kept_words():
@@ -163,8 +201,10 @@ _CONFIDENT = 0.5
 """Share of the line's usual contrast from which on a point is drawn as sure."""
 
 
-def figures(one: Detected) -> dict[str, Any]:
+def figures(one: Detected | Unreadable) -> dict[str, Any]:
     """A finding as plain values for JSON; lengths in pixels."""
+    if isinstance(one, Unreadable):
+        return {"picture": one.name, "found": False, "reason": str(one.error), "points": []}
     line = one.found
     points = [] if line.strip is None else [
         {"u": float(u), "v": float(v), "width": float(width), "sigma": float(sigma), "confidence": float(sure)}
@@ -196,33 +236,42 @@ def drawn(picture: Picture, found: PictureLine) -> bytes:
     return bytes(data)
 
 
-def detection_page(source: str, kind: str | None, results: list[Detected]) -> Report:
-    """The page about all pictures of a source.
+def detection_page(sources: Sequence[str], kind: str | None, results: Sequence[Detected | Unreadable]) -> Report:
+    """The page about all pictures of all sources.
 
     Args:
-        source, kind: where they came from, and what line was looked for.
+        sources, kind: where they came from, and what line was looked for.
         results: of each picture.
     """
-    count = sum(result.found.found for result in results)
-    sigmas = [result.found.sigma for result in results if result.found.found]
+    shown = [result for result in results if isinstance(result, Detected)]
+    count = sum(result.found.found for result in shown)
+    sigmas = [result.found.sigma for result in shown if result.found.found]
+    unreadable = len(results) - len(shown)
     sure = f"; its points are known to {np.median(sigmas):.2f} px (median standard deviation)" if sigmas else ""
-    report = Report("Line detection", f"A {kind or 'line'} was found in {count} of {len(results)} pictures of "
-                                      f"{source}{sure}.")
+    report = Report("Line detection", f"A {kind or 'line'} was found in {count} of {len(shown)} pictures of "
+                                      f"{', '.join(sources)}{sure}."
+                                      + f" {unreadable} could not be read." * bool(unreadable))
     report.table(*table(results), caption="Odds: logarithm of how much likelier a line is than none. σ: standard "
                                           "deviation of a point across the line.")
-    for name, picture, line, state in results[:_SHOWN]:
+    for name, picture, line, state in shown[:_SHOWN]:
         notes = [state] * bool(state) + [f"σ = {line.sigma:.2f} px" if line.found else line.reason]
         report.image(drawn(picture, line), f"{name}: {', '.join(map(str, notes))}. Orange: edges of the line; green: "
                                             "points; red: points where it hardly shows.")
-    if len(results) > _SHOWN:
-        report.text(f"The first {_SHOWN} of {len(results)} pictures are shown; all are in the JSON file.")
+    if len(shown) > _SHOWN:
+        report.text(f"The first {_SHOWN} of {len(shown)} pictures are shown; all are in the JSON file.")
     return report
 
 
-def table(results: list[Detected]) -> tuple[list[str], list[list[Any]]]:
+def table(results: Sequence[Detected | Unreadable]) -> tuple[list[str], list[list[Any]]]:
     """Column titles, and one row a picture."""
-    rows = [[name, state or line.found, line.evidence if np.isfinite(line.evidence) else None,
-             *([line.width, "dark" if line.dark else "bright", line.contrast, line.sigma, line.others, None]
-               if line.found else [None] * 5 + [line.reason])] for name, _, line, state in results]
     return ["picture", "found", "log odds", "width [px]", "polarity", "contrast", "σ [px]", "other lines",
-            "why not"], rows
+            "why not"], list(map(_row, results))
+
+
+def _row(result: Detected | Unreadable) -> list[Any]:
+    if isinstance(result, Unreadable):
+        return [result.name, "not readable", *[None] * 6, str(result.error)]
+    name, _, line, state = result
+    return [name, state or line.found, line.evidence if np.isfinite(line.evidence) else None,
+            *([line.width, "dark" if line.dark else "bright", line.contrast, line.sigma, line.others, None]
+              if line.found else [None] * 5 + [line.reason])]

@@ -277,12 +277,13 @@ def simulate(options: SimulateOptions) -> None:
 class DetectOptions:
     """Options of ``detect``."""
 
-    source: Annotated[str, typer.Argument(help="A picture, a folder of pictures, a video, the number of a camera, or "
-                                               "an rtsp:// or http:// address.")]
+    sources: Annotated[list[str], typer.Argument(help="Pictures, folders of pictures, videos, the number of a camera, "
+                                                      "or an rtsp:// or http:// address.")]
     kind: Annotated[str | None, typer.Option(help="What the line is: line, tape, edge, laser or seam (also beads and "
                                                   "cables). Default: any but a single edge.")] = None
-    near: Annotated[str | None, typer.Option(help="Pixel U,V that the line passes, where there are several; the "
-                                                  "middle of the picture by default.")] = None
+    near: Annotated[str | None, typer.Option(help="Pixel U,V that the line passes: a line that does not is none. "
+                                                  "Default: any, of several the one about the picture's middle."
+                                             )] = None
     points: Annotated[int, typer.Option(help="Points along the line.", min=5, max=200)] = 15
     every: Annotated[int, typer.Option(help="Takes one of so many frames of a video or stream.", min=1)] = 1
     most: Annotated[int, typer.Option(help="Ends after so many pictures.", min=1)] = 100
@@ -298,25 +299,25 @@ def detect(options: DetectOptions) -> None:
 
     Example, with your pictures in a folder: `ideal-robot detect pictures/ --json line.json`
     """
-    from scenes.detection import Detected, detected, detection_page, figures, pixel, table
+    from scenes.detection import Detected, Unreadable, detected, detection_page, figures, pixel, table
 
     place = None if options.near is None else pixel(options.near)
-    results: list[Detected] = []
+    results: list[Detected | Unreadable] = []
     check_outputs({"--out": options.out}, json=options.json)
     with progress_bar("detect") as progress:
-        for result in detected(options.source, every=options.every, most=options.most, kind=options.kind, near=place,
+        for result in detected(options.sources, every=options.every, most=options.most, kind=options.kind, near=place,
                                points=options.points):
             progress(min(0.9, len(results) / options.most), result.name)
             results.append(result)
         progress(0.95, "page")
         report = options.out / "report.html"
         with whole_files(report, options.json) as (page_file, json_file):
-            detection_page(options.source, options.kind, results).write(page_file)
-            write_signed(json_file, {"source": options.source, "kind": options.kind,
+            detection_page(options.sources, options.kind, results).write(page_file)
+            write_signed(json_file, {"source": ", ".join(options.sources), "kind": options.kind,
                                      "pictures": [figures(result) for result in results]})
     show_table("detect", *table(results))
     typer.echo(f"report: {report}")
-    if not any(result.found.found for result in results):
+    if not any(isinstance(result, Detected) and result.found.found for result in results):
         typer.echo("ideal-robot: no picture shows a line", err=True)
         raise typer.Exit(1)
 

@@ -34,6 +34,8 @@ _ABOUT = (0.4, 0.08)
 shorter side."""
 EXPECTED = 4.6
 """Log odds of a line about a point that was told, or where it was before: it is there in 99 of 100."""
+TOLD_WITHIN = 0.02
+"""Of the picture's shorter side, how exactly a pixel is told: ten pixels of a common camera."""
 _REACH = 0.3
 """Share of the picture's shorter side beyond which a path is not about the place where the line is expected."""
 
@@ -94,7 +96,7 @@ def detect_in_picture(picture: NDArray[np.uint8], *, kind: str | None = None,
     Args:
         picture: gray ``(height, width)`` or BGR ``(height, width, 3)``.
         kind: of ``KINDS``; None for any but a single edge.
-        near: pixel u, v that the line passes; the picture's middle, less strictly, if None.
+        near: pixel u, v that the line passes, or there is none; if None any, of several that about the middle.
         points: along the line.
 
     Raises:
@@ -134,7 +136,9 @@ def likeliest(picture: NDArray[np.uint8], kind: str | None, near: Array | None
         # Whoever tells a point says that there is a line.
         lines = [(value + max(0.0, EXPECTED - 0.5 * (_distance(strip, middle) / about) ** 2), strip)
                  for value, strip in lines]
-    accepted = [line for line in lines if line[0] > 0.0]
+    accepted = [line for line in lines if line[0] > 0.0 and (near is None or _passes(line[1], near, picture))]
+    if near is not None and not accepted and any(value > 0.0 for value, _ in lines):
+        return max(value for value, _ in lines), None, "no line passes that pixel", 0
     if not accepted:
         best = max((value for value, _ in lines), default=-np.inf)
         return best, None, ("nothing crosses the picture between two edges" if not lines else
@@ -172,6 +176,15 @@ def _meant(value: float, strip: Strip, middle: Array, about: float) -> float:
     """
     contrast = float(np.log(np.linalg.norm(strip.color)))
     return -float(np.logaddexp(0.0, -value)) + 2.0 * contrast - 0.5 * (_distance(strip, middle) / about) ** 2
+
+
+def _passes(strip: Strip, place: Array, picture: NDArray[np.uint8]) -> bool:
+    """Whether a line covers a pixel, as exactly as one is told."""
+    begin, along = strip.points[:-1], np.diff(strip.points, axis=0)
+    share = np.einsum("nd,nd->n", place - begin, along) / np.maximum(np.einsum("nd,nd->n", along, along), 1e-12)
+    away = np.linalg.norm(begin + np.clip(share, 0.0, 1.0)[:, None] * along - place, axis=1)
+    half = 0.25 * (strip.widths[:-1] + strip.widths[1:])
+    return bool(np.any(away < half + TOLD_WITHIN * min(picture.shape[:2])))
 
 
 def _distance(strip: Strip, place: Array) -> float:

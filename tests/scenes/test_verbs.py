@@ -61,6 +61,19 @@ def test_pictures_without_a_line_and_unknown_kinds_or_places_end_with_their_code
     assert said in done.err
 
 
+def test_what_is_no_picture_is_a_row_and_the_others_go_on(program, folder: Path, tmp_path: Path) -> None:
+    (folder / "broken.png").write_bytes(b"no picture at all")
+    done = program("detect", "cell", "cell/a.png", "nowhere.png", "--json", "line.json", "--out", "out")
+    assert done.code == 0, done.err
+    rows = json.loads((tmp_path / "line.json").read_text())["pictures"]
+    assert [row["picture"] for row in rows] == ["a.png", "b.png", "broken.png", "a.png", "nowhere.png"]
+    assert [row["found"] for row in rows] == [True, False, False, True, False]
+    assert "nowhere.png" in rows[4]["reason"]
+    done = program("detect", "cell/broken.png", "nowhere.png", "--out", "none")
+    assert done.code == 2
+    assert not (tmp_path / "none").exists()
+
+
 def test_frames_of_a_video(program, tmp_path: Path) -> None:
     path = film(tmp_path / "line.avi", (drawn_line(seed=seed)[0] for seed in range(4)), 10.0)
     assert [name for name, _ in pictures(str(path), every=2)] == ["frame 0", "frame 2"]

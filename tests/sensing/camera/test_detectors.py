@@ -142,6 +142,17 @@ def test_of_two_lines_the_middle_one_is_taken_and_the_other_where_it_is_told() -
     assert first.others >= 1
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_a_line_passes_the_pixel_that_is_told_or_is_none(seed: int) -> None:
+    picture, *_ = drawn_line(seed=seed)
+    found = detect_in_picture(picture)
+    assert found.found
+    middle, normal = found.strip.points[len(found.strip.points) // 2], found.strip.normals[len(found.strip.points) // 2]
+    assert detect_in_picture(picture, near=tuple(middle)).found
+    beside = middle + normal * (found.width + 0.06 * min(picture.shape[:2]))
+    assert not detect_in_picture(picture, near=tuple(beside)).found
+
+
 def test_of_two_that_are_certainly_lines_neither_is_more_of_one() -> None:
     strip = find_lines(_film(0))[0][1]
     doubtful, likely, certain = (_meant(value, strip, np.array([160.0, 45.0]), 80.0) for value in (-4.0, 4.0, 12.0))
