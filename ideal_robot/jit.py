@@ -3,6 +3,9 @@
 numba keeps an index and a data file a signature, and trusts both. Here every signature has one file with a checksum: a
 file that is cut off, empty or altered counts as missing, and two processes that compile at a time cannot mix up what
 belongs to whom. Where no folder can be written, code that is there is used, and other code is compiled in every run.
+
+``cache=True`` alone does neither: an index that is cut off ends the first call with an error of ``pickle``, and in an
+installation of another user the code that was compiled there is not looked for.
 """
 
 from __future__ import annotations
