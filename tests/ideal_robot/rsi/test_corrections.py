@@ -59,9 +59,8 @@ def led(robot: Robot, motion: PoseMotion, *, relative: bool, cycles: int = 160, 
     return link, states, ControllerRun(np.zeros((0, 6)), np.zeros(0), "")
 
 
-@pytest.mark.parametrize("relative", [False, True])
-@pytest.mark.parametrize("in_tool", [False, True])
-@pytest.mark.parametrize("base", [np.zeros(6), BASE])
+@pytest.mark.parametrize(("relative", "in_tool", "base"), [
+    (False, False, np.zeros(6)), (False, False, BASE), (False, True, BASE), (True, False, BASE), (True, True, BASE)])
 def test_the_controller_commands_the_joints_that_were_wanted(relative: bool, in_tool: bool, base: Array) -> None:
     robot = arm_with(reference="tool" if in_tool else "base", base=base.tolist())
     link, states, run = led(robot, PoseMotion(robot, TOOL, base, in_tool), relative=relative)

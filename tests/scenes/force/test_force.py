@@ -242,6 +242,7 @@ def test_garbage_leaves_the_noise_of_the_pictures_as_it_is() -> None:
     np.testing.assert_array_equal(pictures.standard_normal(9), np.random.default_rng(1).standard_normal(9))
 
 
+@pytest.mark.slow
 def test_lost_line_stops_the_glue() -> None:
     result = play(load_scene("glue").changed(trouble={"loss": (1.0, 9.0)}), "ideal")
     assert result.failure is not None

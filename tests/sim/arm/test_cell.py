@@ -189,7 +189,7 @@ def test_a_bending_arm_sags_and_its_motors_do_not_see_it() -> None:
         np.testing.assert_allclose(bending.tcp_path()[1][-1], bending.truth.tcp.translation, atol=1e-8)
 
 
-@pytest.mark.parametrize("frequency", [8.0, 20.0])
+@pytest.mark.parametrize("frequency", [8.0, pytest.param(20.0, marks=pytest.mark.slow)])
 def test_the_column_swings_at_its_frequency(frequency: float) -> None:
     world = IDEAL.replace(column_stiffness=4e6, column_frequency=frequency, column_damping=0.02)
     column, still = structure(world, ROBOT.home), np.zeros(ROBOT.n)
