@@ -130,8 +130,13 @@ class SurfaceFollower:
 
     def _fresh(self) -> FilterBank:
         """Of a surface of which nothing was felt, on a contact of the elasticity that is assumed."""
+        return self._made(self.errors)
+
+    @property
+    def errors(self) -> Errors:
+        """What is estimated of the force on a contact of the elasticity that is assumed."""
         ratio, lateness = self._force_errors
-        return self._made((ratio, min(lateness, self.settings.lateness), FRICTION))
+        return ratio, min(lateness, self.settings.lateness), FRICTION
 
     def fuse(self, t: Array, measurement: Measurement) -> Fused:
         """Fuses what ``measured`` made of the forces at ``t (m,)`` [s]; what their innovations say of their noise."""

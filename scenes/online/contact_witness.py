@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from statistics import median
+
 import numpy as np
 
 from ideal_robot.arrays import Array
@@ -12,20 +14,27 @@ from planning.force.contact import ASKED, EmergencyStopError, most_force
 from planning.force.contour import LATELY, ContourFollower
 from planning.force.felt_by_motors import BeyondSensor
 from planning.force.force_follower import SurfaceFollower
-from scenes.online.force_known import START_HEIGHT
+from scenes.online.felt_force import Surface
 from scenes.online.live_sensors import LiveForce
 from scenes.scene_files.force_scene import ForceScene
 from sensing.force.force_calibration import ContactElasticity
 
-_BELOW = 1.25
-"""Depth below where the surface was touched, as a share of what the wanted force takes, at which the tip is stopped."""
+_BELOW = 0.5
+"""Depth below where the surface was touched at which the tip is stopped, as the force that it takes: this share of the
+way from the wanted one to what the surface bears."""
 _IN_AIR = 0.003
 """Height above where the calibration touched the surface at which nothing can be felt [m]."""
 _RECEDES = 0.3
 """Share of the wanted force by which a contour may lie deeper than forecast: 0.1 with a sound sensor, over 0.3 within
 0.1 s with one that is stuck (``python -m studies faults``)."""
-_TOUCHES, _SLIDES = 3.0, 0.5
-"""Force that need not be a push [N], and the largest coefficient of friction that a tip has."""
+_TOUCHES = 3.0
+"""Force that need not be a push [N]."""
+_SLIDES, _BEFORE = (0.5, 0.25), 1.2
+"""Force along the surface as a share of the push with which a sound sensor is believed: 0.5 in any case, a quarter more
+than the tip showed when it began to slide, which is what a slope of 14° adds; before that what no tip's friction comes
+to, of rubber on steel neither."""
+_SLIDING = (0.2, 0.7)
+"""Time of the travel in which the tip shows its friction [s]: it has begun to slide, and is at most 0.1 m further."""
 _BY_MOTORS = 0.65
 """Share of the force that the surface bears beyond the wanted one of which the motors' word is enough."""
 _PULLS = -3.0
@@ -43,21 +52,27 @@ class ContactWitness:
         force: the sensor, and its signs of life.
         elasticity: of tip and surface, and where that was touched, from calibration.
         model: of the arm, of whose motors it is asked what they feel.
+        surface: where the path begins, and the normal there.
 
     Attributes:
         nearest: how near what was felt came to each limit, as a share of it.
     """
 
     def __init__(self, scene: ForceScene, follower: SurfaceFollower | ContourFollower, force: LiveForce,
-                 elasticity: ContactElasticity, model: Model) -> None:
+                 elasticity: ContactElasticity, model: Model, surface: Surface) -> None:
+        self._surface = surface
         self._scene, self._follower, self._force = scene, follower, force
         self._stiffness = elasticity.stiffness
-        self._floor = elasticity.touch - _BELOW * scene.force / elasticity.stiffness
+        deepest = scene.force + _BELOW * (most_force(scene.force) - scene.force)
+        self._floor = elasticity.touch - deepest / elasticity.stiffness
         """Height at the start of the path below which the tip does not go, and above which it feels nothing [m]."""
         self._ceiling = elasticity.touch + _IN_AIR
         self._motors = BeyondSensor(model, follower.robot.t_ipo)
         # What was felt of the tip's swing and not looked at, see ``SurfaceFollower.felt``.
         self._swung = list[Array]()
+        # Since when it travels [s], and force along the surface over the push while the tip began to slide.
+        self._travelling = np.inf
+        self._slid = list[float]()
         self.nearest = dict[str, float]()
 
     @property
@@ -69,13 +84,17 @@ class ContactWitness:
         """See ``scenes.online.contact.Witness``: the map of a surface tells how well it fits."""
         if isinstance(self._follower, SurfaceFollower) and self._follower.phase is Phase.TRAVEL:
             self._force.signs.fits(innovation, values)
-            self._swung.append(self._follower.felt)
+            # Where it begins to slide, friction changes with time, not with the place.
+            felt = self._follower.felt
+            self._travelling = min(self._travelling, float(felt[0, 0]))
+            self._swung.append(felt[felt[:, 0] > self._travelling + _SLIDING[0]])
 
     def look(self) -> None:
         """See ``scenes.online.contact.Witness``: does it answer the tip's swing, and what do the motors feel."""
         self._motors.weigh()
         if self._swung:
-            self._force.signs.answers(np.concatenate(self._swung), self._stiffness, ASKED)
+            if len(swung := np.concatenate(self._swung)):
+                self._force.signs.answers(swung, self._stiffness, ASKED)
             self._swung.clear()
 
     def ended(self, t0: float, measured: RobotState, torque: Array) -> None:
@@ -86,6 +105,8 @@ class ContactWitness:
 
     def check(self, t: float) -> None:
         """Raises ``EmergencyStopError`` where what is felt at ``t`` [s] cannot be."""
+        if self._follower.phase is Phase.TRAVEL:
+            self._travelling = min(self._travelling, t)
         self._check_felt(t)
         self._check_height(t)
 
@@ -96,7 +117,7 @@ class ContactWitness:
             raise EmergencyStopError("force", t, f"the force sensor feels the surface pull with {-follower.force:.1f} "
                                      "N; check its sign, its axes, and whether its bias has moved")
         if follower.phase in (Phase.SETTLE, Phase.TRAVEL) and self._beyond(
-                "sideways", follower.sideways, max(_TOUCHES, _SLIDES * follower.force)):
+                "sideways", follower.sideways, max(_TOUCHES, self._most_along(t) * follower.force)):
             raise EmergencyStopError("force", t, f"{follower.force:.1f} N felt out of the surface and "
                                      f"{follower.sideways:.1f} N along it, which is no push; look whether the force "
                                      "sensor is alive, and check its axes")
@@ -109,6 +130,18 @@ class ContactWitness:
                                      f"{follower.force:.0f} N of the force sensor; look whether it is alive, and "
                                      "whether its bias has moved")
 
+    def _most_along(self, t: float) -> float:
+        """Largest force along the surface at ``t`` [s] as a share of the push; learns the tip's friction."""
+        follower = self._follower
+        if follower.phase is not Phase.TRAVEL:
+            return _BEFORE
+        since = t - self._travelling
+        if _SLIDING[0] <= since <= _SLIDING[1] and follower.force > 0.0:
+            self._slid.append(follower.sideways / follower.force)
+        if since <= _SLIDING[1] or not self._slid:
+            return _BEFORE
+        return min(max(_SLIDES[0], median(self._slid) + _SLIDES[1]), _BEFORE)
+
     def _beyond(self, sign: str, value: float, limit: float) -> bool:
         """Whether a value is beyond its limit; keeps how near it came."""
         self.nearest[sign] = max(self.nearest.get(sign, 0.0), value / limit)
@@ -117,7 +150,8 @@ class ContactWitness:
     def _check_height(self, t: float) -> None:
         """The tip is higher or deeper than it can be with what is felt."""
         follower = self._follower
-        height = START_HEIGHT - follower.descended
+        # Where the tip is, as in the calibration: what is commanded lies deeper by what the arm is behind.
+        height = float(self._surface.heights(follower.history.pose(t).translation[None])[0])
         if follower.phase is Phase.SETTLE and height > self._ceiling:
             raise EmergencyStopError("force", t, f"{follower.force:.1f} N felt in the air, {1e3 * height:.1f} mm above "
                                      "the path's start; look whether the force sensor's bias has leapt")

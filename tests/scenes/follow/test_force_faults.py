@@ -19,6 +19,15 @@ from scenes.online.devices import Devices
 from scenes.scene_file import load_scene
 from tests.scenes.follow.on_bench import FAULTS, STAGES, Bench, followed
 
+
+def other_contact(friction: float, stiffness: float, offset_mm: float) -> Any:
+    """``force_wave`` with another tip and the surface elsewhere."""
+    scene = load_scene("force_wave")
+    tip = scene.tip.model_copy(update={"friction": friction, "stiffness": stiffness})
+    surface = scene.surface.model_copy(update={"offset_mm": offset_mm})
+    return scene.model_copy(update={"tip": tip, "surface": surface})
+
+
 QUICK = [("nothing but noise of 0.3 mN", "turning", "weigh the same"), ("wrong sign", "turning", "wrong sign"),
          pytest.param("stuck, with its usual noise", "search", "the motors feel", marks=pytest.mark.slow),
          ("a leap of -30 N", "approach", "felt in the air"),
@@ -102,6 +111,27 @@ def test_a_sound_sensor_is_believed(name: str, tmp_path: Path) -> None:
     assert run.failure is None
     assert run.force <= most_force(scene.force)
     assert run.job.figures()["force_N"]["rms_error"] < 1.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("friction", "stiffness", "offset_mm"), [
+    (0.45, 4e3, 4.0), (0.15, 1e3, 4.0), (0.15, 1e5, -2.0)])
+def test_a_sound_contact_is_not_stopped(friction: float, stiffness: float, offset_mm: float, tmp_path: Path) -> None:
+    run = followed(other_contact(friction, stiffness, offset_mm), tmp_path)
+    assert run.failure is None
+    assert run.force <= most_force(20.0)
+    assert run.left == 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stiffness", [4e5, 1e6])
+def test_a_contact_that_is_too_stiff_for_the_arm_is_refused_before_the_travel(stiffness: float, tmp_path: Path) -> None:
+    """At 400 N/mm the surface bore 38 N until the sensor was doubted, which was sound."""
+    run = followed(other_contact(0.15, stiffness, 4.0), tmp_path)
+    assert "too stiff" in run.failure
+    assert "no speed would do" in run.failure
+    assert run.force <= most_force(20.0)
+    assert run.left == 0.0
 
 
 @pytest.mark.parametrize(("before", "says"), [

@@ -1,0 +1,44 @@
+"""The stiffer a contact, the slower a surface of unknown shape is passed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from planning.force.bearable_speed import SLOWEST, STEPS, TIMES, bearable_speed, forecast_error
+from planning.force.contact import ContactSettings, most_force
+
+T, ERRORS = 0.012, (0.3, 5e-4, 0.3)
+
+
+def contact(elasticity: float, force: float = 20.0) -> ContactSettings:
+    return ContactSettings(force=force, elasticity=elasticity, position_noise=5e-6)
+
+
+@pytest.mark.parametrize("elasticity", [1e3, 1e6])
+def test_what_a_forecast_costs_grows_with_speed_stiffness_and_lateness(elasticity: float) -> None:
+    errors = [forecast_error(contact(elasticity), ERRORS, speed, T) for speed in (0.1, 0.2, 0.4)]
+    assert (np.diff(errors) > 0.0).all()
+    assert forecast_error(contact(2.0 * elasticity), ERRORS, 0.1, T) > errors[0]
+    assert forecast_error(contact(elasticity), ERRORS, 0.1, T, answered=0.1) > errors[0]
+
+
+@pytest.mark.parametrize("force", [20.0, 200.0])
+@pytest.mark.parametrize("elasticity", [4e3, 1.3e5, 1e6])
+def test_a_speed_that_would_do_is_the_largest_one(elasticity: float, force: float) -> None:
+    settings, room = contact(elasticity, force), most_force(force) - force
+    speed = bearable_speed(settings, ERRORS, 0.2, T)
+    if speed:
+        assert TIMES * forecast_error(settings, ERRORS, speed, T) <= room
+    if speed < 0.2:
+        faster = STEPS * max(speed, SLOWEST / STEPS)
+        assert TIMES * forecast_error(settings, ERRORS, faster, T) > room
+    assert (speed == 0.2) or elasticity > 4e3
+    assert (speed == 0.0) == (elasticity == 1e6)
+
+
+def test_a_slower_job_is_asked_for_no_other_speed() -> None:
+    settings = replace(contact(4e3), noise=1.0)
+    assert bearable_speed(settings, ERRORS, 0.004, T) == 0.004
