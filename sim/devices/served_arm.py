@@ -14,6 +14,7 @@ import numpy as np
 from ideal_robot.arrays import Array, eased_way, held
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.robots.interface import RobotState
+from ideal_robot.row_log import RowLog
 from ideal_robot.rsi.link import stamp_arrivals
 from sim.arm.arm import SimulatedArm
 from sim.devices.egm_controller import EgmController
@@ -66,7 +67,7 @@ class Session:
         ended: why it ended.
     """
 
-    commands: list[Array] = field(default_factory=list)
+    commands: RowLog = field(default_factory=RowLog)
     answered: int = 0
     late: int = 0
     held_up: int = 0
