@@ -251,15 +251,31 @@ def detection_page(sources: Sequence[str], kind: str | None, results: Sequence[D
     report = Report("Line detection", f"A {kind or 'line'} was found in {count} of {len(shown)} pictures of "
                                       f"{', '.join(sources)}{sure}."
                                       + f" {unreadable} could not be read." * bool(unreadable))
-    report.table(*table(results), caption="Odds: logarithm of how much likelier a line is than none. σ: standard "
-                                          "deviation of a point across the line.")
-    for name, picture, line, state in shown[:_SHOWN]:
+    # What was found is seen first; of a film the order in time is kept.
+    if not any(result.state for result in shown):
+        shown.sort(key=lambda one: not one.found.found)
+    for i, (name, picture, line, state) in enumerate(shown[:_SHOWN]):
         notes = [state] * bool(state) + [f"σ = {line.sigma:.2f} px" if line.found else line.reason]
         report.image(drawn(picture, line), f"{name}: {', '.join(map(str, notes))}. Orange: edges of the line; green: "
                                             "points; red: points where it hardly shows.")
+        if i == 0:
+            report.next(*next_steps(sources[0], count))
     if len(shown) > _SHOWN:
         report.text(f"The first {_SHOWN} of {len(shown)} pictures are shown; all are in the JSON file.")
+    report.heading("All pictures", folded=count == len(results))
+    report.table(*table(results), caption="Log odds: logarithm of how much likelier a line is than none. σ: standard "
+                                          "deviation of a point across the line.")
     return report
+
+
+def next_steps(source: str, found: int) -> list[tuple[str, str]]:
+    """What to do after a detection: for each step a sentence and its command."""
+    if found:
+        return [("Calibrate the camera, from pictures of a checkerboard.",
+                 "ideal-robot calibrate poses.csv --board 9x6 --square 20"),
+                ("Write a scene of your own line.", "ideal-robot new my_line --robot my_arm.urdf")]
+    return [("Say where the line is in the picture, as a pixel on it.",
+             f"ideal-robot detect {source} --near 320,240")]
 
 
 def table(results: Sequence[Detected | Unreadable]) -> tuple[list[str], list[list[Any]]]:

@@ -147,7 +147,7 @@ class BacklashInFlight(GearEffect):
         return starts
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """A gap, not a range of motion; a load besides no larger than what there is."""
+        """Bounds of the gap [rad or m] and of a constant load besides, which is no larger than the loads there are."""
         most = 3.0 * float(np.std(signals.load[:, joint - 1])) + 2.0 * abs(_constant(signals, joint)) + 1e-12
         return [(1e-5, 0.02), (-most, most)]
 

@@ -33,7 +33,7 @@ class CurrentOffset(Effect):
     source = "[J] section 3: offset of the current sensors"
 
     def spread(self, signals: Signals, joint: int) -> Array | None:
-        """See ``Effect.spread``. No sensor of a drive is off by more than a part of what its gear rubs."""
+        """See ``Effect.spread``. A torque's zero error is a part of the gear's dry friction."""
         return None if signals.dry is None else np.diag((_OFFSET * signals.dry[joint - 1 : joint]) ** 2 + 1e-12)
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:

@@ -102,7 +102,7 @@ class JointElasticity(GearEffect):
         return [EffectParameter("stiffness", 1.0 / c, float(std[0]) / c**2, "N m/rad")]
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. Torques say all of the gear; elsewhere it shows beyond what was known."""
+        """See ``Effect.loop_change``. Torques give the whole compliance, angles what is added to the known one."""
         if self.domain == MOTOR_TORQUE:
             return LoopChange(gear_compliance=coefficients[0])
         return LoopChange(further_compliance=coefficients[0], from_arm_angle=self.domain == ARM_POSITION)

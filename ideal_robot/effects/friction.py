@@ -279,11 +279,11 @@ class PreslidingHysteresis(Effect):
     source = "Swevers et al. 2000, cited in [G]; the state of P. R. Dahl 1968"
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """Fractions of the range that was driven."""
+        """Distances from which the search begins: fractions of the joint's driven range."""
         return [(signals.span(joint) * factor,) for factor in (0.002, 0.006, 0.02, 0.06)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """Short of a joint's range by far: else it is a spring."""
+        """Least and largest distance: far below the joint's driven range, else the effect is a spring."""
         return [(0.0005 * signals.span(joint), 0.15 * signals.span(joint))]
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:

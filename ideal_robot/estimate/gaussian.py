@@ -58,7 +58,7 @@ class Posterior:
 
 
 def posterior(products: Array, precision: Array | None = None) -> Posterior:
-    """Parameters from products of whitened columns.
+    """Mean and covariance of the parameters of a linear model, from products of its whitened columns.
 
     Args:
         products: ``[X, y]' [X, y]`` ``(P + 1, P + 1)``.

@@ -98,7 +98,7 @@ def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
 
 
 def _with_bodies(model: Model, root: Array, solution: Posterior, nearby: Array) -> Model:
-    """The model with base parameters by ``found``, whose first ones count ``root``; IdealRobotError if none can be."""
+    """The model with the base parameters of ``solution``, its first entries being factors of ``root``'s columns."""
     some = slice(root.shape[1])
     values = model.base_values + root @ solution.mean[some]
     full = consistent_parameters(model.base, values, root @ solution.covariance[some, some] @ root.T, nearby).full

@@ -166,7 +166,7 @@ class FrictionCurve:
         now, plans = state.plans[: len(measured) + 1], state.plans[len(measured) :]
         errors = [q - plan.q if q.shape == plan.q.shape else np.full(self.loop.n, np.inf)
                   for q, plan in zip(measured, now[1:], strict=True)]
-        # Who does not follow at all is not nearer for it.
+        # Errors are clipped, so that a plan whose arm does not follow at all is not preferred.
         strayed = state.strayed + np.square(np.clip(errors, -STRAY, STRAY)).sum(axis=0)
         if not np.abs(errors).max() < STRAY:
             # The first that strays ends what was known of this motion.

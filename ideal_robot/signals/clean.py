@@ -206,7 +206,7 @@ def _bare(names: list[str]) -> list[str]:
 
 def _shared(names: list[str]) -> int:
     """How many characters all names begin with alike."""
-    # What the first and the last one in their order share, those between share as well.
+    # The beginning that the first and the last name in alphabetical order share, all names between share as well.
     first, last = min(names), max(names)
     return next((i for i, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), min(len(first), len(last)))
 

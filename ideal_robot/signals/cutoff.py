@@ -92,7 +92,7 @@ def choose_cutoff(recordings: Sequence[Recording], columns: Columns, *, start: A
         columns: the model's observation matrix.
         start, information: parameters ``(P,)`` before any data, and what is known of them, an inverse covariance.
     """
-    # Of many recordings as many, evenly spread, as leave each its seconds.
+    # Of many recordings a few, evenly spread, so that of each enough seconds are looked at.
     some = np.linspace(0, len(recordings) - 1, min(len(recordings), int(_LONGEST / _SHORTEST))).astype(int)
     parts = [_first(recordings[i], _LONGEST / len(some)) for i in some]
     rate = min(1.0 / _step(r) for r in parts)

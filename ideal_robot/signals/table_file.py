@@ -68,7 +68,7 @@ def _parquet(path: Path) -> tuple[dict[str, Array], dict[str, Any], list[str]]:
         columns, words = _filled((piece.to_pandas(ignore_metadata=True) for piece in pieces), names, rows)
     words += [name for name in schema.names if name not in names]
     meta = {} if raw is None else _metadata(raw, path)
-    # What a reader said of the file that this one was made of holds of that one.
+    # A file that was made of another one carries what its reader said of the other: it is dropped.
     return columns, {key: value for key, value in meta.items() if key != "reading"}, words
 
 

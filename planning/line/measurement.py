@@ -202,7 +202,7 @@ class Equation(NamedTuple):
     whole: bool
 
     def innovation(self, kf: KalmanFilter) -> Innovation:
-        """What it says beyond a filter's state."""
+        """The measurement minus what a filter's state predicts of it."""
         return Innovation(*_compared(kf.x, kf.P, self.H, self.z, self.R))
 
 

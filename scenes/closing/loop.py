@@ -183,7 +183,7 @@ class Step:
 
     @property
     def taken(self) -> bool:
-        """Whether it stays."""
+        """Whether the change stays in the model."""
         return not self.refused
 
 
@@ -326,7 +326,7 @@ def close(subject: Subject[R], model: Model, run: R, *, rounds: int = ROUNDS, ou
             within.begin("trying", f"round {round_}: what was found is tried")
             stays = closed.try_all(finding)
             if not stays:
-                # Before it gives up: what could not be told apart may be told by another motion.
+                # Before it gives up: causes that this motion does not distinguish, another motion may.
                 answer = subject.asked(finding, closed.model, closed.run, within.part("asking"))
                 stays = answer is not None and closed.try_all(answer)
             if stays and out is not None:

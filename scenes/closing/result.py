@@ -174,13 +174,16 @@ class Closing(ShownTable):
         page.table(*self.table(), self.words.caption)
         if self.words.axes is not None:
             page.figure(self._curves(*self.words.axes[:2]), self.words.axes[2])
-        page.heading("What was tried, and what stays")
+        if self.closed.model is not None:
+            page.next(("Correct a path with the extended model, which is beside this page.",
+                       f"ideal-robot precorrect PATH.csv --robot {self.scene.robot} --model {MODEL} -o corrected.csv"))
+        page.heading("What was tried, and what stays", folded=True)
         page.table(*self.ladder(),
                    f"{self.words.decides} A change stays where it falls by more than one standard error: of its "
                    "scatter along the motion and from play to play.")
         self.section(page)
         if self.diagnosis is not None:
-            page.heading("The first diagnosis")
+            page.heading("The first diagnosis", folded=True)
             page.text(summary(self.diagnosis))
             add_diagnosis(page, self.diagnosis)
         return page
@@ -192,7 +195,8 @@ class Closing(ShownTable):
             if played.curve is not None and name in _COLOURS:
                 axes.plot(*played.curve, color=_COLOURS[name], lw=1.1, label=name)
         axes.set(xlabel=abscissa, ylabel=ordinate)
-        axes.legend(frameon=False, ncols=3)
+        # Above the picture it hides no curve.
+        axes.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
         axes.grid(alpha=0.3)
         return figure
 

@@ -398,8 +398,8 @@ def twin(
             if scene_file is not None:
                 scene_file.write_text(twin_text(result.twin, robot, output), encoding="utf-8")
             write_signed(json_file, {**result.to_dict(), "output": output})
-    show_table("the twin along the recorded motion", result.columns, result.rows())
-    for line in (*(f"told: {s}" for s in result.twin.seen), *(f"assumed: {s}" for s in result.twin.assumed)):
+    show_table(f"twin of {robot} along the recorded motion", result.columns, result.rows())
+    for line in (*(f"recorded: {s}" for s in result.twin.seen), *(f"assumed: {s}" for s in result.twin.assumed)):
         typer.echo(line)
     typer.echo(f"twin: {output}")
     _expected(output, arm.n, draws)

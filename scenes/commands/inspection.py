@@ -62,11 +62,11 @@ def inspect(options: InspectOptions) -> None:
         progress(0.7, "drawing")
         page = options.out / "report.html"
         with whole_files(page, options.json) as (page_file, json_file):
-            inspection_page(found, arm).write(page_file)
+            inspection_page(found, arm, _next(found, options)).write(page_file)
             write_signed(json_file, found.to_dict())
     _show(found)
     typer.echo(f"report: {page}")
-    typer.echo(f"next: {_next(found, options)}")
+    typer.echo("next: " + " ".join(filter(None, _next(found, options))))
 
 
 def _show(found: Inspection) -> None:
@@ -87,7 +87,10 @@ def _show(found: Inspection) -> None:
         typer.echo(f"cannot be used: {found.refused}", err=True)
 
 
-def _next(found: Inspection, options: InspectOptions) -> str:
+def _next(found: Inspection, options: InspectOptions) -> tuple[str, str]:
+    """What to do after an inspection: a sentence and its command."""
     if found.usable:
-        return f"ideal-robot identify {options.recording} --robot {options.robot}"
-    return "mend what does not fit, or map it (--columns), and inspect again"
+        return ("Identify the arm's model from it.",
+                f"ideal-robot identify {options.recording} --robot {options.robot}")
+    return ("Mend what does not fit, or map it, and inspect again.",
+            f"ideal-robot inspect {options.recording} --robot {options.robot} --columns MAP")

@@ -118,7 +118,8 @@ def identify(options: IdentifyOptions) -> None:
         content, page = analysis.to_dict(), options.out / "report.html"
         outputs = (page, options.json, options.model, options.export_urdf)
         with whole_files(*outputs) as (page_file, json_file, model_file, urdf_file):
-            identification_page(analysis).write(page_file)
+            identification_page(analysis, f"{options.recordings[0]} --robot {options.robot}",
+                                str(options.model or "")).write(page_file)
             write_signed(json_file, content)
             if model_file is not None:
                 analysis.model.save(model_file)
@@ -219,7 +220,7 @@ def diagnose(options: DiagnoseOptions) -> None:
     from ideal_robot.model.model import Model
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.clean import cleaned
-    from scenes.diagnosis.page import diagnosis_page, summary
+    from scenes.diagnosis.page import diagnosis_page, next_steps, summary
 
     check_outputs({"--out": options.out}, json=options.json, model_out=options.model_out)
     with progress_bar("diagnose") as progress:
@@ -239,7 +240,8 @@ def diagnose(options: DiagnoseOptions) -> None:
         page = options.out / "report.html"
         better = None if diagnosis.model is None else options.model_out
         with whole_files(page, options.json, better) as (page_file, json_file, model_file):
-            page_of = diagnosis_page(diagnosis, f"Diagnosis of {options.recording.name}")
+            call = f"{options.recording} --robot {options.robot}"
+            page_of = diagnosis_page(diagnosis, f"{arm.name}: what its model lacks", call)
             for finding in contradictions:
                 page_of.warning(finding.warning)
             page_of.write(page_file)
@@ -252,6 +254,8 @@ def diagnose(options: DiagnoseOptions) -> None:
         typer.echo(f"warning: {finding.warning}", err=True)
     typer.echo(summary(diagnosis))
     typer.echo(f"report: {page}")
+    for sentence, command in next_steps(diagnosis, call)[:1]:
+        typer.echo(f"next: {sentence} {command}")
 
 
 def _show_diagnosed(diagnosis: Diagnosis, explain: bool) -> None:
@@ -259,7 +263,7 @@ def _show_diagnosed(diagnosis: Diagnosis, explain: bool) -> None:
     from scenes.diagnosis.page import unexplained, unused
 
     show_table(f"verdict: {diagnosis.verdict}; errors on held-out data ({diagnosis.held_out_how})",
-               ["channel", "before", "refitted", "after", "noise", "unit", "samples that counted %"],
+               ["channel", "before", "refitted", "after", "noise", "unit", "samples used %"],
                [[c.channel, c.rms_before, c.rms_refit, c.rms_after, c.noise_floor, c.unit, 100.0 * c.counted]
                 for c in diagnosis.channels])
     if diagnosis.effects or diagnosis.unknown:

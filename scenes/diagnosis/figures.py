@@ -36,6 +36,8 @@ def without_each_figure(diagnosis: Diagnosis) -> Figure:
         steps += [(f"all but {e.fitted.name.replace('_', ' ')}" +
                    (f" ({', '.join(e.depends_on)})" if e.depends_on else ""), e.rms_before) for e in rows[name]]
         steps += [("all", rows[name][0].rms_after)]
+        scale, unit = shown_in(unit_of(diagnosis, name))
+        steps = [(word, scale * error) for word, error in steps]
         places = range(len(steps))
         axes.barh(places, [error for _, error in steps], height=0.62,
                   color=[_SOFT] * bool(own) + [_EFFECT] * len(rows[name]) + [_AFTER])
@@ -43,13 +45,22 @@ def without_each_figure(diagnosis: Diagnosis) -> Figure:
             axes.text(error, place, f" {error:.3g}", va="center", fontsize=9)
         axes.set_yticks(places, [word for word, _ in steps], fontsize=9)
         axes.invert_yaxis()
-        channel = next((c for c in diagnosis.channels if c.channel == name), None)
-        if channel is not None and channel.noise_floor > 0:
-            axes.axvline(channel.noise_floor, color="0.2", ls="--", lw=1.0)
-        axes.set_xlabel(f"rms error of {name} [{channel.unit if channel else ''}]")
+        if own is not None and own.noise_floor > 0:
+            axes.axvline(scale * own.noise_floor, color="0.2", ls="--", lw=1.0)
+        axes.set_xlabel(f"RMS error of {name}" + (f" [{unit}]" if unit else ""))
         axes.set_xlim(0, 1.12 * max(error for _, error in steps))
         axes.spines[["top", "right"]].set_visible(False)
     return figure
+
+
+def unit_of(diagnosis: Diagnosis, name: str) -> str:
+    """Unit of a channel, or of the channels that begin with ``name`` where all joints' are meant; empty if none is."""
+    return next((c.unit for c in diagnosis.channels if name in (c.channel, c.channel.rpartition("_")[0])), "")
+
+
+def shown_in(unit: str) -> tuple[float, str]:
+    """Factor and unit in which a person reads values: positions in thousandths."""
+    return {"m": (1e3, "mm"), "rad": (1e3, "mrad")}.get(unit, (1.0, unit))
 
 
 def arguments_figure(arguments: Sequence[Argument]) -> Figure:
@@ -92,7 +103,7 @@ def contributions(diagnosis: Diagnosis) -> list[tuple[FoundEffect, Contribution]
 def effect_figure(effect: FoundEffect, contribution: Contribution, unit: str) -> tuple[Figure, str]:
     """What remains without one effect, over the signal the effect depends on most, with the effect drawn through it.
 
-    An effect that is no curve over one signal is drawn over what it foretells itself.
+    An effect that is no curve over one signal is drawn over what it predicts itself.
 
     Args:
         effect, contribution: which, and what it adds.
@@ -126,12 +137,12 @@ def effect_figure(effect: FoundEffect, contribution: Contribution, unit: str) ->
     axes.axhline(0.0, color="0.6", lw=0.6)
     limit = 1.15 * float(np.percentile(np.abs(without[mask]), 99)) if mask.any() else 1.0
     axes.set_ylim(-limit, limit)
-    axes.set(xlabel=label if curve else f"what {word} foretells [{unit}]", ylabel=f"{names[j]} [{unit}]")
+    axes.set(xlabel=label if curve else f"what {word} predicts [{unit}]", ylabel=f"{names[j]} [{unit}]")
     axes.legend(fontsize=9, frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     axes.spines[["top", "right"]].set_visible(False)
     text = f"{word}: what remains of {names[j]} without it (grey, means blue), and the effect (orange)"
     if not curve:
-        text += ("; it depends on several signals at once, so it is drawn over what it foretells: the nearer the means "
+        text += ("; it depends on several signals at once, so it is drawn over what it predicts: the nearer the means "
                  "are to the line, the better")
     return figure, text + "."
 

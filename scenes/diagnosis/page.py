@@ -1,7 +1,8 @@
-"""The page of a diagnosis: what was expected and measured, what remained, what that looked like, what was added."""
+"""The page of a diagnosis: what the model lacks, what to do next, and the reasons."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ from scenes.diagnosis.figures import (
     effect_figure,
     over_signals,
     over_time,
+    shown_in,
+    unit_of,
     without_each_figure,
 )
 from scenes.report.page import Report
@@ -29,45 +32,75 @@ _WORDS = {
     "left": "The model misses {effects}.",
     "undecided": "No joint moves in this recording: it decides nothing of the arm.",
 }
-_MILLI = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
-"""Positions are told in thousandths: factor and unit."""
 
 
-def diagnosis_page(diagnosis: Diagnosis, title: str) -> Report:
-    """The report of a diagnosis."""
+def diagnosis_page(diagnosis: Diagnosis, title: str, call: str = "RECORDING --robot ROBOT") -> Report:
+    """The report of a diagnosis.
+
+    Args:
+        diagnosis: what was found.
+        title: of the page.
+        call: recording and robot as typed, for the commands of what to do next.
+    """
     page = Report(title, summary(diagnosis))
-    add_diagnosis(page, diagnosis)
+    add_diagnosis(page, diagnosis, next_steps(diagnosis, call))
     return page
 
 
-def add_diagnosis(page: Report, diagnosis: Diagnosis) -> None:
-    """The sections of a diagnosis on a page: errors, effects, what competed, what remains."""
-    page.figures([("verdict", diagnosis.verdict), ("effects", str(sum(map(_lowers, diagnosis.effects)))),
-                  ("learned terms", str(len(diagnosis.unknown))),
-                  ("held-out data", f"{diagnosis.held_out_seconds:.1f} s")])
+def next_steps(diagnosis: Diagnosis, call: str) -> list[tuple[str, str]]:
+    """What to do after a diagnosis: for each step a sentence and its command.
+
+    Args:
+        diagnosis: what was found.
+        call: recording and robot as typed.
+    """
+    robot = call.partition("--robot ")[2]
+    steps = []
+    if any(e.indistinguishable_from for e in (*diagnosis.effects, *diagnosis.unknown)):
+        steps.append(("Some causes explain the recording equally well: record the motion that decides.",
+                      f"ideal-robot plan-diagnosis {call}"))
+    if diagnosis.undecided:
+        steps.append(("Record a motion in which every joint moves.",
+                      f"ideal-robot plan-identification --robot {robot}"))
+    if any(map(_lowers, diagnosis.effects)):
+        steps += [("Write a model that has what was found.",
+                   f"ideal-robot diagnose {call} --model-out better.json"),
+                  ("Correct a path with it.",
+                   f"ideal-robot precorrect PATH.csv --robot {robot} --model better.json -o corrected.csv")]
+    elif diagnosis.verdict == "none":
+        steps.append(("The model may stay as it is: correct a path with it.",
+                      f"ideal-robot precorrect PATH.csv --robot {robot} --model MODEL.json -o corrected.csv"))
+    return steps or [("See what the recording holds, and whether it fits the arm.", f"ideal-robot inspect {call}")]
+
+
+def add_diagnosis(page: Report, diagnosis: Diagnosis, then: Sequence[tuple[str, str]] = ()) -> None:
+    """The sections of a diagnosis on a page: the answer in a picture, what to do next, and the reasons folded away."""
     left_out = [f"Joint {joint} is left out: it {reason}." for joint, reason in sorted(diagnosis.undecided.items())]
-    moved = f"Parameters that moved: {'; '.join(p.text for p in diagnosis.moved)}." if diagnosis.moved else ""
+    moved = f"Parameters that changed: {'; '.join(p.text for p in diagnosis.moved)}." if diagnosis.moved else ""
     for warning in filter(None, (*left_out, *diagnosis.warnings, unexplained(diagnosis), moved)):
         page.warning(warning)
-    if diagnosis.unused:
-        page.text(f"Not used: {unused(diagnosis)}.")
-    page.heading("Error before and after, on held-out data")
-    page.text(f"Held out: {diagnosis.held_out_how}.")
-    page.table(["channel", "measured, rms", "before", "parameters refitted", "after", "noise of the measurement",
-                "unit", "before %", "after %", "samples that counted %"],
-               [[c.channel, *_told(c.unit, c.rms_signal, c.rms_before, c.rms_refit, c.rms_after, c.noise_floor),
-                 *_relative(c), 100.0 * c.counted] for c in diagnosis.channels],
-               "Relative errors are 100·‖y − ŷ‖/‖y‖; positions are deviations already, of which there is no share. "
-               "Samples count where a joint moves, apart from reversals, rests and the ends of the recording.")
     if diagnosis.effects or diagnosis.unknown:
         page.figure(without_each_figure(diagnosis), "The error on held-out data before, with all causes but one, and "
                     "with all of them; dashed: the noise of the measurement, below which no model can get.")
+    if then:
+        page.next(*then)
+    _effects(page, diagnosis)
     shown = contributions(diagnosis)
     if shown:
-        page.heading("The effects that were found")
+        page.heading("The effects that were found", folded=True)
     for e, contribution in shown:
-        page.figure(*effect_figure(e, contribution, _unit(diagnosis, contribution[0][contribution[2]])))
-    _effects(page, diagnosis)
+        page.figure(*effect_figure(e, contribution, unit_of(diagnosis, contribution[0][contribution[2]])))
+    page.heading("Error before and after, on held-out data", folded=True)
+    page.text(f"Held out: {diagnosis.held_out_how}; {diagnosis.held_out_seconds:.1f} s.")
+    page.table(["channel", "measured, rms", "before", "parameters refitted", "after", "noise of the measurement",
+                "unit", "before %", "after %", "samples used %"],
+               [[c.channel, *_told(c.unit, c.rms_signal, c.rms_before, c.rms_refit, c.rms_after, c.noise_floor),
+                 *_relative(c), 100.0 * c.counted] for c in diagnosis.channels],
+               "tau_i: torque of joint i; qa_i: its arm angle; x, y, z: the tool. Relative errors are 100·‖y − ŷ‖/‖y‖, "
+               "of torques alone. Samples are used where a joint moves, apart from reversals, rests and the ends of "
+               "the recording.")
+    if diagnosis.unused:
+        page.text(f"Not used: {unused(diagnosis)}.")
     _arguments(page, diagnosis)
     for names, traces in diagnosis.traces:
         _traces(page, diagnosis, names, traces)
@@ -166,22 +199,29 @@ def _listed(parts: list[str]) -> str:
     return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + " and " + parts[-1] if parts else ""
 
 
+def _plain(names: str) -> str:
+    """Names of effects as words."""
+    return names.replace("_", " ")
+
+
 def _effects(page: Report, diagnosis: Diagnosis) -> None:
     if not diagnosis.effects and not diagnosis.unknown:
         return
-    page.heading("What was added")
+    page.heading("What the model lacks")
     effects = (*diagnosis.effects, *diagnosis.unknown)
-    rows = [[e.fitted.name + (f" ({', '.join(e.depends_on)})" if e.depends_on else ""), _where(e), e.fitted.channel,
-             *_told(_unit(diagnosis, e.fitted.channel), e.rms_before, e.rms_after), e.nats, e.probability,
-             "; ".join(p.text for p in e.fitted.parameters), ", ".join(e.indistinguishable_from) or "–",
+    rows = [[_plain(e.fitted.name) + (f" ({', '.join(e.depends_on)})" if e.depends_on else ""), _where(e),
+             e.fitted.channel,
+             *_told(unit_of(diagnosis, e.fitted.channel), e.rms_before, e.rms_after), e.nats, e.probability,
+             "; ".join(p.text for p in e.fitted.parameters), _plain(", ".join(e.indistinguishable_from)) or "–",
              {None: "–", True: "yes", False: "no"}[e.transfers]] for e in effects]
     page.table(["effect", "where", "channel", "error without", "error with", "unit", "nats", "probability",
-                "parameters", "these data cannot tell it from", "lowers the error of the other recording"], rows,
+                "parameters", "not distinguishable from", "lowers the error of the other recording"], rows,
                "Errors are on held-out data, all other causes being in the model. Nats: by how much the score is lower "
                "without it; the probability is that against everything else that was weighed in its place.")
     for e in effects:
         if e.would_tell:
-            page.text(f"To tell {e.fitted.name} in {_where(e)} from {', '.join(e.indistinguishable_from)}: "
+            page.text(f"What distinguishes {e.fitted.name.replace('_', ' ')} in {_where(e)} from "
+                      f"{', '.join(e.indistinguishable_from).replace('_', ' ')}: "
                       f"{e.would_tell}.")
         if e.transfers is False:
             page.warning(f"{e.fitted.name} in {_where(e)} does not lower the error of the validation recording: "
@@ -191,7 +231,7 @@ def _effects(page: Report, diagnosis: Diagnosis) -> None:
 def _arguments(page: Report, diagnosis: Diagnosis) -> None:
     if not diagnosis.arguments:
         return
-    page.heading("Why each was named")
+    page.heading("Why each was named", folded=True)
     for argument in diagnosis.arguments:
         page.text(f"{argument.text[:1].upper()}{argument.text[1:]}")
     page.figure(arguments_figure(diagnosis.arguments[:6]),
@@ -205,15 +245,15 @@ def _traces(page: Report, diagnosis: Diagnosis, names: tuple[str, ...], traces: 
                                                      for d in diagnosis.channels)]
     if not touched:
         touched = [j for j, c in enumerate(names) if any(d.channel == c for d in diagnosis.channels)][:1]
-    page.heading(f"Measured, and what remained: {', '.join(names)}")
+    page.heading(f"Measured, and the residual: {' to '.join(dict.fromkeys((names[0], names[-1])))}", folded=True)
     for place, j in enumerate(touched[:7]):
         # The first is an example of how to read them; many make a page that nobody gets to the end of.
         folded = (f"{names[j]} over time", f"{names[j]} over position, velocity and time") if place else ("", "")
-        page.figure(over_time(traces, j, names[j], _unit(diagnosis, names[j])),
+        page.figure(over_time(traces, j, names[j], unit_of(diagnosis, names[j])),
                     f"{names[j]}: the measurement (grey) and what the model leaves of it before (red) and after "
                     "(blue). Shaded: held-out stretches.", folded[0])
         if j < traces.q.shape[1]:
-            page.figure(over_signals(traces, j, names[j], _unit(diagnosis, names[j])),
+            page.figure(over_signals(traces, j, names[j], unit_of(diagnosis, names[j])),
                         f"{names[j]}: the residual over position, velocity and time. Lines are means of equally filled "
                         "bins with their standard errors; a flat line at zero is what nothing missing looks like.",
                         folded[1])
@@ -221,16 +261,12 @@ def _traces(page: Report, diagnosis: Diagnosis, names: tuple[str, ...], traces: 
 
 def _told(unit: str, *values: float) -> list[Any]:
     """Values as a person reads them, and their unit behind them."""
-    scale, unit = _MILLI.get(unit, (1.0, unit))
+    scale, unit = shown_in(unit)
     return [*(scale * value for value in values), unit]
 
 
-def _unit(diagnosis: Diagnosis, channel: str) -> str:
-    return next((c.unit for c in diagnosis.channels if c.channel == channel), "")
-
-
 def _remaining(page: Report, diagnosis: Diagnosis) -> None:
-    page.heading("What the residual depends on")
+    page.heading("What the residual depends on", folded=True)
     for words, relations in (("before", diagnosis.before), ("after", diagnosis.remaining)):
         if not relations:
             page.text(f"Residual {words}: no dependence on a single signal stands out of chance.")

@@ -79,6 +79,7 @@ def comparison_page(comparison: ForceComparison) -> Report:
     shown = ", ".join(f"{run.figures.rms:.2f} N with {method.replace('_', ' ')}"
                       for method, run in reversed(comparison.runs.items()))
     page = Report(f"{scene.title}: methods compared", f"RMS force error {shown}.")
+    page.next(("Press on a surface of your own.", "ideal-robot new my_surface --kind force"))
     columns, rows = comparison.table()
     if not any(row[-1] for row in rows):
         columns, rows = columns[:-1], [row[:-1] for row in rows]
@@ -96,7 +97,7 @@ def comparison_page(comparison: ForceComparison) -> Report:
                      run.figures.rms, run.lateral["fields"]["used"], sum(run.lateral["fields"]["left_out"].values())]
                     for name, run in comparison.troubles])
     if comparison.trials:
-        page.heading("Search for the best direct feedback")
+        page.heading("Search for the best direct feedback", folded=True)
         page.table(["K_p [µm/N per cycle]", "K_d [µm/N]", "RMS force error [N]"],
                    [[1e6 * trial.k_p, 1e6 * trial.k_d, trial.error] for trial in comparison.trials],
                    "Each line is a play; the best gains are those of direct_feedback above. –: ended early.")

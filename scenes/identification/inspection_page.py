@@ -12,13 +12,21 @@ from ideal_robot.robots.robot import Robot
 from scenes.report.page import Report
 
 
-def inspection_page(found: Inspection, robot: Robot) -> Report:
-    """Headings, tables and figures of an inspection, what does not fit first."""
+def inspection_page(found: Inspection, robot: Robot, then: tuple[str, str]) -> Report:
+    """The page of an inspection: what does not fit, what to do next, and what the recording holds.
+
+    Args:
+        found: what the recording holds.
+        robot: the arm it is to be of.
+        then: what to do next, a sentence and its command.
+    """
     recording = found.recording
-    verdict = found.refused or ("it does not fit the URDF" if found.contradictions else "it fits the URDF")
+    verdict = found.refused or ("it does not fit the URDF" if found.contradictions else
+                                "it fits the URDF and can be used")
     page = Report(f"Recording {Path(recording.source).name} of {robot.name}",
-                  f"{recording.n} joints, {len(recording.t)} samples over {recording.duration:.4g} s at "
-                  f"{found.rate:.4g} Hz, longest step {1e3 * found.longest:.3g} ms, {found.gaps} gaps; {verdict}.")
+                  f"{verdict[:1].upper()}{verdict[1:]}: {recording.n} joints, {recording.duration:.4g} s at "
+                  f"{found.rate:.4g} Hz, longest step {1e3 * found.longest:.3g} ms, "
+                  f"{found.gaps or 'no'} gap{'s' * (found.gaps != 1)}.")
     for finding in found.contradictions:
         page.warning(finding.warning)
     if found.refused:
@@ -27,11 +35,12 @@ def inspection_page(found: Inspection, robot: Robot) -> Report:
     if said:
         page.heading("What was read, left out and repaired")
         page.table(["act", "what"], [[name, rest.strip()] for name, _, rest in (text.partition(":") for text in said)])
-    if found.ranges:
-        page.heading("Ranges")
-        page.table(*ranges_table(found), "What the recording holds beside the limits of the URDF and the drive data.")
+    page.next(then)
     page.heading("Signals")
     page.figure(found.plot(), "Positions and torques as they are used.")
+    if found.ranges:
+        page.heading("Ranges", folded=all(one.fits for one in found.ranges))
+        page.table(*ranges_table(found), "What the recording holds beside the limits of the URDF and the drive data.")
     if found.unused:
         page.table(["column"], [[name] for name in found.unused], folded="Columns that are kept and not used")
     return page

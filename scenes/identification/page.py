@@ -26,20 +26,27 @@ from scenes.verdict import Verdict
 MEASURED, PREDICTED, RESIDUAL = "#5b6675", "#e06a00", "#2a6fb0"
 
 
-def identification_page(analysis: IdentificationResult) -> Report:
-    """Headings, tables and figures of an identification, most important first."""
+def identification_page(analysis: IdentificationResult, call: str = "RECORDING --robot ROBOT",
+                        kept: str = "") -> Report:
+    """The page of an identification: how good the model is, what to do next, and all that it holds folded away.
+
+    Args:
+        analysis: what was identified.
+        call: the first recording and the robot as typed, for the commands of what to do next.
+        kept: file of the model; empty where it was not written.
+    """
     model, result = analysis.model, analysis.result
-    errors = joined(result.estimation).residual_std_percent
-    summary = (f"{len(model.parameters)} parameters from {len(analysis.estimation)} recording(s); the model explains "
-               f"the torque of its own data up to {np.nanmin(errors):.1f} to {np.nanmax(errors):.1f} % per joint")
-    if analysis.validation:
-        unseen = joined(result.validation).residual_std_percent
-        summary += f" and that of data it has never seen up to {np.nanmin(unseen):.1f} to {np.nanmax(unseen):.1f} %"
-    page = Report(f"Dynamic model of {model.robot_name}", summary + " (standard deviation of residual over torque).")
+    predictions = result.validation if analysis.validation else result.estimation
+    errors = joined(predictions).residual_std_percent
+    data = "a motion that it was not fitted to" if analysis.validation else "the motion that it was fitted to"
+    page = Report(f"Dynamic model of {model.robot_name}",
+                  f"Of the torque of {data} the model leaves {np.nanmin(errors):.1f} to {np.nanmax(errors):.1f} %, "
+                  "joint by joint (standard deviations of residual and torque).")
     for warning in analysis.warnings:
         page.warning(warning)
-    _errors(page, analysis)
     _verdicts(page, analysis)
+    page.next(*_next_steps(analysis, call, kept))
+    page.heading("Measured and predicted torque")
     shown = [("unseen", *pair) for pair in zip(analysis.validation, result.validation, strict=True)]
     shown += [("estimation", *pair) for pair in zip(analysis.estimation, result.estimation, strict=True)]
     names = short_names([recording.source for _, recording, _ in shown])
@@ -48,7 +55,8 @@ def identification_page(analysis: IdentificationResult) -> Report:
                     f"{name} ({role}): measured and predicted torque with two standard "
                     "deviations of the prediction (cut off at reversals, where the angle over which friction turns "
                     "decides), and the residual on the same scale. Above each panel: std(residual) / std(torque).")
-    page.heading("Friction")
+    _errors(page, analysis)
+    page.heading("Friction", folded=True)
     page.figure(friction_figure(analysis), "Friction over speed. Gray points: what is left of the measured torque "
                 "when everything else is subtracted (estimation data). Line: the law at constant speed without load. "
                 "Orange points: the whole friction model at the instants of the gray ones.")
@@ -67,7 +75,7 @@ def identification_page(analysis: IdentificationResult) -> Report:
     if analysis.linear_loop is not None:
         _linear_loop(page, analysis.linear_loop)
     _commands(page, model)
-    page.heading("Data and filters")
+    page.heading("Data and filters", folded=True)
     _segments(page, analysis)
     filters = model.provenance["filters"]
     page.text(f"Position filter {filters['cutoff']:.4g} Hz (Butterworth of order 4, forwards and backwards), "
@@ -84,18 +92,18 @@ def command_page(analysis: CommandIdentification) -> Report:
                   "and angles alone. precorrect and play use it; diagnosis needs torques.")
     for warning in analysis.warnings:
         page.warning(warning)
-    _commands(page, analysis.model)
+    _commands(page, analysis.model, folded=False)
     page.figure(analysis.plot(), "Command minus measured angle of the first recording.")
     page.table(["not in the recordings"], [[text] for text in analysis.missing])
     page.table(["recording", "hash"], [[r["source"], r["hash"]] for r in analysis.model.provenance["recordings"]])
     return page
 
 
-def _commands(page: Report, model: Model) -> None:
+def _commands(page: Report, model: Model, *, folded: bool = True) -> None:
     figures, units = command_figures(model), model.units("mrad")
     if not figures:
         return
-    page.heading("Joint controllers")
+    page.heading("Joint controllers, as seen from command and angle", folded=folded)
     page.table(["joint", "found", "command minus angle", "law leaves", "cascade leaves", "unit"],
                [[f["joint"], f["found"], 1e3 * f["of"], 1e3 * f["left"],
                  None if f["cascade_left"] is None else 1e3 * f["cascade_left"], unit]
@@ -113,15 +121,33 @@ def verdict_table(analysis: IdentificationResult) -> tuple[list[str], list[list[
              for v in analysis.verdicts])
 
 
+def _next_steps(analysis: IdentificationResult, call: str, kept: str) -> list[tuple[str, str]]:
+    """What to do with the model: for each step a sentence and its command."""
+    robot, file = call.partition("--robot ")[2], kept or "model.json"
+    steps = []
+    if any(v.would_tell for v in analysis.verdicts):
+        steps.append(("Record a motion that determines more.", f"ideal-robot plan-identification --robot {robot}"))
+    if not analysis.validation:
+        steps.append(("Judge the model by a motion that it was not fitted to.",
+                      f"ideal-robot identify {call} --validate OTHER --model {file}"))
+    elif not kept:
+        steps.append(("Keep the model.", f"ideal-robot identify {call} --model {file}"))
+    return [*steps, ("Find out what the model lacks.", f"ideal-robot diagnose {call} --model {file}"),
+            ("Correct a path with it.",
+             f"ideal-robot precorrect PATH.csv --robot {robot} --model {file} -o corrected.csv")]
+
+
 def _verdicts(page: Report, analysis: IdentificationResult) -> None:
-    page.table(*verdict_table(analysis),
+    columns, rows = verdict_table(analysis)
+    said = [i for i in range(len(columns)) if i < 4 or any(row[i] for row in rows)]
+    page.table([columns[i] for i in said], [[row[i] for i in said] for row in rows],
                "What the model is worth. Residual torque: relative to the torque, the larger one of estimation and "
                "unseen data. Standard error: of the predicted torque in postures of the whole range, by the standard "
                "deviations of the parameters.")
 
 
 def _errors(page: Report, analysis: IdentificationResult) -> None:
-    page.heading("Errors")
+    page.heading("Errors of each recording", folded=True)
     rows = []
     names = iter(short_names([recording.source for recording in (*analysis.estimation, *analysis.validation)]))
     for role, predictions in (("estimation", analysis.result.estimation), ("unseen", analysis.result.validation)):
@@ -134,7 +160,7 @@ def _errors(page: Report, analysis: IdentificationResult) -> None:
 
 
 def _parameters(page: Report, model: Model) -> None:
-    page.heading("Parameters")
+    page.heading("Parameters", folded=True)
     gravitational = dict(zip(model.base.names, model.base.gravitational, strict=True))
     rows = [[p.name, p.joint, p.value, p.std, p.std_percent, p.unit,
              ("p_g" if gravitational[p.name] else "p_m") if p.name in gravitational else "friction",
@@ -167,7 +193,7 @@ def _warm_up(page: Report, analysis: IdentificationResult) -> None:
 
 
 def _measurements(page: Report, two_step: TwoStep, model: Model) -> None:
-    page.heading("Operating points")
+    page.heading("Operating points", folded=True)
     rows = [[m.joint + 1, m.quantity, m.value, m.std, float(m.row @ model.base_values),
              ", ".join(f"{a:.0f}" for a in np.degrees(m.q))] for m in two_step.measurements]
     page.table(["joint", "quantity", "measured", "σ", "model", "posture [deg]"], rows,
@@ -177,7 +203,7 @@ def _measurements(page: Report, two_step: TwoStep, model: Model) -> None:
 
 
 def _linear_loop(page: Report, fit: LinearLoopFit) -> None:
-    page.heading("Linear closed loop")
+    page.heading("Linear closed loop", folded=True)
     lags = range(min(9, len(fit.loop.g)))
     rows = [[j + 1, m_d, *[float(fit.loop.g[lag, j]) for lag in lags], float(fit.error_percent[j])]
             for j, m_d in enumerate(fit.relative_degree)]
@@ -203,7 +229,7 @@ def _segments(page: Report, analysis: IdentificationResult) -> None:
 
 def _consistency(page: Report, analysis: IdentificationResult) -> None:
     model, consistency = analysis.model, analysis.result.consistency
-    page.heading("Physical consistency")
+    page.heading("Physical consistency", folded=True)
     page.text("The identified base parameters are " + ("possible as they are." if consistency.was_consistent else
               "not possible for real bodies as they are (the noise allows that); the nearest possible set is kept "
               "beside them and goes into the exported URDF.")
@@ -217,7 +243,7 @@ def _consistency(page: Report, analysis: IdentificationResult) -> None:
 
 
 def _controller(page: Report, controller: ControllerIdentification, arm: Model) -> None:
-    page.heading("Joint controllers")
+    page.heading("Joint controllers, as a P/PI cascade", folded=True)
     model = controller.model
     stiffness, damping, inertia = (one_unit(arm.units(unit)) for unit in ("N m/rad", "N m s/rad", "N m s²/rad"))
     rows = [[j + 1, model.k_p[j], model.k_d[j], model.k_1[j], model.k_2[j], model.k_i[j], controller.k_i_direct[j],

@@ -76,7 +76,7 @@ def twin_of(analysis: IdentificationResult, robot: Robot, name: str) -> Twin:
         robot, name: the arm as its data sheet has it, and as scenes name it.
     """
     model, recordings = analysis.model, analysis.estimation
-    seen = ["friction: the identified law, as bristles and fluid"]
+    seen = ["friction: the identified law, as presliding and viscous friction"]
     assumed: list[str] = []
     body = _body(model, robot)
     links, rotor = _link_moments(robot, body), body[10 * robot.n : 11 * robot.n]

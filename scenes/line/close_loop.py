@@ -152,7 +152,7 @@ class _Line(Subject[LineResult]):
     def find(self, model: Model, run: LineResult, progress: Progress) -> Found:
         diagnosis = diagnose(self.seen(run), self.robot, model=model, progress=progress)
         names = tuple(dict.fromkeys(f.fitted.name for f in diagnosis.effects if f.fitted.channel == "line"))
-        # What a poor run cannot tell apart may be too much of everything: each alone, too.
+        # Causes that a poor run does not distinguish may be too large together: each is tried alone, too.
         together = (self._camera(names),) if len(names) > 1 else ()
         return Found(diagnosis, self.seen(run), (Group(together, tuple((self._camera((name,)),) for name in names)),))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -11,14 +10,13 @@ import pinocchio as pin
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from ideal_robot.arrays import Array, interpolated
-from ideal_robot.signals.recording import Recording
+from ideal_robot.arrays import Array
 from planning.path.reference import ReferencePath
 from scenes.line.compare import LineComparison
 from scenes.line.result import LineResult
 from scenes.online.log import FieldShown
 from scenes.report.page import COLUMNS, Report, world_rows
-from scenes.report.replay import Replay, arm_angles, sensed_force, sensed_line, shown_motion
+from scenes.report.replay import Replay, enlarged_alike, sensed_force, sensed_line, shown_motion
 from scenes.result import step
 from scenes.scene_files.scene import box_edges
 from scenes.verdict import BAD, GOOD, Verdict
@@ -48,13 +46,6 @@ def line_replay(result: LineResult) -> Replay | None:
     return Replay(robot, t, q, tool, _nearest(result, tool), 1e3 * error, "distance from the line",
                   curves=curves, surface=surface_corners(result), force=sensed_force(robot, recording, rows),
                   pictures=tuple((frame.t, _png(frame)) for frame in result.shown))
-
-
-def with_ghost(replay: Replay, other: Recording) -> Replay:
-    """The replay with the arm of another run of the scene drawn pale; it stands still where that has ended already."""
-    rows = slice(None, None, step(len(other.t)))
-    q = arm_angles(other, rows)
-    return replace(replay, ghost=interpolated(replay.t, other.t[rows], q))
 
 
 def _nearest(result: LineResult, points: Array) -> Array:
@@ -185,22 +176,22 @@ def _camera(report: Report, result: LineResult) -> None:
 def comparison_page(comparison: LineComparison) -> Report:
     """The page that compares the methods on one scene."""
     runs = comparison.runs
-    shown = ", ".join(f"{1e3 * run.control_error.mean:.2f} mm with {NAMED.get(method, method)}"
-                      for method, run in reversed(runs.items()))
+    shown = ", ".join(f"{1e3 * runs[method].control_error.mean:.3g} mm with {NAMED[method]}"
+                      for method in ("adapted", "ideal", "sensor_path", "direct_feedback", "none") if method in runs)
     report = Report(f"{comparison.scene.title} at {comparison.scene.speed:g} m/s: methods compared",
-                    f"Mean distance from the line: {shown}.")
-    shown_best = runs.get("adapted", runs.get("ideal"))
-    if "none" in runs and shown_best is not None and (moving := line_replay(shown_best)) is not None:
-        report.heading("The ideal robot, and without correction")
-        report.replay(with_ghost(moving, runs["none"].recording),
-                      "Green to red: distance of the tool from the drawn line. The pale arm has no correction.")
+                    f"Mean distance from the line: {shown}." if shown else "")
+    best = next((method for method in ("adapted", "ideal") if method in runs), None)
+    others = [method for method in ("direct_feedback", "none") if method in runs][:1]
+    if best is not None and others:
+        _moving_beside(report, comparison, (*others, best))
+    report.next(*next(iter(runs.values())).next_steps()[1:])
     report.heading("All methods")
     columns, rows = comparison.table()
     report.table(columns, rows, "Distance of the true TCP from the line; path errors against the desired path [mm].")
     report.figure(_along_all(comparison), "Distance from the line along the line, one curve a method. The lower "
                   "picture leaves out those that need another scale.")
     if comparison.gains is not None and any(np.isfinite(trial.error) for trial in comparison.tried):
-        report.heading("Direct sensor feedback: how much gain?")
+        report.heading("Direct sensor feedback: how much gain?", folded=True)
         report.text(
             f"x_c(k) = x_c(k-1) + K_p Δs(k) + K_d (Δs(k) - Δs(k-1)), [L] (1). A sideways step of 10 mm overshoots by "
             f"more than 5 % from K_p just above {comparison.overshoot_gain:.3g} per cycle on, because corrections are "
@@ -212,6 +203,18 @@ def comparison_page(comparison: LineComparison) -> Report:
     _timing(report, last)
     _settings(report, last)
     return report
+
+
+def _moving_beside(report: Report, comparison: LineComparison, methods: tuple[str, ...]) -> None:
+    """The replays of two methods beside each other, errors enlarged alike."""
+    replays = [line_replay(comparison.runs[method]) for method in methods]
+    whole = [replay for replay in replays if replay is not None]
+    if len(whole) == len(methods):
+        titles = [f"{NAMED[m][:1].upper()}{NAMED[m][1:]}" for m in methods]
+        report.heading(f"{titles[-1]}, and {NAMED[methods[0]]}")
+        report.replays(list(zip(titles, enlarged_alike(whole), strict=True)),
+                       "Green to red: distance of the tool from the drawn line, each up to its own largest; the scale "
+                       "is beside the curve.")
 
 
 def _timing(report: Report, result: LineResult) -> None:

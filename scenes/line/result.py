@@ -178,6 +178,6 @@ class LineResult(ShownRun):
             ("mean distance from the line", f"{1e3 * error.mean:.3f} mm"),
             ("95 % below", f"{1e3 * error.p95:.3f} mm"),
             ("largest", f"{1e3 * error.max:.3f} mm"),
-            ("camera pictures used", f"{self.fields_used} of {self.fields_seen}"),
+            ("camera pictures that showed the line", f"{self.fields_used} of {self.fields_seen}"),
             ("speed of the simulation", f"{self.timing.real_time_factor:.1f} × real time"),
         ]

@@ -148,7 +148,7 @@ class ArmOnPath(Subject[Play]):
 
     def foreseen(self, forms: Forms, models: list[Model], model: Model, run: Play) -> tuple[list[int], str]:
         """See ``Subject.foreseen``."""
-        # A change that explains less of how the arm left its path than nothing does cannot bring it back there.
+        # A change that explains less of the path error than the model as it is cannot correct it.
         present = self._left(model, run)
         compared = [Comparison.of(present, self._left(extended, run)) for extended in models]
         order = sorted(range(len(forms)), key=lambda k: compared[k].after)

@@ -105,7 +105,7 @@ class PathComparison(ShownTable):
     def full_table(self) -> tuple[list[str], list[list[Any]]]:
         """One row a method: errors in mm, reductions in per cent, the paper's beside them."""
         columns = ["method", "E_car t.-m. mm", "aligned", "geometric", "E_max t.-m. mm", "aligned", "delay ms",
-                   "E_car less %", "E_max less %", "by motors %", "paper E_car %", "paper E_max %"]
+                   "E_car less %", "E_max less %", "motors' E_car less %", "paper E_car %", "paper E_max %"]
         paper = self.scene.paper
         rows = []
         for method, run in self.runs.items():

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -14,12 +12,12 @@ from scenes.methods import DELAY
 from scenes.path.cell import PathResult, path_methods
 from scenes.path.compare import PathComparison
 from scenes.report.page import COLUMNS, Report, world_rows
-from scenes.report.replay import Replay
+from scenes.report.replay import Replay, enlarged_alike
 from scenes.scene_files.scene import box_edges
 
 
-def path_replay(result: PathResult, ghost: PathResult | None = None) -> Replay | None:
-    """The replay of a run, with another of the same path as a pale ghost; None where it is too short for one."""
+def path_replay(result: PathResult) -> Replay | None:
+    """The replay of a run; None where it is too short for one."""
     path, played = result.path, result.played
     if len(path.t) < 2:
         return None
@@ -30,9 +28,8 @@ def path_replay(result: PathResult, ghost: PathResult | None = None) -> Replay |
     tool = interpolated(t, played.t, played.tcp)
     counts = path.counts[: len(q)]
     error = np.where(counts, np.linalg.norm(tool - path.x_d[: len(q)], axis=1), np.nan)
-    replay = Replay(robot, t, q, tool, path.x_d[: len(q)], 1e3 * error, "distance from the path at the time",
-                    curves={"desired path": path.x_d, **box_edges(result.scene.box)})
-    return replay if ghost is None else replace(replay, ghost=ghost.played.q_a[: len(q)])
+    return Replay(robot, t, q, tool, path.x_d[: len(q)], 1e3 * error, "distance from the path at the time",
+                  curves={"desired path": path.x_d, **box_edges(result.scene.box)})
 
 
 INK, SOFT = "#1c2430", "#8893a1"
@@ -50,8 +47,12 @@ MAGNIFIED = 50
 DEFINITION = (
     "Time-matched: against the desired position at the same instant. Aligned: after removing one constant delay. "
     "Geometric: distance to the path. 'Less %' is the reduction against no correction without delay, of the weaker of "
-    "time-matched and aligned; 'by motors' is the aligned E_car that motor angles show, which is what the paper could "
-    "measure: elastic gears are invisible to it.")
+    "time-matched and aligned; 'motors' E_car less %' is that of the aligned E_car that motor angles show, which is "
+    "what the paper could measure: elastic gears are invisible to it.")
+_SHORT = ("E_car is a root mean square, E_max the largest deviation of the tool; aligned: one constant delay removed. "
+          "E_car less: against no correction. The motors' errors are those that motor angles show, which is what the "
+          "paper measured: they do not see what elastic gears do to the tool, and a correction for the tool makes them "
+          "larger.")
 
 
 def run_page(result: PathResult, moving: Replay | None) -> Report:
@@ -77,24 +78,27 @@ def comparison_page(comparison: PathComparison) -> Report:
     """The page of all methods on one path."""
     scene, runs = comparison.scene, comparison.runs
     none = comparison.reference.errors
-    summary = (f"The industrial controller alone stays within {1e3 * none.time_matched.E_car:.2f} mm of the path (root "
-               f"mean square), or {1e3 * none.aligned.E_car:.2f} mm after removing its delay of "
-               f"{1e3 * none.delay:.1f} ms.")
+    first = next(iter(runs)) if "none" not in runs else "no correction"
+    summary = ("Root mean square of the distance from the path, one delay removed: "
+               f"{1e3 * none.aligned.E_car:.3g} mm with {first}")
     if "ideal" in runs:
-        less = comparison.reduction("ideal")["E_car"]
-        summary = (f"Nothing learned on this path, the ideal robot stays within "
-                   f"{1e3 * runs['ideal'].errors.time_matched.E_car:.3f} mm of it (root mean square). {summary} "
-                   f"That is {less['time_matched']:.1f} % and {less['aligned']:.1f} % less.")
-    report = Report(f"{scene.title}: several methods", summary)
-    columns, rows = comparison.full_table()
-    if "none" in runs and "ideal" in runs and (moving := path_replay(runs["ideal"], runs["none"])) is not None:
+        summary += (f", {1e3 * runs['ideal'].errors.aligned.E_car:.3g} mm with the ideal robot, which learned nothing "
+                    "on it")
+    report = Report(f"{scene.title}: several methods", f"{summary}.")
+    played = [path_replay(runs[method]) for method in ("none", "ideal") if method in runs]
+    moving = [replay for replay in played if replay is not None]
+    if len(moving) == 2:
         report.heading("The ideal robot, and without correction")
-        report.replay(moving, f"{_MOVING} The pale arm is the same path without any correction.")
+        titles = ("Without correction", "The ideal robot")
+        report.replays(list(zip(titles, enlarged_alike(moving), strict=True)), _MOVING)
+    report.next(*comparison.reference.next_steps()[1:])
     report.heading("Errors of all methods")
+    columns, rows = comparison.table()
     late = [row for row in rows if str(row[0]).endswith(DELAY)]
-    report.table(columns, [row for row in rows if row not in late], f"{DEFINITION} Paper: {scene.paper.source}.")
-    if late:
-        report.table(columns, late, folded="The same with the standard path planner's delay in force")
+    report.table(columns, [row for row in rows if row not in late], _SHORT)
+    columns, rows = comparison.full_table()
+    report.table(columns, rows, f"{DEFINITION} Paper: {scene.paper.source}.",
+                 folded="All errors and reductions, also with the standard path planner's delay in force")
     report.figure(path_figure(_chosen(runs, TRACED, "")),
                   f"The path, deviations drawn {MAGNIFIED} times their size, aligned.")
     for suffix, text in (("", "Aligned deviation over time, without the planner's delay."),
@@ -103,7 +107,7 @@ def comparison_page(comparison: PathComparison) -> Report:
             report.figure(deviation_figure(shown, "aligned"), text)
     if comparison.learning_criterion:
         report.figure(learning_figure(comparison), "What learning saw, play by play.")
-    report.heading("World")
+    report.heading("World", folded=True)
     report.text("The model is identified from recordings of this world; nothing is read from the world itself.")
     report.table(COLUMNS, world_rows(comparison.reference.world), folded="All settings of the simulated world")
     return report

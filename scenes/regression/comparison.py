@@ -320,7 +320,7 @@ def bounds_of(results: Results, asked: Sequence[dict[str, float]]) -> tuple[Boun
     frame = labelled(results)
     bounds = []
     for label, group in frame.groupby("label", sort=False):
-        # Other cases of this label, with other seeds, may ask for something else.
+        # Cases of the same label with other seeds may have other bounds.
         limits = dict.fromkeys(pair for i in group.index for pair in asked[int(i)].items())
         for figure, limit in limits:
             runs = group.loc[[asked[int(i)].get(figure) == limit for i in group.index]]

@@ -205,7 +205,9 @@ def _shown(cell: Any) -> str:
     if isinstance(cell, (bool, np.bool_)):
         return "yes" if cell else "no"
     if isinstance(cell, (float, np.floating)):
-        return f"{cell:.3g}" if math.isfinite(cell) else "–"
+        # A torque of 1800 N m is read more easily than one of 1.8e+03.
+        value = float(cell)
+        return "–" if not math.isfinite(value) else f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"
     return "–" if cell is None else str(cell)
 
 

@@ -13,7 +13,8 @@ import json
 import tokenize
 import zipfile
 import zlib
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -157,7 +158,6 @@ class Replay:
         curves: further curves by name ``(K, 3)`` [m], e.g. the drawn line.
         surface: corners of the surface ``(4, 3)`` [m], or None.
         pictures: camera pictures, time [s] and PNG.
-        ghost: arm angles of another method at the same times ``(N, n)`` [rad], drawn pale, or None.
         enlarged: how many times the error is enlarged in the view from above.
         force: of the environment on the tool ``(N, 3)`` [N] in the base frame, drawn as an arrow, or None.
     """
@@ -173,21 +173,19 @@ class Replay:
     curves: dict[str, Array] = field(default_factory=dict)
     surface: Array | None = None
     pictures: tuple[tuple[float, bytes], ...] = ()
-    ghost: Array | None = None
     enlarged: float = 50.0
     force: Array | None = None
 
     def __post_init__(self) -> None:
         n = len(self.t)
         shapes = {"q": (n, self.robot.n), "tool": (n, 3), "wanted": (n, 3), "error": (n,)}
-        optional = {"force": (n, 3), "ghost": (n, self.robot.n), "surface": (4, 3)}
+        optional = {"force": (n, 3), "surface": (4, 3)}
         shapes |= {name: shape for name, shape in optional.items() if getattr(self, name) is not None}
         for name, shape in shapes.items():
             if np.shape(getattr(self, name)) != shape:
                 raise InputError(f"expected the shape {shape}", field=name, value=np.shape(getattr(self, name)))
-        for name in ("q", "ghost"):
-            if getattr(self, name) is not None and not np.isfinite(getattr(self, name)).all():
-                raise InputError("expected finite angles", field=name)
+        if not np.isfinite(self.q).all():
+            raise InputError("expected finite angles", field="q")
         if n < 2:
             raise InputError("a replay needs two samples at least", field="t", value=n)
         if not rises(self.t):
@@ -212,7 +210,6 @@ class Replay:
         return {
             "t": rounded(self.t[rows] - self.t[0], 3),
             "links": rounded(link_poses(self.robot, self.q[rows], links), 4),
-            "ghost": None if self.ghost is None else rounded(link_poses(self.robot, self.ghost[rows], links), 4),
             "shapes": shapes,
             "tool": rounded(self.tool[rows], 5), "wanted": rounded(wanted[rows], 5),
             "error": error, "errorName": self.error_name, "unit": self.unit,
@@ -223,6 +220,19 @@ class Replay:
             "enlarged": self.enlarged,
             "force": None if self.force is None else rounded(np.nan_to_num(self.force[rows]), 2),
         }
+
+
+def enlarged_alike(replays: Sequence[Replay]) -> list[Replay]:
+    """The replays with one magnification of their errors: the largest becomes a sixth of the path at most.
+
+    Magnifications are 1, 2 or 5 times a power of ten, and 50 at most.
+    """
+    extent = max(float(np.ptp(replay.wanted, axis=0).max()) for replay in replays)
+    away = max(float(np.max(np.linalg.norm((replay.tool - replay.wanted)[np.isfinite(replay.error)], axis=1),
+                            initial=0.0)) for replay in replays)
+    most = min(50.0, extent / (6.0 * max(away, 1e-9)))
+    enlarged = max([1.0, *(one for one in (2.0, 5.0, 10.0, 20.0, 50.0) if one <= most)])
+    return [replace(replay, enlarged=enlarged) for replay in replays]
 
 
 @dataclass(frozen=True)
@@ -272,7 +282,7 @@ def error_colours(error: Array) -> Array:
 
 
 ENDING = ".replay.npz"
-_ARRAYS = ("t", "q", "tool", "wanted", "error", "surface", "ghost", "force")
+_ARRAYS = ("t", "q", "tool", "wanted", "error", "surface", "force")
 
 
 def arm_angles(recording: Recording, rows: Any = slice(None)) -> Array:

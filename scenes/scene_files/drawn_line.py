@@ -55,7 +55,7 @@ class Line(Shape):
 
     @property
     def detection(self) -> DetectionSettings:
-        """How it looks, told to those who look for it."""
+        """Width and contrast of the line, as the detector is given them."""
         return DetectionSettings.of(1e-3 * self.width_mm, self.background - self.gray)
 
 

@@ -57,7 +57,7 @@ class Light(Table):
 
 
 class BentDisplacement(Displacement):
-    """By how much the drawn line and its surface are elsewhere than told."""
+    """By how much the drawn line and its surface are elsewhere than the scene file says."""
 
     bow_mm: float = pydantic.Field(default=0.0, ge=0, le=20)
     """How far the surface's middle is out of the plane of its ends, over the line's length, up or down; needs

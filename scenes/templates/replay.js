@@ -64,7 +64,7 @@ function polyline(g, points, style, width) {
   g.beginPath(); points.forEach((p, i) => i ? g.lineTo(p[0], p[1]) : g.moveTo(p[0], p[1])); g.strokeStyle = style; g.lineWidth = width; g.lineJoin = "round"; g.stroke();
 }
 const light = [0.45, -0.35, 0.82];
-function arm(faces, poses, see, pale) {
+function arm(faces, poses, see) {
   for (const shape of DATA.shapes) {
     const T = poses[shape.link];
     for (const face of shape.faces) {
@@ -74,7 +74,7 @@ function arm(faces, poses, see, pale) {
       const shade = 0.62 + 0.38 * Math.abs((n[0] * light[0] + n[1] * light[1] + n[2] * light[2]) / l);
       const s = w.map(see), z = s.reduce((sum, p) => sum + p[2], 0) / s.length;
       const c = shape.colour.map(v => Math.round(v * shade));
-      faces.push([z, s, pale ? `rgba(120,130,145,0.10)` : `rgb(${c[0]},${c[1]},${c[2]})`]);
+      faces.push([z, s, `rgb(${c[0]},${c[1]},${c[2]})`]);
     }
   }
 }
@@ -92,8 +92,7 @@ function drawScene() {
   }
   Object.values(DATA.curves).forEach((c, i) => polyline(g, c.map(see), curveColour(i), i ? 1.2 : 2.2));
   for (let i = 1; i <= k; i++) polyline(g, [see(DATA.tool[i - 1]), see(DATA.tool[i])], colour(DATA.error[i]), 2.5);
-  if (DATA.ghost) arm(faces, DATA.ghost[k], see, true);
-  arm(faces, DATA.links[k], see, false);
+  arm(faces, DATA.links[k], see);
   faces.sort((a, b) => b[0] - a[0]);
   for (const [, s, c] of faces) {
     g.beginPath(); s.forEach((p, i) => i ? g.lineTo(p[0], p[1]) : g.moveTo(p[0], p[1])); g.closePath();

@@ -296,9 +296,10 @@ class Player:
         viewer.look_at(0.5 * (replay.tool.mean(axis=0) + viewer.middle), 1.7 + float(np.ptp(replay.tool, axis=0).max()))
         if replay.surface is not None:
             viewer.surface(replay.surface)
-        for i, ((name, points), colour) in enumerate(zip(replay.curves.items(), _COLOURS, strict=False)):
-            # The tool's path lies on the line it follows: that is drawn wider, and the path a little above it.
-            viewer.draw(name.replace(" ", "_"), points, colour, thickness=9.0 if i == 0 else 2.5)
+        for (name, points), colour in zip(replay.curves.items(), _COLOURS, strict=False):
+            # The tool's path lies on the line it follows: what is drawn on the surface is wider, what was planned
+            # is thin enough for the coloured path to cover it, a little above both.
+            viewer.draw(name.replace(" ", "_"), points, colour, thickness=9.0 if name == "drawn line" else 1.5)
         step = max(1, len(self._t) // 1500)
         above = replay.tool[::step] + np.array([0.0, 0.0, _ABOVE])
         viewer.draw("tool", above, error_colours(replay.error[::step])[1:], thickness=4.0)
@@ -311,8 +312,6 @@ class Player:
         """Shows sample ``k``: arm, tool, picture and what the error is."""
         replay = self.replay
         self.viewer.show(replay.q[k])
-        if replay.ghost is not None:
-            self.viewer.show(replay.ghost[k], GHOST)
         self.tool.position = tuple(float(v) for v in replay.tool[k])
         if replay.force is not None and np.isfinite(replay.force[k]).all():
             # It ends at the tool: on the other side it would be hidden in the wrist.

@@ -188,7 +188,7 @@ def _shared(values: Array, covariance: Array, height: int, of_camera: float, of_
     k, share = len(values), of_surface / (of_camera + of_surface)
     parts, together = np.eye(k + 1, k), np.zeros(k + 1)
     parts[[height, k], height], together[[height, k]] = (1.0 - share, -share), 1.0
-    # Nothing is seen of what both rise by together.
+    # A rise of camera and surface together changes no picture: its variance is that of before.
     return parts @ values, parts @ covariance @ parts.T + share * of_camera * np.outer(together, together)
 
 

@@ -26,7 +26,16 @@ from scenes.diagnosis.page import diagnosis_page, summary
 from scenes.path.page import path_replay, run_page
 from scenes.play import run_scene
 from scenes.report.page import UNITS, Report, world_rows
-from scenes.report.replay import FRAMES, Replay, link_poses, polygons, sensed_force, sensed_line, shown_motion
+from scenes.report.replay import (
+    FRAMES,
+    Replay,
+    enlarged_alike,
+    link_poses,
+    polygons,
+    sensed_force,
+    sensed_line,
+    shown_motion,
+)
 from scenes.report.video import frames, write_video
 from scenes.result import MOST, extremes, step
 from scenes.scene_file import load_scene
@@ -50,12 +59,12 @@ def test_every_heading_is_in_the_contents_and_leads_to_its_section(tmp_path: Pat
     assert all(f'<h2 id="{anchor}">{word}</h2>' in html for anchor, word in links.items())
 
 
-def test_long_tables_fold_and_numbers_have_three_digits(tmp_path: Path) -> None:
+def test_long_tables_fold_and_numbers_are_short(tmp_path: Path) -> None:
     page = Report("t")
-    page.table(["a"], [[1.23456], [float("nan")], [12345.6]], folded="All of it")
+    page.table(["a"], [[1.23456], [float("nan")], [12345.6], [1.2345e7]], folded="All of it")
     html = page.write(tmp_path / "p.html").read_text(encoding="utf-8")
     assert "<details><summary>All of it</summary>" in html
-    assert re.findall(r'<td class="number">(.*?)</td>', html) == ["1.23", "–", "1.23e+04"]
+    assert re.findall(r'<td class="number">(.*?)</td>', html) == ["1.23", "–", "12346", "1.23e+07"]
 
 
 def test_every_setting_of_the_world_says_its_unit_or_has_none() -> None:
@@ -215,8 +224,13 @@ def test_a_number_without_uncertainty_does_not_pretend_to_one() -> None:
     assert EffectParameter("gain", 1.23456, 0.0456, "N m").text == "gain 1.23 ± 0.046 N m"
 
 
-def test_pictures_of_effects_come_before_the_rest() -> None:
-    blocks = diagnosis_page(diagnosis(found(2.0, 0.2)), "d")._blocks
+def test_a_diagnosis_answers_shows_and_says_what_to_do_before_its_reasons() -> None:
+    blocks = diagnosis_page(diagnosis(found(2.0, 0.2)), "d", "rec.parquet --robot kr6")._blocks
+    kinds = [block["kind"] for block in blocks]
+    folded = next(i for i, block in enumerate(blocks) if block["kind"] == "heading" and block["folded"])
+    assert kinds.index("image") < kinds.index("next") < folded
+    assert "ideal-robot precorrect PATH.csv --robot kr6" in " ".join(
+        step["command"] for step in blocks[kinds.index("next")]["steps"])
     headings = [block["text"] for block in blocks if block["kind"] == "heading"]
     assert headings.index("The effects that were found") == 1
 
@@ -308,12 +322,15 @@ def test_it_moves_in_a_browser(tmp_path: Path) -> None:
 def test_a_paths_replay_shows_the_errors_of_its_table() -> None:
     scene = load_scene("iso9283_1")
     ideal, none = (run_scene(scene, method=method) for method in ("ideal", "none"))
-    replay = path_replay(ideal, none)
+    replay, other = path_replay(ideal), path_replay(none)
     assert replay is not None
+    assert other is not None
     assert np.sqrt(np.nanmean(replay.error**2)) == pytest.approx(1e3 * ideal.errors.time_matched.E_car, rel=0.02)
-    assert replay.ghost is not None
-    # The ghost is the arm without correction: late by its delay, so further away.
-    assert np.max(np.abs(replay.ghost - replay.q)) > 1e-3
+    # Beside each other both are enlarged alike, and the larger error stays readable beside the path.
+    shown, beside = enlarged_alike([replay, other])
+    assert shown.enlarged == beside.enlarged < replay.enlarged
+    extent = np.ptp(other.wanted, axis=0).max()
+    assert beside.enlarged * 1e-3 * np.nanmax(other.error) < 0.2 * extent
     kinds = [block["kind"] for block in run_page(ideal, replay)._blocks]
     assert kinds.index("replay") < kinds.index("table")
 

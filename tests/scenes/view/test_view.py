@@ -200,13 +200,13 @@ def test_the_arm_its_way_and_the_words_are_seen(tmp_path: Path) -> None:
     assert "200 cycles of 12 ms" in words
 
 
-# The viewer of recordings: what is in the scene's tree, and that slider, picture and ghost follow.
+# The viewer of recordings: what is in the scene's tree, and that slider and picture follow.
 
 def whole_replay() -> Replay:
     corners = np.array([[0.0, 0, 0.3], [1, 0, 0.3], [1, 1, 0.3], [0, 1, 0.3]])
     plain = _replay(200)
     return dataclasses.replace(plain, surface=corners, pictures=((0.0, png((10,) * 3)), (4.0, png((240,) * 3))),
-                               ghost=plain.q + 0.1, force=np.outer(plain.t, [0.0, 0.0, 5.0]))
+                               force=np.outer(plain.t, [0.0, 0.0, 5.0]))
 
 
 @pytest.fixture
@@ -229,14 +229,14 @@ def test_a_page_begins_with_all_of_an_arm_that_hangs_from_the_ceiling(tmp_path: 
     viewer.server.stop()
 
 
-def test_the_slider_moves_arm_tool_ghost_and_picture(player) -> None:  # type: ignore[no-untyped-def]
-    arm, ghost = (player.viewer.frames[name] for name in ("arm", "ghost"))
-    before = [tuple(frame.position) for frame in (*arm, *ghost)], player.picture.image.mean()
+def test_the_slider_moves_arm_tool_and_picture(player) -> None:  # type: ignore[no-untyped-def]
+    arm = player.viewer.frames["arm"]
+    before = [tuple(frame.position) for frame in arm], player.picture.image.mean()
     player.slider.value = 3.5
     k = int(np.searchsorted(player.replay.t, 3.5))
     np.testing.assert_allclose(player.tool.position, player.replay.tool[k], atol=1e-9)
-    after = [tuple(frame.position) for frame in (*arm, *ghost)]
-    assert sum(a != b for a, b in zip(before[0], after, strict=True)) >= 8
+    after = [tuple(frame.position) for frame in arm]
+    assert sum(a != b for a, b in zip(before[0], after, strict=True)) >= 4
     # The last link carries the tool: the arm drawn is the arm of the recording.
     data = ROBOT.pinocchio.createData()
     pin.forwardKinematics(ROBOT.pinocchio, data, player.replay.q[k])
@@ -268,7 +268,7 @@ def test_a_replay_is_read_as_it_was_written(tmp_path: Path) -> None:
     recording = of_replay(replay)
     path = write_replay(replay, replay_beside(tmp_path / "recording.parquet"), recording)
     read = recorded_replay(tmp_path / "recording.parquet", ROBOT, recording)
-    for name in ("t", "q", "tool", "wanted", "error", "surface", "ghost", "force"):
+    for name in ("t", "q", "tool", "wanted", "error", "surface", "force"):
         np.testing.assert_array_equal(getattr(read, name), getattr(replay, name))
     assert read.pictures == replay.pictures
     assert read.error_name == replay.error_name
@@ -303,7 +303,7 @@ def test_a_recording_of_the_users_arm_names_the_file_to_give(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(("name", "value"), [
-    ("t", np.arange(200.0)[::-1]), ("surface", np.zeros(3)), ("ghost", np.zeros((1, 6))), ("curve_0", np.zeros(2)),
+    ("t", np.arange(200.0)[::-1]), ("surface", np.zeros(3)), ("curve_0", np.zeros(2)),
     ("picture_0", np.arange(9.0)), ("words", np.array("3")), ("words", np.array("[" * 100_000)),
 ])
 def test_a_replay_with_an_array_of_another_shape_is_refused(name: str, value: np.ndarray, tmp_path: Path) -> None:
