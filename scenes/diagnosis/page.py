@@ -74,7 +74,13 @@ def next_steps(diagnosis: Diagnosis, call: str) -> list[tuple[str, str]]:
 
 
 def add_diagnosis(page: Report, diagnosis: Diagnosis, then: Sequence[tuple[str, str]] = ()) -> None:
-    """The sections of a diagnosis on a page: the answer in a picture, what to do next, and the reasons folded away."""
+    """The sections of a diagnosis on a page: the answer in a picture, what to do next, and the reasons folded away.
+
+    Args:
+        page: to which they are added.
+        diagnosis: what was found.
+        then: what to do next, each a sentence and its command; nothing where the page says it already.
+    """
     left_out = [f"Joint {joint} is left out: it {reason}." for joint, reason in sorted(diagnosis.undecided.items())]
     moved = f"Parameters that changed: {'; '.join(p.text for p in diagnosis.moved)}." if diagnosis.moved else ""
     for warning in filter(None, (*left_out, *diagnosis.warnings, unexplained(diagnosis), moved)):
