@@ -51,8 +51,8 @@ DEFINITION = (
     "what the paper could measure: elastic gears are invisible to it.")
 _SHORT = ("E_car is a root mean square, E_max the largest deviation of the tool; aligned: one constant delay removed. "
           "E_car less: against no correction. The motors' errors are those that motor angles show, which is what the "
-          "paper measured: they do not see what elastic gears do to the tool, and a correction for the tool can make them "
-          "larger.")
+          "paper measured: they do not see what elastic gears do to the tool, and a correction for the tool can make "
+          "them larger.")
 
 
 def run_page(result: PathResult, moving: Replay | None) -> Report:
