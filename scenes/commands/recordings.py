@@ -241,6 +241,7 @@ def diagnose(options: DiagnoseOptions) -> None:
         better = None if diagnosis.model is None else options.model_out
         with whole_files(page, options.json, better) as (page_file, json_file, model_file):
             call = f"{options.recording} --robot {options.robot}"
+            call += "" if options.model is None else f" --model {options.model}"
             page_of = diagnosis_page(diagnosis, f"{arm.name}: what its model lacks", call)
             for finding in contradictions:
                 page_of.warning(finding.warning)

@@ -40,7 +40,7 @@ def diagnosis_page(diagnosis: Diagnosis, title: str, call: str = "RECORDING --ro
     Args:
         diagnosis: what was found.
         title: of the page.
-        call: recording and robot as typed, for the commands of what to do next.
+        call: recording, robot and given model as typed, for the commands of what to do next.
     """
     page = Report(title, summary(diagnosis))
     add_diagnosis(page, diagnosis, next_steps(diagnosis, call))
@@ -52,9 +52,9 @@ def next_steps(diagnosis: Diagnosis, call: str) -> list[tuple[str, str]]:
 
     Args:
         diagnosis: what was found.
-        call: recording and robot as typed.
+        call: recording, robot and given model as typed.
     """
-    robot = call.partition("--robot ")[2]
+    robot = call.partition("--robot ")[2].partition(" --")[0]
     steps = []
     if any(e.indistinguishable_from for e in (*diagnosis.effects, *diagnosis.unknown)):
         steps.append(("Some causes explain the recording equally well: record the motion that decides.",
@@ -220,8 +220,10 @@ def _effects(page: Report, diagnosis: Diagnosis) -> None:
              *_told(unit_of(diagnosis, e.fitted.channel), e.rms_before, e.rms_after), e.nats, e.probability,
              "; ".join(p.text for p in e.fitted.parameters), _plain(", ".join(e.indistinguishable_from)) or "–",
              {None: "–", True: "yes", False: "no"}[e.transfers]] for e in effects]
-    page.table(["effect", "where", "channel", "error without", "error with", "unit", "nats", "probability",
-                "parameters", "not distinguishable from", "lowers the error of the other recording"], rows,
+    titles = ["effect", "where", "channel", "error without", "error with", "unit", "nats", "probability",
+              "parameters", "not distinguishable from", "lowers the error of the other recording"]
+    said = [i for i in range(len(titles)) if any(row[i] != "–" for row in rows)]
+    page.table([titles[i] for i in said], [[row[i] for i in said] for row in rows],
                "Errors are on held-out data, all other causes being in the model. Nats: by how much the score is lower "
                "without it; the probability is that against everything else that was weighed in its place.")
     for e in effects:

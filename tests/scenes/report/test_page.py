@@ -225,11 +225,11 @@ def test_a_number_without_uncertainty_does_not_pretend_to_one() -> None:
 
 
 def test_a_diagnosis_answers_shows_and_says_what_to_do_before_its_reasons() -> None:
-    blocks = diagnosis_page(diagnosis(found(2.0, 0.2)), "d", "rec.parquet --robot kr6")._blocks
+    blocks = diagnosis_page(diagnosis(found(2.0, 0.2)), "d", "rec.parquet --robot kr6 --model m.json")._blocks
     kinds = [block["kind"] for block in blocks]
     folded = next(i for i, block in enumerate(blocks) if block["kind"] == "heading" and block["folded"])
     assert kinds.index("image") < kinds.index("next") < folded
-    assert "ideal-robot precorrect PATH.csv --robot kr6" in " ".join(
+    assert "ideal-robot precorrect PATH.csv --robot kr6 --model better.json" in " ".join(
         step["command"] for step in blocks[kinds.index("next")]["steps"])
     headings = [block["text"] for block in blocks if block["kind"] == "heading"]
     assert headings.index("The effects that were found") == 1
