@@ -71,9 +71,9 @@ def _of_domains(case: Case, found: Findings) -> Diagnosis:
 
 def _small(results: Sequence[DomainResult]) -> Iterator[str]:
     """One sentence on causes that are there and too small to matter."""
-    small = [f"{effect.name} in {effect.channel}" for result in results for effect in result.small]
+    small = [f"{effect.name.replace('_', ' ')} in {effect.channel}" for result in results for effect in result.small]
     if small:
-        yield f"also in the recording, too small to matter to anybody: {', '.join(small)}"
+        yield f"also found, too small to matter: {', '.join(small)}"
 
 
 def _contradicted(case: Case, results: Sequence[DomainResult]) -> Iterator[str]:
