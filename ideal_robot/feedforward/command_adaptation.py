@@ -78,6 +78,7 @@ class AdaptedState:
         aside: for how long it is put aside still, and for how long the next time ``(2, n)`` [s].
         share: how far that has been taken up ``(n,)``.
         cycle: measurements so far.
+        led: whether a command of this layer is in force since the last measurement; what others led says nothing.
     """
 
     inner: InverseState
@@ -94,6 +95,7 @@ class AdaptedState:
     aside: Array
     share: Array
     cycle: int
+    led: bool = False
 
 
 class AdaptedCommand(Feedforward):
@@ -154,13 +156,20 @@ class AdaptedCommand(Feedforward):
         q_c = q_d[0] + eased(state.share) * (by_law - q_d[0])
         share = np.clip(state.share + np.where(state.law, 1.0, -1.0) * self.t_ipo / _TAKEN_UP, 0.0, 1.0)
         given, wanted = np.vstack([state.given[1:], q_c]), np.vstack([state.wanted[1:], q_d[0]])
-        return q_c, dataclasses.replace(state, inner=inner, given=given, wanted=wanted, share=share)
+        if not np.isfinite(state.measured).any():
+            # What others commanded before is not known; the arm stood.
+            given, wanted = np.tile(q_c, (len(given), 1)), np.tile(q_d[0], (len(wanted), 1))
+        return q_c, dataclasses.replace(state, inner=inner, given=given, wanted=wanted, share=share, led=True)
 
     def observe(self, state: AdaptedState, measured: RobotState) -> AdaptedState:
         """See ``Feedforward.observe``: looks at the angles of some cycles ago, with the commands of then."""
         q = np.asarray(measured.q, dtype=float)
         if not np.isfinite(q).all():
             return state
+        if not state.led:
+            # Somebody else leads the arm (a calibration, an approach): the commands that this layer knows are not those.
+            return dataclasses.replace(state, measured=np.full_like(state.measured, np.nan), cycle=0)
+        state = dataclasses.replace(state, led=False)
         # Commands were handed over a cycle before the state that is reported with them.
         before, rows = state.measured, np.concatenate([state.measured[1:], q[None]])
         state = dataclasses.replace(state, measured=rows)

@@ -124,3 +124,20 @@ def test_a_horizon_that_is_too_short_is_continued_as_it_ends(short: int) -> None
             # At the start a horizon of one row does not show that the arm is to move.
             if k >= 10:
                 np.testing.assert_allclose(*commands, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", [7, 8])
+def test_what_others_lead_teaches_nothing(seed: int) -> None:
+    """A calibration moves the arm by commands that this layer does not give, and stops where the path begins."""
+    adapted, q_d = AdaptedCommand(CommandInverse(law(), ARM)), path(seed, 2.0)
+    state = adapted.init(q_d[0])
+    for k, q in enumerate(path(seed + 10, 8.0)):
+        state = adapted.observe(state, RobotState(k * T, q, np.zeros(6)))
+    changed = adapted.changed(state)
+    assert not np.any(changed.late)
+    assert not np.any(changed.offset)
+    fresh, ahead = adapted.init(q_d[0]), held(q_d, after=adapted.n_d)
+    for k, q in enumerate(q_d):
+        (after, state), (alone, fresh) = (adapted.step(own, ahead[k : k + adapted.n_d]) for own in (state, fresh))
+        np.testing.assert_array_equal(after, alone)
+        state, fresh = (adapted.observe(own, RobotState(k * T, q, np.zeros(6))) for own in (state, fresh))
