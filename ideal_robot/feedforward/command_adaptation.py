@@ -167,7 +167,7 @@ class AdaptedCommand(Feedforward):
         if not np.isfinite(q).all():
             return state
         if not state.led:
-            # Somebody else leads the arm (a calibration, an approach): the commands that this layer knows are not those.
+            # Somebody else leads the arm (a calibration, an approach) by commands that this layer does not know.
             return dataclasses.replace(state, measured=np.full_like(state.measured, np.nan), cycle=0)
         state = dataclasses.replace(state, led=False)
         # Commands were handed over a cycle before the state that is reported with them.

@@ -163,7 +163,8 @@ class Closing(ShownTable):
         scale = self.closed.subject.scale
         return ("round", "change of the model", "stays", self.words.judged, "why not"), [
             [0, self.words.as_it_was, "yes", scale * self.closed.first, ""],
-            *[[step.round, step.tried, "yes" if step.taken else "no", scale * step.error, step.refused] for step in self.steps]]
+            *[[step.round, step.tried, "yes" if step.taken else "no", scale * step.error, step.refused]
+              for step in self.steps]]
 
     def page(self) -> Report:
         """The report."""
