@@ -69,7 +69,7 @@ class AdaptedState:
         mean, covariance: of the parameters ``(n, 4)``, ``(n, 4, 4)``, in standard deviations beforehand.
         given: commands of the last cycles ``(W, n)`` [rad], the newest last.
         measured: angles of the last cycles ``(L, n)`` [rad], the newest last.
-        wanted: desired positions of the last cycles ``(L, n)`` [rad].
+        wanted: where the motors were to be in the last cycles ``(L, n)`` [rad].
         lags: of ``r + Δ ṙ - q``, ``ṙ``, ``e_v``, ``e_f``, ``q_d - q`` and ``q_c - q`` ``(2, 6, n)`` [rad, rad/s].
         filters: states of each joint's poles, of motion and torque, direct and integrated ``(2, 2, k)`` each.
         squares: that law and plain command left of late ``(2, n)`` [rad²].
@@ -155,10 +155,10 @@ class AdaptedCommand(Feedforward):
         by_law, inner = self.inverse.changed_step(state.inner, q_d, tau_ext_d, self.changed(state), rows=self.n_d)
         q_c = q_d[0] + eased(state.share) * (by_law - q_d[0])
         share = np.clip(state.share + np.where(state.law, 1.0, -1.0) * self.t_ipo / _TAKEN_UP, 0.0, 1.0)
-        given, wanted = np.vstack([state.given[1:], q_c]), np.vstack([state.wanted[1:], q_d[0]])
+        given, wanted = np.vstack([state.given[1:], q_c]), np.vstack([state.wanted[1:], inner.motors])
         if not np.isfinite(state.measured).any():
             # What others commanded before is not known; the arm stood.
-            given, wanted = np.tile(q_c, (len(given), 1)), np.tile(q_d[0], (len(wanted), 1))
+            given, wanted = np.tile(q_c, (len(given), 1)), np.tile(inner.motors, (len(wanted), 1))
         return q_c, dataclasses.replace(state, inner=inner, given=given, wanted=wanted, share=share, led=True)
 
     def observe(self, state: AdaptedState, measured: RobotState) -> AdaptedState:

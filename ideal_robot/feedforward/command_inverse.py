@@ -35,12 +35,14 @@ class InverseState:
         filters: states of each joint's filters of direct and integrated terms ``(n, 2, k)``.
         start: command minus position at rest at the start ``(n,)`` [rad].
         cycle: cycles since the start.
+        motors: where the motors are to be with what was commanded last, gears wound up ``(n,)`` [rad].
     """
 
     q_d: Array
     filters: tuple[Array, ...]
     start: Array
     cycle: int
+    motors: Array
 
 
 @dataclass(frozen=True)
@@ -87,8 +89,8 @@ class CommandInverse(Feedforward):
         self.model, self.t_ipo, self.n = model, robot.t_ipo, robot.n
         self.bodies = Bodies.of(model.dynamics, model.rotor_inertia)
         self.compliance = (np.zeros(self.n) if model.known_stiffness is None else 1.0 / model.known_stiffness)
-        # Commands act at lines from one to the next: a cycle other than the recording's shifts them by its half.
-        self.shift = delay * self.t_ipo + 0.5 * (self.t_ipo - self.law.t_cycle)
+        # A command is reached a cycle after it is handed over; that of the recording's own cycle the law has in it.
+        self.shift = delay * self.t_ipo + self.t_ipo - self.law.t_cycle
         self.ahead = np.maximum([own.shape.ahead + self.shift for own in self.law.joints], 0.0)
         self.discrete = [own.shape.discrete(self.t_ipo) for own in self.law.joints]
         self._spread: list[Array] = [np.ones(1)] * self.n
@@ -161,7 +163,7 @@ class CommandInverse(Feedforward):
                       for b, x in zip(num, sums, strict=True)]
             filters.append(np.array(states))
             start[j] = motion.q[0, j] + self.law.error(motion, j)[0] - q0[j]
-        return InverseState(np.tile(q0, (self.before, 1)), tuple(filters), start, 0)
+        return InverseState(np.tile(q0, (self.before, 1)), tuple(filters), start, 0, q0.copy())
 
     def step(self, state: InverseState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, InverseState]:
         """See ``Feedforward.step``."""
@@ -194,18 +196,19 @@ class CommandInverse(Feedforward):
                     total += b[0] / den[0] * x
                     states.append(zi)
                     continue
-                now, after = signal.lfilter(b, den, x[now_row : now_row + 1], zi=zi)
+                now, passed = signal.lfilter(b, den, x[now_row : now_row + 1], zi=zi)
                 total[now_row] += now[0]
-                total[now_row + 1 :] += signal.lfilter(b, den, x[now_row + 1 :], zi=after)[0]
-                states.append(after)
+                total[now_row + 1 :] += signal.lfilter(b, den, x[now_row + 1 :], zi=passed)[0]
+                states.append(passed)
             filters.append(np.array(states))
             now_at, late = np.array([now_row * self.t_ipo]), self.ahead[j]
             if changed is not None:
                 late, total = max(late + changed.late[j], 0.0), total + changed.offset[j]
             q_c[j] = self.law.early(motion, j, total, now_at, late, first=now_row)[0]
         rest = 1.0 - _settled(np.array([state.cycle * self.t_ipo]), self.t_ipo)[0]
-        return q_c - rest * state.start, InverseState(np.vstack([state.q_d[1:], ahead[:1]]), tuple(filters),
-                                                      state.start, state.cycle + 1)
+        after = InverseState(np.vstack([state.q_d[1:], ahead[:1]]), tuple(filters), state.start, state.cycle + 1,
+                             motion.q[now_row] - rest * state.start)
+        return q_c - rest * state.start, after
 
     def expected(self, q_d: Array) -> Array:
         """Standard deviation of what the commands for a path leave ``(N, n)`` [rad]."""

@@ -22,12 +22,12 @@ ARM = dataclasses.replace(Robot.load("kr6"), t_ipo=T)
 GAIN, LATE = 20.0, 0.03
 
 
-def law() -> Model:
-    """A model whose law is a position loop of ``GAIN`` [1/s], commands ``LATE`` [s] late."""
-    joint = JointLaw(Shape(late=LATE), (Column("offset"), Column("velocity")), np.array([0.0, 1.0 / GAIN]),
+def law(late: float = LATE, cycle: float = T) -> Model:
+    """A model whose law is a position loop of ``GAIN`` [1/s], commands ``late`` [s] late in a log of that cycle [s]."""
+    joint = JointLaw(Shape(late=late), (Column("offset"), Column("velocity")), np.array([0.0, 1.0 / GAIN]),
                      1e-8 * np.eye(2), np.full(PARTS, 1e-12), 0.02, 2e-5, "lag")
     still, width = np.full(6, 0.02), np.ones(6)
-    return dataclasses.replace(Model.nominal(ARM), command=CommandLaw((joint,) * 6, T, still, ARM.home, width))
+    return dataclasses.replace(Model.nominal(ARM), command=CommandLaw((joint,) * 6, cycle, still, ARM.home, width))
 
 
 def path(seed: int, seconds: float) -> Array:
@@ -141,3 +141,17 @@ def test_what_others_lead_teaches_nothing(seed: int) -> None:
         (after, state), (alone, fresh) = (adapted.step(own, ahead[k : k + adapted.n_d]) for own in (state, fresh))
         np.testing.assert_array_equal(after, alone)
         state, fresh = (adapted.observe(own, RobotState(k * T, q, np.zeros(6))) for own in (state, fresh))
+
+
+@pytest.mark.parametrize("finer", [2, 6, 12])
+def test_a_law_from_set_points_in_force_leads_commands_that_are_reached_a_cycle_later(finer: int) -> None:
+    """A log that is finer than the cycle holds lines between commands, so that nothing of their cycle is in its law."""
+    q_d = path(9, 6.0)
+
+    def reached_later(_: float) -> tuple[float, float, float]:
+        return T, GAIN, 0.0
+
+    plain, left = (rms(errors(feedforward, q_d, reached_later))
+                   for feedforward in (PassThrough(T), CommandInverse(law(0.0, T / finer), ARM)))
+    # What a row of such a log stands for, its begin or its end, is open.
+    assert left < (0.02 + T / finer / (T + 1.0 / GAIN)) * plain
