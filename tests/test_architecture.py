@@ -25,8 +25,8 @@ PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes", "studies")
 """Where files import without circles, and at their top."""
 IMPORTED_LATE = {"abb_robot_client", "airo_fanuc", "dartpy", "dask", "franky_sim", "geometry_msgs", "harvesters",
                  "importlib.metadata", "lz4", "matplotlib", "mujoco", "pandas", "pyarrow", "pylibfranka", "rclpy",
-                 "rerun", "rosbags", "scipy.signal", "sensor_msgs", "std_msgs", "svgpathtools", "trajectory_msgs",
-                 "trimesh", "viser"}
+                 "rerun", "rosbags", "scipy.signal", "scipy.stats.qmc", "sensor_msgs", "std_msgs", "svgpathtools",
+                 "trajectory_msgs", "trimesh", "viser"}
 """Heavy packages that few users need, or a process that leads an arm does not: imported where they are used."""
 STARTS_FAST = ("scenes.commands.", "scenes.pytest_plugin.", "scenes.scene_file.")
 """The verbs import what they need when they are called, and a scene's file is looked for before what plays it is
