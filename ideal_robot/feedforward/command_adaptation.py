@@ -70,7 +70,7 @@ class AdaptedState:
         given: commands of the last cycles ``(W, n)`` [rad], the newest last.
         measured: angles of the last cycles ``(L, n)`` [rad], the newest last.
         wanted: where the motors were to be in the last cycles ``(L, n)`` [rad].
-        lags: of ``r + Δ ṙ - q``, ``ṙ``, ``e_v``, ``e_f``, ``q_d - q`` and ``q_c - q`` ``(2, 6, n)`` [rad, rad/s].
+        lags: of ``r + Δ ṙ - q``, ``ṙ``, ``e_v``, ``e_f``, ``wanted - q`` and ``q_c - q`` ``(2, 6, n)`` [rad, rad/s].
         filters: states of each joint's poles, of motion and torque, direct and integrated ``(2, 2, k)`` each.
         squares: that law and plain command left of late ``(2, n)`` [rad²].
         judged: how many measurements those are of ``(n,)``.

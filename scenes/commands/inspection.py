@@ -89,8 +89,11 @@ def _show(found: Inspection) -> None:
 
 def _next(found: Inspection, options: InspectOptions) -> tuple[str, str]:
     """What to do after an inspection: a sentence and its command."""
+    from scenes.report.call import Call
+
+    call = Call(options.recording, options.robot)
     if found.usable:
         return ("Identify the arm's model from it.",
-                f"ideal-robot identify {options.recording} --robot {options.robot}")
+                f"ideal-robot identify {call}")
     return ("Mend what does not fit, or map it, and inspect again.",
-            f"ideal-robot inspect {options.recording} --robot {options.robot} --columns MAP")
+            f"ideal-robot inspect {call} --columns MAP")

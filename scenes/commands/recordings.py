@@ -91,6 +91,7 @@ def identify(options: IdentifyOptions) -> None:
     from ideal_robot.identification.whole_model import identify_model, with_given_controller
     from ideal_robot.robots.robot import Robot
     from scenes.identification.page import command_page, identification_page
+    from scenes.report.call import Call
 
     check_outputs({"--out": options.out}, json=options.json, model=options.model, export_urdf=options.export_urdf)
     with progress_bar("identify") as progress:
@@ -118,7 +119,7 @@ def identify(options: IdentifyOptions) -> None:
         content, page = analysis.to_dict(), options.out / "report.html"
         outputs = (page, options.json, options.model, options.export_urdf)
         with whole_files(*outputs) as (page_file, json_file, model_file, urdf_file):
-            identification_page(analysis, f"{options.recordings[0]} --robot {options.robot}",
+            identification_page(analysis, Call(options.recordings[0], options.robot),
                                 str(options.model or "")).write(page_file)
             write_signed(json_file, content)
             if model_file is not None:
@@ -221,6 +222,7 @@ def diagnose(options: DiagnoseOptions) -> None:
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.clean import cleaned
     from scenes.diagnosis.page import diagnosis_page, next_steps, summary
+    from scenes.report.call import Call
 
     check_outputs({"--out": options.out}, json=options.json, model_out=options.model_out)
     with progress_bar("diagnose") as progress:
@@ -240,8 +242,7 @@ def diagnose(options: DiagnoseOptions) -> None:
         page = options.out / "report.html"
         better = None if diagnosis.model is None else options.model_out
         with whole_files(page, options.json, better) as (page_file, json_file, model_file):
-            call = f"{options.recording} --robot {options.robot}"
-            call += "" if options.model is None else f" --model {options.model}"
+            call = Call(options.recording, options.robot, options.model)
             page_of = diagnosis_page(diagnosis, f"{arm.name}: what its model lacks", call)
             for finding in contradictions:
                 page_of.warning(finding.warning)

@@ -19,6 +19,7 @@ from scenes.diagnosis.figures import (
     unit_of,
     without_each_figure,
 )
+from scenes.report.call import UNKNOWN, Call
 from scenes.report.page import Report
 
 _WORDS = {
@@ -34,42 +35,41 @@ _WORDS = {
 }
 
 
-def diagnosis_page(diagnosis: Diagnosis, title: str, call: str = "RECORDING --robot ROBOT") -> Report:
+def diagnosis_page(diagnosis: Diagnosis, title: str, call: Call = UNKNOWN) -> Report:
     """The report of a diagnosis.
 
     Args:
         diagnosis: what was found.
         title: of the page.
-        call: recording, robot and given model as typed, for the commands of what to do next.
+        call: what was given, for the commands of what to do next.
     """
     page = Report(title, summary(diagnosis))
     add_diagnosis(page, diagnosis, next_steps(diagnosis, call))
     return page
 
 
-def next_steps(diagnosis: Diagnosis, call: str) -> list[tuple[str, str]]:
+def next_steps(diagnosis: Diagnosis, call: Call) -> list[tuple[str, str]]:
     """What to do after a diagnosis: for each step a sentence and its command.
 
     Args:
         diagnosis: what was found.
-        call: recording, robot and given model as typed.
+        call: what was given.
     """
-    robot = call.partition("--robot ")[2].partition(" --")[0]
     steps = []
     if any(e.indistinguishable_from for e in (*diagnosis.effects, *diagnosis.unknown)):
         steps.append(("Some causes explain the recording equally well: record the motion that decides.",
                       f"ideal-robot plan-diagnosis {call}"))
     if diagnosis.undecided:
         steps.append(("Record a motion in which every joint moves.",
-                      f"ideal-robot plan-identification --robot {robot}"))
+                      f"ideal-robot plan-identification {call.of_robot}"))
     if any(map(_lowers, diagnosis.effects)):
         steps += [("Write a model that has what was found.",
                    f"ideal-robot diagnose {call} --model-out better.json"),
                   ("Correct a path with it.",
-                   f"ideal-robot precorrect PATH.csv --robot {robot} --model better.json -o corrected.csv")]
+                   f"ideal-robot precorrect PATH.csv {call.of_robot} --model better.json -o corrected.csv")]
     elif diagnosis.verdict == "none":
         steps.append(("The model may stay as it is: correct a path with it.",
-                      f"ideal-robot precorrect PATH.csv --robot {robot} --model MODEL.json -o corrected.csv"))
+                      f"ideal-robot precorrect PATH.csv {call.of_robot} --model MODEL.json -o corrected.csv"))
     return steps or [("See what the recording holds, and whether it fits the arm.", f"ideal-robot inspect {call}")]
 
 
@@ -195,7 +195,7 @@ def _named(effects: list[FoundEffect]) -> list[str]:
     """Each effect once, with all the joints it is in, whatever channels show it there."""
     places: dict[tuple[str, str], set[int]] = {}
     for e in effects:
-        key = e.fitted.name.replace("_", " "), "" if e.fitted.joint else _where(e)
+        key = _plain(e.fitted.name), "" if e.fitted.joint else _where(e)
         places.setdefault(key, set()).add(e.fitted.joint)
     return [f"{name} in {where or ('joints ' if len(at) > 1 else 'joint ') + _listed(list(map(str, sorted(at))))}"
             for (name, where), at in places.items()]
@@ -228,9 +228,8 @@ def _effects(page: Report, diagnosis: Diagnosis) -> None:
                "without it; the probability is that against everything else that was weighed in its place.")
     for e in effects:
         if e.would_tell:
-            page.text(f"What distinguishes {e.fitted.name.replace('_', ' ')} in {_where(e)} from "
-                      f"{', '.join(e.indistinguishable_from).replace('_', ' ')}: "
-                      f"{e.would_tell}.")
+            page.text(f"What distinguishes {_plain(e.fitted.name)} in {_where(e)} from "
+                      f"{_plain(', '.join(e.indistinguishable_from))}: {e.would_tell}.")
         if e.transfers is False:
             page.warning(f"{e.fitted.name} in {_where(e)} does not lower the error of the validation recording: "
                          "it may be a habit of the first recording.")

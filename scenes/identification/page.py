@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from typing import Any
 
@@ -20,19 +21,19 @@ from ideal_robot.results import one_unit
 from ideal_robot.signals.channels import segments
 from ideal_robot.signals.preprocess import preprocess
 from ideal_robot.signals.recording import short_names
+from scenes.report.call import UNKNOWN, Call
 from scenes.report.page import Report
 from scenes.verdict import Verdict
 
 MEASURED, PREDICTED, RESIDUAL = "#5b6675", "#e06a00", "#2a6fb0"
 
 
-def identification_page(analysis: IdentificationResult, call: str = "RECORDING --robot ROBOT",
-                        kept: str = "") -> Report:
+def identification_page(analysis: IdentificationResult, call: Call = UNKNOWN, kept: str = "") -> Report:
     """The page of an identification: how good the model is, what to do next, and all that it holds folded away.
 
     Args:
         analysis: what was identified.
-        call: the first recording and the robot as typed, for the commands of what to do next.
+        call: the first recording and the robot, for the commands of what to do next.
         kept: file of the model; empty where it was not written.
     """
     model, result = analysis.model, analysis.result
@@ -121,12 +122,12 @@ def verdict_table(analysis: IdentificationResult) -> tuple[list[str], list[list[
              for v in analysis.verdicts])
 
 
-def _next_steps(analysis: IdentificationResult, call: str, kept: str) -> list[tuple[str, str]]:
+def _next_steps(analysis: IdentificationResult, call: Call, kept: str) -> list[tuple[str, str]]:
     """What to do with the model: for each step a sentence and its command."""
-    robot, file = call.partition("--robot ")[2], kept or "model.json"
+    file = shlex.quote(kept or "model.json")
     steps = []
     if any(v.would_tell for v in analysis.verdicts):
-        steps.append(("Record a motion that determines more.", f"ideal-robot plan-identification --robot {robot}"))
+        steps.append(("Record a motion that determines more.", f"ideal-robot plan-identification {call.of_robot}"))
     if not analysis.validation:
         steps.append(("Judge the model by a motion that it was not fitted to.",
                       f"ideal-robot identify {call} --validate OTHER --model {file}"))
@@ -134,7 +135,7 @@ def _next_steps(analysis: IdentificationResult, call: str, kept: str) -> list[tu
         steps.append(("Keep the model.", f"ideal-robot identify {call} --model {file}"))
     return [*steps, ("Find out what the model lacks.", f"ideal-robot diagnose {call} --model {file}"),
             ("Correct a path with it.",
-             f"ideal-robot precorrect PATH.csv --robot {robot} --model {file} -o corrected.csv")]
+             f"ideal-robot precorrect PATH.csv {call.of_robot} --model {file} -o corrected.csv")]
 
 
 def _verdicts(page: Report, analysis: IdentificationResult) -> None:

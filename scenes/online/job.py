@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -162,14 +163,14 @@ class Job:
     def rehearse(self) -> None:
         """Loads what is compiled, which may fall into no cycle, and learns how long this computer takes for a cycle."""
         _, configured = self._new_task()
-        camera, force, T, took = ImaginedCamera(), ImaginedForce(), self.robot.t_ipo, list[float]()
+        camera, force, T = ImaginedCamera(), ImaginedForce(), self.robot.t_ipo
         configured.connect(force, camera)
         if configured.camera is not None:
             camera.predict = configured.camera.predicted
         if configured.contact is None:
-            took.extend(rehearse(configured.task, self.robot, math.ceil((START + 0.6) / T)))
+            deque(rehearse(configured.task, self.robot, math.ceil((START + 0.6) / T)), maxlen=0)
             return
-        first = math.ceil(_TOUCHED / T)
+        first, took = math.ceil(_TOUCHED / T), list[float]()
         # What is felt need fit no surface: that is no matter here, the code is loaded.
         with suppress(PlanningError):
             took.extend(rehearse(configured.task, self.robot, first))
@@ -183,7 +184,8 @@ class Job:
                     camera.predict = None
                     took.clear()
                 took.append(seconds)
-        self.contact.takes(median(took))
+        if took:
+            self.contact.takes(median(took))
 
     # Before the job.
 

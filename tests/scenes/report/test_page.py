@@ -6,6 +6,7 @@ import dataclasses
 import inspect
 import json
 import re
+import shlex
 from pathlib import Path
 
 import cv2
@@ -25,6 +26,7 @@ from scenes.diagnosis.figures import contributions, effect_figure, without_each_
 from scenes.diagnosis.page import diagnosis_page, summary
 from scenes.path.page import path_replay, run_page
 from scenes.play import run_scene
+from scenes.report.call import Call
 from scenes.report.page import UNITS, Report, world_rows
 from scenes.report.replay import (
     FRAMES,
@@ -225,7 +227,7 @@ def test_a_number_without_uncertainty_does_not_pretend_to_one() -> None:
 
 
 def test_a_diagnosis_answers_shows_and_says_what_to_do_before_its_reasons() -> None:
-    blocks = diagnosis_page(diagnosis(found(2.0, 0.2)), "d", "rec.parquet --robot kr6 --model m.json")._blocks
+    blocks = diagnosis_page(diagnosis(found(2.0, 0.2)), "d", Call("rec.parquet", "kr6", "m.json"))._blocks
     kinds = [block["kind"] for block in blocks]
     folded = next(i for i, block in enumerate(blocks) if block["kind"] == "heading" and block["folded"])
     assert kinds.index("image") < kinds.index("next") < folded
@@ -233,6 +235,12 @@ def test_a_diagnosis_answers_shows_and_says_what_to_do_before_its_reasons() -> N
         step["command"] for step in blocks[kinds.index("next")]["steps"])
     headings = [block["text"] for block in blocks if block["kind"] == "heading"]
     assert headings.index("The effects that were found") == 1
+
+
+def test_a_command_that_a_page_proposes_can_be_typed() -> None:
+    call = Call("my cell/rec.parquet", "my arm.urdf", "it's.json")
+    assert shlex.split(str(call)) == ["my cell/rec.parquet", "--robot", "my arm.urdf", "--model", "it's.json"]
+    assert str(Call("rec.parquet", "kr6")) == "rec.parquet --robot kr6"
 
 
 # Long series are thinned, short ones are not, and no peak is lost from a drawing.
