@@ -31,9 +31,6 @@ SHOWS = {
     "sweep": "worst mean",
 }
 """What each of them prints."""
-QUICK = ("own_driver",)
-"""Those that take a few seconds, and are played each time."""
-
 
 @pytest.fixture(scope="session")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -118,8 +115,8 @@ def test_the_wheel_holds_everything(installed: Path, tmp_path: Path) -> None:
     assert [place for place in places if not Path(place).is_relative_to(installed)] == []
 
 
-@pytest.mark.parametrize("example", [pytest.param(example, marks=() if example.stem in QUICK else pytest.mark.slow)
-                                     for example in EXAMPLES], ids=lambda path: path.stem)
+@pytest.mark.slow
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_runs_from_the_wheel(example: Path, installed: Path, tmp_path: Path) -> None:
     assert SHOWS[example.stem] in run([sys.executable, str(example)], tmp_path, installed)
 

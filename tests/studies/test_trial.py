@@ -24,7 +24,8 @@ from tests.arms import a_logger, a_motion, a_plant, an_arm
 ARM = an_arm()
 
 
-@pytest.mark.parametrize("engine", sorted(ENGINES))
+@pytest.mark.parametrize("engine", [pytest.param(engine, marks=() if engine == "integrator" else pytest.mark.slow)
+                                    for engine in sorted(ENGINES)])
 def test_a_seed_gives_the_same_recording_bit_for_bit(engine: str) -> None:
     if engine == "dart":
         pytest.importorskip("dartpy", exc_type=ImportError)

@@ -36,7 +36,7 @@ def stranger(seed: int, kind: str) -> Trial:
     return draw_trial(seed, kind, size=(3.0, 10.0), seconds=(12.0, 15.0))
 
 
-@pytest.mark.parametrize(("seed", "kind"), [(770002, "none"), (770017, "inside"),
+@pytest.mark.parametrize(("seed", "kind"), [(770002, "none"), pytest.param(770017, "inside", marks=pytest.mark.slow),
                                             pytest.param(770017, "outside", marks=pytest.mark.slow),
                                             pytest.param(770036, "two", marks=pytest.mark.slow)])
 def test_recording_of_a_stranger(seed, kind):

@@ -223,8 +223,7 @@ def carrying(name: str, link: int, mass: float, at: np.ndarray, left: float = 0.
     return problem.with_root(10.0**-4.5 * np.eye(regression.W.shape[2])), robot
 
 
-@pytest.mark.parametrize("name", ["kr6", "kr15"])
-@pytest.mark.parametrize("mass", [1.0, 5.0])
+@pytest.mark.parametrize(("name", "mass"), [("kr6", 5.0), ("kr15", 1.0)])
 def test_a_body_on_the_flange_is_a_payload_of_its_mass(name, mass):
     # On the axis of the last joint it turns like a body on the link before.
     robot = Robot.load(name)

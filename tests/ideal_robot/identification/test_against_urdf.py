@@ -51,12 +51,13 @@ def gravity(q: np.ndarray) -> np.ndarray:
     return np.array([pin.computeGeneralizedGravity(model, data, one) for one in q])
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, 1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_recording_that_is_what_it_seems_is_not_accused(seed: int) -> None:
     assert found(good(seed)) == {}
 
 
-@pytest.mark.parametrize("joints", [(6,), (2, 5), (1, 2, 3, 4, 5, 6)])
+@pytest.mark.parametrize("joints", [(2, 5), *(
+    pytest.param(joints, marks=pytest.mark.slow) for joints in ((6,), (1, 2, 3, 4, 5, 6)))])
 def test_signs_are_said_by_joint(joints: tuple[int, ...]) -> None:
     sign = np.where(np.isin(np.arange(1, 7), joints), -1.0, 1.0)
     said = found(torques(lambda tau: sign * tau))
@@ -65,7 +66,7 @@ def test_signs_are_said_by_joint(joints: tuple[int, ...]) -> None:
     assert "multiply tau_" in said[WRONG_SIGN].text
 
 
-@pytest.mark.parametrize("pair", [(2, 3), (5, 6)])
+@pytest.mark.parametrize("pair", [(2, 3), pytest.param((5, 6), marks=pytest.mark.slow)])
 def test_exchanged_columns_are_said(pair: tuple[int, int]) -> None:
     order = list(range(6))
     a, b = (joint - 1 for joint in pair)
@@ -80,14 +81,16 @@ def test_torques_without_gravity_are_said() -> None:
 
 
 @pytest.mark.parametrize("unit", [1.0 / np.array([125.0, 125, 100, 68, 62, 48]),
-                                  1e3 / np.array([500.0, 500, 300, 40, 40, 25]), np.full(6, 1e3)])
+                                  pytest.param(
+                                      1e3 / np.array([500.0, 500, 300, 40, 40, 25]), marks=pytest.mark.slow),
+                                  pytest.param(np.full(6, 1e3), marks=pytest.mark.slow)])
 def test_other_units_are_said(unit: np.ndarray) -> None:
     said = found(torques(lambda tau: unit * tau))
     assert WRONG_SCALE in said
     assert not {WRONG_SIGN, NO_GRAVITY} & said.keys()
 
 
-@pytest.mark.parametrize("degrees", [pytest.param(20.0, marks=pytest.mark.slow), 90.0, 180.0])
+@pytest.mark.parametrize("degrees", [90.0, *(pytest.param(angle, marks=pytest.mark.slow) for angle in (20.0, 180.0))])
 def test_an_arm_that_is_mounted_otherwise_is_said(degrees: float) -> None:
     arm = robot()
     model = arm.pinocchio.copy()

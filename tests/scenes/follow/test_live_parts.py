@@ -366,7 +366,7 @@ def test_pictures_with_impossible_stamps_are_counted_and_a_gone_camera_stops(lin
         arm.check(1.0)
 
 
-@pytest.mark.parametrize("film", ["film.avi", "none.avi"])
+@pytest.mark.parametrize("film", ["film.avi", pytest.param("none.avi", marks=pytest.mark.slow)])
 def test_a_camera_that_is_ready_when_nobody_waits_any_more_ends_quietly(
     film: str, tmp_path: Path, capfd: pytest.CaptureFixture[str],
 ) -> None:

@@ -131,8 +131,8 @@ def test_methods_rank_as_the_papers_say(ideal: LineResult, on_line: Prepared) ->
     assert sensor < direct < none
 
 
-@pytest.mark.parametrize("name", ["corner", "svg", "gap", "cluttered",
-                                  pytest.param("straight", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["corner", "cluttered", *(
+    pytest.param(name, marks=pytest.mark.slow) for name in ("svg", "gap", "straight"))])
 def test_every_scene_is_followed(name: str) -> None:
     # Twice the mean error of the default scene: gaps are bridged by the fusion, corners ask more of the wrist.
     result = followed(load_scene(name).changed(world="bench", calibration=CALIBRATED), 2.0e-4, method="ideal")
@@ -303,7 +303,8 @@ def test_the_error_falls_with_the_horizon_until_it_covers_the_arm_s_lag() -> Non
     assert four < 1.5 * all_planned
 
 
-@pytest.mark.parametrize(("width", "gray", "background"), [(6.0, 40, 200), (2.5, 210, 70)])
+@pytest.mark.parametrize(("width", "gray", "background"), [
+    pytest.param(6.0, 40, 200, marks=pytest.mark.slow), (2.5, 210, 70)])
 def test_width_and_polarity_are_found_not_given(width: float, gray: int, background: int) -> None:
     scene = short(line={"width_mm": width, "gray": gray, "background": background})
     with prepared(scene) as cell:
@@ -354,7 +355,8 @@ def test_a_camera_mounted_by_hand_measures_to_thirty_micrometres_afterwards() ->
 
 
 @pytest.mark.parametrize(("bump", "gaps", "told"), [
-    (0.0, [], COPIED), (0.004, [], SHAPES[0]), (0.0, [{"kind": "gap", "at_mm": 500, "length_mm": 150}], SHAPES[0])])
+    (0.0, [], COPIED), (0.004, [], SHAPES[0]),
+    pytest.param(0.0, [{"kind": "gap", "at_mm": 500, "length_mm": 150}], SHAPES[0], marks=pytest.mark.slow)])
 def test_pictures_tell_a_copy_of_the_reference_where_they_show_all_of_it(
         bump: float, gaps: list[dict[str, Any]], told: tuple[float, float]) -> None:
     """One narrow bend of 4 mm makes another line of it; what lies in a gap is not seen."""

@@ -66,7 +66,7 @@ def played(path: Path, *, start: Array = ROBOT.home, cycles: int | None = None, 
         return run, future.result(PATIENCE)
 
 
-@pytest.mark.parametrize("relative", [False, True])
+@pytest.mark.parametrize("relative", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_the_arm_behind_rsi_follows_better_than_without(tmp_path: Path, relative: bool) -> None:
     path = written(tmp_path, motion())
     run, controller = played(path, relative=relative)
