@@ -12,16 +12,12 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
 from docs import published_numbers
 from tests.sources import DATA, ROOT
-
-if TYPE_CHECKING:
-    # Takes longer to load than all else that collecting the tests loads.
-    from nbformat import NotebookNode
 
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 
@@ -59,18 +55,16 @@ SHOWN = {
                        "< table[table.method == 'sensor_path']['mean [mm]'].to_numpy())"],
     "precorrection": ["less['ideal'] > less['precorrected'] > 50",
                       "alone['ideal'] < alone['precorrected'] < 0.5 * alone['none']"],
-    "residual_to_effect": ["found.effects[0].fitted.name == 'asymmetric_friction'", "error < 0.6 * before"],
+    "residual_to_effect": ["found.effects[0].fitted.name == 'asymmetric_friction'", "error < before",
+                           "held_out.rms_after < 0.8 * held_out.rms_before"],
     "stiffness": ["(table['error against the truth [%]'].abs() < 12).all()"],
 }
 """What each notebook shows, of what its cells have made."""
 
 
-def read(path: Path) -> NotebookNode:
-    import nbformat
-
-    book = nbformat.read(path, as_version=4)
-    nbformat.validate(book)
-    return book
+def read(path: Path) -> list[dict[str, str]]:
+    """Kind and source of each cell; a notebook's own library takes longer to load than these tests."""
+    return [{**cell, "source": "".join(cell["source"])} for cell in json.loads(path.read_text("utf-8"))["cells"]]
 
 
 def is_quick(path: Path) -> bool:
@@ -79,14 +73,14 @@ def is_quick(path: Path) -> bool:
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_has_question_slider_exercise_and_what_the_paper_shows(path: Path) -> None:
-    book = read(path)
-    assert not any(cell.get("outputs") or cell.get("execution_count") for cell in book.cells)
+    cells = read(path)
+    assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells)
     # The answer stands elsewhere, and what a test would ask does not stand among the steps.
-    assert not any("assert " in cell.source or "def check" in cell.source for cell in book.cells)
-    assert re.match(r"# .*\n\n\*\*.*\?\*\*\n", book.cells[0].source)
-    parts = [cell.source.partition("\n")[0] for cell in book.cells if cell.source.startswith("## ")]
+    assert not any("assert " in cell["source"] or "def check" in cell["source"] for cell in cells)
+    assert re.match(r"# .*\n\n\*\*.*\?\*\*\n", cells[0]["source"])
+    parts = [cell["source"].partition("\n")[0] for cell in cells if cell["source"].startswith("## ")]
     assert parts[-2:] == ["## Exercise", "## Beside the paper"]
-    assert any("ipywidgets.interactive(" in cell.source for cell in book.cells if cell.cell_type == "code")
+    assert any("ipywidgets.interactive(" in cell["source"] for cell in cells if cell["cell_type"] == "code")
     assert path.stem in ANSWERS
 
 

@@ -126,7 +126,8 @@ def test_folders_of_the_users_that_have_our_names(installed: Path, tmp_path: Pat
     for name in ("sim", "planning"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").touch()
-    assert "iso9283_2" in run([sys.executable, "-m", "scenes.cli", "run", "iso9283_2"], tmp_path, installed)
+    found = "from scenes.program import find_ours_first as f; f(); import sim.arm, planning.path; print(sim.__file__)"
+    assert str(installed) in run([sys.executable, "-c", found], tmp_path, installed)
     done = subprocess.run([sys.executable, "-c", "from scenes import run_scene"], cwd=tmp_path, capture_output=True,
                           text=True, check=False, env={**os.environ, "PYTHONPATH": str(installed)})
     assert str(tmp_path / "planning") in done.stderr.splitlines()[-1]

@@ -28,7 +28,9 @@ def _page(result: FollowResult, _: Replay | None) -> Report:
         page.warning(f"The disk did not take {count} cycles: they are missing in the recording.")
     if result.left_behind is not None:
         page.warning(f"A run before this one was killed; what it did until then is in {result.left_behind}.")
-    page.figures(result.summary())
+    # What processes and clocks did stands with the devices and the timing.
+    page.figures([(label, value) for label, value in result.summary()
+                  if not label.startswith(("clock of", "both together")) and not label.endswith("process")])
     page.figure(_motion(result), "Top: how far beside the reference path the tool was planned to be. Middle: commanded "
                 "joint speeds. Bottom: desired position of the arm minus motor angle, which is all that a controller "
                 "tells: the gears' deflection is in it.")

@@ -293,7 +293,7 @@ def test_a_verb_whose_disk_is_full_keeps_the_previous_result_and_says_so_in_one_
         verb: str, program, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sound.arm(tmp_path)
     (tmp_path / "r.csv").write_bytes(sound.csv_bytes(sound.motion(tmp_path)))
-    (tmp_path / "s.toml").write_bytes(sound.LINE)
+    (tmp_path / "s.toml").write_bytes(sound.PATH)
     (tmp_path / "o").mkdir()
     (tmp_path / "o" / "report.html").write_text("previous")
     (tmp_path / "j.json").write_text("previous")

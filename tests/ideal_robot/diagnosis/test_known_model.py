@@ -76,7 +76,7 @@ def test_a_healthy_recording_against_the_model_of_another_one_in_strangers_physi
     rng = np.random.default_rng(8)
     logger, logged = a_logger(rng, 4), []
     for seed in range(2):
-        run = ENGINES[engine](plant, draw_motion(rng, four, 30.0, "fourier"))
+        run = ENGINES[engine](plant, draw_motion(rng, four, 20.0, "fourier"))
         logged.append(record(dataclasses.replace(logger, seed=seed, noise=0.005 * np.std(run.tau, axis=0)), plant, run))
     robot = Robot.load(written(tmp_path, four.urdf))
     diagnosis = diagnose(logged[1], robot, model=identify([logged[0]], robot).model)

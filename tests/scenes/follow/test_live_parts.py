@@ -58,7 +58,7 @@ def _arm(link: Tame, tmp_path: Path) -> LiveArm:
                  ("sim", "pybullet"), id="the follower knows no simulator"),
     pytest.param("import scenes.commands.devices; from scenes.online.run import _job, load_cell; "
                  "from scenes.online.devices import Devices; from scenes.commands.common import closed, progress_bar; "
-                 "[_job(load_cell(scene), Devices('rsi:'), None, None).rehearse() for scene in ('line', 'glue')]",
+                 "[_job(load_cell(scene), Devices('rsi:'), None, None).rehearse() for scene in ('glue',)]",
                  ("pandas", "pyarrow", "matplotlib", "scipy.signal", "cv2"),
                  id="who leads the arm loads neither tables nor plots")])
 def test_what_a_process_does_not_load(program: str, unknown: tuple[str, ...]) -> None:

@@ -307,7 +307,8 @@ def test_the_kr6_keeps_its_own_cycle_where_none_is_given() -> None:
 FOLDER = ROOT.parent / "shared" / "rsi-simulators"
 
 
-@pytest.mark.parametrize("name", SIMULATORS)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=() if k < 2 else pytest.mark.slow)
+                                  for k, name in enumerate(SIMULATORS)])
 def test_a_public_simulator_is_led_along_the_path(name: str) -> None:
     if home_of(FOLDER, name) is None:
         pytest.skip(f"{SIMULATORS[name].file} is neither in ../shared/rsi-simulators nor installed")
