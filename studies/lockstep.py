@@ -17,6 +17,8 @@ import numpy as np
 
 from ideal_robot.errors import IdealRobotError
 from planning.force.contact import most_force
+from scenes.line.cell import prepared
+from scenes.line.kind import run as run_line
 from scenes.scene_file import load_scene
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
@@ -44,7 +46,7 @@ def lockstep(scenes: str = "line,force_wave,glue,contour", seeds: str = "1-50", 
                 file.write(json.dumps(play) + "\n")
     unfit = False
     head("scene", "seeds", "done", "largest force [N]", "left at rest [N]", "rms of the force error [N]: median, worst",
-         "beside the line, 95 % below [mm]: median, worst")
+         "beside the line, 95 % below [mm]: median, worst", "over the simulated run's: median, worst")
     plays = defaultdict(list)
     for play in kept:
         plays[play["scene"]].append(play)
@@ -55,7 +57,7 @@ def lockstep(scenes: str = "line,force_wave,glue,contour", seeds: str = "1-50", 
             (play.get("force") or 0.0) > play.get("allowed", np.inf) for play in plays[name])
         felt = (f"{force:.1f}", f"{left:.2f}") if force else ("", "")
         row(name, f"{len(plays[name])}", f"{len(done)}", *felt, _spread(done, "rms"),
-            _spread(done, "beside"))
+            _spread(done, "beside"), _spread(done, "ratio"))
         for play in plays[name]:
             if play["failure"] is not None:
                 print(f"{name}, seed {play['seed']}: {play['failure']}", file=sys.stderr)
@@ -75,8 +77,12 @@ def _play(name: str, seed: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         try:
             if isinstance(scene, LineScene):
-                run = followed_by_eye(scene, Path(folder), check=True)
-                beside = run.beside
+                with prepared(scene) as shared:
+                    told["simulated"] = 1e3 * run_line(scene, shared=shared).control_error.p95
+                    run = followed_by_eye(scene, Path(folder), check=True, shared=shared)
+                if run.seen is not None:
+                    told |= {"apart": 1e3 * run.seen.apart, "by_chance": run.seen.by_chance}
+                beside = run.settled
             else:
                 assert isinstance(scene, ForceScene)
                 run = followed(scene, Path(folder))
@@ -86,5 +92,6 @@ def _play(name: str, seed: int) -> dict[str, Any]:
                     told["rms"] = run.job.figures()["force_N"]["rms_error"]
         except IdealRobotError as error:
             return {**told, "failure": str(error)}
-    return {**told, "failure": run.failure,
-            "beside": 1e3 * float(np.percentile(beside, 95)) if len(beside) else None}
+    beside_mm = 1e3 * float(np.percentile(beside, 95)) if len(beside) else None
+    ratio = None if beside_mm is None else beside_mm / told["simulated"]
+    return {**told, "failure": run.failure, "beside": beside_mm, "ratio": ratio}

@@ -93,7 +93,7 @@ class DomainDiagnosis:
 
     @property
     def regression(self) -> Regression:
-        """The residual and columns in which causes were looked for."""
+        """That was searched."""
         return self.best.regression
 
     @property

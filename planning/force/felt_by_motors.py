@@ -20,6 +20,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
+from planning.force.sensor_gain import BLOCK, GainByMotors
 from planning.path.kinematics import InverseKinematics
 
 WINDOW = 0.4
@@ -27,6 +28,11 @@ WINDOW = 0.4
 deviation; over 0.1 s within 13 N."""
 BEHIND = 0.024
 """By how much the motors are behind the commands [s], from which velocity and acceleration are taken."""
+
+
+def _presliding(model: Model) -> Array:
+    """Presliding distance of each joint ``(n,)`` [rad]; friction without presliding turns at once."""
+    return np.array([float(law.shape[-1, 0]) if law.presliding else 1e-12 for law in model.friction.laws])
 
 
 class FeltByMotors:
@@ -37,6 +43,9 @@ class FeltByMotors:
         robot: the arm with the controller's cycle.
         direction: of the force ``(3,)`` [base frame].
         settle: time after which friction has turned and the air is heard [s].
+
+    Attributes:
+        gain: of the force sensor beside which they are heard, from even motion.
     """
 
     def __init__(self, model: Model, robot: Robot, kinematics: InverseKinematics, direction: Array,
@@ -48,23 +57,38 @@ class FeltByMotors:
         self._forces: deque[float] = deque(maxlen=self._window)
         self._air = np.nan
         self._cycles = 0
+        # Slower than it was identified dry friction may be anything.
+        self.gain = GainByMotors(model.noise_std + model.friction.dry, _presliding(model), round(BLOCK / self._T))
+        self._slid: Array = np.zeros(robot.n)
+        self._last: Array | None = None
 
-    def add(self, q_c: Array, q: Array, tau: Array) -> None:
+    def add(self, q_c: Array, q: Array, tau: Array, felt: Array | None = None, speed: float = 0.0) -> None:
         """One cycle.
 
         Args:
             q_c: commanded joint angles ``(n,)`` [rad].
             q: measured ones ``(n,)`` [rad].
             tau: measured motor torques ``(n,)`` [N m]; NaN where the controller does not tell them.
+            felt: force that the sensor shows ``(3,)`` [N, base frame]; None where the motion is not even.
+            speed: of the tip [m/s].
         """
         self._commands.append(q_c)
         self._cycles += 1
+        if self._last is not None:
+            # Way since the joint turned round; a gear that winds up turns no friction.
+            step = q_c - self._last
+            self._slid = np.where(step * self._slid >= 0.0, self._slid, 0.0) + step
+        self._last = q_c
         if len(self._commands) < 3 or self._cycles < self._first:
             return
         before, here, after = list(self._commands)[:3]
         v, a = (after - before) / (2 * self._T), (after - 2 * here + before) / self._T**2
         rest = tau - self._model.inverse_dynamics(q, v, a)[0]
         g = self._kinematics.torque(q, self._direction)
+        if felt is None:
+            self.gain.uneven()
+        else:
+            self.gain.add(rest, self._kinematics.torque(q, felt), np.abs(self._slid), speed)
         self._forces.append(-float(g @ (self._weight * rest)) / float(g @ (self._weight * g)))
         if np.isnan(self._air) and len(self._forces) == self._window:
             self._air = float(np.mean(self._forces))
@@ -117,9 +141,7 @@ class BeyondSensor:
         self._model, self._T = model, T
         self._apart = max(round(SPAN / T), 1)
         self._heard: deque[tuple[Array, Array, Array, Array]] = deque(maxlen=2 * self._apart + 1)
-        laws = model.friction.laws
-        # Friction without presliding turns at once.
-        self._distance = np.array([float(law.shape[-1, 0]) if law.presliding else 1e-12 for law in laws])
+        self._distance = _presliding(model)
         self._sliding = np.zeros(model.n)
         self._waited = self._travelled = 0.0
         self._filter = KalmanFilter(dim_x=1 + model.n, dim_z=model.n)

@@ -71,8 +71,11 @@ class FollowOptions:
     bridge: Bridge = 0.1
     wait: Annotated[float, typer.Option(help="How long to wait for the arm [s].", min=0.1, max=86_400.0)] = 60.0
     core: Core = None
-    check: Annotated[bool, typer.Option("--check/--no-check", help="Look at the line from two poses above it before "
-                                        "the job, where the camera is calibrated.")] = True
+    check: Annotated[bool, typer.Option("--check/--no-check", help="Before the job test whether this computer holds "
+                                        "the cycle, look at the line from several poses above it where the camera is "
+                                        "calibrated, and compare tool and contact with the last run's.")] = True
+    tool_mass: Annotated[float | None, typer.Option(help="Of all that hangs on the force sensor [kg]: what it weighs "
+                                                    "then tells its gain.", min=0.01, max=100.0)] = None
     json: JsonFigures = None
     out: Annotated[Path | None, typer.Option(help="Folder of recording and page; default out/follow/SCENE.")] = None
 
@@ -81,7 +84,7 @@ class FollowOptions:
         from scenes.online.devices import Devices
 
         same = ("arm", "camera", "force", "relative", "rsi_config", "controller", "cycle", "delay", "bridge", "core",
-                "check")
+                "check", "tool_mass")
         return Devices(camera_delay=1e-3 * self.camera_delay, force_delay=1e-3 * self.force_delay, patience=self.wait,
                        **{name: getattr(self, name) for name in same})
 

@@ -1,17 +1,19 @@
-"""The camera before the job: calibrated by moving, and then whether it sees the line at one place from two poses.
+"""The camera before the job: calibrated by moving, and then whether it sees the line at one place from several poses.
 
-A camera that has been knocked, or pictures that are cut or shifted, show the same piece of the line at two places when
-it is looked at from two heights and two sides; an arm that does not follow is noticed on the way. What weighs on the
-force sensor is looked at where its tool is turned (``scenes.online.force_calibration``).
+A camera that has been knocked, or pictures that are cut or shifted, show the same piece of the line at other places
+when it is looked at from another height and the other side; an arm that does not follow is noticed on the way. What
+weighs on the force sensor is looked at where its tool is turned (``scenes.online.force_calibration``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from scipy.special import chdtrc, chdtri
 
 from ideal_robot.arrays import Array
 from ideal_robot.elasticity.observer import GearDeflection
@@ -21,7 +23,7 @@ from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
-from scenes.online.line_known import REST, CalibrationView, calibration_postures, piece_map
+from scenes.online.line_known import FINE, REST, CalibrationView, calibration_postures, piece_map
 from scenes.online.live_arm import LiveArm, moves
 from scenes.online.live_sensors import FoundBefore, ImaginedCamera, LiveCamera
 from scenes.scene_files.scene import SceneError
@@ -150,19 +152,23 @@ def calibrated_by_moving(motion: CalibrationMotion, arm: LiveArm, camera: LiveCa
     return camera.hand_eye
 
 
-# The line is looked at from two poses.
+# The line is looked at from several poses, one of them turned.
 
 POSES = ((0.04, 0.0), (0.09, 0.35))
 """Height of the tip above the surface [m] and turn about its normal [rad], from which the line is looked at."""
+TURNS = (np.pi, 0.8 * np.pi, 0.65 * np.pi)
+"""Turns [rad] of the tool about its own axis for a last look from the height of the first one; the first that the arm
+can make is made. What a camera shows beside the line it then shows on the other side."""
 AHEAD = 0.06
 """Way behind the begin of the line to the place that is looked at [m]."""
 STILL = 0.5
 """Rest in each pose, in which pictures count [s]."""
 FEWEST, PATIENCE = 5, 2.0
 """Pictures that have to show the line in each pose, and how long beyond the rest a slow camera is waited for [s]."""
-APART = 0.0004
-"""Distance of the two places at which the line may be seen [m]. On the simulated cell it is 0.05 mm with the true
-camera, 0.7 with pictures moved by eight pixels, 1.1 with a camera as it was mounted by hand."""
+BY_CHANCE = 1e-6
+"""Probability with which a sound camera is refused."""
+_WRIST = 0.5 * np.pi
+"""Largest way of the other joints in a turn of the tool about its axis [rad]: more is another posture of the arm."""
 
 
 @dataclass(frozen=True)
@@ -173,6 +179,9 @@ class Look:
         begin: arc length of the reference at which the line begins [m].
         start: where the arm is, and is again afterwards ``(n,)`` [rad].
         camera: as it is calibrated.
+        sigma: by how much its calibration left one place of the line differently from pose to pose, standard deviation
+            [m]; NaN where nobody knows, ``FINE`` then stands for it.
+        shapes: the arm in its cell; None where nothing is known of it.
     """
 
     reference: ReferencePath
@@ -180,10 +189,65 @@ class Look:
     start: Array
     camera: CameraModel
     model: Model
+    sigma: float = float("nan")
+    shapes: Shapes | None = None
 
 
-def check_line(look: Look, arm: LiveArm, camera: LiveCamera) -> float:
-    """Looks at the line from two poses; returns how far apart it is seen [m].
+@dataclass(frozen=True)
+class Seen:
+    r"""Where a line was seen from several poses.
+
+    A camera that was knocked shows it a distance :math:`e` beside its place where the job looks from, and from pose i
+    :math:`e\, b_i`: the farther away the more, and turned round on the other side. The places :math:`p_i` of a sound
+    one differ by what its calibration left, so
+
+    .. math:: \chi^2 = \sum_i \frac{(p_i - \bar p)^2}{\sigma^2}, \qquad
+              e_{passes} = \sigma \sqrt{\frac{\chi^2_{k-1}(\alpha)}{\sum_i (b_i - \bar b)^2}}
+
+    Attributes:
+        places: how far beside the reference, from each pose ``(k,)`` [m].
+        shown: b, what each pose shows of a distance beside the line ``(k,)``.
+        sigma: standard deviation of each place [m].
+        turned: by how much the last pose was turned [rad]; 0 where the arm cannot turn the tool there.
+    """
+
+    places: Array
+    shown: Array
+    sigma: float
+    turned: float
+
+    @property
+    def apart(self) -> float:
+        """How far apart it was seen [m]."""
+        return float(np.ptp(self.places))
+
+    @property
+    def by_chance(self) -> float:
+        """Probability of places at least so different with a sound camera."""
+        return float(chdtrc(len(self.places) - 1, np.sum(np.square(self.places - self.places.mean())) / self.sigma**2))
+
+    @property
+    def passes(self) -> float:
+        """Distance beside the line that a knocked camera may show without being refused, in half of the cases [m]."""
+        spread = float(np.linalg.norm(self.shown - self.shown.mean()))
+        return self.sigma * float(np.sqrt(chdtri(len(self.places) - 1, BY_CHANCE))) / spread
+
+    @property
+    def text(self) -> str:
+        """What was looked at and what may be wrong nevertheless, in words."""
+        how = (f"one turned by {np.degrees(self.turned):.0f}°" if self.turned
+               else "none of them turned: the arm cannot turn the tool there")
+        return (f"seen within {1e3 * self.apart:.2f} mm from {len(self.places)} poses, {how}; a camera that shows up "
+                f"to {1e3 * self.passes:.1f} mm beside the line would pass")
+
+    def json(self) -> dict[str, Any]:
+        """As plain values."""
+        return {"apart_mm": 1e3 * self.apart, "sigma_mm": 1e3 * self.sigma, "by_chance": self.by_chance,
+                "turned_deg": float(np.degrees(self.turned)), "passes_mm": 1e3 * self.passes, "text": self.text}
+
+
+def check_line(look: Look, arm: LiveArm, camera: LiveCamera) -> Seen:
+    """Looks at the line from several poses, turned by 180° about the tool's axis where the arm can.
 
     Args:
         look: at what.
@@ -191,11 +255,11 @@ def check_line(look: Look, arm: LiveArm, camera: LiveCamera) -> float:
         camera: on the arm.
 
     Raises:
-        SceneError: the line is not seen, or at two places.
+        SceneError: the line is not seen, or at places that no sound camera shows it at.
         FollowStoppedError: the arm does not follow, the camera is gone, or its stamps wander.
     """
     robot = arm.robot
-    postures, view = arm.meanwhile(lambda: (_postures(look, robot), CalibrationView(
+    (postures, shown, turned), view = arm.meanwhile(lambda: (_postures(look, robot), CalibrationView(
         robot, look.reference, look.camera, camera.detection, FoundBefore(), look.start,
         piece_map(look.reference, look.begin + AHEAD))))
     arm.begin()
@@ -205,31 +269,74 @@ def check_line(look: Look, arm: LiveArm, camera: LiveCamera) -> float:
         places.append(_seen(look, arm, camera, view, moves(robot, [last, q], STILL)))
         last = q
     camera.predict = None
-    arm.lead(moves(robot, [last, look.start], 2 * robot.t_ipo))
-    apart = float(abs(places[1] - places[0]))
-    if not apart <= APART:
-        raise SceneError(f"the line is seen {1e3 * apart:.1f} mm apart from two poses above it, where a calibrated "
-                         f"camera sees it within {1e3 * APART:.1f} mm; calibrate the camera anew, or see "
-                         "docs/follow.md for what --no-check leaves out")
-    return apart
+    arm.lead(moves(robot, [last, *reversed(postures[:-1]), look.start], 2 * robot.t_ipo))
+    sigma = look.sigma if np.isfinite(look.sigma) else FINE
+    seen = Seen(np.array(places), shown, sigma, turned)
+    if not seen.by_chance > BY_CHANCE:
+        raise SceneError(f"the line is seen {1e3 * seen.apart:.1f} mm apart from {len(places)} poses above it, where a "
+                         f"camera whose calibration leaves {1e3 * sigma:.2f} mm shows that once in "
+                         f"{1.0 / BY_CHANCE:.0f} times; calibrate the camera anew, or see docs/follow.md for what "
+                         "--no-check leaves out")
+    return seen
 
 
-def _postures(look: Look, robot: Robot) -> list[Array]:
-    """Joint angles from which the optical axis meets the line where it is looked at."""
-    s = look.begin + AHEAD
-    up, place = look.reference.frames(np.array([s])).up[0], look.reference.position(np.array([s]))[0]
-    mount, kinematics, q = look.camera.T_tool_camera, InverseKinematics(robot), look.start
-    axis, postures = mount.rotation[:, 2], list[Array]()
+def _postures(look: Look, robot: Robot) -> tuple[list[Array], Array, float]:
+    """Joint angles from which the optical axis meets the line where it is looked at.
+
+    Returns them, what each shows of a distance beside the line ``(k,)``, and the turn of the last one [rad].
+    """
+    mount, q = look.camera.T_tool_camera, look.start
+    axis, postures, shown = mount.rotation[:, 2], list[Array](), list[float]()
+
+    def met(height: float) -> Array:
+        """Where the axis meets the surface, in the tool frame, whose z axis points into it ``(3,)`` [m]."""
+        return np.asarray(mount.translation + (height - mount.translation[2]) / axis[2] * axis)
+
+    def shows(height: float, turn: float) -> float:
+        return float(np.cos(turn) * (height - mount.translation[2]) / -mount.translation[2])
+
     for height, turn in POSES:
-        rotation = pin.exp3(turn * up) @ look.reference.rotation(s)
-        # In the tool frame, whose z axis points into the surface.
-        met = mount.translation + (height - mount.translation[2]) / axis[2] * axis
         try:
-            q = kinematics.search(pin.SE3(rotation, place - rotation @ met), q)
+            q = InverseKinematics(robot).search(_pose(look, met(height), turn), q)
         except OutOfReachError as error:
             raise SceneError(f"the line cannot be looked at from above: {error}; or follow with --no-check") from error
         postures.append(q)
-    return postures
+        shown.append(shows(height, turn))
+    height, turn_0 = POSES[0]
+    for turn in TURNS:
+        for sign in (1.0, -1.0):
+            turned = _turned(look, robot, _pose(look, met(height), turn_0 + sign * turn), postures[-1])
+            if turned is not None:
+                return [*postures, turned], np.array([*shown, shows(height, turn_0 + turn)]), turn
+    return postures, np.array(shown), 0.0
+
+
+def _pose(look: Look, met: Array, turn: float) -> pin.SE3:
+    """The tool's pose, turned about the normal [rad], from which the axis, ``met (3,)`` [m], meets the line."""
+    s = np.array([look.begin + AHEAD])
+    rotation = pin.exp3(turn * look.reference.frames(s).up[0]) @ look.reference.rotation(float(s[0]))
+    return pin.SE3(rotation, look.reference.position(s)[0] - rotation @ met)
+
+
+def _turned(look: Look, robot: Robot, pose: pin.SE3, q: Array) -> Array | None:
+    """Joint angles ``(n,)`` [rad] of a pose that differs from those of ``q`` by the last joint; None without such."""
+    kinematics = InverseKinematics(robot)
+    turn = float(np.linalg.norm(pin.log3(robot.fk()(q).rotation.T @ pose.rotation)))
+    for way in (turn, -turn):
+        guess = q.copy()
+        guess[-1] += way
+        if not robot.q_min[-1] < guess[-1] < robot.q_max[-1]:
+            continue
+        try:
+            found = kinematics.search(pose, guess)
+        except OutOfReachError:
+            continue
+        if np.max(np.abs(found - q)[:-1]) > _WRIST or np.abs(found - guess)[-1] > _WRIST:
+            continue
+        if look.shapes is None or (look.shapes.touch_between(q, found) or look.shapes.touch_between(found, look.start)
+                                   ) is None:
+            return found
+    return None
 
 
 def _seen(look: Look, arm: LiveArm, camera: LiveCamera, view: CalibrationView, commands: Array) -> float:

@@ -31,6 +31,7 @@ class Devices:
         patience: how long each device is waited for [s].
         core: processor core to keep to; None for any.
         check: whether the cell is looked at before the job.
+        tool_mass: of all that hangs on the force sensor [kg], by which its gain is measured; None where nobody knows.
     """
 
     arm: str
@@ -47,6 +48,7 @@ class Devices:
     patience: float = 60.0
     core: int | None = None
     check: bool = True
+    tool_mass: float | None = None
 
 
 @contextmanager

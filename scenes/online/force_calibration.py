@@ -18,6 +18,7 @@ from ideal_robot.robots.interface import RobotState
 from planning import OutOfReachError
 from planning.force.contact import LEAP, NOTICED, ContactSettings, most_force
 from planning.force.felt_by_motors import WINDOW, FeltByMotors
+from planning.force.sensor_gain import SensorGain, wrong_gain
 from planning.path.kinematics import InverseKinematics
 from scenes.line_way import shapes_about
 from scenes.online.felt_force import ZEROED, FeltForce
@@ -60,6 +61,8 @@ _SLOWLY = 0.003
 """Way through air on which the motors are heard before there can be a touch [m]."""
 _EVEN = 0.01
 """Share of the speed of pressing by which it may differ where it counts as even."""
+_STEADY = 0.1
+"""Time without a change of speed after which a sensor's gain is heard [s]."""
 _STEEPER = 2.0
 """Times by which a contact may be stiffer at the force that is pressed with than on the whole way to it."""
 _SPARE = 0.7
@@ -139,7 +142,7 @@ def postures_to_weigh(known: KnownSurface, start: Array) -> list[Array]:
 
 
 def elasticity_by_pressing(known: KnownSurface, start: Array, arm: LiveArm, force: LiveForce, felt: FeltForce
-                           ) -> ContactElasticity:
+                           ) -> tuple[ContactElasticity, SensorGain | None]:
     """E by moving: the tip is pressed slowly into the surface at the start of the path and drawn back.
 
     Args:
@@ -148,6 +151,8 @@ def elasticity_by_pressing(known: KnownSurface, start: Array, arm: LiveArm, forc
         arm: connected.
         force: what it feels.
         felt: the guard's watch over it, with the tool's bias and weight; knows the surface afterwards.
+
+    Returns it, and the sensor's gain by the motors; None where they are not heard.
 
     Raises:
         SceneError: nothing is felt, or the witnesses do not agree. The tip has been drawn back then.
@@ -163,7 +168,7 @@ def elasticity_by_pressing(known: KnownSurface, start: Array, arm: LiveArm, forc
     elasticity = arm.meanwhile(press.elasticity)
     felt.found(elasticity.touch, elasticity.stiffness)
     arm.lead(moves(known.robot, [press.q, start], 2 * known.robot.t_ipo))
-    return elasticity
+    return elasticity, press.gain
 
 
 class Pressed:
@@ -225,6 +230,11 @@ class Pressed:
         return identify_elasticity(np.interp(self._stamps, self._times, places @ normal), felt @ normal)
 
 
+_Heard = tuple[Array, RobotState, Array | None, float]
+"""A cycle: commanded angles ``(n,)`` [rad], the state at its end, the force felt where the motion is even ``(3,)`` [N],
+speed [m/s]."""
+
+
 class _Press(Pressed):
     """One time down and up with a connected arm, as fast as what gives way under the tip allows."""
 
@@ -237,6 +247,7 @@ class _Press(Pressed):
         self._pressed = min(_HARD * known.scene.force, 0.5 * (known.scene.force + self._most))
         self._touched: float | None = None
         self._evenly = 0.0
+        self.gain: SensorGain | None = None
         # Once before anything moves: what is compiled is loaded here, not in a cycle.
         self.where(self.go(0.0))
 
@@ -246,9 +257,15 @@ class _Press(Pressed):
         self._go(lambda: 0.0, lambda: self._speed == 0.0)
         # Quickly through what is air for sure: friction turns round. The motors' own air is that of the slow way.
         self._go(lambda: -_SLOW, lambda: self.height < self._watch.within + _SLOWLY)
-        self._go(lambda: -self._down(), lambda: float(self.recent() @ self.up) > self._pressed, heard=True)
+        self._go(lambda: -self._down(), self._hard, heard=True)
         self._go(lambda: _SLOW, lambda: float(self.recent() @ self.up) < _GONE or self._high())
         self._go(lambda: _UP, lambda: self.height >= START_HEIGHT)
+
+    def _hard(self) -> bool:
+        """Whether it is pressed hard enough, or as hard as may be by what the motors know of the sensor's gain."""
+        felt = float(self.recent() @ self.up)
+        return felt > self._pressed or (self.gain is not None and felt > _FELT and
+                                        self.gain.at_most * felt > self._most)
 
     def _down(self) -> float:
         """Speed towards the surface [m/s]: what has grown beyond the force to be pressed with when it is answered.
@@ -271,26 +288,31 @@ class _Press(Pressed):
         To hear the motors takes long: no answer waits for it.
         """
         arm, T = self._arm, self._known.robot.t_ipo
-        states: list[tuple[Array, RobotState]] = []
+        states: list[_Heard] = []
         with arm.doing(lambda: self._hear(states)):
             while not done():
                 arm.check(arm.t)
+                before = self._speed
                 self._speed += float(np.clip(target() - self._speed, -_JERKY * T, _JERKY * T))
                 arm.q_d = self.go(self._speed * T)
                 state = arm.cycle(self.q)
-                if heard:
-                    states.append((self.q, state))
                 self.hear(state, self._force.arrived(arm.t))
-                # Friction changes with the speed: the motors are heard at that of their air alone.
-                even = abs(self._speed + min(self._watch.nearing, _SLOW)) < _EVEN * _SLOW
-                self._evenly = self._evenly + T if even else 0.0
-                self._check(self._motors.force if heard and self._evenly > WINDOW else float("nan"))
+                # Friction changes with the speed: the motors are heard at that of their air alone, and the sensor's
+                # gain is heard where the speed stays what it is.
+                at_air = abs(self._speed + min(self._watch.nearing, _SLOW)) < _EVEN * _SLOW
+                self._evenly = self._evenly + T if abs(self._speed - before) <= _EVEN * abs(before) else 0.0
+                if heard:
+                    felt = self.recent() if self._evenly > _STEADY else None
+                    states.append((self.q, state, felt, abs(self._speed)))
+                self._check(self._motors.force if heard and at_air and self._evenly > WINDOW else float("nan"))
 
-    def _hear(self, states: list[tuple[Array, RobotState]]) -> None:
-        """Lets the motors tell of cycles: commanded joint angles ``(n,)`` [rad], and the state at the end."""
+    def _hear(self, states: list[_Heard]) -> None:
+        """Lets the motors tell of cycles."""
         while states:
-            q_c, state = states.pop(0)
-            self._motors.add(q_c, state.q, state.tau)
+            q_c, state, felt, speed = states.pop(0)
+            self._motors.add(q_c, state.q, state.tau, felt, speed)
+            if felt is not None and (gain := self._motors.gain.told) is not None:
+                self.gain = gain
 
     def _high(self) -> bool:
         """Whether the tip is as high as pressing begins."""
@@ -303,6 +325,8 @@ class _Press(Pressed):
         """
         scene, felt = self._known.scene, self.recent()
         normal = float(felt @ self.up)
+        if self.gain is not None and self.gain.wrong:
+            raise SceneError(f"pressing was stopped: {wrong_gain(self.gain)}")
         sideways = float(np.linalg.norm(felt - normal * self.up))
         if normal < -_FELT or sideways > max(_FELT, abs(normal)):
             raise SceneError(f"pressing was stopped: {normal:.1f} N felt along the surface's normal and {sideways:.1f} "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from statistics import median
@@ -24,6 +24,7 @@ from planning import PlanningError
 from planning.force.bearable_speed import TIMES, bearable_speed, forecast_error
 from planning.force.contact import ASKING, NOTICED, most_force
 from planning.force.force_follower import SurfaceFollower
+from planning.force.sensor_gain import NOT_MEASURED, SensorGain, gain_by_weight, wrong_gain
 from planning.line.line_follower import FollowerSettings, LineFollower
 from scenes.line_way import shapes_about
 from scenes.methods import SceneMethod
@@ -40,6 +41,7 @@ from scenes.online.line_known import START, KnownLine, line_follower
 from scenes.online.live_arm import START_TOLERANCE, LiveArm, moves, near_start, response_of
 from scenes.online.live_sensors import FoundBefore, ImaginedCamera, ImaginedForce, LiveCamera, LiveForce, rehearse
 from scenes.online.log import TaskLog, plan_error
+from scenes.online.self_test import LASTS, SelfTest
 from scenes.online.task import Task
 from scenes.scene_files.drawn_line import reference_points
 from scenes.scene_files.force_scene import CameraTrouble, ForceScene
@@ -83,6 +85,9 @@ class Job:
         longest: time after which a run is stuck [s].
         detection: how the line looks.
         moved: what the controller reported in a session before this one, cycle by cycle.
+        tool_mass: stated, of all that hangs on the force sensor [kg]; None where nobody says.
+        tested: whether this computer holds the cycle; None where that was not looked at.
+        gains: of the force sensor, as each witness measured it.
         before: figures of the last run of this scene, with which the calibrations are compared.
     """
 
@@ -96,6 +101,9 @@ class Job:
         self.scene, self.robot, self.model, self.method, self.delay = scene, robot, model, method, delay
         self.answers_within, self.calibration, self.detection = answers_within, calibration, scene.line.detection
         self.moved: Sequence[RobotState] = ()
+        self.tool_mass: float | None = None
+        self.gains = list[SensorGain]()
+        self.tested: SelfTest | None = None
         self.before: Mapping[str, Any] = MappingProxyType({})
         self.known, self.configured = self._new_task()
         camera, contact = self.configured.camera, self.configured.contact
@@ -146,7 +154,8 @@ class Job:
         """What is looked at before the job; None where no camera is calibrated."""
         if self.camera is None or not self.calibration.known:
             return None
-        return Look(self.known.reference, self.scene.reference.run_up, self.q_start, self.camera, self.model)
+        return Look(self.known.reference, self.scene.reference.run_up, self.q_start, self.camera, self.model,
+                    self.calibration.residual, shapes_about(self.scene, self.robot))
 
     @property
     def q_start(self) -> Array:
@@ -162,11 +171,8 @@ class Job:
 
     def rehearse(self) -> None:
         """Loads what is compiled, which may fall into no cycle, and learns how long this computer takes for a cycle."""
-        _, configured = self._new_task()
-        camera, force, T = ImaginedCamera(), ImaginedForce(), self.robot.t_ipo
-        configured.connect(force, camera)
-        if configured.camera is not None:
-            camera.predict = configured.camera.predicted
+        configured, camera, force = self._imagined()
+        T = self.robot.t_ipo
         if configured.contact is None:
             deque(rehearse(configured.task, self.robot, math.ceil((START + 0.6) / T)), maxlen=0)
             return
@@ -186,6 +192,35 @@ class Job:
                 took.append(seconds)
         if took:
             self.contact.takes(median(took))
+
+    def _imagined(self) -> tuple[Configured, ImaginedCamera, ImaginedForce]:
+        """The task with sensors that show what is expected."""
+        _, configured = self._new_task()
+        camera, force = ImaginedCamera(), ImaginedForce()
+        configured.connect(force, camera)
+        if configured.camera is not None:
+            camera.predict = configured.camera.predicted
+        return configured, camera, force
+
+    def imagined_cycles(self) -> Iterator[float]:
+        """Computes a cycle of the job each time it is asked, and says how long that took [s]; of no more than a test's.
+
+        What takes long is done before the first.
+        """
+        configured, _, force = self._imagined()
+        force.wrench = np.zeros(6)
+        cycles = rehearse(configured.task, self.robot, math.ceil((START + LASTS) / self.robot.t_ipo))
+        # A surface that is never met is no matter here.
+        with suppress(PlanningError):
+            for _ in range(math.ceil(START / self.robot.t_ipo) - 1):
+                next(cycles)
+            yield 0.0
+            yield from cycles
+
+    @property
+    def ahead(self) -> bool:
+        """Whether each cycle is computed behind the command before."""
+        return all(sensor.at_once > self.robot.t_ipo for sensor in self.configured.task.sensors)
 
     # Before the job.
 
@@ -214,6 +249,10 @@ class Job:
         arm.at_begin.append(felt.begin)
         arm.guard.watches.append(felt)
         felt.tool, above = tool_by_turning(self._surface, self.q_start, arm, force)
+        if self.tool_mass is not None:
+            self.gains.append(gain := gain_by_weight(felt.tool, self.tool_mass))
+            if gain.wrong:
+                raise SceneError(wrong_gain(gain))
         self._as_before("tool_mass_kg", mass := felt.tool.mass, "kg", lambda last: abs(mass - last) > _OTHER_TOOL)
         arm.lead(moves(self.robot, [above, self.q_start], 2 * self.robot.t_ipo))
 
@@ -276,7 +315,10 @@ class Job:
         felt, contact, wanted = self._felt, self.contact, self.contact.scene.force
         if force is None or felt is None or felt.tool is None:
             raise SceneError("following a surface needs a force sensor, and its tool weighed")
-        tool, elasticity = felt.tool, elasticity_by_pressing(self._surface, self.q_start, arm, force, felt)
+        tool = felt.tool
+        elasticity, by_motors = elasticity_by_pressing(self._surface, self.q_start, arm, force, felt)
+        if by_motors is not None:
+            self.gains.append(by_motors)
         self._as_before("elasticity_N_m", E := elasticity.stiffness, "N/m",
                         lambda last: max(E, last) > _OTHER_SURFACE * min(E, last))
         arm.meanwhile(lambda: contact.calibrated(tool, elasticity))
@@ -335,7 +377,7 @@ class Job:
         """Key figures for ``--json``."""
         figures: dict[str, Any] = {}
         if self.configured.contact is not None:
-            figures |= {"force_N": self._kept(), **self._calibrated()}
+            figures |= {"force_N": self._kept(), **self._calibrated(), "force_gain": self._gain()}
         if self.configured.camera is not None:
             figures["fields"] = self.log.counts()
         if isinstance(follower := self.configured.task.follower, LineFollower):
@@ -343,6 +385,12 @@ class Job:
                         "plan_error_mm": plan_error(self.log, follower.fusion),
                         "stamp_error_ms": 1e3 * float(follower.fusion.bias("camera")[0][1])}
         return figures
+
+    def _gain(self) -> dict[str, Any]:
+        """The force sensor's gain by the witness that knows it best, and what would pass."""
+        if not self.gains:
+            return {"text": NOT_MEASURED}
+        return dict(min(self.gains, key=lambda gain: gain.sigma).json())
 
     def _kept(self) -> dict[str, float]:
         """How the force was kept, as it was felt [N]."""

@@ -88,13 +88,13 @@ class LiveCamera:
         hand_eye: a calibration that was asked for, once it has come, or why there is none.
         signs: its signs of life; the arm is stopped where they fail.
         calibrated: whether what it shows has to fit as well as it says.
-        apart: how far apart it saw the line from two poses before the job [m]; NaN where it was not looked at.
+        checked: what the look from several poses before the job showed, as plain values; empty without one.
     """
 
     def __init__(self, process: CameraProcess, arm: LiveArm, detection: DetectionSettings) -> None:
         self._process, self._arm, self.detection = process, arm, detection
         self.signs, self.calibrated = LifeSigns(np.inf, ("the line's place [m]",)), False
-        self.apart = float("nan")
+        self.checked: dict[str, Any] = {}
         self.predict: Predict | None = None
         self.late = self.early = 0
         self.time_offset = 0.0

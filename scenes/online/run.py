@@ -40,6 +40,7 @@ from scenes.online.processes import (
     undisturbed,
 )
 from scenes.online.result import FollowResult
+from scenes.online.self_test import self_test
 from scenes.result import Progress, silent
 from scenes.scene_file import scene_values
 from scenes.scene_files.drawn_line import believed_camera
@@ -96,13 +97,16 @@ def _followed(scene: Scene, devices: Devices, job: Job, method: str | None, cali
         job.moved = moved
     if devices.check:
         job.before = _before(folder, scene)
+    job.tool_mass = devices.tool_mass
     progress(0.0, "rehearsing")
     job.rehearse()
     at_start = max(at_start, give_back())
     # What a cycle needs is there again before the first packet.
     job.rehearse()
+    cycles = job.imagined_cycles()
+    next(cycles)
     result = _played(scene, job, devices, folder, name, progress,
-                     partial(_follow, job=job, method=name, progress=progress, check=devices.check))
+                     partial(_follow, job=job, method=name, progress=progress, check=devices.check, cycles=cycles))
     timing = {**result.timing, "memory_at_start_MB": at_start}
     return _kept(replace(result, left_behind=before, timing=timing), folder)
 
@@ -131,8 +135,7 @@ def _job(scene: Scene, devices: Devices, method: str | None, calibration: Path |
     loop = loop_model(model, robot, delay=int(devices.delay))
     within = answers_within(loop, robot)
     if not isinstance(scene, LineScene | ForceScene):
-        raise InputError("expected a scene of kind line or force: devices follow no other", field="kind",
-                         value=scene.kind)
+        raise InputError("only lines and surfaces are followed", field="kind", value=scene.kind)
     chosen = method_of(method or scene.method, following_methods())
     feedforward("ideal", model, robot, delay=int(devices.delay))
     camera = calibrated_camera(believed_camera(scene.camera, scene.calibration), calibration)
@@ -196,12 +199,14 @@ def _calibrate(opened: _Opened, job: Job, motion: CalibrationMotion, moved: list
     moved += opened.arm.reported
 
 
-def _follow(opened: _Opened, job: Job, method: str, progress: Progress, check: bool) -> None:
+def _follow(opened: _Opened, job: Job, method: str, progress: Progress, check: bool, cycles: Iterator[float]) -> None:
+    if check:
+        job.tested = self_test(opened.arm, cycles, job.ahead)
     job.approach(opened.arm, opened.force)
     look, camera = job.look, opened.camera
     if check and look is not None and camera is not None:
         camera.use(job.calibration.camera, job.calibration.time_offset)
-        camera.apart = check_line(look, opened.arm, camera)
+        camera.checked = check_line(look, opened.arm, camera).json()
     task = job.ready(opened.arm, opened.camera, opened.force)
     shown = Later(progress)
     opened.arm.between.append(shown.catch_up)
@@ -231,6 +236,8 @@ def _played(scene: Scene, job: Job, devices: Devices, folder: Path, method: str,
                   "processor_share": dict(zip(("follower", "camera"), shares, strict=False)),
                   "peak_memory_MB": dict(zip(("follower", "camera"), map(peak_memory, pids), strict=False)),
                   "memory_together_MB": memory_together(pids), "seconds": wall, "granted": opened.granted}
+        if job.tested is not None:
+            timing["self_test"] = job.tested.json()
         recording = _recorded(opened.journal, job)
         recording = replace(recording, meta={**recording.meta, "stopped_because": failure})
         return FollowResult(scene, method, failure, recording, job.figures(), _told(opened, devices), timing,
@@ -271,7 +278,7 @@ def _told(opened: _Opened, devices: Devices) -> dict[str, Any]:
         report["camera"] = {"address": devices.camera, "stamps": process.stamps, "clock": process.clock,
                             "age_when_used_ms": spread_ms(np.array(camera.ages)), "left_out": process.left_out,
                             "too_old": camera.late, "from_the_future": camera.early, "ended": process.ended,
-                            "seen_apart_mm": 1e3 * camera.apart}
+                            "check": camera.checked}
     if force is not None:
         report["force"] = {"address": devices.force, "counts": asdict(force.source.counts),
                            "clock": force.source.clock.report().to_dict(), "stuck": force.signs.stuck,

@@ -15,17 +15,18 @@ from ideal_robot.errors import IdealRobotError
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from scenes.force.cell import Cell as ForceCell
-from scenes.line.cell import Cell, set_up
+from scenes.line.cell import Cell, Prepared, set_up
 from scenes.methods import following_methods, method_of
 from scenes.models import model_at
 from scenes.online.camera_process import CalibratedCamera, Header
 from scenes.online.camera_worker import _Worker
-from scenes.online.cell_check import check_line
+from scenes.online.cell_check import Seen, check_line
 from scenes.online.cycle import CycleSettings, play_cycles
 from scenes.online.job import Job
 from scenes.online.journal import Journal
 from scenes.online.live_arm import LiveArm, Worked
 from scenes.online.live_sensors import LiveCamera
+from scenes.online.log import SETTLING
 from scenes.scene_files.line_scene import LineScene
 from scenes.serve.cell import _line_of
 from sensing.camera.camera_device import Gray
@@ -180,13 +181,23 @@ def led(live: LiveArm, job: Any, force: Any, ready: Callable[[], Any]) -> str | 
     return job.log.failure  # type: ignore[no-any-return]
 
 
+def _calibration(cell: Cell, file: Path, shared: Prepared | None) -> CalibratedCamera:
+    if shared is None or shared.hand_eye is None:
+        return CalibratedCamera(cell.true_camera, file)
+    return CalibratedCamera(cell.known.camera, file, wanted=True).found(shared.hand_eye)
+
+
 def followed(scene: LineScene, folder: Path, *, stamp: Stamp | None = None, picture: Picture | None = None,
-             calibrated: bool = True, check: bool = False) -> SimpleNamespace:
+             calibrated: bool = True, check: bool = False, shared: Prepared | None = None) -> SimpleNamespace:
     """Follows a line on the bench with a camera that is calibrated, or believed as it was mounted by hand.
 
+    A calibrated camera is the true one on a surface that nobody has seen; with ``shared``, of ``prepared``, camera and
+    surface are those that moving over the line has shown, as ``follow --calibration`` has them.
+
     Returns ``failure`` (None for the whole path), the distance ``beside`` of the tool from the line on the whole way
-    ``(N,)`` [m] with its times ``t``, how long the run went on ``after`` the instant ``BEGIN`` [s] and how far the tool
-    ``moved`` meanwhile [m], the ``job``.
+    ``(N,)`` [m] with its times ``t``, of it what the figure of a simulated run counts ``settled``, how long the run
+    went on ``after`` the instant ``BEGIN`` [s], how far the tool ``moved`` meanwhile [m], the ``job``, and what was
+    ``seen`` before it.
     """
     cell = set_up(scene)
     known = cell.known
@@ -195,17 +206,17 @@ def followed(scene: LineScene, folder: Path, *, stamp: Stamp | None = None, pict
         bench = Bench(arm, known.robot, eye)
         model = model_at(scene.model, known.robot, scene.source)
         job = Job(scene, known.robot, model, method_of(scene.method, following_methods()), known.delay, 0.3,
-                      CalibratedCamera(cell.true_camera, folder / "camera.json") if calibrated
-                      else CalibratedCamera(known.camera))
+                  _calibration(cell, folder / "camera.json", shared) if calibrated else CalibratedCamera(known.camera))
+        job.moved = () if shared is None else shared.moved
         live = WaitingArm(bench, Journal(folder, known.robot, {}))  # type: ignore[arg-type]
         camera = LiveCamera(eye, live, job.detection)  # type: ignore[arg-type]
-        begun = 0.0
+        begun, seen = 0.0, list[Seen]()
 
         def ready() -> Any:
             nonlocal begun
             if (look := job.look) is not None and check:
                 camera.use(job.calibration.camera, 0.0)
-                camera.apart = check_line(look, live, camera)
+                seen.append(check_line(look, live, camera))
             task = job.ready(live, camera, None)
             begun = arm.t
             return task
@@ -215,5 +226,7 @@ def followed(scene: LineScene, folder: Path, *, stamp: Stamp | None = None, pict
         s, lateral = cell.line.beside(tcp)
         inside = (s > 1e-6) & (s < cell.line.length - 1e-6) & (t > begun + 0.5)
         moved = float(np.linalg.norm(np.diff(tcp[t > BEGIN], axis=0), axis=1).sum())
+        settled = inside & (t >= begun + job.log.first_used + SETTLING)
         return SimpleNamespace(failure=failure, after=arm.t - BEGIN, moved=moved, t=t[inside],
-                               beside=np.abs(lateral[inside]), job=job, camera=camera)
+                               beside=np.abs(lateral[inside]), settled=np.abs(lateral[settled]), job=job,
+                               camera=camera, seen=seen[0] if seen else None)

@@ -61,6 +61,8 @@ FAULTS: dict[str, Callable[[], Spoil]] = {
     "drift of +2 N/s": lambda: lambda since, wrench: wrench + 2.0 * since * Z,
     "drift of -2 N/s": lambda: lambda since, wrench: wrench - 2.0 * since * Z,
     "drift of +2 N/s in x": lambda: lambda since, wrench: wrench + 2.0 * since * np.eye(6)[0],
+    "a gain of 0.7": lambda: lambda since, wrench: 0.7 * wrench,
+    "a gain that fades by 15 %/s": lambda: lambda since, wrench: max(1.0 - 0.15 * since, 0.0) * wrench,
     "wrong sign": lambda: lambda since, wrench: -wrench,
     "wrong order of axes": lambda: lambda since, wrench: wrench[[2, 0, 1, 5, 3, 4]],
 }
@@ -144,8 +146,8 @@ class Bench(EyeBench):
         return
 
 
-def followed(scene: ForceScene, folder: Path, before: dict[str, Any] | None = None, above: float = 0.0, **faults: Any
-             ) -> SimpleNamespace:
+def followed(scene: ForceScene, folder: Path, before: dict[str, Any] | None = None, above: float = 0.0,
+             tool_mass: float | None = None, **faults: Any) -> SimpleNamespace:
     """Follows a scene on the bench, with the arm held at first so far above the start of the path [m].
 
     Returns ``failure`` (None for the whole path), the largest true normal force ``force`` since the fault began [N] (of
@@ -160,7 +162,7 @@ def followed(scene: ForceScene, folder: Path, before: dict[str, Any] | None = No
         bench = Bench(cell, arm, eye, **faults)
         job = Job(scene, known.robot, known.model, method_of(scene.method, following_methods()), known.delay, 0.3,
                        CalibratedCamera(known.camera if eye is None else eye.true, folder / "camera.json"))
-        job.before = before or {}
+        job.before, job.tool_mass = before or {}, tool_mass
         journal = Journal(folder, known.robot, {})
         live = bench.live = BenchArm(bench, journal)
         force = bench.force = LiveForce(bench, live)

@@ -1,0 +1,207 @@
+r"""The gain of a force sensor, measured against what else knows the force: a stated weight, or the motors.
+
+A sensor of gain γ shows γ times the force. A tool of known mass m that it weighs as :math:`\hat m` says
+:math:`\gamma = \hat m / m`. While the tip is pressed slowly and evenly, what the motors give beyond the model's torque
+is what the environment takes, so with the force :math:`F_s` that the sensor shows
+
+.. math:: r_j = \tau_j - \tau_{M,j} = b_j + \delta_{jk} + \epsilon_{jk}\, e^{-x_j / d_j} - \kappa\, (J^T F_s)_j
+              + \nu_j, \qquad \kappa = 1/\gamma
+
+Friction beside the model's, b, stays while the joints slide on. It is another one by δ at each other speed k, to which
+it comes over the presliding distance d of the way x since that speed was reached; δ and ε are no larger
+than dry friction itself, as slow as that is. ν is what the torques scatter by from cycle to cycle, and in blocks of
+some tenths of a second by as much more as their mean leaves there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtri
+
+from ideal_robot.arrays import Array, G
+from sensing.force.force_calibration import UNEXPLAINED, ToolLoad
+
+BY_CHANCE = 1e-5
+"""Probability with which a sound sensor is refused at one look; the motors' are some ten looks at what is nearly the
+same, so that it is at most once in 10⁴ runs."""
+LOSSES = 0.05
+"""What a drive's constant and its gear's losses, which grow with the load, may make of a torque, standard deviation:
+data sheets give torque constants to some per cent, and gears lose 5 to 10 % of what they transmit."""
+BLOCK = 0.2
+"""Time over which torques are averaged [s]."""
+ALIKE = 0.05
+"""Share by which speeds may differ at which friction is the same."""
+FEWEST = 12
+"""Blocks from which a gain is told; fewer say nothing of how they scatter."""
+SLIDES = 5.0
+"""Presliding distances behind which a joint that has turned round slides: 1 % of its friction has not turned then."""
+_SILENT, _ANY = 1e-9, 1e6
+"""Least variance of a torque, of a motor without noise, and that of friction beside the model's [N² m²]."""
+_LEAST = 4.0
+"""What is known of κ before anything is said, as 1/σ²: a gain within a half."""
+
+
+@dataclass(frozen=True)
+class SensorGain:
+    """A gain as one witness knows it.
+
+    Attributes:
+        inverse: κ = 1/γ, the true force over the one that is shown; 1 is right.
+        sigma: standard deviation of that with a sound sensor.
+        witness: what it was measured against, in words.
+    """
+
+    inverse: float
+    sigma: float
+    witness: str
+
+    @property
+    def value(self) -> float:
+        """γ."""
+        return 1.0 / self.inverse if self.inverse > 0.0 else np.inf
+
+    @property
+    def wrong(self) -> bool:
+        """Whether a sound sensor would show this once in 10⁵ times."""
+        return not ((self.inverse - 1.0) / self.sigma) ** 2 <= chdtri(1, BY_CHANCE)
+
+    @property
+    def at_most(self) -> float:
+        """The true force over the shown one, two standard deviations above what was measured."""
+        return self.inverse + 2.0 * self.sigma
+
+    @property
+    def passes(self) -> tuple[float, float]:
+        """Gains that would not be noticed, in half of the cases: the least and the largest."""
+        far = float(np.sqrt(chdtri(1, BY_CHANCE))) * self.sigma
+        return 1.0 / (1.0 + far), 1.0 / (1.0 - far) if far < 1.0 else np.inf
+
+    @property
+    def text(self) -> str:
+        """In words, with what would pass."""
+        least, largest = self.passes
+        return (f"{self.value:.2f} ± {self.sigma * min(self.value, 9.0) ** 2:.2f} by {self.witness}; one from "
+                f"{least:.2f} to {largest:.2f} would pass")
+
+    def json(self) -> dict[str, float | str]:
+        """As plain values."""
+        least, largest = self.passes
+        return {"value": self.value, "sigma_of_inverse": self.sigma, "witness": self.witness, "passes_from": least,
+                "passes_to": largest, "text": self.text}
+
+
+NOT_MEASURED = ("not measured: whatever it is, the surface bears as much more than is shown; tell what hangs on the "
+                "sensor (--tool-mass), or let the controller tell its torques")
+"""What is said where no witness is."""
+
+
+def wrong_gain(gain: SensorGain) -> str:
+    """What a gain is refused with."""
+    return (f"the force sensor's gain is {gain.value:.2f} ± {gain.sigma * min(gain.value, 9.0) ** 2:.2f} by "
+            f"{gain.witness}, where a sound sensor's is 1; have it calibrated, and check its range, its counts per "
+            "newton and what was stated")
+
+
+def gain_by_weight(tool: ToolLoad, mass: float) -> SensorGain:
+    """The gain by which a tool of a stated mass was weighed.
+
+    Args:
+        tool: as it was weighed.
+        mass: of all that hangs on the sensor [kg].
+    """
+    sigma = float(np.hypot(UNEXPLAINED, tool.residual[0] / (mass * G)))
+    return SensorGain(mass / tool.mass, sigma, f"the stated {mass:g} kg")
+
+
+class GainByMotors:
+    """The gain by the motors, from cycles in which the tip goes on evenly.
+
+    Args:
+        beside: standard deviation of what another speed may change a torque by beside the model ``(n,)`` [N m].
+        distance: presliding distance of the joints ``(n,)`` [rad].
+        cycles: of a block.
+
+    Attributes:
+        told: what is known by now; None while it is nothing.
+    """
+
+    def __init__(self, beside: Array, distance: Array, cycles: int) -> None:
+        self._beside, self._distance, self._cycles = np.asarray(beside, dtype=float), distance, cycles
+        self._from: Array | None = None
+        self._now: list[tuple[Array, Array, Array]] = []
+        self._blocks: list[tuple[int, Array, Array, Array, Array, Array]] = []
+        self._speeds = list[float]()
+        self._speed: float | None = None
+        self.told: SensorGain | None = None
+
+    def add(self, rest: Array, arm: Array, way: Array, speed: float) -> None:
+        """A cycle of even motion.
+
+        Args:
+            rest: torques beyond the model's ``(n,)`` [N m]; not finite where the controller tells none.
+            arm: torques of the force that the sensor shows, Jᵀ F ``(n,)`` [N m].
+            way: since each joint turned round ``(n,)`` [rad].
+            speed: of the tip [m/s].
+        """
+        if not np.isfinite(rest).all():
+            self.uneven()
+            return
+        if self._speed is None or abs(speed - self._speed) > ALIKE * self._speed:
+            self.uneven()
+            self._speed = next((known for known in self._speeds if abs(speed - known) <= ALIKE * known), speed)
+            if self._speed not in self._speeds:
+                self._speeds.append(self._speed)
+        self._from = way if self._from is None else self._from
+        self._now.append((rest, arm, way))
+        if len(self._now) == self._cycles:
+            rests, arms, ways = (np.array(part) for part in zip(*self._now, strict=True))
+            slides = ways[0] > SLIDES * self._distance
+            changes = np.exp(-(ways.mean(axis=0) - self._from) / self._distance)
+            # Of neighbours, what drifts falls out.
+            white = np.mean(np.diff(rests, axis=0) ** 2, axis=0) / 2.0
+            self._blocks.append((self._speeds.index(self._speed), rests.mean(axis=0), arms.mean(axis=0), white, slides,
+                                 changes))
+            self._now.clear()
+            self.told = self._gain()
+
+    def uneven(self) -> None:
+        """The motion changes its speed: friction comes to another one from now on."""
+        self._now.clear()
+        self._from = None
+        self._speed = None
+
+    def _gain(self) -> SensorGain | None:
+        """What is known by now; None while it is nothing."""
+        if len(self._blocks) < FEWEST:
+            return None
+        speed = np.array([block[0] for block in self._blocks])
+        rest, arm, white, slides, changes = (np.array(part) for part in zip(*(block[1:] for block in self._blocks),
+                                                                            strict=True))
+        variance = np.maximum(white.mean(axis=0), _SILENT) / self._cycles
+        total = weighted = squares = 0.0
+        parts = []
+        for j in np.flatnonzero(slides.sum(axis=0) >= FEWEST):
+            heard = slides[:, j]
+            alike = speed[heard][:, None] == speed[heard]
+            # Covariance of the blocks: scatter, friction of any size, and another one at each speed.
+            change = 1.0 + changes[heard, j][:, None] * changes[heard, j]
+            C = variance[j] * np.eye(len(alike)) + _ANY + self._beside[j] ** 2 * alike * change
+            x, y = -arm[heard, j], rest[heard, j]
+            Cx, Cy = np.linalg.solve(C, np.column_stack([x, y])).T
+            total, weighted = total + x @ Cx, weighted + x @ Cy
+            parts.append((x, y, C))
+        if total < _LEAST:
+            return None
+        kappa = weighted / total
+        for x, y, C in parts:
+            left = y - kappa * x
+            squares += float(left @ np.linalg.solve(C, left))
+        # Where blocks scatter by more than noise makes of them, their scatter counts.
+        count = sum(len(x) - 1 for x, *_ in parts) - 1
+        sigma = float(np.hypot(np.sqrt(max(squares / max(count, 1), 1.0) / total), LOSSES))
+        return SensorGain(float(kappa), sigma, _MOTORS)
+
+
+_MOTORS = "the motors"

@@ -1,0 +1,107 @@
+r"""Whether this computer holds the controller's cycle, before anything moves.
+
+The arm is held at rest while the job is computed as it will be, with sensors that show what is expected: each cycle is
+planned behind the last command, or before the answer where the job does so, and the controller says which answers came
+too late. m late ones of N are more than the share p that may be late where
+
+.. math:: P(X \ge m \mid X \sim B(N, p)) < \alpha
+
+so a computer that has no more of them is refused once in :math:`1 / \alpha` times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import bdtrc
+
+from scenes.online.live_arm import LiveArm
+from scenes.scene_files.scene import SceneError
+
+LASTS = 2.0
+"""Time of the test [s]."""
+LATE = 0.02
+"""Share of the answers that may be late: with more a controller that takes absolute corrections stops the arm by itself
+again and again, with some three times its acceleration limit (``python -m studies rsi-hour``, docs/security.md)."""
+BY_CHANCE = 1e-6
+"""Probability with which a computer that has ``LATE`` late answers is refused."""
+
+
+@dataclass(frozen=True)
+class SelfTest:
+    """What a test has shown.
+
+    Attributes:
+        cycles, late: answers, and those that came too late.
+        t_ipo: the controller's cycle [s].
+        computing: usual and longest time of computing a cycle of the job [s].
+        jitter: standard deviation of the time from packet to answer [s].
+    """
+
+    cycles: int
+    late: int
+    t_ipo: float
+    computing: tuple[float, float]
+    jitter: float
+
+    @property
+    def by_chance(self) -> float:
+        """Probability of at least so many late answers of a computer that just holds the cycle."""
+        return 1.0 if not self.late else float(bdtrc(self.late - 1, self.cycles, LATE))
+
+    @property
+    def too_slow(self) -> bool:
+        """Whether this computer does not hold the cycle."""
+        return self.by_chance < BY_CHANCE
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        usual, longest, jitter = (1e3 * value for value in (*self.computing, self.jitter))
+        return (f"{self.late} of {self.cycles} answers late at rest, a cycle of {1e3 * self.t_ipo:g} ms computed in "
+                f"{usual:.1f} ms, at most {longest:.1f} ms; answers jitter by {jitter:.2f} ms")
+
+    def json(self) -> dict[str, float | int | str]:
+        """As plain values."""
+        return {"cycles": self.cycles, "late": self.late, "computing_ms": 1e3 * self.computing[0],
+                "longest_ms": 1e3 * self.computing[1], "jitter_ms": 1e3 * self.jitter, "text": self.text}
+
+
+def self_test(arm: LiveArm, cycles: Iterator[float], ahead: bool) -> SelfTest:
+    """Holds the arm for a while and computes the job meanwhile.
+
+    Args:
+        arm: connected, at rest.
+        cycles: computes a cycle of the job each time it is asked, and says how long that took [s]; one that ends begins
+            no other.
+        ahead: whether the job computes a cycle behind the command before, or else before its answer.
+
+    Raises:
+        SceneError: this computer does not hold the cycle.
+        FollowStoppedError: the arm is gone, or hardly any answer came in time.
+    """
+    took, late, answers = list[float](), 0, len(arm.link.answer_times)
+    count = round(LASTS / arm.t_ipo)
+
+    def compute() -> None:
+        if (seconds := next(cycles, None)) is not None:
+            took.append(seconds)
+
+    for _ in range(count):
+        arm.check(arm.t)
+        if ahead:
+            with arm.doing(compute):
+                arm.cycle(arm.q_d)
+        else:
+            compute()
+            arm.cycle(arm.q_d)
+        late += arm.link.missed
+    times = np.array(arm.link.answer_times[answers:])
+    result = SelfTest(count, late, arm.t_ipo, (float(np.median(took)), max(took)) if took else (0.0, 0.0),
+                    float(times.std()) if len(times) else 0.0)
+    if result.too_slow:
+        raise SceneError(f"this computer does not hold the cycle: {result.text}; {100.0 * LATE:.0f} % may be late. "
+                         "Take a longer cycle (--cycle), a computer with less to do, or a core of its own (--core)")
+    return result
