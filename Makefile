@@ -31,11 +31,12 @@ test-part: .venv/installed
 	timeout 120 $(BIN)/pytest -n 2 -m "slow and not real_time" --part $$(git rev-list --count HEAD 2>/dev/null || echo 0)/20; \
 		s=$$?; test $$s -eq 0 -o $$s -eq 5 -o $$s -eq 124
 
-docs: .venv/installed
+# With the notebooks' outputs: those that changed since they were played last are played.
+docs: .venv/installed docs-notebooks
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 	@echo "open out/site/index.html in a browser"
 
-# Plays the notebooks that changed, so that their pages have outputs; minutes.
+# Minutes for all of them.
 docs-notebooks: .venv/installed
 	$(BIN)/python docs/execute_notebooks.py
 

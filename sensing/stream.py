@@ -252,6 +252,7 @@ def options(rest: str, known: dict[str, float], field: str) -> dict[str, float]:
         except ValueError:
             value = -1.0
         if name not in known or not 0.0 <= value < 1e12:
-            raise InputError(f"expected {', '.join(known)} with a number", field=field, value=piece[:40])
+            raise InputError(f"expected one of {', '.join(known)}, each with = and a number", field=field,
+                             value=piece[:40])
         numbers[name] = value
     return numbers

@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from ideal_robot.diagnosis import Diagnosis, diagnose
+from ideal_robot.identification.inspection import inspect
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
@@ -57,7 +58,8 @@ def users_way(scenes: str = ",".join(SCENES), hidden: str = ",".join(HIDDEN), se
     """Shipped scenes with one hidden thing each, played, and diagnosed against the shipped model.
 
     A cause that the motion cannot tell apart counts as found where it stands among those that are said to be as
-    likely: a gap that is never crossed is a moved encoder. --individual 2 and above are other arms of the type.
+    likely: a gap that is never crossed is a moved encoder. A recording is accused where it is said to hold other units,
+    signs, axes or no gravity; none does. --individual 2 and above are other arms of the type.
     --lines FILE gets a line a play.
     """
     rows = []
@@ -69,11 +71,11 @@ def users_way(scenes: str = ",".join(SCENES), hidden: str = ",".join(HIDDEN), se
                     file.write(json.dumps(rows[-1]) + "\n")
             print(f"{name:16s} {key:9s} {'right' if rows[-1]['right'] else '-':6s} {rows[-1]['said']}", flush=True)
     print()
-    head("hidden", "plays", "right", "false names", "seconds")
+    head("hidden", "plays", "right", "false names", "accused", "seconds")
     for key in (*hidden.split(","), ""):
         own = [r for r in rows if key in ("", r["hidden"])]
         row(HIDDEN[key].words if key else "all", len(own), sum(r["right"] for r in own), sum(r["false"] for r in own),
-            round(sum(r["seconds"] for r in own) / max(len(own), 1), 1))
+            sum(bool(r["accused"]) for r in own), round(sum(r["seconds"] for r in own) / max(len(own), 1), 1))
 
 
 def _one(name: str, key: str, seed: int, individual: int) -> dict[str, Any]:
@@ -84,9 +86,11 @@ def _one(name: str, key: str, seed: int, individual: int) -> dict[str, Any]:
                                                              **({"individual": individual} if individual > 1 else {})})
         recording = Recording.read(Path(folder) / "recording.parquet")
     began = time.process_time()
-    answer = diagnose(recording, Robot.load(scene.robot), model=Model.load(shipped_model(scene.robot)))
+    robot = Robot.load(scene.robot)
+    answer = diagnose(recording, robot, model=Model.load(shipped_model(scene.robot)))
     right, wrong = judged(answer, what)
     return {"scene": name, "hidden": key, "right": right, "false": wrong, "seconds": time.process_time() - began,
+            "accused": [finding.kind for finding in inspect(recording, robot).contradictions],
             "taken_for": answer.taken_for, "said": said(answer)}
 
 

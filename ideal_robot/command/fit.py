@@ -233,7 +233,7 @@ def seen(stretch: Stretch, j: int, shape: Shape) -> Array:
 
 @dataclass(frozen=True)
 class FittedJoint:
-    """A joint's law, its error unknown yet.
+    """A joint's fitted law with its residuals, before the error of its coefficients is known.
 
     Attributes:
         law: of the joint.

@@ -55,7 +55,7 @@ class Column:
 
     @property
     def name(self) -> str:
-        """Its key in a model file."""
+        """Key of the column in a model file: the term, with the joint angle and power it is multiplied by."""
         return self.term if not self.posture else f"{self.term}*q_{self.posture}^{self.power}"
 
     @classmethod

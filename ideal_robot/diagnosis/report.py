@@ -93,7 +93,7 @@ class DomainDiagnosis:
 
     @property
     def regression(self) -> Regression:
-        """That was searched."""
+        """The residual and columns in which causes were looked for."""
         return self.best.regression
 
     @property

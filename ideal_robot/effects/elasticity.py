@@ -116,7 +116,7 @@ class FurtherElasticity(JointElasticity):
     prefix = "tau_further"
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """The model has to know the gear."""
+        """See ``Effect.usable``: only where the model has a stiffness of this gear."""
         return _known_gear(signals, joint) and GearEffect.usable(self, signals, joint)
 
     def spread(self, signals: Signals, joint: int) -> Array | None:

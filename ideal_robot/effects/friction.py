@@ -184,7 +184,7 @@ class LoadDependentFriction(Effect):
     theta_units = ("kg m²",)
     coefficient_names = ("friction per load",)
     coefficient_units = ("1",)
-    # More load, more friction; never as much as the load itself.
+    # Friction rises with the load, by less than the load itself.
     within = (0.0, 1.0)
     changes = "friction_per_load"
     discriminating_motion: ClassVar[tuple[tuple[str, str], ...]] = (

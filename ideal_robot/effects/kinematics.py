@@ -19,7 +19,7 @@ class ZeroError(Effect):
     name = "zero_error"
     coefficient_names = ("angle",)
     coefficient_units = ("rad",)
-    # Degrees, not another mounting.
+    # An error of the encoder's zero is some degrees [rad]; a larger one would be another mounting.
     within = (-0.2, 0.2)
     absorbed_by_base = True
     changes = "zero"

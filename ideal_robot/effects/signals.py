@@ -207,7 +207,7 @@ class Signals:
         return self.once(("speed", joint), lambda: float(np.percentile(np.abs(self.qd[:, joint - 1]), 99)))
 
     def once(self, key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
-        """What follows from the signals alone and is asked for many times: with each value of theta, in each round."""
+        """The value that ``make`` returned for this key the first time: of what the signals alone decide, kept."""
         if key not in self._made:
             self._made[key] = make()
         return self._made[key]

@@ -51,7 +51,7 @@ class ColouredNoise:
         values, N = np.where(use, residual, 0.0), len(residual)
         pairs = np.array([(used[k:] * used[: N - k]).sum() for k in range(order + 1)])
         products = np.array([(values[k:] * values[: N - k]).sum() for k in range(order + 1)])
-        # A lag that a few pairs show is drawn towards none.
+        # Few pairs of samples at a lag tell little of its correlation, which is shrunk towards zero.
         covariance = products / np.maximum(pairs + order * (np.arange(order + 1) > 0), 1.0)
         return cls.of_autocovariance(covariance)
 

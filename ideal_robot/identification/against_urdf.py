@@ -9,6 +9,10 @@ of rows in units of the channel's coloured noise. P is wide: masses are known wi
 inertia only in their sign. So a URDF with guessed masses accuses nobody, while what the joints share, a body that two
 of them carry, tells an exchanged, turned or rescaled torque from a true one.
 
+The size of the noise is the one with which the hypothesis explains the channel best, at least what a rigid body cannot
+say of any arm. What other parameters would leave is no noise: a motion of three seconds has fewer rows than there are
+parameters, some of which fit every row.
+
 A hypothesis H says of each joint which column is its torque, with which sign and in which unit (N m per unit), and in
 which direction gravity acts in the base's frame, or that the controller has taken it out. The search begins with the
 recording as it claims to be and takes the change that raises evidence and prior most, until none does.
@@ -29,7 +33,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics import regressor
 from ideal_robot.dynamics.tool_force import felt_at_tool, torques_of_tool_force
 from ideal_robot.estimate.gaussian import ROUNDING
-from ideal_robot.estimate.noise import ColouredNoise
+from ideal_robot.estimate.noise import ORDER, ColouredNoise
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.channels import dead_share, lattice
 from ideal_robot.signals.preprocess import FilteredSignals, evenly_sampled
@@ -75,8 +79,14 @@ _ROWS = 1500
 """Rows that are compared at most; they are spread over the recording."""
 _MISFIT = 0.02
 """Of a torque's deviation: what a rigid body with this friction cannot say of any arm, beside the noise."""
-_TURNS = 0.03
-"""Dry friction turns over within this share of a joint's top speed."""
+_STEPS = 4
+"""Of the noise's sizes: four give the evidence within 3 nats of where 16 end, where it is near the best at all."""
+_TURNS = (0.03, 0.1, 0.3)
+"""Dry friction turns over within such shares of a joint's top speed: at once on a quick motion, late on a slow one."""
+_HELD = 0.05
+"""Torque that dry friction holds while a joint stands, over the torque that is allowed: gears of arms have 3 to 8 %."""
+_OWN = 3 + len(_TURNS)
+"""Columns that a joint has for itself: acceleration, dry friction, viscous friction, a constant."""
 _SLIPS = 30.0
 """Degrees between the directions of gravity that are tried first."""
 
@@ -163,6 +173,8 @@ class _Rows:
             joint i's equation and column j; the links' parameters β in units of their spread.
         n, links: joints, and parameters of links.
         live: which columns of torque hold anything ``(n,)``.
+        count: rows.
+        least: size of each column's noise at least ``(n,)``, over the one that its products are whitened with.
         shares: whether all torques come in the same round steps, as shares of a rated torque do.
     """
 
@@ -170,6 +182,8 @@ class _Rows:
     n: int
     links: int
     live: np.ndarray
+    count: int
+    least: Array
     shares: bool = False
     cache: dict[tuple[int, int, tuple[float, float, float]], Array] = field(default_factory=dict, repr=False,
                                                                            compare=False)
@@ -189,79 +203,128 @@ class _Rows:
         bodies = [_bodies(s, robot, gravity)[::stride] for gravity in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1))]
         bodies = [bodies[0], *(one - bodies[0] for one in bodies[1:])]
         top = np.maximum(np.quantile(np.abs(s.qd), 0.99, axis=0), 1e-9)
-        own = [_in_units(s.decimate(column)[::stride]) for column in (s.qdd, np.tanh(s.qd / (_TURNS * top)), s.qd)]
+        shapes = (s.qdd, *(np.tanh(s.qd / (turns * top)) for turns in _TURNS), s.qd)
+        own = [_in_units(s.decimate(column)[::stride]) for column in shapes]
         dry = own[1]
-        # What viscous friction adds to dry friction of the same size may have either sign.
-        own[2] = own[2] - dry * np.sum(own[2] * dry, axis=0) / np.maximum(np.sum(dry * dry, axis=0), 1e-12)
+        # What viscous friction, or another turning over, adds to dry friction of the same size may have either sign.
+        for column in own[2:]:
+            column -= dry * np.sum(column * dry, axis=0) / np.maximum(np.sum(dry * dry, axis=0), 1e-12)
         pushed = _pushed(recording, robot, s, stride)
+        # A joint that hardly moves shows a constant that its dry friction holds.
+        size = np.hypot(scale, _HELD * robot.tau_max)
         # The acceleration's own column has half of the torque's spread, friction too; their sign is what is known.
         X = [np.column_stack([*(np.hstack([one[:, i] @ root, pushed[:, i] * (k == 0)]) for k, one in enumerate(bodies)),
                               *(scale[i] * column[:, i] for column in own),
-                              np.full(len(y), scale[i]), *(one[:, i] @ mean for one in bodies)]) for i in range(n)]
-        use = np.ones(len(y), dtype=bool)
-        noise = [_noise(X, y[:, j], use) for j in range(n)]
-        C, P = X[0].shape[1] + 1, root.shape[1] + pushed.shape[2]
-        products = np.zeros((n, n, C, C))
-        for i in range(n):
-            for j in np.flatnonzero(live):
-                # A joint's own columns have the spread of the column that is taken for its torque.
-                own_scale = np.ones(C - 1)
-                own_scale[4 * P : 4 * P + 4] = scale[j] / scale[i] if live[i] else 1.0
-                white = noise[j].whiten(np.column_stack([X[i] * own_scale, y[:, j]]), use)
-                products[i, j] = white.T @ white
-        return cls(products, n, P, live, _in_round_steps(recording.joints("tau")[:, live]))
+                              np.full(len(y), size[i]), *(one[:, i] @ mean for one in bodies)]) for i in range(n)]
+        P, least = root.shape[1] + pushed.shape[2], np.maximum(_MISFIT * scale, 1e-300)
+        shares = _in_round_steps(recording.joints("tau")[:, live])
+        white = [ColouredNoise.of_autocovariance(np.r_[one**2, np.zeros(ORDER)]) for one in least]
+        own_torque = np.eye(n, dtype=bool) & live
+        left = cls(_products(X, y, white, P, own_torque), n, P, live, len(y), np.ones(n), shares).left(X, y)
+        # The colour is that of what the recording leaves as it claims to be; the sizes are each hypothesis' own.
+        noise = [ColouredNoise.fit(left[:, j], np.ones(len(y), dtype=bool)) for j in range(n)]
+        return cls(_products(X, y, noise, P, np.ones((n, n), dtype=bool) & live), n, P, live, len(y),
+                   least / np.array([one.std for one in noise]), shares)
 
     def under(self, i: int, j: int, gravity: tuple[float, float, float]) -> Array:
-        """Products ``[β, own, mean, τ]`` of joint i's equation and column j under a gravity ``(P + 6, P + 6)``."""
+        """Products ``[β, own, mean, τ]`` of joint i's equation and column j under a gravity ``(P + K, P + K)``."""
         key = (i, j, gravity)
         if key not in self.cache:
             P, weight, products = self.links, np.array([1.0, *gravity]), self.products[i, j]
+            means = 4 * P + _OWN
             # Columns of inertia and of gravity along each axis are added up.
-            half = np.empty((P + 6, products.shape[1]))
+            half = np.empty((P + _OWN + 2, products.shape[1]))
             half[:P] = np.tensordot(weight, products[: 4 * P].reshape(4, P, -1), 1)
-            half[P : P + 4] = products[4 * P : 4 * P + 4]
-            half[P + 4] = weight @ products[4 * P + 4 : 4 * P + 8]
-            half[P + 5] = products[-1]
-            whole = np.empty((P + 6, P + 6))
+            half[P : P + _OWN] = products[4 * P : means]
+            half[-2] = weight @ products[means : means + 4]
+            half[-1] = products[-1]
+            whole = np.empty((P + _OWN + 2, P + _OWN + 2))
             whole[:, :P] = np.tensordot(half[:, : 4 * P].reshape(-1, 4, P), weight, (1, 0))
-            whole[:, P : P + 4] = half[:, 4 * P : 4 * P + 4]
-            whole[:, P + 4] = half[:, 4 * P + 4 : 4 * P + 8] @ weight
-            whole[:, P + 5] = half[:, -1]
+            whole[:, P : P + _OWN] = half[:, 4 * P : means]
+            whole[:, -2] = half[:, means : means + 4] @ weight
+            whole[:, -1] = half[:, -1]
             self.cache[key] = whole
         return self.cache[key]
 
     def evidence(self, reading: Reading) -> float:
-        """The evidence ln p(τ | H), up to what is the same for all hypotheses."""
-        n, P = self.n, self.links
-        H, h, squares = np.eye(P + 4 * n), np.zeros(P + 4 * n), 0.0
-        for i in range(n):
-            j = reading.column[i]
-            if not self.live[j]:
-                continue
-            block, unit, sign = self.under(i, j, reading.gravity), reading.unit[i], reading.sign[i]
-            own = P + i + n * np.arange(4)
-            # The residual about the URDF's own torque, r = ± τ - unit · X μ, as a combination of the last two columns.
-            about = sign * block[:, -1] - unit * block[:, -2]
-            H[:P, :P] += unit**2 * block[:P, :P]
-            H[:P, own] += unit * block[:P, P : P + 4]
-            H[own, :P] += unit * block[P : P + 4, :P]
-            H[np.ix_(own, own)] += block[P : P + 4, P : P + 4]
-            h[:P] += unit * about[:P]
-            h[own] += about[P : P + 4]
-            squares += float(block[-1, -1] - 2.0 * sign * unit * block[-1, -2] + unit**2 * block[-2, -2])
-        # Scaled to ones on the diagonal: units a thousand times off are beyond double precision otherwise.
-        size = 1.0 / np.sqrt(np.diag(H))
-        scaled = H * np.outer(size, size)
-        scaled[np.diag_indices(len(H))] += ROUNDING
-        root = linalg.cholesky(scaled, lower=True, check_finite=False)
-        z = linalg.solve_triangular(root, size * h, lower=True, check_finite=False)
-        value = -0.5 * (squares - float(z @ z)) - float(np.log(np.diag(root)).sum() - np.log(size).sum())
+        """The evidence ln p(τ | H) with the noise that explains most, up to what is the same for all hypotheses."""
+        value, theta, covariance = self._fitted(reading)
         # Friction brakes and rotors resist: of their normal priors one half, of the posterior what lies there.
-        positive = np.arange(P, P + 2 * n)
-        unit_columns = np.zeros((P + 4 * n, 2 * n))
-        unit_columns[positive, np.arange(2 * n)] = 1.0
-        back = linalg.solve_triangular(root, unit_columns, lower=True, check_finite=False)
-        return value + float(np.sum(special.log_ndtr((back.T @ z) / np.linalg.norm(back, axis=0)) + np.log(2.0)))
+        positive = self.links + np.add.outer(_OWN * np.arange(self.n), np.arange(2)).ravel()
+        deviation = np.sqrt(np.diag(covariance)[positive])
+        return value + float(np.sum(special.log_ndtr(theta[positive] / deviation) + np.log(2.0)))
+
+    def left(self, X: list[Array], y: Array) -> Array:
+        """What the recording leaves of its torques ``(N, n)``, in their unit, as it claims to be."""
+        P, claimed = self.links, Reading.claimed(self.n)
+        weight, theta = np.array([1.0, *claimed.gravity]), self._fitted(claimed)[1]
+        own = theta[P:].reshape(self.n, _OWN)
+        left = y.copy()
+        for i, columns in enumerate(X):
+            bodies = np.tensordot(columns[:, : 4 * P].reshape(len(y), 4, P), weight, (1, 0))
+            left[:, i] -= (columns[:, 4 * P + _OWN :] @ weight + bodies @ theta[:P]
+                           + columns[:, 4 * P : 4 * P + _OWN] @ own[i])
+        return left
+
+    def _fitted(self, reading: Reading) -> tuple[float, Array, Array]:
+        """The evidence of normal priors, mean and covariance of the parameters, with the sizes of the noise.
+
+        Expectation and maximisation: a size is what the parameters leave on average over their posterior. The
+        parameters are the links', then each joint's own.
+        """
+        n, P, K = self.n, self.links, _OWN
+        products, least = np.zeros((n, P + K + 1, P + K + 1)), np.ones(n)
+        for i in range(n):
+            if not self.live[reading.column[i]]:
+                continue
+            block, unit, sign = self.under(i, reading.column[i], reading.gravity), reading.unit[i], reading.sign[i]
+            # Columns of the parameters, and the residual about the URDF's own torque, ± τ - unit · X μ.
+            half = np.column_stack([unit * block[:, :P], block[:, P:-2], sign * block[:, -1] - unit * block[:, -2]])
+            products[i] = np.vstack([unit * half[:P], half[P:-2], sign * half[-1] - unit * half[-2]])
+            least[i] = self.least[reading.column[i]]
+        own = [slice(P + K * i, P + K * (i + 1)) for i in range(n)]
+        size = np.maximum(1.0, least)
+        for step in range(_STEPS):
+            H, weight = np.eye(P + K * n), 1.0 / size**2
+            H[:P, :P] += np.tensordot(weight, products[:, :P, :P], 1)
+            H[:P, P:] = np.moveaxis(weight[:, None, None] * products[:, :P, P:-1], 0, 1).reshape(P, -1)
+            H[P:, :P] = H[:P, P:].T
+            for i in range(n):
+                H[own[i], own[i]] += weight[i] * products[i, P:-1, P:-1]
+            h = np.concatenate([weight @ products[:, :P, -1], (weight[:, None] * products[:, P:-1, -1]).ravel()])
+            # Scaled to ones on the diagonal: units a thousand times off are beyond double precision otherwise.
+            scale = 1.0 / np.sqrt(np.diag(H))
+            H *= scale[:, None] * scale
+            H[np.diag_indices(len(H))] += ROUNDING
+            root = linalg.cholesky(H, lower=True, check_finite=False)
+            back = linalg.solve_triangular(root, np.column_stack([np.diag(scale), scale * h]), lower=True,
+                                           check_finite=False)
+            z = back[:, -1]
+            theta, covariance = back[:, :-1].T @ z, back[:, :-1].T @ back[:, :-1]
+            if step == _STEPS - 1:
+                break
+            left = np.tensordot(products[:, :P, :P], covariance[:P, :P], 2)
+            for i in range(n):
+                about = np.concatenate([-theta[:P], -theta[own[i]], [1.0]])
+                left[i] += (about @ products[i] @ about + 2.0 * np.sum(products[i, :P, P:-1] * covariance[:P, own[i]])
+                            + np.sum(products[i, P:-1, P:-1] * covariance[own[i], own[i]]))
+            size = np.maximum(np.sqrt(np.maximum(left, 0.0) / self.count), least)
+        squares = float(products[:, -1, -1] @ weight)
+        value = -0.5 * (squares - float(z @ z)) - float(np.log(np.diag(root)).sum() - np.log(scale).sum())
+        return value - self.count * float(np.log(size).sum()), theta, covariance
+
+
+def _products(X: list[Array], y: Array, noise: list[ColouredNoise], links: int, pairs: np.ndarray) -> Array:
+    """Products of the whitened columns of joint i's equation and column j ``(n, n, C, C)``, of the pairs ``(n, n)``."""
+    n, C, use = len(X), X[0].shape[1] + 1, np.ones(len(y), dtype=bool)
+    scale, products = np.std(y, axis=0), np.zeros((n, n, C, C))
+    for i, j in np.argwhere(pairs):
+        # A joint's own columns have the spread of the column that is taken for its torque.
+        own_scale = np.ones(C - 1)
+        own_scale[4 * links : 4 * links + _OWN] = scale[j] / scale[i] if scale[i] > 0.0 else 1.0
+        white = noise[j].whiten(np.column_stack([X[i] * own_scale, y[:, j]]), use)
+        products[i, j] = white.T @ white
+    return products
 
 
 def _in_round_steps(tau: Array) -> bool:
@@ -302,26 +365,6 @@ def _bodies(s: FilteredSignals, robot: Robot, gravity: tuple[float, float, float
     model = robot.pinocchio.copy()
     model.gravity.linear = np.array(gravity, dtype=float)
     return s.decimate_motion(lambda some: regressor(model, s.q[some], s.qd[some], s.qdd[some]))
-
-
-def _noise(X: list[Array], y: Array, use: np.ndarray) -> ColouredNoise:
-    """The noise of a channel: what that joint's equation leaves which explains it best, with parameters of its own.
-
-    So no hypothesis has a part in it. What the model class cannot say of any arm stands in it too.
-    """
-    residuals = []
-    for one in X:
-        size = np.linalg.norm(one, axis=0)
-        Z = one[:, size > 1e-9 * size.max()] / size[size > 1e-9 * size.max()]
-        gram = Z.T @ Z + 1e-6 * np.eye(Z.shape[1])
-        inverse = linalg.cho_factor(gram, lower=True)
-        # What the columns take up of noise, by the trace of the projection.
-        free = max(len(y) - float(np.trace(linalg.cho_solve(inverse, Z.T @ Z))), 0.2 * len(y))
-        residuals.append((y - Z @ linalg.cho_solve(inverse, Z.T @ y)) * np.sqrt(len(y) / free))
-    best = min(residuals, key=lambda residual: float(residual @ residual))
-    noise = ColouredNoise.fit(best, use)
-    spread = float(np.std(y))
-    return noise.scaled(float(np.hypot(1.0, _MISFIT * spread / max(noise.std, 1e-12 * spread + 1e-300))))
 
 
 def link_prior(robot: Robot) -> tuple[Array, Array]:

@@ -128,7 +128,7 @@ class Shapes:
                 continue
             turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end / length).matrix()
             capsule = coal.Capsule(self._radius, max(length - self._radius, 1e-3))
-            # Shortened at the joint that carries it: there it is inside the link before.
+            # Shorter at its own joint: there the capsule lies inside the previous link and would always collide.
             place = pin.SE3(turn, np.asarray(end) * (0.5 + 0.5 * self._radius / length))
             links.append((joint, self._add(f"link {joint}", joint, place, capsule)))
         return links

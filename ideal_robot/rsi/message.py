@@ -23,7 +23,7 @@ from ideal_robot.bounded_values import RSI_BYTES
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.robots.robot import Robot
 
-# What can go wrong between us and a controller.
+# Errors of the connection to a controller.
 
 class RsiError(IdealRobotError):
     """The link to the controller cannot go on; the arm stays where the controller holds it."""
@@ -346,7 +346,7 @@ def _elements(text: str) -> dict[str, list[_Element]]:
 def _only(by_name: dict[str, list[_Element]], tag: str) -> _Element | None:
     elements = by_name.get(tag, [])
     if len(elements) > 1:
-        raise PacketError(f"{tag} stands there {len(elements)} times")
+        raise PacketError(f"{tag} is in the packet {len(elements)} times, expected once")
     return elements[0] if elements else None
 
 

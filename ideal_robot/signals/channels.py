@@ -129,7 +129,7 @@ def dead_joints(findings: tuple[ChannelFinding, ...]) -> list[int]:
 
 
 def lattice(values: Array) -> float:
-    """The step between the levels that values come in, 0 if they come in no steps ``(N,)``."""
+    """The step between the levels that values ``(N,)`` come in, as an encoder's; 0 where they come in none."""
     levels = np.unique(values)
     span = levels[-1] - levels[0]
     gaps = np.diff(levels)

@@ -255,7 +255,7 @@ def unwrapped(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]
                 continue
             turns = np.round(np.diff(values) / (2.0 * np.pi))
             rest = np.abs(np.diff(values) - 2.0 * np.pi * turns)
-            # A step of a whole turn but for a quarter: a joint does not move so far from sample to sample.
+            # A step within a quarter turn of whole turns: the counter wrapped, no joint moves so far in a sample.
             wraps = (turns != 0.0) & (rest < 0.5 * np.pi)
             if not wraps.any():
                 continue

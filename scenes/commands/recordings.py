@@ -428,12 +428,11 @@ def validate(
 
     Example, after that of `export`: `ideal-robot validate out/plan/recording.parquet --mjcf arm.xml`
     """
-    import numpy as np
-
     from ideal_robot.diagnosis import diagnose
     from ideal_robot.model.mjcf import arm_of_mjcf
     from ideal_robot.signals.recording import Recording
-    from scenes.diagnosis.page import diagnosis_page, summary
+    from scenes.diagnosis.page import summary
+    from scenes.diagnosis.validation_page import COLUMNS, rows, validation_page
 
     check_outputs({"--out": out}, json=json)
     arm = arm_of_mjcf(mjcf)
@@ -441,16 +440,15 @@ def validate(
     for text in arm.left_out:
         typer.echo(f"warning: left out of {mjcf.name}: {text}", err=True)
     prediction = arm.model.predict(loaded)
-    errors, away = prediction.relative_error_percent, np.std(prediction.measured - prediction.tau, axis=0)
-    show_table(f"residual of {mjcf.name} on {recording.name}",
-               ["joint", "residual % of the torque", "standard deviation", "unit"],
-               [[j + 1, float(errors[j]), float(away[j]), arm.robot.units("N m")[j]] for j in range(arm.robot.n)])
+    units = arm.robot.units("N m")
+    show_table(f"residual of {mjcf.name} on {recording.name}", COLUMNS, rows(prediction, units))
     with progress_bar("validate") as progress:
         diagnosis = diagnose(loaded, arm.robot, model=arm.model, progress=progress)
         page = out / "report.html"
         with whole_files(page, json) as (page_file, json_file):
-            diagnosis_page(diagnosis, f"{mjcf.name} on {recording.name}").write(page_file)
-            write_signed(json_file, {"recording_hash": loaded.hash, "residual_percent": errors.tolist(),
+            validation_page(mjcf.name, recording, prediction, units, diagnosis).write(page_file)
+            write_signed(json_file, {"recording_hash": loaded.hash,
+                                     "residual_percent": prediction.relative_error_percent.tolist(),
                                      "left_out": list(arm.left_out), **diagnosis.to_dict()})
     _show_diagnosed(diagnosis, False)
     typer.echo(summary(diagnosis))

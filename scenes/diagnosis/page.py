@@ -254,7 +254,7 @@ def _traces(page: Report, diagnosis: Diagnosis, names: tuple[str, ...], traces: 
         touched = [j for j, c in enumerate(names) if any(d.channel == c for d in diagnosis.channels)][:1]
     page.heading(f"Measured, and the residual: {' to '.join(dict.fromkeys((names[0], names[-1])))}", folded=True)
     for place, j in enumerate(touched[:7]):
-        # The first is an example of how to read them; many make a page that nobody gets to the end of.
+        # The first one is shown as an example of how to read them, the others are folded away.
         folded = (f"{names[j]} over time", f"{names[j]} over position, velocity and time") if place else ("", "")
         page.figure(over_time(traces, j, names[j], unit_of(diagnosis, names[j])),
                     f"{names[j]}: the measurement (grey) and what the model leaves of it before (red) and after "

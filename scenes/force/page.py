@@ -44,12 +44,11 @@ def run_page(result: ForceResult, moving: Replay | None) -> Report:
     f, scene = result.figures, result.scene
     line = result.lateral.get("control_error_mm")
     beside = f", mean distance from the line {line['mean']:.3f} mm" if line else ""
-    page = Report(scene.title, f"{result.method} at {scene.speed:g} m/s: RMS force error {f.rms:.2f} N of "
-                  f"{scene.force:g} N, largest force {f.largest:.1f} N{beside}.")
+    page = Report(scene.title, f"The force was {f.rms:.2f} N (RMS) from the {scene.force:g} N wanted, "
+                  f"{f.largest:.1f} N at most{beside}: {result.method} at {scene.speed:g} m/s.")
     if result.failure is not None:
         page.warning(result.failure)
     page.figures(result.summary())
-    page.text(scene.description)
     if moving is not None:
         page.heading("The run")
         page.replay(moving, "Green to red: how far the true force is from the wanted one while the tool travels.")
@@ -63,6 +62,8 @@ def run_page(result: ForceResult, moving: Replay | None) -> Report:
         page.figure(_line_figure(result), "Distance of the tip from the drawn line, and how many points "
                     "of each field were used.")
         page.text(_camera_story(result))
+    page.heading("Scene", folded=True)
+    page.text(scene.description)
     page.heading("What was calibrated by moving", folded=True)
     assumed, std, true = result.elasticity
     page.table(["", "found", "true"], [["elasticity E [N/m]", f"{assumed:.0f} ± {std:.0f}", f"{true:.0f}"],

@@ -29,6 +29,7 @@ from scenes.result import Progress, ShownRun, silent
 from scenes.scene_file import as_typed
 from scenes.scene_files.force_scene import CameraTrouble, ForceScene
 from scenes.simulated import done, recorded
+from scenes.verdict import BAD, GOOD, Verdict
 from sensing.camera.hand_eye import HandEye
 from sim.arm.arm import SimulatedArm
 from sim.contact.contact import TipContact
@@ -125,7 +126,9 @@ class ForceResult(ShownRun):
         f = self.figures
         rows = [("method", self.method), ("speed", f"{self.scene.speed:g} m/s"),
                 ("RMS force error", f"{f.rms:.2f} N of {self.scene.force:g} N"),
-                ("largest force", f"{f.largest:.1f} N"), ("contact lost", f"{1e3 * f.lost:.0f} ms")]
+                ("largest force", Verdict(f"{f.largest:.1f} N of at most {self.scene.emergency.force:g} N",
+                                          GOOD if f.largest < self.scene.emergency.force else BAD)),
+                ("contact lost", Verdict(f"{1e3 * f.lost:.0f} ms", BAD if f.lost else GOOD))]
         if self.control_error is not None:
             rows.append(("mean distance from the line", f"{1e3 * self.control_error.mean:.3f} mm"))
         rows.append(("speed of the simulation", f"{self.real_time_factor:.1f} × real time"))

@@ -32,7 +32,7 @@ GAIN = 0.5
 
 
 def far_from_line(mean: float) -> str:
-    """What is said of a mean distance from the line [m]; empty where it is small."""
+    """A warning for a mean distance from the line [m] that is too large to be used; empty for a small one."""
     if not mean > FAR:
         return ""
     return (f"the tool stayed {1e3 * mean:.1f} mm from the line on average, which is more than {1e3 * FAR:g} mm: check "

@@ -118,7 +118,7 @@ def force_task(known: KnownSurface, method: SceneMethod, tool: ToolLoad, elastic
         span = (scene.reference.run_up, known.reference.length - scene.reference.run_out)
         sight = LineOnSurface(follower, known.camera.T_tool_camera,
                               SightSettings(distance_ratio=scene.assumed.distance_ratio), span)
-        # Five filters take longer than any answer may wait.
+        # Five filters are updated by a field, which takes longer than an answer may: the fields are fused behind it.
         camera = LineCamera(known, sight, follower.history, log, model, at_once=np.inf, newest=newest)
     setting = Setting(known.robot, model, follower.n_d, known.delay, friction=friction)
     sensors: list[Sensor] = [contact] if camera is None else [contact, camera]

@@ -92,7 +92,7 @@ class ContactSensor(Sensor):
         self._measured: tuple[Array, Measurement | None] | None = None
 
     def connect(self, device: ForceSensor) -> None:
-        """From now on with this sensor."""
+        """Takes the force sensor that is read from now on."""
         self.device = device
 
     def witnessed(self, witness: Witness, short: bool) -> None:

@@ -76,7 +76,7 @@ class Journal:
         for values, row in zip((q_d, q_c, state.q, state.tau), self._each, strict=True):
             row[:] = values
         try:
-            # At its place: of a row that a full disk took in part the next one takes the place.
+            # Written at its own offset: the next row overwrites one of which a full disk took only a part.
             whole = os.pwrite(self._file.fileno(), self._row.data, self._row.nbytes * self._rows) == self._row.nbytes
         except OSError:
             whole = False

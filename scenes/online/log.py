@@ -129,10 +129,9 @@ SETTLING = 0.3
 
 
 def plan_error(log: TaskLog, fusion: DeviationFilter) -> dict[str, float | None]:
-    """The desired path against the line as all fields of the run show it; what a cell can say of itself [mm].
+    """Mean and largest distance [mm] of the planned path from the line as the map shows it after the run.
 
-    Mean and largest distance from where the line was first followed on, by the map after the run; None where nothing is
-    kept.
+    Counted from when the line was first followed; None where nothing was. A cell knows no other truth of its error.
     """
     count = len(log.planned)
     s, t = (np.asarray(values)[:count] for values in (log.s, log.t))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,27 +17,30 @@ from scenes.report.replay import Replay
 
 def write_run(result: FollowResult, out: Path) -> FollowResult:
     """Writes recording, page and figures of a run into a folder; returns the result with their places."""
-    return write_run_files(result, _page, out, None)
+    return write_run_files(replace(result, recording_path=out / "recording.parquet"), _page, out, None)
 
 
 def _page(result: FollowResult, _: Replay | None) -> Report:
-    page = Report(result.scene.title, f"{result.method} on devices: {len(result.recording.t)} cycles"
-                  + (", the whole path." if result.failure is None else ", ended early."))
+    page = Report(result.scene.title, result.answer())
     if result.failure is not None:
         page.warning(result.failure)
     if count := result.devices.get("arm", {}).get("cycles_not_recorded", 0):
         page.warning(f"The disk did not take {count} cycles: they are missing in the recording.")
     if result.left_behind is not None:
         page.warning(f"A run before this one was killed; what it did until then is in {result.left_behind}.")
-    page.figures(result.summary())
+    # What processes and clocks did stands with the devices and the timing.
+    page.figures([(label, value) for label, value in result.summary()
+                  if not label.startswith(("clock of", "both together")) and not label.endswith("process")])
+    page.figure(_motion(result), "Top: how far beside the reference path the tool was planned to be. Middle: commanded "
+                "joint speeds. Bottom: desired position of the arm minus motor angle, which is all that a controller "
+                "tells: the gears' deflection is in it.")
+    page.next(*result.next_steps())
+    page.heading("Scene", folded=True)
     page.text(result.scene.description)
-    page.heading("What was planned and commanded")
-    page.figure(_motion(result), "Top: planned deviation from the reference path. Middle: commanded joint speeds. "
-                "Bottom: desired arm position minus motor angle, which is all a controller tells: gears stay between.")
-    page.heading("Devices")
+    page.heading("Devices", folded=True)
     for name, device in result.devices.items():
         page.table(["figure", name], _told(device))
-    page.heading("Timing")
+    page.heading("Timing", folded=True)
     page.table(["figure", "value"], _told(result.timing))
     return page
 

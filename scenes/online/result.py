@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ideal_robot.signals.recording import Recording
+from scenes.report.call import Call
 from scenes.result import ShownRun
 from scenes.scene_files.scene import Scene
+from scenes.verdict import BAD, GOOD, Verdict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -56,15 +58,37 @@ class FollowResult(ShownRun):
         """Motor angles and torques over time: what devices tell of a run."""
         return self.recording.plot()
 
+    def answer(self) -> str:
+        """What came of the run in a sentence or two, with the numbers that a cell can say of itself."""
+        whole = "The whole path was followed" if self.failure is None else "The run ended early"
+        said = [f"{whole}: {self.method} on devices, {len(self.recording.t)} cycles."]
+        error = self.figures.get("plan_error_mm", {})
+        if error.get("mean") is not None:
+            said.append(f"By its own pictures the planned path was {error['mean']:.3f} mm from the line on average, "
+                        f"{error['max']:.3f} mm at most.")
+        force = self.figures.get("force_N", {})
+        if np.isfinite(force.get("rms_error", np.nan)):
+            said.append(f"The felt force was {force['rms_error']:.2f} N (RMS) from the {force['wanted']:g} N wanted.")
+        return " ".join(said)
+
+    def next_steps(self) -> list[tuple[str, str]]:
+        """See ``ShownRun.next_steps``."""
+        call = Call(self.recording_path or "RECORDING", self.scene.robot)
+        return [("See what the model of this arm lacks.", f"ideal-robot diagnose {call}"),
+                ("Watch the run.", f"ideal-robot view {call}")]
+
     def summary(self) -> list[tuple[str, str]]:
         """The few figures a person wants first."""
         rows = [("method", self.method), ("cycles", str(len(self.recording.t)))]
         link = self.devices.get("arm", {}).get("link", {})
-        rows += [(f"packets {key}", str(link[key])) for key in ("lost", "late", "refused") if key in link]
+        rows += [(f"packets {key}", Verdict(str(link[key]), BAD if link[key] else GOOD))
+                 for key in ("lost", "late", "refused") if key in link]
         if count := self.devices.get("arm", {}).get("cycles_not_recorded", 0):
             rows.append(("cycles missing in the recording", f"{count}: the disk did not take them"))
-        rows.append(("answer after, median and worst",
-                     f"{self.timing['answer_ms']['median']:.2f}, {self.timing['answer_ms']['max']:.1f} ms"))
+        answers, t = self.timing["answer_ms"], self.recording.t
+        cycle = 1e3 * float(np.median(np.diff(t))) if len(t) > 1 else np.nan
+        rows.append(("longest answer, of a cycle", Verdict(f"{answers['max']:.1f} of {cycle:.0f} ms",
+                                                           GOOD if answers["max"] < cycle else BAD)))
         if "self_test" in self.timing:
             rows.append(("this computer, before the job", self.timing["self_test"]["text"]))
         if (share := self.devices.get("arm", {}).get("holding_share", 0.0)) > 1.0:

@@ -135,7 +135,8 @@ def _job(scene: Scene, devices: Devices, method: str | None, calibration: Path |
     loop = loop_model(model, robot, delay=int(devices.delay))
     within = answers_within(loop, robot)
     if not isinstance(scene, LineScene | ForceScene):
-        raise InputError("only lines and surfaces are followed", field="kind", value=scene.kind)
+        raise InputError("expected a scene of kind line or force: devices follow no other", field="kind",
+                         value=scene.kind)
     chosen = method_of(method or scene.method, following_methods())
     feedforward("ideal", model, robot, delay=int(devices.delay))
     camera = calibrated_camera(believed_camera(scene.camera, scene.calibration), calibration)

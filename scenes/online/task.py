@@ -149,7 +149,7 @@ class Task:
         self.ahead: Ahead | None = None
 
     def lead(self, arm: LiveArm) -> None:
-        """From now on with this arm, which rests at the start, and is held there until its first cycle is planned."""
+        """Takes the arm that is led from now on: it rests at the start until its first cycle is planned."""
         ahead = Ahead(self, arm)
         if ahead.plans:
             arm.meanwhile(ahead.begin)

@@ -96,7 +96,7 @@ def play(robot: Robot, world: World, path: JointPath, feedforward: Feedforward, 
         tcp = arm.tcp_path()[1]
         of_motors = np.array([arm.tcp_of(q).translation for q in history["q_m"]])
     every = round(world.t_ipo / (history["t"][1] - history["t"][0]))
-    # Between the cycles the path goes on: the desired position of a cycle is a wrong one for the rows after it.
+    # The log has several rows a cycle: the desired position of each is that of its own time, not of its cycle.
     wanted = interpolated(recording.t, path.t, q_d)
     columns = {**recording.columns, **{f"q_d_{i + 1}": wanted[:, i].copy() for i in range(robot.n)}}
     wanted_t, wanted_x = path.t[path.counts], path.x_d[path.counts]

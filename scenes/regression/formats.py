@@ -126,16 +126,27 @@ def sentence(row: Row) -> str:
             f"{sure}")
 
 
+def in_words(figure: str) -> str:
+    """A figure's key as words, its unit left out.
+
+    >>> in_words("path_error_mm.time_matched.E_car")
+    'path error, time matched, E_car'
+    """
+    parts = [part.removesuffix(f"_{unit_of(figure)}") for part in figure.split(".")]
+    return ", ".join(part if part.startswith("E_") else part.replace("_", " ") for part in parts)
+
+
 def answer(comparison: Comparison) -> str:
     """The verdict in a sentence with its number."""
     worst = comparison.worst
     missed = next((bound for bound in comparison.bounds if not bound.kept), None)
     if worst is not None:
-        unit = unit_of(worst.figure) or ""
-        return (f"{worst.case}: {worst.figure} rose from {worst.before:.3g} to {worst.after:.3g} {unit}".rstrip()
-                + f" ({100.0 * worst.difference / max(worst.before, 1e-300):+.0f} %).")
+        unit, ratio = unit_of(worst.figure) or "", worst.after / max(worst.before, 1e-300)
+        by = f"{100.0 * (ratio - 1.0):+.0f} %" if ratio < 3.0 else f"{ratio:.3g} times as much"
+        return (f"{worst.case}: {in_words(worst.figure)} rose from {worst.before:.3g} to {worst.after:.3g} "
+                f"{unit}".rstrip() + f" ({by}).")
     if missed is not None:
-        return (f"{missed.case}: {missed.figure} is {missed.mean:.3g} {unit_of(missed.figure) or ''}".rstrip()
+        return (f"{missed.case}: {in_words(missed.figure)} is {missed.mean:.3g} {unit_of(missed.figure) or ''}".rstrip()
                 + f", its bound {missed.limit:.3g}.")
     if comparison.uncompared:
         return f"Nothing to compare with: {'; '.join(comparison.uncompared)}."
@@ -226,10 +237,11 @@ def picture(comparison: Comparison) -> Figure | None:
         right.plot(share, np.full(len(share), float(i)), ".", color=f"C{i % 10}", alpha=0.5)
         spread = float(stats.sem(share) * stats.t.ppf(0.975, len(share) - 1)) if len(share) > 1 else 0.0
         right.errorbar(float(share.mean()), i, xerr=spread, fmt="k|", capsize=3.0)
-    left.set(xlabel=f"{name} before", ylabel=f"{name} after")
+    unit = unit_of(name) or "1"
+    left.set(title=in_words(name), xlabel=f"before [{unit}]", ylabel=f"after [{unit}]")
     right.axvline(0.0, color="0.6", lw=1.0)
     right.set_yticks(range(len(groups)), [group[0] for group in groups])
     right.invert_yaxis()
-    right.set_xlabel(f"difference of {name} [%]")
+    right.set_xlabel("difference [%]")
     plt.close(figure)
     return figure

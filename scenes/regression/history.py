@@ -95,7 +95,7 @@ class History(Summarised):
 
     @property
     def headline(self) -> str:
-        """The answer in one sentence."""
+        """One sentence: which version made which figure worse, or that none did."""
         newest = self.versions[-1].name
         if len(self.versions) == 1:
             return f"{newest} is the only version; nothing to compare with"

@@ -126,8 +126,8 @@ class Suite:
 
     def _ask(self, field: str, figure: str, scenes: Sequence[Scene]) -> None:
         if figure in NOT_FIGURES:
-            raise InputError(f"says what is played and is no figure; give figures such as {', '.join(MAIN)}",
-                             file=self.path, field=field, value=figure)
+            raise InputError(f"is a setting of a run, not a figure of its result; give figures such as "
+                             f"{', '.join(MAIN)}", file=self.path, field=field, value=figure)
         self._asked.append((field, figure, {scene.name for scene in scenes}))
 
     def play(self, done: Callable[[int], None], **how: Any) -> Played:

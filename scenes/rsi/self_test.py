@@ -77,7 +77,7 @@ class HeldCycles:
         return held[-1] if held else None
 
     def json(self) -> dict[str, Any]:
-        """Key figures."""
+        """The content of ``--json``: delays and losses of each cycle that was tried."""
         return {"shortest_cycle_ms": self.shortest(), "granted": self.granted, "load_per_core": self.load,
                 "cores": self.cores, "cycles": [
                     {"cycle_ms": t.cycle_ms, "held": t.held, "share_late": t.late, "packets": len(t.delays_ms),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import io
-import operator
 import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
@@ -21,44 +20,58 @@ from ideal_robot.bounded_values import SVG_BYTES, SVG_DEPTH, SVG_ELEMENTS, read_
 from ideal_robot.errors import InputError
 from scenes.scene_files.scene import Table
 
-# A curve's height as a formula of ``x``, read by a small grammar of its own: nothing of it is ever run as a program.
+# A curve's height as a formula of ``x``: Python's own syntax, of which a short list is allowed.
 #
-# The text is parsed to Python's syntax tree and each node is looked up in the tables below; what is not in them is
-# refused. Numbers are floats from the start, so that powers overflow at once instead of growing.
+# Without attributes, subscripts, strings and calls of anything but the functions below, an expression can only compute.
 
 MAX_LENGTH = 500
 """Longest formula [characters]."""
-MAX_DEPTH = 40
-"""Deepest nesting of operations and parentheses."""
-MAX_NODES = 400
-"""Most nodes of the syntax tree."""
-MAX_NUMBER = 1e9
-"""Largest magnitude of a number written in a formula."""
-MAX_EXPONENT = 32.0
-"""Largest magnitude of an exponent."""
-
-NAMES = {"pi": np.pi, "e": np.e}
-"""Names a formula may hold besides ``x``."""
-
-FUNCTIONS: dict[str, tuple[int, Callable[..., Any]]] = {
-    **{name: (1, getattr(np, name)) for name in (
+FUNCTIONS: dict[str, Callable[..., Any]] = {
+    name: getattr(np, name) for name in (
         "sin", "cos", "tan", "arcsin", "arccos", "arctan", "sinh", "cosh", "tanh", "arcsinh", "arccosh", "arctanh",
-        "sqrt", "exp", "expm1", "log", "log10", "log1p", "abs", "floor", "ceil", "sign")},
-    "arctan2": (2, np.arctan2), "minimum": (2, np.minimum), "maximum": (2, np.maximum), "where": (3, np.where),
-}
-"""Functions a formula may call: how many arguments, and what computes them."""
-
-_BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
-    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Mod: np.fmod,
-}
-_UNARY: dict[type[ast.unaryop], Callable[[Any], Any]] = {ast.UAdd: operator.pos, ast.USub: operator.neg}
-_COMPARE: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
-    ast.Lt: np.less, ast.LtE: np.less_equal, ast.Gt: np.greater, ast.GtE: np.greater_equal,
-}
+        "sqrt", "exp", "expm1", "log", "log10", "log1p", "abs", "floor", "ceil", "sign", "arctan2", "minimum",
+        "maximum", "where")}
+"""Functions that a formula may call."""
+NAMES = {"pi": np.pi, "e": np.e}
+"""Names that a formula may hold besides ``x``."""
+_ALLOWED = (ast.Expression, ast.Constant, ast.Name, ast.Load, ast.UnaryOp, ast.UAdd, ast.USub, ast.BinOp, ast.Add,
+            ast.Sub, ast.Mult, ast.Div, ast.Mod, ast.Pow, ast.Compare, ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Call)
 
 
-class _RefusedError(ValueError):
-    """What in a formula is not allowed."""
+class _Checked(ast.NodeTransformer):
+    """Raises ValueError for what is not allowed; makes floats of numbers, so that none grows, and of comparisons."""
+
+    def visit(self, node: ast.AST) -> Any:
+        """Checks a node and all below it."""
+        if not isinstance(node, _ALLOWED):
+            raise ValueError(f"{type(node).__name__} is not allowed")
+        return super().visit(node)
+
+    def visit_Constant(self, node: ast.Constant) -> Any:
+        """A number as a float."""
+        if type(node.value) not in (int, float):
+            raise ValueError("only numbers may be written out")
+        return ast.Constant(float(node.value))  # type: ignore[arg-type]
+
+    def visit_Name(self, node: ast.Name) -> Any:
+        """``x`` or one of ``NAMES``."""
+        if node.id != "x" and node.id not in NAMES:
+            raise ValueError(f"unknown name {node.id}; known are x, {', '.join(NAMES)}")
+        return node
+
+    def visit_Call(self, node: ast.Call) -> Any:
+        """A call of one of ``FUNCTIONS`` with as many values as it takes: one more would be where it writes to."""
+        name = node.func.id if isinstance(node.func, ast.Name) else ""
+        if name not in FUNCTIONS:
+            raise ValueError(f"unknown function; known are {', '.join(FUNCTIONS)}")
+        count = getattr(FUNCTIONS[name], "nin", 3)
+        if node.keywords or len(node.args) != count:
+            raise ValueError(f"{name} takes {count} value{'s' if count > 1 else ''}")
+        return ast.Call(node.func, [self.visit(argument) for argument in node.args], [])
+
+    def visit_Compare(self, node: ast.Compare) -> Any:
+        """0.0 or 1.0, so that steps can be added up."""
+        return ast.BinOp(ast.Constant(1.0), ast.Mult(), self.generic_visit(node))  # type: ignore[arg-type]
 
 
 def evaluated(formula: str, x: Array) -> Array:
@@ -75,95 +88,25 @@ def evaluated(formula: str, x: Array) -> Array:
     array([0.  , 0.04])
     """
     shown = formula if len(formula) <= 60 else formula[:57] + "..."
+    names = {**FUNCTIONS, **NAMES, "x": x, "__builtins__": {}}
     try:
-        tree = _parsed(formula)
-        with np.errstate(all="ignore"):
-            y = np.broadcast_to(np.asarray(_value(tree, x), dtype=float), x.shape)
-    except _RefusedError as refused:
-        raise InputError(f"cannot be evaluated: {refused}; expected y [m] of x [m], e.g. 0.04*sin(2*pi*x/0.8)",
-                         field="line.formula", value=shown) from refused
-    if not np.all(np.isfinite(y)):
-        raise InputError("is not finite over the whole length", field="line.formula", value=shown)
-    return y
-
-
-def _parsed(formula: str) -> ast.expr:
-    if len(formula) > MAX_LENGTH:
-        raise _RefusedError(f"longer than {MAX_LENGTH} characters")
-    # Python folds look-alike letters into plain ones; only what can be told apart by eye is read.
-    if not formula.isascii() or not formula.isprintable():
-        raise _RefusedError("holds characters other than plain ones")
-    depth = 0
-    for character in formula:
-        depth += (character in "([{") - (character in ")]}")
-        if depth > MAX_DEPTH:
-            raise _RefusedError(f"nested deeper than {MAX_DEPTH}")
-    try:
-        with warnings.catch_warnings():
+        # Python folds look-alike letters into plain ones; only what can be told apart by eye is read.
+        if len(formula) > MAX_LENGTH or not formula.isascii() or not formula.isprintable():
+            raise ValueError(f"longer than {MAX_LENGTH} characters, or of other than plain ones")
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            tree = ast.parse(formula.strip(), mode="eval").body
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise _RefusedError(f"not a formula ({getattr(error, 'msg', type(error).__name__)})") from error
-    level, count, deep = [tree], 0, 0
-    while level:
-        count, deep = count + len(level), deep + 1
-        if count > MAX_NODES or deep > MAX_DEPTH:
-            raise _RefusedError(f"more than {MAX_NODES} parts or nested deeper than {MAX_DEPTH}")
-        level = [child for node in level for child in ast.iter_child_nodes(node) if isinstance(child, ast.expr)]
-    return tree
-
-
-def _value(node: ast.expr, x: Array) -> Any:
-    if isinstance(node, ast.Constant):
-        return _number(node.value)
-    if isinstance(node, ast.Name):
-        if node.id == "x":
-            return x
-        if node.id in NAMES:
-            return np.float64(NAMES[node.id])
-        raise _RefusedError(f"unknown name {node.id}; known are x, {', '.join(NAMES)}")
-    if isinstance(node, ast.UnaryOp) and type(node.op) in _UNARY:
-        return _UNARY[type(node.op)](_value(node.operand, x))
-    if isinstance(node, ast.BinOp):
-        return _binary(node, x)
-    if isinstance(node, ast.Compare) and len(node.ops) == 1 and type(node.ops[0]) in _COMPARE:
-        # As 0.0 and 1.0, so that steps can be added up.
-        return 1.0 * _COMPARE[type(node.ops[0])](_value(node.left, x), _value(node.comparators[0], x))
-    if isinstance(node, ast.Call):
-        return _called(node, x)
-    raise _RefusedError(f"{type(node).__name__} is not allowed")
-
-
-def _number(value: object) -> Any:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise _RefusedError("only numbers may be written out")
-    if not abs(value) <= MAX_NUMBER:
-        raise _RefusedError(f"a number is larger than {MAX_NUMBER:g}")
-    return np.float64(value)
-
-
-def _binary(node: ast.BinOp, x: Array) -> Any:
-    left, right = _value(node.left, x), _value(node.right, x)
-    if isinstance(node.op, ast.Pow):
-        if not np.all(np.abs(right) <= MAX_EXPONENT):
-            raise _RefusedError(f"an exponent is larger than {MAX_EXPONENT:g}")
-        return np.power(left, right)
-    if isinstance(node.op, ast.Div):
-        # By a number written out: times its reciprocal, as the lines of the shipped scenes have always been computed.
-        return left * (1.0 / right) if isinstance(node.right, ast.Constant) else left / right
-    if type(node.op) in _BINARY:
-        return _BINARY[type(node.op)](left, right)
-    raise _RefusedError(f"{type(node.op).__name__} is not allowed")
-
-
-def _called(node: ast.Call, x: Array) -> Any:
-    name = node.func.id if isinstance(node.func, ast.Name) else None
-    if name not in FUNCTIONS:
-        raise _RefusedError(f"unknown function; known are {', '.join(FUNCTIONS)}")
-    count, function = FUNCTIONS[name]
-    if node.keywords or len(node.args) != count:
-        raise _RefusedError(f"{name} takes {count} value{'s' if count > 1 else ''}")
-    return function(*(_value(argument, x) for argument in node.args))
+            tree = ast.fix_missing_locations(_Checked().visit(ast.parse(formula.strip(), mode="eval")))
+            y = np.asarray(eval(compile(tree, "formula", "eval"), names))
+        finite = bool(np.isrealobj(y) and np.isfinite(y).all())
+    except (OverflowError, ZeroDivisionError):
+        finite = False
+    except (SyntaxError, TypeError, ValueError, RecursionError, MemoryError) as error:
+        reason = getattr(error, "msg", None) or str(error) or type(error).__name__
+        raise InputError(f"cannot be evaluated: {reason}; expected y [m] of x [m], e.g. 0.04*sin(2*pi*x/0.8)",
+                         field="line.formula", value=shown) from error
+    if not finite:
+        raise InputError("is not finite over the whole length", field="line.formula", value=shown)
+    return np.broadcast_to(y, x.shape)
 
 
 MAX_PATH = 200_000

@@ -81,7 +81,12 @@ class Viewer:
         return np.array([corners.min(axis=0), corners.max(axis=0)])
 
     def _add(self, name: str, opacity: float | None) -> list[Any]:
-        """A frame for each link, with its shapes as meshes."""
+        """Adds the arm to the browser's scene: returns a frame for each link, which carries the link's meshes.
+
+        Args:
+            name: of the arm in the scene.
+            opacity: of the meshes; None for opaque.
+        """
         frames = [self.server.scene.add_frame(f"/{name}/{link}", show_axes=False) for link in self._links]
         for index, shape in enumerate(self.shapes):
             corners = np.array([corner for face in shape["faces"] for corner in face])
@@ -138,7 +143,7 @@ class Viewer:
     def look_at(self, place: Array, distance: float) -> None:
         """A page that is opened looks at a place ``(3,)`` from a distance [m]."""
         camera = self.server.initial_camera
-        # A little to the right of it: there the controls lie above the picture.
+        # Aimed to the right of the arm, which then appears left of the controls that cover the right of the picture.
         aim = np.asarray(place) + 0.12 * distance * np.array([0.66, 0.75, 0.0])
         camera.position = tuple(aim + distance * np.array([0.68, -0.6, 0.42]))
         camera.look_at = tuple(aim)

@@ -110,7 +110,11 @@ def detect_in_picture(picture: NDArray[np.uint8], *, kind: str | None = None,
 
 
 def check_asked(picture: NDArray[np.uint8], kind: str | None, points: int) -> None:
-    """See ``detect_in_picture``, of which this refuses what it does."""
+    """Raises the InputError of ``detect_in_picture`` for what it does not take.
+
+    Args:
+        picture, kind, points: as of ``detect_in_picture``.
+    """
     if picture.ndim not in (2, 3) or picture.dtype != np.uint8 or min(picture.shape[:2]) < 32:
         raise InputError("expected a picture of 8 bits, gray or BGR, and at least 32 × 32 pixels", field="picture",
                          value=(picture.shape, str(picture.dtype)))

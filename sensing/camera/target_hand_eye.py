@@ -226,7 +226,7 @@ class _Problem:
         return rows
 
     def compressed(self, X: pin.SE3, Y: pin.SE3) -> list[_Compressed]:
-        """Of each picture what ``solve`` needs."""
+        """Residuals of each picture and their derivatives, reduced to what one step of ``solve`` adds up."""
         return [_Compressed.of(*row) for row in self._linearised(X, Y)]
 
     def solve(self, X: pin.SE3, Y: pin.SE3) -> _Fit:

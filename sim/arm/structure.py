@@ -105,33 +105,43 @@ class Structure:
         moments, foot = self._moments(q, qd, qdd)
         if swings:
             self._swing = self._F @ self._swing - np.outer(self._drive, self._column * foot[:2])
-        data, n = self._data, len(q)
-        places = np.array([data.oMi[i].translation for i in range(1, n + 1)] + [data.oMf[self._tool].translation])
+        places, rotations = self._places, self._rotations
         tilts = -self._compliance[:, None] * (moments - np.vecdot(moments, self._axes)[:, None] * self._axes)
-        tilts = np.array([data.oMi[i + 1].rotation @ tilt for i, tilt in enumerate(tilts)])
+        tilts = (rotations @ tilts[:, :, None])[:, :, 0]
         column = np.array([*self._swing[0], 0.0])
+        # The antisymmetric part of Σ φ_i r_iᵀ is Σ φ_i × r_i.
+        G = tilts.T @ (places[-1] - places[:-1]) + np.outer(column, places[-1])
         off = np.empty(6)
-        off[:3] = np.cross(tilts, places[-1] - places[:-1]).sum(axis=0) + np.cross(column, places[-1])
+        off[:3] = G[1, 2] - G[2, 1], G[2, 0] - G[0, 2], G[0, 1] - G[1, 0]
         off[3:] = tilts.sum(axis=0) + column
         if self._expansion:
             off[:3] += self._expansion * (temperature - self._reference) @ np.diff(places, axis=0)
         return off
 
     def _moments(self, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array]:
-        """Moments about the joints, each in its joint's frame ``(n, 3)``, and about the foot of the column ``(3,)``."""
+        """Moments about the joints, each in its joint's frame ``(n, 3)``, and about the foot of the column ``(3,)``.
+
+        Notes where joints and tool are ``(n + 1, 3)`` [m], and how the joints' frames are turned ``(n, 3, 3)``.
+        """
         model, data = self._model, self._data
         pin.rnea(model, data, q, qd, qdd)
         pin.framesForwardKinematics(model, data, q)
+        poses = [data.oMi[i] for i in range(1, model.njoints)]
+        self._rotations = np.array([pose.rotation for pose in poses])
+        self._places = np.array([*(pose.translation for pose in poses), data.oMf[self._tool].translation])
         moments = np.array([data.f[i].angular for i in range(1, model.njoints)])
-        foot = np.array(data.oMi[1].act(data.f[1]).angular)
+        foot = np.array(poses[0].act(data.f[1]).angular)
         if self._felt.any():
             # The joints carry against what pushes the tool.
-            x = data.oMf[self._tool].translation
-            for i in range(1, model.njoints):
-                lever = np.cross(x - data.oMi[i].translation, self._felt)
-                moments[i - 1] -= data.oMi[i].rotation.T @ lever
-            foot -= np.cross(x, self._felt)
+            x, times_felt = self._places[-1], _cross(self._felt)
+            moments -= (((x - self._places[:-1]) @ times_felt)[:, None, :] @ self._rotations)[:, 0]
+            foot -= x @ times_felt
         return moments, foot
+
+
+def _cross(v: Array) -> Array:
+    """Matrix ``(3, 3)`` that a row is multiplied with for its cross product with ``v (3,)``."""
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
 def moved(pose: pin.SE3, off: Array) -> pin.SE3:

@@ -171,9 +171,8 @@ def test_a_line_out_of_reach_is_refused_with_a_place_where_one_fits(tmp_path: Pa
 def test_what_the_arm_would_hit_is_said_before_it_moves(tmp_path: Path) -> None:
     """The wrist would be under the base plane; and a line that may lie far beside its reference is beyond the reach."""
     scene = scene_for(written(tmp_path, urdf(6)))
-    place = place_line(scene)
-    low = resized(scene, 0.3, (place.origin[0], -0.15, -0.3))
-    far = resized(scene, 0.3, (0.82, -0.15, place.origin[2])).changed(
+    low = resized(scene, 0.3, (0.44, -0.15, -0.3))
+    far = resized(scene, 0.3, (0.82, -0.15, 0.18)).changed(
         displacement={"lateral_mm": 60.0, "turn_deg": 20.0})
     for variant, says in ((low, "base plane"), (far, "beside its reference")):
         with pytest.raises(InputError, match=says):

@@ -94,6 +94,7 @@ def test_a_scene_that_does_not_exist_names_those_that_do(tmp_path: Path) -> None
     assert "straight" in done.stderr
 
 
+@pytest.mark.slow
 def test_a_run_that_loses_the_line_ends_with_one_and_keeps_its_recording(program, tmp_path: Path) -> None:
     lost = SHORT.replace("[0.8, 0.0]]", "[1.1, 0.0]]") + '[[feature]]\nkind = "gap"\nat_mm = 450\nlength_mm = 500\n'
     (tmp_path / "lost.toml").write_text(lost)
@@ -207,8 +208,10 @@ def test_version_is_the_packages_and_completion_can_be_installed(program) -> Non
 
 
 @pytest.mark.parametrize("words", [["--help"], ["run", "--help"], ["run", "nothing"], ["sweep", "line", "nothing"],
-                                   ["diagnose", "nothing.csv", "--robot", "kr6"], ["check", "nothing.toml"],
-                                   ["view", "nothing"], ["view", "nothing.csv"], ["new", "mine", "--robot", "nothing"]])
+                                   ["diagnose", "nothing.csv", "--robot", "kr6"], *(
+                                       pytest.param(words, marks=pytest.mark.slow) for words in (
+                                           ["check", "nothing.toml"], ["view", "nothing"], ["view", "nothing.csv"],
+                                           ["new", "mine", "--robot", "nothing"]))])
 def test_a_first_answer_loads_nothing_that_computes(words: list[str]) -> None:
     """It comes in a third of a second; NumPy alone would take a fifth more."""
     code = ("import atexit, sys; atexit.register(lambda: print({'numpy', 'scenes.workers'} & {*sys.modules})); "

@@ -35,7 +35,7 @@ from scenes.sweep import SweepFile
 from sim.arm.body import load_links, start_physics
 from sim.arm.world import World
 from sim.bullet import pybullet
-from tests.fuzz import mutate, originals
+from tests import sound
 from tests.scenes.report.test_page import _replay
 from tests.scenes.test_pinned_findings import Drifting
 from tests.sources import files_of_at_most, no_room
@@ -122,12 +122,14 @@ def test_a_verb_says_in_one_line_what_and_what_helps(verb: str, program, tmp_pat
     picture = np.full((200, 300), 255, np.uint8)
     cv2.line(picture, (0, 100), (299, 120), 0, 8)
     (tmp_path / "a.png").write_bytes(cv2.imencode(".png", picture)[1].tobytes())
-    (tmp_path / "p.csv").write_bytes(mutate.csv_bytes(originals.joint_path()))
-    (tmp_path / "s.toml").write_bytes(originals.PATH)
+    (tmp_path / "p.csv").write_bytes(sound.csv_bytes(sound.joint_path()))
+    (tmp_path / "s.toml").write_bytes(sound.PATH)
     words = {"detect": ["a.png", "--out", "o"], "sweep": ["s.toml", "--seeds", "1-6", "--csv", "c.csv"],
              "rsi": ["p.csv", "--robot", "kr6", "--record", "c.csv"],
              "precorrect": ["p.csv", "--model", str(shipped_model("kr6")), "-o", "c.csv", "--out", "o"]}[verb]
     monkeypatch.setattr("scenes.rsi.server.rsi_server", _served)
+    # Played in this process, which has loaded the program.
+    monkeypatch.setattr("scenes.sweep.work_off", lambda tasks, play, *_: enumerate(map(play, tasks)))
     # Once with room: what is compiled is kept then.
     program(verb, *words, "--json", "j.json")
     for name in ("o/report.html", "j.json", "c.csv"):

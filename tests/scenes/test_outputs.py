@@ -21,7 +21,7 @@ from ideal_robot.signals.recording import Recording
 from ideal_robot.whole_file import OutputError, whole_file, whole_files, write_text
 from scenes.outputs import check_outputs, folders_held, whole_folder
 from scenes.report.page import write_json
-from tests.fuzz import mutate, originals
+from tests import sound
 from tests.sources import files_of_at_most, no_room
 
 WRITER = """
@@ -267,10 +267,10 @@ def test_a_name_that_is_no_text_is_refused_before_work_begins(place: str, tmp_pa
 def test_figures_that_find_no_room_leave_the_previous_folder(verb: str, program, tmp_path: Path,
                                                              monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the file of figures, which is written last, the folder knew nothing: it was the new one already."""
-    originals.arm(tmp_path)
-    (tmp_path / "path.toml").write_bytes(originals.PATH)
-    (tmp_path / "clamped.toml").write_bytes(originals.CLAMPED)
-    (tmp_path / "close.toml").write_bytes(originals.CLOSE_CLAMPED)
+    sound.arm(tmp_path)
+    (tmp_path / "path.toml").write_bytes(sound.PATH)
+    (tmp_path / "clamped.toml").write_bytes(sound.CLAMPED)
+    (tmp_path / "close.toml").write_bytes(sound.CLOSE_CLAMPED)
     (tmp_path / "o").mkdir()
     (tmp_path / "o" / "report.html").write_text("previous")
     words = {"run": ["path.toml"], "compare": ["clamped.toml"], "close-loop": ["close.toml"],
@@ -291,9 +291,9 @@ def test_figures_that_find_no_room_leave_the_previous_folder(verb: str, program,
 @pytest.mark.parametrize("verb", ["identify", "run"])
 def test_a_verb_whose_disk_is_full_keeps_the_previous_result_and_says_so_in_one_line(
         verb: str, program, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    originals.arm(tmp_path)
-    (tmp_path / "r.csv").write_bytes(mutate.csv_bytes(originals.motion(tmp_path)))
-    (tmp_path / "s.toml").write_bytes(originals.LINE)
+    sound.arm(tmp_path)
+    (tmp_path / "r.csv").write_bytes(sound.csv_bytes(sound.motion(tmp_path)))
+    (tmp_path / "s.toml").write_bytes(sound.PATH)
     (tmp_path / "o").mkdir()
     (tmp_path / "o" / "report.html").write_text("previous")
     (tmp_path / "j.json").write_text("previous")

@@ -45,7 +45,7 @@ from scenes.sweep import SweepFile
 from scenes.undeclared import undeclared_effects
 from sim.arm.specimen import draw_specimen
 from sim.arm.world import World
-from tests.fuzz import mutate, originals
+from tests import sound
 
 LONG = "x" * 300
 
@@ -186,7 +186,7 @@ def test_gears_that_one_clamped_recording_loads_are_not_judged() -> None:
 
 def test_a_world_that_cannot_be_is_refused_before_it_is_compared_with_the_model(tmp_path: Path) -> None:
     place = tmp_path / "s.toml"
-    place.write_bytes(originals.PATH + b'[world]\nstiffness = "/dev/zero"\n')
+    place.write_bytes(sound.PATH + b'[world]\nstiffness = "/dev/zero"\n')
     with pytest.raises(InputError, match="stiffness"):
         undeclared_effects(load_scene(place), 6)
 
@@ -257,8 +257,8 @@ def test_of_an_only_joint_no_cause_with_a_partner_is_asked(program, tmp_path: Pa
                                                            monkeypatch: pytest.MonkeyPatch) -> None:
     t = 0.01 * np.arange(300)
     columns = {name: np.sin(3.0 * t) + 0.2 * np.sin(17.0 * t) for name in ("q_1", "q_c_1", "tau_1")}
-    (tmp_path / "r.csv").write_bytes(mutate.csv_bytes({"t": t, **columns}))
-    links, _, rest = originals.URDF.partition(b'<link name="lower"')
+    (tmp_path / "r.csv").write_bytes(sound.csv_bytes({"t": t, **columns}))
+    links, _, rest = sound.URDF.partition(b'<link name="lower"')
     joint = rest[rest.index(b'<joint name="first"') : rest.index(b'<joint name="second"')]
     (tmp_path / "arm.urdf").write_bytes(links + joint + b"</robot>")
     (tmp_path / "d.json").write_text('{"effects": [], "undecided": [{"joint": 1, "reason": "rests"}]}')
@@ -269,8 +269,8 @@ def test_of_an_only_joint_no_cause_with_a_partner_is_asked(program, tmp_path: Pa
 
 def test_the_give_of_a_clamp_is_asked_of_six_joints_only(tmp_path: Path) -> None:
     """By default it is left out where it cannot be told apart; asked for, it is refused."""
-    arm = originals.arm(tmp_path)
-    pushed = [Recording(originals.pushes(tmp_path)) for _ in range(2)]
+    arm = sound.arm(tmp_path)
+    pushed = [Recording(sound.pushes(tmp_path)) for _ in range(2)]
     assert {estimate.joint for estimate in analyse_stiffness(pushed, arm).joints} <= {1, 2}
     with pytest.raises(InputError, match="six joints"):
         analyse_stiffness(pushed, arm, clamp=True)
@@ -280,7 +280,7 @@ def test_an_arm_whose_file_has_moments_of_no_body_can_be_drawn(tmp_path: Path) -
     """Stretched, they were negative (seed 679723)."""
     drawn = []
     for ixx in (b'"0.1"', b'"100000.0"'):
-        (tmp_path / "arm.urdf").write_bytes(originals.URDF.replace(b'ixx="0.1"', b"ixx=" + ixx))
+        (tmp_path / "arm.urdf").write_bytes(sound.URDF.replace(b'ixx="0.1"', b"ixx=" + ixx))
         robot = Robot.load(tmp_path / "arm.urdf")
         drawn.append(draw_specimen(robot, World.from_table(robot, {"inertia_tolerance": 0.15, "individual": 2})))
     masses = [specimen.model.inertias[2].mass for specimen in drawn]
@@ -339,8 +339,8 @@ def test_what_libraries_say_of_broken_pictures_goes_nowhere(tmp_path: Path, name
 
 def test_of_a_parameter_without_a_finite_covariance_nothing_is_known(tmp_path: Path) -> None:
     """A hole (``null``) in the covariance of a model file ended a diagnosis in a singular value decomposition."""
-    robot = originals.arm(tmp_path)
-    columns = originals.motion(tmp_path)
+    robot = sound.arm(tmp_path)
+    columns = sound.motion(tmp_path)
     recording = Recording.from_arrays(columns["t"], **{
         name: np.column_stack([columns[f"{name}_{i}"] for i in (1, 2)]) for name in ("q", "tau")})
     nominal = Model.nominal(robot)

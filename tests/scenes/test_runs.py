@@ -26,6 +26,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes import load_scene, models, run_scene
 from scenes.closing.result import Measured, visible
+from scenes.force.cell import Prepared
 from scenes.metrics import path_errors, reduction_percent
 from scenes.models import model_for, shipped_model
 from scenes.online.force_known import KnownSurface
@@ -242,7 +243,7 @@ def test_nothing_is_left_to_compile(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("name", "changes"), [
     pytest.param("straight", {"world": {"base": "bench"}, "calibration": {"by_moving": False},
                               "line": {"points": [(0.4, 0.0), (0.8, 0.0)]}}, marks=pytest.mark.slow),
-    ("iso9283_1", {}),
+    pytest.param("iso9283_1", {}, marks=pytest.mark.slow),
 ])
 def test_a_shorter_cycle_is_no_worse(name: str, changes: dict) -> None:
     """4 ms beside 12 ms; a quarter more is what another draw of the encoders' steps and the noise makes of a run."""
@@ -286,7 +287,9 @@ def test_the_task_asks_for_nothing_of_the_world(name: str, changes: dict[str, An
                                                 known: type, monkeypatch: pytest.MonkeyPatch) -> None:
     """The commands are the same bit by bit, so the guard was in force and changed nothing."""
     scene = load_scene(name).changed(**changes)
-    free = module.play(scene, "ideal")
+    # What moving shows beforehand is shown once.
+    options = {"shared": Prepared(scene)} if module is force_play else {}
+    free = module.play(scene, "ideal", **options)
     guarded: list[Any] = []
     configured = getattr(module, task)
 
@@ -297,7 +300,7 @@ def test_the_task_asks_for_nothing_of_the_world(name: str, changes: dict[str, An
         return configured(Guard(inner, attributes(known)), *arguments, **options)
 
     monkeypatch.setattr(module, task, made)
-    played = module.play(scene, "ideal")
+    played = module.play(scene, "ideal", **options)
     assert len(guarded) == 1
     for column in ("q_c_1", "q_1"):
         np.testing.assert_array_equal(played.recording.columns[column], free.recording.columns[column])

@@ -22,55 +22,32 @@ origin = [0.98, -0.6, 0.35]
 [line]
 """
 
-ATTACKS = {
-    "f-string": "0*x+len(f'{[c for c in ().__class__.__base__.__subclasses__() if c.__name__==\"Popen\"][0](\"touch "
-                "OPENED\", shell=True)}')",
-    "import": "__import__('os').system('touch OPENED')",
-    "dunder name": "__builtins__",
-    "attribute": "x.dtype",
-    "attribute of a number": "(1).__class__",
-    "comprehension": "[y for y in (1, 2)]",
-    "generator": "sum(y for y in (1, 2))",
-    "lambda": "(lambda: 0)()",
-    "walrus": "(x := 3)",
-    "string": "'x'",
-    "call of what is not a function": "eval(x)",
-    "keyword": "sin(x=3)",
-    "starred": "sin(*x)",
-    "subscript": "x[0]",
-    "conditional": "x if x else x",
-    "power tower": "9**9**9",
-    "power of a power": "((((9.0**32)**32)**32)**32)*0*x",
-    "shift": "1<<99999999999",
-    "long integer": "x*" + "9" * 400,
-    "nested parentheses": "(" * 100_000 + "x" + ")" * 100_000,
-    "nested signs": "-" * 490 + "x",
-    "nested brackets": "[" * 100_000,
-    "long sum": "+".join(["x"] * 50_000),
-    "look-alike letters": "ｓｉｎ(x)",
-    "look-alike dunder": "x.__ｃlass__",
-    "line break": "x\nimport os",
-    "null": "x\0",
-    "complex": "2j*x",
-    "truth value": "True*x",
-    "ellipsis": "...",
-    "empty": "",
-    "await": "await x",
-    "infinite": "1e999*x",
-}
+ATTACKS = (
+    "f'{open(\"OPENED\", \"w\")}'", "__import__('os').system('touch OPENED')", "x.dtype", "(1).__class__", "eval(x)",
+    "[y for y in (1, 2)]", "(lambda: 0)()", "(x := 3)", "sin(x=3)", "sin(*x)", "sin(x, x)", "where(x)", "x[0]",
+    "x if x else x", "9**9**9", "1<<99999999999", "x*" + "9" * 400, "(" * 240 + "x" + ")" * 240, "-" * 490 + "x",
+    "+".join(["x"] * 50_000), "ｓｉｎ(x)", "x\nimport os", "x\0", "2j*x", "(-1)**0.5*x", "True*x", "...", "",
+    "0 < x < 1", "sin", "1e999*x", "1/0")
+"""What is more than arithmetic, or has no value."""
 
 
-@pytest.mark.parametrize("attack", ATTACKS.values(), ids=ATTACKS.keys())
-def test_a_formula_that_tries_more_than_arithmetic_is_refused_in_one_line_and_nothing_runs(
-        attack: str, program, tmp_path: Path) -> None:
-    quoted = attack.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n").replace("\0", "\\u0000")
-    (tmp_path / "shared.toml").write_text(f'{SCENE}formula = "{quoted}"\nlength = 1.0\n', encoding="utf-8")
-    done = program("run", "shared.toml")
-    assert done.code == 2
-    (line,) = done.lines
-    assert "formula" in line
-    assert len(line) < 600
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["shared.toml"]
+@pytest.mark.parametrize("attack", ATTACKS)
+def test_a_formula_that_tries_more_than_arithmetic_is_refused(attack: str) -> None:
+    with pytest.raises(InputError) as refused:
+        evaluated(attack, np.linspace(0.0, 1.0, 7))
+    assert refused.value.field == "line.formula"
+    assert len(str(refused.value)) < 600
+
+
+@given(st.text(alphabet="x0123456789.eipsnco()[]{}+-*/%<>=,:_'\" ", max_size=60))
+def test_a_formula_is_numbers_or_refused(formula: str) -> None:
+    x = np.linspace(0.0, 1.0, 7)
+    try:
+        y = evaluated(formula, x)
+    except InputError:
+        return
+    assert y.shape == x.shape
+    assert np.isfinite(y).all()
 
 
 @given(st.recursive(
@@ -94,9 +71,10 @@ def test_arithmetic_means_what_it_means_in_numpy(formula: str) -> None:
 
 def test_every_function_of_the_list_can_be_called() -> None:
     x = np.linspace(0.1, 0.9, 5)
-    for name, (count, function) in FUNCTIONS.items():
+    for name, function in FUNCTIONS.items():
         if name == "arccosh":
             continue
+        count = getattr(function, "nin", 3)
         assert np.array_equal(evaluated(f"{name}({', '.join(['x'] * count)})", x), function(*[x] * count))
     assert np.array_equal(evaluated("where(x < 0.5, 0, 0.1)", x), np.where(x < 0.5, 0.0, 0.1))
 

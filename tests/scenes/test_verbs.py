@@ -83,7 +83,7 @@ def test_frames_of_a_video(program, tmp_path: Path) -> None:
     assert states == ["found", *["followed"] * 3]
 
 
-@pytest.mark.parametrize("mounted", ["tool", "cell"])
+@pytest.mark.parametrize("mounted", ["tool", pytest.param("cell", marks=pytest.mark.slow)])
 def test_a_camera_is_located_by_a_board(program, mounted: str, tmp_path: Path) -> None:
     """Pictures of a board drawn through a known camera from random poses of the tool."""
     rng = np.random.default_rng(1)

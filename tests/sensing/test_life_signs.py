@@ -18,7 +18,7 @@ def alive(seed: int = 0) -> tuple[LifeSigns, np.random.Generator]:
     return signs, rng
 
 
-@settings(max_examples=20)
+@settings(max_examples=8)
 @given(st.integers(0, 1000))
 def test_a_live_sensor_is_believed_whatever_it_feels(seed: int) -> None:
     signs, rng = alive(seed)

@@ -38,8 +38,9 @@ def test_an_effect_of_three_times_what_is_visible_is_found_four_times_of_five() 
     assert sum(len(s.false) for s in scores) <= 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "delays"), [
-    (994008, (5e-3,)), pytest.param(994001, (0.0, 5e-3, 12e-3), marks=pytest.mark.slow)])
+    (994008, (5e-3,)), (994001, (0.0, 5e-3, 12e-3))])
 def test_a_clock_that_is_late_for_all_torques_is_a_common_delay(seed: int, delays: tuple[float, ...]) -> None:
     """A filter as the only name would say that fast motion is weakened."""
     trial = draw_trial(seed, "none", size=(3.0, 10.0), seconds=(15.0, 25.0))

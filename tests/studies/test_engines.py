@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import product
 
 import numpy as np
 import pinocchio as pin
@@ -17,6 +18,9 @@ from studies.strangers.plant import BRISTLE, CONSTRAINT, DAHL, TANH, BalanceSpri
 from tests.arms import a_motion, a_plant, an_arm
 
 ARM = an_arm()
+EACH = [pytest.param(engine, marks=() if engine in ("integrator", "pybullet") else pytest.mark.slow)
+        for engine in sorted(ENGINES)]
+"""All engines; the two whose code is ours in each test."""
 
 
 def inverse_dynamics(plant: Plant, run: Run) -> np.ndarray:
@@ -28,7 +32,7 @@ def inverse_dynamics(plant: Plant, run: Run) -> np.ndarray:
     return np.array([needed, run.tau[rows]])
 
 
-@pytest.mark.parametrize("engine", sorted(ENGINES))
+@pytest.mark.parametrize("engine", EACH)
 def test_bare_arm_obeys_inverse_dynamics(engine: str) -> None:
     plant = a_plant(ARM, friction=False, engine=engine)
     needed, acted = inverse_dynamics(plant, ENGINES[engine](plant, a_motion(ARM)))
@@ -47,8 +51,8 @@ def test_engines_agree_with_friction_off() -> None:
         assert np.all(np.abs(run.q - runs["mujoco"].q[: len(run.q)]) < worst * scale)
 
 
-@pytest.mark.parametrize("kind", [CONSTRAINT, TANH, BRISTLE, DAHL])
-@pytest.mark.parametrize("stiffness", [np.inf, 5e4])
+@pytest.mark.parametrize(("kind", "stiffness"), [(TANH, np.inf), (BRISTLE, 5e4), *(
+    pytest.param(*both, marks=pytest.mark.slow) for both in product((CONSTRAINT, DAHL), (np.inf, 5e4)))])
 def test_mujoco_and_integrator_agree_with_friction(kind: int, stiffness: float) -> None:
     """Different ways through standstill: the torques of a whole motion still differ by little."""
     plant, motion = a_plant(ARM, kind=kind, stiffness=stiffness), a_motion(ARM)
@@ -58,6 +62,7 @@ def test_mujoco_and_integrator_agree_with_friction(kind: int, stiffness: float) 
     assert twist > 1e-5 if np.isfinite(stiffness) else twist == 0.0
 
 
+@pytest.mark.slow
 def test_engines_agree_on_friction_of_the_load_that_is_driven() -> None:
     """Inertia is a load of a gear as weight is; near standstill PyBullet's extra friction has a smooth sign."""
     plant, motion = a_plant(ARM, kind=BRISTLE), a_motion(ARM)
@@ -85,7 +90,7 @@ def test_arm_sticks_at_rest(engine: str) -> None:
     assert np.abs(run.q - run.q[0]).max() < (2.5e-3 if engine == "mujoco" else 1e-9)
 
 
-@pytest.mark.parametrize("engine", sorted(ENGINES))
+@pytest.mark.parametrize("engine", EACH)
 def test_tilted_base_changes_torque_by_gravity_alone(engine: str) -> None:
     plant, motion = a_plant(ARM, friction=False, engine=engine), a_motion(ARM)
     model = plant.model.copy()
@@ -98,7 +103,7 @@ def test_tilted_base_changes_torque_by_gravity_alone(engine: str) -> None:
     assert np.std(change - expected) < 0.1 * np.std(expected)
 
 
-@pytest.mark.parametrize("engine", ["mujoco", "integrator"])
+@pytest.mark.parametrize("engine", [pytest.param("mujoco", marks=pytest.mark.slow), "integrator"])
 def test_springs_and_shafts_do_what_their_formulas_say(engine: str) -> None:
     """Springs are torques of the angle, a shaft is inertia and friction of two speeds."""
     plant, motion = a_plant(ARM, friction=False), a_motion(ARM)
@@ -144,7 +149,7 @@ def test_two_shafts_and_two_springs_of_an_arm_are_all_there(engine: str) -> None
             assert np.std(both - without, axis=0).max() > 0.05 * np.std(both - none, axis=0).max()
 
 
-@pytest.mark.parametrize("engine", sorted(ENGINES))
+@pytest.mark.parametrize("engine", EACH)
 def test_play_lets_the_arm_fall_behind_by_half_the_gap_to_either_side(engine: str) -> None:
     gap = np.zeros(ARM.n)
     gap[1] = 4e-3

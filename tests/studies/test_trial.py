@@ -24,7 +24,8 @@ from tests.arms import a_logger, a_motion, a_plant, an_arm
 ARM = an_arm()
 
 
-@pytest.mark.parametrize("engine", sorted(ENGINES))
+@pytest.mark.parametrize("engine", [pytest.param(engine, marks=() if engine == "integrator" else pytest.mark.slow)
+                                    for engine in sorted(ENGINES)])
 def test_a_seed_gives_the_same_recording_bit_for_bit(engine: str) -> None:
     if engine == "dart":
         pytest.importorskip("dartpy", exc_type=ImportError)
@@ -34,6 +35,7 @@ def test_a_seed_gives_the_same_recording_bit_for_bit(engine: str) -> None:
     assert draw_trial(10, "none", engine, seconds=(4.0, 5.0)).recording.hash != first.recording.hash
 
 
+@pytest.mark.slow
 def test_an_engine_that_was_left_out_is_drawn_only_by_its_name() -> None:
     assert "dart" in ENGINES
     assert [draw_trial(seed, "none", seconds=(4.0, 4.1)).engine for seed in (0, 1, 2)] == list(TURNS)
@@ -41,6 +43,7 @@ def test_an_engine_that_was_left_out_is_drawn_only_by_its_name() -> None:
         draw_trial(0, engine="moon")
 
 
+@pytest.mark.slow
 def test_size_that_came_out_is_near_the_one_drawn() -> None:
     trial = draw_trial(12, "inside", "integrator", (4.0, 5.0), (8.0, 10.0))
     assert 4.0 / 1.7 <= trial.causes[0].size <= 5.0 * 1.7
@@ -92,6 +95,7 @@ def test_nothing_but_dry_friction_keeps_a_clean_rigid_plant_out_of_the_model_cla
     assert np.max(shares[1]) > 10.0 * np.max(shares[0])
 
 
+@pytest.mark.slow
 def test_jitter_makes_an_effect_less_visible() -> None:
     rng = np.random.default_rng(2)
     setup = Setup(a_plant(ARM), draw_logger(rng, ARM.n, ()))

@@ -170,7 +170,13 @@ class Causes:
                     regression.domain)
 
     def _best(self, effects: Sequence[Effect], joint: int | None, own: Candidate | None = None) -> Candidate | None:
-        """What takes most away at one joint or (None) at all, in the place of a choice if ``own``, theta refined."""
+        """The candidate that lowers the residual most, theta refined; None where there is none.
+
+        Args:
+            effects: which may be candidates.
+            joint: at this joint; None for all.
+            own: the choice that it takes the place of, whose place is then left out.
+        """
         self.best.pool = [starts for starts in candidates(effects, self.problem.regression.signals, True)
                           if joint in (None, starts[0].joint) and (own is None or starts[0].place != own.place)]
         ranked = self.best.ranked(own, 1, anywhere=True, least=-np.inf)

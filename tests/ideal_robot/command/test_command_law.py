@@ -91,7 +91,7 @@ def pd(q: Array, qd: Array, tau: Array) -> Array:
     return tau / np.array([900.0, 300.0]) + 0.03 * qd
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2, pytest.param(3, marks=pytest.mark.slow)])
 def test_a_cascade_is_recovered(tmp_path: Path, seed: int) -> None:
     arm = robot(tmp_path)
     law = identify_command([recorded(arm, cascade, late=0.006, seed=seed)], Model.nominal(arm), torque=True)
@@ -103,7 +103,7 @@ def test_a_cascade_is_recovered(tmp_path: Path, seed: int) -> None:
         assert own.residual < 5e-3 * own.deviation
 
 
-@pytest.mark.parametrize("seed", [4, 5])
+@pytest.mark.parametrize("seed", [4, pytest.param(5, marks=pytest.mark.slow)])
 def test_stiffness_of_an_arm_that_sags_is_recovered(tmp_path: Path, seed: int) -> None:
     arm = robot(tmp_path)
     law = identify_command([recorded(arm, pd, late=0.0, seed=seed)], Model.nominal(arm), torque=True)
@@ -112,7 +112,8 @@ def test_stiffness_of_an_arm_that_sags_is_recovered(tmp_path: Path, seed: int) -
         assert 1.0 / own.coefficient("torque") == pytest.approx(stiffness, rel=0.05)
 
 
-@pytest.mark.parametrize(("controller", "torque"), [(cascade, True), (pd, True), (pd, False)])
+@pytest.mark.parametrize(("controller", "torque"), [
+    (cascade, True), pytest.param(pd, True, marks=pytest.mark.slow), (pd, False)])
 def test_the_inverse_commands_what_the_controller_needs(tmp_path: Path, controller: Law, torque: bool) -> None:
     """On a motion that the law was not fitted to; and its expected error is that which is made."""
     arm = dataclasses.replace(robot(tmp_path), t_ipo=CYCLE)
@@ -136,23 +137,25 @@ def test_the_inverse_commands_what_the_controller_needs(tmp_path: Path, controll
     assert np.max(np.abs(stepped[:600] - commands[:600])) < 0.02 * plain
 
 
-@pytest.mark.parametrize(("controller", "torque"), [(cascade, True), (pd, True), (cascade, False), (pd, False)])
+@pytest.mark.parametrize(("controller", "torque"), [
+    (cascade, True), (pd, False), pytest.param(pd, True, marks=pytest.mark.slow),
+    pytest.param(cascade, False, marks=pytest.mark.slow)])
 def test_the_error_of_the_plain_path_is_foretold(tmp_path: Path, controller: Law, torque: bool) -> None:
     arm = dataclasses.replace(robot(tmp_path), t_ipo=DT)
     law = identify_command([recorded(arm, controller, late=0.006, seed=1, torque=torque)], Model.nominal(arm),
                            torque=torque)
-    for seed in (9, 10):
-        other = recorded(arm, controller, late=0.006, seed=seed)
-        q_c, q = other.joints("q_c"), other.joints("q")
-        foretold = CommandInverse(dataclasses.replace(Model.nominal(arm), command=law), arm).uncorrected(q_c)
-        settled = slice(100, -100)
-        measured, off = (np.sqrt(np.mean(x[settled] ** 2, axis=0)) for x in (q_c - q, q_c - q - foretold))
-        assert np.all(off < 0.05 * measured)
+    other = recorded(arm, controller, late=0.006, seed=9)
+    q_c, q = (other.joints(name)[:4000] for name in ("q_c", "q"))
+    foretold = CommandInverse(dataclasses.replace(Model.nominal(arm), command=law), arm).uncorrected(q_c)
+    settled = slice(100, -100)
+    measured, off = (np.sqrt(np.mean(x[settled] ** 2, axis=0)) for x in (q_c - q, q_c - q - foretold))
+    assert np.all(off < 0.05 * measured)
 
 
 @pytest.mark.skipif(not EMPS.exists(), reason="the measured machine's recordings are not here")
-@pytest.mark.parametrize("torque", [True, pytest.param(False, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("which", ["estimation", pytest.param("validation", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("torque", [True, False])
+@pytest.mark.parametrize("which", ["estimation", "validation"])
 def test_a_measured_machine_s_error_is_foretold(which: str, torque: bool) -> None:
     """Of both files from either, with and without its torque."""
     machine = Robot.load(EMPS / "emps.urdf")

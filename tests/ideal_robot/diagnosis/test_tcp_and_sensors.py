@@ -126,7 +126,8 @@ def trial(seed: int, kind: str, folder: Path, begun: float = 0.0) -> tuple[Diagn
 
 @pytest.mark.parametrize(("seed", "name", "begun"), [
     (3, "force_bias", 0.0), (4, "force_compliance", 0.0),
-    pytest.param(3, "force_bias", 0.3, id="on devices the arm comes to its start without the sensor")])
+    pytest.param(3, "force_bias", 0.3, marks=pytest.mark.slow,
+                 id="on devices the arm comes to its start without the sensor")])
 def test_force_effects_have_their_size(seed, name, begun, tmp_path):
     diagnosis, truth = trial(seed, "inside", tmp_path, begun)
     assert [e.fitted.name for e in diagnosis.effects] == [name]

@@ -14,6 +14,7 @@ from ideal_robot.effects import MOTOR_TORQUE, library
 from ideal_robot.model.model import Model
 from scenes.diagnosis.page import diagnosis_page
 from studies.strangers.arm import robot_of
+from studies.strangers.score import score
 from tests.ideal_robot.diagnosis.test_diagnose import arm, rippled, stranger
 
 
@@ -21,6 +22,7 @@ def test_each_cause_is_weighed_against_all_others(tmp_path) -> None:
     trial = stranger(770017, "inside")
     with robot_of(trial.urdf) as robot:
         argued = diagnose(trial.recording, robot)
+    assert score(trial, argued).right, (trial.causes, argued.effects)
     why = argued.to_dict()["explained"]
     assert sorted((row["effect"], row["joint"]) for row in why) == sorted(
         (e.fitted.name, e.fitted.joint) for e in (*argued.effects, *argued.unknown))

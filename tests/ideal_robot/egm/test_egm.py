@@ -132,7 +132,7 @@ def test_an_arm_that_is_not_given_to_us_is_not_led() -> None:
         with ThreadPoolExecutor(1) as pool:
             pool.submit(controller.run)
             with pytest.raises(EgmError, match="EGMRunJoint"):
-                link.connect(5.0)
+                link.connect(1.0)
             controller.stop()
 
 

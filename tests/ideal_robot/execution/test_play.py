@@ -183,7 +183,7 @@ def test_every_limit_is_kept_under_any_input(name: str, kind: str, smooth: bool)
     start = 0.5 * (robot.q_min + robot.q_max)
     governor = CommandGovernor(robot, start, j_max=jerk)
     path = [start] * 3
-    for _ in range(1500):
+    for _ in range(500):
         path.append(governor.allowed(_asked(kind, rng, robot, path[-1])))
     shares = _largest(robot, np.array(path), jerk)
     if not np.isfinite(robot.a_max).all():

@@ -23,7 +23,7 @@ from ideal_robot.identification.inspection import inspect
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.clean import cleaned
 from ideal_robot.signals.recording import Recording
-from tests.ideal_robot.identification.test_excitation import record, robot, truth
+from tests.ideal_robot.identification.test_excitation import logged, record, robot, truth
 from tests.sources import DATA
 
 GRAVITY = 9.81
@@ -51,12 +51,37 @@ def gravity(q: np.ndarray) -> np.ndarray:
     return np.array([pin.computeGeneralizedGravity(model, data, one) for one in q])
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, 1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_recording_that_is_what_it_seems_is_not_accused(seed: int) -> None:
     assert found(good(seed)) == {}
 
 
-@pytest.mark.parametrize("joints", [(6,), (2, 5), (1, 2, 3, 4, 5, 6)])
+def along_a_line(seed: int, seconds: float) -> Recording:
+    """A small motion between two rests, as along a line, of an arm whose friction the comparison does not know."""
+    arm, rng = robot(), np.random.default_rng(seed)
+    t = np.arange(0.0, seconds + 1.0, 0.01)
+    share = np.clip((t - 0.5) / seconds, 0.0, 1.0)
+    # A minimum-jerk step: rest, one push, rest.
+    steps = [share**3 * (10.0 - 15.0 * share + 6.0 * share**2), 30.0 * share**2 * (1.0 - share) ** 2 / seconds,
+             60.0 * share * (1.0 - share) * (1.0 - 2.0 * share) / seconds**2]
+    way = rng.uniform(-0.5, 0.5, arm.n)
+    q, qd, qdd = (np.outer(step, way) for step in steps)
+    recording = logged(truth(), rng, t, (arm.home + q, qd, qdd), 0.002)
+    # Friction that falls with speed, turns over slowly and is larger to one side: 4 % of the torque that is allowed.
+    beside = 0.04 * arm.tau_max * np.tanh(qd / 0.02 + 0.3) * (1.0 + 1.5 * np.exp(-np.abs(qd) / 0.1))
+    tau = recording.joints("tau") + beside
+    return replace(recording, columns={**recording.columns, **{f"tau_{j + 1}": tau[:, j] for j in range(arm.n)}})
+
+
+@pytest.mark.parametrize("seconds", [4.0, 12.0])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 2, 3, 4, 5, 6, 7))])
+def test_a_motion_that_hardly_tells_accuses_nobody(seed: int, seconds: float) -> None:
+    # A free fit of 244 columns leaves nothing of 30 rows: as noise it made every recording of a short line wrong.
+    assert found(along_a_line(seed, seconds)) == {}
+
+
+@pytest.mark.parametrize("joints", [(2, 5), *(
+    pytest.param(joints, marks=pytest.mark.slow) for joints in ((6,), (1, 2, 3, 4, 5, 6)))])
 def test_signs_are_said_by_joint(joints: tuple[int, ...]) -> None:
     sign = np.where(np.isin(np.arange(1, 7), joints), -1.0, 1.0)
     said = found(torques(lambda tau: sign * tau))
@@ -65,7 +90,7 @@ def test_signs_are_said_by_joint(joints: tuple[int, ...]) -> None:
     assert "multiply tau_" in said[WRONG_SIGN].text
 
 
-@pytest.mark.parametrize("pair", [(2, 3), (5, 6)])
+@pytest.mark.parametrize("pair", [(2, 3), pytest.param((5, 6), marks=pytest.mark.slow)])
 def test_exchanged_columns_are_said(pair: tuple[int, int]) -> None:
     order = list(range(6))
     a, b = (joint - 1 for joint in pair)
@@ -80,14 +105,16 @@ def test_torques_without_gravity_are_said() -> None:
 
 
 @pytest.mark.parametrize("unit", [1.0 / np.array([125.0, 125, 100, 68, 62, 48]),
-                                  1e3 / np.array([500.0, 500, 300, 40, 40, 25]), np.full(6, 1e3)])
+                                  pytest.param(
+                                      1e3 / np.array([500.0, 500, 300, 40, 40, 25]), marks=pytest.mark.slow),
+                                  pytest.param(np.full(6, 1e3), marks=pytest.mark.slow)])
 def test_other_units_are_said(unit: np.ndarray) -> None:
     said = found(torques(lambda tau: unit * tau))
     assert WRONG_SCALE in said
     assert not {WRONG_SIGN, NO_GRAVITY} & said.keys()
 
 
-@pytest.mark.parametrize("degrees", [pytest.param(20.0, marks=pytest.mark.slow), 90.0, 180.0])
+@pytest.mark.parametrize("degrees", [90.0, *(pytest.param(angle, marks=pytest.mark.slow) for angle in (20.0, 180.0))])
 def test_an_arm_that_is_mounted_otherwise_is_said(degrees: float) -> None:
     arm = robot()
     model = arm.pinocchio.copy()

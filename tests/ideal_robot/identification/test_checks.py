@@ -224,7 +224,8 @@ def test_friction_never_drives() -> None:
     assert any(text.startswith("friction-at-bound") and held[0].name in text for text in result.warnings)
 
 
-@pytest.mark.parametrize("law", ["arctan", "stribeck", "bell_stribeck"])
+@pytest.mark.parametrize("law", [pytest.param("arctan", marks=pytest.mark.slow),
+                                 pytest.param("stribeck", marks=pytest.mark.slow), "bell_stribeck"])
 def test_a_single_law_that_nowhere_brakes_ends_in_a_model(law: str) -> None:
     rng = np.random.default_rng(6)
     none = [ViscousCoulomb(np.zeros((2, 1))) for _ in range(6)]

@@ -210,7 +210,8 @@ def without(recording: Recording, rows: slice | np.ndarray) -> Recording:
     return Recording({name: np.delete(values, rows) for name, values in recording.columns.items()}, recording.meta)
 
 
-@pytest.mark.parametrize("lost", [2001, slice(1500, 2700), np.arange(40, 4500, 97)])
+@pytest.mark.parametrize("lost", [
+    pytest.param(2001, marks=pytest.mark.slow), slice(1500, 2700), np.arange(40, 4500, 97)])
 def test_lost_rows_and_pauses_leave_the_closed_loop_what_it_is(lost: int | slice | np.ndarray) -> None:
     """Counted by rows, all that follows a lost one belongs to other instants: gains changed by a third and more."""
     whole = recorded(1)

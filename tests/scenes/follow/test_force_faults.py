@@ -30,7 +30,7 @@ def other_contact(friction: float, stiffness: float, offset_mm: float) -> Any:
 
 QUICK = [("nothing but noise of 0.3 mN", "turning", "weigh the same"), ("wrong sign", "turning", "wrong sign"),
          pytest.param("stuck, with its usual noise", "search", "the motors feel", marks=pytest.mark.slow),
-         ("a leap of -30 N", "approach", "felt in the air"),
+         pytest.param("a leap of -30 N", "approach", "felt in the air", marks=pytest.mark.slow),
          pytest.param("stuck, with its usual noise", "travel", "of what the tip's swing on the surface makes",
                       marks=pytest.mark.slow)]
 

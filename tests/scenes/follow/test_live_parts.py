@@ -58,7 +58,7 @@ def _arm(link: Tame, tmp_path: Path) -> LiveArm:
                  ("sim", "pybullet"), id="the follower knows no simulator"),
     pytest.param("import scenes.commands.devices; from scenes.online.run import _job, load_cell; "
                  "from scenes.online.devices import Devices; from scenes.commands.common import closed, progress_bar; "
-                 "[_job(load_cell(scene), Devices('rsi:'), None, None).rehearse() for scene in ('line', 'glue')]",
+                 "[_job(load_cell(scene), Devices('rsi:'), None, None).rehearse() for scene in ('glue',)]",
                  ("pandas", "pyarrow", "matplotlib", "scipy.signal", "cv2"),
                  id="who leads the arm loads neither tables nor plots")])
 def test_what_a_process_does_not_load(program: str, unknown: tuple[str, ...]) -> None:
@@ -366,7 +366,7 @@ def test_pictures_with_impossible_stamps_are_counted_and_a_gone_camera_stops(lin
         arm.check(1.0)
 
 
-@pytest.mark.parametrize("film", ["film.avi", "none.avi"])
+@pytest.mark.parametrize("film", ["film.avi", pytest.param("none.avi", marks=pytest.mark.slow)])
 def test_a_camera_that_is_ready_when_nobody_waits_any_more_ends_quietly(
     film: str, tmp_path: Path, capfd: pytest.CaptureFixture[str],
 ) -> None:

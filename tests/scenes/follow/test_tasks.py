@@ -376,7 +376,7 @@ class SeeingCamera:
         self.hand_eye = calibrate(camera, observations, near, normal, prior)
 
 
-@pytest.mark.parametrize("misled", [False, True])
+@pytest.mark.parametrize("misled", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_what_is_seen_on_the_way_to_the_piece_does_not_spoil_the_calibration(misled: bool, tmp_path: Path) -> None:
     scene, robot = load_cell("line"), Robot.load("kr6")
     by_hand = believed_camera(scene.camera)

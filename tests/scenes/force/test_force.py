@@ -37,8 +37,13 @@ from tests.sensing.camera.test_hand_eye import measuring_error
 
 
 @pytest.fixture(scope="module")
-def wave() -> ForceResult:
-    return play(load_scene("force_wave"), "ideal")
+def before_wave() -> Prepared:
+    return Prepared(load_scene("force_wave"))
+
+
+@pytest.fixture(scope="module")
+def wave(before_wave: Prepared) -> ForceResult:
+    return play(load_scene("force_wave"), "ideal", shared=before_wave)
 
 
 def test_force_is_kept_on_a_wavy_surface(wave: ForceResult) -> None:
@@ -53,10 +58,10 @@ def test_force_is_kept_on_a_wavy_surface(wave: ForceResult) -> None:
     assert wave.figures.travel > 4.0
 
 
-def test_a_quarter_of_direct_feedback_or_less(wave: ForceResult) -> None:
+def test_a_quarter_of_direct_feedback_or_less(wave: ForceResult, before_wave: Prepared) -> None:
     """Against the gains in the scene file, which the search of ``compare`` found best (its test is the slow one)."""
     scene = load_scene("force_wave")
-    direct = play(scene, "direct_feedback", scene.gains)
+    direct = play(scene, "direct_feedback", scene.gains, shared=before_wave)
     assert direct.failure is None
     assert wave.figures.rms <= 0.25 * direct.figures.rms
 
@@ -141,18 +146,23 @@ def test_calibration_by_moving_found_the_truth(wave: ForceResult) -> None:
     assert wave.tool["mass"] == pytest.approx(wave.scene.sensor.mass, abs=0.02)
 
 
-def test_glue_follows_line_and_force_at_once() -> None:
+@pytest.fixture(scope="module")
+def glue() -> Prepared:
+    return Prepared(load_scene("glue"))
+
+
+def test_glue_follows_line_and_force_at_once(glue: Prepared) -> None:
     """Mean lateral error ≤ 0.1 mm at 0.3 m/s and RMS force error ≤ 0.9 N at once, on a curved surface."""
-    result = play(load_scene("glue"), "ideal")
+    result = play(load_scene("glue"), "ideal", shared=glue)
     assert result.failure is None
     assert result.lateral["control_error_mm"]["mean"] <= 0.1
     assert result.figures.rms <= 0.9
     assert result.figures.lost == 0.0
 
 
-def test_camera_and_looks_of_a_line_on_a_bent_surface_are_found_by_moving() -> None:
+def test_camera_and_looks_of_a_line_on_a_bent_surface_are_found_by_moving(glue: Prepared) -> None:
     scene = load_scene("glue")
-    cell, calibration = set_up(scene), camera_shown(scene)
+    cell, calibration = set_up(scene), glue.camera
     assert calibration is not None
     calibrated, detection = calibration
     true = glue_line(cell)[1]

@@ -219,7 +219,7 @@ def axis(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def recording(axis: Path) -> Recording:
     robot, world = Robot.load(axis), World.from_table(str(axis), TRUTH)
-    t = np.arange(0.0, 20.0, world.t_ipo)
+    t = np.arange(0.0, 12.0, world.t_ipo)
     q = np.clip(t, 0.0, 1.0)[:, None] ** 3 * (
         0.2 * np.sin(1.1 * t) + 0.06 * np.sin(4.3 * t) + 0.01 * np.sin(14.0 * t))[:, None]
     return played_again(world, robot, Recording.from_arrays(t, q_c=q, q=q), seed=3)

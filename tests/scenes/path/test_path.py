@@ -236,6 +236,7 @@ def test_what_another_motion_tells_is_kept_where_the_path_is_followed_better() -
     assert learned < fixed
 
 
+@pytest.mark.slow
 def test_with_another_arms_model_it_learns_what_this_arm_weighs_and_how_its_torques_ripple() -> None:
     scene = chosen(load_scene("iso9283_1"), individual=2).changed(model=str(MODELS / "kr15.json"))
     learned, fixed = (run(scene, method=method).errors.aligned.E_car for method in (ADAPTED, IDEAL))
@@ -251,6 +252,7 @@ def test_an_arm_without_friction_is_identified_too() -> None:
 
 # What knowing the gears is worth on the arm side ([L] 3.3), stiffness from the clamped procedure.
 
+@pytest.mark.slow
 def test_arm_error_of_the_kr15_with_clamped_stiffness() -> None:
     """≤ 40 % of the same precorrection on motor angles alone, on the ISO 9283 path, measured at the arm."""
     robot = Robot.load("kr15")

@@ -57,7 +57,8 @@ def along(q: Array) -> tuple[Array, Array]:
     return share, np.abs(q - ROBOT.home - np.outer(share, WAY)).max(axis=1)
 
 
-@pytest.mark.parametrize(("begins", "override"), [(0, 0.3), (110, 0.75)])
+@pytest.mark.parametrize(("begins", "override"), [
+    (60, 0.6), pytest.param(0, 0.3, marks=pytest.mark.slow), pytest.param(110, 0.75, marks=pytest.mark.slow)])
 def test_a_path_is_slowed_along_itself_by_the_override(begins: int, override: float) -> None:
     plain = unhindered()
     run, link = played(speed={begins: override})
@@ -94,7 +95,7 @@ def test_an_override_of_nothing_is_not_waited_for_without_end() -> None:
     assert along(run.recording.joints("q"))[1].max() < 2e-3
 
 
-@pytest.mark.parametrize("pause", [range(90, 130), range(150, 260)])
+@pytest.mark.parametrize("pause", [range(90, 130), pytest.param(range(150, 260), marks=pytest.mark.slow)])
 def test_a_paused_program_is_waited_for(pause: range) -> None:
     run, link = played(pauses=pause)
     assert run.failure is None
@@ -105,7 +106,7 @@ def test_a_paused_program_is_waited_for(pause: range) -> None:
     assert run.details["guard"]["waited_s"] > 0.0
 
 
-@pytest.mark.parametrize("cycle", [60, 130])
+@pytest.mark.parametrize("cycle", [pytest.param(60, marks=pytest.mark.slow), 130])
 def test_a_protective_stop_ends_on_the_path_and_is_named(cycle: int) -> None:
     run, _ = played(protective_stop=cycle)
     assert run.failure is not None

@@ -45,7 +45,7 @@ def test_baseline_then_same_then_worse_then_a_missed_bound(program: Any, suite: 
                                                            monkeypatch: pytest.MonkeyPatch) -> None:
     # Played in this process, which has loaded the program.
     monkeypatch.setattr("scenes.sweep.work_off", lambda tasks, play, *_: enumerate(map(play, tasks)))
-    ended = program("check", "suite.toml", "--update-baseline", "--processes", "1")
+    ended = program("check", "suite.toml", "--update-baseline", "--processes", "1", "--runs", "runs")
     assert ended.code == 0, ended.err
     assert "verdict: bounds kept, no baseline" in ended.out
     baseline = (tmp_path / "suite.baseline.json").read_bytes()
@@ -53,13 +53,11 @@ def test_baseline_then_same_then_worse_then_a_missed_bound(program: Any, suite: 
     assert {"version", "commit", "digest"} == set(content["program"])
     assert {"task_hash", "world_hash", "model_hash"} <= set(content["runs"][0])
     assert not {"real_time_factor", "urdf", "report", "recording"} & set(content["runs"][0])
-    again = program("check", "suite.toml", "--processes", "1", "--runs", "runs")
-    assert again.code == 0, again.err
-    assert "verdict: same" in again.out
     parts = {path: path.read_bytes() for path in (tmp_path / "runs").rglob("*.parquet")}
     assert sum(len(pd.read_parquet(path)) for path in parts) == 3
     resumed = program("check", "suite.toml", "--runs", "runs", "--resume", "--time-limit", "0.001")
     assert resumed.code == 0, resumed.err  # nothing was played that could have taken too long
+    assert "verdict: same" in resumed.out
     assert {path: path.read_bytes() for path in (tmp_path / "runs").rglob("*.parquet")} == parts
     assert (tmp_path / "out/check_suite/results.json").read_bytes() == baseline
     # A worse model: nothing corrects the path.
@@ -211,9 +209,9 @@ def runs(draw: int, *, factor: dict[str, float] | None = None, noise: float = 0.
     return Results.of(answers)
 
 
-def test_an_unchanged_program_is_the_same_in_all_of_twenty_draws() -> None:
+def test_an_unchanged_program_is_the_same_in_all_of_twelve_draws() -> None:
     rules = Rules(relevant=0.0)
-    assert {compared(runs(0), runs(draw), rules=rules).verdict for draw in range(1, 21)} == {SAME}
+    assert {compared(runs(0), runs(draw), rules=rules).verdict for draw in range(1, 13)} == {SAME}
 
 
 def test_false_alarms_are_as_rare_as_promised() -> None:

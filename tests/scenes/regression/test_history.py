@@ -43,7 +43,8 @@ def found(history: History) -> set[tuple[str, str]]:
     return {(course.case.partition(",")[0], course.versions[course.since or 0].name) for course in history.worse}
 
 
-@pytest.mark.parametrize(("first", "spoilt"), [(1, "corner"), (3, "straight"), (5, "straight")])
+@pytest.mark.parametrize(("first", "spoilt"), [
+    (1, "corner"), pytest.param(3, "straight", marks=pytest.mark.slow), (5, "straight")])
 def test_the_first_worse_version_is_named_and_only_in_its_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
                                                                first: int, spoilt: str) -> None:
     factors = {f"v{i}": 1.0 if i < first else 1.08 for i in range(7)}

@@ -112,12 +112,12 @@ LOSSES = {"one late answer": {"late": lambda k: k == 150},
           "5 % late": {"late": lambda k: k > 20 and (k * 2654435761) % 2**32 < 0.05 * 2**32}}
 
 
-@pytest.mark.parametrize("loss", [*LOSSES, "50 ms stalls"])
-@pytest.mark.parametrize(("mode", "cycle"), [
-    ("absolute", 0.012), ("increments", 0.012), ("increments held on", 0.012),
-    pytest.param("increments held on", 0.004, marks=pytest.mark.slow),
-    pytest.param("absolute", 0.004, marks=pytest.mark.slow), pytest.param("increments", 0.004, marks=pytest.mark.slow)])
-def test_what_is_missed_is_made_good_within_the_limits(tmp_path: Path, loss: str, cycle: float, mode: str) -> None:
+@pytest.mark.parametrize(("mode", "cycle", "loss"), [
+    pytest.param(mode, cycle, loss, marks=() if cycle > 0.01 and loss in losses else pytest.mark.slow)
+    for mode, losses in (("absolute", ("50 ms stalls",)), ("increments", ("5 % lost",)),
+                         ("increments held on", ("one late answer", "5 % late", "50 ms stalls")))
+    for cycle in (0.012, 0.004) for loss in (*LOSSES, "50 ms stalls")])
+def test_what_is_missed_is_made_good_within_the_limits(tmp_path: Path, mode: str, cycle: float, loss: str) -> None:
     stall = {"held_back": lambda k: k % round(0.4 / cycle) < round(0.048 / cycle) and k > 20}
     controller = LaggingController(HOME, cycle=cycle, adds_up=mode != "absolute",
                                    goes_on=mode == "increments held on", **LOSSES.get(loss, stall))
@@ -256,10 +256,10 @@ def test_an_hour_at_four_milliseconds_has_no_end_of_our_own_making() -> None:
 
 # A network that is not friendly: whatever comes from elsewhere, the commands are those of an undisturbed run.
 
-def test_twenty_thousand_mutated_packets_are_refused_or_wholly_sound() -> None:
+def test_thousands_of_mutated_packets_are_refused_or_wholly_sound() -> None:
     rng = np.random.default_rng(16)
     sound, messages = 0, set()
-    for _ in range(20_000):
+    for _ in range(6000):
         try:
             message = parse_rob(mutated(PACKET, rng), 6)
         except PacketError as error:
@@ -272,7 +272,7 @@ def test_twenty_thousand_mutated_packets_are_refused_or_wholly_sound() -> None:
     # What a terminal will show has to be short and without control characters.
     assert all(len(text) < 300 and text.isprintable() for text in messages)
     # The mutator must leave some sound, or nothing beyond the first check was tried.
-    assert 20 < sound < 18_000
+    assert 6 < sound < 5400
 
 
 def run_of(folder: Path, controller: LaggingController, attacked: bool) -> RsiRun:
@@ -297,7 +297,7 @@ def run_of(folder: Path, controller: LaggingController, attacked: bool) -> RsiRu
             return server.play(patience=PATIENCE)
 
 
-@pytest.mark.parametrize("relative", [False, True])
+@pytest.mark.parametrize("relative", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_no_command_changes_by_strangers_replays_and_rubbish(tmp_path: Path, relative: bool) -> None:
     quiet, attacked = LaggingController(HOME), LaggingController(HOME)
     quiet_run, run = run_of(tmp_path, quiet, False), run_of(tmp_path, attacked, True)

@@ -66,7 +66,7 @@ def played(path: Path, *, start: Array = ROBOT.home, cycles: int | None = None, 
         return run, future.result(PATIENCE)
 
 
-@pytest.mark.parametrize("relative", [False, True])
+@pytest.mark.parametrize("relative", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_the_arm_behind_rsi_follows_better_than_without(tmp_path: Path, relative: bool) -> None:
     path = written(tmp_path, motion())
     run, controller = played(path, relative=relative)
@@ -307,7 +307,8 @@ def test_the_kr6_keeps_its_own_cycle_where_none_is_given() -> None:
 FOLDER = ROOT.parent / "shared" / "rsi-simulators"
 
 
-@pytest.mark.parametrize("name", SIMULATORS)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=() if k < 2 else pytest.mark.slow)
+                                  for k, name in enumerate(SIMULATORS)])
 def test_a_public_simulator_is_led_along_the_path(name: str) -> None:
     if home_of(FOLDER, name) is None:
         pytest.skip(f"{SIMULATORS[name].file} is neither in ../shared/rsi-simulators nor installed")

@@ -155,7 +155,7 @@ def pushed(world: World, q: Array, force: Array) -> Array:
     bends, still = structure(world, q), np.zeros(ROBOT.n)
     before = bends.off
     bends.touch = force
-    for _ in range(1200):
+    for _ in range(500):
         bends.update(q, still, np.full(ROBOT.n, world.reference_temperature))
     return bends.off - before
 
@@ -195,7 +195,7 @@ def test_the_column_swings_at_its_frequency(frequency: float) -> None:
     column, still = structure(world, ROBOT.home), np.zeros(ROBOT.n)
     column.touch = np.array([0.0, 400.0, 0.0])
     heights = []
-    for _ in range(4000):
+    for _ in range(2000):
         column.update(ROBOT.home, still, np.full(ROBOT.n, world.reference_temperature))
         heights.append(column.off[1])
     swing = np.array(heights) - heights[-1]

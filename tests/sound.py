@@ -1,35 +1,27 @@
-"""The sound files that fuzzing breaks: a small arm, its model, recordings, paths and scenes, all quick to work on."""
+"""Sound files that tests break or work on: a small arm, its model, recordings, paths and scenes, all quick."""
 
 from __future__ import annotations
 
-import io
 import json
 import math
 import tempfile
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-from scipy.io import savemat
+import pandas as pd
 
 from ideal_robot.dynamics import torques
 from ideal_robot.model.model import Model
-from ideal_robot.results import plain
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.export import write_mcap, write_rosbag2
 from ideal_robot.signals.recording import Recording
 from scenes.online.camera_process import CalibratedCamera
 from scenes.report.replay import write_replay
-from scenes.scene_file import load_scene
-from scenes.sweep import _described, jobs
 from scenes.view.viewer import replay_of_columns
 from sensing.camera.camera_model import CameraModel
-from tests.fuzz import mutate
-from tests.sensing.camera import synthetic
 
 URDF = b"""<?xml version="1.0"?>
 <robot name="arm">
@@ -115,7 +107,6 @@ push = "tool_z"
 forces = [1000.0, 3000.0, 5000.0]
 components = ["fz"]
 """
-CLOSE_FORCE = FORCE + b"[assumed]\nelasticity_ratio = 1.5\nelasticity_estimated = false\n"
 CLOSE_CLAMPED = b"""kind = "close_clamped"
 title = "clamped a few times"
 robot = "kr15"
@@ -134,21 +125,6 @@ stiffness = [4.5e5, 2.2e5, 2.6e5, 4.5e4, 4.5e4, 2.0e4]
 """
 SCENES = {"line": LINE, "path": PATH, "force": FORCE, "clamped": CLAMPED}
 SVG = b'<svg xmlns="http://www.w3.org/2000/svg"><g><path d="M 0 0 C 50 10 80 -20 100 0 L 200 10"/></g></svg>'
-AXES = "".join(f'<ELEMENT TAG="AK.A{i}" TYPE="DOUBLE" INDX="{i}" HOLDON="1"/>\n' for i in range(1, 7)).encode()
-RSI_XML = b"""<ROOT>
-<CONFIG><IP_NUMBER>192.168.1.10</IP_NUMBER><PORT>49152</PORT><SENTYPE>ImFree</SENTYPE><ONLYSEND>FALSE</ONLYSEND></CONFIG>
-<SEND><ELEMENTS><ELEMENT TAG="DEF_RIst" TYPE="DOUBLE" INDX="INTERNAL"/><ELEMENT TAG="DEF_AIPos" TYPE="DOUBLE"
-INDX="INTERNAL"/></ELEMENTS></SEND>
-<RECEIVE><ELEMENTS>""" + AXES + b"""</ELEMENTS></RECEIVE>
-</ROOT>
-"""
-QUESTIONS = (b'{"effects": [{"effect": "degressive", "joint": 2, "channel": "tau_2", "indistinguishable_from": '
-             b'["stribeck", "kinematic_error of joint 1"]}], "undecided": [{"joint": 1, "reason": "rests"}]}')
-KINDS = {**{f"{kind}.toml": kind for kind in (*SCENES, "close_clamped")}, "ideal_line.toml": "line",
-         "ideal_force.toml": "force", "close_force.toml": "force", "own.toml": "path", "svg.toml": "line"}
-"""Scene files → their kinds."""
-
-
 @cache
 def arm(folder: Path) -> Robot:
     """The small arm, its files written into ``folder``."""
@@ -204,48 +180,9 @@ def model(folder: Path) -> bytes:
 
 
 @cache
-def shipped_model() -> bytes:
-    """The shipped model of the six-joint arm, with its controllers."""
-    return (Path(__file__).resolve().parents[2] / "scenes" / "models" / "kr6.json").read_bytes()
-
-
-@cache
-def answers() -> bytes:
-    """Lines of a sweep over two seeds of ``PATH``, as the file ``path.toml``."""
-    with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "path.toml").write_bytes(PATH)
-        scene = load_scene(Path(folder) / "path.toml")
-    file: dict[str, Any] = {"path_error_mm": {"time_matched": {"E_car": 1.0}}, "speed_m_s": 0.3, "failure": None}
-    return b"".join(json.dumps({"job": plain(_described(job, {"path.toml": scene})),
-                                "answer": {"scene": "path", "method": "none", "seed": job.seed, **file}}).encode()
-                    + b"\n" for job in jobs(["path.toml"], seeds=[1, 2]))
-
-
-@cache
 def calibration() -> bytes:
     """A camera's calibration as it is kept."""
     return json.dumps(CalibratedCamera(CameraModel.default(320, 240), time_offset=0.003).json(), indent=2).encode()
-
-
-PICTURES = (".png", ".jpg", ".bmp", ".tif", ".webp", ".pgm")
-
-
-@cache
-def picture(ending: str) -> bytes:
-    """A dark line on light ground, 160 × 120 pixels, as a file with that ending."""
-    return cv2.imencode(ending, _drawn(0))[1].tobytes()
-
-
-@cache
-def film() -> bytes:
-    """Six such pictures, the line moving, as an AVI file of JPEGs."""
-    with tempfile.TemporaryDirectory() as folder:
-        return synthetic.film(Path(folder) / "film.avi", map(_drawn, range(6)), 25.0).read_bytes()
-
-
-def blank(height: int, width: int) -> bytes:
-    """A black picture of that size as PNG: few bytes in the file, many in memory."""
-    return cv2.imencode(".png", np.zeros((height, width), dtype=np.uint8))[1].tobytes()
 
 
 @cache
@@ -263,83 +200,17 @@ def bag(folder: Path, *, mcap: bool) -> bytes:
         return next(write_rosbag2(recording, Path(scratch) / "bag").glob("*.db3")).read_bytes()
 
 
-def broken_replay(folder: Path, rng: np.random.Generator) -> bytes:
-    """The replay of the small arm's motion with bytes of it changed, or one of its arrays of another shape or kind.
-
-    Args:
-        folder: for the sound files; any that lasts.
-        rng: draws what is broken.
-    """
-    raw = _replay(folder)
-    if rng.random() < 0.5:
-        return mutate.mutated_text(raw, rng)
-    with np.load(io.BytesIO(raw)) as file:
-        arrays = dict(file)
-    name = list(arrays)[rng.integers(len(arrays))]
-    values = (np.zeros(0), np.zeros(3), np.zeros((2, 2)), np.full((500, 3), np.nan), np.zeros((500, 7)), np.array("x"),
-              np.array("{}"), np.arange(500.0)[::-1], np.full(500, 1e300), np.zeros((1, 1, 1)))
-    arrays[name] = values[rng.integers(len(values))]
-    if rng.random() < 0.2:
-        del arrays[name]
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)
-    return buffer.getvalue()
-
-
 @cache
-def _replay(folder: Path) -> bytes:
+def replay(folder: Path) -> bytes:
+    """The replay of the small arm's motion."""
     with tempfile.TemporaryDirectory() as scratch:
-        (Path(scratch) / "r.csv").write_bytes(mutate.csv_bytes(motion(folder)))
+        (Path(scratch) / "r.csv").write_bytes(csv_bytes(motion(folder)))
         recording = Recording.read(Path(scratch) / "r.csv")
-        replay = replace(replay_of_columns(arm(folder), recording), pictures=((0.0, picture(".png")),),
+        replay = replace(replay_of_columns(arm(folder), recording),
                          surface=np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]))
         return write_replay(replay, Path(scratch) / "r.replay.npz", recording).read_bytes()
 
 
-def _drawn(shift: int) -> np.ndarray:
-    gray = np.full((120, 160), 200, dtype=np.uint8)
-    cv2.line(gray, (60 + shift, 0), (90 + shift, 119), 40, 6)
-    return gray
-
-
-def _still(folder: Path) -> dict[str, Any]:
-    """Half a second in which the small arm rests."""
-    return {"t": motion(folder)["t"][:50], "q_d_1": np.zeros(50), "q_d_2": np.zeros(50)}
-
-
-def _mat() -> bytes:
-    buffer, t = io.BytesIO(), 1e-3 * np.arange(200.0)[:, None]
-    savemat(buffer, {name: t for name in ("t", "qm", "qg", "vir")} | {"gtau": 35.15})
-    return buffer.getvalue()
-
-
-TABLES: dict[str, Callable[[Path], dict[str, Any]]] = {
-    "motion": motion, "pushes": pushes, "joint_path": lambda _: joint_path(), "still": _still}
-"""Recordings and paths, made in a folder that lasts."""
-_FILES: dict[str, Callable[[Path], bytes]] = {
-    "arm.urdf": lambda _: URDF, "arm.toml": lambda _: DATA,
-    **{f"{kind}.toml": lambda _, text=text: text for kind, text in SCENES.items()},
-    **{f"ideal_{kind}.toml": lambda _, text=SCENES[kind]: text.replace(b'method = "none"', b'method = "ideal"')
-       for kind in ("line", "force")},
-    "close_force.toml": lambda _: CLOSE_FORCE, "close_clamped.toml": lambda _: CLOSE_CLAMPED,
-    "own.toml": lambda _: PATH.replace(b'robot = "kr15"', b'robot = "arm.urdf"'),
-    "svg.toml": lambda _: LINE.replace(b'formula = "0.4 + 0.02*sin(2*pi*x/0.5)"\nlength = 0.2',
-                                       b'svg = "a.svg"\nsvg_length = 0.2'),
-    "a.svg": lambda _: SVG, "rsi.xml": lambda _: RSI_XML, "questions.json": lambda _: QUESTIONS,
-    "model.json": model, "shipped.json": lambda _: shipped_model(), "answers.jsonl": lambda _: answers(),
-    "calibration.json": lambda _: calibration(), "emps.mat": lambda _: _mat(),
-    "f.avi": lambda _: film(), "bag.mcap": lambda folder: bag(folder, mcap=True),
-    "bag.db3": lambda folder: bag(folder, mcap=False),
-    **{f"{name}.csv": lambda folder, columns=columns: mutate.csv_bytes(columns(folder))
-       for name, columns in (*TABLES.items(), ("path", TABLES["joint_path"]))},
-}
-
-
-def sound(name: str, folder: Path) -> bytes:
-    """The sound file of that name.
-
-    Args:
-        name: in the working folder of a case.
-        folder: for what it is made of; any that lasts.
-    """
-    return _FILES[name](folder)
+def csv_bytes(columns: dict[str, Any]) -> bytes:
+    """A table as CSV."""
+    return pd.DataFrame(columns).to_csv(index=False).encode()
