@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import doctest
 import importlib
 import json
@@ -19,6 +20,7 @@ import pytest
 from docs import published_numbers
 from tests.sources import DATA, ROOT
 
+PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes")
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 
 ANSWERS = {
@@ -67,10 +69,6 @@ def read(path: Path) -> list[dict[str, str]]:
     return [{**cell, "source": "".join(cell["source"])} for cell in json.loads(path.read_text("utf-8"))["cells"]]
 
 
-def is_quick(path: Path) -> bool:
-    return bool(json.loads(path.read_text(encoding="utf-8"))["metadata"].get("quick"))
-
-
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_has_question_slider_exercise_and_what_the_paper_shows(path: Path) -> None:
     cells = read(path)
@@ -93,8 +91,20 @@ def test_the_course_has_eight_lessons_with_a_notebook_each() -> None:
     assert {path.name for path in NOTEBOOKS} <= set(re.findall(r"notebooks/(\w+\.ipynb)", text))
 
 
-@pytest.mark.parametrize("path", [pytest.param(notebook, marks=() if is_quick(notebook) else pytest.mark.slow)
-                                  for notebook in NOTEBOOKS], ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_what_a_notebook_imports_exists(path: Path) -> None:
+    """Also what it takes of the program by name: a figure that was renamed ended a lesson unnoticed."""
+    for cell in read(path):
+        if cell["cell_type"] != "code":
+            continue
+        for node in ast.walk(ast.parse(re.sub(r"(?m)^%.*", "", cell["source"]))):
+            if isinstance(node, ast.ImportFrom) and str(node.module).partition(".")[0] in PACKAGES:
+                module = importlib.import_module(str(node.module))
+                assert [name.name for name in node.names if not hasattr(module, name.name)] == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_and_knows_right_from_wrong(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from docs import execute_notebooks
 
@@ -105,7 +115,7 @@ def test_a_notebook_runs_and_knows_right_from_wrong(path: Path, monkeypatch: pyt
     right, wrong = ANSWERS[path.stem]
     asked = [f"check({right})", f"not check({wrong})", "not check(None)", *SHOWN[path.stem]]
     added = "\n".join(f"assert {one}" for one in asked)
-    execute_notebooks.played(path, added, **{"longest": 100.0} if is_quick(path) else {})
+    execute_notebooks.played(path, added)
 
 
 # The tutorial, typed as printed: on the shipped arm and on arms of one's own, with robot data and without.
@@ -192,7 +202,6 @@ def test_the_site_is_built_without_warnings(rooms: dict[str, str], tmp_path: Pat
 
 # Examples in docstrings say what the program does.
 
-PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes")
 MODULES = [".".join(path.relative_to(ROOT).with_suffix("").parts) for package in PACKAGES
            for path in sorted((ROOT / package).rglob("*.py")) if ">>> " in path.read_text(encoding="utf-8")]
 

@@ -90,6 +90,7 @@ def test_arm_sticks_at_rest(engine: str) -> None:
     assert np.abs(run.q - run.q[0]).max() < (2.5e-3 if engine == "mujoco" else 1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", EACH)
 def test_tilted_base_changes_torque_by_gravity_alone(engine: str) -> None:
     plant, motion = a_plant(ARM, friction=False, engine=engine), a_motion(ARM)
@@ -132,6 +133,7 @@ def test_springs_and_shafts_do_what_their_formulas_say(engine: str) -> None:
     assert np.std((change[:, 2] - expected)[rows]) < 0.2 * np.std(expected[rows])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["integrator", pytest.param("mujoco", marks=pytest.mark.slow)])
 def test_two_shafts_and_two_springs_of_an_arm_are_all_there(engine: str) -> None:
     """Two effects of one recording may be of one kind: the second once took the place of the first."""
@@ -149,6 +151,7 @@ def test_two_shafts_and_two_springs_of_an_arm_are_all_there(engine: str) -> None
             assert np.std(both - without, axis=0).max() > 0.05 * np.std(both - none, axis=0).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", EACH)
 def test_play_lets_the_arm_fall_behind_by_half_the_gap_to_either_side(engine: str) -> None:
     gap = np.zeros(ARM.n)
@@ -161,6 +164,7 @@ def test_play_lets_the_arm_fall_behind_by_half_the_gap_to_either_side(engine: st
     assert np.abs((run.q - run.qa)[:, 0]).max() <= 0.5 * plant.block[drive.O_COUNT, 0] * (1.0 + 1e-9)
 
 
+@pytest.mark.slow
 def test_a_spring_is_held_before_anything_is_recorded() -> None:
     """Our arm begins with its weights held; a spring of many times that once threw it off by a radian."""
     spring = BalanceSpring(0, 2e4 * float(ARM.need[0]), 0.0, 0.5, 0.2, 0.4)

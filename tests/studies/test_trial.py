@@ -63,6 +63,7 @@ def test_a_third_of_the_trials_and_more_hold_nothing() -> None:
     assert sum(SHARES) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_size_of_an_effect_grows_with_it_and_is_zero_without() -> None:
     rng = np.random.default_rng(2)
     setup = Setup(a_plant(ARM), draw_logger(rng, ARM.n, ()))

@@ -362,7 +362,8 @@ def test_pictures_tell_a_copy_of_the_reference_where_they_show_all_of_it(
     y = 0.04 * np.sin(2 * np.pi * x / 0.8)
     bent = y + bump * np.exp(-0.5 * ((x - 0.4) / 0.035) ** 2)
     scene = load_scene("line").changed(
-        line={"formula": None, "length": None, "points": np.column_stack([x, bent]).tolist()}, feature=gaps,
+        world="bench", feature=gaps,
+        line={"formula": None, "length": None, "points": np.column_stack([x, bent]).tolist()},
         reference={"shape": {"points": np.column_stack([x, y]).tolist()}})
     with prepared(scene) as cell:
         assert cell.shape == told
