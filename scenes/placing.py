@@ -47,6 +47,9 @@ LOWEST = 0.05
 """Of a surface above the base plane [m]: room for the tool's own width."""
 TOOLS = (0.0, 0.1)
 """Lengths of tools that are tried, relative to the reach: a short wrist needs one to keep off the surface."""
+TURNS = (0.0, 180.0, 90.0, -90.0)
+"""How tool and camera are mounted on the flange, about the approach axis: a wrist of less than a turn cannot point a
+flange's own x axis along every travel [deg]."""
 FROM_LIMIT = 0.05
 """Distance from the joint limits on the whole corridor [rad or m]."""
 
@@ -59,6 +62,7 @@ class Place:
         origin, heading: of the surface [m], and about z [deg].
         length, speed: of the line [m], and that the joints allow with something to spare [m/s].
         tool_mm: length of a tool that keeps the wrist off the surface.
+        tool_turn_deg: of tool and camera about the approach axis.
     """
 
     origin: tuple[float, float, float]
@@ -66,6 +70,13 @@ class Place:
     length: float
     speed: float
     tool_mm: float
+    tool_turn_deg: float
+
+    @property
+    def tool(self) -> dict[str, float]:
+        """The scene's keys of the tool, where they are not as usual."""
+        keys = {"tool_mm": self.tool_mm, "tool_turn_deg": self.tool_turn_deg}
+        return {key: value for key, value in keys.items() if value}
 
 
 def place_line(scene: LineScene) -> Place:
@@ -77,6 +88,16 @@ def place_line(scene: LineScene) -> Place:
     if shoulder_height(robot) < 0.0:
         raise InputError(f"{robot.name} hangs below z = 0, which is the floor; let the URDF begin with a link on the "
                          "floor and a fixed joint from there to the arm's base", file=robot.urdf, field="robot")
+    for turn in TURNS:
+        if (place := _placed(scene.changed(tool_turn_deg=turn), robot)) is not None:
+            return place
+    raise InputError(f"no line fits in the reach of {robot.name} ({reach(robot):.2f} m) with the tool pointing down; "
+                     "give the posture to work from as home in the robot's TOML, or place surface and line by hand",
+                     file=robot.urdf, field="robot")
+
+
+def _placed(scene: LineScene, robot: Robot) -> Place | None:
+    """Where a line fits with the tool mounted as it is; None where it fits nowhere."""
     slow: Place | None = None
     for heading, share in product(HEADINGS, SIZES):
         best: Place | None = None
@@ -85,7 +106,7 @@ def place_line(scene: LineScene) -> Place:
             speed = fits(candidate, candidate.arm, wanted)
             if speed is not None and (best is None or speed > best.speed):
                 best = Place(candidate.surface.origin, heading, float(candidate.line.length or 0.0), speed,
-                             candidate.tool_mm)
+                             candidate.tool_mm, candidate.tool_turn_deg)
             if best is not None and best.speed >= math.floor(100.0 * wanted) / 100.0:
                 return best
         if best is not None and best.speed >= WORTH * wanted:
@@ -94,9 +115,7 @@ def place_line(scene: LineScene) -> Place:
             slow = best
         if slow is not None and share == SIZES[-1]:
             return slow
-    raise InputError(f"no line fits in the reach of {robot.name} ({reach(robot):.2f} m) with the tool pointing down; "
-                     "give the posture to work from as home in the robot's TOML, or place surface and line by hand",
-                     file=robot.urdf, field="robot")
+    return None
 
 
 def where_it_fits(scene: LineScene) -> str:
@@ -106,7 +125,7 @@ def where_it_fits(scene: LineScene) -> str:
     except InputError as error:
         return error.message
     x, y, z = place.origin
-    tool = f" and tool_mm = {place.tool_mm:g}" if place.tool_mm else ""
+    tool = "".join(f" and {key} = {value:g}" for key, value in place.tool.items())
     return (f"a line of {place.length:g} m fits with surface.origin = [{x:g}, {y:g}, {z:g}], "
             f"heading_deg = {place.heading:g}{tool}; ideal-robot new NAME --robot writes such a scene")
 
@@ -168,7 +187,7 @@ def scene_text(example: str, robot: str, place: Place) -> str:
         if key in values:
             rows[i] = f"{key} = {json.dumps(values[key], ensure_ascii=False)}"
     example = "\n".join(rows)
-    tool = f"tool_mm = {place.tool_mm:g}\n" if place.tool_mm else ""
+    tool = "".join(f"{key} = {value:g}\n" for key, value in place.tool.items())
     example = example.replace("\n[surface]", f'model = "own"\n{tool}\n[surface]', 1)
     ends = "".join(f"{key} = {value:g}\n" for key, value in run_ups(place.length).items())
     return f"{example.rstrip()}\n\n[reference]\n{ends}"

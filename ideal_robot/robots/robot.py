@@ -241,12 +241,17 @@ class Robot(Summarised):
         flange = self.pinocchio.frames[frame.parentFrame]
         return float(np.linalg.norm(frame.placement.translation - flange.placement.translation))
 
-    def with_tool(self, length: float) -> Robot:
-        """The same arm with a straight tool, its TCP ``length`` [m] beyond the tool frame along the approach axis z."""
-        if length == 0.0:
+    def with_tool(self, length: float, turn: float = 0.0) -> Robot:
+        """The same arm with a straight tool on its tool frame.
+
+        Args:
+            length: of the TCP beyond the tool frame along the approach axis z [m].
+            turn: of the tool, and what it carries, about that axis [rad].
+        """
+        if length == 0.0 and turn == 0.0:
             return self
         frame = self.pinocchio.frames[self.tool_id]
-        tip = frame.placement * pin.SE3(np.eye(3), np.array([0.0, 0.0, length]))
+        tip = frame.placement * pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, turn), np.array([0.0, 0.0, length]))
         model = self.pinocchio.copy()
         model.addFrame(pin.Frame(TOOL_TIP, frame.parentJoint, self.tool_id, tip, pin.FrameType.OP_FRAME))
         return replace(self, pinocchio=model, tool_frame=TOOL_TIP)

@@ -123,6 +123,7 @@ def _for_arm(example: str, kind: str, robot: str) -> str:
     place = place_line(scene)
     x, y, z = place.origin
     tool = f", with a tool of {place.tool_mm:g} mm" if place.tool_mm else ""
+    tool += f", tool and camera turned by {place.tool_turn_deg:g}° on the flange" if place.tool_turn_deg else ""
     typer.echo(f"line of {place.length:g} m from ({x:g}, {y:g}, {z:g}) m at {place.speed:g} m/s{tool}")
     return scene_text(example, robot, place)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, ClassVar, Literal
 
 import pydantic
@@ -70,7 +71,7 @@ class LineScene(Scene):
     @property
     def arm(self) -> Robot:
         """The robot with the scene's tool on."""
-        return arm_of(self.robot).with_tool(1e-3 * self.tool_mm)
+        return arm_of(self.robot).with_tool(1e-3 * self.tool_mm, math.radians(self.tool_turn_deg))
 
     workshop: ClassVar[dict[str, dict[str, Any]]] = {
         "world": ARM,
@@ -89,6 +90,9 @@ class LineScene(Scene):
     speed: float = pydantic.Field(default=0.7, gt=0, le=10)
     tool_mm: float = pydantic.Field(default=0.0, ge=0, le=1000)
     """How far the TCP is beyond the flange (the URDF's tool frame), along the approach axis."""
+    tool_turn_deg: float = pydantic.Field(default=0.0, ge=-180, le=180)
+    """How far tool and camera are turned about the approach axis: the camera looks ahead where the tool's x axis points
+    along the travel, which a wrist with a short last joint cannot do in every direction."""
     method: str = "adapted"
     surface: Surface
     line: Line
