@@ -278,7 +278,7 @@ def _show_diagnosed(diagnosis: Diagnosis, explain: bool) -> None:
     for argument in diagnosis.arguments if explain else ():
         typer.echo(argument.text)
     for joint, reason in sorted(diagnosis.undecided.items()):
-        typer.echo(f"undecided: joint {joint} {reason}", err=True)
+        typer.echo(f"joint {joint} {reason}", err=True)
     if diagnosis.moved:
         typer.echo(f"parameters that moved: {'; '.join(p.text for p in diagnosis.moved)}", err=True)
     for warning in diagnosis.warnings:

@@ -81,9 +81,9 @@ def add_diagnosis(page: Report, diagnosis: Diagnosis, then: Sequence[tuple[str, 
         diagnosis: what was found.
         then: what to do next, each a sentence and its command; nothing where the page says it already.
     """
-    left_out = [f"Joint {joint} is left out: it {reason}." for joint, reason in sorted(diagnosis.undecided.items())]
+    poor = [f"Joint {joint} {reason}." for joint, reason in sorted(diagnosis.undecided.items())]
     moved = f"Parameters that changed: {'; '.join(p.text for p in diagnosis.moved)}." if diagnosis.moved else ""
-    for warning in filter(None, (*left_out, *diagnosis.warnings, unexplained(diagnosis), moved)):
+    for warning in filter(None, (*poor, *diagnosis.warnings, unexplained(diagnosis), moved)):
         page.warning(warning)
     if diagnosis.effects or diagnosis.unknown:
         page.figure(without_each_figure(diagnosis), "The error on held-out data before, with all causes but one, and "

@@ -117,12 +117,12 @@ def _counting_rows(recording: Recording, filtered: FilteredSignals, noise_veloci
         if at_limit.any():
             near = np.interp(filtered.t, recording.t, at_limit.astype(float)) > 0.0
             use[:, j] &= ~ndimage.maximum_filter1d(near, 4 * factor + 1)[::factor][filtered.keep]
-    return use, {**{int(j) + 1: "no sample is left away from ends, pauses, reversals and limits of the drive"
+    return use, {**{int(j) + 1: "has no sample away from ends, pauses, reversals and limits: it has no part"
                     for j in np.flatnonzero(~use.any(axis=0))}, **undecided}
 
 
 def _moving_samples(filtered: FilteredSignals, v_small: Array, robot: Robot) -> tuple[Array, dict[int, str]]:
-    """Samples at which each joint moves ``(N, n)``, and joints that move too little, with the reason.
+    """Samples at which each joint moves ``(N, n)``, and joints that move little, with what that means.
 
     Below velocities of ``v_small (n,)`` the direction is lost in noise. Passages through low speed that are shorter
     than a period of the position filter's cut-off count as motion.
@@ -142,10 +142,11 @@ def _moving_samples(filtered: FilteredSignals, v_small: Array, robot: Robot) -> 
         turns = int(np.sum(np.diff(np.sign(qd[moving[:, j], j])) != 0))
         noise_travel = 20.0 * v_small[j] * dt
         if seconds < 2.0 or travel < max(noise_travel, 0.004 if robot.prismatic[j] else 0.02):
-            undecided[j + 1] = (f"moves only {seconds:.1f} s over {travel:.2g} {robot.units('rad')[j]}; "
-                                "at least 2 s and 0.02 rad (4 mm) are needed")
+            undecided[j + 1] = (f"moves {seconds:.1f} s over {travel:.2g} {robot.units('rad')[j]}, which hardly tells "
+                                "its causes apart")
         elif turns < 2:
-            undecided[j + 1] = f"reverses {turns} times; at least two reversals tell friction from gravity and offset"
+            undecided[j + 1] = (f"turns round {('never', 'once')[turns]}: friction, gravity and an offset are hardly "
+                                "told apart there")
     return moving, undecided
 
 
@@ -185,7 +186,7 @@ def without_dead_channels(made: Regression, dead: Sequence[int]) -> Regression:
     """The same regression where some torque channels (from 0) do not count, for they do not measure their joint."""
     use = made.use.copy()
     use[:, list(dead)] = False
-    why = {j + 1: f"has a dead torque channel, tau_{j + 1}" for j in dead}
+    why = {j + 1: f"has a dead torque channel, tau_{j + 1}: it has no part" for j in dead}
     return replace(made, use=use, undecided={**made.undecided, **why})
 
 

@@ -12,7 +12,17 @@ from scipy import signal
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.blocks import Blocks, time_blocks
-from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION, Domain, Effect, FittedEffect, Frames, Signals
+from ideal_robot.effects import (
+    ARM_POSITION,
+    MOTOR_TORQUE,
+    SENSOR,
+    TCP_POSITION,
+    Domain,
+    Effect,
+    FittedEffect,
+    Frames,
+    Signals,
+)
 from ideal_robot.signals.preprocess import FilteredSignals
 from ideal_robot.signals.recording import Recording
 
@@ -30,7 +40,7 @@ class Regression:
         use: samples that count ``(N, c)``.
         signals: undecimated signals for effects.
         filtered: the filter that made them; its ``decimate`` brings columns of effects to the rows of ``y``.
-        undecided: joints (from 1) that move too little, with the reason.
+        undecided: joints (from 1) of which the motion tells little, and why.
         domain: where its effects act.
         prismatic: which joints slide and are measured in N and m ``(n,)``.
         noise_floor: level of the measurement's own noise per channel ``(c,)``, in the band that is looked at.
@@ -177,14 +187,15 @@ def unused_columns(recording: Recording, searched: tuple[Regression, ...]) -> di
 
     The regressions are those of all domains that were searched, that of the motor torques first.
     """
-    torque, result = searched[0], {}
+    arm = next((regression for regression in searched if regression.domain == ARM_POSITION), None)
+    result = {}
     for prefix in ("qa", "temp"):
         for j, present in enumerate(recording.having(prefix)):
             name = f"{prefix}_{j + 1}"
             if name in recording.columns and not present:
                 result[name] = _GAPS
-            elif present and prefix == "qa" and j + 1 in torque.undecided:
-                result[name] = f"joint {j + 1} is left out"
+            elif present and prefix == "qa" and (arm is None or not arm.use[:, j].any()):
+                result[name] = f"joint {j + 1} has no sample that counts"
     result |= {name: _GAPS for name in "xyz" if not np.all(np.isfinite(recording.columns.get(name, 0.0)))}
     together: list[tuple[tuple[str, ...], str]] = [
         (("qx", "qy", "qz", "qw"), "the tool's orientation is not looked at")]
@@ -201,7 +212,7 @@ def unused_columns(recording: Recording, searched: tuple[Regression, ...]) -> di
             result[", ".join(present)] = why
     if "cam_t" in recording.columns and not any(name.startswith("line") for name in sensors):
         result["cam_t, line_x_i, line_y_i, line_z_i"] = "too few fields in which the line was seen"
-    for name, values in torque.signals.extra.items():
+    for name, values in searched[0].signals.extra.items():
         if not np.all(np.isfinite(values)):
             result[name] = _GAPS
         elif np.ptp(values) == 0.0:

@@ -304,7 +304,7 @@ class Diagnosis(Summarised):
         effects: effects of the library, the best set of them.
         unknown: learned terms.
         held_out: how the reported data were kept apart, and how many seconds they are.
-        undecided: joints that move too little, with the reason.
+        undecided: joints of which the motion tells little, and why.
         before, remaining: dependences of the residual at the start and of what is left, strongest first.
         warnings: for people.
         model: the extended model.
