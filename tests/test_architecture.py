@@ -121,6 +121,31 @@ def test_what_is_imported_is_declared_and_the_other_way_round() -> None:
     assert declared() <= set(imported), "in pyproject.toml, but imported nowhere"
 
 
+PHYSICS = ("ideal_robot/loop", "ideal_robot/feedforward", "ideal_robot/friction", "ideal_robot/dynamics",
+           "ideal_robot/model", "ideal_robot/elasticity", "ideal_robot/execution", "planning/path")
+"""Folders whose numerical tolerances stand in one table."""
+TINY = 1e-5
+"""Below this a named number is a tolerance: no unit of these folders makes anything that an arm shows so small."""
+
+
+def named_numbers(tree: ast.Module) -> dict[str, list[float]]:
+    """Numbers in the values of a module's names in capitals."""
+    return {ast.unparse(node.targets[0]): [number.value for number in ast.walk(node.value) if isinstance(
+        number, ast.Constant) and isinstance(number.value, float)]
+            for node in tree.body if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]).isupper()}
+
+
+def test_numerical_tolerances_stand_in_one_table() -> None:
+    own = {f"{path.name}: {name}" for folder in PHYSICS for path, tree in trees(folder).items()
+           for name, numbers in named_numbers(tree).items() if any(0.0 < abs(number) < TINY for number in numbers)}
+    assert not own, f"to ideal_robot/tolerances.py: {sorted(own)}"
+    table = named_numbers(trees("ideal_robot")[ROOT / "ideal_robot" / "tolerances.py"])
+    used = {name.rpartition(".")[2] for tree in files().values() for name in imports(tree)
+            if name.startswith("ideal_robot.tolerances.")}
+    assert len(table) > 10
+    assert set(table) == used
+
+
 def test_importing_the_packages_is_cheap() -> None:
     """Importing a package must not pull in plotting, PyBullet or the command line."""
     program = (

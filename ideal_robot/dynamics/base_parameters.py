@@ -18,12 +18,11 @@ from ideal_robot.bounded_values import kept_words
 from ideal_robot.dynamics.regressor import LINK_PARAMETERS, LINK_UNITS, regressor
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.robots.robot import joint_units
+from ideal_robot.tolerances import DEPENDENT, LEAST_EIGENVALUE, NOMINAL_WEIGHT
 
 _PREFERENCE = ("Ixy", "Ixz", "Iyz", "Izz", "Ixx", "Iyy", "mx", "my", "mz", "m")
 """Which of several dependent link parameters stays in the base: what is usually named in print comes first."""
 
-_TOLERANCE = 1e-8
-"""Columns smaller than this, over the largest, are rounding: half of the digits of double precision."""
 _CLEAR = 0.01
 """Share of a column, apart from those before it, from which on the preference decides. A column of which only a
 thousandth is its own would be in the base for what another one shows plainly: no motion tells it in its numbers."""
@@ -137,7 +136,7 @@ def base_parameters(model: pin.Model) -> BaseParameters:
 
     order = _order(n)
     size = np.linalg.norm(W, axis=0)
-    visible = [i for i in order if size[i] > _TOLERANCE * size.max()]
+    visible = [i for i in order if size[i] > DEPENDENT * size.max()]
     independent = _independent(W[:, visible] / size[visible], visible)
     dependent = [i for i in visible if i not in independent]
     grouping = np.zeros((len(independent), 12 * n))
@@ -152,7 +151,7 @@ def base_parameters(model: pin.Model) -> BaseParameters:
     grouping = grouping[by_name]
     grouping.setflags(write=False)
     at_rest = full_regressor(model, q, np.zeros_like(q), np.zeros_like(q)).reshape(count * n, 12 * n)
-    gravitational = np.linalg.norm(at_rest[:, independent], axis=0) > _TOLERANCE * size.max()
+    gravitational = np.linalg.norm(at_rest[:, independent], axis=0) > DEPENDENT * size.max()
     return BaseParameters(names, units, tuple(independent), grouping, tuple(bool(g) for g in gravitational))
 
 
@@ -172,7 +171,7 @@ def _independent(W: Array, columns: Sequence[int]) -> list[int]:
         R, order = linalg.qr(rest, mode="r", pivoting=True)
         own = np.abs(np.diag(R[: rest.shape[1]]))
         unclear = np.flatnonzero(~clear)
-        added = [int(unclear[k]) for k, size in zip(order, own, strict=True) if size > _TOLERANCE]
+        added = [int(unclear[k]) for k, size in zip(order, own, strict=True) if size > DEPENDENT]
     return [columns[i] for i in sorted([*map(int, np.flatnonzero(clear)), *added])]
 
 
@@ -192,10 +191,6 @@ def _order(n: int) -> list[int]:
 # is positive definite (Wensing, Kim and Slotine 2018). The nearest possible parameters are a semidefinite program; it
 # is solved with Clarabel.
 
-_PRIOR = 1e-4
-"""Weight of staying near the nominal inertias: it decides only what the base parameters leave open."""
-_MARGIN = 1e-3
-"""Smallest allowed eigenvalue of a pseudo-inertia, relative to that of the nominal link's mean."""
 
 
 @dataclass(frozen=True)
@@ -248,8 +243,8 @@ def consistent_parameters(base: BaseParameters, values: Array, covariance: Array
                               "possible inertias can be near them; check masses, lengths and inertias of the robot "
                               "description for numbers that cannot be") from None
     # Unknowns are the full parameters in units of their scales.
-    A = np.vstack([whiten @ base.grouping * scale, np.sqrt(_PRIOR) * np.eye(len(nominal))])
-    b = np.concatenate([whiten @ values, np.sqrt(_PRIOR) * nominal / scale])
+    A = np.vstack([whiten @ base.grouping * scale, np.sqrt(NOMINAL_WEIGHT) * np.eye(len(nominal))])
+    b = np.concatenate([whiten @ values, np.sqrt(NOMINAL_WEIGHT) * nominal / scale])
     solved = _solve(A, b, scale, nominal, n)
     full = solved * scale
     exact = base.nearest_full(values, nominal)
@@ -281,7 +276,7 @@ def _solve(A: Array, b: Array, scale: Array, nominal: Array, n: int) -> Array:
         block[:, span] = np.array([_triangle(shrink[:, None] * _BASIS[k] * shrink) * scale[span][k]
                                    for k in range(10)]).T
         rows.append(-block)
-        rhs.append(-_MARGIN * _triangle(np.eye(4)))
+        rhs.append(-LEAST_EIGENVALUE * _triangle(np.eye(4)))
         cones.append(clarabel.PSDTriangleConeT(4))
     rotor = np.zeros((n, len(nominal)))
     rotor[np.arange(n), 10 * n + np.arange(n)] = -1.0

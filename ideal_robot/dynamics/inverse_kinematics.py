@@ -21,16 +21,11 @@ from numpy.typing import NDArray
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, chain_of, joint_frames
 from ideal_robot.jit import jit
+from ideal_robot.tolerances import HALF_TURN, SLIGHT
 
-DAMPING = 1e-6
-"""Of the least-squares inverse at a pose from which six joints cannot move in all directions."""
-SLIGHT = 1e-10
-"""Of that of more than six joints: of what is wished besides it lets this share of the pose's error stand."""
 TILT, TWIST = 1e-3, 1e-4
 """Weights of the tool axis' direction and of the rotation about it [m/rad], beside 1 of the place, where there are
 fewer than six joints: the place is kept, the tool axis as far as the arm can, the rotation about it is what is left."""
-HALF_TURN = -0.9
-"""Cosine of a rotation beyond which its axis is taken from the symmetric part: the other one fades at half a turn."""
 
 
 class Tool(NamedTuple):

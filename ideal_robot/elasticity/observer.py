@@ -24,9 +24,8 @@ from ideal_robot.jit import jit
 from ideal_robot.model.arm_with_effects import chain_with, changes_of, dynamics_with, side_of_gap, stiffness_with
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import spread_postures
+from ideal_robot.tolerances import SUBSTEP
 
-SUBSTEP = 0.0005
-"""Time step of the model; far below the period of the stiffest gear of an industrial arm [s]."""
 FOLLOWED = 2.0
 """Largest h² k + 2 h d over the inertia of the arm that a substep h follows; beyond 4 the leapfrog diverges."""
 LEAST_DAMPING = 0.04

@@ -25,18 +25,11 @@ from ideal_robot.arrays import Array, eased
 from ideal_robot.errors import InputError, LimitError
 from ideal_robot.jit import jit
 from ideal_robot.robots.robot import Robot
+from ideal_robot.tolerances import BRAKING_CYCLES, HALVINGS, ROUNDING, UNRESOLVED
 
 ACCELERATION = 2.0
 """Acceleration limit of commands, as a multiple of the arm's: a linear interpolator's acceleration is what the speed
 changes over a cycle, and controllers trip at about twice the limit."""
-_STEPS = 2000
-"""Cycles in which a braking motion has to end."""
-_HALVINGS = 20
-"""Leaves a millionth of the acceleration asked for: 1e-9 rad of a command."""
-_ROUNDING = 1e-7
-"""Relative difference of commands that no encoder resolves."""
-_SLACK = 1e-9
-"""Relative slack of the comparisons, for rounding."""
 
 
 @jit()
@@ -61,9 +54,9 @@ class Bounds(NamedTuple):
 def _can_rest(p: float, v: float, a: float, T: float, bounds: Bounds, j: int) -> bool:
     """Whether the braking motion of joint ``j`` from here keeps all limits and ends."""
     low, high, V, A, J = bounds.low[j], bounds.high[j], bounds.V[j], bounds.A[j], bounds.J[j]
-    room = _SLACK * (1.0 + abs(p))
-    for _ in range(_STEPS):
-        if p < low - room or p > high + room or abs(v) > V * (1.0 + _SLACK):
+    room = ROUNDING * (1.0 + abs(p))
+    for _ in range(BRAKING_CYCLES):
+        if p < low - room or p > high + room or abs(v) > V * (1.0 + ROUNDING):
             return False
         if abs(v) * T < 1e-15 and abs(a) * T * T < 1e-15:
             return True
@@ -99,9 +92,9 @@ def governed(q: Array, last: Array, T: float, bounds: Bounds) -> Array:
         if _can_rest(p + speed * T, speed, wanted, T, bounds, j):
             # Within rounding of what was asked for it is what was asked for.
             position = p + speed * T
-            result[j] = q[j] if abs(position - q[j]) <= _SLACK * (1.0 + abs(q[j])) * 1e-3 else position
+            result[j] = q[j] if abs(position - q[j]) <= ROUNDING * (1.0 + abs(q[j])) * 1e-3 else position
             continue
-        for _ in range(_HALVINGS):
+        for _ in range(HALVINGS):
             middle = 0.5 * (good + bad)
             speed = v + middle * T
             if _can_rest(p + speed * T, speed, middle, T, bounds, j):
@@ -148,7 +141,7 @@ class CommandGovernor:
         # Within rounding beyond a limit an arm would refuse the command and stop at once.
         for limit, inward in ((low, 1.0), (high, -1.0)):
             finite = np.isfinite(limit)
-            limit[finite] += inward * 3.0 * _SLACK * (1.0 + np.abs(limit[finite]))
+            limit[finite] += inward * 3.0 * ROUNDING * (1.0 + np.abs(limit[finite]))
         self._last = np.tile(start, (3, 1))
 
     def allowed(self, q_c: Array) -> Array:
@@ -163,7 +156,7 @@ class CommandGovernor:
         Raises LimitError, whose message has the command's time ``start`` [s].
         """
         near = governed(np.asarray(q_c, dtype=float), self._last, self._T, self._bounds)
-        off = np.abs(near - q_c) > _ROUNDING * (1.0 + np.abs(q_c))
+        off = np.abs(near - q_c) > UNRESOLVED * (1.0 + np.abs(q_c))
         if off.any():
             j = int(np.argmax(off))
             raise LimitError(j + 1, f"position at {start:.3f} s after which the arm can still be braked "

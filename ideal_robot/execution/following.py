@@ -23,6 +23,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.execution.guard import PROVED, Watch, probed
 from ideal_robot.robots.interface import TOLERANCE
 from ideal_robot.robots.robot import Robot
+from ideal_robot.tolerances import ROUNDING
 
 SHARE = 0.1
 """Share of the way commanded while the loop answers that an arm may be beside what is expected: of a response of 0.3 s
@@ -93,7 +94,7 @@ class AnyLoop:
     def __init__(self, n: int, T: float) -> None:
         self._dead = np.unique(np.round(np.linspace(0.0, _DEAD / T, _DEADS)).astype(int))
         lags = np.array(_LAGS)
-        self._share = (1.0 - np.where(lags > 0.0, np.exp(-T / np.maximum(lags, 1e-9)), 0.0))[None, :, None]
+        self._share = (1.0 - np.where(lags > 0.0, np.exp(-T / np.maximum(lags, ROUNDING)), 0.0))[None, :, None]
         self._given = np.zeros((self._dead[-1] + 1, n))
         self._answer = np.zeros((len(self._dead), len(lags), n))
 

@@ -36,6 +36,7 @@ from ideal_robot.execution.command_governor import Bounds, governed, stopping_ro
 from ideal_robot.jit import jit
 from ideal_robot.robots.interface import RobotInterface, RobotState
 from ideal_robot.robots.robot import Robot
+from ideal_robot.tolerances import FINEST, ROUNDING, TRAIL_LENGTH, TRAIL_SPACING, UNRESOLVED
 
 Cycle = Callable[[Array], RobotState]
 """Hands over a command ``(n,)`` [rad] and waits a cycle, as ``RobotInterface.cycle`` does."""
@@ -51,16 +52,10 @@ MARGIN = 0.01
 a surface gives way by a millimetre a newton."""
 BLIND = 0.03
 """Way back where it is not known whether anything is felt [m]."""
-_SPACING = 1e-4
-"""Change of a joint from one place of the trail to the next [rad, m]: a tenth of a millimetre a metre away."""
-_LENGTH = 40_000
-"""Places of the trail: four radians of the quickest joint."""
 _SLOWEST = 1e-3
 """Share of its speed with which a path goes on at least."""
 _FASTEST_UNKNOWN = 5.0
 """Acceleration of a joint whose limit is not known [rad/s²]."""
-_AT = 1e-7
-"""Difference of a joint from where it is to be that no encoder resolves [rad]."""
 _BRAKES = 1.0
 """Share of the joints' accelerations for the way of the commands back to an arm that stands."""
 _TIMES = 3
@@ -69,10 +64,8 @@ _RISE = 0.03
 """Time in which the acceleration of that way rises to its limit [s], as in ``robots.interface``."""
 _LONGEST = 3.0
 """Time in which an arm comes to rest with that at any speed [s]."""
-_RAMPS, _FINEST = 1.0, 64
-"""Time of a path in which it reaches its speed again [s], and places into which a cycle of it is divided at most."""
-_REST = 1e-9
-"""Change of a command in a cycle below which it rests [rad]."""
+_RAMPS = 1.0
+"""Time of a path in which it reaches its speed again [s]."""
 PATIENCE = 60.0
 """How long an arm that stands still is waited for [s]: as long as for a controller that has not come yet."""
 _PAUSE = 0.5
@@ -159,7 +152,7 @@ class Guard:
         self._robot, self._T = robot, robot.t_ipo
         self._a_max = np.where(np.isfinite(robot.a_max), robot.a_max, _FASTEST_UNKNOWN)
         self._v_max = np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
-        self._came: deque[Array] = deque(maxlen=_LENGTH)
+        self._came: deque[Array] = deque(maxlen=TRAIL_LENGTH)
         self._given: deque[Array] = deque(maxlen=round(_LATELY / self._T) + 1)
         self._went_on, self._going_back = 0, False
         self.begin(q)
@@ -201,7 +194,7 @@ class Guard:
         if self._went_on * self._T > _CALM:
             self._waited = 0.0
         # What it goes back through is on the trail already.
-        if not self._going_back and self.touching is False and np.max(np.abs(q_c - self._came[-1])) > _SPACING:
+        if not self._going_back and self.touching is False and np.max(np.abs(q_c - self._came[-1])) > TRAIL_SPACING:
             self._came.append(np.array(q_c))
 
     @property
@@ -336,7 +329,7 @@ class Guard:
         nearest = max(begin + int(np.argmin(np.max(np.abs(rows[begin : k + 1] - now), axis=1))) - 1, 0)
         # Places so near to each other that the slow begin is some of them.
         part = rows[nearest : nearest + round(_RAMPS / T) + 2]
-        fine = int(np.clip(np.ceil(np.max(np.abs(np.diff(part, axis=0)), initial=0.0) / (0.25 * small)), 1, _FINEST))
+        fine = int(np.clip(np.ceil(np.max(np.abs(np.diff(part, axis=0)), initial=0.0) / (0.25 * small)), 1, FINEST))
         places = np.arange(fine * (len(part) - 1) + 1) / fine
         part = interpolated(places, np.arange(float(len(part))), part)
         first = int(np.argmin(np.max(np.abs(part[: 2 * fine + 1] - now), axis=1)))
@@ -349,7 +342,7 @@ class Guard:
         instants = slowed(part, rate, self._a_max, T / fine)
         rest = np.arange(places[-1] + 1.0, len(rows))
         instants = np.concatenate([instants, instants[-1] + T * np.arange(1.0, len(rest) + 1.0)])
-        passed = interpolated(T * np.arange(np.ceil(instants[-1] / T - 1e-9) + 1), instants,
+        passed = interpolated(T * np.arange(np.ceil(instants[-1] / T - ROUNDING) + 1), instants,
                               np.concatenate([places, rest])[:, None])[:, 0]
         left, *others = (interpolated(passed, np.arange(float(len(rows))), values) for values in (rows, *beside))
         # Where it was held it may stand beside the path, to which it comes as slowly.
@@ -368,7 +361,7 @@ class Guard:
             stands, (last, now) = self._stands, self._last
             if stands is None:
                 return
-            if np.max(np.abs(now - stands)) < _AT and np.max(np.abs(now - last)) < _REST:
+            if np.max(np.abs(now - stands)) < UNRESOLVED and np.max(np.abs(now - last)) < ROUNDING:
                 return
             came = np.array(self._given)
             beside = np.max(np.abs(came - stands), axis=1)
@@ -378,7 +371,7 @@ class Guard:
             # Straight on while it is braked.
             line = np.vstack([came, now + (now - last) * np.arange(1.0, _LONGEST / self._T)[:, None]])
             step = np.max(np.abs(np.diff(line, axis=0)), axis=0)
-            if begin == 0.0 or np.max(step) < _REST:
+            if begin == 0.0 or np.max(step) < ROUNDING:
                 limits = (0.1 * self._v_max, SHARE * self._a_max)
                 yield from eased_way(now, stands, limits, self._T)
                 continue
@@ -387,7 +380,7 @@ class Guard:
             bounds = Bounds(*(np.array([value]) for value in (0.0, len(line) - 1.0, max(v, 1.0), a,
                                                               a * self._T / _RISE)))
             way, rows = np.array([[begin - 2.0], [begin - 1.0], [begin]]), np.arange(float(len(line)))
-            while abs(way[2, 0]) > _REST or abs(way[2, 0] - way[1, 0]) > _REST:
+            while abs(way[2, 0]) > ROUNDING or abs(way[2, 0] - way[1, 0]) > ROUNDING:
                 at = governed(np.zeros(1), way, 1.0, bounds)
                 way = np.vstack([way[1:], at])
                 off = (stands - line[0]) * (1.0 - eased(np.clip(at / begin, 0.0, 1.0)))
@@ -397,14 +390,14 @@ class Guard:
         """Commands ``(n,)`` [rad] to rest along the rows ``ahead (m, n)`` of the motion, straight on without them."""
         last, now = self._last
         step = now - last
-        if np.max(np.abs(step)) < _REST:
+        if np.max(np.abs(step)) < ROUNDING:
             return
         lasts = float(np.max(np.abs(step) / self._T / self._a_max)) / SHARE
         count = 6 + int(lasts / self._T)
         if ahead is None or len(ahead) < 4:
             ahead = now + step * np.arange(float(count))[:, None]
         for horizon in stopping_rows(ahead[:count], self._T, lasts, 1.0):
-            if np.max(np.abs(horizon[1] - horizon[0])) < _REST:
+            if np.max(np.abs(horizon[1] - horizon[0])) < ROUNDING:
                 return
             yield horizon[1]
 
@@ -485,7 +478,8 @@ def slowed(rows: Array, rate: Array, a_max: Array, T: float) -> Array:
     step = np.abs(np.diff(rows, axis=0)) / T
     speed = np.maximum(np.vstack([step[:1], step]), np.vstack([step, step[-1:]]))
     with np.errstate(divide="ignore"):
-        change = SHARE * np.min(np.divide(a_max, speed, out=np.full_like(speed, np.inf), where=speed > 1e-9), axis=1)
+        along = np.divide(a_max, speed, out=np.full_like(speed, np.inf), where=speed > ROUNDING)
+        change = SHARE * np.min(along, axis=1)
     _passed(rate, change, T)
     return np.concatenate([[0.0], np.cumsum(2.0 * T / (rate[1:] + rate[:-1]))])
 
@@ -498,7 +492,7 @@ def at_cycles(values: Array, instants: Array, T: float) -> Array:
         instants: rising, the first is 0 ``(N,)`` [s].
         T: cycle [s].
     """
-    return np.asarray(interpolated(T * np.arange(np.ceil(instants[-1] / T - 1e-9) + 1), instants, values))
+    return np.asarray(interpolated(T * np.arange(np.ceil(instants[-1] / T - ROUNDING) + 1), instants, values))
 
 
 class _Trail:

@@ -18,13 +18,12 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.bag import SUFFIXES
 from ideal_robot.signals.recording import Recording
+from ideal_robot.tolerances import LONGEST_PATH, ROUNDING
 
 FEW = 6
 """Points below which a path is led through them from rest to rest: fewer tell nothing of speed and acceleration."""
 SAME = 1e-4
 """Difference of two positions that one point given twice may have [rad or m]: text of four decimals."""
-LONGEST = 7200.0
-"""Time that a path may last [s]."""
 _TYPE = "trajectory_msgs/msg/JointTrajectory"
 _WITHIN = ("moveit_msgs/msg/RobotTrajectory", "moveit_msgs/msg/DisplayTrajectory",
            "control_msgs/action/FollowJointTrajectory_Goal")
@@ -166,15 +165,27 @@ def _trajectory(message: Mapping[str, Any], robot: Robot, path: Path) -> GivenPa
     if speed is None:
         return GivenPath(t, q, "positions", warnings)
     t, rows, said = distinct(t, q, str(path), "positions")
-    if len(t) < 2 or t[-1] - t[0] > LONGEST:
-        raise InputError(f"expected two points or more within {LONGEST:g} s", file=path, field="time_from_start",
+    if len(t) < 2 or t[-1] - t[0] > LONGEST_PATH:
+        raise InputError(f"expected two points or more within {LONGEST_PATH:g} s", file=path, field="time_from_start",
                          value=float(t[-1] - t[0]))
     known = [values[rows] for values in (q, speed, acceleration) if values is not None]
     joined = BPoly.from_derivatives(t, np.stack(known, axis=1))
-    grid = np.minimum(np.arange(t[0], t[-1] + robot.t_ipo - 1e-9, robot.t_ipo), t[-1])
+    grid = instants_of(t, robot.t_ipo)
     # A path that has to be sampled anew needs some samples, however short it is.
     grid = grid if len(grid) >= FEW else np.linspace(t[0], t[-1], FEW)
     return GivenPath(grid, np.asarray(joined(grid)), "positions", (*warnings, *said))
+
+
+def instants_of(t: Array, t_ipo: float) -> Array:
+    """Instants of the cycles ``(K,)`` [s] that a path is played in.
+
+    The last cycle is the one in which the path's end is reached, wherever in it that lies.
+
+    Args:
+        t: of the path's points ``(N,)`` [s].
+        t_ipo: cycle [s].
+    """
+    return np.asarray(np.minimum(np.arange(t[0], t[-1] + t_ipo - ROUNDING, t_ipo), t[-1]))
 
 
 def _order(names: Sequence[str], robot: Robot, path: Path) -> tuple[list[int], tuple[str, ...]]:

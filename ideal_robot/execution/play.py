@@ -19,6 +19,7 @@ from ideal_robot.results import Figure, Summarised, listed, one_unit, over_time,
 from ideal_robot.robots.interface import RobotInterface, RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
+from ideal_robot.tolerances import UNRESOLVED
 
 _BRAKING_MIN = 0.15
 """Speed over deceleration that braking counts with at least [s]."""
@@ -28,8 +29,6 @@ LONGEST_STOP = 5.0
 """Longest that braking takes, and coming to rest behind it or behind a path [s]."""
 _CHANGES = 0.5
 """Share of the joints' accelerations that a change of the path's speed takes."""
-_STILL = 1e-7
-"""Change of a command that counts as rest [rad or m]."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -220,7 +219,7 @@ class PathCommands:
             return
         for _ in range(int(np.ceil(LONGEST_STOP / self._T))):
             yield self.governed(np.tile(q_d, (self.feedforward.n_d, 1)))
-            if np.all(np.abs(self._last[1] - self._last[0]) <= _STILL):
+            if np.all(np.abs(self._last[1] - self._last[0]) <= UNRESOLVED):
                 return
 
 

@@ -15,7 +15,7 @@ from scipy.interpolate import make_interp_spline
 from ideal_robot.arrays import Array, held
 from ideal_robot.errors import IdealRobotError, InputError, LimitError
 from ideal_robot.execution.command_governor import check_limits, require_within_limits
-from ideal_robot.execution.planned_path import FEW, distinct, through_few
+from ideal_robot.execution.planned_path import FEW, distinct, instants_of, through_few
 from ideal_robot.execution.slowed import slowed
 from ideal_robot.feedforward.built_in import BY_LAW, by_law
 from ideal_robot.feedforward.command_inverse import at_cycle_of
@@ -89,8 +89,7 @@ def path_at_cycles(t: Array, q_d: Array, robot: Robot, *, rest: float, file: str
                          "way there; give samples in between, or correct the pieces one by one", file=file, field="t",
                          value=float(t[k + 1]))
     require_joint_units(q_d, robot, file=file, column=column)
-    # The last cycle is the one in which the path's end is reached, wherever in it that lies.
-    grid = np.minimum(np.arange(t[0], t[-1] + robot.t_ipo - 1e-9, robot.t_ipo), t[-1])
+    grid = instants_of(t, robot.t_ipo)
     if len(grid) == len(t) >= FEW and np.allclose(grid, t, atol=1e-6):
         samples = q_d
     else:

@@ -15,6 +15,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import SETTLE, Feedforward
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
+from ideal_robot.tolerances import REVERSING
 
 _BEFORE, _AFTER = 6, 6
 """Desired positions on either side of an instant that its derivatives are taken from."""
@@ -22,8 +23,6 @@ _TURNS = 0.25
 """Share of a joint's acceleration that its command may take where friction turns."""
 _WIDTHS, _LONGEST = (0.0, 0.6, 1.0, 1.5, 2.2, 3.3, 5.0, 7.5, 11.0, 17.0, 25.0, 37.0, 56.0), 0.06
 """Standard deviations of the smoothing of friction that are tried [cycles], and the longest [s]."""
-_RESTS = 1e-6
-"""Of the speed below which a joint counts as reversing, what is rounding of a joint that rests."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +138,7 @@ class CommandInverse(Feedforward):
         """A motion with the model's torques where the law has any, less those of contact ``(N, n)`` [N m]."""
         if self.law.torque == "none":
             return motion
-        moves = np.abs(motion.qd) > _RESTS * self.law.still
+        moves = np.abs(motion.qd) > REVERSING * self.law.still
         torque = self.model.inverse_dynamics(motion.q, np.where(moves, motion.qd, 0.0), motion.qdd)
         # What the bodies ask for is as smooth as the motion; the rest of it is friction.
         friction = torque - motion.body

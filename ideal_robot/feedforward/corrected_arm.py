@@ -9,12 +9,13 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array, eased, interpolated
-from ideal_robot.dynamics.inverse_kinematics import DAMPING, Tool, newton_step
+from ideal_robot.dynamics.inverse_kinematics import Tool, newton_step
 from ideal_robot.effects import FittedEffect
 from ideal_robot.feedforward.base import SETTLE, Feedforward
 from ideal_robot.model.arm_with_effects import changes_of
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot, common_normals
+from ideal_robot.tolerances import DAMPING
 
 _STEPS = 2
 """Newton steps: of an error of millimetres nanometres are left."""

@@ -31,17 +31,24 @@ from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics, joint_frames, point_mass, torque_at
-from ideal_robot.estimate.recursive import correlation, predict, update
+from ideal_robot.estimate.recursive import predict, update
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.friction_curve import CurveState, FrictionCurve
 from ideal_robot.feedforward.inverse import Carried, Inverse, InverseState
-from ideal_robot.feedforward.learned_friction import INTERVAL, SLIDES, SLOWEST, WARMING, noise_variance, unknown_mass
-from ideal_robot.feedforward.smoothed_window import CYCLES, Drive, Smoothed, noted, share_of_noise, smoothed
+from ideal_robot.feedforward.learned_friction import (
+    INTERVAL,
+    SLIDES,
+    SLOWEST,
+    noise_variance,
+    process_correlation,
+    unknown_mass,
+)
+from ideal_robot.feedforward.smoothed_window import CYCLES, Smoothed, noted, smoothed
 from ideal_robot.friction.table import Friction, friction_sizes, friction_step, largest_speeds
 from ideal_robot.friction.terms import OWN, SHARED, TERMS, dry_sizes, table_terms, terms_along, with_terms
 from ideal_robot.jit import jit
 from ideal_robot.loop.from_model import further_torque
-from ideal_robot.loop.loop import Loop
+from ideal_robot.loop.loop import Drives, Loop
 from ideal_robot.robots.interface import RobotState
 
 _APPARENT = 12.0**-0.5
@@ -90,26 +97,27 @@ class FrictionFactors(NamedTuple):
 
 
 class _Known(NamedTuple):
-    """What the compiled recursion needs; names as in the loop's records where they stand there.
+    """What the compiled recursion needs: records of the loop, prior and noise.
 
     Attributes:
+        chain, drives, friction: of the loop.
         place: where in the last joint's frame the mass is ``(3,)`` [m].
-        friction: of the loop.
+        spacing: time between measurements [s].
         terms: of ``table_terms``.
         dry: dry friction ``(n,)`` [N m].
         v_max: largest speeds that friction is looked at over, and that can be ``(2, n)`` [rad/s].
         apparent: standard deviation of an apparent inertia ``(n,)`` [kg m²].
         mass: standard deviation of the mass [kg].
-        variance: of a smoothed torque's noise ``(n,)`` [(N m)²].
+        variance: of a torque's noise ``(n,)`` [(N m)²]. The mean over a window has less, but windows overlap: what many
+            of them say of a parameter has the noise of as many torques.
         correlation: of parameters with themselves one window later.
     """
 
     chain: Chain
-    place: Array
-    rotor_inertia: Array
-    offset: Array
-    gain: Array
+    drives: Drives
     friction: Friction
+    place: Array
+    spacing: float
     terms: Array
     dry: Array
     v_max: Array
@@ -136,14 +144,13 @@ class FrictionAdaptation:
         spacing, dry = self._every * loop.t_ipo, dry_sizes(loop.friction)
         self._apart = max(1, round(INTERVAL / spacing))
         self._known = _Known(
-            loop.chain, np.zeros(3) if tool is None else tool, loop.drives.rotor_inertia, loop.drives.offset,
-            loop.drives.gain, loop.friction, table_terms(loop.friction, loop.path.v_max), dry,
+            loop.chain, loop.drives, loop.friction, np.zeros(3) if tool is None else tool, spacing,
+            table_terms(loop.friction, loop.path.v_max), dry,
             np.stack([largest_speeds(loop.path.v_max), 1.5 * loop.path.v_max]),
             _APPARENT * loop.cascade.k_p * loop.t_ipo,
             0.0 if tool is None else unknown_mass(dry),
-            share_of_noise(self._apart) * noise_variance(dry, self._apart * spacing, noise_std),
-            correlation(self._apart * spacing, WARMING))
-        self._drive, self._still = Drive.of(loop, spacing), np.zeros(loop.n)
+            noise_variance(dry, self._apart * spacing, noise_std), process_correlation(self._apart * spacing))
+        self._still = np.zeros(loop.n)
 
     def init(self) -> FrictionFactors:
         """Friction as identified, and no mass."""
@@ -190,24 +197,23 @@ class FrictionAdaptation:
         load, window = state.load.copy(), state.window.copy()
         values, mass, friction = state.values, state.mass, state.friction
         further = self._further(state, measured) if self.loop.terms else self._still
-        rows, informed = _told(self._known, self._drive, (window, state.rows, measured), further,
-                                (x, covariance, used, load))
+        rows, informed = _told(self._known, (window, state.rows, measured), further, (x, covariance, used, load))
         if informed:
             values, mass, friction = _applied(self._known, x)
         return FrictionFactors(x, covariance, values, mass, friction, load, used, window, rows, (), state.cycle + 1, t)
 
     def _further(self, state: FrictionFactors, measured: Array) -> Array:
         """Torque of further effects in the middle of the window that measurements make ``(n,)`` [N m]."""
-        loop, window = self.loop, state.window.copy()
-        noted(window, state.rows, measured, self._drive, loop.friction, state.load)
-        motion = smoothed(window, self._drive)
+        loop, window, spacing = self.loop, state.window.copy(), self._known.spacing
+        noted(window, state.rows, measured, (loop.drives, loop.friction), state.load, spacing)
+        motion = smoothed(window, loop.drives, spacing)
         rigid = inverse_dynamics(loop.chain, motion.q, motion.v, motion.a)
         sliding = np.sign(motion.motor_v)
         return np.asarray(further_torque(loop, np.zeros(1), motion.q, motion.v, motion.motor_a, rigid, sliding)[0])
 
 
 @jit()
-def _told(known: _Known, drive: Drive, measured: tuple[Array, int, Array], further: Array,
+def _told(known: _Known, measured: tuple[Array, int, Array], further: Array,
           state: tuple[Array, Array, Array, Array]) -> tuple[int, bool]:
     """Takes measurements into the window, and counts it; measurements in it now, and whether any joint told something.
 
@@ -216,10 +222,10 @@ def _told(known: _Known, drive: Drive, measured: tuple[Array, int, Array], furth
     middle of the window.
     """
     window, (x, covariance, used, load) = measured[0], state
-    rows, informed = noted(window, measured[1], measured[2], drive, known.friction, load), False
+    rows, informed = noted(window, measured[1], measured[2], (known.drives, known.friction), load, known.spacing), False
     if rows < CYCLES:
         return rows, informed
-    motion, n = smoothed(window, drive), window.shape[2]
+    motion, n = smoothed(window, known.drives, known.spacing), window.shape[2]
     speed = motion.motor_v[0]
     for i in range(n):
         if abs(speed[i]) > known.v_max[1, i] or abs(window[0, CYCLES // 2, i] - motion.q[0, i]) > _LAG:
@@ -241,7 +247,7 @@ def _told(known: _Known, drive: Drive, measured: tuple[Array, int, Array], furth
         own = i * _OWN
         residual, accelerating = _row(known, motion, torques, i, z, h)
         variance = known.variance[i] + (_ACCELERATING * accelerating) ** 2
-        if update(x, covariance, h, residual - further[i] / known.gain[i], variance):
+        if update(x, covariance, h, residual - further[i] / known.drives.gain[i], variance):
             used[i] += 1.0
             informed = True
     return rows, informed
@@ -255,7 +261,7 @@ def _row(known: _Known, motion: Smoothed, torques: Array, i: int, z: float, h: A
     without acceleration, and of 1 kg at the tool; ``z`` is the direction of sliding.
     """
     v, dry, load = motion.motor_v[0, i], known.dry[i], torques[0, i]
-    accelerating = load - torques[1, i] + known.rotor_inertia[i] * motion.motor_a[0, i]
+    accelerating = load - torques[1, i] + known.drives.rotor_inertia[i] * motion.motor_a[0, i]
     friction, _ = friction_step(known.friction, i, v, load, motion.force[0, i], 0.0)
     by_load = friction_sizes(known.friction, i, v, load)[0] - friction_sizes(known.friction, i, v, 0.0)[0]
     own, common = h[i * _OWN :], h[len(h) - _COMMON :]
@@ -267,7 +273,7 @@ def _row(known: _Known, motion: Smoothed, torques: Array, i: int, z: float, h: A
     for k in range(2):
         common[k] = SHARED[k] * own[k]
         own[k] *= OWN[k]
-    return motion.tau[0, i] - torques[1, i] - accelerating - known.offset[i] - friction, accelerating
+    return motion.tau[0, i] - torques[1, i] - accelerating - known.drives.offset[i] - friction, accelerating
 
 
 @jit()

@@ -30,9 +30,16 @@ from typing import NamedTuple
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.estimate.recursive import correlation, marginal, predict, update
+from ideal_robot.estimate.recursive import marginal, predict, update
 from ideal_robot.feedforward.inverse import InverseState
-from ideal_robot.feedforward.learned_friction import INTERVAL, SLIDES, SLOWEST, WARMING, WEIGHT, noise_variance
+from ideal_robot.feedforward.learned_friction import (
+    INTERVAL,
+    SLIDES,
+    SLOWEST,
+    WEIGHT,
+    noise_variance,
+    process_correlation,
+)
 from ideal_robot.friction.table import largest_speeds
 from ideal_robot.friction.terms import ALONE, TERMS, dry_sizes, terms_along
 from ideal_robot.jit import jit
@@ -113,7 +120,7 @@ class FrictionCurve:
         self._together = max(1, round(INTERVAL / T))
         self._known = _Known(loop.cascade.k_p, loop.cascade.k_i, loop.cascade.k_v, T, dry,
                              largest_speeds(loop.path.v_max), unit, variance,
-                             correlation(self._together * T, WARMING))
+                             process_correlation(self._together * T))
         self._size = TERMS + 1 + n
 
     def init(self, known: CurveState | None = None) -> CurveState:

@@ -24,6 +24,17 @@ use                      what it measures                      beside friction
 The **prior** is one: every parameter is in units of its standard deviation, :math:`x \sim N(0, 1)`. The **noise** is
 one: ``noise_variance``. Motions beforehand are estimated in batch (``ideal_robot.estimate.gaussian``), the others
 recursively (``ideal_robot.estimate.recursive``), with process noise as friction changes with temperature.
+
+**Process noise.** Oil warms steadily, a random walk goes to and fro: one that changes as much in half an hour changes
+far more in ten seconds. What follows a change of rate c as a random walk of variance q in a second, and is told r (the
+inverse of a variance) in a second, is off in the mean square by
+
+.. math:: \tfrac12 \sqrt{q / r} + \frac{c^2}{q\, r},
+          \qquad \text{least at} \quad q = (4 c^2)^{2/3}\, r^{-1/3},
+
+the noise that it lets through and the way that it lags behind. That is three quarters of the variance that it reckons
+with, :math:`\sqrt{q/r}`; of a faster walk it is half. The rate is that of two draws from the prior in the time constant
+of warming, :math:`c = \sqrt 2 / T`; r is what torques tell of the dry term alone.
 """
 
 from __future__ import annotations
@@ -32,6 +43,8 @@ import numpy as np
 
 from ideal_robot.arrays import Array, G
 from ideal_robot.estimate.gaussian import Posterior, posterior
+from ideal_robot.estimate.recursive import correlation
+from ideal_robot.friction.terms import ALONE
 
 WEIGHT = 0.2
 """Of weight that the model does not know, over dry friction: of a tool a metre away, or as an offset."""
@@ -41,7 +54,7 @@ is alike in neighbouring samples: more of them in that time say no more."""
 SLIDES, SLOWEST = 0.9, 0.002
 """Direction of sliding, and share of the largest speed, from which on a joint shows its friction."""
 WARMING = 600.0
-"""Time constant of friction's process noise [s]: after half an hour little changes ([G] Fig. 12), which is three."""
+"""Time constant with which friction warms [s]: after half an hour little changes ([G] Fig. 12), which is three."""
 
 
 def noise_variance(dry: Array, spacing: float, noise_std: Array | None = None) -> Array:
@@ -54,6 +67,19 @@ def noise_variance(dry: Array, spacing: float, noise_std: Array | None = None) -
     """
     std = np.maximum(NOISE * dry, 0.0 if noise_std is None else noise_std)
     return np.asarray(std**2 * max(1.0, INTERVAL / spacing))
+
+
+def process_correlation(spacing: float) -> float:
+    """Correlation of a parameter with itself one torque later, by the process noise that is derived above.
+
+    Args:
+        spacing: time from one torque to the next [s].
+    """
+    rate = np.sqrt(2.0) / WARMING
+    told = (ALONE[0] / NOISE) ** 2 / INTERVAL
+    walk = (4.0 * rate**2) ** (2.0 / 3.0) * told ** (-1.0 / 3.0)
+    # A walk that keeps the prior: for small steps 1 - a² = 2 t / T_a.
+    return correlation(spacing, 2.0 / walk)
 
 
 def unknown_mass(dry: Array) -> float:

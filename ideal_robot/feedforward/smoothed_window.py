@@ -25,7 +25,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.friction.table import Friction, friction_step
 from ideal_robot.jit import jit
-from ideal_robot.loop.loop import Loop, ripple_torque
+from ideal_robot.loop.loop import Drives, ripple_torque
 
 _MEAN = np.array([1.0, 6.0, 15.0, 20.0, 15.0, 6.0, 1.0]) / 64.0
 """Weights of the mean of neighbours."""
@@ -35,32 +35,6 @@ CYCLES = len(_MEAN) + 4
 _VALUE = np.convolve(_MEAN, [1.0, 10.0, 1.0]) / 12.0
 _SLOPE = np.convolve(_MEAN, [-1.0, 0.0, 1.0]) / 2.0
 _BEND = np.convolve(_MEAN, [1.0, -2.0, 1.0])
-
-
-def share_of_noise(alike: int) -> float:
-    """Variance of a smoothed torque over that of a single one, whose noise is alike in so many neighbours.
-
-    The weights of each stretch of alike noise add up; stretches are independent, and begin anywhere in the window.
-    """
-    places = np.arange(len(_VALUE))
-    return float(np.mean([np.sum(np.bincount((places + first) // alike, _VALUE) ** 2) for first in range(alike)]))
-
-
-class Drive(NamedTuple):
-    """What a window needs of the identified loop: fields of its records, compliance ``(n,)``, and the spacing [s]."""
-
-    gain: Array
-    ripple: Array
-    compliance: Array
-    rotor_inertia: Array
-    offset: Array
-    spacing: float
-
-    @classmethod
-    def of(cls, loop: Loop, spacing: float) -> Drive:
-        """Of the identified loop, for measurements that are ``spacing`` apart [s]."""
-        drives = loop.drives
-        return cls(drives.gain, drives.ripple, loop.compliance, drives.rotor_inertia, drives.offset, spacing)
 
 
 class Smoothed(NamedTuple):
@@ -83,7 +57,8 @@ class Smoothed(NamedTuple):
 
 
 @jit()
-def noted(window: Array, rows: int, measured: Array, drive: Drive, friction: Friction, load: Array) -> int:
+def noted(window: Array, rows: int, measured: Array, loop: tuple[Drives, Friction], load: Array, spacing: float
+          ) -> int:
     """Takes measurements into a window ``(3, CYCLES, n)``: motor angles, torque that acts, presliding state.
 
     Returns measurements in it now; after one that is not finite it starts anew.
@@ -91,9 +66,11 @@ def noted(window: Array, rows: int, measured: Array, drive: Drive, friction: Fri
     Args:
         window, rows: written to, the newest comes last; measurements in it.
         measured: motor angles, motor torques that are read, joint torques of contact, oldest first ``(m, 3, n)``.
-        drive, friction: of the identified loop.
+        loop: drives and friction of the identified loop.
         load: torque that the gears transmitted when it was last known ``(n,)`` [N m].
+        spacing: time between measurements [s].
     """
+    drives, friction = loop
     for q, tau, tau_ext in measured:
         if not (np.isfinite(q).all() and np.isfinite(tau).all()):
             rows = 0
@@ -104,23 +81,29 @@ def noted(window: Array, rows: int, measured: Array, drive: Drive, friction: Fri
                     window[kind, k, i] = window[kind, k + 1, i]
             step = q[i] - window[0, -1, i]
             window[0, -1, i] = q[i]
-            window[1, -1, i] = tau[i] / drive.gain[i] + tau_ext[i] - ripple_torque(drive.ripple, i, q[i])
-            window[2, -1, i] = (friction_step(friction, i, step / drive.spacing, load[i], window[2, -1, i], step)[1]
+            window[1, -1, i] = tau[i] / drives.gain[i] + tau_ext[i] - ripple_torque(drives.ripple, i, q[i])
+            window[2, -1, i] = (friction_step(friction, i, step / spacing, load[i], window[2, -1, i], step)[1]
                                 if rows > 0 else 0.0)
         rows += 1
     return rows
 
 
 @jit()
-def smoothed(window: Array, drive: Drive) -> Smoothed:
-    """Motion and torque in the middle of a window ``(3, CYCLES, n)`` of ``noted``."""
+def smoothed(window: Array, drives: Drives, spacing: float) -> Smoothed:
+    """Motion and torque in the middle of a window.
+
+    Args:
+        window: of ``noted``, ``(3, CYCLES, n)``.
+        drives: of the identified loop.
+        spacing: time between measurements [s].
+    """
     count, n = window.shape[1], window.shape[2]
-    rows, T = np.zeros((7, 1, n)), drive.spacing
+    rows, T = np.zeros((7, 1, n)), spacing
     for i in range(n):
         for k in range(1, count - 1):
             q, tau, force = window[0, k, i], window[1, k, i], window[2, k, i]
             a = (window[0, k + 1, i] - 2.0 * q + window[0, k - 1, i]) / (T * T)
-            arm = q - drive.compliance[i] * (tau - drive.rotor_inertia[i] * a - force - drive.offset[i])
+            arm = q - (tau - drives.rotor_inertia[i] * a - force - drives.offset[i]) / drives.stiffness[i]
             value, slope, bend = _VALUE[k - 1], _SLOPE[k - 1] / T, _BEND[k - 1] / (T * T)
             rows[0, 0, i] += value * arm
             rows[1, 0, i] += slope * arm

@@ -17,13 +17,13 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.friction.presliding import (
-    CREEP,
     first_direction,
     friction_of_sizes,
     measured_steps,
     sliding_direction,
 )
 from ideal_robot.registry import Registry
+from ideal_robot.tolerances import CREEP
 
 
 class FrictionModel(ABC):

@@ -29,11 +29,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.jit import jit
-
-ZERO_CROSSING = 1e-4
-"""Velocity within which friction that jumps passes through zero [rad/s]: rounding would switch it back and forth."""
-CREEP = 1e-300
-"""Speed at which friction is that of standstill in the direction of the speed [rad/s]."""
+from ideal_robot.tolerances import ZERO_CROSSING
 
 _BEFORE = 0.1
 """How long a motion is taken to have lasted before its first sample [s]."""

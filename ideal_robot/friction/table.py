@@ -8,8 +8,9 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.friction.laws import PerJointFriction
-from ideal_robot.friction.presliding import CREEP, friction_torque, presliding_state
+from ideal_robot.friction.presliding import friction_torque, presliding_state
 from ideal_robot.jit import jit
+from ideal_robot.tolerances import CREEP
 
 FORWARD, BACKWARD = 0, 1
 DRY, FLUID = 0, 1

@@ -10,13 +10,13 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, chain_of, inverse_dynamics, joint_frames, mass_matrix
 from ideal_robot.effects import FittedEffect, Signals
 from ideal_robot.errors import InputError
-from ideal_robot.friction.presliding import CREEP
 from ideal_robot.friction.table import DRY, Friction, braking
 from ideal_robot.loop.loop import Cascade, CommandPath, Drives, Loop, checked, low_pass_taps
 from ideal_robot.model.arm_with_effects import chain_with, changes_of, stiffness_with
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.robots.robot import Robot, spread_postures
+from ideal_robot.tolerances import CREEP
 
 # Rotor inertias that the closed loop can be computed with.
 #

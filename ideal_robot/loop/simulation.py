@@ -14,11 +14,11 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, joint_frames, mass_matrix, torque_at
 from ideal_robot.errors import IdealRobotError, InputError
-from ideal_robot.friction.presliding import ZERO_CROSSING
 from ideal_robot.friction.table import Friction, directions_along, friction_step
 from ideal_robot.jit import jit
 from ideal_robot.loop.from_model import further_torque
 from ideal_robot.loop.loop import Cascade, Drives, Loop, ripple_torque, unevenness
+from ideal_robot.tolerances import ROUNDING, ZERO_CROSSING
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ def _played(loop: Loop, reference: Array, external: Array, tau0: Array, q0: Arra
     cycles = len(reference) // steps
     still = np.zeros(n)
     further = further_torque(loop, np.zeros(1), q0[None], still[None], still[None], tau0[None], still[None])[0]
-    side = np.sign(tau0) * np.minimum(1.0, np.abs(tau0) / 1e-9)
+    side = np.sign(tau0) * np.minimum(1.0, np.abs(tau0) / ROUNDING)
     q_a = np.array([q + unevenness(drives.uneven, i, q)[0] for i, q in enumerate(q0)])
     q_a = q_a - tau0 / drives.stiffness - side * drives.half_gap
     holding = drives.gain * (tau0 + drives.offset) + further

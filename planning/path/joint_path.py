@@ -10,12 +10,10 @@ from scipy.interpolate import CubicSpline
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
+from ideal_robot.tolerances import PATH_SPACING
 from planning import OutOfReachError
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
-
-STEP = 0.002
-"""Spacing of the joint path on which limits are checked [m]."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +35,7 @@ class JointPath:
             home: preferred joint angles ``(n,)`` [rad]; the robot's home posture if None.
         """
         kinematics = InverseKinematics(robot)
-        s = np.linspace(0.0, reference.length, max(round(reference.length / STEP), 10) + 1)
+        s = np.linspace(0.0, reference.length, max(round(reference.length / PATH_SPACING), 10) + 1)
         poses = reference.poses(s)
         try:
             q = kinematics.path(poses, kinematics.search(poses[0], robot.home if home is None else home))

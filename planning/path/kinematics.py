@@ -8,20 +8,15 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
-from ideal_robot.dynamics.inverse_kinematics import DAMPING, Tool, newton_step, refined
+from ideal_robot.dynamics.inverse_kinematics import Tool, newton_step, refined
 from ideal_robot.robots.robot import Robot
+from ideal_robot.tolerances import DAMPING, NEWTON_STEPS, ROUNDING, SETTLED
 from planning import OutOfReachError
 
 TILTED = 0.2
 """How far the tool axis of an arm of fewer than six joints may be from the one wanted [rad]."""
-TOLERANCE = 1e-9
-"""Pose error that counts as solved [m and rad]."""
-SETTLED = 1e-6
-"""What may be left to change of more than six joints' posture [rad], and of fewer joints' place [m]."""
 DRAWN_BACK = 0.02
 """Share of the way to the first posture that more than six joints are drawn back with each pose of a path."""
-REFINED_IN = 10
-"""Newton steps in which a nearly right solution has to become right."""
 
 
 class InverseKinematics:
@@ -61,10 +56,10 @@ class InverseKinematics:
     def _solved(self, error: Array, dq: Array) -> bool:
         """Whether a pose is reached: all of the error is gone, or what fewer than six joints can remove of it."""
         if self.robot.n == 6:
-            return bool(np.max(np.abs(error)) < TOLERANCE)
+            return bool(np.max(np.abs(error)) < ROUNDING)
         if self.robot.n > 6:
-            return bool(np.max(np.abs(error)) < TOLERANCE and np.max(np.abs(dq)) < SETTLED)
-        return bool(np.max(np.abs(dq)) < TOLERANCE and np.max(np.abs(error[:3])) < SETTLED
+            return bool(np.max(np.abs(error)) < ROUNDING and np.max(np.abs(dq)) < SETTLED)
+        return bool(np.max(np.abs(dq)) < ROUNDING and np.max(np.abs(error[:3])) < SETTLED
                     and np.linalg.norm(error[3:5]) < TILTED)
 
     def torque(self, q: Array, force: Array) -> Array:
@@ -167,7 +162,7 @@ class InverseKinematics:
         solved = np.array(q, dtype=float)
         near = solved.copy() if wanted is None else np.ascontiguousarray(wanted)
         try:
-            done = refined(self._carried, rotations, positions, solved, near, tolerance, REFINED_IN)
+            done = refined(self._carried, rotations, positions, solved, near, tolerance, NEWTON_STEPS)
         except np.linalg.LinAlgError:
             done = 0
         for i in range(done, len(solved)):
@@ -178,7 +173,7 @@ class InverseKinematics:
         return solved
 
     def _refined(self, target: pin.SE3, q: Array, tolerance: float, wanted: Array) -> Array:
-        for _ in range(REFINED_IN):
+        for _ in range(NEWTON_STEPS):
             before = q
             q, error = self.step(target, q, wanted)
             remaining = error @ error if self.robot.n >= 6 else 100.0 * float((q - before) @ (q - before))

@@ -10,6 +10,7 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
+from ideal_robot.tolerances import ROUNDING
 from planning import PlanningError
 
 AHEAD = 0.05
@@ -60,7 +61,7 @@ class PoseHistory:
     def revise(self, t: float, q: Array) -> None:
         """Replaces the sample at ``t`` [s] by ``q (n,)`` [rad]: what was estimated then is known better now."""
         for i in range(len(self._t) - 1, -1, -1):
-            if abs(self._t[i] - t) < 1e-9:
+            if abs(self._t[i] - t) < ROUNDING:
                 self._asked.clear()
                 self._q[i] = np.array(q, dtype=float)
                 return
@@ -68,7 +69,7 @@ class PoseHistory:
     def q(self, t: float) -> Array:
         """Joint angles ``(n,)`` [rad] at ``t`` [s]; raises ``PlanningError`` before the history or too far after it."""
         times = self._t
-        if not times or t < times[0] - 1e-9 or t > times[-1] + AHEAD:
+        if not times or t < times[0] - ROUNDING or t > times[-1] + AHEAD:
             span = f"{times[0]:.3f} to {times[-1]:.3f} s" if times else "nothing"
             raise PlanningError(f"no pose at t = {t:.3f} s: the history holds {span}; is a time stamp wrong?")
         if len(times) < 4:

@@ -10,12 +10,11 @@ from scipy.interpolate import CubicSpline
 
 from ideal_robot.arrays import Array, arc_lengths, interpolated
 from ideal_robot.errors import InputError
+from ideal_robot.tolerances import PATH_SPACING, ROUNDING
 from planning.path.path_kernels import dot, exp, feet_of, frames_at, unit
 
 # Points of a curve at even steps of arc length.
 
-KNOT = 0.002
-"""Spacing of the points [m]; between them the curvature is linear."""
 
 
 def _even_steps(points: Array, chord: Array, smoothing: float) -> tuple[Array, Array]:
@@ -37,7 +36,7 @@ def _even_steps(points: Array, chord: Array, smoothing: float) -> tuple[Array, A
         half = 0.5 * np.diff(s)
         nodes = s[:-1, None] + half[:, None] * (1.0 + node)
         s = np.concatenate([[0.0], np.cumsum(half * (np.linalg.norm(spline(nodes, 1), axis=2) @ weight))])
-        count = max(round(s[-1] / KNOT), 10)
+        count = max(round(s[-1] / PATH_SPACING), 10)
         knots = np.linspace(0.0, s[-1], count + 1)
         curve = CubicSpline(s, curve)(knots)
         if len(curve) == len(s):
@@ -110,8 +109,8 @@ class ReferencePath:
         if points.ndim != 2 or points.shape[1] != 3 or not np.all(np.isfinite(points)):
             raise InputError("expected finite points of shape (N, 3)", field="path", value=points.shape)
         step = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        keep = np.concatenate([[True], step > 1e-9])
-        points, chord = points[keep], np.concatenate([[0.0], np.cumsum(step[step > 1e-9])])
+        keep = np.concatenate([[True], step > ROUNDING])
+        points, chord = points[keep], np.concatenate([[0.0], np.cumsum(step[step > ROUNDING])])
         if len(points) < 2 or chord[-1] < 0.01:
             raise InputError("the path is shorter than 10 mm", field="path", value=float(chord[-1]))
         even, knots = _even_steps(points, chord, smoothing)
@@ -195,7 +194,7 @@ class ReferencePath:
         w = np.array([pin.log3(R[0].T @ R_i) for R_i in R])
         for i in range(1, len(w)):
             angle = np.linalg.norm(w[i])
-            if angle > 1e-9:
+            if angle > ROUNDING:
                 # Equivalent rotation vectors differ by full turns about the same axis: stay near the last one.
                 axis = w[i] / angle
                 w[i] = axis * (angle + 2 * np.pi * round((float(w[i - 1] @ axis) - angle) / (2 * np.pi)))

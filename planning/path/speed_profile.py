@@ -13,16 +13,11 @@ from scipy.ndimage import minimum_filter1d
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
+from ideal_robot.tolerances import LONGEST_PATH, MOST_TICKS, ROUNDING, TICK
 from planning.path.joint_demands import JointDemands
 from planning.path.joint_path import JointPath
 from planning.path.reference import ReferencePath
 
-LONGEST_TRAVEL = 7200.0
-"""Time that a path may last [s]."""
-TICK = 0.001
-"""Spacing in time of the profile's samples [s]."""
-MOST_TICKS = 600_000
-"""Samples of a profile at most, ten minutes; of a longer travel they are further apart."""
 REACHED = 0.98
 """Share of the speed asked for that a travel reaches somewhere where it counts as possible."""
 RESOLVED = 0.005
@@ -197,9 +192,9 @@ def _travel(demands: JointDemands, limit: Array, limits: Limits) -> SpeedProfile
             room = max(demands.room(last, square[last]), 0.1 * limits.acceleration)
             square[i] = min(square[i], square[last] + 2.0 * min(room, limits.acceleration) * ds)
     v = np.sqrt(square)
-    t = np.concatenate([[0.0], np.cumsum(2.0 * ds / np.maximum(v[1:] + v[:-1], 1e-9))])
-    if t[-1] > LONGEST_TRAVEL:
-        raise InputError(f"the path would last {t[-1]:.3g} s; {LONGEST_TRAVEL:g} s is the longest, move faster",
+    t = np.concatenate([[0.0], np.cumsum(2.0 * ds / np.maximum(v[1:] + v[:-1], ROUNDING))])
+    if t[-1] > LONGEST_PATH:
+        raise InputError(f"the path would last {t[-1]:.3g} s; {LONGEST_PATH:g} s is the longest, move faster",
                          field="speed", value=limits.speed)
     # Constant acceleration between the places: the speed is linear in time there.
     tick = _tick(float(t[-1]))

@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from planning.path.speed_profile import LONGEST_TRAVEL
+from ideal_robot.tolerances import LONGEST_PATH
 
 
 @dataclass(frozen=True)
@@ -198,8 +198,8 @@ def _check(shape: Shape, speed: float, acceleration: float) -> None:
     if speed > reachable * (1 + 1e-9):
         raise InputError(f"the path is too short for this speed: with {acceleration:g} m/s² it reaches "
                          f"{reachable:.3g} m/s; move slower, or allow more acceleration", field="speed", value=speed)
-    if not (lasts := lasting(shape, speed, acceleration)) <= LONGEST_TRAVEL:
-        raise InputError(f"the path would last {lasts:.3g} s; {LONGEST_TRAVEL:g} s is the longest: move faster",
+    if not (lasts := lasting(shape, speed, acceleration)) <= LONGEST_PATH:
+        raise InputError(f"the path would last {lasts:.3g} s; {LONGEST_PATH:g} s is the longest: move faster",
                          field="speed", value=speed)
 
 

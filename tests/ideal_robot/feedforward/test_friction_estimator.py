@@ -13,9 +13,16 @@ from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal
 from ideal_robot.feedforward.friction_at_work import FrictionAtWork, friction_at_work
 from ideal_robot.feedforward.friction_curve import CurveState, FrictionCurve
 from ideal_robot.feedforward.inverse import Inverse
-from ideal_robot.feedforward.learned_friction import WARMING, estimated, noise_variance
+from ideal_robot.feedforward.learned_friction import (
+    INTERVAL,
+    NOISE,
+    WARMING,
+    estimated,
+    noise_variance,
+    process_correlation,
+)
 from ideal_robot.feedforward.method import Setting
-from ideal_robot.friction.terms import SHAPE, SPEEDS, TERMS, friction_terms, likeness, table_terms, with_terms
+from ideal_robot.friction.terms import ALONE, SHAPE, SPEEDS, TERMS, friction_terms, likeness, table_terms, with_terms
 from ideal_robot.loop.loop import Loop
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.signals.recording import Recording
@@ -65,6 +72,20 @@ def test_what_was_learned_long_ago_is_as_uncertain_as_at_first():
     predict(x, covariance, correlation(20.0 * WARMING, WARMING))
     np.testing.assert_allclose(x, 0.0, atol=1e-7)
     np.testing.assert_allclose(covariance, np.eye(P), atol=1e-7)
+
+
+@pytest.mark.parametrize("seconds", [2.0, 10.0, 60.0])
+def test_of_friction_that_warms_steadily_sigma_is_true(seconds):
+    """A dry term goes from one draw of its prior to another; a walk of that time constant has σ √2 too wide."""
+    rng, runs, h, a = np.random.default_rng(1), 400, ALONE[0] / NOISE, process_correlation(INTERVAL)
+    first, last = rng.standard_normal((2, runs))
+    mean, covariance = np.zeros((runs, 1)), np.ones((runs, 1, 1))
+    for t in np.arange(0.0, seconds, INTERVAL):
+        true = last + (first - last) * np.exp(-t / WARMING)
+        for k, y in enumerate(h * true + rng.standard_normal(runs)):
+            predict(mean[k], covariance[k], a)
+            update(mean[k], covariance[k], np.array([h]), y, 1.0)
+    assert 0.78 < rms((mean[:, 0] - true) / np.sqrt(covariance[:, 0, 0])) < 1.1
 
 
 def test_what_is_too_far_changes_nothing():

@@ -14,7 +14,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import PassThrough
 from ideal_robot.feedforward.inverse import AHEAD, PRINTED, Inverse, command_inverse, spline_operators
 from ideal_robot.feedforward.learning import AXES, joint_errors, pose_errors
-from ideal_robot.feedforward.smoothed_window import CYCLES, Drive, Smoothed, noted, smoothed
+from ideal_robot.feedforward.smoothed_window import CYCLES, Smoothed, noted, smoothed
 from ideal_robot.feedforward.training import LinearInverse, train
 from ideal_robot.loop.from_model import cascade_gains, loop_model
 from ideal_robot.loop.impulse_response import InformationFilter, LinearLoop
@@ -265,12 +265,12 @@ def test_information_filter_without_information_says_zero():
 
 def seen(loop, q, tau, force=None):
     """Motion and torque in the middle of measurements ``(CYCLES, n)``; presliding as they say, or of a state."""
-    window, drive = np.zeros((3, CYCLES, loop.n)), Drive.of(loop, T)
+    window = np.zeros((3, CYCLES, loop.n))
     measured = np.stack([q, tau, np.zeros_like(q)], axis=1)
-    assert noted(window, 0, measured, drive, loop.friction, np.zeros(loop.n)) == CYCLES
+    assert noted(window, 0, measured, (loop.drives, loop.friction), np.zeros(loop.n), T) == CYCLES
     if force is not None:
         window[2] = force
-    return Smoothed(*(values[0] for values in smoothed(window, drive)))
+    return Smoothed(*(values[0] for values in smoothed(window, loop.drives, T)))
 
 
 AT = T * (np.arange(CYCLES) - CYCLES // 2)[:, None]
@@ -312,5 +312,5 @@ def test_a_hole_starts_the_window_anew():
     loop = plant()
     measured = np.zeros((CYCLES + 2, 3, loop.n))
     measured[3, 1, 2] = np.nan
-    assert noted(np.zeros((3, CYCLES, loop.n)), 0, measured, Drive.of(loop, T), loop.friction,
-                 np.zeros(loop.n)) == CYCLES - 2
+    assert noted(np.zeros((3, CYCLES, loop.n)), 0, measured, (loop.drives, loop.friction), np.zeros(loop.n), T
+                 ) == CYCLES - 2

@@ -11,7 +11,6 @@ from ideal_robot.arrays import Array
 from ideal_robot.feedforward.inverse import Inverse
 from ideal_robot.friction.laws import LAWS, FrictionModel, PerJointFriction, ViscousCoulomb, law_of
 from ideal_robot.friction.presliding import (
-    ZERO_CROSSING,
     dahl,
     friction_torque,
     measured_steps,
@@ -29,6 +28,7 @@ from ideal_robot.friction.table import (
     largest_speeds,
 )
 from ideal_robot.friction.terms import TERMS, friction_terms, table_terms, with_terms
+from ideal_robot.tolerances import ZERO_CROSSING
 from tests.arms import ROBOT, a_friction, motion, plant
 
 DISTANCE = 3e-4
