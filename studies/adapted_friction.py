@@ -85,8 +85,7 @@ def _sigma(covariance: Array, n: int) -> Array:
     sigma = np.empty((n, len(SPEEDS)))
     for i in range(n):
         h = np.zeros((len(SPEEDS), len(covariance)))
-        h[:, i * own : i * own + TERMS] = terms
-        h[:, i * own : i * own + 2] *= OWN
+        h[:, i * own : i * own + TERMS] = OWN * terms
         h[:, -_COMMON : -_COMMON + 2] = SHARED * terms[:, :2]
         sigma[i] = np.sqrt(np.einsum("kp,pq,kq->k", h, covariance, h))
     return sigma
@@ -95,8 +94,8 @@ def _sigma(covariance: Array, n: int) -> Array:
 def _in_loop(cell: PathCell, motion: Array, rng: np.random.Generator) -> tuple[FrictionFactors, Friction]:
     """What is learned in the identified loop with drawn terms of friction, and that friction."""
     loop = cell.loop()
-    values = rng.standard_normal((loop.n, TERMS))
-    values[:, :2] = OWN * values[:, :2] + SHARED * rng.standard_normal(2)
+    values = OWN * rng.standard_normal((loop.n, TERMS))
+    values[:, :2] += SHARED * rng.standard_normal(2)
     true = with_terms(loop.friction, table_terms(loop.friction, loop.path.v_max), values)
     done = simulate(loop.changed(friction=true), Inverse(loop).along(motion))
     adaptation = _adaptation(cell, loop)

@@ -146,8 +146,7 @@ def _friction(s: FilteredSignals, direction: Array, dry: Array, robot: Robot) ->
     for i in range(n):
         terms = dry[i] * friction_terms(s.qd[:, i] / v_max[i], direction[:, i])
         columns[:, i, :2] = SHARED * terms[:, :2]
-        terms[:, :2] *= OWN
-        columns[:, i, 2 + i * TERMS : 2 + (i + 1) * TERMS] = terms
+        columns[:, i, 2 + i * TERMS : 2 + (i + 1) * TERMS] = OWN * terms
     return columns
 
 

@@ -61,41 +61,63 @@ _PARAMETERS = 4
 
 
 @dataclass(frozen=True)
+class Past:
+    """What is remembered of commands and measurements.
+
+    Attributes:
+        given: commands of the last cycles ``(W, n)`` [rad], the newest last.
+        measured: angles of the last cycles ``(L, n)`` [rad], the newest last.
+        wanted: where the motors were to be in the last cycles ``(L, n)`` [rad].
+        lags: of ``r + Δ ṙ - q``, ``ṙ``, ``e_v``, ``e_f``, ``wanted - q`` and ``q_c - q`` ``(2, 6, n)`` [rad, rad/s].
+        filters: states of each joint's poles, of motion and torque, direct and integrated ``(2, 2, k)`` each.
+        cycle: measurements so far.
+        led: whether a command of this layer is in force since the last measurement; what others led says nothing.
+    """
+
+    given: Array
+    measured: Array
+    wanted: Array
+    lags: Array
+    filters: tuple[Array, ...]
+    cycle: int = 0
+    led: bool = False
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Whether the law commands a joint, or the plain path: by what each left of late.
+
+    Attributes:
+        squares: that law and plain command left ``(2, n)`` [rad²].
+        count: how many measurements those are of ``(n,)``.
+        law: whether each joint is commanded by the law ``(n,)``.
+        aside: for how long it is put aside still, and for how long the next time ``(2, n)`` [s].
+    """
+
+    squares: Array
+    count: Array
+    law: np.ndarray
+    aside: Array
+
+
+@dataclass(frozen=True)
 class AdaptedState:
     """What one cycle hands to the next.
 
     Attributes:
         inner: of the inverse.
         mean, covariance: of the parameters ``(n, 4)``, ``(n, 4, 4)``, in standard deviations beforehand.
-        given: commands of the last cycles ``(W, n)`` [rad], the newest last.
-        measured: angles of the last cycles ``(L, n)`` [rad], the newest last.
-        wanted: where the motors were to be in the last cycles ``(L, n)`` [rad].
-        lags: of ``r + Δ ṙ - q``, ``ṙ``, ``e_v``, ``e_f``, ``wanted - q`` and ``q_c - q`` ``(2, 6, n)`` [rad, rad/s].
-        filters: states of each joint's poles, of motion and torque, direct and integrated ``(2, 2, k)`` each.
-        squares: that law and plain command left of late ``(2, n)`` [rad²].
-        judged: how many measurements those are of ``(n,)``.
-        law: whether each joint is commanded by the law ``(n,)``.
-        aside: for how long it is put aside still, and for how long the next time ``(2, n)`` [s].
-        share: how far that has been taken up ``(n,)``.
-        cycle: measurements so far.
-        led: whether a command of this layer is in force since the last measurement; what others led says nothing.
+        past: commands and measurements.
+        judgement: of law and plain path.
+        share: how far the law has been taken up ``(n,)``.
     """
 
     inner: InverseState
     mean: Array
     covariance: Array
-    given: Array
-    measured: Array
-    wanted: Array
-    lags: Array
-    filters: tuple[Array, ...]
-    squares: Array
-    judged: Array
-    law: np.ndarray
-    aside: Array
+    past: Past
+    judgement: Judgement
     share: Array
-    cycle: int
-    led: bool = False
 
 
 class AdaptedCommand(Feedforward):
@@ -137,11 +159,12 @@ class AdaptedCommand(Feedforward):
         inner = self.inverse.init(q0)
         eye = np.tile(np.eye(_PARAMETERS), (n, 1, 1))
         filters = tuple(np.zeros((2, 2, max(len(den) - 1, 0))) for _, den in self.inverse.discrete)
-        return AdaptedState(inner, np.zeros((n, _PARAMETERS)), eye, np.tile(q0, (self.window, 1)),
-                            np.full((self.smooth.shape[1], n), np.nan), np.tile(q0, (self.smooth.shape[1], 1)),
-                            np.zeros((_LAGS, 6, n)), filters,
-                            np.stack([self.residual**2, self.deviation**2]), np.full(n, _BELIEVED / self.t_ipo),
-                            np.ones(n, dtype=bool), np.stack([np.zeros(n), np.full(n, _ASIDE)]), np.ones(n), 0)
+        rows = self.smooth.shape[1]
+        past = Past(np.tile(q0, (self.window, 1)), np.full((rows, n), np.nan), np.tile(q0, (rows, 1)),
+                    np.zeros((_LAGS, 6, n)), filters)
+        judgement = Judgement(np.stack([self.residual**2, self.deviation**2]), np.full(n, _BELIEVED / self.t_ipo),
+                              np.ones(n, dtype=bool), np.stack([np.zeros(n), np.full(n, _ASIDE)]))
+        return AdaptedState(inner, np.zeros((n, _PARAMETERS)), eye, past, judgement, np.ones(n))
 
     def changed(self, state: AdaptedState) -> Changed:
         """What has been learned, in the law's units."""
@@ -154,43 +177,47 @@ class AdaptedCommand(Feedforward):
         """See ``Feedforward.step``."""
         by_law, inner = self.inverse.changed_step(state.inner, q_d, tau_ext_d, self.changed(state), rows=self.n_d)
         q_c = q_d[0] + eased(state.share) * (by_law - q_d[0])
-        share = np.clip(state.share + np.where(state.law, 1.0, -1.0) * self.t_ipo / _TAKEN_UP, 0.0, 1.0)
-        given, wanted = np.vstack([state.given[1:], q_c]), np.vstack([state.wanted[1:], inner.motors])
-        if not np.isfinite(state.measured).any():
+        share = np.clip(state.share + np.where(state.judgement.law, 1.0, -1.0) * self.t_ipo / _TAKEN_UP, 0.0, 1.0)
+        past = state.past
+        given, wanted = np.vstack([past.given[1:], q_c]), np.vstack([past.wanted[1:], inner.motors])
+        if not np.isfinite(past.measured).any():
             # What others commanded before is not known; the arm stood.
             given, wanted = np.tile(q_c, (len(given), 1)), np.tile(inner.motors, (len(wanted), 1))
-        return q_c, dataclasses.replace(state, inner=inner, given=given, wanted=wanted, share=share, led=True)
+        past = dataclasses.replace(past, given=given, wanted=wanted, led=True)
+        return q_c, dataclasses.replace(state, inner=inner, past=past, share=share)
 
     def observe(self, state: AdaptedState, measured: RobotState) -> AdaptedState:
         """See ``Feedforward.observe``: looks at the angles of some cycles ago, with the commands of then."""
         q = np.asarray(measured.q, dtype=float)
         if not np.isfinite(q).all():
             return state
-        if not state.led:
+        past = state.past
+        before = past.measured
+        if not past.led:
             # Somebody else leads the arm (a calibration, an approach) by commands that this layer does not know.
-            return dataclasses.replace(state, measured=np.full_like(state.measured, np.nan), cycle=0)
-        state = dataclasses.replace(state, led=False)
+            unknown = dataclasses.replace(past, measured=np.full_like(before, np.nan), cycle=0)
+            return dataclasses.replace(state, past=unknown)
         # Commands were handed over a cycle before the state that is reported with them.
-        before, rows = state.measured, np.concatenate([state.measured[1:], q[None]])
-        state = dataclasses.replace(state, measured=rows)
+        past = dataclasses.replace(past, led=False, measured=np.concatenate([before[1:], q[None]]))
         if not np.isfinite(before).all():
-            return state
+            return dataclasses.replace(state, past=past)
         inverse = self.inverse
         smoothed = Motion.of(self.smooth @ before, self.t_ipo, inverse.law.still, inverse.bodies)
         motion = inverse.with_model_torque(smoothed)
-        filters, e = self._explained(state, motion)
+        filters, e = self._explained(past, motion)
         middle = _ROWS // 2
         late = np.minimum(state.mean[:, 0] * self.sigma[:, 0], _LATER)
-        r, rate = self._seen(state.given, self.late + late + self.behind)
+        r, rate = self._seen(past.given, self.late + late + self.behind)
         into = np.stack([r + late * rate - motion.q[middle], rate, *e,
-                         state.wanted[len(before) // 2] - motion.q[middle],
-                         state.given[-1 - len(before) // 2] - motion.q[middle]])
-        lags = state.lags.copy()
+                         past.wanted[len(before) // 2] - motion.q[middle],
+                         past.given[-1 - len(before) // 2] - motion.q[middle]])
+        lags = past.lags.copy()
         for k in range(_LAGS):
-            into = lags[k] + self.pass_share * (into - lags[k]) if state.cycle else into
+            into = lags[k] + self.pass_share * (into - lags[k]) if past.cycle else into
             lags[k] = into
-        state = dataclasses.replace(state, lags=lags, filters=filters, cycle=state.cycle + 1)
-        if state.cycle * self.t_ipo < _STARTS:
+        past = dataclasses.replace(past, lags=lags, filters=filters, cycle=past.cycle + 1)
+        state = dataclasses.replace(state, past=past)
+        if past.cycle * self.t_ipo < _STARTS:
             return state
         return self._learned(state, np.abs(motion.qd[middle]) > inverse.law.still)
 
@@ -207,20 +234,20 @@ class AdaptedCommand(Feedforward):
             seen[j], rate[j] = b + (at - k) * (c - b), 0.5 * ((1.0 - at + k) * (c - a) + (at - k) * (d - b)) / dt
         return seen, rate
 
-    def _explained(self, state: AdaptedState, motion: Motion) -> tuple[tuple[Array, ...], Array]:
+    def _explained(self, past: Past, motion: Motion) -> tuple[tuple[Array, ...], Array]:
         """States of the poles, and what motion and torques make of the law in the middle row ``(2, n)`` [rad]."""
         from scipy import signal
 
         e, filters, middle = np.empty((2, self.n)), [], _ROWS // 2
         for j, (num, den) in enumerate(self.inverse.discrete):
-            after = np.empty_like(state.filters[j])
+            after = np.empty_like(past.filters[j])
             for group, mask in enumerate(self.masks[j]):
                 total = 0.0
                 for i, x in enumerate(self.inverse.law.sums(motion, j, mask)[:, middle]):
                     if len(den) == 1:
                         total += float(num[i, 0] / den[0] * x)
                         continue
-                    zi = state.filters[j][group, i] if state.cycle else signal.lfilter_zi(num[i], den) * x
+                    zi = past.filters[j][group, i] if past.cycle else signal.lfilter_zi(num[i], den) * x
                     out, after[group, i] = signal.lfilter(num[i], den, [x], zi=zi)
                     total += float(out[0])
                 e[group, j] = total
@@ -234,24 +261,24 @@ class AdaptedCommand(Feedforward):
             state: with what is compared.
             moves: joints that move: of the others nobody knows the friction ``(n,)``.
         """
-        apart, rate, e_v, e_f, missed, plain = state.lags[-1]
+        apart, rate, e_v, e_f, missed, plain = state.past.lags[-1]
         left = apart - e_v - e_f - self.constant
-        mean, covariance, squares = state.mean.copy(), state.covariance.copy(), state.squares.copy()
-        judged = np.minimum(state.judged + moves, _JUDGED / self.t_ipo)
+        mean, covariance, before = state.mean.copy(), state.covariance.copy(), state.judgement
+        squares, count = before.squares.copy(), np.minimum(before.count + moves, _JUDGED / self.t_ipo)
         for j in np.flatnonzero(moves):
             h = self.sigma[j] * np.array([rate[j], 1.0, e_v[j], e_f[j]])
             y = float(left[j])
             # What is commanded by the law is judged by where the joint is, too.
             by_law = max(abs(y - h @ mean[j]), abs(missed[j]) if state.share[j] == 1.0 else 0.0)
             now = np.array([by_law, plain[j]])
-            squares[:, j] += (now**2 - squares[:, j]) / judged[j]
+            squares[:, j] += (now**2 - squares[:, j]) / count[j]
             predict(mean[j], covariance[j], self.correlation)
             update(mean[j], covariance[j], h, y, float(self.variance[j]))
-        wait, pause = state.aside
+        wait, pause = before.aside
         again = (squares[0] < _BETTER * squares[1]) & (wait <= 0.0)
-        law = np.where(state.law, squares[0] < squares[1], again)
-        fell = state.law & ~law
+        law = np.where(before.law, squares[0] < squares[1], again)
+        fell = before.law & ~law
         aside = np.stack([np.where(fell, pause, np.maximum(wait - self.t_ipo, 0.0)),
                           np.where(fell, 2.0 * pause, pause)])
-        return dataclasses.replace(state, mean=mean, covariance=covariance, squares=squares, judged=judged, law=law,
-                                   aside=aside)
+        return dataclasses.replace(state, mean=mean, covariance=covariance,
+                                   judgement=Judgement(squares, count, law, aside))

@@ -47,8 +47,7 @@ from ideal_robot.feedforward.smoothed_window import CYCLES, Smoothed, noted, smo
 from ideal_robot.friction.table import Friction, friction_sizes, friction_step, largest_speeds
 from ideal_robot.friction.terms import OWN, SHARED, TERMS, dry_sizes, table_terms, terms_along, with_terms
 from ideal_robot.jit import jit
-from ideal_robot.loop.from_model import further_torque
-from ideal_robot.loop.loop import Drives, Loop
+from ideal_robot.loop.loop import Drives, Loop, further_torque
 from ideal_robot.robots.interface import RobotState
 
 _APPARENT = 12.0**-0.5
@@ -269,10 +268,10 @@ def _row(known: _Known, motion: Smoothed, torques: Array, i: int, z: float, h: A
     own[0] += z * by_load / dry
     for k in range(TERMS):
         own[k] *= dry
-    own[TERMS], common[2] = known.apparent[i] * motion.motor_a[0, i], known.mass * torques[2, i]
-    for k in range(2):
-        common[k] = SHARED[k] * own[k]
+        if k < len(SHARED):
+            common[k] = SHARED[k] * own[k]
         own[k] *= OWN[k]
+    own[TERMS], common[2] = known.apparent[i] * motion.motor_a[0, i], known.mass * torques[2, i]
     return motion.tau[0, i] - torques[1, i] - accelerating - known.drives.offset[i] - friction, accelerating
 
 
@@ -282,8 +281,8 @@ def _applied(known: _Known, x: Array) -> tuple[Array, float, Friction]:
     n, common = len(known.dry), x[len(x) - _COMMON :]
     values = np.empty((n, TERMS))
     for i in range(n):
-        values[i] = x[i * _OWN : i * _OWN + TERMS]
-        values[i, :2] = OWN * values[i, :2] + SHARED * common[:2]
+        values[i] = OWN * x[i * _OWN : i * _OWN + TERMS]
+        values[i, :2] += SHARED * common[:2]
     return values, known.mass * common[2], with_terms(known.friction, known.terms, values)
 
 

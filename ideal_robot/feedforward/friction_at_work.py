@@ -21,8 +21,7 @@ from ideal_robot.feedforward.learned_friction import WEIGHT, estimated, evidence
 from ideal_robot.friction.presliding import first_direction, measured_steps
 from ideal_robot.friction.table import Friction, directions_along, friction_along, friction_sizes, largest_speeds
 from ideal_robot.friction.terms import ALONE, TERMS, dry_sizes, friction_terms, table_terms, with_terms
-from ideal_robot.loop.from_model import further_torque
-from ideal_robot.loop.loop import Loop, ripple_torque
+from ideal_robot.loop.loop import Loop, further_torque, ripple_torque
 from ideal_robot.signals.preprocess import FilteredSignals, preprocess
 from ideal_robot.signals.recording import Recording
 
@@ -88,14 +87,12 @@ def _of_joint(loop: Loop, s: FilteredSignals, load: Array, residual: Array, j: i
         friction, z = _along(loop, s, load, j, tried)
         terms = dry * friction_terms(v / largest_speeds(loop.path.v_max)[j], z)
         terms[:, 0] += z * by_load
-        terms[:, :2] *= ALONE
-        columns = s.decimate(np.column_stack([terms, weight])) / std
+        columns = s.decimate(np.column_stack([ALONE * terms, weight])) / std
         solution = estimated(columns, (residual - s.decimate(friction)) / std)
         score = evidence(solution) - 0.5 * (np.log(tried) / BELIEVED) ** 2
         if score > best:
             best, values, factor = score, np.clip(solution.mean[:TERMS], -GATE, GATE), tried
-    values[:2] *= ALONE
-    return values, factor
+    return ALONE * values, factor
 
 
 def _along(loop: Loop, s: FilteredSignals, load: Array, j: int, bend: float) -> tuple[Array, Array]:

@@ -145,9 +145,7 @@ class FrictionCurve:
 
     def values(self, state: CurveState) -> Array:
         """Values of friction's terms ``(n, TERMS)``."""
-        values = state.x[:, :TERMS].copy()
-        values[:, :2] *= ALONE
-        return values
+        return np.asarray(ALONE * state.x[:, :TERMS])
 
     def planned(self, state: CurveState, ideal: InverseState) -> CurveState:
         """Takes note of what the ideal robot planned in a cycle with what this state knows."""
@@ -208,7 +206,7 @@ def _cycle(known: _Known, v_before: Array, plan: tuple[Array, Array, Array], err
         if abs(direction[i]) < SLIDES or abs(v[i]) < SLOWEST * known.v_max[i]:
             continue
         terms_along(v[i] / known.v_max[i], direction[i], h)
-        for k in range(2):
+        for k in range(TERMS):
             h[k] *= ALONE[k]
         h[TERMS] = WEIGHT
         for j in range(n):

@@ -41,8 +41,16 @@ from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import SETTLE, Feedforward
 from ideal_robot.friction.table import Friction, directions_along, friction_along
 from ideal_robot.jit import jit
-from ideal_robot.loop.from_model import further_torque, loop_model
-from ideal_robot.loop.loop import Cascade, Drives, Loop, behind_uneven_gears, ripple_torque, unevenness
+from ideal_robot.loop.from_model import loop_model
+from ideal_robot.loop.loop import (
+    Cascade,
+    Drives,
+    Loop,
+    behind_uneven_gears,
+    further_torque,
+    ripple_torque,
+    unevenness,
+)
 from ideal_robot.model.arm_with_effects import side_of_gap
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot

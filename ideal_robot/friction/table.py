@@ -74,6 +74,30 @@ def braking(sizes: Array) -> None:
                 sizes[i, side, k, 1] = max(fluid, 0.0)
 
 
+@jit()
+def distance_with(friction: Friction, sizes: Array) -> Array:
+    """Presliding distance ``(n,)`` [rad] where friction has other sizes.
+
+    What falls with speed (Stribeck) holds the contacts at rest for longer, it makes none: they are as stiff as before,
+    and bend further (LuGre: the bristles' stiffness is a constant). What is there at all speeds presses more of them
+    together, and the distance stays.
+
+    Args:
+        friction: before.
+        sizes: dry and fluid friction as it is now ``(n, 2, m, 2)`` [N m].
+    """
+    distance = friction.distance.copy()
+    for i in range(len(distance)):
+        still, falls = 0.0, 0.0
+        for side in range(2):
+            before, now = friction.sizes[i, side, :, 0], sizes[i, side, :, 0]
+            still += before[0]
+            falls += (now[0] - now[len(now) - 1]) - (before[0] - before[len(before) - 1])
+        if still > 0.0 and falls > 0.0:
+            distance[i] *= 1.0 + falls / still
+    return distance
+
+
 def largest_speeds(v_max: Array) -> Array:
     """Speeds that friction is looked at over ``(n,)`` [rad/s]: the limits, 10 rad/s where an arm has none."""
     return np.where(np.isfinite(v_max), v_max, 10.0)

@@ -20,18 +20,13 @@ from __future__ import annotations
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.friction.table import Friction, braking, largest_speeds
+from ideal_robot.friction.table import Friction, braking, distance_with, largest_speeds
 from ideal_robot.jit import jit
 
 SPEEDS = np.array([0.0, 0.002, 0.005, 0.01, 0.015, 0.022, 0.035, 0.06, 0.12, 0.25, 0.5, 1.0])
 """Between these shares of the largest speed the curve is linear."""
 KNEE, LENGTH = 0.005, 1.2
 """Share of the largest speed below which speeds are alike; logarithm of speed over which the curve becomes another."""
-SHARED, OWN = np.array([0.1, 0.3]), np.array([0.12, 0.15])
-"""Prior standard deviations of the dry and the rising term: of what all joints share, which are cold or warm together,
-and of what is a joint's own. Oil changes with temperature more than what runs dry ([G] Figs 3 and 12)."""
-ALONE = np.hypot(SHARED, OWN)
-"""The same of a joint that is looked at by itself."""
 SHAPE = 0.15
 """Prior standard deviation of the curve."""
 
@@ -54,6 +49,13 @@ def _components() -> Array:
 _CURVE = _components()
 TERMS = 2 + _CURVE.shape[1]
 """Of friction: dry, rising, the curve's components."""
+SHARED = np.array([0.1, 0.3])
+"""Prior standard deviations of what all joints share of the dry and the rising term: they are cold or warm together.
+Oil changes with temperature more than what runs dry ([G] Figs 3 and 12)."""
+OWN = np.array([0.12, 0.15, *np.ones(TERMS - 2)])
+"""Prior standard deviations of what is a joint's own of each term ``(TERMS,)``."""
+ALONE = np.array([*np.hypot(SHARED, OWN[:2]), *OWN[2:]])
+"""The same of a joint that is looked at by itself."""
 _DRY = np.array([1.0, 0.0, *_CURVE[0]])
 """What they are at standstill."""
 
@@ -131,4 +133,4 @@ def with_terms(friction: Friction, terms: Array, values: Array) -> Friction:
         for which in range(2):
             per_load[i, which] *= 1.0 + values[i, 0]
     braking(sizes)
-    return Friction(friction.speeds, sizes, per_load, friction.distance)
+    return Friction(friction.speeds, sizes, per_load, distance_with(friction, sizes))

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.dynamics.newton_euler import Chain, chain_of, inverse_dynamics, joint_frames, mass_matrix
+from ideal_robot.dynamics.newton_euler import Chain, chain_of, joint_frames, mass_matrix
 from ideal_robot.effects import FittedEffect, Signals
 from ideal_robot.errors import InputError
-from ideal_robot.friction.table import DRY, Friction, braking
+from ideal_robot.friction.table import Friction, braking, distance_with
 from ideal_robot.loop.loop import Cascade, CommandPath, Drives, Loop, checked, low_pass_taps
 from ideal_robot.model.arm_with_effects import chain_with, changes_of, stiffness_with
 from ideal_robot.model.model import Model
@@ -57,26 +57,10 @@ def _least_inertia(chain: Chain, q_min: Array, q_max: Array) -> Array:
     return np.asarray(least)
 
 
-def further_torque(loop: Loop, t: Array, q: Array, qd: Array, qdd: Array, load: Array, sliding: Array) -> Array:
-    """Sum of the torques of ``loop.terms`` along a motion of the motors ``(N, n)`` [N m].
-
-    Args:
-        loop, t: the identified loop, and instants ``(N,)`` [s].
-        q, qd, qdd: motor angles, velocities and accelerations ``(N, n)`` [rad, rad/s, rad/s²].
-        load: torque at the gear outputs [N m].
-        sliding: direction of sliding, -1 to 1.
-    """
-    if not loop.terms:
-        return np.zeros_like(q)
-    signals = Signals(t, q, qd, qdd, load, load, np.zeros_like(load), sliding=sliding,
-                      rigid=lambda q, qd, qdd: inverse_dynamics(loop.chain, q, qd, qdd))
-    return np.asarray(np.sum([effect.contribution(signals) for effect in loop.terms], axis=0))
-
-
 def with_effects(loop: Loop, effects: tuple[FittedEffect, ...]) -> Loop:
     """The loop with the effects added that act in it: each says where and by how much (``Effect.loop_change``)."""
     drives, friction = loop.drives, loop.friction
-    sizes, per_load, distance = friction.sizes.copy(), friction.per_load.copy(), friction.distance.copy()
+    sizes, per_load, presliding = friction.sizes.copy(), friction.per_load.copy(), np.zeros(loop.n)
     offset, rotor, gain = drives.offset.copy(), drives.rotor_inertia.copy(), drives.gain.copy()
     half_gap, gap_load = drives.half_gap.copy(), drives.gap_load.copy()
     ripples, uneven = [drives.ripple], [drives.uneven]
@@ -84,16 +68,14 @@ def with_effects(loop: Loop, effects: tuple[FittedEffect, ...]) -> Loop:
     for effect, change in changes:
         j = effect.joint - 1
         if change.friction_curve:
-            more = _curve(effect, friction.speeds)
-            distance[j] *= _further(sizes[j, :, :, DRY], more[:, :, DRY])
-            sizes[j] += more
+            sizes[j] += _curve(effect, friction.speeds)
         if change.friction_shares is not None:
             dry, rising = change.friction_shares
             # What the law has beyond dry friction at standstill rises with speed.
             still = np.array(sizes[:, :, :1])
             sizes += rising * (sizes - still) + dry * still
         per_load[j] += change.friction_per_load, change.friction_per_driven_load
-        distance[j] = max(distance[j], change.presliding)
+        presliding[j] = max(presliding[j], change.presliding)
         offset[j] += change.offset
         gain[j] *= 1.0 + change.gain
         if change.rotor_inertia:
@@ -105,27 +87,13 @@ def with_effects(loop: Loop, effects: tuple[FittedEffect, ...]) -> Loop:
                 rows.append(np.zeros((1, 3, loop.n)))
                 rows[-1][0, :, j] = wave
     braking(sizes)
+    distance = np.maximum(distance_with(friction, sizes), presliding)
     return loop.changed(
         chain=chain_with(loop.chain, changes),
         friction=Friction(friction.speeds, sizes, np.maximum(per_load, 0.0), distance),
         drives=Drives(rotor, offset, gain, np.concatenate(ripples), stiffness_with(drives.stiffness, changes),
                       drives.damping, np.concatenate(uneven), half_gap, gap_load),
         terms=(*loop.terms, *(effect for effect, change in changes if change.torque)))
-
-
-def _further(dry: Array, more: Array) -> float:
-    """By how much longer the presliding distance is with further dry friction.
-
-    What falls with speed (Stribeck) holds the contacts at rest for longer, it makes none: they are as stiff as before,
-    and bend further (LuGre: the bristles' stiffness is a constant). What is there at all speeds presses more of them
-    together, and the distance stays.
-
-    Args:
-        dry: of an unloaded gear before, forward and backward, over speed ``(2, m)`` [N m].
-        more: what is added ``(2, m)`` [N m].
-    """
-    still = float(dry[:, 0].mean())
-    return 1.0 + max(float((more[:, 0] - more[:, -1]).mean()), 0.0) / still if still > 0.0 else 1.0
 
 
 def _curve(effect: FittedEffect, speeds: Array) -> Array:

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.dynamics.newton_euler import Chain
-from ideal_robot.effects import FittedEffect
+from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics
+from ideal_robot.effects import FittedEffect, Signals
 from ideal_robot.errors import InputError
 from ideal_robot.friction.table import Friction
 from ideal_robot.jit import jit
@@ -218,6 +218,22 @@ def behind_uneven_gears(uneven: Array, q: Array, v: Array, a: Array) -> tuple[Ar
             v_m[k, i] = v[k, i] / (1.0 + slope)
             a_m[k, i] = (a[k, i] - bend * v_m[k, i] ** 2) / (1.0 + slope)
     return q_m, v_m, a_m
+
+
+def further_torque(loop: Loop, t: Array, q: Array, qd: Array, qdd: Array, load: Array, sliding: Array) -> Array:
+    """Sum of the torques of ``loop.terms`` along a motion of the motors ``(N, n)`` [N m].
+
+    Args:
+        loop, t: the identified loop, and instants ``(N,)`` [s].
+        q, qd, qdd: motor angles, velocities and accelerations ``(N, n)`` [rad, rad/s, rad/s²].
+        load: torque at the gear outputs [N m].
+        sliding: direction of sliding, -1 to 1.
+    """
+    if not loop.terms:
+        return np.zeros_like(q)
+    signals = Signals(t, q, qd, qdd, load, load, np.zeros_like(load), sliding=sliding,
+                      rigid=lambda q, qd, qdd: inverse_dynamics(loop.chain, q, qd, qdd))
+    return np.asarray(np.sum([effect.contribution(signals) for effect in loop.terms], axis=0))
 
 
 def low_pass_taps(time_constant: Array | float, order: int, t_position: float, n: int, *,

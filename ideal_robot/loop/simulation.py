@@ -16,8 +16,7 @@ from ideal_robot.dynamics.newton_euler import Chain, joint_frames, mass_matrix, 
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.friction.table import Friction, directions_along, friction_step
 from ideal_robot.jit import jit
-from ideal_robot.loop.from_model import further_torque
-from ideal_robot.loop.loop import Cascade, Drives, Loop, ripple_torque, unevenness
+from ideal_robot.loop.loop import Cascade, Drives, Loop, further_torque, ripple_torque, unevenness
 from ideal_robot.tolerances import ROUNDING, ZERO_CROSSING
 
 

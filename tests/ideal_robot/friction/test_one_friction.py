@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -30,6 +32,7 @@ from ideal_robot.friction.table import (
 from ideal_robot.friction.terms import TERMS, friction_terms, table_terms, with_terms
 from ideal_robot.tolerances import ZERO_CROSSING
 from tests.arms import ROBOT, a_friction, motion, plant
+from tests.sources import ROOT
 
 DISTANCE = 3e-4
 SEEDS = st.integers(0, 2**32 - 1)
@@ -234,3 +237,13 @@ def test_a_law_that_would_drive_is_no_friction_in_the_table() -> None:
     assert np.all(friction.sliding >= 0.0)
     assert friction.speeds[0, -1] == pytest.approx(2.4)
     assert len(ROBOT.v_max) == 6
+
+
+def test_the_equation_has_one_caller():
+    """What composes table, load and presliding is ``friction.table``; nothing else takes the equation apart."""
+    primitives = {"friction_torque", "presliding_state"}
+    callers = {path.stem for folder in ("ideal_robot", "planning", "sensing", "scenes")
+               for path in (ROOT / folder).rglob("*.py")
+               for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.ImportFrom)
+               and primitives & {alias.name for alias in node.names}}
+    assert callers == {"table"}

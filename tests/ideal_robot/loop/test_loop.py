@@ -13,8 +13,8 @@ from ideal_robot.effects import FittedEffect
 from ideal_robot.effects.fitted import Unknown
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.friction.table import DRY, FLUID, friction_along
-from ideal_robot.loop.from_model import further_torque, with_effects, with_rotors
-from ideal_robot.loop.loop import checked, low_pass_taps
+from ideal_robot.loop.from_model import with_effects, with_rotors
+from ideal_robot.loop.loop import checked, further_torque, low_pass_taps
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.arm_with_effects import chain_with, changes_of
 from ideal_robot.model.model import Model
