@@ -32,13 +32,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy import linalg
-from scipy.interpolate import BSpline
 
 from ideal_robot.arrays import Array, interpolated
 from ideal_robot.dynamics.newton_euler import inverse_dynamics, inverse_dynamics_with_point
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import SETTLE, Feedforward
+from ideal_robot.feedforward.command_path import command_path_inverse
+from ideal_robot.feedforward.path_operators import Operators, spline_operators
 from ideal_robot.friction.table import Friction, directions_along, friction_along
 from ideal_robot.jit import jit
 from ideal_robot.loop.from_model import loop_model
@@ -109,19 +109,8 @@ class _Grid(NamedTuple):
     step: float
     last: int
     at_coarse: list[Array]
-    at_fine: _Operators
-    torque: _Operators
-
-
-class _Operators:
-    """Matrices that give a spline's values (``value``) and its first two derivatives, applied together."""
-
-    def __init__(self, value: Array, first: Array, second: Array) -> None:
-        self.value, self._together = value, np.concatenate([value, first, second])
-
-    def of(self, rows: Array) -> Array:
-        """Values and derivatives of rows ``(m, n)``, shape ``(3, k, n)``."""
-        return (self._together @ rows).reshape(3, -1, rows.shape[1])
+    at_fine: Operators
+    torque: Operators
 
 
 def _complete_grid(loop: Loop) -> _Grid:
@@ -134,8 +123,8 @@ def _complete_grid(loop: Loop) -> _Grid:
     # A position-loop output acts on average half its cycle later: torques are wanted there.
     t_fine = T * delay + fine * (np.arange(float(loop.steps_ipo * _CYCLES)) + 0.5)
     return _Grid(rows, t_coarse, t_fine, fine, loop.steps_ipo - 1, spline_operators(t_rows, t_coarse, T, _CUTOFF),
-                 _Operators(*spline_operators(t_rows, t_fine, T, _CUTOFF)),
-                 _Operators(*spline_operators(t_coarse, t_fine, T, _CUTOFF)))
+                 Operators(*spline_operators(t_rows, t_fine, T, _CUTOFF)),
+                 Operators(*spline_operators(t_coarse, t_fine, T, _CUTOFF)))
 
 
 def _printed_grid(loop: Loop, lead: float) -> _Grid:
@@ -146,7 +135,7 @@ def _printed_grid(loop: Loop, lead: float) -> _Grid:
     at_coarse = spline_operators(T * np.arange(-_BEFORE, rows, dtype=float), t_coarse, T, _PRINTED_CUTOFF)
     differences = [np.array([[0.0, 1.0, 0.0]]), np.array([[-0.5, 0.0, 0.5]]) / T, np.array([[1.0, -2.0, 1.0]]) / T**2]
     return _Grid(rows, t_coarse, t_coarse[1:2], T, 0, at_coarse,
-                 _Operators(*(difference @ at_coarse[0] for difference in differences)), _Operators(*differences))
+                 Operators(*(difference @ at_coarse[0] for difference in differences)), Operators(*differences))
 
 
 _PRINTED_CUTOFF = 16.0
@@ -213,7 +202,7 @@ class Inverse(Feedforward):
         grid = _complete_grid(loop) if options.path else _printed_grid(loop, lead)
         self._grid, self.n_d_needed = grid, grid.rows
         self.n_d = grid.rows if n_d is None else n_d
-        self._inverse = command_inverse(loop, _CYCLES)
+        self._inverse = command_path_inverse(loop, _CYCLES)
         self._printed = _printed_gains(loop.cascade, loop.t_ipo)
         self._compliance = loop.compliance if options.elastic else np.zeros(loop.n)
         self._damped = drives.damping * self._compliance**2
@@ -413,99 +402,3 @@ def _position_loop_signal(drives: Drives, cascade: Cascade, motion: tuple[Array,
             if j == steps - 1:
                 u_next[i], tau_next[i] = u, tau
     return signal, u_next, tau_next
-
-
-# Linear operators that turn samples of a path into its smoothed value and derivatives at other instants.
-#
-# A penalised B-spline (degree 5, a knot per sample) is fitted to the samples. Fit and evaluation are linear, so for
-# fixed instants they are one matrix, made once and multiplied every cycle.
-
-_DEGREE, _PENALTY_ORDER = 5, 4
-"""A quintic has continuous third derivatives; differences of order 4 make the gain ``1/(1 + (f/cutoff)^8)``."""
-
-
-def spline_operators(t_samples: Array, t_out: Array, spacing: float, cutoff: float, orders: int = 3) -> list[Array]:
-    """Matrices ``(len(t_out), len(t_samples))``: from samples to value, derivative, … of the smoothed path.
-
-    Args:
-        t_samples, t_out: instants of the samples, evenly spaced, and of the result, within the samples [s].
-        spacing: distance of the spline's knots [s].
-        cutoff: frequency at which a sinusoid is halved [Hz]; the gain is 1/(1 + (f/cutoff)^8), so a quarter of it
-            passes unharmed (1e-5).
-        orders: how many matrices, value included.
-    """
-    start, end = float(t_samples[0]), float(t_samples[-1])
-    pieces = max(1, round((end - start) / spacing))
-    knots = start + (end - start) / pieces * np.arange(-_DEGREE, pieces + _DEGREE + 1)
-    size = len(knots) - _DEGREE - 1
-    basis = BSpline(knots, np.eye(size), _DEGREE, extrapolate=True)
-    B = basis(t_samples)
-    differences = np.diff(np.eye(size), _PENALTY_ORDER, axis=0)
-    # A sinusoid of coefficients is penalised by (2 sin(ω h/2))^8 and appears in the samples with the basis' own gain
-    # sinc(f h)^6; both terms shall weigh the same at the cut-off.
-    h = (end - start) / pieces
-    seen = len(t_samples) / (pieces + 1) * np.sinc(cutoff * h) ** (2 * (_DEGREE + 1))
-    weight = seen / (2 * np.sin(min(np.pi * cutoff * h, 1.5))) ** (2 * _PENALTY_ORDER)
-    fit = np.linalg.solve(B.T @ B + weight * differences.T @ differences, B.T)
-    return [np.ascontiguousarray(basis.derivative(order)(t_out) @ fit if order else basis(t_out) @ fit)
-            for order in range(orders)]
-
-
-# Inverse of the command path: which commands make the position loop see a wanted signal.
-#
-# Delay, linear interpolation, command low-pass and the position loop's gain and feedforward are linear, so the commands
-# over the horizon are one regularised least-squares problem with a fixed matrix. Only the first command is used; what
-# was commanded before enters as the free response. Systems whose low-pass is not minimum phase are no special case.
-
-@dataclass(frozen=True)
-class CommandInverse:
-    """Gains of the first command.
-
-    Those ``wanted (n, m s)`` are of the signal ``k_v r + k_ff ṙ`` at the position cycles of the ``m`` next
-    interpolation cycles in which the command can act, ``past (n, P)`` of the commands before, oldest first.
-    """
-
-    wanted: Array
-    past: Array
-
-    @property
-    def n_past(self) -> int:
-        """How many past commands are needed."""
-        return self.past.shape[1]
-
-
-_SMOOTHNESS = 0.02
-"""Weight of the commands' second differences against a position error of the same size: keeps the inverse of the
-low-pass from amplifying what the interpolation cannot pass anyway."""
-
-
-def command_inverse(loop: Loop, cycles: int) -> CommandInverse:
-    """Solves for the first of ``cycles`` commands, which are solved for together, once and for all."""
-    s, n = loop.steps_ipo, loop.n
-    taps, cascade = loop.path.command_filter, loop.cascade
-    n_past = int(np.ceil(len(taps) / s)) + 2
-    knots = n_past + cycles
-    # Linear interpolation: from the knots to the fine grid, which ends just before the last knot.
-    fine = s * (knots - 1)
-    interpolation = np.zeros((fine, knots))
-    for j in range(fine):
-        interpolation[j, j // s] = 1 - (j % s) / s
-        interpolation[j, j // s + 1] = (j % s) / s
-    wanted, past = np.zeros((n, s * cycles)), np.zeros((n, n_past))
-    second = np.diff(np.eye(cycles + 2), 2, axis=0)
-    for i in range(n):
-        answer = np.zeros(fine)
-        answer[: len(taps)] = taps[:fine, i]
-        response = linalg.toeplitz(answer, np.zeros(fine))
-        # Before the oldest knot the command counts as constant.
-        response[:, 0] += 1.0 - response.sum(axis=1)
-        position = response @ interpolation
-        signal = cascade.k_v[i] * position
-        signal[1:] += cascade.k_ff[i] / loop.path.t_position * np.diff(position, axis=0)
-        signal = signal[-s * cycles :] / cascade.k_v[i]
-        free, forced, weight = signal[:, :n_past], signal[:, n_past:], _SMOOTHNESS * np.sqrt(s)
-        first = np.linalg.pinv(np.vstack([forced, weight * second[:, 2:]]))[0]
-        wanted[i] = first[: s * cycles] / cascade.k_v[i]
-        past[i] = -first[: s * cycles] @ free
-        past[i, -2:] -= first[s * cycles :] @ (weight * second[:, :2])
-    return CommandInverse(wanted, past)

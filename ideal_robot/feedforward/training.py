@@ -22,7 +22,7 @@ from ideal_robot.arrays import Array, eased, held
 from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
-from ideal_robot.loop.impulse_response import InformationFilter, LinearLoop
+from ideal_robot.loop.impulse_response import LinearLoop, least_squares
 
 _SIGN_SPEED = 2e-3
 """Speed at which the sign terms have turned over [rad/s]; a bare sign would chatter on the noise of a resting path."""
@@ -127,7 +127,7 @@ class Trained(Windowed):
 
 def train(paths: Sequence[tuple[Array, Array]], t_ipo: float, *, chain: Chain | None = None,
           limits: tuple[Array, Array] | None = None) -> Trained:
-    """Fits the weights of [G] (12) or (13) to learned commands, by least squares in information form.
+    """Fits the weights of [G] (12) or (13) to learned commands, by least squares.
 
     Raises InputError for no path, or commands and desired positions of different shape.
 
@@ -145,23 +145,22 @@ def train(paths: Sequence[tuple[Array, Array]], t_ipo: float, *, chain: Chain | 
     positions_count, signs_count = lags.past + lags.ahead, lags.sign_past + lags.sign_ahead
     torque_count = 0 if chain is None else lags.torque_past + lags.torque_ahead + 1
     size = positions_count + signs_count + torque_count
-    filters = [InformationFilter(size) for _ in range(n)]
+    columns = []
     torque_scale = np.full(n, 1e-12)
-    for q_d, q_c in paths:
+    for q_d, _ in paths:
         padded = held(q_d, before=lags.before, after=lags.n_d)
         windows = np.stack([padded[k : k + lags.before + lags.n_d] for k in range(len(q_d))])
-        columns = np.concatenate(_regressors(windows, lags, t_ipo, chain), axis=1)
+        columns.append(np.concatenate(_regressors(windows, lags, t_ipo, chain), axis=1))
         if chain is not None:
-            torque_scale = np.maximum(torque_scale, np.abs(columns[:, -torque_count:]).max(axis=(0, 1)))
-        for i in range(n):
-            filters[i].update(columns[:, :, i], (q_c - q_d)[:, i], _NOISE)
+            torque_scale = np.maximum(torque_scale, np.abs(columns[-1][:, -torque_count:]).max(axis=(0, 1)))
+    whole, learned = np.concatenate(columns), np.concatenate([q_c - q_d for q_d, q_c in paths])
     weights = np.empty((size, n))
     for i in range(n):
         # Prior: position weights of order 1, friction's and torque's share of the command of order a milliradian.
         prior = np.concatenate([np.ones(positions_count), np.full(signs_count, 1e-3),
                                 np.full(torque_count, 1e-3 / torque_scale[i])])
-        filters[i].update(np.diag(1.0 / prior), np.zeros(size), 1.0)
-        weights[:, i] = filters[i].solve()
+        weights[:, i] = least_squares((whole[:, :, i], learned[:, i], _NOISE),
+                                      (np.diag(1.0 / prior), np.zeros(size), 1.0))
     return Trained(weights, lags, t_ipo, chain=chain, limits=limits)
 
 
@@ -274,14 +273,12 @@ def _preview_weights(g: Array, n_d: int, corner: float) -> Array:
     # Weights act on differences to q_d(k), so each moves weight from lag 0 of the direct path.
     smooth_direct, smooth_wanted = np.convolve(direct, shape), np.convolve(wanted, shape)
     moves = smooth - smooth_direct[:, None]
-    estimate = InformationFilter(count)
-    estimate.update(moves, smooth_wanted - smooth_direct, _REGULARISATION * float(np.linalg.norm(smooth_wanted)))
+    measured = [(moves, smooth_wanted - smooth_direct, _REGULARISATION * float(np.linalg.norm(smooth_wanted)))]
     # Constant velocity and constant acceleration shall pass without error: first and second moment of the whole.
     for order in (1, 2):
         moment = lags.astype(float) ** order / 10.0**order
         row, target = moment @ (series - direct[:, None]), -moment @ direct
-        estimate.update(row[None], np.array([target]), 1e-3 * _REGULARISATION)
-    estimate.update(np.eye(count), np.zeros(count), 1.0)
-    weights = estimate.solve()
+        measured.append((row[None], np.array([target]), 1e-3 * _REGULARISATION))
+    weights = least_squares(*measured, (np.eye(count), np.zeros(count), 1.0))
     weights[_PAST] = 0.0
     return np.asarray(weights)

@@ -16,33 +16,16 @@ from ideal_robot.errors import InputError
 from ideal_robot.loop.loop import Loop
 from ideal_robot.loop.simulation import simulate
 
-# Least squares in information form: the inverse-covariance Kalman filter [G] names for every linear fit.
-#
-# It starts from no knowledge at all (information zero), takes measurements in any order and number, and gives the
-# estimate on demand. A prior is a measurement like any other.
 
-class InformationFilter:
-    """Information matrix ``Y = Σ Hᵀ R⁻¹ H`` and vector ``y = Σ Hᵀ R⁻¹ z`` of ``size`` unknowns."""
+def least_squares(*measured: tuple[Array, Array, float]) -> Array:
+    """The unknowns ``x (size,)`` that measurements make likeliest; of smallest norm where they tell nothing.
 
-    def __init__(self, size: int) -> None:
-        self.matrix = np.zeros((size, size))
-        self.vector = np.zeros(size)
-
-    def update(self, H: Array, z: Array, sigma: float) -> None:
-        """Takes ``z (r,) = H (r, size) x + noise`` with standard deviation ``sigma``.
-
-        Args:
-            H, z, sigma: as above, ``sigma`` in the unit of ``z``.
-        """
-        self.matrix += H.T @ H / sigma**2
-        self.vector += H.T @ z / sigma**2
-
-    def solve(self) -> Array:
-        """The estimate ``Y⁻¹ y (size,)``; of smallest norm in directions nothing is known about."""
-        # Scaled to a unit diagonal, so that the rank decision does not depend on units.
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(self.matrix), 1e-300))
-        scaled = self.matrix * scale[:, None] * scale[None, :]
-        return np.asarray(scale * np.linalg.lstsq(scaled, scale * self.vector, rcond=1e-12)[0])
+    Args:
+        measured: each of matrix ``H (r, size)``, values ``z (r,)`` of ``z = H x + noise``, and the noise's standard
+            deviation. A prior is a measurement like any other.
+    """
+    rows = np.concatenate([H / sigma for H, _, sigma in measured])
+    return np.asarray(np.linalg.lstsq(rows, np.concatenate([z / sigma for _, z, sigma in measured]), rcond=None)[0])
 
 
 @dataclass(frozen=True)
@@ -110,7 +93,7 @@ class LinearLoop:
     @classmethod
     def identify(cls, q_c: Array, q: Array, t_ipo: float, *, delay: int = 1, length: int = 25,
                  prior: float = 1e-3) -> LinearLoop:
-        """Estimates the responses from one motion by least squares in information form ([G] 3.2).
+        """Estimates the responses from one motion by least squares ([G] 3.2).
 
         Args:
             q_c: commands ``(N, n)`` [rad], handed over at ``t_k``.
@@ -136,9 +119,6 @@ class LinearLoop:
                 raise InputError("the joint hardly moves; give it a sinusoid of some degrees", field=f"q_c_{i + 1}")
             padded = np.concatenate([np.zeros(length), moved])
             rows = np.column_stack([padded[length - lag : length - lag + N] for lag in range(delay, length + 1)])
-            estimate = InformationFilter(count)
-            estimate.update(second, np.zeros(len(second)), prior * np.sqrt(N))
-            estimate.update(np.ones((1, count)), np.ones(1), 1e-6)
-            estimate.update(rows, answer, prior)
-            g[delay:, i] = estimate.solve()
+            g[delay:, i] = least_squares((second, np.zeros(len(second)), prior * np.sqrt(N)),
+                                         (np.ones((1, count)), np.ones(1), 1e-6), (rows, answer, prior))
         return cls(g / g.sum(axis=0), t_ipo)

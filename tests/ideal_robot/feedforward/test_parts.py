@@ -12,12 +12,14 @@ from ideal_robot.arrays import eased
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import PassThrough
-from ideal_robot.feedforward.inverse import AHEAD, PRINTED, Inverse, command_inverse, spline_operators
+from ideal_robot.feedforward.command_path import command_path_inverse
+from ideal_robot.feedforward.inverse import AHEAD, PRINTED, Inverse
 from ideal_robot.feedforward.learning import AXES, joint_errors, pose_errors
+from ideal_robot.feedforward.path_operators import spline_operators
 from ideal_robot.feedforward.smoothed_window import CYCLES, Smoothed, noted, smoothed
 from ideal_robot.feedforward.training import LinearInverse, train
 from ideal_robot.loop.from_model import cascade_gains, loop_model
-from ideal_robot.loop.impulse_response import InformationFilter, LinearLoop
+from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.simulation import interpolated, low_passed, simulate
 from ideal_robot.model.model import Model
 from tests.arms import ROBOT, T, commands, motion, off, plant, rms
@@ -46,7 +48,7 @@ def test_smoothing_passes_slow_and_stops_fast():
 @pytest.mark.parametrize("delay", [0, 1])
 def test_command_inverse_undoes_interpolation_and_low_pass(delay):
     loop = plant(delay=delay)
-    inverse = command_inverse(loop, 7)
+    inverse = command_path_inverse(loop, 7)
     t = np.arange(0.0, 2.0, loop.path.t_position)
     desired = 0.2 * np.sin(2 * np.pi * 1.5 * np.clip(t - 0.3, 0, None)) ** 2
     rate = np.diff(desired, prepend=desired[0]) / loop.path.t_position
@@ -65,7 +67,7 @@ def test_command_inverse_undoes_interpolation_and_low_pass(delay):
 
 
 def test_command_inverse_is_exact_at_rest():
-    inverse = command_inverse(plant(), 7)
+    inverse = command_path_inverse(plant(), 7)
     still = plant().cascade.k_v[:, None] * np.ones((6, inverse.wanted.shape[1]))
     total = np.sum(inverse.wanted * still, axis=1) + np.sum(inverse.past, axis=1)
     np.testing.assert_allclose(total, 1.0, atol=1e-12)
@@ -243,22 +245,6 @@ def test_it_takes_the_lag_off_the_arm():
     loop, q_d = plant(), motion()
     inverse = LinearInverse(LinearLoop.of(loop, ROBOT.home))
     assert off(loop, inverse, q_d, 0) < 0.3 * off(loop, PassThrough(T), q_d, 0)
-
-
-def test_information_filter_is_least_squares_and_order_does_not_matter():
-    rng = np.random.default_rng(4)
-    H, x = rng.normal(size=(50, 5)), rng.normal(size=5)
-    z = H @ x + rng.normal(scale=0.1, size=50)
-    all_at_once, piecewise = InformationFilter(5), InformationFilter(5)
-    all_at_once.update(H, z, 0.1)
-    for k in rng.permutation(50):
-        piecewise.update(H[k : k + 1], z[k : k + 1], 0.1)
-    np.testing.assert_allclose(all_at_once.solve(), np.linalg.lstsq(H, z, rcond=None)[0], atol=1e-10)
-    np.testing.assert_allclose(piecewise.solve(), all_at_once.solve(), atol=1e-10)
-
-
-def test_information_filter_without_information_says_zero():
-    np.testing.assert_array_equal(InformationFilter(3).solve(), np.zeros(3))
 
 
 # Motion and torque smoothed alike: they keep to each other whatever the frequency.

@@ -1,0 +1,70 @@
+"""Inverse of the command path: which commands make the position loop see a wanted signal.
+
+Delay, linear interpolation, command low-pass and the position loop's gain and feedforward are linear, so the commands
+over the horizon are one regularised least-squares problem with a fixed matrix. Only the first command is used; what
+was commanded before enters as the free response. Systems whose low-pass is not minimum phase are no special case.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from ideal_robot.arrays import Array
+from ideal_robot.loop.loop import Loop
+
+
+@dataclass(frozen=True)
+class CommandPathInverse:
+    """Gains of the first command.
+
+    Those ``wanted (n, m s)`` are of the signal ``k_v r + k_ff ṙ`` at the position cycles of the ``m`` next
+    interpolation cycles in which the command can act, ``past (n, P)`` of the commands before, oldest first.
+    """
+
+    wanted: Array
+    past: Array
+
+    @property
+    def n_past(self) -> int:
+        """How many past commands are needed."""
+        return self.past.shape[1]
+
+
+_SMOOTHNESS = 0.02
+"""Weight of the commands' second differences against a position error of the same size: keeps the inverse of the
+low-pass from amplifying what the interpolation cannot pass anyway."""
+
+
+def command_path_inverse(loop: Loop, cycles: int) -> CommandPathInverse:
+    """Solves for the first of ``cycles`` commands, which are solved for together, once and for all."""
+    s, n = loop.steps_ipo, loop.n
+    taps, cascade = loop.path.command_filter, loop.cascade
+    n_past = int(np.ceil(len(taps) / s)) + 2
+    knots = n_past + cycles
+    # Linear interpolation: from the knots to the fine grid, which ends just before the last knot.
+    fine = s * (knots - 1)
+    interpolation = np.zeros((fine, knots))
+    for j in range(fine):
+        interpolation[j, j // s] = 1 - (j % s) / s
+        interpolation[j, j // s + 1] = (j % s) / s
+    wanted, past = np.zeros((n, s * cycles)), np.zeros((n, n_past))
+    second = np.diff(np.eye(cycles + 2), 2, axis=0)
+    for i in range(n):
+        answer = np.zeros(fine)
+        answer[: len(taps)] = taps[:fine, i]
+        response = linalg.toeplitz(answer, np.zeros(fine))
+        # Before the oldest knot the command counts as constant.
+        response[:, 0] += 1.0 - response.sum(axis=1)
+        position = response @ interpolation
+        signal = cascade.k_v[i] * position
+        signal[1:] += cascade.k_ff[i] / loop.path.t_position * np.diff(position, axis=0)
+        signal = signal[-s * cycles :] / cascade.k_v[i]
+        free, forced, weight = signal[:, :n_past], signal[:, n_past:], _SMOOTHNESS * np.sqrt(s)
+        first = np.linalg.pinv(np.vstack([forced, weight * second[:, 2:]]))[0]
+        wanted[i] = first[: s * cycles] / cascade.k_v[i]
+        past[i] = -first[: s * cycles] @ free
+        past[i, -2:] -= first[s * cycles :] @ (weight * second[:, :2])
+    return CommandPathInverse(wanted, past)
