@@ -43,7 +43,11 @@ def spline_operators(t_samples: Array, t_out: Array, spacing: float, cutoff: flo
 
 
 class Operators:
-    """Matrices that give a spline's values (``value``) and its first two derivatives, applied together."""
+    """Matrices that give a path's value and first two derivatives, applied together.
+
+    Args:
+        value, first, second: each ``(k, m)``.
+    """
 
     def __init__(self, value: Array, first: Array, second: Array) -> None:
         self.value, self._together = value, np.concatenate([value, first, second])
