@@ -246,7 +246,7 @@ _ARROW = 0.4
 """Length of a large force's arrow [m]."""
 _ABOVE = 0.012
 """How far above where it was the tool's path is drawn [m]."""
-_MARGIN, _WIDTH, _CONTROLS = 15, 320, 255
+_MARGIN, _WIDTH, _CONTROLS = 15, 320, 310
 """On a wide page: plot and picture are so far from the right edge, so wide, and below the controls [px]."""
 _PLOTTED = 600
 """Most points of the error's plot."""
@@ -264,6 +264,10 @@ class Player:
                           for t, png in replay.pictures]
         self._set_up_scene()
         gui = viewer.server.gui
+        error = np.abs(replay.error[np.isfinite(replay.error)])
+        if len(error):
+            gui.add_markdown(f"**{replay.error_name}: {error.mean():.3g} {replay.unit} on average, "
+                             f"{error.max():.3g} at most**")
         self.slider = gui.add_slider("time [s]", min=0.0, max=float(self._t[-1]), step=0.002, initial_value=0.0)
         self.running = gui.add_checkbox("play", initial_value=True)
         self.speed = gui.add_dropdown("speed", SPEEDS, initial_value="0.5 ×")
