@@ -115,7 +115,7 @@ def _prepared(parent: int) -> None:
     # Ctrl-C goes to all processes of a terminal; the parent answers it for all.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    # Before the system is out of memory and ends whatever it chooses.
+    # A process that needs more than half of the memory fails itself, before the system ends one of its own choice.
     half = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
     resource.setrlimit(resource.RLIMIT_DATA, (half, resource.getrlimit(resource.RLIMIT_DATA)[1]))
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()

@@ -170,7 +170,7 @@ class _Reading:
             except Exception:
                 if connection.topic == self._topic:
                     raise
-                # A type whose definition the bag does not hold.
+                # The bag does not hold the definition of this message type.
                 unread[connection.topic] = 1
                 continue
             self._take(connection, stamp, message)
@@ -458,7 +458,10 @@ def _in_mcap(file: Path) -> Iterator[int]:
 
 
 def _in_records(pieces: Iterable[bytes]) -> Iterator[int]:
-    """Bytes of each piece of a chunk, whose records are looked at."""
+    """Yields the size of each piece of a chunk [bytes].
+
+    Raises ValueError for a record in it that is shorter than its kind can be.
+    """
     waiting, skipped = b"", 0
     for piece in pieces:
         yield len(piece)

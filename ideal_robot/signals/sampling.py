@@ -138,7 +138,7 @@ def _spread(t: Array) -> Array:
 
 
 def _together(t: Array, rising: np.ndarray) -> np.ndarray:
-    """Mask ``(N,)`` of the most of the rising stamps that no pause of the longest kind separates."""
+    """Mask ``(N,)`` of the longest run of rising time stamps without a pause above ``LONGEST_PAUSE``."""
     places = np.flatnonzero(rising)
     parts = np.split(places, np.flatnonzero(np.diff(t[places]) > LONGEST_PAUSE) + 1)
     mask = np.zeros(len(t), dtype=bool)

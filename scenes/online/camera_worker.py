@@ -61,7 +61,7 @@ def work(address: str, least_delay: float, camera: CameraModel, detector: str, p
     if hasattr(os, "sched_setscheduler"):
         with suppress(OSError):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
-    # Who has waited too long is no longer there.
+    # The parent may have given up waiting and closed its end.
     with suppress(EOFError, OSError):
         pipe.send(("opened", source.stamps))
         threading.Thread(target=worker.read, args=(source,), daemon=True).start()

@@ -198,7 +198,7 @@ class Pressed:
         self._felt: list[Array] = []
 
     def go(self, way: float) -> Array:
-        """The command ``(n,)`` [rad] that leads on by so much away from the surface [m]."""
+        """Command ``(n,)`` [rad] of the posture that is ``way`` farther from the surface than the one before [m]."""
         self.height += way
         self.q = self.kinematics.refine([pin.SE3(self._rotation, self._origin + self.height * self.up)],
                                         self.q[None])[0]

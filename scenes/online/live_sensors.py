@@ -128,7 +128,7 @@ class LiveCamera:
         """What became of a field (None: it showed nothing); stops the arm where the line leaps or moves unlike it."""
         if fused is None or not len(fused.innovation):
             return
-        # The first field shows where the line is, and the filter knows that it did not know.
+        # The first field may differ by far from what was expected: the filter knew that it knew little.
         self.signs.departs(float(fused.innovation[0]), LEAP + _FAR * fused.sigma)
         if self.calibrated:
             # The points of a field err together: as one. Sharp corners, which no map of the line expects, come to 2.8
