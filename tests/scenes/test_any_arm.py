@@ -304,7 +304,8 @@ def test_paths_and_forces_are_checked_as_lines_are() -> None:
         set_up_force(force.changed(box=[{"middle": [x, y + 0.3, z + 0.4], "size": [0.3, 0.3, 0.3]}]))
 
 
-@pytest.mark.parametrize("name", ["line", "cluttered", "corner", "gap", "svg"])
+@pytest.mark.parametrize("name", ["line", "corner", *(
+    pytest.param(name, marks=pytest.mark.slow) for name in ("cluttered", "gap", "svg"))])
 def test_no_pose_of_a_shipped_calibration_is_given_up(name: str) -> None:
     scene = scene_of(LineScene, name)
     known = set_up(scene).known
@@ -351,14 +352,16 @@ def test_a_joint_that_a_finger_follows_closes_a_gripper_whatever_it_is_called(tm
     assert sum("is held" in text for text in robot.assumed) == 2
 
 
-@pytest.mark.parametrize(("name", "seed"), [("kr6", 8), ("examples/bare_arm.urdf", 2)])
+@pytest.mark.parametrize(("name", "seed"), [
+    pytest.param("kr6", 8, marks=pytest.mark.slow), ("examples/bare_arm.urdf", 2)])
 def test_moves_of_a_single_axis_and_the_ways_between_them_stay_in_the_workspace(name: str, seed: int) -> None:
     robot = Robot.load(name if name == "kr6" else ROOT / name)
     commands = plan(robot, "two-step", seed=seed).commands
     assert clear_of_obstacles(robot, commands, Workspace.of(robot)).all()
 
 
-@pytest.mark.parametrize(("method", "seed"), [("joint", 2), ("joint", 15), ("two-step", 5)])
+@pytest.mark.parametrize(("method", "seed"), [
+    ("joint", 2), pytest.param("joint", 15, marks=pytest.mark.slow), ("two-step", 5)])
 def test_an_axis_of_five_centimetres_is_not_moved_beyond_its_ends(method: str, seed: int, tmp_path: Path) -> None:
     axis = (ROOT / "examples" / "own_robot.urdf").read_text(encoding="utf-8")
     axis = axis.replace('type="revolute"', 'type="prismatic"').replace("0 0 1", "1 0 0")
@@ -378,7 +381,8 @@ def test_an_arm_that_stands_in_a_box_is_told_so_before_a_motion_is_looked_for() 
         plan(robot, "joint", workspace=replace(Workspace.of(robot), cell=cell))
 
 
-@pytest.mark.parametrize("name", ["force_wave", "glue", "contour"])
+@pytest.mark.parametrize("name", ["force_wave", *(
+    pytest.param(name, marks=pytest.mark.slow) for name in ("glue", "contour"))])
 def test_postures_in_which_the_tool_is_weighed_keep_off_a_box(name: str) -> None:
     scene = scene_of(ForceScene, name)
     known = set_up_force(scene).known

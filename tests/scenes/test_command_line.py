@@ -360,7 +360,7 @@ def test_drawing_the_page_is_no_last_moment() -> None:
     (("run", "line", "--world", "mars"), 2,
      "--world: scenes of kind 'line' play in workshop or bench or cell (got 'mars')"),
     (("run", "iso9283_1", "--world", "workshop"), 2, "--world: scenes of kind 'path' play in bench or cell"),
-    (("run", "short", "--tolerance", "1um"), 1, "--tolerance 0.001 mm is not kept"),
+    pytest.param(("run", "short", "--tolerance", "1um"), 1, "--tolerance 0.001 mm is not kept", marks=pytest.mark.slow),
 ])
 def test_one_line_says_what_helps(program, tmp_path: Path, words: tuple[str, ...], code: int, says: str) -> None:
     (tmp_path / "short.toml").write_text(SHORT)

@@ -141,7 +141,7 @@ def test_the_scene_says_how_long_it_may_be() -> None:
 # Whatever is asked for in whichever loop, commands keep the limits, also when there is no further one.
 
 @pytest.mark.parametrize("loop", list(LOOPS))
-@pytest.mark.parametrize("key", ["none", "ideal"])
+@pytest.mark.parametrize("key", [pytest.param("none", marks=pytest.mark.slow), "ideal"])
 def test_commands_keep_every_limit(loop: str, key: str) -> None:
     robot = Robot.load("kr6")
     law = feedforward(key, Model.load(shipped_model("kr6")), robot, n_d=ROWS)

@@ -183,11 +183,12 @@ def test_told_its_name_the_number_is_right(gantry_robot: Robot, name: str) -> No
     assert fitted.domain == SENSOR
 
 
-def test_latency_is_found_and_nothing_where_there_is_none(gantry_robot: Robot) -> None:
-    for name, expected in (("camera_latency", ["camera_latency"]), ("none", [])):
-        recording = draw_line_trial(32, name)[2]
-        names = [e.fitted.name for e in diagnose(recording, gantry_robot).effects if e.fitted.channel == "line"]
-        assert names == expected
+@pytest.mark.parametrize(("name", "expected"), [("camera_latency", ["camera_latency"]),
+                                                ("none", [])])
+def test_latency_is_found_and_nothing_where_there_is_none(name: str, expected: list[str], gantry_robot: Robot) -> None:
+    recording = draw_line_trial(32, name)[2]
+    names = [e.fitted.name for e in diagnose(recording, gantry_robot).effects if e.fitted.channel == "line"]
+    assert names == expected
 
 
 @pytest.mark.slow

@@ -33,7 +33,7 @@ from tests.scenes.path.effect_cases import CASES, friction_of
 ACTING = [effect.key for effect in library() if not change_of(effect).nowhere and effect.domain != SENSOR]
 BY_MOTION = ("backlash/qa", "backlash/tcp")
 """Play that is crossed where the motion turns: the simulated arm has no friction that would hold it there."""
-QUICK = ("payload/tau", "kinematic_error/tcp")
+QUICK = ("payload/tau",)
 SMALLEST = 5e-7
 """What an effect does to the path below this is nothing [m]."""
 

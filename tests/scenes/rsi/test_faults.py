@@ -53,7 +53,8 @@ def jump(cycle: int, measured: Array) -> Array:
 
 @pytest.mark.parametrize(("fault", "relative", "says"), [
     ({"gain": np.array([1, 1, 1, -1, 1, 1.0])}, False, r"joint 4 .*turns against.*axis_sign"),
-    ({"gain": np.array([1, 1, 1, -1, 1, 1.0]), "adds_up": True}, True, r"joint 4 .*turns against.*axis_sign"),
+    pytest.param({"gain": np.array([1, 1, 1, -1, 1, 1.0]), "adds_up": True}, True,
+                 r"joint 4 .*turns against.*axis_sign", marks=pytest.mark.slow),
     ({"tag": "AKorr"}, False, r"the arm does not move; check the tag"),
     ({"gain": np.array([1, 1, 1, 1, 1, 0.0])}, False, r"joint 6 does not move"),
     ({"adds_up": True}, False, r"adds up absolute corrections"),
@@ -90,7 +91,8 @@ def test_a_loop_that_answers_slowly_is_no_fault(tmp_path: Path) -> None:
     assert played(tmp_path, LaggingController(HOME, lag=0.09)).failure is None
 
 
-@pytest.mark.parametrize(("rise", "says"), [(1, "rise by 1 a packet"), (0, "do not rise"), (None, "rise by 12 ms")])
+@pytest.mark.parametrize(("rise", "says"), [
+    (1, "rise by 1 a packet"), (0, "do not rise"), pytest.param(None, "rise by 12 ms", marks=pytest.mark.slow)])
 def test_how_time_stamps_rise_is_found(tmp_path: Path, rise: int | None, says: str) -> None:
     # In lockstep packets come as fast as they are answered, which on a real arm would be another cycle.
     run = played(tmp_path, LaggingController(HOME, rise=rise),

@@ -235,7 +235,7 @@ def test_a_wait_that_never_ends_is_refused(program, seconds: str) -> None:
 
 # Another cycle than the robot's: the identified loop is brought to it, or it is said why not.
 
-@pytest.mark.parametrize("cycle_ms", [1, 4, 5, 8, 12, 40])
+@pytest.mark.parametrize("cycle_ms", [1, 4, 40, *(pytest.param(ms, marks=pytest.mark.slow) for ms in (5, 8, 12))])
 def test_the_ideal_robot_is_one_at_every_cycle(cycle_ms: int) -> None:
     arm, law, loop, _ = prepared(robot="kr6", cycle=1e-3 * cycle_ms)
     assert loop is not None
