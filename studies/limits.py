@@ -159,6 +159,9 @@ class _Impossible:
     def away(self, q_d: Array) -> None:
         """Nothing is pressed on."""
 
+    def pacing(self, limits: Robot) -> None:
+        """The arm never stands."""
+
     def speed(self, t: float) -> float:
         return 0.5
 

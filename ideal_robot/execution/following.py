@@ -34,6 +34,11 @@ ANSWERS = 0.4
 """Time after which a loop has answered a command [s]."""
 _STANDS = 0.1
 """Share of the way expected in the last cycles below which an arm counts as standing still."""
+_BRAKES = 0.15
+"""Time within which an arm that is being braked stands [s]; one that runs at an override goes on meanwhile."""
+_DOUBTS = 0.5
+"""Share of what is allowed beside what is expected from which on other things are not judged by the motion: a sound arm
+hardly comes to it, and one that is paused is there after half of the time in which it is noticed."""
 _SHOWS = 0.1
 """Time in which the way of a joint shows where it goes [s]."""
 _FOLLOWED = 3.0
@@ -160,7 +165,10 @@ class Following(Watch):
         rows = max(round(ANSWERS / T), 4)
         self._given, self._expected, self._measured = (np.zeros((rows, robot.n)) for _ in range(3))
         self._rest: Array | None = None
-        self._beyond = self.unread = self._jumped = 0
+        self._beyond = self.unread = self._jumped = self._braked = 0
+        self._pace: Array = np.zeros(robot.n)
+        self._said_of = 0, ""
+        self._doubt = 0.0
         self._followed = np.full(robot.n, response is not None and sure)
         self._proved = np.zeros(robot.n, dtype=bool)
         self._noticed = self._astray = self._still = self._trying = self._lost = False
@@ -199,11 +207,26 @@ class Following(Watch):
         square = np.minimum(np.where(fits, np.abs(off), np.abs((q - expected) / allowed)), 1.0) ** 2
         self._unfit += self._forgets * (square - self._unfit)
         least[~self._followed] = 0.0
+        self._doubt = float(least.max())
+        if (reason := self._goes_on()) is not None:
+            return reason
         self._beyond = self._beyond + 1 if (least > 1.0).any() else 0
         if self._beyond < PATIENCE:
             self._moved(np.abs(off).min(axis=0))
             return None
         return self._said(int(np.argmax(least)), q)
+
+    def _goes_on(self) -> str | None:
+        """What is said of an arm that was taken for one that is being braked, and goes on; None of any other."""
+        if not (self._noticed and self._still and self._braked * self._T < _BRAKES):
+            return None
+        self._braked += 1
+        joint, text = self._said_of
+        moves = float(np.ptp(self._measured[: PATIENCE + 1, joint]))
+        if self._braked * self._T < _BRAKES or moves <= _STANDS * self._pace[joint]:
+            return None
+        self._still = False
+        return text
 
     def _moved(self, least: Array) -> None:
         """Takes note of joints that are where they are expected."""
@@ -222,6 +245,11 @@ class Following(Watch):
     def stands(self) -> Array | None:
         """See ``Watch``."""
         return self._measured[0] - self._rest if self._astray and self._rest is not None else None
+
+    @property
+    def unsure(self) -> bool:
+        """See ``Watch``."""
+        return self._doubt > _DOUBTS
 
     @property
     def passes(self) -> bool:
@@ -245,15 +273,25 @@ class Following(Watch):
         """What the last cycles look like."""
         if not self._noticed:
             rows = PATIENCE + 1
-            still = np.ptp(self._measured[:rows], axis=0) <= _STANDS * np.ptp(self._expected[:rows], axis=0)
-            self._noticed, self._still = True, bool(self._proved[joint] and still[joint])
+            self._pace = np.ptp(self._expected[:rows], axis=0)
+            still = np.ptp(self._measured[:rows], axis=0) <= _STANDS * self._pace
             self._astray = bool(still[joint]) or self._behind(joint)
-        if not self._still and self._cause is not None:
-            return self._cause(joint)
+            # One that does not stand yet may be on its way to it.
+            self._noticed, self._still, self._braked = True, bool(self._proved[joint] and self._astray), 0
+            off = abs(q[joint] - self._expected[0, joint])
+            self._said_of = joint, self._other(joint, off)
         off = abs(q[joint] - self._expected[0, joint])
-        what = "stands still; look whether the controller is paused or stopped" if self._still else (
-            "does not follow it; look at the controller's override, the model, the cycle, and what stands in the way")
-        return f"joint {joint + 1} is {self._size(off, joint)} beside where its command leads and {what}"
+        if not self._still:
+            return self._other(joint, off)
+        return (f"joint {joint + 1} is {self._size(off, joint)} beside where its command leads and stands still; look "
+                "whether the controller is paused or stopped")
+
+    def _other(self, joint: int, off: float) -> str:
+        """What is said of a joint that does not stand still, and is so far beside where it should be [rad]."""
+        if self._cause is not None:
+            return self._cause(joint)
+        return (f"joint {joint + 1} is {self._size(off, joint)} beside where its command leads and does not follow it; "
+                "look at the controller's override, the model, the cycle, and what stands in the way")
 
     def _behind(self, joint: int) -> bool:
         """Whether a joint goes where its command leads, less far.

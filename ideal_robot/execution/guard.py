@@ -112,6 +112,11 @@ class Watch(ABC):
         return None
 
     @property
+    def unsure(self) -> bool:
+        """Whether the motion may not be what was commanded, so that nothing else is to be judged by it."""
+        return False
+
+    @property
     def passes(self) -> bool:
         """Whether what was noticed may pass by itself, so that the motion can go on then."""
         return False
@@ -196,6 +201,11 @@ class Guard:
         # What it goes back through is on the trail already.
         if not self._going_back and self.touching is False and np.max(np.abs(q_c - self._came[-1])) > TRAIL_SPACING:
             self._came.append(np.array(q_c))
+
+    @property
+    def unsure(self) -> bool:
+        """Whether any watch doubts that the motion is what was commanded."""
+        return any(watch.unsure for watch in self.watches)
 
     @property
     def touching(self) -> bool | None:

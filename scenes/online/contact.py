@@ -44,6 +44,9 @@ class Witness(Protocol):
     def fused(self, innovation: float, values: int) -> None:
         """Forces were fused: normalised innovation squared of so many values."""
 
+    def stood(self) -> None:
+        """The arm stood: what was felt before belongs to no motion that goes on."""
+
     def look(self) -> None:
         """Looks at what was felt since it was last called."""
 
@@ -87,7 +90,7 @@ class ContactSensor(Sensor):
         self._stop = StopConditions(follower.robot, scene.emergency.limits())
         self._tare = Tare()
         self._felt: list[tuple[Array, Array]] = []
-        self._fused_at = -np.inf
+        self._fused_at = self._from = -np.inf
         self._in_two = False
         self._measured: tuple[Array, Measurement | None] | None = None
 
@@ -120,7 +123,7 @@ class ContactSensor(Sensor):
 
     def take(self, t: float) -> None:
         """See ``Sensor``: raises ``EmergencyStopError`` where too much is felt."""
-        if arrived := self.device.arrived(t):
+        if arrived := [sample for sample in self.device.arrived(t) if sample.t >= self._from]:
             self._felt.append(self._contact(t, arrived))
 
     def fuse(self, t: float) -> Work:
@@ -190,6 +193,13 @@ class ContactSensor(Sensor):
         self._stop.command(t, q_d)
         if self.witness is not None:
             self.witness.check(t)
+
+    def stood(self, t: float) -> None:
+        """See ``Sensor``: what was felt meanwhile was looked at by the guard."""
+        self.device.arrived(t)
+        if self.witness is not None:
+            self.witness.stood()
+        self._felt, self._measured, self._from = [], None, t
 
     def ended(self, t0: float, measured: RobotState, torque: Array | None) -> None:
         """See ``Sensor.ended``."""

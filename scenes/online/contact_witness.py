@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from statistics import median
 
 import numpy as np
@@ -53,13 +54,16 @@ class ContactWitness:
         elasticity: of tip and surface, and where that was touched, from calibration.
         model: of the arm, of whose motors it is asked what they feel.
         surface: where the path begins, and the normal there.
+        unsure: whether the arm may not move as it is commanded, by which no sensor is to be judged then.
 
     Attributes:
         nearest: how near what was felt came to each limit, as a share of it.
     """
 
     def __init__(self, scene: ForceScene, follower: SurfaceFollower | ContourFollower, force: LiveForce,
-                 elasticity: ContactElasticity, model: Model, surface: Surface) -> None:
+                 elasticity: ContactElasticity, model: Model, surface: Surface,
+                 unsure: Callable[[], bool] = lambda: False) -> None:
+        self._unsure = unsure
         self._surface = surface
         self._scene, self._follower, self._force = scene, follower, force
         self._stiffness = elasticity.stiffness
@@ -82,12 +86,19 @@ class ContactWitness:
 
     def fused(self, innovation: float, values: int) -> None:
         """See ``scenes.online.contact.Witness``: the map of a surface tells how well it fits."""
+        if self._unsure():
+            return
         if isinstance(self._follower, SurfaceFollower) and self._follower.phase is Phase.TRAVEL:
             self._force.signs.fits(innovation, values)
             # Where it begins to slide, friction changes with time, not with the place.
             felt = self._follower.felt
             self._travelling = min(self._travelling, float(felt[0, 0]))
             self._swung.append(felt[felt[:, 0] > self._travelling + _SLIDING[0]])
+
+    def stood(self) -> None:
+        """See ``scenes.online.contact.Witness``."""
+        self._swung.clear()
+        self._force.signs.begin()
 
     def look(self) -> None:
         """See ``scenes.online.contact.Witness``: does it answer the tip's swing, and what do the motors feel."""

@@ -18,6 +18,7 @@ from ideal_robot.robots.interface import RobotInterface, RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.row_log import RowLog
 from planning import PlanningError
+from scenes.online.pacing import Pacing
 from scenes.result import Progress
 
 PARTED = 0.02
@@ -38,6 +39,9 @@ class Cycled(Protocol):
     """
 
     n_d: int
+
+    def pacing(self, limits: Robot) -> Pacing | None:
+        """See ``Task.pacing``."""
 
     @property
     def q_start(self) -> Array:
@@ -139,12 +143,15 @@ def _cycles(robot: RobotInterface, limits: Robot, task: Cycled, log: CycleLog, s
     q_d = np.tile(q, (task.n_d, 1))
     stopping: Iterator[Array] | None = None
     still, before = 0, q
-    governor = CommandGovernor(limits, q, t_ipo=T)
+    governor, pacing = CommandGovernor(limits, q, t_ipo=T), task.pacing(limits)
     last = int(settings.longest / T)
     for k in range(last + int(LONGEST_STOP / T)):
         t = k * T
         begin = time.perf_counter()
-        task.observe(t, q, q_d)
+        if pacing is None or not pacing.active:
+            task.observe(t, q, q_d)
+        else:
+            task.observe(pacing.at(t), q, pacing.horizon)
         if stopping is None:
             try:
                 if k % _LOOKED == 0 and (refused := log.refused) is not None:
@@ -156,6 +163,18 @@ def _cycles(robot: RobotInterface, limits: Robot, task: Cycled, log: CycleLog, s
                 stopping = _stopped(error, log, task, q_d, (task.speed(t), settings.braking), limits, T)
         if stopping is not None:
             q_d = held(next(stopping), after=1)
+        if pacing is not None and stopping is None:
+            pacing.desired(k, q_d[0])
+            if pacing.active:
+                log.cycles.append(time.perf_counter() - begin)
+                log.t.append(t)
+                log.q_d.append(q_d[0].copy())
+                log.q_c.append(before)
+                task.request(t, t + T)
+                q_d, q, before, governor = _paced(pacing, k + 1, q_d, t)
+                if task.done(t):
+                    return
+                continue
         try:
             wanted = task.command(t, q_d)
             q_c = governor.allowed(wanted)
@@ -176,6 +195,9 @@ def _cycles(robot: RobotInterface, limits: Robot, task: Cycled, log: CycleLog, s
             log.failure = log.failure or str(error)
             return
         task.collect(t, t + T, measured)
+        if pacing is not None and pacing.needed and stopping is None:
+            q_d, q, before, governor = _paced(pacing, k + 1, q_d, t)
+            continue
         # The plan may rest while the command is still on its way to it, as the limits let it.
         resting, before = stops_at_once(q_c - before, limits, T), q_c
         still = (still + 1) * (stopping is not None and resting and np.allclose(q_d, q_d[0], atol=STANDSTILL))
@@ -188,6 +210,14 @@ def _cycles(robot: RobotInterface, limits: Robot, task: Cycled, log: CycleLog, s
             stopping = _let_go(away, q_d, (task.speed(t), settings.braking), limits, T)
         if k % 16 == 0:
             progress(min(1.0, t / settings.expected), settings.text)
+
+
+def _paced(pacing: Pacing, k: int, q_d: Array, t: float) -> tuple[Array, Array, Array, CommandGovernor]:
+    """Leads an arm that stood to cycle k; the horizon then, motor angles, last command, and the commands' governor."""
+    stands = pacing.reach(k, q_d, t)
+    assert pacing.measured is not None
+    horizon = q_d if stands is None else np.tile(stands, (len(q_d), 1))
+    return horizon, pacing.measured.q, pacing.now, pacing.governor
 
 
 def _planned(task: Cycled, t: float, q_d: Array) -> Array:

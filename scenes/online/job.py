@@ -324,7 +324,8 @@ class Job:
         arm.meanwhile(lambda: contact.calibrated(tool, elasticity))
         if isinstance(follower := contact.follower, SurfaceFollower):
             self._check_bearable(follower, arm, force)
-        witness = ContactWitness(contact.scene, contact.follower, force, elasticity, self.model, self._begin)
+        witness = ContactWitness(contact.scene, contact.follower, force, elasticity, self.model, self._begin,
+                                 lambda: arm.guard.unsure)
         contact.witnessed(witness, arm.t_ipo < contact.in_one)
         self._force, felt.wanted = force, wanted
 

@@ -81,6 +81,7 @@ class LineCamera(Sensor):
         self._errors = CameraErrors.of(() if model is None else model.effects)
         self._detector = known.detector
         self._stamps: deque[float] = deque(maxlen=RECENT)
+        self._from = -np.inf
         self._worked = False
         self.last: tuple[Field, LineField] | None = None
         """The last field that was fused in this cycle, and what was seen in it."""
@@ -99,7 +100,7 @@ class LineCamera(Sensor):
         # A field that a network delivers twice is one measurement.
         fields: list[Field] = []
         for field in self.camera.arrived(t):
-            if field.t_stamp not in self._stamps:
+            if field.t_stamp not in self._stamps and field.t_stamp >= self._from:
                 self._stamps.append(field.t_stamp)
                 fields.append(field)
         for field in fields[-1:] if self.newest else fields:
@@ -136,6 +137,10 @@ class LineCamera(Sensor):
             expect(seen, LineField, f"detector {detector.name}", "return one from detect, also where no line is seen")
         seen = replace(seen, points_tcp=self._errors.points(seen.points_tcp, camera.axis_on_surface))
         return at_middle_row(seen, camera, self.history.row_pose)
+
+    def stood(self, t: float) -> None:
+        """See ``Sensor``."""
+        self._from = t
 
     def check(self, t: float) -> None:
         """See ``Sensor``."""

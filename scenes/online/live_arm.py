@@ -121,6 +121,7 @@ class LiveArm:
         guard: what every motion of the arm is looked at by.
         q_d: desired position of the coming cycle, for the journal ``(n,)`` [rad].
         steps: cycles of the controller from the last state but one to the last; more than one where some were lost.
+        pace: share of a cycle by which the path's time goes on in each.
         reported: the last states, cycle by cycle.
     """
 
@@ -132,7 +133,7 @@ class LiveArm:
         self.guard = Guard(link.robot, link.commanded)
         self.q_d = link.commanded.copy()
         self.cycles, self.steps, self._waited = 0, 1, 0.0
-        self._k = 0
+        self._k, self.pace = 0.0, 1.0
         self._last: RobotState | None = None
         self._told: deque[float] = deque(maxlen=_REMEMBERED)
         self._played: deque[float] = deque(maxlen=_REMEMBERED)
@@ -160,7 +161,7 @@ class LiveArm:
 
     def begin(self) -> None:
         """Time begins anew: the next cycle is the first."""
-        self._k = 0
+        self._k, self.pace = 0.0, 1.0
         self._journal.begin()
         self._passed.clear()
         self._told.clear()
@@ -172,6 +173,11 @@ class LiveArm:
     def t(self) -> float:
         """Time since ``begin`` [s]."""
         return self._k * self.t_ipo
+
+    @property
+    def paced(self) -> bool:
+        """Whether the path goes on by less than a cycle in each."""
+        return self.pace != 1.0
 
     @property
     def behind(self) -> bool:
@@ -219,7 +225,7 @@ class LiveArm:
         self.clock.add(state.t, self.link.arrived)
         first = self._made_good(state)
         # Cycles that are made good lie before the state.
-        self._journal.add(self.t + self.t_ipo * (1 + len(self._passed)), state, self.q_d, sent)
+        self._journal.add(self.t + self.t_ipo * (self.pace + len(self._passed)), state, self.q_d, sent)
         self._check_late()
         return self._counted(first)
 
@@ -242,7 +248,7 @@ class LiveArm:
 
     def _counted(self, state: RobotState) -> RobotState:
         """One cycle further; torques of a state that is more than a cycle behind the one before belong to no motion."""
-        self._k += 1
+        self._k += self.pace
         self.steps = 1 if self._last is None else max(round((state.t - self._last.t) / self.t_ipo), 1)
         self._told.append(state.t)
         self._played.append(self.t)
@@ -277,6 +283,11 @@ class LiveArm:
             return played[-1] + stamp - stamps[-1]
         share = (stamp - stamps[i - 1]) / (stamps[i] - stamps[i - 1])
         return played[i - 1] + share * (played[i] - played[i - 1])
+
+    def stood(self, host: float) -> bool:
+        """Whether the path waited at this computer's time ``host`` [s], so that what was sensed then is of no place."""
+        i = bisect_right(self._told, self.clock.stamp(host))
+        return 0 < i < len(self._told) and self._played[i] == self._played[i - 1]
 
     def approach(self, start: Array) -> None:
         """Brings the arm from where it is held to the start ``(n,)`` [rad], which has to be near.

@@ -166,7 +166,7 @@ class LiveCamera:
 
     def _ask(self, header: Header) -> None:
         t = self._arm.play_time(header.taken + self.time_offset)
-        if self.predict is None or not np.isfinite(t):
+        if self.predict is None or not np.isfinite(t) or self._arm.stood(header.taken + self.time_offset):
             return
         if t < max(self._arm.t - OLDEST, 0.0):
             self.late += 1

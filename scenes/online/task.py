@@ -17,10 +17,12 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import IdealRobotError, RaisedBy
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.robots.interface import RobotState
+from ideal_robot.robots.robot import Robot
 from planning.follower import Follower
 from scenes.methods import SceneMethod
 from scenes.online.live_arm import LiveArm
 from scenes.online.log import TaskLog
+from scenes.online.pacing import Pacing
 
 
 class Work(IntEnum):
@@ -29,6 +31,10 @@ class Work(IntEnum):
     NOTHING = 0
     PREPARED = 1
     FUSED = 2
+
+
+BESIDE = 2.0
+"""Cycles behind a standstill in which poses are interpolated from those before it."""
 
 
 class Sensor(ABC):
@@ -71,6 +77,10 @@ class Sensor(ABC):
 
     def request(self, t0: float, t1: float) -> None:
         """Asks the device for what it shall measure in the cycle from ``t0`` to ``t1`` [s]."""
+        return
+
+    def stood(self, t: float) -> None:
+        """The arm stood: what was measured before ``t`` [s] is of places that it was not expected at."""
         return
 
     def ended(self, t0: float, measured: RobotState, torque: Array | None) -> None:
@@ -145,6 +155,7 @@ class Task:
         self._state = feedforward.init(follower.q_start)
         self._torque = follower.contact_torque(np.tile(follower.q_start, (self.n_d, 1)))
         self._lets_go = False
+        self._passed: Array | None = None
         self.arm: LiveArm | None = None
         self.ahead: Ahead | None = None
 
@@ -175,7 +186,15 @@ class Task:
             q: motor angles ``(n,)`` [rad].
             q_d: horizon of the last cycle ``(n_d, n)`` [rad].
         """
-        self.follower.observe(t, self._angles.at(t, q, q_d, self._torque, 1 if self.arm is None else self.arm.steps))
+        if self._passed is None:
+            self.passed(t, q, q_d)
+        passed, self._passed = self._passed, None
+        assert passed is not None
+        self.follower.observe(t, passed)
+
+    def passed(self, t: float, q: Array, q_d: Array) -> None:
+        """A cycle of the controller is over, of which there may be several in one of the path; see ``observe``."""
+        self._passed = self._angles.at(t, q, q_d, self._torque, 1 if self.arm is None else self.arm.steps)
 
     def plan(self, t: float, q_d: Array) -> Array:
         """The horizon ``(n_d, n)`` [rad] from ``t`` on, from what the sensors have delivered by ``t``.
@@ -188,7 +207,7 @@ class Task:
         for sensor in self.sensors:
             sensor.take(t)
         prepared = None if self.ahead is None else self.ahead.taken(t)
-        for sensor in self.sensors if self.ahead is None else self.ahead.at_once:
+        for sensor in self.sensors if self.ahead is None or self.ahead.idle else self.ahead.at_once:
             sensor.fuse(t)
         for sensor in self.sensors:
             sensor.check(t)
@@ -233,6 +252,15 @@ class Task:
         self.learn([measured])
         for sensor in self.sensors:
             sensor.ended(t0, measured, self._torque)
+
+    def pacing(self, limits: Robot) -> Pacing | None:
+        """What leads an arm on that has stood, within its ``limits``; None of one that is simulated."""
+        return None if self.arm is None else Pacing(self.arm, limits, self)
+
+    def stood(self, t: float) -> None:
+        """The arm stood, and goes on at ``t`` [s]."""
+        for sensor in self.sensors:
+            sensor.stood(t + BESIDE * self.follower.robot.t_ipo)
 
     def away(self, q_d: Array) -> Array | None:
         """What to add to the joint angles ``(n,)`` [rad] while the arm brakes, so that it presses on nothing at rest.
@@ -300,8 +328,16 @@ class Ahead:
         (number, q_d), self._prepared = self._prepared or (-1, None), None
         return q_d if number == round(t / self._T) else None
 
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is done beforehand: the path does not go on by a cycle in each."""
+        return self._arm.paced
+
     def work(self) -> None:
         """What is done once a command has gone; the next cycle is told if something goes wrong."""
+        if self.idle:
+            self._prepared = None
+            return
         try:
             if self.plans:
                 self.prepare(self._arm.t + self._T)

@@ -153,6 +153,7 @@ class Bench:
         self.arm, self.robot, self.t_ipo, self.fault, self.eye = arm, robot, robot.t_ipo, None, eye
         self.commanded = self.arm.truth.q_m.copy()
         self.answer_times: list[float] = []
+        self.in_force: list[Array] = []
         self.arrived, self.gone_on, self.missed = 0.0, 0, False
         self.counts: Any = SimpleNamespace()
 
@@ -160,8 +161,15 @@ class Bench:
         """A command ``(n,)`` [rad]."""
         self.commanded = np.array(q_c)
 
+    paused: tuple[float, float] = (np.inf, np.inf)
+    """From and to when the controller holds the arm where it is, though packets go on [s]."""
+    _held: Array | None = None
+
     def receive(self) -> RobotState:
-        state = self.arm.cycle(self.commanded)
+        self._held = (self.arm.truth.q_m if self._held is None else self._held) if (
+            self.paused[0] <= self.arm.t < self.paused[1]) else None
+        self.in_force.append(self.commanded if self._held is None else self._held)
+        state = self.arm.cycle(self.in_force[-1])
         self.arrived = self.arm.t
         if self.eye is not None:
             self.eye.see(self.arm)
@@ -188,8 +196,11 @@ def _calibration(cell: Cell, file: Path, shared: Prepared | None) -> CalibratedC
 
 
 def followed(scene: LineScene, folder: Path, *, stamp: Stamp | None = None, picture: Picture | None = None,
-             calibrated: bool = True, check: bool = False, shared: Prepared | None = None) -> SimpleNamespace:
+             calibrated: bool = True, check: bool = False, shared: Prepared | None = None,
+             pause: tuple[float, float] | None = None) -> SimpleNamespace:
     """Follows a line on the bench with a camera that is calibrated, or believed as it was mounted by hand.
+
+    ``pause``: when after its begin, and for how long, the arm stands still though packets go on [s].
 
     A calibrated camera is the true one on a surface that nobody has seen; with ``shared``, of ``prepared``, camera and
     surface are those that moving over the line has shown, as ``follow --calibration`` has them.
@@ -219,6 +230,8 @@ def followed(scene: LineScene, folder: Path, *, stamp: Stamp | None = None, pict
                 seen.append(check_line(look, live, camera))
             task = job.ready(live, camera, None)
             begun = arm.t
+            if pause is not None:
+                bench.paused = begun + pause[0], begun + sum(pause)
             return task
 
         failure = led(live, job, None, ready)
@@ -229,4 +242,4 @@ def followed(scene: LineScene, folder: Path, *, stamp: Stamp | None = None, pict
         settled = inside & (t >= begun + job.log.first_used + SETTLING)
         return SimpleNamespace(failure=failure, after=arm.t - BEGIN, moved=moved, t=t[inside],
                                beside=np.abs(lateral[inside]), settled=np.abs(lateral[settled]), job=job,
-                               camera=camera, seen=seen[0] if seen else None)
+                               camera=camera, bench=bench, seen=seen[0] if seen else None)

@@ -147,7 +147,8 @@ class Bench(EyeBench):
 
 
 def followed(scene: ForceScene, folder: Path, before: dict[str, Any] | None = None, above: float = 0.0,
-             tool_mass: float | None = None, **faults: Any) -> SimpleNamespace:
+             tool_mass: float | None = None, pause: tuple[float, float] | None = None, **faults: Any
+             ) -> SimpleNamespace:
     """Follows a scene on the bench, with the arm held at first so far above the start of the path [m].
 
     Returns ``failure`` (None for the whole path), the largest true normal force ``force`` since the fault began [N] (of
@@ -170,7 +171,10 @@ def followed(scene: ForceScene, folder: Path, before: dict[str, Any] | None = No
 
         def ready() -> Any:
             bench.task = job.configured.task
-            return job.ready(live, camera, force)
+            task = job.ready(live, camera, force)
+            if pause is not None:
+                bench.paused = arm.t + pause[0], arm.t + sum(pause)
+            return task
 
         failure = led(live, job, force, ready)
         force.close()
@@ -179,4 +183,4 @@ def followed(scene: ForceScene, folder: Path, before: dict[str, Any] | None = No
         length = np.linalg.norm(np.diff(history["tip"][since], axis=0), axis=1).sum()
         largest = float(history["normal"][since].max(initial=0.0))
         return SimpleNamespace(failure=failure, force=largest, left=float(history["normal"][-1]), moved=float(length),
-                               after=arm.t - begun, job=job, recording=journal.recording())
+                               after=arm.t - begun, job=job, recording=journal.recording(), bench=bench)
