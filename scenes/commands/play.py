@@ -191,8 +191,9 @@ def sweep(options: SweepOptions) -> None:
 
     Example: `ideal-robot sweep straight --speeds 0.4,0.7 --seeds 1-2 --lines runs.jsonl --resume`
     """
+    from scenes.regression.history_page import run_command
     from scenes.regression.results import RunSet
-    from scenes.sweep import Kept, SweepFile, jobs, sweep
+    from scenes.sweep import FIGURES, Kept, SweepFile, jobs, sweep
 
     work = jobs(options.scenes, [key.strip() for key in options.methods.split(",") if key.strip()],
                 numbers(options.speeds, "--speeds"), whole_numbers(options.seeds, "--seeds"),
@@ -213,6 +214,11 @@ def sweep(options: SweepOptions) -> None:
         write_signed(json_file, {"runs": answers})
         if csv_file is not None:
             table.map(lambda value: inert(value) if isinstance(value, str) else value).to_csv(csv_file, index=False)
+    named = {load_scene(scene).name: scene for scene in options.scenes}
+    if (key := next((key for key in [*FIGURES][1:] if key in table and table[key].notna().any()), None)) is not None:
+        worst = answers[int(table[key].astype(float).argmax())]
+        typer.echo(f"next: Look at the run with the largest {FIGURES[key]}. "
+                   f"{run_command(worst, named.get(str(worst['scene'])))}")
     missing = sum("not_played" in answer for answer in answers)
     if missing:
         typer.echo(f"{missing} of {len(answers)} runs were not played; with --lines FILE and --resume the next sweep "
