@@ -28,7 +28,8 @@ _CAMERA = {"pictures moved by 2 pixels": {"picture": shifted(2)}, "pictures move
            "mirrored": {"picture": mirrored}, "the same picture for ever": {"picture": frozen()},
            "stamps within 20 ms": {"stamp": shaken(0.02)}, "stamps within 50 ms": {"stamp": shaken(0.05)},
            "stamps that stand still": {"stamp": held}}
-_NOTICED = {"weigh the same": "weight", "wrong sign": "weight", "does not turn": "weight", "lost the noise": "noise",
+_NOTICED = {"sensor's gain is": "gain",
+            "weigh the same": "weight", "wrong sign": "weight", "does not turn": "weight", "lost the noise": "noise",
             "stuck": "stuck", "motors feel": "motors", "leaps by": "leap", "which is no push": "no push",
             "pull with": "pull", "felt in the air": "in the air", "below the path's start": "depth",
             "felt none": "depth", "lies deeper": "forecast", "axes are not": "axes", "drifts by": "drift",

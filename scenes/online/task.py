@@ -193,7 +193,13 @@ class Task:
         self.follower.observe(t, passed)
 
     def passed(self, t: float, q: Array, q_d: Array) -> None:
-        """A cycle of the controller is over, of which there may be several in one of the path; see ``observe``."""
+        """A cycle of the controller is over, of which there may be several in one of the path.
+
+        Args:
+            t: of the path at its end [s].
+            q: motor angles then ``(n,)`` [rad].
+            q_d: horizon of the cycle ``(n_d, n)`` [rad].
+        """
         self._passed = self._angles.at(t, q, q_d, self._torque, 1 if self.arm is None else self.arm.steps)
 
     def plan(self, t: float, q_d: Array) -> Array:
