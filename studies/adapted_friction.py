@@ -10,7 +10,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.feedforward.friction_adaptation import FrictionAdaptation, FrictionFactors
 from ideal_robot.feedforward.inverse import Inverse
 from ideal_robot.feedforward.learned_friction import INTERVAL, noise_variance
-from ideal_robot.feedforward.training import training_motion
+from ideal_robot.feedforward.training_motion import training_motion
 from ideal_robot.friction.table import Friction, largest_speeds
 from ideal_robot.friction.terms import OWN, SHARED, TERMS, dry_sizes, friction_terms, table_terms, with_terms
 from ideal_robot.loop.loop import Loop

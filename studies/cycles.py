@@ -17,7 +17,7 @@ from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal, FrictionAdaptation
 from ideal_robot.feedforward.friction_curve import FrictionCurve
 from ideal_robot.feedforward.inverse import AHEAD, Inverse
-from ideal_robot.feedforward.training import LinearInverse
+from ideal_robot.feedforward.linear_inverse import LinearInverse
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.model.model import Model

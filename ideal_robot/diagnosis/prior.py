@@ -21,7 +21,7 @@ from scipy import linalg
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.regression import Regression, noise_left
 from ideal_robot.diagnosis.system import System
-from ideal_robot.dynamics.base_parameters import parameter_scales
+from ideal_robot.dynamics.consistent_inertias import parameter_scales
 from ideal_robot.dynamics.tool_force import felt_at_tool, torques_of_tool_force
 from ideal_robot.effects import ARM_POSITION, TCP_POSITION
 from ideal_robot.effects.elasticity import turned_arm

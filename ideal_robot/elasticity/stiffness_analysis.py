@@ -12,6 +12,7 @@ from scipy.optimize import nnls
 
 from ideal_robot.arrays import Array
 from ideal_robot.elasticity.clamped_signals import ClampedSignals, clamped_signals
+from ideal_robot.elasticity.payload_stiffness import identify_from_payloads
 from ideal_robot.elasticity.stiffness import (
     WORST_CONDITION,
     JointStiffness,
@@ -19,7 +20,6 @@ from ideal_robot.elasticity.stiffness import (
     Tolerances,
     condition_number,
     flange_jacobian,
-    identify_from_payloads,
     identify_stiffness,
     joint_torque,
 )

@@ -14,14 +14,11 @@ the cycle before, there is always such a command.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
-from ideal_robot.arrays import Array, eased
+from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError, LimitError
 from ideal_robot.jit import jit
 from ideal_robot.robots.robot import Robot
@@ -166,102 +163,3 @@ class CommandGovernor:
         """Remembers a command ``(n,)`` that was handed over as it is, having been checked elsewhere."""
         self._last[:2] = self._last[1:]
         self._last[2] = q_c
-
-
-# Coming to rest on the planned path when it cannot go on: the path stays, only its time slows down.
-
-def stopping_rows(planned: Array, T: float, speed: float, deceleration: float) -> Iterator[Array]:
-    r"""Horizons ``(n_d, n)`` for the coming cycles that brake to rest on the path planned so far, without end.
-
-    Time along the path runs at the rate :math:`\dot\sigma`, which falls from 1 to 0 on a smooth cubic within
-    :math:`1.5\, v / a`, the time in which the largest deceleration is ``a``; shorter if the plan ends before.
-
-    Args:
-        planned: desired joint positions of the coming cycles ``(m, n)`` [rad], first the one due now.
-        T: interpolation cycle [s].
-        speed, deceleration: path speed now [m/s], and the largest deceleration while braking [m/s²].
-    """
-    m = len(planned)
-    path = CubicSpline(np.arange(m), planned)
-    # The rate's mean over the braking time is 1/2.
-    length = min(max(1.5 * speed / deceleration / T, 1.0), 2.0 * (m - 1))
-
-    def travelled(cycles: Array) -> Array:
-        u = np.clip(cycles / length, 0.0, 1.0)
-        # Integral of 1 - 3u² + 2u³.
-        return length * (u - u**3 + 0.5 * u**4)
-
-    k = 0
-    while True:
-        yield np.asarray(path(travelled(k + np.arange(m, dtype=float))))
-        k += 1
-
-
-_STEEPEST = 10.0 / math.sqrt(3.0)
-"""Largest acceleration of a quintic from rest to rest, over a way of one in a time of one."""
-_SHARE = 0.25
-"""Of the joints' accelerations that moving away takes. On the simulated KR 6 the commands of ``contour``, whose
-feedforward knows the gears, then have up to 0.8 of the limits."""
-
-
-def moved_away(horizons: Iterator[Array], way: Array, a_max: Array, T: float) -> Iterator[Array]:
-    """The same horizons ``(n_d, n)``, on which every joint is moved by a way in the end.
-
-    It begins without a step of the acceleration and takes ``_SHARE`` of what the joints may have: the rest is for
-    braking, and for what a feedforward adds to the command.
-
-    Args:
-        horizons: of the coming cycles, without end [rad].
-        way, a_max: of each joint ``(n,)`` [rad], and what it may accelerate ``(n,)`` [rad/s²].
-        T: interpolation cycle [s].
-    """
-    lasts = max(float(np.sqrt(np.max(_STEEPEST * np.abs(way) / (_SHARE * a_max)))), T)
-    for k, rows in enumerate(horizons):
-        u = np.minimum((k + 1 + np.arange(len(rows)))[:, None] * T / lasts, 1.0)
-        yield rows + eased(u) * way
-
-
-# The limits of an arm along a path of commands: position, velocity, acceleration.
-
-def check_limits(q: Array, arm: Robot, t_ipo: float, *, start: float = 0.0) -> None:
-    """Raises LimitError where positions, speeds or accelerations of a path are outside the arm's limits.
-
-    Args:
-        q, t_ipo: joint positions at the cycles ``(N, n)`` [rad], and the cycle [s].
-        arm: the limits.
-        start: time of the first row, for the message [s].
-    """
-    speed = np.diff(q, axis=0) / t_ipo
-    # A linear interpolator's acceleration is what speed changes over a cycle; twice the limit is what a
-    # controller's own monitoring lets pass before it trips.
-    bend = np.diff(speed, axis=0) / t_ipo
-    checks = (("position", "rad", q, arm.q_min, arm.q_max, "move the path"),
-              ("velocity", "rad/s", speed, -arm.v_max, arm.v_max, "move slower"),
-              ("acceleration", "rad/s²", bend, -2 * arm.a_max, 2 * arm.a_max, "move slower or round corners"))
-    for quantity, unit, values, low, high, remedy in checks:
-        if len(values) == 0:
-            continue
-        # NaN is within no limits.
-        outside = np.argwhere(~((values >= low) & (values <= high)))
-        if len(outside):
-            row, joint = (int(index) for index in outside[0])
-            value = float(values[row, joint])
-            limit = float(high[joint] if value > high[joint] else low[joint])
-            raise LimitError(joint + 1, f"{quantity} [{arm.units(unit)[joint]}] at {start + row * t_ipo:.3f} s", value,
-                             limit, remedy)
-
-
-def require_within_limits(q_d: Array, arm: Robot, *, start: float = 0.0, file: str | Path | None = None,
-                          column: str = "q_d") -> None:
-    """Refuses a user's path that leaves the arm's limits: raises InputError.
-
-    Args:
-        q_d: joint positions at the cycles ``(N, n)`` [rad].
-        arm: limits and cycle.
-        start: time of the first row, for the message [s].
-        file, column: where the path comes from, and what its positions are called there.
-    """
-    try:
-        check_limits(q_d, arm, arm.t_ipo, start=start)
-    except LimitError as error:
-        raise InputError(str(error), file=file, field=f"{column}_{error.joint}") from error

@@ -32,7 +32,8 @@ import numpy as np
 
 from ideal_robot.arrays import Array, eased, eased_way, interpolated
 from ideal_robot.errors import IdealRobotError
-from ideal_robot.execution.command_governor import Bounds, governed, stopping_rows
+from ideal_robot.execution.command_governor import Bounds, governed
+from ideal_robot.execution.path_stop import stopping_rows
 from ideal_robot.jit import jit
 from ideal_robot.robots.interface import RobotInterface, RobotState
 from ideal_robot.robots.robot import Robot

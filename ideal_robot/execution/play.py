@@ -12,7 +12,9 @@ import numpy as np
 
 from ideal_robot.arrays import Array, held
 from ideal_robot.errors import IdealRobotError, InputError, LimitError, RaisedBy
-from ideal_robot.execution.command_governor import CommandGovernor, check_limits, stopping_rows, stops_at_once
+from ideal_robot.execution.command_governor import CommandGovernor, stops_at_once
+from ideal_robot.execution.command_limits import check_limits
+from ideal_robot.execution.path_stop import stopping_rows
 from ideal_robot.feedforward.base import Feedforward, tried
 from ideal_robot.progress import Progress, silent
 from ideal_robot.results import Figure, Summarised, listed, one_unit, over_time, plain

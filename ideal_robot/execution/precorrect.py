@@ -14,7 +14,7 @@ from scipy.interpolate import make_interp_spline
 
 from ideal_robot.arrays import Array, held
 from ideal_robot.errors import IdealRobotError, InputError, LimitError
-from ideal_robot.execution.command_governor import check_limits, require_within_limits
+from ideal_robot.execution.command_limits import check_limits, require_within_limits
 from ideal_robot.execution.planned_path import FEW, distinct, instants_of, through_few
 from ideal_robot.execution.slowed import slowed
 from ideal_robot.feedforward.built_in import BY_LAW, by_law

@@ -11,7 +11,7 @@ from scipy.ndimage import minimum_filter1d
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import LimitError
-from ideal_robot.execution.command_governor import check_limits
+from ideal_robot.execution.command_limits import check_limits
 from ideal_robot.robots.robot import Robot
 
 _REACH = 0.25

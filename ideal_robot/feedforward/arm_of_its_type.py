@@ -27,7 +27,7 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics import full_regressor
-from ideal_robot.dynamics.base_parameters import consistent_parameters, parameter_scales
+from ideal_robot.dynamics.consistent_inertias import consistent_parameters, parameter_scales
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.estimate.gaussian import Posterior

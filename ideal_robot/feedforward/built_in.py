@@ -18,8 +18,9 @@ from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal, FrictionAd
 from ideal_robot.feedforward.friction_curve import FrictionCurve
 from ideal_robot.feedforward.inverse import AHEAD, COMPLETE, PRINTED, Inverse, Options
 from ideal_robot.feedforward.learning import Playback, learn_on_model
+from ideal_robot.feedforward.linear_inverse import LinearInverse
 from ideal_robot.feedforward.method import ITERATIONS, Method, Needs, Setting
-from ideal_robot.feedforward.training import LinearInverse, train
+from ideal_robot.feedforward.training import train
 from ideal_robot.loop.impulse_response import LinearLoop
 
 HORIZON = 0.36

@@ -14,7 +14,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.friction_at_work import FrictionAtWork
 from ideal_robot.feedforward.learning import Learned, LearningLaw, Playback, learn
-from ideal_robot.feedforward.training import training_motion
+from ideal_robot.feedforward.training_motion import training_motion
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.loop import Loop

@@ -18,11 +18,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ideal_robot.arrays import Array, eased, held
+from ideal_robot.arrays import Array, held
 from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
-from ideal_robot.loop.impulse_response import LinearLoop, least_squares
+from ideal_robot.loop.impulse_response import least_squares
 
 _SIGN_SPEED = 2e-3
 """Speed at which the sign terms have turned over [rad/s]; a bare sign would chatter on the noise of a resting path."""
@@ -191,94 +191,3 @@ def _torques(windows: Array, lags: Lags, t_ipo: float, chain: Chain | None) -> A
     qdd = (around[:, 4:] - 2 * q + around[:, :-4]) / (2 * t_ipo) ** 2
     flat = [np.ascontiguousarray(values.reshape(-1, n)) for values in (q, qd, qdd)]
     return inverse_dynamics(chain, *flat).reshape(q.shape)
-
-
-# The motion that training and adaptation learn from: about a path, but not the path.
-
-REST_BEFORE, REST_AFTER = 0.9, 0.6
-"""How long the arm rests at the start and at the end of the motion [s]."""
-
-
-def training_motion(path: Array, t_ipo: float) -> Array:
-    """Smooth joint motion ``(M, n)`` [rad] about a path ``(N, n)`` [rad], as fast as it is: what [G] trains on.
-
-    Sinusoids of different frequencies and phases per joint about the path's middle, with amplitudes of the path's own
-    range (at least 3°), faded in and out; rest before and behind.
-    """
-    low, high = path.min(axis=0), path.max(axis=0)
-    amplitude = np.maximum(0.5 * (high - low), np.radians(3.0))
-    speed = np.maximum(np.max(np.abs(np.diff(path, axis=0)), axis=0) / t_ipo, 0.1)
-    length = 8.0
-    t = np.arange(0.0, length, t_ipo)
-    fade = eased(np.clip(np.minimum(t, length - t) / 1.0, 0.0, 1.0))
-    rate = np.clip(speed / amplitude, 1.0, 2 * np.pi * 0.8)
-    phase = 2.4 * np.arange(path.shape[1])
-    waves = 0.7 * np.sin(np.outer(t, rate * 0.55) + phase) + 0.45 * np.sin(np.outer(t, rate * 1.25) + 1.7 * phase)
-    q = 0.5 * (low + high) + 0.8 * amplitude * fade[:, None] * waves
-    return held(q, before=round(REST_BEFORE / t_ipo), after=round(REST_AFTER / t_ipo))
-
-
-# Feedforward by the inverse of the linear closed loop: a filter over the horizon, exact for no path, close for all.
-#
-# The command is a weighted sum of desired positions before and ahead of now,
-#
-#     q_c(k) = q_d(k) + Σ_l r(l) (q_d(k + l) - q_d(k)) ,   l = -past … n_d - 1                       [G] (12)
-#
-# with weights such that loop and filter together come as close to passing smooth paths unchanged as the regularisation
-# allows. The horizon makes this work for systems that are not minimum phase, whose causal inverse would grow without
-# bound ([G] 4.2.1).
-
-_PAST, _BANDWIDTH = 8, 3.0
-"""Cycles before now that are used too, and corner frequency of desired paths [Hz]: above, the inverse need not be
-right."""
-_REGULARISATION = 1e-2
-"""Error of the answer, relative to the path, that is as bad as weights of size 1."""
-
-
-class LinearInverse(Windowed):
-    """Preview filter that inverts a :class:`LinearLoop`.
-
-    Args:
-        loop, n_d: the linear closed loops, and the horizon; it has to cover their delay and rise.
-        limits: lowest and highest command ``(n,)`` each [rad]; None for none.
-    """
-
-    def __init__(self, loop: LinearLoop, n_d: int = 30, *, limits: tuple[Array, Array] | None = None) -> None:
-        self.t_ipo, self.n_d, self.past, self.limits = loop.t_ipo, n_d, _PAST, limits
-        self.weights = np.column_stack([_preview_weights(g, n_d, _BANDWIDTH * loop.t_ipo) for g in loop.g.T])
-
-    def weighed(self, rows: Array) -> Array:
-        """See ``Windowed.weighed``."""
-        now = rows[self.past]
-        return np.asarray(now + np.sum(self.weights * (rows - now), axis=0))
-
-
-def _preview_weights(g: Array, n_d: int, corner: float) -> Array:
-    """Weights ``r(-_PAST … n_d - 1)`` of one joint; that of ``l = 0`` is 0, it multiplies nothing."""
-    count = _PAST + n_d
-    # Loop and filter in series, written over lags: row j is the weight of q_d(k - j) in q_a(k).
-    lags = np.arange(-(n_d - 1), _PAST + len(g))
-    series = np.zeros((len(lags), count))
-    for column, ahead in enumerate(range(-_PAST, n_d)):
-        start = -ahead - lags[0]
-        series[start : start + len(g), column] = g
-    direct = np.zeros(len(lags))
-    direct[-lags[0] : -lags[0] + len(g)] = g
-    wanted = (lags == 0).astype(float)
-    # A path of that corner frequency as shaping filter: what smooth paths do not contain costs nothing.
-    t = np.arange(-60, 61)
-    shape = np.sinc(2 * corner * t) * np.exp(-0.5 * (t * corner * 2.5) ** 2)
-    shape /= shape.sum()
-    smooth = np.array([np.convolve(column, shape) for column in series.T]).T
-    # Weights act on differences to q_d(k), so each moves weight from lag 0 of the direct path.
-    smooth_direct, smooth_wanted = np.convolve(direct, shape), np.convolve(wanted, shape)
-    moves = smooth - smooth_direct[:, None]
-    measured = [(moves, smooth_wanted - smooth_direct, _REGULARISATION * float(np.linalg.norm(smooth_wanted)))]
-    # Constant velocity and constant acceleration shall pass without error: first and second moment of the whole.
-    for order in (1, 2):
-        moment = lags.astype(float) ** order / 10.0**order
-        row, target = moment @ (series - direct[:, None]), -moment @ direct
-        measured.append((row[None], np.array([target]), 1e-3 * _REGULARISATION))
-    weights = least_squares(*measured, (np.eye(count), np.zeros(count), 1.0))
-    weights[_PAST] = 0.0
-    return np.asarray(weights)

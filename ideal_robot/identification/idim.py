@@ -14,7 +14,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics import BaseParameters, base_parameters, full_regressor
-from ideal_robot.dynamics.base_parameters import Consistency
+from ideal_robot.dynamics.consistent_inertias import Consistency
 from ideal_robot.errors import InputError
 from ideal_robot.identification.against_urdf import Finding, contradicting
 from ideal_robot.identification.checks import checked, excitation_warnings, require_distinct, require_motion

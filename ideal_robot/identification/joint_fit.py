@@ -9,7 +9,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics import BaseParameters, full_regressor, torques, with_link_parameters
-from ideal_robot.dynamics.base_parameters import Consistency, consistent_parameters
+from ideal_robot.dynamics.consistent_inertias import Consistency, consistent_parameters
 from ideal_robot.errors import InputError
 from ideal_robot.friction import LAWS, FrictionModel, PerJointFriction, law_of
 from ideal_robot.identification.friction_choice import FrictionChoice, brakes, candidates, with_coefficients

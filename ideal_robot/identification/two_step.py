@@ -15,7 +15,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics import BaseParameters, base_parameters, full_regressor, link_parameters
-from ideal_robot.dynamics.base_parameters import consistent_parameters, parameter_scales
+from ideal_robot.dynamics.consistent_inertias import consistent_parameters, parameter_scales
 from ideal_robot.errors import InputError
 from ideal_robot.friction import FrictionModel, PerJointFriction, law_of
 from ideal_robot.identification.against_urdf import contradicting

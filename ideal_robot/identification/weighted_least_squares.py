@@ -10,7 +10,7 @@ from scipy import optimize, stats
 
 from ideal_robot.arrays import Array, G
 from ideal_robot.dynamics import BaseParameters, link_parameters, torques
-from ideal_robot.dynamics.base_parameters import parameter_scales
+from ideal_robot.dynamics.consistent_inertias import parameter_scales
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.filters import not_zero
 from ideal_robot.signals.preprocess import FilteredSignals

@@ -17,7 +17,7 @@ from scipy.signal import welch
 
 from ideal_robot.arrays import Array, interpolated
 from ideal_robot.dynamics import link_parameters
-from ideal_robot.dynamics.base_parameters import consistent_parameters
+from ideal_robot.dynamics.consistent_inertias import consistent_parameters
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.identification.friction_runs import fit_ripple

@@ -30,7 +30,7 @@ from ideal_robot.effects.camera import CameraErrors
 from ideal_robot.errors import InputError
 from ideal_robot.execution.play import play as play_motion
 from ideal_robot.feedforward.base import PassThrough
-from ideal_robot.feedforward.training import training_motion
+from ideal_robot.feedforward.training_motion import training_motion
 from ideal_robot.identification.checks import checked
 from ideal_robot.model.model import Model
 from ideal_robot.progress import Steps

@@ -13,7 +13,8 @@ import numpy as np
 
 from ideal_robot.arrays import Array, held
 from ideal_robot.errors import LimitError
-from ideal_robot.execution.command_governor import CommandGovernor, moved_away, stopping_rows, stops_at_once
+from ideal_robot.execution.command_governor import CommandGovernor, stops_at_once
+from ideal_robot.execution.path_stop import moved_away, stopping_rows
 from ideal_robot.robots.interface import RobotInterface, RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.row_log import RowLog

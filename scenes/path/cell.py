@@ -16,10 +16,11 @@ from ideal_robot.arrays import Array, interpolated
 from ideal_robot.execution.play import play as play_path
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.built_in import HORIZON
-from ideal_robot.feedforward.learning import AXES, Learned, joint_errors, pose_errors
+from ideal_robot.feedforward.joint_errors import AXES, joint_errors, pose_errors
+from ideal_robot.feedforward.learning import Learned
 from ideal_robot.feedforward.method import Practice, Rehearsed, Setting
 from ideal_robot.feedforward.registry import methods, settings
-from ideal_robot.feedforward.training import REST_AFTER, REST_BEFORE, training_motion
+from ideal_robot.feedforward.training_motion import REST_AFTER, REST_BEFORE, training_motion
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.loop import Loop
 from ideal_robot.model.model import Model

@@ -12,7 +12,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.execution.command_governor import require_within_limits
+from ideal_robot.execution.command_limits import require_within_limits
 from ideal_robot.execution.planned_path import read_path
 from ideal_robot.execution.precorrect import path_at_cycles
 from ideal_robot.feedforward.base import Feedforward

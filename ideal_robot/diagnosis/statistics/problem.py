@@ -18,7 +18,7 @@ from ideal_robot.diagnosis.causes import Candidate
 from ideal_robot.diagnosis.channels.blocks import Blocks, Columns
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.system import System
-from ideal_robot.dynamics.base_parameters import consistent_parameters
+from ideal_robot.dynamics.consistent_inertias import consistent_parameters
 from ideal_robot.effects import FittedEffect
 from ideal_robot.effects.kinematics import GeometryChange
 from ideal_robot.errors import InputError

@@ -18,7 +18,7 @@ from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.report import sides, with_limits
 from ideal_robot.diagnosis.stages import moved_parameters
 from ideal_robot.diagnosis.statistics.problem import with_parameters, with_possible_inertias
-from ideal_robot.dynamics.base_parameters import pseudo_inertia
+from ideal_robot.dynamics.consistent_inertias import pseudo_inertia
 from ideal_robot.effects import FittedEffect
 from ideal_robot.effects.registry import find
 from ideal_robot.model.model import Model

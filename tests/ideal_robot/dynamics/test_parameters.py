@@ -15,7 +15,7 @@ from ideal_robot.dynamics import (
     torques,
     with_link_parameters,
 )
-from ideal_robot.dynamics.base_parameters import consistent_parameters, pseudo_inertia
+from ideal_robot.dynamics.consistent_inertias import consistent_parameters, pseudo_inertia
 from ideal_robot.errors import IdealRobotError
 
 

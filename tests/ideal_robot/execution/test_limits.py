@@ -13,15 +13,9 @@ import pytest
 import ideal_robot as ir
 from ideal_robot.arrays import Array, eased
 from ideal_robot.errors import InputError, LimitError
-from ideal_robot.execution.command_governor import (
-    ACCELERATION,
-    CommandGovernor,
-    check_limits,
-    moved_away,
-    require_within_limits,
-    stopping_rows,
-    stops_at_once,
-)
+from ideal_robot.execution.command_governor import ACCELERATION, CommandGovernor, stops_at_once
+from ideal_robot.execution.command_limits import check_limits, require_within_limits
+from ideal_robot.execution.path_stop import moved_away, stopping_rows
 from ideal_robot.execution.precorrect import path_at_cycles, precorrect
 from ideal_robot.feedforward.base import PassThrough
 from ideal_robot.robots.interface import checked_command

@@ -10,7 +10,7 @@ from scipy.interpolate import make_interp_spline
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import LimitError
-from ideal_robot.execution.command_governor import check_limits
+from ideal_robot.execution.command_limits import check_limits
 from ideal_robot.execution.slowed import slowed
 from ideal_robot.robots.robot import Robot
 

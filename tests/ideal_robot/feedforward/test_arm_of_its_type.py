@@ -10,11 +10,11 @@ import pytest
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics import full_regressor
-from ideal_robot.dynamics.base_parameters import consistent_parameters
+from ideal_robot.dynamics.consistent_inertias import consistent_parameters
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.feedforward import arm_of_its_type as arm_of_its_type_module
 from ideal_robot.feedforward.arm_of_its_type import RIPPLE, arm_of_its_type
-from ideal_robot.feedforward.training import training_motion
+from ideal_robot.feedforward.training_motion import training_motion
 from ideal_robot.friction import PerJointFriction
 from ideal_robot.model.model import Model
 from ideal_robot.signals.recording import Recording

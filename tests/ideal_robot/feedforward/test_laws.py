@@ -17,6 +17,7 @@ from ideal_robot.feedforward.base import Feedforward, PassThrough
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal
 from ideal_robot.feedforward.inverse import AHEAD, PRINTED, Inverse, Options
 from ideal_robot.feedforward.learning import Playback
+from ideal_robot.feedforward.linear_inverse import LinearInverse
 from ideal_robot.feedforward.method import Needs, Practice, Rehearsed, Setting
 from ideal_robot.feedforward.registry import (
     _REGISTRY,
@@ -28,7 +29,7 @@ from ideal_robot.feedforward.registry import (
     settings,
     unregister,
 )
-from ideal_robot.feedforward.training import LinearInverse, train
+from ideal_robot.feedforward.training import train
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.simulation import simulate

@@ -14,10 +14,11 @@ from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import PassThrough
 from ideal_robot.feedforward.command_path import command_path_inverse
 from ideal_robot.feedforward.inverse import AHEAD, PRINTED, Inverse
-from ideal_robot.feedforward.learning import AXES, joint_errors, pose_errors
+from ideal_robot.feedforward.joint_errors import AXES, joint_errors, pose_errors
+from ideal_robot.feedforward.linear_inverse import LinearInverse
 from ideal_robot.feedforward.path_operators import spline_operators
 from ideal_robot.feedforward.smoothed_window import CYCLES, Smoothed, noted, smoothed
-from ideal_robot.feedforward.training import LinearInverse, train
+from ideal_robot.feedforward.training import train
 from ideal_robot.loop.from_model import cascade_gains, loop_model
 from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.simulation import interpolated, low_passed, simulate

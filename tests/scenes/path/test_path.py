@@ -14,7 +14,7 @@ import pytest
 from ideal_robot.arrays import interpolated
 from ideal_robot.elasticity.stiffness_analysis import analyse_stiffness
 from ideal_robot.errors import InputError, LimitError
-from ideal_robot.execution.command_governor import check_limits
+from ideal_robot.execution.command_limits import check_limits
 from ideal_robot.execution.precorrect import precorrect
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal, FrictionAdaptation

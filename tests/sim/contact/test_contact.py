@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from ideal_robot.elasticity.stiffness import identify_from_payloads
+from ideal_robot.elasticity.payload_stiffness import identify_from_payloads
 from ideal_robot.robots.robot import Robot
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import STEP, World
