@@ -20,7 +20,7 @@ from typing import Protocol
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.execution.guard import PROVED, Watch, probed
+from ideal_robot.execution.guard import PROVED, SEEN, Watch, probed
 from ideal_robot.robots.interface import TOLERANCE
 from ideal_robot.robots.robot import Robot
 from ideal_robot.tolerances import ROUNDING
@@ -34,11 +34,13 @@ ANSWERS = 0.4
 """Time after which a loop has answered a command [s]."""
 _STANDS = 0.1
 """Share of the way expected in the last cycles below which an arm counts as standing still."""
-_BRAKES = 0.15
+_BRAKES = 0.2
 """Time within which an arm that is being braked stands [s]; one that runs at an override goes on meanwhile."""
 _DOUBTS = 0.5
 """Share of what is allowed beside what is expected from which on other things are not judged by the motion: a sound arm
 hardly comes to it, and one that is paused is there after half of the time in which it is noticed."""
+_PAUSED = 0.8
+"""Share of its way which a joint of an arm that is being braked does not come to."""
 _SHOWS = 0.1
 """Time in which the way of a joint shows where it goes [s]."""
 _FOLLOWED = 3.0
@@ -223,7 +225,8 @@ class Following(Watch):
         self._braked += 1
         joint, text = self._said_of
         moves = float(np.ptp(self._measured[: PATIENCE + 1, joint]))
-        if self._braked * self._T < _BRAKES or moves <= _STANDS * self._pace[joint]:
+        # While the path is tried an encoder's noise is as large as what was commanded.
+        if self._braked * self._T < _BRAKES or moves <= max(_STANDS * self._pace[joint], SEEN):
             return None
         self._still = False
         return text
@@ -277,7 +280,9 @@ class Following(Watch):
             still = np.ptp(self._measured[:rows], axis=0) <= _STANDS * self._pace
             self._astray = bool(still[joint]) or self._behind(joint)
             # One that does not stand yet may be on its way to it.
-            self._noticed, self._still, self._braked = True, bool(self._proved[joint] and self._astray), 0
+            # While the path is tried a joint that starts late against its friction is tried again.
+            followed = bool(self._proved[joint] or self._trying or (self._proved.any() and self._all_behind()))
+            self._noticed, self._still, self._braked = True, followed and self._astray, 0
             off = abs(q[joint] - self._expected[0, joint])
             self._said_of = joint, self._other(joint, off)
         off = abs(q[joint] - self._expected[0, joint])
@@ -292,6 +297,12 @@ class Following(Watch):
             return self._cause(joint)
         return (f"joint {joint + 1} is {self._size(off, joint)} beside where its command leads and does not follow it; "
                 "look at the controller's override, the model, the cycle, and what stands in the way")
+
+    def _all_behind(self) -> bool:
+        """Whether no joint that is to move goes as far as it should: the arm as a whole is paused."""
+        rows = max(round(_SHOWS / self._T), PATIENCE + 1)
+        moved, expected = (np.abs(known[0] - known[: rows + 1][-1]) for known in (self._measured, self._expected))
+        return bool((moved[expected > SEEN] < _PAUSED * expected[expected > SEEN]).all())
 
     def _behind(self, joint: int) -> bool:
         """Whether a joint goes where its command leads, less far.

@@ -440,7 +440,7 @@ class Guard:
 
 PROVED = 4.0
 """Ways by which a standstill is noticed while the path is tried, after which an arm that goes along follows."""
-_SEEN = np.radians(0.02)
+SEEN = np.radians(0.02)
 """Way of a joint that stands out of the noise of its encoder and of the friction it starts against [rad]."""
 _ANSWERED = 0.1
 """Time after which nearly every loop has answered a command [s]."""
@@ -456,7 +456,7 @@ def probed(a_max: Array, T: float) -> float:
         a_max: accelerations of the joints ``(n,)`` [rad/s²].
         T: cycle [s].
     """
-    return max(0.5 * float(np.min(a_max)) * T**2, float(_SEEN))
+    return max(0.5 * float(np.min(a_max)) * T**2, float(SEEN))
 
 
 def probing_speed(a_max: Array, T: float) -> float:

@@ -239,7 +239,10 @@ def followed(scene: LineScene, folder: Path, *, stamp: Stamp | None = None, pict
         s, lateral = cell.line.beside(tcp)
         inside = (s > 1e-6) & (s < cell.line.length - 1e-6) & (t > begun + 0.5)
         moved = float(np.linalg.norm(np.diff(tcp[t > BEGIN], axis=0), axis=1).sum())
-        settled = inside & (t >= begun + job.log.first_used + SETTLING)
+        counts = job.log.first_used + SETTLING
+        # The path's time stood with the arm.
+        stood = arm.t - begun - job.log.t[-1] if pause is not None and pause[0] < counts else 0.0
+        settled = inside & (t >= begun + counts + stood)
         return SimpleNamespace(failure=failure, after=arm.t - BEGIN, moved=moved, t=t[inside],
                                beside=np.abs(lateral[inside]), settled=np.abs(lateral[settled]), job=job,
                                camera=camera, bench=bench, seen=seen[0] if seen else None)
