@@ -55,6 +55,10 @@ _COMMON = 0.8
 """Spread of ln of a factor that all joints share: masses of a URDF that were guessed for the arm as a whole."""
 _UNITS = np.log(1e6)
 """Range of ln of the units that a torque may be in: from a motor's to a thousandth of a rated torque."""
+_APART = 0.5 * np.log(10.0)
+"""Of units that are tried, in ln; what is found is improved to half of that to either side."""
+_FACTORS = tuple(np.exp(_APART * np.arange(-6, 7)).tolist())
+"""Units that are tried."""
 _CHANGE = np.log(100.0)
 """Nats that a change of the recording costs before it is seen: one recording in a hundred has it."""
 _LEVEL = np.radians(5.0)
@@ -85,6 +89,10 @@ _TURNS = (0.03, 0.1, 0.3)
 """Dry friction turns over within such shares of a joint's top speed: at once on a quick motion, late on a slow one."""
 _HELD = 0.05
 """Torque that dry friction holds while a joint stands, over the torque that is allowed: gears of arms have 3 to 8 %."""
+_RUBS = 0.15
+"""Spread of a joint's friction over the torque that is allowed: dry 3 to 8 %, and as much again at speed."""
+_BEYOND = np.log(1.5)
+"""Spread of ln of the largest torque beyond what is allowed: drives give more than a data sheet's for a moment."""
 _OWN = 3 + len(_TURNS)
 """Columns that a joint has for itself: acceleration, dry friction, viscous friction, a constant."""
 _SLIPS = 30.0
@@ -175,6 +183,8 @@ class _Rows:
         live: which columns of torque hold anything ``(n,)``.
         count: rows.
         least: size of each column's noise at least ``(n,)``, over the one that its products are whitened with.
+        rubs: spread of each joint's friction [N m or N] over that of each column's torque ``(n, n)``.
+        peaks: ln of each column's largest torque over what each joint is allowed ``(n, n)``.
         shares: whether all torques come in the same round steps, as shares of a rated torque do.
     """
 
@@ -184,6 +194,8 @@ class _Rows:
     live: np.ndarray
     count: int
     least: Array
+    rubs: Array
+    peaks: Array
     shares: bool = False
     cache: dict[tuple[int, int, tuple[float, float, float]], Array] = field(default_factory=dict, repr=False,
                                                                            compare=False)
@@ -217,14 +229,18 @@ class _Rows:
                               *(scale[i] * column[:, i] for column in own),
                               np.full(len(y), size[i]), *(one[:, i] @ mean for one in bodies)]) for i in range(n)]
         P, least = root.shape[1] + pushed.shape[2], np.maximum(_MISFIT * scale, 1e-300)
+        rubs = _RUBS * robot.tau_max[:, None] / np.maximum(scale, 1e-300)
+        largest = np.quantile(np.abs(recording.joints("tau")), 0.99, axis=0)
+        peaks = np.log(np.maximum(largest, 1e-300) / robot.tau_max[:, None])
         shares = _in_round_steps(recording.joints("tau")[:, live])
         white = [ColouredNoise.of_autocovariance(np.r_[one**2, np.zeros(ORDER)]) for one in least]
         own_torque = np.eye(n, dtype=bool) & live
-        left = cls(_products(X, y, white, P, own_torque), n, P, live, len(y), np.ones(n), shares).left(X, y)
+        first = cls(_products(X, y, white, P, own_torque), n, P, live, len(y), np.ones(n), rubs, peaks, shares)
+        left = first.left(X, y)
         # The colour is that of what the recording leaves as it claims to be; the sizes are each hypothesis' own.
         noise = [ColouredNoise.fit(left[:, j], np.ones(len(y), dtype=bool)) for j in range(n)]
         return cls(_products(X, y, noise, P, np.ones((n, n), dtype=bool) & live), n, P, live, len(y),
-                   least / np.array([one.std for one in noise]), shares)
+                   least / np.array([one.std for one in noise]), rubs, peaks, shares)
 
     def under(self, i: int, j: int, gravity: tuple[float, float, float]) -> Array:
         """Products ``[β, own, mean, τ]`` of joint i's equation and column j under a gravity ``(P + K, P + K)``."""
@@ -278,9 +294,13 @@ class _Rows:
             if not self.live[reading.column[i]]:
                 continue
             block, unit, sign = self.under(i, reading.column[i], reading.gravity), reading.unit[i], reading.sign[i]
+            # Friction is at most what a gear has in that unit; acceleration and constant stay as they are.
+            size = np.full(P + K, float(unit))
+            size[P:] = 1.0
+            size[P + 1 : -1] = min(1.0, unit * self.rubs[i, reading.column[i]])
             # Columns of the parameters, and the residual about the URDF's own torque, ± τ - unit · X μ.
-            half = np.column_stack([unit * block[:, :P], block[:, P:-2], sign * block[:, -1] - unit * block[:, -2]])
-            products[i] = np.vstack([unit * half[:P], half[P:-2], sign * half[-1] - unit * half[-2]])
+            half = np.column_stack([block[:, :-2] * size, sign * block[:, -1] - unit * block[:, -2]])
+            products[i] = np.vstack([size[:, None] * half[:-2], sign * half[-1] - unit * half[-2]])
             least[i] = self.least[reading.column[i]]
         own = [slice(P + K * i, P + K * (i + 1)) for i in range(n)]
         size = np.maximum(1.0, least)
@@ -393,7 +413,7 @@ Score = Callable[[Reading], float]
 """Evidence and prior of a supposition [nats]."""
 
 
-def _prior(reading: Reading, amperes: bool) -> float:
+def _prior(reading: Reading, rows: _Rows, amperes: bool) -> float:
     """Logarithm of the prior of what is supposed of a recording, up to a constant."""
     n = len(reading.column)
     value = 0.0
@@ -410,6 +430,8 @@ def _prior(reading: Reading, amperes: bool) -> float:
         each = np.maximum(-0.5 * ((logs - common) / _GAIN) ** 2, wide)
         value += float(each.sum()) + max(-0.5 * (common / _COMMON) ** 2, -_CHANGE)
         value -= _CHANGE * bool(np.any(each <= wide))
+        beyond = np.maximum(rows.peaks[np.arange(n), list(reading.column)] - logs, 0.0)
+        value -= 0.5 * float(np.sum((beyond / _BEYOND) ** 2))
     size = float(np.linalg.norm(reading.gravity))
     if size == 0.0:
         value -= _CHANGE
@@ -426,7 +448,7 @@ def _searched(rows: _Rows, amperes: bool) -> tuple[Reading, dict[str, float]]:
 
     @cache
     def score(reading: Reading) -> float:
-        return rows.evidence(reading) + _prior(reading, amperes)
+        return rows.evidence(reading) + _prior(reading, rows, amperes)
 
     reading = Reading.claimed(rows.n)
     if amperes:
@@ -438,6 +460,10 @@ def _searched(rows: _Rows, amperes: bool) -> tuple[Reading, dict[str, float]]:
         for kind, change in _changes(reading, rows, amperes):
             if kind not in leading or score(change) > score(leading[kind]):
                 leading[kind] = change
+        if not amperes:
+            # Of shares of rated torques one joint alone gains little: all are another unit at once.
+            each = _tuned(_units_of_its_own(reading, score, rows.n), score)[0]
+            leading[WRONG_SCALE] = max(leading[WRONG_SCALE], each, key=score)
         # A direction is right to a few degrees before it is compared with anything else.
         leading[TURNED] = _directed(leading[TURNED], score)
         kind, change = max(leading.items(), key=lambda pair: score(pair[1]))
@@ -464,7 +490,7 @@ def _changes(reading: Reading, rows: _Rows, amperes: bool) -> Iterator[tuple[str
             column = _with(_with(reading.column, i, reading.column[j]), j, reading.column[i])
             yield EXCHANGED, replace(reading, column=column)
     if not amperes:
-        for factor in np.geomspace(1e-3, 1e3, 25).tolist():
+        for factor in _FACTORS:
             if factor != 1.0:
                 yield WRONG_SCALE, replace(reading, unit=tuple(unit * factor for unit in reading.unit))
             for i in live:
@@ -490,13 +516,16 @@ def _sphere() -> list[tuple[float, float, float]]:
 
 
 def _tuned(reading: Reading, score: Score) -> tuple[Reading, float]:
-    """The supposition with units improved within what drive gains are off by, joint by joint."""
-    best = score(reading)
+    """The supposition with units improved joint by joint, within what lies between two that are tried."""
+    best, start = score(reading), reading.unit
     for _ in range(2):
         before = best
-        for i in range(len(reading.unit)):
+        for i, first in enumerate(start):
             for factor in (0.74, 0.86, 0.93, 1.07, 1.16, 1.35):
-                other = replace(reading, unit=_with(reading.unit, i, reading.unit[i] * factor))
+                unit = reading.unit[i] * factor
+                if abs(np.log(unit / first)) > 0.5 * _APART:
+                    continue
+                other = replace(reading, unit=_with(reading.unit, i, unit))
                 if (value := score(other)) > best:
                     reading, best = other, value
         if best < before + 0.1:
@@ -509,7 +538,7 @@ def _units_of_its_own(reading: Reading, score: Score, n: int) -> Reading:
     for _ in range(2):
         for i in range(n):
             reading = max((replace(reading, unit=_with(reading.unit, i, factor))
-                           for factor in np.geomspace(1e-3, 1e3, 25).tolist()), key=score)
+                           for factor in _FACTORS), key=score)
     return reading
 
 
