@@ -305,15 +305,14 @@ class _Rows:
             half = np.column_stack([block[:, :-2] * size, sign * block[:, -1] - unit * block[:, -2]])
             products[i] = np.vstack([size[:, None] * half[:-2], sign * half[-1] - unit * half[-2]])
             least[i] = self.least[reading.column[i]]
-        own = [slice(P + K * i, P + K * (i + 1)) for i in range(n)]
-        size = np.maximum(1.0, least)
+        of_links, across, of_own = products[:, :P, :P], products[:, :P, P:-1], products[:, P:-1, P:-1]
+        joints, size = np.arange(n), np.maximum(1.0, least)
         for step in range(steps):
             H, weight = np.eye(P + K * n), 1.0 / size**2
-            H[:P, :P] += np.tensordot(weight, products[:, :P, :P], 1)
-            H[:P, P:] = np.moveaxis(weight[:, None, None] * products[:, :P, P:-1], 0, 1).reshape(P, -1)
+            H[:P, :P] += np.tensordot(weight, of_links, 1)
+            H[:P, P:] = np.moveaxis(weight[:, None, None] * across, 0, 1).reshape(P, -1)
             H[P:, :P] = H[:P, P:].T
-            for i in range(n):
-                H[own[i], own[i]] += weight[i] * products[i, P:-1, P:-1]
+            H[P:, P:].reshape(n, K, n, K)[joints, :, joints] += weight[:, None, None] * of_own
             h = np.concatenate([weight @ products[:, :P, -1], (weight[:, None] * products[:, P:-1, -1]).ravel()])
             # Scaled to ones on the diagonal: units a thousand times off are beyond double precision otherwise.
             scale = 1.0 / np.sqrt(np.diag(H))
@@ -326,11 +325,13 @@ class _Rows:
             theta, covariance = back[:, :-1].T @ z, back[:, :-1].T @ back[:, :-1]
             if step == steps - 1:
                 break
-            left = np.tensordot(products[:, :P, :P], covariance[:P, :P], 2)
-            for i in range(n):
-                about = np.concatenate([-theta[:P], -theta[own[i]], [1.0]])
-                left[i] += (about @ products[i] @ about + 2.0 * np.sum(products[i, :P, P:-1] * covariance[:P, own[i]])
-                            + np.sum(products[i, P:-1, P:-1] * covariance[own[i], own[i]]))
+            about = np.ones((n, P + K + 1))
+            about[:, :P], about[:, P:-1] = -theta[:P], -theta[P:].reshape(n, K)
+            both = covariance[P:, P:].reshape(n, K, n, K)[joints, :, joints]
+            left = (np.einsum("ij,ijk,ik->i", about, products, about, optimize=True)
+                    + np.tensordot(of_links, covariance[:P, :P], 2)
+                    + 2.0 * np.einsum("ipk,pik->i", across, covariance[:P, P:].reshape(P, n, K))
+                    + np.einsum("ikl,ikl->i", of_own, both))
             size = np.maximum(np.sqrt(np.maximum(left, 0.0) / self.count), least)
         squares = float(products[:, -1, -1] @ weight)
         value = -0.5 * (squares - float(z @ z)) - float(np.log(np.diag(root)).sum() - np.log(scale).sum())
