@@ -184,7 +184,7 @@ def test_told_its_name_the_number_is_right(gantry_robot: Robot, name: str) -> No
 
 
 @pytest.mark.parametrize(("name", "expected"), [("camera_latency", ["camera_latency"]),
-                                                ("none", [])])
+                                                pytest.param("none", [], marks=pytest.mark.slow)])
 def test_latency_is_found_and_nothing_where_there_is_none(name: str, expected: list[str], gantry_robot: Robot) -> None:
     recording = draw_line_trial(32, name)[2]
     names = [e.fitted.name for e in diagnose(recording, gantry_robot).effects if e.fitted.channel == "line"]

@@ -18,6 +18,7 @@ from studies.strangers.score import score
 from tests.ideal_robot.diagnosis.test_diagnose import arm, rippled, stranger
 
 
+@pytest.mark.slow
 def test_each_cause_is_weighed_against_all_others(tmp_path) -> None:
     trial = stranger(770017, "inside")
     with robot_of(trial.urdf) as robot:

@@ -141,7 +141,7 @@ MEASURED = [("ur10e/free_12harm_30s", "ur10e/ur10e"), ("panda/panda_a", "panda/p
 
 
 @pytest.mark.skipif(not DATA.exists(), reason="measured data (../shared/data) are not there")
-@pytest.mark.parametrize(("file", "arm"), [pytest.param(*one, marks=() if k < 3 else pytest.mark.slow)
+@pytest.mark.parametrize(("file", "arm"), [pytest.param(*one, marks=() if k == 1 else pytest.mark.slow)
                                            for k, one in enumerate(MEASURED)])
 def test_measured_arms_are_not_accused(file: str, arm: str) -> None:
     loaded = Robot.load(DATA / f"{arm}.urdf")

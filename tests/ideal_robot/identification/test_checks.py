@@ -234,6 +234,7 @@ def test_a_single_law_that_nowhere_brakes_ends_in_a_model(law: str) -> None:
     assert np.all(np.abs(model.friction.torque(slow)) < 0.01 * robot().tau_max)
 
 
+@pytest.mark.slow
 def test_the_wrong_sign_is_said_only_where_it_is_wrong() -> None:
     good = record(truth(), np.random.default_rng(7))
     flipped = changed(good, **{f"tau_{j + 1}": -good.columns[f"tau_{j + 1}"] for j in range(6)})
@@ -242,6 +243,7 @@ def test_the_wrong_sign_is_said_only_where_it_is_wrong() -> None:
         assert any("wrong-sign" in text for text in warnings) == wrong
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not PANDA.exists(), reason="measured data (../shared/data/panda) are not there")
 def test_panda_ahead_of_its_authors_without_a_switch() -> None:
     """Published: std(residual) / std(torque) on the second half, positions below 8 Hz, torques below 4 Hz."""

@@ -138,6 +138,7 @@ def test_published_estimates_of_the_emps_axis(law: str, published: dict[str, flo
         assert abs(estimates[name].value - value) < estimates[name].std
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not UR10E.exists(), reason="measured data (../shared/data/ur10e) are not there")
 def test_a_real_arm_better_than_plain_least_squares() -> None:
     """The bounds are what a plain fit with Coulomb and viscous friction reaches on the same recordings."""

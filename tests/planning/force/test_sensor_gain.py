@@ -36,7 +36,7 @@ def pressed(gain: float, rng: np.random.Generator, *, slower: bool) -> SensorGai
     return motors.told
 
 
-@pytest.mark.parametrize("slower", [False, True])
+@pytest.mark.parametrize("slower", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_the_motors_tell_a_sensors_gain(slower: bool) -> None:
     rng = np.random.default_rng(11)
     sound = [pressed(1.0, rng, slower=slower) for _ in range(60)]

@@ -51,6 +51,7 @@ def test_a_sound_camera_is_believed(calibrated: bool, tmp_path: Path) -> None:
         assert run.seen.turned == pytest.approx(np.pi)
 
 
+@pytest.mark.slow
 def test_a_slow_camera_is_waited_for_where_the_line_is_looked_at(tmp_path: Path) -> None:
     """At 10 Hz four pictures fall into the rest above the line; they were too few, whatever they showed."""
     run = followed(load_scene("line").changed(camera={"rate": 10.0}, max_gap=0.25), tmp_path, check=True)

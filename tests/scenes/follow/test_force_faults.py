@@ -137,6 +137,7 @@ def test_a_gain_that_nobody_can_measure_is_said(tmp_path: Path) -> None:
     assert "not measured" in run.job.figures()["force_gain"]["text"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["force_wave", pytest.param("contour", marks=pytest.mark.slow)])
 def test_a_sound_sensor_is_believed(name: str, tmp_path: Path) -> None:
     scene = load_scene(name)

@@ -66,6 +66,7 @@ def test_a_quarter_of_direct_feedback_or_less(wave: ForceResult, before_wave: Pr
     assert wave.figures.rms <= 0.25 * direct.figures.rms
 
 
+@pytest.mark.slow
 def test_the_tip_does_not_plunge_when_the_travel_begins_on_a_stiff_surface() -> None:
     """How the tip gives way while the force rises was taken for a slope of the surface: 35 N of 20 N wanted."""
     result = play(load_scene("force_wave").changed(tip={"stiffness": 2e4, "friction": 0.3}, line={"length": 0.3}),
@@ -151,6 +152,7 @@ def glue() -> Prepared:
     return Prepared(load_scene("glue"))
 
 
+@pytest.mark.slow
 def test_glue_follows_line_and_force_at_once(glue: Prepared) -> None:
     """Mean lateral error ≤ 0.1 mm at 0.3 m/s and RMS force error ≤ 0.9 N at once, on a curved surface."""
     result = play(load_scene("glue"), "ideal", shared=glue)
@@ -193,7 +195,7 @@ def test_glue_survives_a_bad_camera(trouble: dict[str, object]) -> None:
 
 @pytest.mark.parametrize(("changes", "reason"), [
     ({"emergency": {"force": 21.0}}, "above the limit 21.0 N"),
-    ({"surface": {"offset_mm": -70.0}}, "no contact within 50 mm"),
+    pytest.param({"surface": {"offset_mm": -70.0}}, "no contact within 50 mm", marks=pytest.mark.slow),
 ])
 def test_emergency_stops_on_the_path_within_limits(changes: dict[str, object], reason: str, tmp_path: Path) -> None:
     result = run(load_scene("force_wave").changed(**changes), out=tmp_path)  # type: ignore[arg-type]

@@ -186,6 +186,7 @@ def test_two_step_program_is_written_for_people_and_machines(program, tmp_path: 
     assert "PTP" in (tmp_path / "program.txt").read_text()
 
 
+@pytest.mark.slow
 def test_warming_gears_are_seen() -> None:
     robot = Robot.load("kr15")
     world = World.default("kr15").replace(start_temperature=22.0, time_compression=120.0)
@@ -230,6 +231,7 @@ def made(axis: Path, recording: Recording) -> TwinResult:
     return make_twin([recording], str(axis))
 
 
+@pytest.mark.slow
 def test_a_twin_plays_the_recorded_torque(made: TwinResult) -> None:
     np.testing.assert_allclose(made.rms[1], made.rms[0], rtol=0.05)
     assert np.all(made.spectrum < 0.1)

@@ -76,6 +76,7 @@ def followed(scene: LineScene, most: float, **options: Any) -> LineResult:
     return result
 
 
+@pytest.mark.slow
 def test_the_default_world_is_not_kind(ideal: LineResult) -> None:
     world, scene = ideal.world, ideal.scene
     assert world["elasticity"]
@@ -271,6 +272,7 @@ def test_lengths_have_units() -> None:
 
 # The path of [L] 5 in the whole loop: points, polynomial, one measurement; and who chooses the detector.
 
+@pytest.mark.slow
 def test_polynomials_lead_as_well_as_all_their_points() -> None:
     scene = load_scene("gap").changed(world="bench")
     assert scene.measurement == "polynomial"
@@ -290,6 +292,7 @@ def test_the_line_is_followed_with_a_detector_of_opencv_alone() -> None:
         run(short(camera={"detector": "eyes"}))
 
 
+@pytest.mark.slow
 def test_the_error_falls_with_the_horizon_until_it_covers_the_arm_s_lag() -> None:
     scene = on_the_bench().scene.changed(line={"length": 0.6})
     with prepared(scene) as cell:
