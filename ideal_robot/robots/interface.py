@@ -502,9 +502,9 @@ class LinkedRobot(ABC):
         self.answer_times.append(time.perf_counter() - self.arrived)
         self.commanded = q_c
 
+    @abstractmethod
     def _handed_over(self, q_c: Array) -> None:
         """Answers the last packet with a command ``(n,)`` [rad]."""
-        raise NotImplementedError
 
     def _at_rest(self, commanded: Array, measured: Array) -> None:
         """The controller is there and holds the arm: positions ``(n,)`` each [rad]."""

@@ -212,6 +212,10 @@ class RsiRobot(LinkedRobot):
         self._resynchronise(self._step)
         q_c = self._led_back(q_c, self._speed() if self.missed else self._step)
         self.fault = self.fault or self.corrections.unusable(q_c, self.relative)
+        self.commanded = q_c
+        self._handed_over(q_c)
+
+    def _handed_over(self, q_c: Array) -> None:
         position, correction = self._in_force.position, self.corrections.of(q_c)
         if self.relative:
             correction = np.round(self.corrections.between(position, correction), self.form.decimals)
@@ -219,7 +223,6 @@ class RsiRobot(LinkedRobot):
         else:
             correction = np.round(correction, self.form.decimals)
             self._in_force.send(correction)
-        self.commanded = q_c
         self._answer_with(correction)
 
     def receive(self) -> RobotState:
