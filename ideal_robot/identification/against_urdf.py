@@ -243,7 +243,7 @@ class _Rows:
                    least / np.array([one.std for one in noise]), rubs, peaks, shares)
 
     def under(self, i: int, j: int, gravity: tuple[float, float, float]) -> Array:
-        """Products ``[β, own, mean, τ]`` of joint i's equation and column j under a gravity ``(P + K, P + K)``."""
+        """Products of joint i's equation and column j under a gravity: ``[β, own, mean, τ]``, P + _OWN + 2 each way."""
         key = (i, j, gravity)
         if key not in self.cache:
             P, weight, products = self.links, np.array([1.0, *gravity]), self.products[i, j]

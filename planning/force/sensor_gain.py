@@ -63,6 +63,11 @@ class SensorGain:
         return 1.0 / self.inverse if self.inverse > 0.0 else np.inf
 
     @property
+    def shown(self) -> str:
+        """The gain with its standard deviation and its witness, in words."""
+        return f"{self.value:.2f} ± {self.sigma * min(self.value, 9.0) ** 2:.2f} by {self.witness}"
+
+    @property
     def wrong(self) -> bool:
         """Whether a sound sensor would show this once in 10⁵ times."""
         return not ((self.inverse - 1.0) / self.sigma) ** 2 <= chdtri(1, BY_CHANCE)
@@ -82,8 +87,7 @@ class SensorGain:
     def text(self) -> str:
         """In words, with what would pass."""
         least, largest = self.passes
-        return (f"{self.value:.2f} ± {self.sigma * min(self.value, 9.0) ** 2:.2f} by {self.witness}; one from "
-                f"{least:.2f} to {largest:.2f} would pass")
+        return f"{self.shown}; one from {least:.2f} to {largest:.2f} would pass"
 
     def json(self) -> dict[str, float | str]:
         """As plain values."""
@@ -99,9 +103,8 @@ NOT_MEASURED = ("not measured: whatever it is, the surface bears as much more th
 
 def wrong_gain(gain: SensorGain) -> str:
     """What a gain is refused with."""
-    return (f"the force sensor's gain is {gain.value:.2f} ± {gain.sigma * min(gain.value, 9.0) ** 2:.2f} by "
-            f"{gain.witness}, where a sound sensor's is 1; have it calibrated, and check its range, its counts per "
-            "newton and what was stated")
+    return (f"the force sensor's gain is {gain.shown}, where a sound sensor's is 1; have it calibrated, and check its "
+            "range, its counts per newton and what was stated")
 
 
 def gain_by_weight(tool: ToolLoad, mass: float) -> SensorGain:
@@ -201,7 +204,4 @@ class GainByMotors:
         # Where blocks scatter by more than noise makes of them, their scatter counts.
         count = sum(len(x) - 1 for x, *_ in parts) - 1
         sigma = float(np.hypot(np.sqrt(max(squares / max(count, 1), 1.0) / total), LOSSES))
-        return SensorGain(float(kappa), sigma, _MOTORS)
-
-
-_MOTORS = "the motors"
+        return SensorGain(float(kappa), sigma, "the motors")
