@@ -21,6 +21,7 @@ from ideal_robot.elasticity.stiffness_analysis import StiffnessAnalysis, analyse
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import PassThrough
 from ideal_robot.identification.joint_fit import stiffness_from_arm
+from ideal_robot.model.described_arm import Gears
 from ideal_robot.model.model import Model
 from ideal_robot.progress import Steps
 from ideal_robot.signals.recording import Recording
@@ -62,20 +63,20 @@ def close_loop(scene: CloseClampedScene, *, measured: str = "motor", out: Path |
         raise InputError("expected motor (angles and currents alone) or tcp (the wrench at the clamp too)",
                          field="measured", value=measured)
     cell, job = set_up(scene, delay=False), Steps(progress, SHARES)
-    without = dataclasses.replace(cell.model, stiffness=None, damping=None)
+    without = dataclasses.replace(cell.model, gears=None)
     clamp = _Clamp(scene, cell, cast(Method, "wrench" if measured == "tcp" else "motor"))
     job.begin("before")
     before = clamp.play(without)
     done = close(clamp, without, before, rounds=1, out=out, progress=job.part("rounds"))
     job.begin("oracle", "with a tracker, and with the truth")
     moved = cell.play(PassThrough(cell.world.t_ipo), path=training_path(cell.path, cell.world.t_ipo)).recording
-    by_tracker, damping = stiffness_from_arm([moved], cell.model)
+    by_tracker = stiffness_from_arm([moved], cell.model)
     runs = {"before": before, "after": done.run,
-            "tracker": clamp.play(dataclasses.replace(without, stiffness=by_tracker, damping=damping)),
-            "oracle": clamp.play(dataclasses.replace(without, stiffness=clamp.true))}
+            "tracker": clamp.play(dataclasses.replace(without, gears=by_tracker)),
+            "oracle": clamp.play(dataclasses.replace(without, gears=Gears(clamp.true)))}
     job.begin("report")
     plays = {name: played(SOURCES[name], run.errors) for name, run in runs.items()}
-    clamp.stiffness |= {"tracker": by_tracker, "oracle": clamp.true}
+    clamp.stiffness |= {"tracker": by_tracker.stiffness, "oracle": clamp.true}
     more = {"E_car_aligned_mm": {name: play.error for name, play in plays.items()}, "measured": measured,
             "after_over_tracker": plays["after"].error / plays["tracker"].error, "clamped": clamp.analysis.to_dict(),
             "stiffness": {name: [float(k) if np.isfinite(k) else None for k in values]
@@ -113,7 +114,7 @@ class _Clamp(Subject[Play]):
         self.recordings = [_without_wrench(r) for r in recordings] if self._method == "motor" else recordings
         self.analysis = analyse_stiffness(self.recordings, self._robot)
         stiffness = self.stiffness["after"] = stiffness_of(self.analysis, self._robot.n)
-        form = Form("stiffness of all joints", lambda model, _: dataclasses.replace(model, stiffness=stiffness))
+        form = Form("stiffness of all joints", lambda model, _: dataclasses.replace(model, gears=Gears(stiffness)))
         return Found(None, self.recordings[0], (Group((form,)),))
 
     def readings(self, before: Play, after: Play, model: Model) -> list[tuple[Array, Array]]:

@@ -83,7 +83,7 @@ def _not_calibrated(scene: ForceScene) -> tuple[ToolLoad, ContactElasticity]:
 
 
 def _rigid(model: Any) -> Any:
-    return replace(model, stiffness=None, damping=None)
+    return replace(model, gears=None)
 
 
 LINE = (

@@ -26,6 +26,7 @@ import ideal_robot
 import ideal_robot as ir
 import scenes
 from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, Traces
+from ideal_robot.model.described_arm import Gears
 from ideal_robot.model.model import Model
 from ideal_robot.results import Summarised
 from ideal_robot.robots.robot import Robot
@@ -220,13 +221,13 @@ def nominal_model() -> Model:
 def test_a_model_comes_back_with_its_twelve_digits(seed: int) -> None:
     rng, nominal = np.random.default_rng(seed), nominal_model()
     model = dataclasses.replace(nominal, base_values=nominal.base_values * rng.normal(size=nominal.base_values.shape),
-                                stiffness=rng.uniform(1e4, 1e6, nominal.n))
+                                gears=Gears(rng.uniform(1e4, 1e6, nominal.n)))
     with tempfile.TemporaryDirectory() as folder:
         again = Model.load(model.save(Path(folder) / "m.json"))
-    for name in ("base_values", "consistent", "covariance", "noise_std", "stiffness"):
+    for name in ("base_values", "consistent", "covariance", "noise_std", "known_stiffness"):
         assert np.allclose(getattr(again, name), getattr(model, name), rtol=1e-11, atol=0.0), name
     assert np.allclose(again.base.grouping, model.base.grouping, rtol=1e-11, atol=0.0)
-    assert (again.urdf, again.urdf_hash, again.robot_name) == (model.urdf, model.urdf_hash, model.robot_name)
+    assert again.arm == model.arm
     assert again.friction.to_dict() == model.friction.to_dict()
     assert again.base.names == model.base.names
 

@@ -56,11 +56,11 @@ class ArmObserver:
         self._dynamics.armature = np.zeros(model.n)
         self._data = self._dynamics.createData()
         self._T, self._n = T, model.n
-        known = np.full(model.n, np.inf) if model.stiffness is None else np.array(model.stiffness)
+        known = np.full(model.n, np.inf) if model.gears is None else model.gears.rigid_if_unknown
         stiffness = stiffness_with(known, changes)
         self._elastic = np.isfinite(stiffness)
         self._k = np.where(self._elastic, stiffness, 0.0)
-        identified = np.zeros(model.n) if model.damping is None else np.array(model.damping)
+        identified = np.zeros(model.n) if model.gears is None else model.gears.known_damping
         inertia = np.diag(pin.crba(self._dynamics, self._data, pin.neutral(self._dynamics)))
         damping = np.maximum(identified, 2 * LEAST_DAMPING * np.sqrt(self._k * inertia)) * self._elastic
         steps = max(1, round(T / SUBSTEP))
@@ -188,7 +188,7 @@ class GearDeflection:
         self._T = T
         changes = changes_of(model.effects)
         self._chain = chain_with(chain_of(model.dynamics), changes)
-        known = np.full(model.n, np.inf) if model.stiffness is None else np.array(model.stiffness)
+        known = np.full(model.n, np.inf) if model.gears is None else model.gears.rigid_if_unknown
         stiffness = stiffness_with(known, changes)
         self._compliance = np.where(np.isfinite(stiffness), 1.0 / stiffness, 0.0)
         self._bends = bool(self._compliance.any())

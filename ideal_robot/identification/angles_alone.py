@@ -44,7 +44,7 @@ class CommandIdentification(Summarised):
         """What was found of each joint's controller, and what it leaves."""
         law, unit = self.model.command, one_unit(self.model.units("mrad"))
         assert law is not None
-        return [("model", f"{self.model.robot_name!r}: commands of {self.model.n} joints; no torques"),
+        return [("model", f"{self.model.arm.name!r}: commands of {self.model.n} joints; no torques"),
                 ("command minus angle", listed(1e3 * law.deviation, unit)),
                 ("left on held-out data", listed(1e3 * law.residual, unit)),
                 ("not in the recordings", ", ".join(text.partition(":")[0] for text in self.missing))]
@@ -54,12 +54,12 @@ class CommandIdentification(Summarised):
         first = self.recordings[0]
         off = 1e3 * (first.joints(commands_of(first)) - first.joints("q"))
         return over_time(first.t, [(f"joint {j + 1} [{unit}]", [("command minus angle", off[:, j])])
-                                   for j, unit in enumerate(self.model.units("mrad"))], self.model.robot_name)
+                                   for j, unit in enumerate(self.model.units("mrad"))], self.model.arm.name)
 
     def to_dict(self) -> dict[str, Any]:
         """The figures as plain values."""
         model = self.model
-        return plain({"robot": {"name": model.robot_name, "urdf_hash": model.urdf_hash, "joints": model.n},
+        return plain({"robot": {"name": model.arm.name, "urdf_hash": model.arm.urdf_hash, "joints": model.n},
                       "method": model.provenance["method"], "command": command_figures(model),
                       "recordings": model.provenance["recordings"], "warnings": self.warnings,
                       "missing": self.missing})

@@ -20,6 +20,7 @@ from ideal_robot.identification.against_urdf import Finding, contradicting
 from ideal_robot.identification.checks import checked, excitation_warnings, require_distinct, require_motion
 from ideal_robot.identification.joint_fit import JointFit, JointProblem
 from ideal_robot.identification.weighted_least_squares import Solution, prior_of
+from ideal_robot.model.described_arm import DescribedArm
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import Prediction, joined
 from ideal_robot.results import Summarised, listed
@@ -99,7 +100,7 @@ class Identification(Summarised):
         """How well the model explains what was measured."""
         errors = [(title, listed(joined(predictions).relative_error_percent, "%")) for title, predictions in
                   (("error of the torque", self.estimation), ("on what was not used", self.validation)) if predictions]
-        return [("model", f"{self.model.robot_name!r}: {len(self.recordings)} recordings"), *errors,
+        return [("model", f"{self.model.arm.name!r}: {len(self.recordings)} recordings"), *errors,
                 ("warnings", str(len(self.warnings)))]
 
 
@@ -165,7 +166,7 @@ def _model_of(fit: JointFit, robot: Robot, base: BaseParameters, recordings: Seq
     logged = np.std(np.concatenate([r.joints("tau") for r in recordings]), axis=0)
     noise = np.where(fit.counted > 0.0, solution.noise_std, logged)
     return Model(
-        robot.name, robot.description, robot.urdf_hash, base, solution.value[: base.count],
+        DescribedArm.of(robot), base, solution.value[: base.count],
         fit.friction, solution.covariance, fit.consistency.full, noise,
         provenance={
             "method": "joint",

@@ -14,6 +14,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.friction import LAWS, FrictionModel, PerJointFriction, law_of
 from ideal_robot.identification.friction_choice import FrictionChoice, brakes, candidates, with_coefficients
 from ideal_robot.identification.weighted_least_squares import Prior, Solution, weighted_least_squares
+from ideal_robot.model.described_arm import Gears
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import coefficient_columns, shape_columns
 from ideal_robot.robots.robot import Robot
@@ -246,15 +247,15 @@ _PASSED = 20.0
 """Twists are compared with loads up to this frequency at least [Hz]: gears of arms resonate at 10 to 20 Hz."""
 
 
-def stiffness_from_arm(recordings: Sequence[Recording], model: Model) -> tuple[Array, Array]:
+def stiffness_from_arm(recordings: Sequence[Recording], model: Model) -> Gears:
     """Stiffness and damping of each joint, ``k (q_m - q) + d (q̇_m - q̇) = load``, by least squares.
 
     The load is the torque of the links; the rotor's share never passes the gear. An offset between the two angles is
     estimated along with each recording of ``q_i`` and ``qa_i``. Raises InputError where one has no arm angles.
 
     Returns:
-        ``k (n,)`` [N m/rad] and ``d (n,)`` [N m s/rad], both at least zero. A gear that does not give way with its
-        load is rigid: ``inf`` and 0; of one that carries no load nothing is known: NaN.
+        Both are at least zero. A gear that does not give way with its load is rigid, without damping; of one that
+        carries no load nothing is known (NaN).
     """
     # Accelerations of a coarse encoder need the filter that the identification chose: noise in the load would make
     # gears look stiff. Damping shows near the gears' resonance, which must pass.
@@ -282,4 +283,4 @@ def stiffness_from_arm(recordings: Sequence[Recording], model: Model) -> tuple[A
         compliance = float(y @ x / (y @ y))
         k[j] = 1.0 / compliance if compliance > 0.0 else np.inf
         d[j] = max(0.0, float((y - k[j] * x) @ v / (v @ v))) if compliance > 0.0 else 0.0
-    return k, d
+    return Gears(k, d)

@@ -23,6 +23,7 @@ from ideal_robot.identification.checks import checked, excitation_warnings, requ
 from ideal_robot.identification.friction_runs import FrictionFit, choose_law, fit_law
 from ideal_robot.identification.idim import Identification, with_errors
 from ideal_robot.identification.weighted_least_squares import Solution
+from ideal_robot.model.described_arm import DescribedArm
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.channels import alone, runs
@@ -205,7 +206,7 @@ def identify_two_step(recordings: Sequence[Recording], robot: Robot, *, validati
     joint_covariance = _joined(covariance, fits, laws)
     consistency = consistent_parameters(base, values, covariance, nominal)
     model = Model(
-        robot.name, robot.description, robot.urdf_hash, base, values, PerJointFriction(laws),
+        DescribedArm.of(robot), base, values, PerJointFriction(laws),
         joint_covariance, consistency.full, np.zeros(robot.n),
         provenance={"method": "two-step", "recordings": [{"source": r.source, "hash": r.hash} for r in usable],
                     "filters": {"cutoff": _CUTOFF, "cutoff_decimation": signals[0].cutoff_decimation},

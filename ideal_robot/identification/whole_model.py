@@ -79,7 +79,7 @@ class IdentificationResult(Summarised):
     def summary(self) -> list[tuple[str, str]]:
         """What was identified, how well, and what is missing."""
         errors = listed(joined(self.result.estimation).residual_std_percent, "%")
-        return [("model", f"{self.model.robot_name!r}: std(residual)/std(torque) {errors} by joint"),
+        return [("model", f"{self.model.arm.name!r}: std(residual)/std(torque) {errors} by joint"),
                 ("verdicts", ", ".join(f"{verdict.joint} {verdict.verdict}" for verdict in self.verdicts)),
                 ("warnings", str(len(self.warnings))),
                 ("not in the recordings", ", ".join(text.partition(":")[0] for text in self.missing) or "nothing")]
@@ -90,14 +90,14 @@ class IdentificationResult(Summarised):
         return over_time(first.t, [(f"tau_{j + 1} [{unit}]", [("measured", first.measured[:, j]),
                                                               ("model", first.tau[:, j])])
                                    for j, unit in enumerate(self.model.units("N m"))],
-                         f"identified model of {self.model.robot_name}")
+                         f"identified model of {self.model.arm.name}")
 
     def to_dict(self) -> dict[str, Any]:
         """The figures as plain values."""
         model = self.model
         names = iter(short_names([r.source for r in (*self.estimation, *self.validation)]))
         return plain({
-            "robot": {"name": model.robot_name, "urdf_hash": model.urdf_hash, "joints": model.n},
+            "robot": {"name": model.arm.name, "urdf_hash": model.arm.urdf_hash, "joints": model.n},
             "method": model.provenance["method"],
             "verdicts": [verdict.to_dict() for verdict in self.verdicts],
             "parameters": [parameter.to_dict() for parameter in model.parameters],
@@ -123,7 +123,7 @@ class IdentificationResult(Summarised):
             "warm_up": [None if w is None else {"surplus_per_10_K": w.surplus, "std": w.surplus_std,
                                                 "reference_degC": w.reference} for w in self.warm_up],
             "command": None if model.command is None else command_figures(model),
-            "stiffness": model.stiffness,
+            "stiffness": None if model.gears is None else model.gears.stiffness,
             "consistent": {"was": self.result.consistency.was_consistent,
                            "largest_deviation_in_std": float(np.max(np.abs(self.result.consistency.deviation)))},
             "warnings": self.warnings,
@@ -274,8 +274,7 @@ def _with_stiffness(model: Model, recordings: Sequence[Recording]) -> tuple[Mode
     if not recordings:
         return model, [f"stiffness, damping: measured arm angles qa_1 to qa_{model.n} are needed, or recordings of the "
                        "clamped arm (analyse_stiffness); gears count as rigid"]
-    stiffness, damping = stiffness_from_arm(recordings, model)
-    return dataclasses.replace(model, stiffness=stiffness, damping=damping), []
+    return dataclasses.replace(model, gears=stiffness_from_arm(recordings, model)), []
 
 
 def _linear_loop(recordings: Sequence[Recording], robot: Robot, warnings: list[str]) -> LinearLoopFit | None:

@@ -147,7 +147,7 @@ def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> Loop:
     loop = Loop(
         chain,
         Drives(rotor_inertia, np.array(model.offset), np.ones(n), none, _elastic(model, rotor_inertia),
-               np.zeros(n) if model.damping is None else np.array(model.damping), none, np.zeros(n), np.zeros(n)),
+               np.zeros(n) if model.gears is None else model.gears.known_damping, none, np.zeros(n), np.zeros(n)),
         Friction.of(model.friction, robot.v_max),
         Cascade(k_v, k_ff, k_p, k_i, np.clip(controller.k_2 / k_p, 0.0, _LAG_MAX), robot.tau_max),
         CommandPath(low_pass_taps(controller.filter_time, controller.filter_order, robot.t_position, n,
@@ -162,10 +162,10 @@ def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> Loop:
 
 def _elastic(model: Model, rotor_inertia: Array) -> Array:
     """Stiffness ``(n,)`` [N m/rad]; ``inf`` where none is known or the gear cannot be told from a rigid one."""
-    if model.stiffness is None:
+    if model.gears is None:
         return np.full(model.n, np.inf)
-    # An unknown one (NaN) is not below the limit either.
-    return np.where(model.stiffness <= (2 * np.pi * _FASTEST) ** 2 * rotor_inertia, model.stiffness, np.inf)
+    stiffness = model.gears.rigid_if_unknown
+    return np.where(stiffness <= (2 * np.pi * _FASTEST) ** 2 * rotor_inertia, stiffness, np.inf)
 
 
 def cascade_gains(controller: ControllerModel) -> tuple[Array, Array, Array, Array]:

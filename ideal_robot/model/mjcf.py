@@ -143,7 +143,7 @@ def export_mjcf(model: Model, path: str | Path, like: str | Path | None = None) 
 def _spec(library: Any, like: str | Path | None, model: Model) -> tuple[Any, Any]:
     """The editable description and its compiled model."""
     if like is None:
-        spec = library.MjSpec.from_string(without_meshes(model.urdf))
+        spec = library.MjSpec.from_string(without_meshes(model.arm.urdf))
         spec.option.integrator = library.mjtIntegrator.mjINT_IMPLICITFAST
         return spec, spec.compile()
     return _read(library, like)
@@ -334,7 +334,7 @@ def _commented(xml: str, comments: dict[str, str], model: Model) -> str:
                 parent.insert(list(parent).index(child), ET.Comment(f" {comments[child.get('name', '')]} "))
     std = {} if model.controller is None else model.controller.std
     gains = "; ".join(f"{name} ± {', '.join(f'{value:.2g}' for value in values)}" for name, values in std.items())
-    note = f" identified: {model.robot_name}, {model.provenance.get('method', 'idim')}{'; ' + gains if gains else ''} "
+    note = f" identified: {model.arm.name}, {model.provenance.get('method', 'idim')}{'; ' + gains if gains else ''} "
     root.insert(0, ET.Comment(note.replace("--", "-")))
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
@@ -379,7 +379,7 @@ def _unsaid(model: Model, spec: Any, names: list[str]) -> Iterator[str]:
 def urdf_with_dynamics(model: Model) -> str:
     """The URDF with the consistent inertias and ``<dynamics damping friction>`` of each joint."""
     model.require_torques()
-    text = urdf_with_inertials(model.urdf, model.kinematics, model.consistent[: 10 * model.n])
+    text = urdf_with_inertials(model.arm.urdf, model.kinematics, model.consistent[: 10 * model.n])
     root = ET.fromstring(text)
     names = list(model.kinematics.names)[1:]
     for joint in root.findall("joint"):
@@ -431,7 +431,7 @@ def arm_of_mjcf(path: str | Path) -> MujocoArm:
     base = base_parameters(robot.pinocchio)
     friction = PerJointFriction([ViscousCoulomb(np.array([[v], [c]])) for v, c in zip(damping, loss, strict=True)])
     count = base.count + sum(len(law.coefficients) + len(law.shape) for law in friction.laws)
-    model = Model(nominal.robot_name, nominal.urdf, nominal.urdf_hash, base, base.of(full), friction,
+    model = Model(nominal.arm, base, base.of(full), friction,
                   np.zeros((count, count)), full, np.zeros(robot.n),
                   provenance={"method": "MuJoCo model", "file": str(path)})
     springs = [j + 1 for j, joint in enumerate(chain) if np.any(np.atleast_1d(compiled.jnt_stiffness[joint]) != 0.0)]

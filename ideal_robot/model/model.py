@@ -20,17 +20,14 @@ from ideal_robot.effects import MOTOR_TORQUE, FittedEffect, Signals
 from ideal_robot.effects.signals import constant_of_weight
 from ideal_robot.errors import InputError
 from ideal_robot.friction import PerJointFriction
+from ideal_robot.model.described_arm import DescribedArm, Gears
 from ideal_robot.model.model_file import SCHEMA, read_values, require_consistent, urdf_with_inertials, write_values
 from ideal_robot.model.parametrisation import ControllerModel, Parameter, Prediction, described, sensitivity
 from ideal_robot.results import Summarised, plain
 from ideal_robot.robots.robot import Robot, joint_units, unit_in_amperes
-from ideal_robot.robots.urdf import model_of
 from ideal_robot.signals.preprocess import FilteredSignals, evenly_sampled
 from ideal_robot.signals.recording import Recording
 from ideal_robot.whole_file import write_text
-
-_SAME_PLACE = 0.02
-"""What joint placements may differ by [m, or of a direction cosine]: a calibrated URDF is still of the same arm."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -38,9 +35,7 @@ class Model(Summarised):
     """Dynamic model of an arm with ``n`` joints, as written to a model file.
 
     Attributes:
-        robot_name: name of the robot.
-        urdf: text of the URDF it belongs to; kinematics and nominal inertias.
-        urdf_hash: SHA-256 of that file, first 16 hex digits.
+        arm: that it belongs to.
         base: the base parameters and their grouping.
         base_values: their values ``(b,)``.
         friction: friction law of each joint.
@@ -49,16 +44,13 @@ class Model(Summarised):
             inertias, offsets.
         noise_std: standard deviation of the residual on the estimation data ``(n,)`` [N m].
         controller: the joint controllers, or None.
-        stiffness, damping: of the joints ``(n,)`` [N m/rad, N m s/rad], or None; a rigid gear has ``inf``, one that
-            nobody knows NaN.
+        gears: their stiffness and damping, or None.
         effects: what diagnosis added, with the evidence for each.
         command: which command makes the arm move so, behind whatever controller; or None.
         provenance: recordings (source, hash), method, cut-offs, errors, warnings, version.
     """
 
-    robot_name: str
-    urdf: str = field(repr=False)
-    urdf_hash: str
+    arm: DescribedArm
     base: BaseParameters = field(repr=False)
     base_values: Array
     friction: PerJointFriction
@@ -66,24 +58,23 @@ class Model(Summarised):
     consistent: Array = field(repr=False)
     noise_std: Array
     controller: ControllerModel | None = None
-    stiffness: Array | None = None
-    damping: Array | None = None
+    gears: Gears | None = None
     effects: tuple[FittedEffect, ...] = ()
     command: CommandLaw | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("base_values", "covariance", "consistent", "noise_std", "stiffness", "damping"):
-            if getattr(self, name) is not None:
-                array = np.array(getattr(self, name), dtype=float)
-                array.setflags(write=False)
-                object.__setattr__(self, name, array)
+        for name in ("base_values", "covariance", "consistent", "noise_std"):
+            array = np.array(getattr(self, name), dtype=float)
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
 
     def summary(self) -> list[tuple[str, str]]:
         """What it is, and what was added to it."""
-        known = [name for name in ("controller", "stiffness") if getattr(self, name) is not None]
+        known = [name for name, part in (("controller", self.controller), ("stiffness", self.gears))
+                 if part is not None]
         effects = ", ".join(f"{effect.name} of joint {effect.joint}" for effect in self.effects[:6])
-        rows = [("model", f"{self.robot_name!r}: {self.n} joints, {len(self.base_values)} base parameters, "
+        rows = [("model", f"{self.arm.name!r}: {self.n} joints, {len(self.base_values)} base parameters, "
                           f"{' and '.join(known) or 'neither controller nor stiffness'} known"),
                 ("friction", ", ".join(law.label for law in self.friction.laws))]
         return [*rows, ("effects", effects + (", …" if len(self.effects) > 6 else ""))] if effects else rows
@@ -109,23 +100,23 @@ class Model(Summarised):
 
     @property
     def known_stiffness(self) -> Array | None:
-        """``stiffness`` with rigid gears where nobody knows it ``(n,)`` [N m/rad], or None."""
-        return None if self.stiffness is None else np.where(np.isnan(self.stiffness), np.inf, self.stiffness)
+        """Stiffness of the gears, rigid where nobody knows it ``(n,)`` [N m/rad], or None."""
+        return None if self.gears is None else self.gears.rigid_if_unknown
 
     @property
     def known_compliance(self) -> Array | None:
         """Compliance of the gears, zero where nobody knows it ``(n,)`` [rad/(N m)], or None."""
-        return None if self.stiffness is None else np.where(np.isfinite(self.stiffness), 1.0 / self.stiffness, 0.0)
+        return None if self.gears is None else self.gears.compliance
 
     @property
     def offset(self) -> Array:
         """Constant torque offsets ``(n,)`` [N m]."""
         return self._exact[11 * self.n :]
 
-    @cached_property
+    @property
     def kinematics(self) -> pin.Model:
         """Pinocchio model of the URDF with its nominal inertias."""
-        return model_of(self.urdf, f"the URDF in the model of {self.robot_name}")
+        return self.arm.kinematics
 
     @cached_property
     def dynamics(self) -> pin.Model:
@@ -224,7 +215,7 @@ class Model(Summarised):
         Raises InputError for another joint count, missing columns, a recording that is too short.
         """
         if recording.n != self.n:
-            raise InputError(f"the recording has {recording.n} joints, the model of {self.robot_name} has {self.n}",
+            raise InputError(f"the recording has {recording.n} joints, the model of {self.arm.name} has {self.n}",
                              file=recording.source, field="q_i")
         used = self.provenance.get("filters", {})
         even = evenly_sampled(recording, columns=bool(self.effects))
@@ -244,7 +235,7 @@ class Model(Summarised):
         full = np.concatenate([link_parameters(robot.pinocchio), robot.rotor_inertia, np.zeros(n)])
         friction = PerJointFriction.none(n)
         count = base.count + sum(len(law.coefficients) + len(law.shape) for law in friction.laws)
-        return cls(robot.name, robot.description, robot.urdf_hash, base, base.of(full), friction,
+        return cls(DescribedArm.of(robot), base, base.of(full), friction,
                    np.zeros((count, count)), full, np.zeros(n), provenance={"method": "nominal"})
 
     def with_effects(self, effects: tuple[FittedEffect, ...]) -> Model:
@@ -256,26 +247,19 @@ class Model(Summarised):
         if amperes := self.provenance.get("amperes"):
             raise InputError("the parameters of joint" + "s" * (len(amperes) > 1) + f" {', '.join(map(str, amperes))} "
                              "are in amperes; give drive gains (torque_constant in the robot's TOML) and identify "
-                             "again", field="model", value=self.robot_name)
+                             "again", field="model", value=self.arm.name)
 
     def require_arm(self, robot: Robot, *, file: Path | str | None = None) -> None:
         """Raises InputError for a robot that this is no model of: other joints, or joints at other places."""
-        mine, own = self.kinematics.jointPlacements, robot.pinocchio.jointPlacements
-        reason = ""
-        if self.n != robot.n:
-            reason = f"the model of {self.robot_name} has {self.n} joints, the robot {robot.name} has {robot.n}"
-        elif elsewhere := [j for j in range(1, robot.n + 1)
-                           if not np.allclose(mine[j].homogeneous, own[j].homogeneous, atol=_SAME_PLACE)]:
-            reason = f"joint {elsewhere[0]} of the model of {self.robot_name} sits elsewhere than that of {robot.name}"
-        if reason:
-            raise InputError(f"{reason}; give the model that was identified for this arm", file=file, field="model",
-                             value=self.robot_name)
+        if difference := self.arm.difference(robot):
+            raise InputError(f"{difference}; give the model that was identified for this arm", file=file, field="model",
+                             value=self.arm.name)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, as in the model file; non-finite numbers become None, an infinite stiffness ``"inf"``."""
         return plain({
             "schema": SCHEMA,
-            "robot": {"name": self.robot_name, "urdf_hash": self.urdf_hash, "joints": self.n, "urdf": self.urdf},
+            "robot": self.arm.to_dict(),
             "parameters": [parameter.to_dict() for parameter in self.parameters],
             "base": {
                 "full_names": self.base.full_names, "full_units": self.base.full_units,
@@ -287,8 +271,7 @@ class Model(Summarised):
             "consistent": self.consistent,
             "noise_std": self.noise_std,
             "controller": None if self.controller is None else self.controller.to_dict(),
-            "stiffness": None if self.stiffness is None else ["inf" if np.isinf(k) else k for k in self.stiffness],
-            "damping": self.damping,
+            **({"stiffness": None, "damping": None} if self.gears is None else self.gears.to_dict()),
             "effects": [effect.to_dict() for effect in self.effects],
             "command": None if self.command is None else self.command.to_dict(),
             "provenance": self.provenance,
@@ -300,8 +283,7 @@ class Model(Summarised):
         try:
             base = values["base"]
             model = cls(
-                robot_name=values["robot"]["name"], urdf=values["robot"]["urdf"],
-                urdf_hash=values["robot"]["urdf_hash"],
+                arm=DescribedArm(values["robot"]["name"], values["robot"]["urdf"], values["robot"]["urdf_hash"]),
                 base=BaseParameters(tuple(base["full_names"]), tuple(base["full_units"]), tuple(base["independent"]),
                                     np.array(base["grouping"], dtype=float), tuple(base["gravitational"])),
                 base_values=np.array(base["values"], dtype=float),
@@ -310,7 +292,7 @@ class Model(Summarised):
                 consistent=np.array(values["consistent"], dtype=float),
                 noise_std=np.array(values["noise_std"], dtype=float),
                 controller=ControllerModel.from_dict(values["controller"]) if values.get("controller") else None,
-                stiffness=_optional(values.get("stiffness")), damping=_optional(values.get("damping")),
+                gears=Gears.from_dict(values),
                 effects=tuple(FittedEffect.from_dict(entry) for entry in values.get("effects", [])),
                 command=CommandLaw.from_dict(values["command"]) if values.get("command") else None,
                 provenance=dict(values.get("provenance", {})),
@@ -332,8 +314,4 @@ class Model(Summarised):
     def export_urdf(self, path: str | Path) -> Path:
         """Writes the URDF with the physically consistent inertias; what is fixed to a link is merged into it."""
         self.require_torques()
-        return write_text(path, urdf_with_inertials(self.urdf, self.kinematics, self.consistent[: 10 * self.n]))
-
-
-def _optional(values: list[float | str | None] | None) -> Array | None:
-    return None if values is None else np.array([np.nan if v is None else v for v in values], dtype=float)
+        return write_text(path, urdf_with_inertials(self.arm.urdf, self.kinematics, self.consistent[: 10 * self.n]))

@@ -113,7 +113,7 @@ def require_consistent(model: Any, file: Path | str | None = None) -> None:
     _texts(model, file)
     n, b = int(model.kinematics.nv), len(model.base.independent)
     p = _SYMBOLS * n
-    friction, base = model.friction, model.base
+    friction, base, gears = model.friction, model.base, model.gears
     if friction.n != n:
         raise InputError(f"expected the laws of {n} joints, got {friction.n}", file=file, field="friction")
     for j, law in enumerate(friction.laws):
@@ -123,16 +123,16 @@ def require_consistent(model: Any, file: Path | str | None = None) -> None:
     for key, array, shape, finite in (
         ("base.values", model.base_values, (b,), True), ("base.grouping", base.grouping, (b, p), True),
         ("covariance", model.covariance, (count, count), False), ("consistent", model.consistent, (p,), True),
-        ("noise_std", model.noise_std, (n,), False), ("stiffness", model.stiffness, (n,), False),
-        ("damping", model.damping, (n,), False),
+        ("noise_std", model.noise_std, (n,), False), ("stiffness", gears and gears.stiffness, (n,), False),
+        ("damping", gears and gears.damping, (n,), False),
     ):
         if array is not None:
             _array(array, shape, key, file, finite=finite)
     _covariance(model.covariance, file)
     _base(base, n, file)
-    if model.stiffness is not None and np.any(model.stiffness <= 0):
+    if gears is not None and np.any(gears.stiffness <= 0):
         raise InputError("expected positive numbers", file=file, field="stiffness")
-    if model.damping is not None and np.any(model.damping < 0):
+    if gears is not None and np.any(gears.known_damping < 0):
         raise InputError("expected numbers that are not negative", file=file, field="damping")
     if model.controller is not None:
         require_controller(model.controller, n, file)
@@ -142,12 +142,12 @@ def require_consistent(model: Any, file: Path | str | None = None) -> None:
 
 
 def _texts(model: Any, file: Path | str | None) -> None:
-    for key, text in (("robot.name", model.robot_name), ("robot.urdf", model.urdf),
-                      ("robot.urdf_hash", model.urdf_hash)):
+    for key in ("name", "urdf", "urdf_hash"):
+        text = getattr(model.arm, key)
         if not isinstance(text, str):
-            raise InputError("expected a text", file=file, field=key)
-    if not model.robot_name.isprintable() or len(model.robot_name) > 200:
-        raise InputError("expected one printable line", file=file, field="robot.name", value=model.robot_name[:40])
+            raise InputError("expected a text", file=file, field=f"robot.{key}")
+    if not model.arm.name.isprintable() or len(model.arm.name) > 200:
+        raise InputError("expected one printable line", file=file, field="robot.name", value=model.arm.name[:40])
 
 
 def _base(base: BaseParameters, n: int, file: Path | str | None) -> None:

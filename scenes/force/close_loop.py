@@ -97,7 +97,7 @@ class _Force(Subject[ForceResult]):
         (recording,), _ = checked([self.seen(run)], self.robot)
         torque = in_position_band(torque_regression(recording, self.robot, self.known), recording)
         left = dict[str, Array]()
-        for made, _ in force_regressions(recording, None, self.robot, torque, None, self.known.stiffness):
+        for made, _ in force_regressions(recording, None, self.robot, torque, None, self.known.known_stiffness):
             residual = Problem(made).fit([]).residual(made)
             left |= {channel: residual[:, k] * (self.scene.tip.stiffness if unit == "m" else 1.0)
                      for k, (channel, unit) in enumerate(zip(made.channels, made.units, strict=True)) if unit != "N m"}

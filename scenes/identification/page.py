@@ -40,7 +40,7 @@ def identification_page(analysis: IdentificationResult, call: Call = UNKNOWN, ke
     predictions = result.validation if analysis.validation else result.estimation
     errors = joined(predictions).residual_std_percent
     data = "a motion that it was not fitted to" if analysis.validation else "the motion that it was fitted to"
-    page = Report(f"Dynamic model of {model.robot_name}",
+    page = Report(f"Dynamic model of {model.arm.name}",
                   f"Of the torque of {data} the model leaves {np.nanmin(errors):.1f} to {np.nanmax(errors):.1f} %, "
                   "joint by joint (standard deviations of residual and torque).")
     for warning in analysis.warnings:
@@ -89,7 +89,7 @@ def identification_page(analysis: IdentificationResult, call: Call = UNKNOWN, ke
 
 def command_page(analysis: CommandIdentification) -> Report:
     """What commands and angles alone tell of an arm, and what they cannot."""
-    page = Report(f"Commands of {analysis.model.robot_name}", "Which command makes each joint move so, from commands "
+    page = Report(f"Commands of {analysis.model.arm.name}", "Which command makes each joint move so, from commands "
                   "and angles alone. precorrect and play use it; diagnosis needs torques.")
     for warning in analysis.warnings:
         page.warning(warning)

@@ -310,8 +310,8 @@ def _gears(model: Model, robot: Robot, loads: tuple[Array, Array, Array, Array],
         return
     usual = generic_world(robot)
     table["stiffness"], table["damping"] = np.array(usual["stiffness"]), np.array(usual["damping"])
-    if model.stiffness is not None:
-        table["stiffness"] = np.array(model.stiffness)
+    if model.gears is not None:
+        table["stiffness"] = np.array(model.gears.stiffness)
         table["damping"] = 0.14 * np.sqrt(table["stiffness"] * np.maximum(mean - rotor, 0.2 * rotor))
         words[0].append("gears: stiffness identified")
     else:

@@ -181,7 +181,7 @@ class _Line(Subject[LineResult]):
         """How far the seen points lie from one smooth curve ``(N, 1)`` [m]."""
         (recording,), _ = checked([self.seen(run)], self.robot)
         torque = torque_regression(recording, self.robot, self.known)
-        regression = line_regression(recording, self.robot, torque, self.known.stiffness)
+        regression = line_regression(recording, self.robot, torque, self.known.known_stiffness)
         return np.empty(0) if regression is None else regression.y - regression.y.mean(axis=0)
 
     def _kept(self, run: LineResult) -> Array:

@@ -89,7 +89,7 @@ def stiffness_of(model: Model, robot: Robot, q: Array, direction: Array) -> floa
         q: joint angles ``(n,)`` [rad].
         direction: unit vector ``(3,)`` in the base frame.
     """
-    k = np.full(robot.n, np.inf) if model.stiffness is None else np.asarray(model.stiffness, dtype=float)
+    k = np.full(robot.n, np.inf) if model.gears is None else model.gears.rigid_if_unknown
     compliance = float(np.sum(InverseKinematics(robot).torque(q, direction) ** 2 / k))
     return 1.0 / max(compliance, 1.0 / RIGID)
 

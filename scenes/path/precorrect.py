@@ -63,7 +63,7 @@ def robot_of(model: Model, wanted: str | None, file: Path) -> Robot:
         wanted: shipped robot or URDF; None for the one the model names.
         file: the model's, for messages.
     """
-    name = wanted or model.robot_name
+    name = wanted or model.arm.name
     if wanted is None and name not in SHIPPED:
         raise InputError(f"the model is of {name!r}, which is not shipped; give its URDF with --robot", file=file,
                          field="robot", value=name)

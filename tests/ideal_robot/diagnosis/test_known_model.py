@@ -148,7 +148,7 @@ def recorded(model: Model) -> Recording:
     tau = tau + np.random.default_rng(1).normal(0.0, 1.0, tau.shape)
     columns = {"t": t, **{f"q_{i + 1}": q[:, i].copy() for i in range(model.n)},
                **{f"tau_{i + 1}": tau[:, i].copy() for i in range(model.n)}}
-    return Recording(columns, {"robot": model.robot_name})
+    return Recording(columns, {"robot": model.arm.name})
 
 
 OFFSET = FittedEffect("current_offset", 3, "tau_3", (8.0,))

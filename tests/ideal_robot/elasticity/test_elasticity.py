@@ -20,7 +20,12 @@ from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 
 ROBOT, MODEL = Robot.load("kr6"), Model.load(shipped_model("kr6"))
-STIFFNESS = np.asarray(MODEL.stiffness)
+STIFFNESS = np.asarray(MODEL.gears.stiffness)
+
+
+def behind(stiffness: np.ndarray) -> Model:
+    """The arm behind gears of a stiffness ``(n,)`` [N m/rad]."""
+    return replace(MODEL, gears=replace(MODEL.gears, stiffness=stiffness))
 
 
 def test_lowpass_keeps_levels_and_removes_ripple() -> None:
@@ -174,7 +179,7 @@ def test_rigid_gears_lead_the_arm_and_hold_it() -> None:
     """Only joint 2 gives: the motion of its rigid neighbours deflects it, their weight does not."""
     world, elastic = World.default("kr6"), np.arange(6) == 1
     q, q_a = lively(replace(world, stiffness=np.where(elastic, world.per_joint("stiffness", 6), np.inf)))
-    observer = ArmObserver(replace(MODEL, stiffness=np.where(elastic, STIFFNESS, np.inf)), 0.012)
+    observer = ArmObserver(behind(np.where(elastic, STIFFNESS, np.inf)), 0.012)
     before, after = (q - q_a)[40:, 1], (angles(observer, q) - q_a)[40:, 1]
     assert np.std(after) < 0.15 * np.std(before)
     assert np.sqrt(np.mean(after**2)) < 0.05 * np.sqrt(np.mean(before**2))
@@ -186,7 +191,7 @@ def test_rigid_gears_lead_the_arm_and_hold_it() -> None:
 def test_a_gear_too_stiff_for_the_time_step_is_rigid(joint: int, moved: tuple[np.ndarray, np.ndarray]) -> None:
     """1e12 N m/rad is what the fit finds for a gear that does not bend; the others' angles are those beside a rigid."""
     q, own = moved[0][:60], np.arange(1, 7) == joint
-    stiff, rigid = (angles(ArmObserver(replace(MODEL, stiffness=np.where(own, k, STIFFNESS)), 0.012), q)
+    stiff, rigid = (angles(ArmObserver(behind(np.where(own, k, STIFFNESS)), 0.012), q)
                     for k in (1e12, np.inf))
     np.testing.assert_array_equal(stiff, rigid)
 
@@ -194,7 +199,7 @@ def test_a_gear_too_stiff_for_the_time_step_is_rigid(joint: int, moved: tuple[np
 def test_the_stiffer_the_gears_the_less_they_bend(moved: tuple[np.ndarray, np.ndarray]) -> None:
     """Hooke's law up to any stiffness; vibrations may double it."""
     q = moved[0]
-    soft, *stiffer = (np.max(np.abs(angles(ArmObserver(replace(MODEL, stiffness=factor * STIFFNESS), 0.012), q) - q),
+    soft, *stiffer = (np.max(np.abs(angles(ArmObserver(behind(factor * STIFFNESS), 0.012), q) - q),
                              axis=0) for factor in 10.0 ** np.arange(0.0, 6.5, 0.5))
     for i, bent in enumerate(stiffer, start=1):
         assert np.all(bent < 2.0 * soft / 10.0 ** (0.5 * i))

@@ -16,6 +16,7 @@ from ideal_robot.feedforward import arm_of_its_type as arm_of_its_type_module
 from ideal_robot.feedforward.arm_of_its_type import RIPPLE, arm_of_its_type
 from ideal_robot.feedforward.training_motion import training_motion
 from ideal_robot.friction import PerJointFriction
+from ideal_robot.model.described_arm import Gears
 from ideal_robot.model.model import Model
 from ideal_robot.signals.recording import Recording
 from tests.arms import ROBOT, motion
@@ -198,16 +199,16 @@ def test_where_no_bodies_can_be_found_the_model_stays(model: Model, monkeypatch:
 
 def test_links_of_a_soft_arm_move_behind_its_gears(model: Model) -> None:
     """Gears a fifth as stiff, bent by up to half a degree: the very arm is none, and another one's masses are found."""
-    soft = replace(model, stiffness=model.stiffness / 5.0)
+    soft = replace(model, gears=Gears(model.gears.stiffness / 5.0, model.gears.damping))
 
     def recorded_behind_gears(arm: Model) -> Recording:
         t, arm_side, qd, qdd = moved()
-        q = arm_side + arm.rigid_body(arm_side, qd, qdd) / arm.stiffness
+        q = arm_side + arm.rigid_body(arm_side, qd, qdd) / arm.gears.stiffness
         v, a = np.gradient(q, DT, axis=0), np.gradient(np.gradient(q, DT, axis=0), DT, axis=0)
         tau = arm.inverse_dynamics(q, v, a, t=t) - arm.rigid_body(q, v, a) + arm.rigid_body(arm_side, qd, qdd)
         return Recording.from_arrays(t, q=q, tau=tau)
 
-    rigid, unknown = (replace(soft, stiffness=np.where(np.arange(6) == 5, value, soft.stiffness))
+    rigid, unknown = (replace(soft, gears=Gears(np.where(np.arange(6) == 5, value, soft.gears.stiffness)))
                       for value in (np.inf, np.nan))
     of_rigid, of_unknown = (arm_of_its_type(recorded_behind_gears(rigid), model, ROBOT) for model in (rigid, unknown))
     np.testing.assert_array_equal(of_rigid.base_values, of_unknown.base_values)

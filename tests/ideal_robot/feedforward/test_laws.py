@@ -33,6 +33,7 @@ from ideal_robot.feedforward.training import train
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.simulation import simulate
+from ideal_robot.model.described_arm import Gears
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.registry import Registry
@@ -50,8 +51,8 @@ def nominal_model() -> Model:
     controller = ControllerModel(
         t_cycle=0.002, k_p=own.k_p * own.k_v, k_d=own.k_p * own.k_ff, k_1=own.k_p * (own.k_ff - 1),
         k_2=own.k_p * own.t_filter, k_i=own.k_i / own.k_p * 0.002, filter_time=np.full(6, 1.5e-3), filter_order=2)
-    return dataclasses.replace(Model.nominal(ROBOT), controller=controller, stiffness=np.array(loop.drives.stiffness),
-                               damping=np.array(loop.drives.damping))
+    return dataclasses.replace(Model.nominal(ROBOT), controller=controller,
+                               gears=Gears(loop.drives.stiffness, loop.drives.damping))
 
 
 def trained():

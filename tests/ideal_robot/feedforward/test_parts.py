@@ -123,7 +123,7 @@ def test_training_wants_matching_paths():
 
 def test_precorrection_is_the_equations_of_the_paper():
     """[G] (18)–(20) cycle by cycle on a motion of constant acceleration, where the smoothing is exact."""
-    model = dataclasses.replace(nominal_model(), stiffness=None, damping=None)
+    model = dataclasses.replace(nominal_model(), gears=None)
     own = model.controller
     k_p, k_d, k_1, k_2, k_i = own.k_p, own.k_d, own.k_1, own.k_2, own.k_i * T / own.t_cycle
     t = T * np.arange(60)
@@ -145,7 +145,7 @@ def test_precorrection_is_the_equations_of_the_paper():
 
 @pytest.mark.parametrize("speed", [-0.0005, 0.0005, 0.4])
 def test_friction_of_load_that_is_driven_counts_from_the_least_power_on(speed):
-    model = dataclasses.replace(nominal_model(), stiffness=None, damping=None)
+    model = dataclasses.replace(nominal_model(), gears=None)
     driven = model.with_effects([FittedEffect("load_direction_friction", 2, "tau_2", (0.05,))])
     q_d = ROBOT.home + np.array([0.0, speed, 0.0, 0.0, 0.0, 0.0]) * (T * np.arange(80))[:, None]
     torques = []

@@ -203,11 +203,11 @@ def test_the_true_stiffness_comes_back(step: float) -> None:
     if step:
         q = step * np.round(q / step)
     recording = Recording.from_arrays(t, meta={}, q=q, qa=qa, tau=np.zeros_like(q))
-    k, d = stiffness_from_arm([recording], model)
+    gears = stiffness_from_arm([recording], model)
     # The last joints hardly twist: increments are all that is left of them.
     twisting = 4 if step else 6
-    np.testing.assert_allclose(k[:twisting], STIFFNESS[:twisting], rtol=0.1)
-    assert np.all(d >= 0)
+    np.testing.assert_allclose(gears.stiffness[:twisting], STIFFNESS[:twisting], rtol=0.1)
+    assert np.all(gears.known_damping >= 0)
 
 
 def test_a_gear_that_does_not_give_way_is_rigid_and_without_load_none_is_known() -> None:
@@ -219,11 +219,11 @@ def test_a_gear_that_does_not_give_way_is_rigid_and_without_load_none_is_known()
     moving = Recording.from_arrays(t, q=qa - 1e-9 * load, qa=qa, tau=0.0 * qa)
     still = replace(moving, columns={name: np.full_like(values, values[0]) if name != "t" else values
                                      for name, values in moving.columns.items()})
-    k, d = stiffness_from_arm([moving], model)
-    assert np.isinf(k[1])
-    assert d[1] == 0.0
+    gears = stiffness_from_arm([moving], model)
+    assert np.isinf(gears.stiffness[1])
+    assert gears.known_damping[1] == 0.0
     # A vertical axis carries no weight.
-    assert np.isnan(stiffness_from_arm([still], model)[0][0])
+    assert np.isnan(stiffness_from_arm([still], model).stiffness[0])
 
 # Verdicts on identified joints: usable, weak with the motion that would tell, unusable.
 

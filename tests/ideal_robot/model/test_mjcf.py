@@ -94,7 +94,7 @@ def test_friction_keeps_its_numbers_and_deviations_and_a_law_with_more_is_said(t
 def test_what_is_given_is_kept_in_all_else(prefix: str, tmp_path: Path) -> None:
     """Of a file with its base elsewhere, other body frames and a tool body, joints and masses alone are changed."""
     model = plain(Model.load(shipped_model("kr6")), np.random.default_rng(3))
-    spec = mujoco.MjSpec.from_string(without_meshes(model.urdf))
+    spec = mujoco.MjSpec.from_string(without_meshes(model.arm.urdf))
     spec.compiler.fusestatic = False
     for i, joint in enumerate(list(spec.joints)):
         joint.name = f"{prefix}joint_{i + 1}"

@@ -18,6 +18,7 @@ from ideal_robot.feedforward.registry import feedforward
 from ideal_robot.identification.friction_runs import fit_ripple
 from ideal_robot.loop.from_model import cascade_gains, loop_model
 from ideal_robot.model.cascade import CLASS, POSITION_GAIN, SPREAD, Cascade, given_controller
+from ideal_robot.model.described_arm import Gears
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
@@ -155,7 +156,7 @@ def test_precorrection_says_how_far_its_error_reaches() -> None:
 
 def test_a_rigid_gear_is_rigid_and_an_unknown_one_unknown_after_a_round_trip(tmp_path: Path) -> None:
     k = np.array([np.inf, 3.5e5, np.nan, 3e4, 3e4, 1.3e4])
-    again = Model.load(dataclasses.replace(MODEL, stiffness=k).save(tmp_path / "model.json"))
-    np.testing.assert_array_equal(again.stiffness, k)
+    again = Model.load(dataclasses.replace(MODEL, gears=Gears(k)).save(tmp_path / "model.json"))
+    np.testing.assert_array_equal(again.gears.stiffness, k)
     # A gear that nobody knows counts as rigid.
     np.testing.assert_array_equal(np.isinf(loop_model(again, ROBOT).drives.stiffness[:4]), [True, False, True, False])

@@ -121,7 +121,7 @@ def test_shipped_models_predict_their_arm() -> None:
         recording = played(robot, World.default(name), commands, 5)
         assert model.controller is not None
         assert np.all(model.predict(recording).relative_error_percent[:3] < 12.0)
-        assert model.urdf_hash == robot.urdf_hash
+        assert model.arm.urdf_hash == robot.urdf_hash
 
 
 @pytest.mark.slow
@@ -144,7 +144,7 @@ def test_shipped_models_are_made_again(name: str) -> None:
     np.testing.assert_allclose(identified.controller.k_d, shipped.controller.k_d, rtol=0.046)
     np.testing.assert_allclose(identified.controller.k_p * identified.controller.k_i,
                                shipped.controller.k_p * shipped.controller.k_i, rtol=0.01)
-    np.testing.assert_allclose(identified.stiffness, shipped.stiffness, rtol=0.014)
+    np.testing.assert_allclose(identified.gears.stiffness, shipped.gears.stiffness, rtol=0.014)
     for recording in recordings:
         tau = shipped.predict(recording).tau
         error = identified.predict(recording).tau - tau

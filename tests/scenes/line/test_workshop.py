@@ -191,7 +191,7 @@ def test_an_arm_whose_links_swing_behind_their_gears_is_no_other(tool: float) ->
     with prepared(scene) as shared:
         assert shared.recorded is not None
         assert arm_of_its_type(shared.recorded, model, cell.known.robot).effects is model.effects
-        rigid = replace(model, stiffness=None)
+        rigid = replace(model, gears=None)
         assert arm_of_its_type(shared.recorded, rigid, cell.known.robot).effects is not rigid.effects
 
 

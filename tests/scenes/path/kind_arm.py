@@ -17,6 +17,7 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.feedforward.method import Setting
 from ideal_robot.feedforward.registry import method
+from ideal_robot.model.described_arm import Gears
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.robots.robot import Robot
@@ -44,7 +45,7 @@ def model() -> Model:
     controller = ControllerModel(T, k_v * k_p, k_ff * k_p, (k_ff - 1.0) * k_p, WORLD.velocity_filter * k_p, T / time,
                                  np.zeros(n))
     return dataclasses.replace(Model.nominal(ROBOT), controller=controller,
-                               stiffness=WORLD.per_joint("stiffness", n), damping=WORLD.per_joint("damping", n))
+                               gears=Gears(WORLD.per_joint("stiffness", n), WORLD.per_joint("damping", n)))
 
 
 @lru_cache(maxsize=1)

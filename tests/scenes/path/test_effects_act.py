@@ -84,9 +84,9 @@ def fitted(recording: Recording, known: Model, true: FittedEffect) -> FittedEffe
         columns = {name: values for name, values in recording.columns.items() if not name.startswith("qa_")}
         recording = dataclasses.replace(recording, columns=columns)
     torque = torque_regression(recording, arm.ROBOT, known, payload=True)
-    problem = {MOTOR_TORQUE: lambda: torque,
-               ARM_POSITION: lambda: arm_angle_regression(recording, arm.ROBOT, torque, known.stiffness),
-               TCP_POSITION: lambda: tool_regression(recording, arm.ROBOT, torque, known.stiffness)}[true.domain]()
+    about = recording, arm.ROBOT, torque, known.known_stiffness
+    problem = {MOTOR_TORQUE: lambda: torque, ARM_POSITION: lambda: arm_angle_regression(*about),
+               TCP_POSITION: lambda: tool_regression(*about)}[true.domain]()
     assert problem is not None
     shape = problem.filtered.decimate(true.effect.columns(problem.signals, true.joint, true.theta))
     shown = np.flatnonzero(np.any(np.abs(shape) > 1e-12, axis=(0, 1)))
