@@ -155,10 +155,9 @@ def joint_places(chain: Chain, q: Array, joint: int, point: Array) -> Array:
 
 
 @jit(inline="always")
-def _wrenches_on_bodies(chain: Chain, R: Array, p: Array, qd: Array, qdd: Array, gravity: float,
-                        wrench: tuple[Array, Array]) -> None:
-    """Force on each body and moment about its frame's origin, from the base to the last link."""
-    force, moment = wrench
+def _wrenches_on_bodies(chain: Chain, R: Array, p: Array, qd: Array, qdd: Array, gravity: float, force: Array,
+                        moment: Array) -> None:
+    """Writes the force on each body and the moment about its frame's origin, from the base to the last link."""
     # Numbers by themselves rather than vectors: the compiler keeps them in registers.
     w0, w1, w2, d0, d1, d2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     a0, a1, a2 = -gravity * chain.gravity[0], -gravity * chain.gravity[1], -gravity * chain.gravity[2]
@@ -204,10 +203,9 @@ def _wrenches_on_bodies(chain: Chain, R: Array, p: Array, qd: Array, qdd: Array,
 
 
 @jit(inline="always")
-def _torques_of_wrenches(chain: Chain, R: Array, p: Array, qdd: Array, wrench: tuple[Array, Array],
-                         tau: Array) -> None:
-    """Joint torques, from the last link to the base; each joint carries the bodies behind it."""
-    force, moment = wrench
+def _torques_of_wrenches(chain: Chain, R: Array, p: Array, qdd: Array, force: Array, moment: Array, tau: Array
+                         ) -> None:
+    """Writes the joint torques, from the last link to the base; each joint carries the bodies behind it."""
     for i in range(len(qdd) - 1, -1, -1):
         load = force[i] if chain.prismatic[i] > 0.5 else moment[i]
         tau[i] = (chain.axis[i, 0] * load[0] + chain.axis[i, 1] * load[1] + chain.axis[i, 2] * load[2]
@@ -237,9 +235,9 @@ def torque_at(chain: Chain, R: Array, p: Array, qd: Array, qdd: Array, gravity: 
         gravity: factor on the chain's gravity: 1 for all of (5), 0 for the columns of the mass matrix.
         tau: result ``(n,)`` [N m], written to.
     """
-    wrench = np.empty((len(qd), 3)), np.empty((len(qd), 3))
-    _wrenches_on_bodies(chain, R, p, qd, qdd, gravity, wrench)
-    _torques_of_wrenches(chain, R, p, qdd, wrench, tau)
+    force, moment = np.empty((len(qd), 3)), np.empty((len(qd), 3))
+    _wrenches_on_bodies(chain, R, p, qd, qdd, gravity, force, moment)
+    _torques_of_wrenches(chain, R, p, qdd, force, moment, tau)
 
 
 @jit()

@@ -21,6 +21,7 @@ more of those that the model was identified from.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -119,21 +120,28 @@ def _dry(model: Model) -> Array:
     return np.asarray(np.maximum(model.friction.dry, 1e-6))
 
 
-def _behind_gears(s: FilteredSignals, model: Model, friction: Array) -> tuple[Array, Array, Array]:
-    """Position, velocity and acceleration of the arm, each ``(N, n)``, behind its gears as in ``smoothed_window``."""
+class _ArmMotion(NamedTuple):
+    """Positions, velocities and accelerations of the arm, ``(N, n)`` each."""
+
+    q: Array
+    qd: Array
+    qdd: Array
+
+
+def _behind_gears(s: FilteredSignals, model: Model, friction: Array) -> _ArmMotion:
+    """Motion of the arm behind its gears as in ``smoothed_window``."""
     if model.known_stiffness is None:
-        return s.q, s.qd, s.qdd
+        return _ArmMotion(s.q, s.qd, s.qdd)
     transmitted = lowpass(s.tau, s.dt, s.cutoff) - model.rotor_inertia * s.qdd - model.offset - friction
     q = s.q - transmitted / model.known_stiffness
     qd = np.gradient(q, s.dt, axis=0)
-    return q, qd, np.gradient(qd, s.dt, axis=0)
+    return _ArmMotion(q, qd, np.gradient(qd, s.dt, axis=0))
 
 
-def _bodies(s: FilteredSignals, model: Model, arm: tuple[Array, Array, Array], rows: slice) -> Array:
+def _bodies(s: FilteredSignals, model: Model, arm: _ArmMotion, rows: slice) -> Array:
     """What links, which move as the arm does, rotors and offsets count ``(k, n, 12 n)`` [N m]."""
     n = model.n
-    q, qd, qdd = arm
-    counts = full_regressor(model.kinematics, q[rows], qd[rows], qdd[rows])
+    counts = full_regressor(model.kinematics, arm.q[rows], arm.qd[rows], arm.qdd[rows])
     joint = np.arange(n)
     counts[:, joint, 10 * n + joint] = s.qdd[rows]
     return counts

@@ -3,18 +3,42 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ideal_robot.arrays import Array, held
 from ideal_robot.errors import InputError
+from ideal_robot.loop.loop import CommandPath
 from ideal_robot.robots.interface import RobotState
+from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import expect
 
 SETTLE = 0.4
 """Time over which an arm at rest takes up its gears' deflection and its own geometry at the start [s]: less than the
 0.6 s that it rests before a path."""
+
+
+FASTEST = 1.5
+"""Speed of a command at most, over the arm's limit: one that takes the loop's lag off runs ahead while the path
+accelerates, for a moment faster than the arm may move. What is faster than that is no correction of a path."""
+
+
+class CommandLimits(NamedTuple):
+    """Lowest and highest command of each joint, and largest step from one to the next, ``(n,)`` each [rad]."""
+
+    low: Array
+    high: Array
+    step: Array
+
+    @classmethod
+    def of(cls, arm: Robot | CommandPath) -> CommandLimits:
+        """From positions and speeds that an arm may have, and its cycle."""
+        return cls(arm.q_min, arm.q_max, FASTEST * arm.v_max * arm.t_ipo)
+
+    def within(self, commands: Array) -> Array:
+        """Commands ``(…, n)`` [rad] between the lowest and the highest."""
+        return np.clip(commands, self.low, self.high)
 
 
 class Feedforward(ABC):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.feedforward.arm_of_its_type import arm_of_its_type
-from ideal_robot.feedforward.base import Feedforward, PassThrough
+from ideal_robot.feedforward.base import CommandLimits, Feedforward, PassThrough
 from ideal_robot.feedforward.command_adaptation import AdaptedCommand
 from ideal_robot.feedforward.command_inverse import CommandInverse
 from ideal_robot.feedforward.corrected_arm import CorrectedArm, for_arm
@@ -36,7 +36,7 @@ def _corrected(setting: Setting, feedforward: Feedforward) -> Feedforward:
 def _linear(setting: Setting) -> Feedforward:
     robot, q_d = setting.robot, setting.path()
     loop = LinearLoop.of(setting.loop(), np.median(q_d, axis=0))
-    return _corrected(setting, LinearInverse(loop, setting.horizon(HORIZON), limits=(robot.q_min, robot.q_max)))
+    return _corrected(setting, LinearInverse(loop, setting.horizon(HORIZON), limits=CommandLimits.of(robot)))
 
 
 def _linear_printed(setting: Setting) -> Feedforward:
@@ -44,14 +44,14 @@ def _linear_printed(setting: Setting) -> Feedforward:
     motion = setting.plays().sinusoids(setting.path())
     answer = motion - setting.plays().play(PassThrough(robot.t_ipo), motion).errors()
     loop = LinearLoop.identify(motion, answer, robot.t_ipo)
-    return LinearInverse(loop, setting.horizon(HORIZON), limits=(robot.q_min, robot.q_max))
+    return LinearInverse(loop, setting.horizon(HORIZON), limits=CommandLimits.of(robot))
 
 
 def _trained(setting: Setting, weighs_torques: bool = True) -> Feedforward:
     robot, loop = setting.robot, setting.loop()
     motion, q_c = setting.plays().training(setting.path(), loop, setting.progress)
     return train([(motion, q_c)], robot.t_ipo, chain=loop.chain if weighs_torques else None,
-                 limits=(robot.q_min, robot.q_max))
+                 limits=CommandLimits.of(robot))
 
 
 def _inverse(setting: Setting, options: Options = COMPLETE) -> Inverse:

@@ -11,6 +11,7 @@ import pinocchio as pin
 from ideal_robot.arrays import Array, eased, interpolated
 from ideal_robot.dynamics.inverse_kinematics import Tool, newton_step
 from ideal_robot.effects import FittedEffect
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.feedforward.base import SETTLE, Feedforward
 from ideal_robot.model.arm_with_effects import changes_of
 from ideal_robot.robots.interface import RobotState
@@ -40,8 +41,7 @@ class CorrectedArm:
         self._model, normals = robot.pinocchio.copy(), common_normals(robot)
         self._drawn, self._data = robot.pinocchio.createData(), self._model.createData()
         for joint, change in changes:
-            a, d, alpha, theta = change.geometry or (0.0, 0.0, 0.0, 0.0)
-            _displace(self._model, robot, joint, normals[joint - 1], (a, d, alpha, theta + change.zero))
+            _displace(self._model, robot, joint, normals[joint - 1], change)
         self._tool = Tool.of(self._model, robot.tool_id)
 
     def tool(self, q: Array) -> pin.SE3:
@@ -91,16 +91,15 @@ def taken_up(t: Array) -> Array:
     return eased(np.minimum(t / SETTLE, 1.0))
 
 
-def _displace(model: pin.Model, robot: Robot, joint: int, normal: Array,
-              geometry: tuple[float, float, float, float]) -> None:
-    """Moves all that is behind a joint (from 1) in the joint's own frame, by a, d [m], alpha and theta [rad]."""
-    a, d, alpha, theta = geometry
+def _displace(model: pin.Model, robot: Robot, joint: int, normal: Array, change: LoopChange) -> None:
+    """Moves all that is behind a joint (from 1) in the joint's own frame, as a change of its geometry says."""
+    a, d, alpha, theta = change.geometry or (0.0, 0.0, 0.0, 0.0)
     data = robot.pinocchio.createData()
     pin.computeJointJacobians(robot.pinocchio, data, pin.neutral(robot.pinocchio))
     jacobian = pin.getJointJacobian(robot.pinocchio, data, joint, pin.ReferenceFrame.LOCAL)
     column = np.asarray(jacobian).reshape(6, -1)[:, joint - 1]
     axis = column[3:] if np.linalg.norm(column[3:]) > 0.5 else column[:3]
-    moved = pin.SE3(pin.exp3(alpha * normal + theta * axis), a * normal + d * axis)
+    moved = pin.SE3(pin.exp3(alpha * normal + (theta + change.zero) * axis), a * normal + d * axis)
     if joint < model.nv:
         model.jointPlacements[joint + 1] = moved * model.jointPlacements[joint + 1]
     for frame in model.frames:

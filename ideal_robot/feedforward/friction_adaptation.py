@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics, joint_frames, point_mass, torque_at
 from ideal_robot.estimate.recursive import predict, update
-from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.base import FASTEST, Feedforward
 from ideal_robot.feedforward.friction_curve import CurveState, FrictionCurve
 from ideal_robot.feedforward.inverse import Carried, Inverse, InverseState
 from ideal_robot.feedforward.learned_friction import (
@@ -43,7 +43,7 @@ from ideal_robot.feedforward.learned_friction import (
     process_correlation,
     unknown_mass,
 )
-from ideal_robot.feedforward.smoothed_window import CYCLES, Smoothed, noted, smoothed
+from ideal_robot.feedforward.smoothed_window import CYCLES, Smoothed, Window, noted, smoothed
 from ideal_robot.friction.table import Friction, friction_sizes, friction_step, largest_speeds
 from ideal_robot.friction.terms import OWN, SHARED, TERMS, dry_sizes, table_terms, terms_along, with_terms
 from ideal_robot.jit import jit
@@ -63,6 +63,23 @@ _LAG = 2e-2
 """How far arm and motor, or smoothed and measured, may be apart [rad]; what is further is no motion of an arm."""
 
 
+class _Measured(NamedTuple):
+    """Of one cycle: motor angles [rad], motor torques and joint torques of contact [N m], ``(n,)`` each."""
+
+    q: Array
+    tau: Array
+    tau_ext: Array
+
+
+class _Estimate(NamedTuple):
+    """``x``, ``covariance``, ``used`` and ``load`` of ``FrictionFactors``, written to."""
+
+    x: Array
+    covariance: Array
+    used: Array
+    load: Array
+
+
 class FrictionFactors(NamedTuple):
     """What adaptation knows.
 
@@ -74,8 +91,7 @@ class FrictionFactors(NamedTuple):
         friction: of the loop with them, see ``friction.terms.with_terms``.
         load: torque that the gears transmitted in the middle of the last window ``(n,)`` [N m].
         used: measurements that counted, per joint ``(n,)``.
-        window: last measurements, see ``smoothed_window.noted``.
-        rows: measurements in the window.
+        window: last measurements.
         waiting: those that are not yet in it: motor angles, motor torques, joint torques of contact.
         cycle: cycles since the start.
         t: of the last measurement [s]; not a number before the first.
@@ -88,9 +104,8 @@ class FrictionFactors(NamedTuple):
     friction: Friction
     load: Array
     used: Array
-    window: Array
-    rows: int = 0
-    waiting: tuple[tuple[Array, Array, Array], ...] = ()
+    window: Window
+    waiting: tuple[_Measured, ...] = ()
     cycle: int = 0
     t: float = np.nan
 
@@ -145,7 +160,7 @@ class FrictionAdaptation:
         self._known = _Known(
             loop.chain, loop.drives, loop.friction, np.zeros(3) if tool is None else tool, spacing,
             table_terms(loop.friction, loop.path.v_max), dry,
-            np.stack([largest_speeds(loop.path.v_max), 1.5 * loop.path.v_max]),
+            np.stack([largest_speeds(loop.path.v_max), FASTEST * loop.path.v_max]),
             _APPARENT * loop.cascade.k_p * loop.t_ipo,
             0.0 if tool is None else unknown_mass(dry),
             noise_variance(dry, self._apart * spacing, noise_std), process_correlation(self._apart * spacing))
@@ -156,11 +171,11 @@ class FrictionAdaptation:
         n = self.loop.n
         p = n * _OWN + _COMMON
         return FrictionFactors(np.zeros(p), np.eye(p), np.zeros((n, TERMS)), 0.0, self._known.friction,
-                               np.zeros(n), np.zeros(n), np.zeros((3, CYCLES, n)))
+                               np.zeros(n), np.zeros(n), Window.empty(n))
 
     def begun(self, state: FrictionFactors) -> FrictionFactors:
         """What is known, without the last measurements: before another motion, or after a hole in this one."""
-        return state._replace(rows=0, waiting=(), cycle=0, t=np.nan)
+        return state._replace(window=state.window._replace(rows=0), waiting=(), cycle=0, t=np.nan)
 
     def more(self, friction: Friction, values: Array) -> Friction:
         """Friction of the loop with further values of friction's terms ``(n, TERMS)``."""
@@ -186,49 +201,47 @@ class FrictionAdaptation:
             state = self.begun(state)
         waiting = state.waiting
         if state.cycle % self._every == 0:
-            waiting = (*waiting, (q, tau, self._still if tau_ext is None else tau_ext))
+            waiting = (*waiting, _Measured(q, tau, self._still if tau_ext is None else tau_ext))
         if len(waiting) == self._apart:
-            return self._with_window(state, np.array(waiting), measured.t)
+            return self._with(state, np.array(waiting), measured.t)
         return state._replace(waiting=waiting, cycle=state.cycle + 1, t=measured.t)
 
-    def _with_window(self, state: FrictionFactors, measured: Array, t: float) -> FrictionFactors:
-        x, covariance, used = state.x.copy(), state.covariance.copy(), state.used.copy()
-        load, window = state.load.copy(), state.window.copy()
-        values, mass, friction = state.values, state.mass, state.friction
-        further = self._further(state, measured) if self.loop.terms else self._still
-        rows, informed = _told(self._known, (window, state.rows, measured), further, (x, covariance, used, load))
-        if informed:
-            values, mass, friction = _applied(self._known, x)
-        return FrictionFactors(x, covariance, values, mass, friction, load, used, window, rows, (), state.cycle + 1, t)
+    def _with(self, state: FrictionFactors, measured: Array, t: float) -> FrictionFactors:
+        """What is known after measurements ``(m, 3, n)``, the last one at time ``t`` [s]."""
+        drives, friction = self.loop.drives, self.loop.friction
+        window = noted(state.window, measured, drives, friction, state.load, self._known.spacing)
+        state = state._replace(window=window, waiting=(), cycle=state.cycle + 1, t=t)
+        if window.rows < CYCLES:
+            return state
+        own = _Estimate(state.x.copy(), state.covariance.copy(), state.used.copy(), state.load.copy())
+        informed = _learned(self._known, window, self._further(window) if self.loop.terms else self._still, own)
+        state = state._replace(**own._asdict())
+        if not informed:
+            return state
+        values, mass, friction = _applied(self._known, own.x)
+        return state._replace(values=values, mass=mass, friction=friction)
 
-    def _further(self, state: FrictionFactors, measured: Array) -> Array:
-        """Torque of further effects in the middle of the window that measurements make ``(n,)`` [N m]."""
-        loop, window, spacing = self.loop, state.window.copy(), self._known.spacing
-        noted(window, state.rows, measured, (loop.drives, loop.friction), state.load, spacing)
-        motion = smoothed(window, loop.drives, spacing)
+    def _further(self, window: Window) -> Array:
+        """Torque of further effects in the middle of a full window ``(n,)`` [N m]."""
+        loop = self.loop
+        motion = smoothed(window, loop.drives, self._known.spacing)
         rigid = inverse_dynamics(loop.chain, motion.q, motion.v, motion.a)
         sliding = np.sign(motion.motor_v)
         return np.asarray(further_torque(loop, np.zeros(1), motion.q, motion.v, motion.motor_a, rigid, sliding)[0])
 
 
 @jit()
-def _told(known: _Known, measured: tuple[Array, int, Array], further: Array,
-          state: tuple[Array, Array, Array, Array]) -> tuple[int, bool]:
-    """Takes measurements into the window, and counts it; measurements in it now, and whether any joint told something.
+def _learned(known: _Known, window: Window, further: Array, estimate: _Estimate) -> bool:
+    """Updates the estimate by a full window; whether any joint showed its friction in it.
 
-    The window in ``measured`` (as of ``smoothed_window.noted``) and ``state``, ``x``, ``covariance``, ``used`` and
-    ``load`` of ``FrictionFactors``, are written to; ``further (n,)`` [N m] is the torque of further effects in the
-    middle of the window.
+    ``further (n,)`` [N m] is the torque of further effects in the middle of the window.
     """
-    window, (x, covariance, used, load) = measured[0], state
-    rows, informed = noted(window, measured[1], measured[2], (known.drives, known.friction), load, known.spacing), False
-    if rows < CYCLES:
-        return rows, informed
-    motion, n = smoothed(window, known.drives, known.spacing), window.shape[2]
+    x, covariance, load, n = estimate.x, estimate.covariance, estimate.load, len(further)
+    motion, informed = smoothed(window, known.drives, known.spacing), False
     speed = motion.motor_v[0]
     for i in range(n):
-        if abs(speed[i]) > known.v_max[1, i] or abs(window[0, CYCLES // 2, i] - motion.q[0, i]) > _LAG:
-            return rows, informed
+        if abs(speed[i]) > known.v_max[1, i] or abs(window.q[CYCLES // 2, i] - motion.q[0, i]) > _LAG:
+            return False
     R, p, torques = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((3, n))
     joint_frames(known.chain, motion.q[0], R, p)
     torque_at(known.chain, R, p, motion.v[0], motion.a[0], 1.0, torques[0])
@@ -247,9 +260,9 @@ def _told(known: _Known, measured: tuple[Array, int, Array], further: Array,
         residual, accelerating = _row(known, motion, torques, i, z, h)
         variance = known.variance[i] + (_ACCELERATING * accelerating) ** 2
         if update(x, covariance, h, residual - further[i] / known.drives.gain[i], variance):
-            used[i] += 1.0
+            estimate.used[i] += 1.0
             informed = True
-    return rows, informed
+    return informed
 
 
 @jit()
@@ -339,9 +352,10 @@ class AdaptedIdeal(Feedforward):
         if self.curve is not None and curve is not None:
             friction = self.adaptation.more(friction, self.curve.values(curve))
         if self.adapted is not None:
-            friction = friction._replace(
-                sizes=np.where(self.adapted[:, None, None, None], friction.sizes, identified.sizes),
-                per_load=np.where(self.adapted[:, None], friction.per_load, identified.per_load))
+            fields = [np.array(values) for values in friction]
+            for values, own in zip(fields, identified, strict=True):
+                values[~self.adapted] = own[~self.adapted]
+            friction = Friction(*fields)
         return friction
 
     def observe(self, state: AdaptedState, measured: RobotState) -> AdaptedState:

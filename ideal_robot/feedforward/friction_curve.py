@@ -108,6 +108,21 @@ class _Known(NamedTuple):
     correlation: float
 
 
+class _Cycles(NamedTuple):
+    """Some cycles; the first row is of the cycle before them.
+
+    Attributes:
+        v, direction: planned velocities [rad/s] and directions of sliding ``(c, n)``.
+        x: parameters that the plans knew ``(c, n, p)``.
+        error: following errors ``(c, n)`` [rad].
+    """
+
+    v: Array
+    direction: Array
+    x: Array
+    error: Array
+
+
 class FrictionCurve:
     """Friction and inertia of every joint from its following error, against the loop's controller and dry friction."""
 
@@ -182,25 +197,25 @@ class FrictionCurve:
         else:
             errors.insert(0, state.error)
         x, covariance, integral = state.x.copy(), state.covariance.copy(), state.integral.copy()
-        _learned(self._known, np.array([plan.v for plan in now]), np.array([plan.direction for plan in now]),
-                 (np.array([plan.x for plan in now]), np.array(errors)), (x, covariance, integral))
+        cycles = _Cycles(np.array([plan.v for plan in now]), np.array([plan.direction for plan in now]),
+                         np.array([plan.x for plan in now]), np.array(errors))
+        _learned(self._known, cycles, x, covariance, integral)
         return CurveState(x, covariance, self._inertia(x), plans, (), errors[-1], integral, strayed)
 
 
 @jit()
-def _cycle(known: _Known, v_before: Array, plan: tuple[Array, Array, Array], errors: tuple[Array, Array],
-           integral: Array, together: Array) -> None:
-    """Adds what one cycle says of joints that slide; ``integral`` and ``together`` are written to.
+def _cycle(known: _Known, cycles: _Cycles, row: int, integral: Array, together: Array) -> None:
+    """Adds what the cycle of a row says of joints that slide; ``integral`` and ``together`` are written to.
 
-    Of ``plan`` there are velocities, direction of sliding and what it knew, of ``errors`` those of the cycle before and
-    of this one. Over the cycles in which a joint told something ``together (n, p + 2)`` sums what the parameters count,
-    the torque, and how many they were.
+    Over the cycles in which a joint told something ``together (n, p + 2)`` sums what the parameters count, the torque,
+    and how many they were.
     """
-    v, direction, used = plan
+    v, v_before, direction, used = cycles.v[row], cycles.v[row - 1], cycles.direction[row], cycles.x[row]
     n, p, T = len(integral), used.shape[1], known.t_ipo
     h = np.zeros(p)
     for i in range(n):
-        step = errors[0][i] - errors[1][i] - 0.5 * T * known.k_v[i] * (errors[0][i] + errors[1][i])
+        before, now = cycles.error[row - 1, i], cycles.error[row, i]
+        step = before - now - 0.5 * T * known.k_v[i] * (before + now)
         torque = known.k_p[i] * step / T + integral[i] + 0.5 * known.k_i[i] * step
         integral[i] += known.k_i[i] * step
         if abs(direction[i]) < SLIDES or abs(v[i]) < SLOWEST * known.v_max[i]:
@@ -220,18 +235,12 @@ def _cycle(known: _Known, v_before: Array, plan: tuple[Array, Array, Array], err
 
 
 @jit()
-def _learned(known: _Known, v: Array, direction: Array, told: tuple[Array, Array], state: tuple[Array, Array, Array]
-             ) -> None:
-    """Counts the mean of some cycles; ``state``, of ``x``, ``covariance`` and ``integral``, is written to.
-
-    The first row of velocities, directions and what is ``told``, what plans knew and following errors, is of the cycle
-    before.
-    """
-    (used, errors), (x, covariance, integral) = told, state
+def _learned(known: _Known, cycles: _Cycles, x: Array, covariance: Array, integral: Array) -> None:
+    """Updates ``x``, ``covariance`` and ``integral`` of ``CurveState`` by the mean of some cycles."""
     n, p = x.shape
     together = np.zeros((n, p + 2))
-    for k in range(1, len(v)):
-        _cycle(known, v[k - 1], (v[k], direction[k], used[k]), (errors[k - 1], errors[k]), integral, together)
+    for row in range(1, len(cycles.v)):
+        _cycle(known, cycles, row, integral, together)
     for i in range(n):
         count = together[i, -1]
         predict(x[i], covariance[i], known.correlation)

@@ -36,7 +36,7 @@ import numpy as np
 from ideal_robot.arrays import Array, interpolated
 from ideal_robot.dynamics.newton_euler import inverse_dynamics, inverse_dynamics_with_point
 from ideal_robot.errors import InputError
-from ideal_robot.feedforward.base import SETTLE, Feedforward
+from ideal_robot.feedforward.base import SETTLE, CommandLimits, Feedforward
 from ideal_robot.feedforward.command_path import command_path_inverse
 from ideal_robot.feedforward.path_operators import Operators, spline_operators
 from ideal_robot.friction.table import Friction, directions_along, friction_along
@@ -176,6 +176,21 @@ class InverseState:
     cycle: int
 
 
+class _Motion(NamedTuple):
+    """Angles, velocities and accelerations of the motors at the fine instants, ``(f, n)`` each [rad, rad/s, rad/s²]."""
+
+    q: Array
+    v: Array
+    a: Array
+
+
+class _Planned(NamedTuple):
+    """Velocity-loop error and motor torque, ``(n,)`` each [rad/s, N m]."""
+
+    u: Array
+    tau: Array
+
+
 class Carried(NamedTuple):
     """A mass [kg] at a place of the last joint's frame ``(3,)`` [m]."""
 
@@ -209,7 +224,7 @@ class Inverse(Feedforward):
         self._gap = drives.half_gap if options.elastic else np.zeros(loop.n)
         self._gaps = bool(self._gap.any())
         self._lag = loop.cascade.t_filter + 0.5 * loop.path.t_velocity
-        self._step_max = 1.5 * loop.path.v_max * loop.t_ipo
+        self._limits = CommandLimits.of(loop.path)
 
     @classmethod
     def of(cls, model: Model, robot: Robot, n_d: int | None = 30, *, delay: int | None = None,
@@ -282,30 +297,29 @@ class Inverse(Feedforward):
         rubbing, force = friction_along(friction, v_m, gear, steps, state.force)
         direction = directions_along(friction, v_m, steps, state.direction)
         further = further_torque(loop, state.cycle * self.t_ipo + grid.fine, q_m, v_m, a_m, gear, direction)
-        q_c, u, tau = self._command(state, (q_m, v_m, a_m), smooth + rubbing, further)
+        q_c, planned = self._command(state, _Motion(q_m, v_m, a_m), smooth + rubbing, further)
         k = grid.last
         # Half a step on from the middle of the last one; as printed there is one instant, which is its own end.
         reached = q_m[k] + 0.5 * grid.step * v_m[k] if self.options.path else q_m[k]
         return q_c, InverseState(np.concatenate([state.q_d[1:], q_d[:1]]), np.concatenate([state.q_c[1:], q_c[None]]),
-                                 u, tau, reached, v_m[k], direction[k], force[k], state.deflection, state.cycle + 1)
+                                 planned.u, planned.tau, reached, v_m[k], direction[k], force[k], state.deflection,
+                                 state.cycle + 1)
 
-    def _command(self, state: InverseState, motion: tuple[Array, Array, Array], acting: Array, further: Array
-                 ) -> tuple[Array, Array, Array]:
-        """The command ``(n,)`` [rad], and u and τ one cycle on, for the motors' motion and the torques it takes."""
+    def _command(self, state: InverseState, motors: _Motion, acting: Array, further: Array) -> tuple[Array, _Planned]:
+        """The command ``(n,)`` [rad], and what is planned one cycle on, for the motors' motion and torques it takes."""
         loop, path = self.loop, self.loop.path
         if self.options.path:
-            signal, u, tau = _position_loop_signal(loop.drives, loop.cascade, motion, (acting, further), self._lag,
-                                                   path.t_position, loop.steps_ipo, (state.u, state.tau))
-            q_c = _command(self._inverse.wanted, signal, self._inverse.past, state.q_c, self._step_max, path.q_min,
-                           path.q_max)
-            return q_c, u, tau
-        (q, qd, qdd), gains, T = (rows[0] for rows in motion), self._printed, self.t_ipo
+            signal, planned = _position_loop_signal(loop.drives, loop.cascade, motors, acting, further, self._lag,
+                                                    path.t_position, loop.steps_ipo, _Planned(state.u, state.tau))
+            q_c = _command(self._inverse.wanted, signal, self._inverse.past, state.q_c, self._limits)
+            return q_c, planned
+        (q, qd, qdd), gains, T = (rows[0] for rows in motors), self._printed, self.t_ipo
         ripple = np.array([ripple_torque(loop.drives.ripple, i, float(angle)) for i, angle in enumerate(q)])
         tau = loop.drives.gain * (acting[0] + ripple) + further[0]
         u = (tau - state.tau + state.u) / (1.0 + gains.k_i)
         before = state.q_c[-1] - state.q_m
         correction = (u + gains.k_d * before / T - gains.k_1 * qd - gains.k_2 * qdd) / (gains.k_p + gains.k_d / T)
-        return np.clip(q + correction, path.q_min, path.q_max), u, tau
+        return self._limits.within(q + correction), _Planned(u, tau)
 
     def _checked(self, q_d: Array) -> Array:
         """A horizon's positions ``(n_d, n)``; InputError where they are none."""
@@ -357,48 +371,44 @@ def _printed_gains(cascade: Cascade, T: float) -> _PrintedGains:
 
 
 @jit()
-def _command(wanted: Array, signal: Array, past: Array, q_c: Array, step_max: Array, q_min: Array, q_max: Array
-             ) -> Array:
+def _command(wanted: Array, signal: Array, past: Array, q_c: Array, limits: CommandLimits) -> Array:
     """The command ``(n,)`` [rad] that makes the position loop see its signal ``(N, n)``, within the limits."""
-    command = np.empty(len(q_min))
-    for i in range(len(q_min)):
+    command = np.empty(len(limits.low))
+    for i in range(len(command)):
         ahead, behind = 0.0, 0.0
         for j in range(wanted.shape[1]):
             ahead += wanted[i, j] * signal[j, i]
         for j in range(past.shape[1]):
             behind += past[i, j] * q_c[j, i]
         before = q_c[len(q_c) - 1, i]
-        within = min(max(ahead + behind, before - step_max[i]), before + step_max[i])
-        command[i] = min(max(within, q_min[i]), q_max[i])
+        within = min(max(ahead + behind, before - limits.step[i]), before + limits.step[i])
+        command[i] = min(max(within, limits.low[i]), limits.high[i])
     return command
 
 
 @jit()
-def _position_loop_signal(drives: Drives, cascade: Cascade, motion: tuple[Array, Array, Array],
-                          torques: tuple[Array, Array], lag: Array, t_position: float, steps: int,
-                          before: tuple[Array, Array]) -> tuple[Array, Array, Array]:
-    """The signal ``k_v r + k_ff ṙ`` the position loop must see, and the recursions' values one cycle on.
+def _position_loop_signal(drives: Drives, cascade: Cascade, motors: _Motion, acting: Array, further: Array, lag: Array,
+                          t_position: float, steps: int, before: _Planned) -> tuple[Array, _Planned]:
+    """The signal ``k_v r + k_ff ṙ`` that the position loop must see ``(f, n)``, and what is planned one cycle on.
 
-    ``motion`` is that of the motors; ``torques`` the motor torque with friction, without ripple, and that of other
-    effects, all ``(m, n)``; ``before`` the recursions' values u and τ.
+    ``acting`` is the motor torque with friction, without ripple, ``further`` that of other effects, ``(f, n)`` [N m].
     """
-    (q_m, v_m, a_m), (acting, further), (u0, tau0) = motion, torques, before
-    N, n = q_m.shape
+    N, n = acting.shape
     signal = np.empty((N, n))
-    u_next, tau_next = u0.copy(), tau0.copy()
+    u_next, tau_next = before.u.copy(), before.tau.copy()
     k_p, k_i = cascade.k_p, cascade.k_i
     for i in range(n):
-        u, tau = u0[i], tau0[i]
+        u, tau = before.u[i], before.tau[i]
         half = 0.5 * k_i[i] * t_position
         for j in range(N):
-            v = v_m[j, i]
-            wanted = drives.gain[i] * (acting[j, i] + ripple_torque(drives.ripple, i, q_m[j, i])) + further[j, i]
+            q, v = motors.q[j, i], motors.v[j, i]
+            wanted = drives.gain[i] * (acting[j, i] + ripple_torque(drives.ripple, i, q)) + further[j, i]
             # [G] (18) with the trapezoidal rule: k_p Δu + k_i T (u + u_before)/2 = Δτ.
             u = (wanted - tau + u * (k_p[i] - half)) / (k_p[i] + half)
             tau = wanted
             # [G] (19), half a position cycle back to the instant at which the position is compared.
-            measured = v - lag[i] * a_m[j, i]
-            signal[j, i] = u + measured + cascade.k_v[i] * (q_m[j, i] - 0.5 * t_position * v)
+            measured = v - lag[i] * motors.a[j, i]
+            signal[j, i] = u + measured + cascade.k_v[i] * (q - 0.5 * t_position * v)
             if j == steps - 1:
                 u_next[i], tau_next[i] = u, tau
-    return signal, u_next, tau_next
+    return signal, _Planned(u_next, tau_next)

@@ -18,7 +18,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.base import CommandLimits, Feedforward
 from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.loop import Loop
 from ideal_robot.loop.simulation import simulate
@@ -83,15 +83,14 @@ class Learned(Summarised):
 
 
 def learn(play: Callable[[Array], Array], q_c: Array, law: LearningLaw, *, iterations: int = 4,
-          limits: tuple[Array, Array] | None = None, step_max: Array | None = None) -> Learned:
+          limits: CommandLimits | None = None) -> Learned:
     """Plays and corrects a path; raises InputError where path and law differ in length.
 
     Args:
         play: plays commands ``(N, n)`` and returns the errors ``q_d - q (N, n)`` [rad] at the same instants.
         q_c: commands to start from ``(N, n)`` [rad].
         law, iterations: makes corrections out of errors; number of learning steps.
-        limits: lowest and highest command ``(n,)`` each [rad].
-        step_max: largest change of a command from one cycle to the next ``(n,)`` [rad].
+        limits: of commands; None for none.
     """
     if len(q_c) != law.length:
         raise InputError(f"the learning law is made for {law.length} cycles", field="q_c", value=len(q_c))
@@ -100,11 +99,7 @@ def learn(play: Callable[[Array], Array], q_c: Array, law: LearningLaw, *, itera
         return float(np.sqrt(np.mean(error**2)))
 
     def safe(commands: Array) -> Array:
-        if limits is not None:
-            commands = np.clip(commands, *limits)
-        if step_max is not None:
-            commands = _slew(commands, step_max)
-        return commands
+        return commands if limits is None else _slew(limits.within(commands), limits.step)
 
     best = np.array(q_c)
     error = play(best)
@@ -141,16 +136,16 @@ def learn_on_model(loop: Loop, q_d: Array, q_c: Array | None = None) -> Learned:
     law = LearningLaw(LinearLoop.of(loop, q_d[len(q_d) // 2]), len(q_d),
                       smoothness=SMOOTHNESS_ON_MODEL)
     return learn(lambda commands: np.asarray(q_d - simulate(loop, commands).q_a[:-1]), start, law,
-                 iterations=8, limits=(loop.path.q_min, loop.path.q_max), step_max=1.5 * loop.path.v_max * loop.t_ipo)
+                 iterations=8, limits=CommandLimits.of(loop.path))
 
 
-def _slew(commands: Array, step_max: Array) -> Array:
-    """Commands whose steps are at most ``step_max``; unchanged where they are."""
-    if np.all(np.abs(np.diff(commands, axis=0)) <= step_max):
+def _slew(commands: Array, step: Array) -> Array:
+    """Commands whose steps are at most ``step``; unchanged where they are."""
+    if np.all(np.abs(np.diff(commands, axis=0)) <= step):
         return commands
     limited = commands.copy()
     for k in range(1, len(limited)):
-        limited[k] = np.clip(limited[k], limited[k - 1] - step_max, limited[k - 1] + step_max)
+        limited[k] = np.clip(limited[k], limited[k - 1] - step, limited[k - 1] + step)
     return limited
 
 

@@ -14,8 +14,9 @@ from __future__ import annotations
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.feedforward.base import CommandLimits
 from ideal_robot.feedforward.training import Windowed
-from ideal_robot.loop.impulse_response import LinearLoop, least_squares
+from ideal_robot.loop.impulse_response import LinearLoop, Measurement, least_squares
 
 _PAST, _BANDWIDTH = 8, 3.0
 """Cycles before now that are used too, and corner frequency of desired paths [Hz]: above, the inverse need not be
@@ -29,10 +30,10 @@ class LinearInverse(Windowed):
 
     Args:
         loop, n_d: the linear closed loops, and the horizon; it has to cover their delay and rise.
-        limits: lowest and highest command ``(n,)`` each [rad]; None for none.
+        limits: of commands; None for none.
     """
 
-    def __init__(self, loop: LinearLoop, n_d: int = 30, *, limits: tuple[Array, Array] | None = None) -> None:
+    def __init__(self, loop: LinearLoop, n_d: int = 30, *, limits: CommandLimits | None = None) -> None:
         self.t_ipo, self.n_d, self.past, self.limits = loop.t_ipo, n_d, _PAST, limits
         self.weights = np.column_stack([_preview_weights(g, n_d, _BANDWIDTH * loop.t_ipo) for g in loop.g.T])
 
@@ -62,12 +63,13 @@ def _preview_weights(g: Array, n_d: int, corner: float) -> Array:
     # Weights act on differences to q_d(k), so each moves weight from lag 0 of the direct path.
     smooth_direct, smooth_wanted = np.convolve(direct, shape), np.convolve(wanted, shape)
     moves = smooth - smooth_direct[:, None]
-    measured = [(moves, smooth_wanted - smooth_direct, _REGULARISATION * float(np.linalg.norm(smooth_wanted)))]
+    measured = [Measurement(moves, smooth_wanted - smooth_direct,
+                            _REGULARISATION * float(np.linalg.norm(smooth_wanted)))]
     # Constant velocity and constant acceleration shall pass without error: first and second moment of the whole.
     for order in (1, 2):
         moment = lags.astype(float) ** order / 10.0**order
         row, target = moment @ (series - direct[:, None]), -moment @ direct
-        measured.append((row[None], np.array([target]), 1e-3 * _REGULARISATION))
-    weights = least_squares(*measured, (np.eye(count), np.zeros(count), 1.0))
+        measured.append(Measurement(row[None], np.array([target]), 1e-3 * _REGULARISATION))
+    weights = least_squares(*measured, Measurement(np.eye(count), np.zeros(count), 1.0))
     weights[_PAST] = 0.0
     return np.asarray(weights)

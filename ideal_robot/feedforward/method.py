@@ -11,7 +11,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.base import CommandLimits, Feedforward
 from ideal_robot.feedforward.friction_at_work import FrictionAtWork
 from ideal_robot.feedforward.learning import Learned, LearningLaw, Playback, learn
 from ideal_robot.feedforward.training_motion import training_motion
@@ -114,8 +114,7 @@ class Practice:
             return self.play(Playback(commands, robot.t_ipo), q_d).errors()
 
         law = LearningLaw(LinearLoop.of(loop, np.median(q_d, axis=0)), len(q_d))
-        return learn(attempt, q_d, law, iterations=ITERATIONS, limits=(robot.q_min, robot.q_max),
-                     step_max=1.5 * robot.v_max * robot.t_ipo)
+        return learn(attempt, q_d, law, iterations=ITERATIONS, limits=CommandLimits.of(robot))
 
 
 class Needs(IntEnum):

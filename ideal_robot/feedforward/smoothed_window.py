@@ -37,6 +37,25 @@ _SLOPE = np.convolve(_MEAN, [-1.0, 0.0, 1.0]) / 2.0
 _BEND = np.convolve(_MEAN, [1.0, -2.0, 1.0])
 
 
+class Window(NamedTuple):
+    """The last measurements, the newest one last.
+
+    Attributes:
+        q, tau, force: motor angles [rad], torques that act [N m], presliding states [N m], ``(CYCLES, n)`` each.
+        rows: how many of them have been measured.
+    """
+
+    q: Array
+    tau: Array
+    force: Array
+    rows: int
+
+    @classmethod
+    def empty(cls, n: int) -> Window:
+        """Nothing measured yet of ``n`` joints."""
+        return cls(np.zeros((CYCLES, n)), np.zeros((CYCLES, n)), np.zeros((CYCLES, n)), 0)
+
+
 class Smoothed(NamedTuple):
     """In the middle of the window, each ``(1, n)``.
 
@@ -57,52 +76,48 @@ class Smoothed(NamedTuple):
 
 
 @jit()
-def noted(window: Array, rows: int, measured: Array, loop: tuple[Drives, Friction], load: Array, spacing: float
-          ) -> int:
-    """Takes measurements into a window ``(3, CYCLES, n)``: motor angles, torque that acts, presliding state.
-
-    Returns measurements in it now; after one that is not finite it starts anew.
+def noted(window: Window, measured: Array, drives: Drives, friction: Friction, load: Array, spacing: float) -> Window:
+    """The window with further measurements; after one that is not finite it starts anew.
 
     Args:
-        window, rows: written to, the newest comes last; measurements in it.
+        window: before; it is not written to.
         measured: motor angles, motor torques that are read, joint torques of contact, oldest first ``(m, 3, n)``.
-        loop: drives and friction of the identified loop.
+        drives, friction: of the identified loop.
         load: torque that the gears transmitted when it was last known ``(n,)`` [N m].
         spacing: time between measurements [s].
     """
-    drives, friction = loop
+    angles, torques, forces, rows = window.q.copy(), window.tau.copy(), window.force.copy(), window.rows
     for q, tau, tau_ext in measured:
         if not (np.isfinite(q).all() and np.isfinite(tau).all()):
             rows = 0
             continue
         for i in range(len(q)):
-            for kind in range(3):
-                for k in range(CYCLES - 1):
-                    window[kind, k, i] = window[kind, k + 1, i]
-            step = q[i] - window[0, -1, i]
-            window[0, -1, i] = q[i]
-            window[1, -1, i] = tau[i] / drives.gain[i] + tau_ext[i] - ripple_torque(drives.ripple, i, q[i])
-            window[2, -1, i] = (friction_step(friction, i, step / spacing, load[i], window[2, -1, i], step)[1]
-                                if rows > 0 else 0.0)
+            for k in range(CYCLES - 1):
+                angles[k, i], torques[k, i], forces[k, i] = angles[k + 1, i], torques[k + 1, i], forces[k + 1, i]
+            step = q[i] - angles[-1, i]
+            angles[-1, i] = q[i]
+            torques[-1, i] = tau[i] / drives.gain[i] + tau_ext[i] - ripple_torque(drives.ripple, i, q[i])
+            forces[-1, i] = (friction_step(friction, i, step / spacing, load[i], forces[-1, i], step)[1]
+                             if rows > 0 else 0.0)
         rows += 1
-    return rows
+    return Window(angles, torques, forces, rows)
 
 
 @jit()
-def smoothed(window: Array, drives: Drives, spacing: float) -> Smoothed:
+def smoothed(window: Window, drives: Drives, spacing: float) -> Smoothed:
     """Motion and torque in the middle of a window.
 
     Args:
-        window: of ``noted``, ``(3, CYCLES, n)``.
+        window: full.
         drives: of the identified loop.
         spacing: time between measurements [s].
     """
-    count, n = window.shape[1], window.shape[2]
+    count, n = window.q.shape
     rows, T = np.zeros((7, 1, n)), spacing
     for i in range(n):
         for k in range(1, count - 1):
-            q, tau, force = window[0, k, i], window[1, k, i], window[2, k, i]
-            a = (window[0, k + 1, i] - 2.0 * q + window[0, k - 1, i]) / (T * T)
+            q, tau, force = window.q[k, i], window.tau[k, i], window.force[k, i]
+            a = (window.q[k + 1, i] - 2.0 * q + window.q[k - 1, i]) / (T * T)
             arm = q - (tau - drives.rotor_inertia[i] * a - force - drives.offset[i]) / drives.stiffness[i]
             value, slope, bend = _VALUE[k - 1], _SLOPE[k - 1] / T, _BEND[k - 1] / (T * T)
             rows[0, 0, i] += value * arm

@@ -21,8 +21,8 @@ import numpy as np
 from ideal_robot.arrays import Array, held
 from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics
 from ideal_robot.errors import InputError
-from ideal_robot.feedforward.base import Feedforward
-from ideal_robot.loop.impulse_response import least_squares
+from ideal_robot.feedforward.base import CommandLimits, Feedforward
+from ideal_robot.loop.impulse_response import Measurement, least_squares
 
 _SIGN_SPEED = 2e-3
 """Speed at which the sign terms have turned over [rad/s]; a bare sign would chatter on the noise of a resting path."""
@@ -73,11 +73,11 @@ class Windowed(Feedforward):
 
     Attributes:
         past: cycles before now.
-        limits: lowest and highest command ``(n,)`` each [rad]; None for none.
+        limits: of commands; None for none.
     """
 
     past: int
-    limits: tuple[Array, Array] | None
+    limits: CommandLimits | None
 
     def init(self, q0: Array) -> Array:
         """See ``Feedforward.init``."""
@@ -90,7 +90,7 @@ class Windowed(Feedforward):
             rows = held(rows, after=self.n_d - len(q_d))
         q_c = self.weighed(rows)
         if self.limits is not None:
-            q_c = np.clip(q_c, *self.limits)
+            q_c = self.limits.within(q_c)
         return q_c, np.concatenate([state[1:], q_d[:1]])
 
     @abstractmethod
@@ -108,11 +108,11 @@ class Trained(Windowed):
         lags: what the rows belong to, in ascending order of ``l``, without 0 for r and s.
         t_ipo: cycle [s].
         chain: rigid body whose torques are weighed; None for [G] (12), (13) proper.
-        limits: lowest and highest command ``(n,)`` each [rad].
+        limits: of commands; None for none.
     """
 
     def __init__(self, weights: Array, lags: Lags, t_ipo: float, *, chain: Chain | None = None,
-                 limits: tuple[Array, Array] | None = None) -> None:
+                 limits: CommandLimits | None = None) -> None:
         signs = lags.past + lags.ahead
         self.r, self.s, self.w = np.split(weights, [signs, signs + lags.sign_past + lags.sign_ahead])
         self.lags, self.t_ipo, self.chain, self.limits = lags, t_ipo, chain, limits
@@ -126,7 +126,7 @@ class Trained(Windowed):
 
 
 def train(paths: Sequence[tuple[Array, Array]], t_ipo: float, *, chain: Chain | None = None,
-          limits: tuple[Array, Array] | None = None) -> Trained:
+          limits: CommandLimits | None = None) -> Trained:
     """Fits the weights of [G] (12) or (13) to learned commands, by least squares.
 
     Raises InputError for no path, or commands and desired positions of different shape.
@@ -159,8 +159,8 @@ def train(paths: Sequence[tuple[Array, Array]], t_ipo: float, *, chain: Chain | 
         # Prior: position weights of order 1, friction's and torque's share of the command of order a milliradian.
         prior = np.concatenate([np.ones(positions_count), np.full(signs_count, 1e-3),
                                 np.full(torque_count, 1e-3 / torque_scale[i])])
-        weights[:, i] = least_squares((whole[:, :, i], learned[:, i], _NOISE),
-                                      (np.diag(1.0 / prior), np.zeros(size), 1.0))
+        weights[:, i] = least_squares(Measurement(whole[:, :, i], learned[:, i], _NOISE),
+                                      Measurement(np.diag(1.0 / prior), np.zeros(size), 1.0))
     return Trained(weights, lags, t_ipo, chain=chain, limits=limits)
 
 

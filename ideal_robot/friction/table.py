@@ -78,9 +78,8 @@ def braking(sizes: Array) -> None:
 def distance_with(friction: Friction, sizes: Array) -> Array:
     """Presliding distance ``(n,)`` [rad] where friction has other sizes.
 
-    What falls with speed (Stribeck) holds the contacts at rest for longer, it makes none: they are as stiff as before,
-    and bend further (LuGre: the bristles' stiffness is a constant). What is there at all speeds presses more of them
-    together, and the distance stays.
+    The contacts are as stiff as before, D(0)/d, and bend further where they hold more (LuGre: the bristles' stiffness
+    is a constant). Load is another thing: it presses more of them together, and the distance stays.
 
     Args:
         friction: before.
@@ -88,13 +87,10 @@ def distance_with(friction: Friction, sizes: Array) -> Array:
     """
     distance = friction.distance.copy()
     for i in range(len(distance)):
-        still, falls = 0.0, 0.0
-        for side in range(2):
-            before, now = friction.sizes[i, side, :, 0], sizes[i, side, :, 0]
-            still += before[0]
-            falls += (now[0] - now[len(now) - 1]) - (before[0] - before[len(before) - 1])
-        if still > 0.0 and falls > 0.0:
-            distance[i] *= 1.0 + falls / still
+        before = friction.sizes[i, 0, 0, 0] + friction.sizes[i, 1, 0, 0]
+        now = sizes[i, 0, 0, 0] + sizes[i, 1, 0, 0]
+        if before > 0.0 and now > 0.0:
+            distance[i] *= now / before
     return distance
 
 

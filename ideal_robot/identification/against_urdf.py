@@ -235,12 +235,13 @@ class _Rows:
         shares = _in_round_steps(recording.joints("tau")[:, live])
         white = [ColouredNoise.of_autocovariance(np.r_[one**2, np.zeros(ORDER)]) for one in least]
         own_torque = np.eye(n, dtype=bool) & live
-        first = cls(_products(X, y, white, P, own_torque), n, P, live, len(y), np.ones(n), rubs, peaks, shares)
+        first = cls(products=_products(X, y, white, P, own_torque), n=n, links=P, live=live, count=len(y),
+                    least=np.ones(n), rubs=rubs, peaks=peaks, shares=shares)
         left = first.left(X, y)
         # The colour is that of what the recording leaves as it claims to be; the sizes are each hypothesis' own.
         noise = [ColouredNoise.fit(left[:, j], np.ones(len(y), dtype=bool)) for j in range(n)]
-        return cls(_products(X, y, noise, P, np.ones((n, n), dtype=bool) & live), n, P, live, len(y),
-                   least / np.array([one.std for one in noise]), rubs, peaks, shares)
+        return replace(first, products=_products(X, y, noise, P, np.ones((n, n), dtype=bool) & live),
+                       least=least / np.array([one.std for one in noise]), cache={})
 
     def under(self, i: int, j: int, gravity: tuple[float, float, float]) -> Array:
         """Products of joint i's equation and column j under a gravity: ``[β, own, mean, τ]``, P + _OWN + 2 each way."""

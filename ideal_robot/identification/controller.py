@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import optimize
@@ -84,7 +85,7 @@ def identify_controller(recordings: Sequence[Recording], t_cycle: float,
     spread = {name: std[i].tolist() for i, name in enumerate(("k_p", "k_d", "k_1", "k_2", "k_i"))}
     model = ControllerModel(t_cycle, k_p=gains[0], k_d=gains[1], k_1=gains[2], k_2=gains[3], k_i=k_i,
                             filter_time=np.zeros(n), delay=delay, std=spread)
-    longest = max(by_recording[0], key=lambda stretch: len(stretch[0].t))
+    longest = max(by_recording[0], key=lambda stretch: len(stretch.recording.t))
     shown = _series(longest, t_cycle, delay)[0]
     direct, drifting = _direct(longest, t_cycle, gains)
     count = min(len(shown.t), len(drifting))
@@ -101,11 +102,18 @@ class _Gains:
     error_percent: Array
 
 
-def _gains(stretches: Sequence[tuple[Recording, bool]], without_integrator: Sequence[tuple[Recording, bool]],
+class _Stretch(NamedTuple):
+    """A part of a recording without a gap, and whether the recording begins with it, at rest."""
+
+    recording: Recording
+    first: bool
+
+
+def _gains(stretches: Sequence[_Stretch], without_integrator: Sequence[_Stretch],
            t_cycle: float, delay: float) -> _Gains:
     series, pd_series = ([part for stretch in some for part in _series(stretch, t_cycle, delay)]
                          for some in (stretches, without_integrator))
-    n = stretches[0][0].n
+    n = stretches[0].recording.n
     gains, std, error = np.empty((5, n)), np.empty((5, n)), np.empty(n)
     for j in range(n):
         joint = _Joint(series, j)
@@ -134,12 +142,12 @@ def _require_signals(recordings: Sequence[Recording], without_integrator: Sequen
         require_changes([recording.joints("tau") for recording in those], "tau", those[0].source)
 
 
-def _command_delay(stretches: Sequence[tuple[Recording, bool]], t_cycle: float) -> tuple[float, float]:
+def _command_delay(stretches: Sequence[_Stretch], t_cycle: float) -> tuple[float, float]:
     """The delay of the command with which the simulated controllers come closest to the torque, and its σ [s]."""
     def squares(delay: float) -> tuple[Array, Array]:
         """Squared errors over the torque's squares, and over how many samples that tell news ``(n,)`` each."""
         series = [_series(stretch, t_cycle, delay, offsets=False)[0] for stretch in stretches]
-        joints = [_Joint(series, j) for j in range(stretches[0][0].n)]
+        joints = [_Joint(series, j) for j in range(stretches[0].recording.n)]
         errors = np.array([min(_simulation(joint, k, None).error_percent ** 2 for k in np.geomspace(0.02, 0.8, 8))
                            for joint in joints])
         return errors, np.array([joint.news for joint in joints])
@@ -184,7 +192,7 @@ class _Series:
     tau: Array
 
 
-def _series(stretch: tuple[Recording, bool], t_cycle: float, delay: float, offsets: bool = True) -> list[_Series]:
+def _series(stretch: _Stretch, t_cycle: float, delay: float, offsets: bool = True) -> list[_Series]:
     """Means over cycles of ``t_cycle``; one series for each offset of the faster samples, or the first of them alone.
 
     Inputs change within a cycle. Averaged over it, the difference quotient of (16) *is* the derivative, and torque and
@@ -192,7 +200,7 @@ def _series(stretch: tuple[Recording, bool], t_cycle: float, delay: float, offse
     later by ``delay`` [s], that of its low-pass. Where a stretch does not begin at rest, the delayed command of the
     first cycle is not known, and that cycle is left out.
     """
-    recording, first = stretch
+    recording, first = stretch.recording, stretch.first
     step, every = in_cycle(recording, t_cycle)
     begin = slice(0 if first else every, None)
     t, q, tau = recording.t[begin], recording.joints("q", begin), recording.joints("tau", begin)
@@ -215,9 +223,9 @@ def _series(stretch: tuple[Recording, bool], t_cycle: float, delay: float, offse
             for i in range(count)]
 
 
-def _stretches(recording: Recording, t_cycle: float) -> list[tuple[Recording, bool]]:
-    """Stretches without a gap, of three cycles at least, and whether the recording begins with it, at rest."""
-    return [(part, part.t[0] < recording.t[0] + t_cycle)
+def _stretches(recording: Recording, t_cycle: float) -> list[_Stretch]:
+    """Stretches without a gap, of three cycles at least."""
+    return [_Stretch(part, part.t[0] < recording.t[0] + t_cycle)
             for part in gap_free(recording, (commanded(recording), "q", "tau"), 3 * in_cycle(recording, t_cycle)[1])]
 
 
@@ -280,13 +288,13 @@ def _slope(joint: _Joint, k_i: float) -> Array:
     return np.asarray((_simulation(joint, k_i + h, None).gains - _simulation(joint, k_i - h, None).gains) / (2.0 * h))
 
 
-def _direct(stretch: tuple[Recording, bool], t_cycle: float, gains: Array) -> tuple[Array, Array]:
+def _direct(stretch: _Stretch, t_cycle: float, gains: Array) -> tuple[Array, Array]:
     """k_I by least squares from one step of (17) to the next, and the torque it leads to: what [G] warns of.
 
     Signals are sampled once a cycle and differentiated backwards, as the interpolation cycle sees them:
     ``τ(k) - τ(k-1) - u(k) + u(k-1) = k_I u(k)``. Returns ``k_I (n,)`` and the torque ``(N, n)`` at the cycles' ends.
     """
-    recording, first = stretch
+    recording, first = stretch.recording, stretch.first
     _, every = in_cycle(recording, t_cycle)
     rows = slice(every if first else 2 * every, None, every)
     q_d, q, tau = (recording.joints(name, rows) for name in (commanded(recording), "q", "tau"))

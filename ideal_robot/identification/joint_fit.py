@@ -134,7 +134,7 @@ class JointProblem:
     def _solved(self, W: Array, nonnegative: np.ndarray | None, variance: Array | None, *,
                 correlated: bool = True) -> Solution:
         start = np.concatenate([self._prior.start, np.zeros(W.shape[2] - self._base.count)])
-        return weighted_least_squares(W, self._y, (start, self._prior.padded(W.shape[2])), nonnegative=nonnegative,
+        return weighted_least_squares(W, self._y, start, self._prior.padded(W.shape[2]), nonnegative=nonnegative,
                                       segments=self._segments if correlated else None, variance=variance,
                                       regions=self._regions)
 
@@ -193,7 +193,7 @@ class JointProblem:
         information = self._prior.padded(joined.shape[2])
         information[-1, -1] = 1.0 / _LAG**2
         # At the optimum the linearised problem has the residual for its measurement and none but the lag for its step.
-        linear = weighted_least_squares(joined, solution.residual, (np.zeros(joined.shape[2]), information),
+        linear = weighted_least_squares(joined, solution.residual, np.zeros(joined.shape[2]), information,
                                         segments=self._segments, regions=self._regions)
         bent = linear.value[:-1]
         none = np.zeros(len(shape), dtype=bool)

@@ -56,7 +56,7 @@ class Solution:
     at_bound: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
 
-def weighted_least_squares(W: Array, y: Array, known: tuple[Array, Array], *, segments: Array | None = None,
+def weighted_least_squares(W: Array, y: Array, start: Array, information: Array, *, segments: Array | None = None,
                            nonnegative: np.ndarray | None = None, variance: Array | None = None,
                            regions: Sequence[np.ndarray] = ()) -> Solution:
     """Solves ``y = W p + e`` with one noise level per channel, estimated from the residual (IDIM-WLS).
@@ -64,8 +64,8 @@ def weighted_least_squares(W: Array, y: Array, known: tuple[Array, Array], *, se
     Args:
         W: ``(M, n, P)`` observation matrix per sample.
         y: ``(M, n)`` measurements; a channel that is NaN throughout takes no part.
-        known: values ``(P,)`` that directions without excitation keep, and what is known of the parameters about these
-            beforehand: an inverse covariance ``(P, P)``.
+        start: values ``(P,)`` that directions without excitation keep.
+        information: what is known of the parameters about these beforehand: an inverse covariance ``(P, P)``.
         segments: ``(M,)`` number of the recording each sample comes from: what residuals of one have in common from
             sample to sample widens the covariance. They are taken for white if None.
         nonnegative: ``(P,)`` parameters that may not be negative.
@@ -74,7 +74,6 @@ def weighted_least_squares(W: Array, y: Array, known: tuple[Array, Array], *, se
         regions: rows at which the motion is alike: what the model class lacks there does not average out over time, and
             what regions disagree about widens the covariance.
     """
-    start, information = known
     live = np.asarray(~np.isnan(y).all(axis=0))
     y = np.where(live, y, 0.0)
     W = W * live[:, None]

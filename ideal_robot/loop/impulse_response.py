@@ -8,6 +8,7 @@ Everything the linear methods do — predicting, inverting, learning — works w
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,15 +18,21 @@ from ideal_robot.loop.loop import Loop
 from ideal_robot.loop.simulation import simulate
 
 
-def least_squares(*measured: tuple[Array, Array, float]) -> Array:
+class Measurement(NamedTuple):
+    """``z = H x + noise``: matrix ``H (r, size)``, values ``z (r,)``, and the noise's standard deviation."""
+
+    H: Array
+    z: Array
+    sigma: float
+
+
+def least_squares(*measurements: Measurement) -> Array:
     """The unknowns ``x (size,)`` that measurements make likeliest; of smallest norm where they tell nothing.
 
-    Args:
-        measured: each of matrix ``H (r, size)``, values ``z (r,)`` of ``z = H x + noise``, and the noise's standard
-            deviation. A prior is a measurement like any other.
+    A prior is a measurement like any other.
     """
-    rows = np.concatenate([H / sigma for H, _, sigma in measured])
-    return np.asarray(np.linalg.lstsq(rows, np.concatenate([z / sigma for _, z, sigma in measured]), rcond=None)[0])
+    rows = np.concatenate([one.H / one.sigma for one in measurements])
+    return np.asarray(np.linalg.lstsq(rows, np.concatenate([one.z / one.sigma for one in measurements]), rcond=None)[0])
 
 
 @dataclass(frozen=True)
@@ -119,6 +126,7 @@ class LinearLoop:
                 raise InputError("the joint hardly moves; give it a sinusoid of some degrees", field=f"q_c_{i + 1}")
             padded = np.concatenate([np.zeros(length), moved])
             rows = np.column_stack([padded[length - lag : length - lag + N] for lag in range(delay, length + 1)])
-            g[delay:, i] = least_squares((second, np.zeros(len(second)), prior * np.sqrt(N)),
-                                         (np.ones((1, count)), np.ones(1), 1e-6), (rows, answer, prior))
+            g[delay:, i] = least_squares(
+                Measurement(second, np.zeros(len(second)), prior * np.sqrt(N)),
+                Measurement(np.ones((1, count)), np.ones(1), 1e-6), Measurement(rows, answer, prior))
         return cls(g / g.sum(axis=0), t_ipo)

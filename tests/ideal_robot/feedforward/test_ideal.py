@@ -9,7 +9,7 @@ import pytest
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.execution.precorrect import precorrect
-from ideal_robot.feedforward.base import PassThrough
+from ideal_robot.feedforward.base import CommandLimits, PassThrough
 from ideal_robot.feedforward.corrected_arm import CorrectedArm, ForCorrectedArm
 from ideal_robot.feedforward.inverse import Inverse, Options
 from ideal_robot.feedforward.learning import LearningLaw, Playback, learn, learn_on_model
@@ -242,7 +242,7 @@ def test_commands_stay_within_position_and_speed_limits():
     low, high = q_d.min(axis=0) - 0.004, q_d.max(axis=0) + 0.004
     step = 1.02 * np.max(np.abs(np.diff(q_d, axis=0)), axis=0)
     law = LearningLaw(LinearLoop.of(loop, ROBOT.home), len(q_d))
-    done = learn(player(loop, q_d), q_d, law, limits=(low, high), step_max=step)
+    done = learn(player(loop, q_d), q_d, law, limits=CommandLimits(low, high, step))
     for q_c in done.kept:
         assert np.all((q_c >= low) & (q_c <= high))
         assert np.all(np.abs(np.diff(q_c, axis=0)) <= step * (1 + 1e-9))

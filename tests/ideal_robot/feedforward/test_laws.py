@@ -13,7 +13,7 @@ import pytest
 
 from ideal_robot.arrays import eased
 from ideal_robot.errors import InputError
-from ideal_robot.feedforward.base import Feedforward, PassThrough
+from ideal_robot.feedforward.base import CommandLimits, Feedforward, PassThrough
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal
 from ideal_robot.feedforward.inverse import AHEAD, PRINTED, Inverse, Options
 from ideal_robot.feedforward.learning import Playback
@@ -41,7 +41,7 @@ from ideal_robot.robots.robot import Robot
 from tests.arms import ROBOT, T, commands, motion, plant
 from tests.sources import MODELS
 
-LIMITS = ROBOT.q_min, ROBOT.q_max
+LIMITS = CommandLimits.of(ROBOT)
 
 
 def nominal_model() -> Model:

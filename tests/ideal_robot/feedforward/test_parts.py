@@ -17,7 +17,7 @@ from ideal_robot.feedforward.inverse import AHEAD, PRINTED, Inverse
 from ideal_robot.feedforward.joint_errors import AXES, joint_errors, pose_errors
 from ideal_robot.feedforward.linear_inverse import LinearInverse
 from ideal_robot.feedforward.path_operators import spline_operators
-from ideal_robot.feedforward.smoothed_window import CYCLES, Smoothed, noted, smoothed
+from ideal_robot.feedforward.smoothed_window import CYCLES, Smoothed, Window, noted, smoothed
 from ideal_robot.feedforward.training import train
 from ideal_robot.loop.from_model import cascade_gains, loop_model
 from ideal_robot.loop.impulse_response import LinearLoop
@@ -252,11 +252,11 @@ def test_it_takes_the_lag_off_the_arm():
 
 def seen(loop, q, tau, force=None):
     """Motion and torque in the middle of measurements ``(CYCLES, n)``; presliding as they say, or of a state."""
-    window = np.zeros((3, CYCLES, loop.n))
     measured = np.stack([q, tau, np.zeros_like(q)], axis=1)
-    assert noted(window, 0, measured, (loop.drives, loop.friction), np.zeros(loop.n), T) == CYCLES
+    window = noted(Window.empty(loop.n), measured, loop.drives, loop.friction, np.zeros(loop.n), T)
+    assert window.rows == CYCLES
     if force is not None:
-        window[2] = force
+        window.force[:] = force
     return Smoothed(*(values[0] for values in smoothed(window, loop.drives, T)))
 
 
@@ -299,5 +299,5 @@ def test_a_hole_starts_the_window_anew():
     loop = plant()
     measured = np.zeros((CYCLES + 2, 3, loop.n))
     measured[3, 1, 2] = np.nan
-    assert noted(np.zeros((3, CYCLES, loop.n)), 0, measured, (loop.drives, loop.friction), np.zeros(loop.n), T
-                 ) == CYCLES - 2
+    window = noted(Window.empty(loop.n), measured, loop.drives, loop.friction, np.zeros(loop.n), T)
+    assert window.rows == CYCLES - 2

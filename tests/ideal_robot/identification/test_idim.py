@@ -159,7 +159,7 @@ def line(cycles: int, bend: float, *, regional: bool = True) -> tuple[Array, Arr
     W = np.stack([np.ones_like(q), q], axis=2)
     y = 1.0 + 2.0 * q + bend * q**3 + 0.01 * rng.normal(size=q.shape)
     regions = regions_of_motion(q, qd) if regional else []
-    solution = weighted_least_squares(W, y, (np.zeros(2), np.zeros((2, 2))), segments=np.zeros(len(y)), regions=regions)
+    solution = weighted_least_squares(W, y, np.zeros(2), np.zeros((2, 2)), segments=np.zeros(len(y)), regions=regions)
     return solution.value, solution.covariance
 
 

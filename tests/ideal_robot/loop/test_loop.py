@@ -12,7 +12,8 @@ from ideal_robot.dynamics.regressor import regressor
 from ideal_robot.effects import FittedEffect
 from ideal_robot.effects.fitted import Unknown
 from ideal_robot.errors import IdealRobotError, InputError
-from ideal_robot.friction.table import DRY, FLUID, friction_along
+from ideal_robot.friction.table import DRY, FLUID, distance_with, friction_along
+from ideal_robot.friction.terms import TERMS, table_terms, with_terms
 from ideal_robot.loop.from_model import with_effects, with_rotors
 from ideal_robot.loop.loop import checked, further_torque, low_pass_taps
 from ideal_robot.loop.simulation import simulate
@@ -188,9 +189,20 @@ def test_a_joint_that_sticks_starts_as_bristles_of_its_stiffness_do(surplus):
     assert left(sticks.friction) < 0.04 * surplus * dry
     same = sticks.friction._replace(distance=loop.friction.distance)
     assert left(sticks.friction) < 0.5 * left(same)
-    # More contacts do.
-    presses = with_effects(loop, (FittedEffect("coulomb", 2, "tau_2", (surplus * dry,)),))
-    assert presses.friction.distance[joint] == distance
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_contacts_are_as_stiff_whatever_friction_becomes(seed):
+    """A cold gear, wear, what was learned: D(0)/d stays. Without friction the distance says nothing, and stays."""
+    loop, rng = plant(), np.random.default_rng(seed)
+    before = loop.friction
+    learned = with_terms(before, table_terms(before, loop.path.v_max), rng.normal(0.0, 0.2, (loop.n, TERMS)))
+    named = with_effects(loop, (FittedEffect("coulomb", 2, "tau_2", (float(rng.uniform(1.0, 20.0)),)),)).friction
+    for after in (learned, named):
+        np.testing.assert_allclose(after.dry / after.distance, before.dry / before.distance)
+    assert (learned.distance != before.distance).all()
+    none = np.zeros_like(before.sizes)
+    np.testing.assert_array_equal(distance_with(before, none), before.distance)
 
 
 def test_measured_arm_angles_say_more_of_a_gear_than_its_torque():
