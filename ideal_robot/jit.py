@@ -1,10 +1,14 @@
-"""Compiled functions whose machine code is kept beside the source: what is kept may be damaged, or not be writable.
+"""Compiled functions whose machine code is kept beside the source: what is kept may be old, damaged or not writable.
 
-numba keeps an index and a data file a signature, and trusts both. Here every signature has one file with a checksum: a
-file that is cut off, empty or altered counts as missing, and two processes that compile at a time cannot mix up what
-belongs to whom. Where no folder can be written, code that is there is used, and other code is compiled in every run.
+Machine code holds the numbers and the functions of other modules that a function names, as they were when it was
+compiled. Kept code therefore belongs to what a function *means*: its own bytecode and that of all compiled functions
+that it calls, with the values of all they name. numba's ``cache=True`` looks at the time of the function's own file:
+after a number in another file has changed it goes on with the old one, and after a checkout it compiles all anew.
 
-``cache=True`` alone does neither: an index that is cut off ends the first call with an error of ``pickle``, and in an
+numba also keeps an index and a data file a signature, and trusts both. Here every signature has one file with a
+checksum: a file that is cut off, empty or altered counts as missing, and two processes that compile at a time cannot
+mix up what belongs to whom. Where no folder can be written, code that is there is used, and other code is compiled in
+every run; an index that is cut off ends the first call with ``cache=True`` with an error of ``pickle``, and in an
 installation of another user the code that was compiled there is not looked for.
 """
 
@@ -14,11 +18,15 @@ import hashlib
 import pickle
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
+from types import CodeType, FunctionType
 from typing import Any, TypeVar
 
 import numba
+import numpy as np
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
+from numba.core.dispatcher import Dispatcher
 from numba.core.serialize import dumps
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -31,11 +39,47 @@ def jit(**options: Any) -> Callable[[_Function], _Function]:
     """Compiles a function as ``numba.njit(**options)`` does, at its first call with such arguments; keeps the code."""
     def compiled(function: _Function) -> _Function:
         dispatcher = numba.njit(**options)(function)
-        dispatcher._cache = _KeptCode(function)
+        dispatcher._cache = _KeptCode(dispatcher.py_func)
         compiled: _Function = dispatcher
         return compiled
 
     return compiled
+
+
+@cache
+def meaning(function: FunctionType) -> str:
+    """Digest of what machine code of a function is made from: it changes where that code has to be made anew.
+
+    That is its bytecode, and the values of the globals and the closure that it names; of a compiled function among
+    them, the meaning. Where lines stand, what is commented and what other functions of the file do is not in it.
+    """
+    digest = hashlib.sha256()
+    cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+    values = {name: cell.cell_contents for name, cell in cells}
+    codes = [function.__code__]
+    while codes:
+        code = codes.pop()
+        codes += [c for c in code.co_consts if isinstance(c, CodeType)]
+        numbers = [c for c in code.co_consts if not isinstance(c, CodeType) and c != function.__doc__]
+        digest.update(code.co_code + repr(numbers).encode())
+        values |= {name: function.__globals__[name] for name in code.co_names if name in function.__globals__}
+        digest.update(repr(code.co_names).encode())
+    digest.update(repr(function.__defaults__).encode())
+    for name in sorted(values):
+        digest.update(f"{name} {_told(function, values[name])}".encode())
+    return digest.hexdigest()
+
+
+def _told(user: FunctionType, value: Any) -> str:
+    """What a value is to the compiled code of its user; types and modules by name: numba's version is kept as well."""
+    if isinstance(value, Dispatcher):
+        # One that calls itself is in its own bytecode.
+        return "itself" if value.py_func is user else meaning(value.py_func)
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype} {value.shape} {value.tobytes().hex()}"
+    if isinstance(value, type):
+        return f"{value.__qualname__} {getattr(value, '_fields', '')}"
+    return getattr(value, "__name__", None) or repr(value)
 
 
 class _Beside(_IN_TREE):  # type: ignore[valid-type, misc]
@@ -51,6 +95,10 @@ class _Places(CompileResultCacheImpl):
 
 class _KeptFiles(IndexDataCacheFile):
     """One file a signature: a digest, then what it belongs to and the code."""
+
+    def __init__(self, cache_path: str, name: str, function: FunctionType) -> None:
+        super().__init__(cache_path, name, None)
+        self._function = function
 
     def load(self, key: Any) -> Any:
         """What is kept under ``key``; None where nothing sound is."""
@@ -70,7 +118,7 @@ class _KeptFiles(IndexDataCacheFile):
             file.write(hashlib.sha256(raw).digest() + raw)
 
     def _whose(self, key: Any) -> tuple[Any, ...]:
-        return self._version, self._source_stamp, key
+        return self._version, meaning(self._function), key
 
     def _path(self, key: Any) -> Path:
         # The third is a digest of the function's own code: what changed takes the file of what was before.
@@ -82,10 +130,9 @@ class _KeptFiles(IndexDataCacheFile):
 class _KeptCode(FunctionCache):
     _impl_class = _Places
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: FunctionType) -> None:
         super().__init__(function)
-        self._cache_file = _KeptFiles(self.cache_path, self._impl.filename_base,
-                                      self._impl.locator.get_source_stamp())
+        self._cache_file = _KeptFiles(self.cache_path, self._impl.filename_base, function)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keeps what was compiled; where that cannot be, the next process compiles again."""

@@ -2,7 +2,7 @@
 
 Most were halved and doubled while lines, forces and known paths were played and arms identified: no figure changed by
 10 %. A number that decides what an arm does, or what counts as known, is none of these: it stands where it is used,
-with its reason. Compiled code that is kept does not notice a changed number of this file: delete ``*.nbc`` then.
+with its reason.
 """
 
 # Rounding.

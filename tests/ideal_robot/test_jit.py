@@ -83,6 +83,32 @@ def test_code_of_another_version_of_the_source_does_not_count(source: Path) -> N
     assert len(kept(source)) == 1
 
 
+@pytest.mark.parametrize("altered", [
+    lambda text: text.replace("SCALE = 2", "SCALE = 3"), lambda text: text.replace("[1.0, 2.0]", "[1.0, 3.0]"),
+    lambda text: text.replace("x + 1", "x + 2"), lambda text: text.replace("kind=3", "kind=4")])
+def test_code_made_with_what_another_file_names_ends_with_it(source: Path, altered: Callable[[str], str]) -> None:
+    """A number, a table, a function and a default of another file are in the machine code of the one that uses them."""
+    other = source.with_name("numbers_of_theirs.py")
+    text = ("import numpy as np\nfrom ideal_robot.jit import jit\nSCALE = 2\nTABLE = np.array([1.0, 2.0])\n"
+            "@jit()\ndef further(x):\n    return x + 1\n@jit()\ndef by_kind(x, kind=3):\n    return x * kind\n")
+    source.write_text("from ideal_robot.jit import jit\nfrom numbers_of_theirs import SCALE, TABLE, by_kind, further\n"
+                      "@jit()\ndef doubled(x):\n    return by_kind(further(SCALE * x)) + TABLE[1]\n", encoding="utf-8")
+
+    def anew(words: str) -> ModuleType:
+        other.write_text(words, encoding="utf-8")
+        sys.modules.pop("numbers_of_theirs", None)
+        return loaded(source)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(source.parent))
+        assert anew(text).doubled(3.0) == 23.0
+        same, other_numbers = anew("# A line before it.\n" + text), anew(altered(text))
+        assert (same.doubled(3.0), hits(same)) == (23.0, 1)
+        expected = other_numbers.doubled.py_func(3.0)
+        assert expected != 23.0
+        assert (other_numbers.doubled(3.0), hits(other_numbers)) == (expected, 0)
+
+
 def test_where_nothing_can_be_written_code_that_is_there_is_used(source: Path, monkeypatch) -> None:
     loaded(source).doubled(3)
     monkeypatch.setattr(tempfile, "TemporaryFile", refuse)
