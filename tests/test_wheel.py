@@ -250,7 +250,9 @@ def test_in_a_users_folder(folder: Path, monkeypatch: pytest.MonkeyPatch, capfd:
     monkeypatch.setitem(sys.modules, "test_own", None)  # whatever stands there is taken away afterwards
     monkeypatch.delitem(sys.modules, "test_own")
     (folder / "test_own.py").write_text(TESTS.replace("[1, 2, 3]", "[1]"))
-    pytest.main(["-q", "-p", "scenes.pytest_plugin", "-p", "no:xdist"])
+    # Others' plugins, which this process has imported, would warn of it.
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
+    pytest.main(["-q", "-p", "scenes.pytest_plugin"])
     misses_its_baseline(capfd.readouterr().out)
     # Both tests share the run, whose scene is the same.
     assert len(list((folder / ".pytest_cache" / "d" / "ideal_robot").glob("*.json"))) == 1

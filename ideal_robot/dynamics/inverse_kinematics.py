@@ -1,9 +1,15 @@
 r"""Inverse kinematics of a serial arm, compiled: one Newton step, and whole horizons of poses.
 
-One step is :math:`q \leftarrow q + J(q)^{-1} \log(T(q)^{-1} T_d)` with the Jacobian in the tool frame. Of more than
-six joints it takes the solution nearest to wanted joint angles, so that it is a function of the pose and the path is as
-smooth as what is wanted along it. Of fewer the place is kept, the tool axis as far as the arm can, and the rotation
-about that axis is free. Paths are planned with it (``planning.path.kinematics``), and an arm that is not as drawn is
+With the pose error :math:`e = \log(T(q)^{-1} T_d)`, the Jacobian J in the tool frame and w a change that is wished
+besides, one step is
+
+.. math:: q \leftarrow q + w + J^T (J J^T + \Lambda)^{-1} (e - J w)
+
+for any number of joints: the change nearest to w that removes the error, but for what :math:`\Lambda`, the variances
+of what may be left of it, lets stand. Of six joints that is Newton's step. More come near to wanted joint angles, so
+that the solution is a function of the pose and the path is as smooth as what is wanted along it. Of fewer the place is
+kept, the tool axis as far as the arm can, and the rotation about that axis is what is left.
+Paths are planned with it (``planning.path.kinematics``), and an arm that is not as drawn is
 led by it (``ideal_robot.feedforward.corrected_arm``).
 
 Pinocchio is the reference (a test compares them); this is for the control cycle, which solves a whole horizon: a call
@@ -12,20 +18,20 @@ per pose costs more than its arithmetic.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, chain_of, joint_frames
+from ideal_robot.estimate.cholesky import factor, solve
 from ideal_robot.jit import jit
 from ideal_robot.tolerances import HALF_TURN, SLIGHT
 
-TILT, TWIST = 1e-3, 1e-4
-"""Weights of the tool axis' direction and of the rotation about it [m/rad], beside 1 of the place, where there are
-fewer than six joints: the place is kept, the tool axis as far as the arm can, the rotation about it is what is left."""
+TILT, TWIST = 1e3, 1e4
+"""What may be left of the tool axis' direction and of the rotation about it [rad/m], beside 1 of the place, where there
+are fewer than six joints: the place is kept, the tool axis as far as the arm can, the rotation about it is left."""
 
 
 class Tool(NamedTuple):
@@ -124,11 +130,9 @@ def tool_jacobian(tool: Tool, q: Array, J: Array, T_R: Array, T_p: Array) -> Non
 
 
 @jit()
-def newton_step(tool: Tool, target_R: Array, target_p: Array, q: Array, wanted: Array, damping: float, error: Array
-                ) -> NDArray[np.floating[Any]]:
+def newton_step(tool: Tool, target_R: Array, target_p: Array, q: Array, wanted: Array, slack: float, error: Array
+                ) -> Array:
     """Change of the joint angles ``(n,)`` [rad] towards a pose.
-
-    Raises ``LinAlgError`` for a posture from which six joints cannot move in all directions, without damping.
 
     Args:
         tool: kinematics.
@@ -136,11 +140,12 @@ def newton_step(tool: Tool, target_R: Array, target_p: Array, q: Array, wanted: 
         target_p: place wanted ``(3,)`` [m].
         q: joint angles ``(n,)`` [rad].
         wanted: what more than six joints come as near to as the pose lets them ``(n,)`` [rad].
-        damping: of the inverse for six joints; 0 for none.
+        slack: variance of what may be left of the place [m²], Λ: above 0, so that no posture is without a step.
         error: of the pose before the step ``(6,)`` [m, rad], written to.
     """
     T_R, T_p, away_R, away_p = np.empty((3, 3)), np.empty(3), np.empty((3, 3)), np.empty(3)
-    J = np.empty((6, len(q)))
+    n = len(q)
+    J, A, rest, change = np.empty((6, n)), np.empty((6, 6)), np.empty(6), np.empty(n)
     tool_jacobian(tool, q, J, T_R, T_p)
     for r in range(3):
         for c in range(3):
@@ -148,34 +153,24 @@ def newton_step(tool: Tool, target_R: Array, target_p: Array, q: Array, wanted: 
         away_p[r] = (T_R[0, r] * (target_p[0] - T_p[0]) + T_R[1, r] * (target_p[1] - T_p[1])
                      + T_R[2, r] * (target_p[2] - T_p[2]))
     log6(away_R, away_p, error)
-    if len(q) == 6:
-        return np.linalg.solve(J, error) if damping == 0.0 else away_from(J, error, np.zeros(6), damping)
-    return away_from(J, error, wanted - q, SLIGHT) if len(q) > 6 else weighted(J, error)
-
-
-@jit()
-def away_from(J: Array, error: Array, wish: Array, damping: float) -> NDArray[np.floating[Any]]:
-    """The change of six joint angles or more ``(n,)`` that removes a pose error and is nearest to a wish.
-
-    Args:
-        J: Jacobian ``(6, n)``.
-        error: of the pose ``(6,)`` [m, rad].
-        wish: change wanted besides ``(n,)`` [rad].
-        damping: of the inverse.
-    """
-    return wish + J.T @ np.linalg.solve(J @ J.T + damping * np.eye(6), error - J @ wish)
-
-
-@jit()
-def weighted(J: Array, error: Array) -> NDArray[np.floating[Any]]:
-    """The change of fewer than six joint angles ``(n,)`` that removes what they can of a pose error, place first.
-
-    ``J (6, n)`` is the Jacobian in the tool's frame, ``error (6,)`` [m, rad].
-    """
-    weights = np.array([1.0, 1.0, 1.0, TILT, TILT, TWIST])
-    scaled = weights.reshape(6, 1) * J
-    solution = np.linalg.lstsq(scaled, weights * error, 1e-9)
-    return solution[0]
+    for i in range(n):
+        change[i] = wanted[i] - q[i] if n > 6 else 0.0
+    for r in range(6):
+        rest[r] = error[r]
+        for i in range(n):
+            rest[r] -= J[r, i] * change[i]
+        for c in range(r + 1):
+            A[r, c] = 0.0
+            for i in range(n):
+                A[r, c] += J[r, i] * J[c, i]
+        left = 1.0 if n >= 6 or r < 3 else (TILT if r < 5 else TWIST)
+        A[r, r] += slack * left * left
+    factor(A)
+    solve(A, rest)
+    for i in range(n):
+        for r in range(6):
+            change[i] += J[r, i] * rest[r]
+    return change
 
 
 @jit()
@@ -185,7 +180,6 @@ def refined(tool: Tool, targets_R: Array, targets_p: Array, q: Array, wanted: Ar
 
     A pose is done with the step whose pose error before it, squared, was below ``tolerance``; of fewer than six joints,
     which cannot remove all of it, with one that changes them by a tenth of that.
-    Raises ``LinAlgError`` for a posture from which one cannot move in all directions.
 
     Args:
         tool: kinematics.
@@ -196,18 +190,19 @@ def refined(tool: Tool, targets_R: Array, targets_p: Array, q: Array, wanted: Ar
         tolerance: see above [m², rad²].
         most: steps of a pose at most.
     """
-    error = np.empty(6)
+    error, n = np.empty(6), q.shape[1]
     for i in range(q.shape[0]):
-        solution = q[i].copy()
         done = False
         for _ in range(most):
-            change = newton_step(tool, targets_R[i], targets_p[i], solution, wanted[i], 0.0, error)
-            solution += change
-            remaining = np.sum(error * error) if q.shape[1] >= 6 else 100.0 * np.sum(change * change)
-            if remaining < tolerance:
+            change = newton_step(tool, targets_R[i], targets_p[i], q[i], wanted[i], SLIGHT, error)
+            q[i] += change
+            remaining = error if n >= 6 else 10.0 * change
+            square = 0.0
+            for value in remaining:
+                square += value * value
+            if square < tolerance:
                 done = True
                 break
         if not done:
             return i
-        q[i] = solution
     return q.shape[0]

@@ -20,6 +20,7 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics
+from ideal_robot.estimate.cholesky import factor, solve
 from ideal_robot.jit import jit
 from ideal_robot.model.arm_with_effects import chain_with, changes_of, dynamics_with, side_of_gap, stiffness_with
 from ideal_robot.model.model import Model
@@ -151,7 +152,8 @@ def _substeps(q_a: Array, v_a: Array, motors: _Motors, upper: Array, load: Array
                 load[j] += mass[j, i] * (v1[i] - v0[i]) / T
                 mass[i, j] = mass[j, i] = 0.0
             mass[i, i], load[i] = 1.0, 0.0
-    inverse, torque = np.linalg.inv(mass), np.zeros(n)
+    acceleration = np.zeros(n)
+    factor(mass)
     for step in range(steps):
         # Leapfrog: positions at the steps' ends, velocities half a step before.
         u = step / steps
@@ -160,8 +162,8 @@ def _substeps(q_a: Array, v_a: Array, motors: _Motors, upper: Array, load: Array
             a, b = v0[j] * T - slope, -v1[j] * T + slope
             q_m = (1 - u) * q0[j] + u * q1[j] + u * (1 - u) * ((1 - u) * a + u * b)
             v_m = (slope + (1 - 2 * u) * (a * (1 - u) + b * u) + u * (1 - u) * (b - a)) / T
-            torque[j] = k[j] * (q_m - x[j]) + d[j] * (v_m - v[j]) - load[j]
-        acceleration = inverse @ torque
+            acceleration[j] = k[j] * (q_m - x[j]) + d[j] * (v_m - v[j]) - load[j]
+        solve(mass, acceleration)
         for j in range(n):
             v[j] += h * acceleration[j]
             x[j] += h * v[j]

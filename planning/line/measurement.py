@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.estimate.cholesky import factor, solve
 from ideal_robot.jit import jit
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.line_detection import PoseAt, PredictedLine, predicted_by_rows
@@ -278,10 +279,20 @@ def extended(H: Array, z: Array, R: Array, x: Array, P: Array, origin: Array,  #
 
 @jit()
 def _compared(x: Array, P: Array, H: Array, z: Array, R: Array) -> tuple[Array, Array, float, float]:
-    """Innovation, its covariance, its normalised square, the logarithm of the covariance's determinant."""
+    """Innovation, its covariance, its normalised square, the logarithm of the covariance's determinant.
+
+    The last two are no numbers, and within no gate, where the covariance is not positive definite.
+    """
     innovation, S = z - H @ x, H @ P @ H.T + R
-    nis: float = np.sum(innovation * np.linalg.solve(S, innovation))
-    return innovation, S, nis, np.linalg.slogdet(S)[1]
+    L, weighted = S.copy(), innovation.copy()
+    if not factor(L):
+        return innovation, S, np.nan, np.nan
+    solve(L, weighted)
+    nis = log_det = 0.0
+    for i in range(len(z)):
+        nis += innovation[i] * weighted[i]
+        log_det += 2.0 * np.log(L[i, i])
+    return innovation, S, nis, log_det
 
 
 @jit()

@@ -10,7 +10,7 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.inverse_kinematics import Tool, newton_step, refined
 from ideal_robot.robots.robot import Robot
-from ideal_robot.tolerances import DAMPING, NEWTON_STEPS, ROUNDING, SETTLED
+from ideal_robot.tolerances import DAMPING, NEWTON_STEPS, ROUNDING, SETTLED, SLIGHT
 from planning import OutOfReachError
 
 TILTED = 0.2
@@ -48,10 +48,7 @@ class InverseKinematics:
         error, q = np.empty(6), np.ascontiguousarray(q, dtype=float)
         pose = np.ascontiguousarray(target.rotation), np.array(target.translation)
         near = q if wanted is None else np.ascontiguousarray(wanted, dtype=float)
-        try:
-            return q + newton_step(self._carried, *pose, q, near, 0.0, error), error
-        except np.linalg.LinAlgError:
-            return q + newton_step(self._carried, *pose, q, near, DAMPING, error), error
+        return q + newton_step(self._carried, *pose, q, near, SLIGHT, error), error
 
     def _solved(self, error: Array, dq: Array) -> bool:
         """Whether a pose is reached: all of the error is gone, or what fewer than six joints can remove of it."""
@@ -161,25 +158,15 @@ class InverseKinematics:
         """
         solved = np.array(q, dtype=float)
         near = solved.copy() if wanted is None else np.ascontiguousarray(wanted)
-        try:
-            done = refined(self._carried, rotations, positions, solved, near, tolerance, NEWTON_STEPS)
-        except np.linalg.LinAlgError:
-            done = 0
-        for i in range(done, len(solved)):
-            solved[i] = self._refined(pin.SE3(rotations[i], positions[i]), solved[i], tolerance, near[i])
+        done = refined(self._carried, np.ascontiguousarray(rotations), np.ascontiguousarray(positions), solved, near,
+                       tolerance, NEWTON_STEPS)
+        if done < len(solved):
+            _, error = self.step(pin.SE3(rotations[done], positions[done]), solved[done], near[done])
+            raise OutOfReachError(positions[done], float(np.linalg.norm(error[:3])))
         if (solved > self.robot.q_max).any() or (solved < self.robot.q_min).any():
             worst = int(np.argmax(np.max(np.maximum(solved - self.robot.q_max, self.robot.q_min - solved), axis=1)))
             self._within(positions[worst], solved[worst])
         return solved
-
-    def _refined(self, target: pin.SE3, q: Array, tolerance: float, wanted: Array) -> Array:
-        for _ in range(NEWTON_STEPS):
-            before = q
-            q, error = self.step(target, q, wanted)
-            remaining = error @ error if self.robot.n >= 6 else 100.0 * float((q - before) @ (q - before))
-            if remaining < tolerance:
-                return q
-        raise OutOfReachError(target.translation, float(np.linalg.norm(error[:3])))
 
     def _within(self, position: Array, q: Array) -> Array:
         """``q`` itself if it is within the joint limits."""

@@ -224,7 +224,7 @@ def _evaluate(image: PredictedImage, points: Array, gray: NDArray[np.uint8], win
     pixels, axis, slant, metres = image
     m = pixels.shape[0]
     s, owner, n = _sections(image, gray, windows, look)
-    deviation, grade, nearest = np.empty(n), np.empty(n), np.empty(m, dtype=np.int64)
+    deviation, grade, good, nearest = np.empty(n), np.empty(n), np.empty(n), np.empty(m, dtype=np.int64)
     for i in range(m):
         nearest[i] = -1
     for j in range(n):
@@ -234,6 +234,7 @@ def _evaluate(image: PredictedImage, points: Array, gray: NDArray[np.uint8], win
         width = s[j, 1] * abs(metres[i]) / look.line_width
         misfit = s[j, 3] / max(s[j, 2], 1.0)
         grade[j] = math.exp(-0.5 * ((width - 1.0) / 0.2) ** 2 - 0.5 * (misfit / 0.1) ** 2)
+        good[j] = grade[j] if grade[j] >= look.min_quality else 0.0
         if nearest[i] < 0:
             nearest[i] = j
     along = np.zeros(m)
@@ -242,8 +243,7 @@ def _evaluate(image: PredictedImage, points: Array, gray: NDArray[np.uint8], win
         for c in range(3):
             square += (points[i, c] - points[i - 1, c]) ** 2
         along[i] = along[i - 1] + math.sqrt(square)
-    chosen = _consensus(deviation, np.where(grade < look.min_quality, 0.0, grade), owner[:n], along, look.smoothness,
-                        sigma, covariance)
+    chosen = _consensus(deviation, good, owner[:n], along, look.smoothness, sigma, covariance)
     agreeing = np.zeros(m)
     for i in range(m):
         if chosen[i] >= 0:

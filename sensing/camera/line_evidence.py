@@ -168,8 +168,12 @@ def _smoothed(values: Array, half: int) -> Array:
             else:
                 long[i + reach] = values[i, c]
         for i in range(n + 2 * half):
-            five[:] = long[i : i + 5]
-            five.sort()
+            for j in range(5):
+                k = j
+                while k > 0 and five[k - 1] > long[i + j]:
+                    five[k] = five[k - 1]
+                    k -= 1
+                five[k] = long[i + j]
             middle[i] = five[2]
         for i in range(n):
             out[i, c] = np.mean(middle[i : i + 2 * half + 1])

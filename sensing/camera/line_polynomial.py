@@ -18,6 +18,7 @@ from scipy.special import chdtri
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.estimate.cholesky import factor, inverse
 from ideal_robot.jit import jit
 from sensing import SensingError
 
@@ -108,7 +109,12 @@ def _fitted(s: Array, deviation: Array, variance: Array, used: NDArray[np.bool_]
                 if j > 0:
                     V[i, j] = V[i, j - 1] * (s[rows[i]] - centre) / scale
                 weighted[i, j] = V[i, j] / variance[rows[i]]
-        covariance = np.linalg.inv(V.T @ weighted)
+        covariance, normal = np.empty((d + 1, d + 1)), V.T @ weighted
+        if not factor(normal):
+            # Points at one place do not determine this order.
+            degree = d - 1
+            continue
+        inverse(normal, covariance)
         weights = covariance @ weighted.T
         coefficients = weights @ deviation[rows]
         residual = deviation[rows] - V @ coefficients

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
+from ideal_robot.estimate.cholesky import factor, solve
 from ideal_robot.jit import jit
 
 MAX_EDGES, MAX_CANDIDATES = 8, 4  # of a window: four lines side by side fill it
@@ -39,38 +40,6 @@ class Look(NamedTuple):
     min_quality: float
     smoothness: float
     noise: float
-
-
-@jit()
-def _solve(A: Array, b: Array) -> bool:
-    """Solves a small system by Gauss elimination; ``A`` becomes its inverse, ``b`` the solution."""
-    n = b.size
-    inverse = np.eye(n)
-    for i in range(n):
-        pivot = i
-        for r in range(i + 1, n):
-            if abs(A[r, i]) > abs(A[pivot, i]):
-                pivot = r
-        if abs(A[pivot, i]) < 1e-12:
-            return False
-        for c in range(n):
-            A[i, c], A[pivot, c] = A[pivot, c], A[i, c]
-            inverse[i, c], inverse[pivot, c] = inverse[pivot, c], inverse[i, c]
-        b[i], b[pivot] = b[pivot], b[i]
-        d = A[i, i]
-        for c in range(n):
-            A[i, c] /= d
-            inverse[i, c] /= d
-        b[i] /= d
-        for r in range(n):
-            if r != i:
-                f = A[r, i]
-                for c in range(n):
-                    A[r, c] -= f * A[i, c]
-                    inverse[r, c] -= f * inverse[i, c]
-                b[r] -= f * b[i]
-    A[:] = inverse
-    return True
 
 
 @jit()
@@ -130,8 +99,9 @@ def _fit_section(patch: NDArray[np.uint8], start: float, slant: float, width: fl
         if iteration == 0:
             for p in (3, 4):
                 A[p, p] += 1e6
-        if not _solve(A, g):
+        if not factor(A):
             return failed
+        solve(A, g)
         b, m, c = b + g[0], m + g[1], c + g[2]
         u0 += min(max(g[3], -1.0), 1.0)
         w = max(w + min(max(g[4], -1.0), 1.0), 0.3)
@@ -139,9 +109,10 @@ def _fit_section(patch: NDArray[np.uint8], start: float, slant: float, width: fl
             return failed
         if iteration > 1 and abs(g[3]) < 2e-3 and abs(g[4]) < 1e-2:
             break
-    if A[3, 3] <= 0.0:
-        return failed
-    return u0, w, c, math.sqrt(residual / max(n - 5, 1)), math.sqrt(A[3, 3])
+    g[:] = 0.0
+    g[3] = 1.0
+    solve(A, g)
+    return u0, w, c, math.sqrt(residual / max(n - 5, 1)), math.sqrt(g[3])
 
 
 @jit()
