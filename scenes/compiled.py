@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import sys
 import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
@@ -37,29 +39,39 @@ SHORT: dict[str, dict[str, Any]] = {"straight": {"line": {"points": [[0.0, 0.0],
 def compile_scenes(*kinds: str) -> None:
     """Plays a short scene of some kinds, of each if none is named."""
     for name, short in SHORT.items():
-        if kinds and load_scene(name).kind not in kinds:
-            continue
-        run_scene(load_scene(name), method="adapted", **short)
+        if not kinds or load_scene(name).kind in kinds:
+            run_scene(load_scene(name), method="adapted", **short)
 
 
-def compile_all() -> None:
-    """Plays a short scene of each kind, every feedforward and an identification."""
-    compile_scenes()
+def compile_arm(*keys: str) -> None:
+    """Plays a path without a sensor, identifies an arm from a recording, and tries feedforwards."""
+    compile_scenes("path")
     robot = Robot.load("kr6")
     model = Model.load(shipped_model("kr6"))
-    for key in (*methods(Needs.MODEL), *settings(Needs.MODEL)):
-        tried(feedforward(key, model, robot, n_d=30), robot.home, robot.t_ipo)
-    simulate(loop_model(model, robot), np.tile(robot.home, (3, 1)))
-    obstacle(robot, robot.home[None], Workspace())
     governor = CommandGovernor(robot, robot.home)
     with SimulatedArm(robot, World.default("kr6"), np.random.default_rng(0)) as arm:
         for k in range(400):
             offset = 0.3 * np.sin(0.012 * k * np.arange(2.0, 8.0)) ** 2
             arm.cycle(governor.allowed(robot.home + offset))
         identify([arm.recording()], robot, friction="viscous_coulomb")
+    for key in keys:
+        tried(feedforward(key, model, robot, n_d=30), robot.home, robot.t_ipo)
+    simulate(loop_model(model, robot), np.tile(robot.home, (3, 1)))
+    obstacle(robot, robot.home[None], Workspace())
+
+
+def compile_all(*kinds: str) -> None:
+    """Compiles what runs of some kinds need, all of it if none is named, in two processes.
+
+    One begins with the pictures, the other with the arm, which a run needs last: what one has made the other finds.
+    """
+    keys = () if kinds else (*methods(Needs.MODEL), *settings(Needs.MODEL))
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as processes:
+        for done in [processes.submit(compile_scenes, *kinds), processes.submit(compile_arm, *keys)]:
+            done.result()
 
 
 if __name__ == "__main__":
     started = time.perf_counter()
-    compile_scenes(*sys.argv[1:]) if sys.argv[1:] else compile_all()
+    compile_all(*sys.argv[1:])
     print(f"compiled in {time.perf_counter() - started:.0f} s")

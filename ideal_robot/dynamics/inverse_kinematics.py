@@ -107,7 +107,10 @@ def tool_jacobian(tool: Tool, q: Array, J: Array, T_R: Array, T_p: Array) -> Non
     R, p = np.empty((n, 3, 3)), np.empty((n, 3))
     joint_frames(chain, q, R, p)
     J[:] = 0.0
-    T_R[:], T_p[:] = tool.R, tool.p
+    for r in range(3):
+        T_p[r] = tool.p[r]
+        for c in range(3):
+            T_R[r, c] = tool.R[r, c]
     turned = np.empty((3, 3))
     for i in range(tool.joints - 1, -1, -1):
         z0, z1, z2 = chain.axis[i, 0], chain.axis[i, 1], chain.axis[i, 2]
@@ -126,7 +129,8 @@ def tool_jacobian(tool: Tool, q: Array, J: Array, T_R: Array, T_p: Array) -> Non
                 turned[r, c] = E[r, 0] * T_R[0, c] + E[r, 1] * T_R[1, c] + E[r, 2] * T_R[2, c]
         for r in range(3):
             T_p[r] = E[r, 0] * p0 + E[r, 1] * p1 + E[r, 2] * p2 + p[i, r]
-        T_R[:] = turned
+            for c in range(3):
+                T_R[r, c] = turned[r, c]
 
 
 @jit()

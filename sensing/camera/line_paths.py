@@ -208,16 +208,17 @@ def _compared(total: Array, square: Array, first: float, last: float, node: Floa
 @jit()
 def _kept(nodes: Floats, count: int, one: Floats) -> int:
     """Adds a pair, in the place of the least clear one where there are too many."""
-    if count < nodes.shape[0]:
-        nodes[count] = one
-        return count + 1
-    weakest = 0
-    for m in range(1, count):
-        if nodes[m, _CLEAR] < nodes[weakest, _CLEAR]:
-            weakest = m
-    if nodes[weakest, _CLEAR] < one[_CLEAR]:
-        nodes[weakest] = one
-    return count
+    place = count
+    if count == nodes.shape[0]:
+        place = 0
+        for m in range(1, count):
+            if nodes[m, _CLEAR] < nodes[place, _CLEAR]:
+                place = m
+        if nodes[place, _CLEAR] >= one[_CLEAR]:
+            return count
+    for f in range(_FIELDS):
+        nodes[place, f] = one[f]
+    return max(count, place + 1)
 
 
 @jit()
