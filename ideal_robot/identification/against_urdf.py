@@ -197,8 +197,7 @@ class _Rows:
     rubs: Array
     peaks: Array
     shares: bool = False
-    cache: dict[tuple[int, int, tuple[float, float, float]], Array] = field(default_factory=dict, repr=False,
-                                                                           compare=False)
+    cache: dict[tuple[Any, ...], Array] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
     def of(cls, recording: Recording, robot: Robot) -> _Rows | None:
@@ -268,75 +267,98 @@ class _Rows:
 
         With one step the noise is that of the recording as it claims to be: a lower bound, in a third of the time.
         """
-        value, theta, covariance = self._fitted(reading, steps)
+        fitted = self._fitted(reading, steps)
         # Friction brakes and rotors resist: of their normal priors one half, of the posterior what lies there.
-        positive = self.links + np.add.outer(_OWN * np.arange(self.n), np.arange(2)).ravel()
-        deviation = np.sqrt(np.diag(covariance)[positive])
-        return value + float(np.sum(special.log_ndtr(theta[positive] / deviation) + np.log(2.0)))
+        sure = (fitted.own / fitted.deviation)[:, :2]
+        return fitted.value + float(np.sum(special.log_ndtr(sure) + np.log(2.0)))
 
     def left(self, X: list[Array], y: Array) -> Array:
         """What the recording leaves of its torques ``(N, n)``, in their unit, as it claims to be."""
         P, claimed = self.links, Reading.claimed(self.n)
-        weight, theta = np.array([1.0, *claimed.gravity]), self._fitted(claimed)[1]
-        own = theta[P:].reshape(self.n, _OWN)
+        weight, fitted = np.array([1.0, *claimed.gravity]), self._fitted(claimed)
         left = y.copy()
         for i, columns in enumerate(X):
             bodies = np.tensordot(columns[:, : 4 * P].reshape(len(y), 4, P), weight, (1, 0))
-            left[:, i] -= (columns[:, 4 * P + _OWN :] @ weight + bodies @ theta[:P]
-                           + columns[:, 4 * P : 4 * P + _OWN] @ own[i])
+            left[:, i] -= (columns[:, 4 * P + _OWN :] @ weight + bodies @ fitted.links
+                           + columns[:, 4 * P : 4 * P + _OWN] @ fitted.own[i])
         return left
 
-    def _fitted(self, reading: Reading, steps: int = _STEPS) -> tuple[float, Array, Array]:
-        """The evidence of normal priors, mean and covariance of the parameters, with the sizes of the noise.
+    def _fitted(self, reading: Reading, steps: int = _STEPS) -> _Fitted:
+        """The evidence of normal priors and the posterior of the parameters, with the sizes of the noise.
 
-        Expectation and maximisation: a size is what the parameters leave on average over their posterior. The
-        parameters are the links', then each joint's own.
+        Expectation and maximisation: a size is what the parameters leave on average over their posterior. A joint's
+        own parameters meet the others' through the links' alone: they are eliminated joint by joint (Schur).
         """
-        n, P, K = self.n, self.links, _OWN
-        products, least = np.zeros((n, P + K + 1, P + K + 1)), np.ones(n)
-        for i in range(n):
-            if not self.live[reading.column[i]]:
-                continue
-            block, unit, sign = self.under(i, reading.column[i], reading.gravity), reading.unit[i], reading.sign[i]
-            # Friction is at most what a gear has in that unit; acceleration and constant stay as they are.
-            size = np.full(P + K, float(unit))
-            size[P:] = 1.0
-            size[P + 1 : -1] = min(1.0, unit * self.rubs[i, reading.column[i]])
-            # Columns of the parameters, and the residual about the URDF's own torque, ± τ - unit · X μ.
-            half = np.column_stack([block[:, :-2] * size, sign * block[:, -1] - unit * block[:, -2]])
-            products[i] = np.vstack([size[:, None] * half[:-2], sign * half[-1] - unit * half[-2]])
-            least[i] = self.least[reading.column[i]]
-        of_links, across, of_own = products[:, :P, :P], products[:, :P, P:-1], products[:, P:-1, P:-1]
-        joints, size = np.arange(n), np.maximum(1.0, least)
+        n, P = self.n, self.links
+        blocks, unit = self._blocks(reading.column, reading.gravity), np.array(reading.unit)[:, None]
+        column = list(reading.column)
+        least = np.where(self.live[column], self.least[column], 1.0)
+        # Friction is at most what a gear has in that unit; acceleration and constant stay as they are.
+        own_size = np.ones((n, _OWN))
+        own_size[:, 1:-1] = np.minimum(1.0, unit * self.rubs[np.arange(n), column][:, None])
+        # The residual about the URDF's own torque, ± τ - unit · X μ, and the columns of the parameters in it.
+        torque = np.column_stack([-unit, np.array(reading.sign, dtype=float)])
+        aim = np.einsum("ijk,ik->ij", blocks[:, :, -2:], torque)
+        squares = np.einsum("ik,ik->i", aim[:, -2:], torque)
+        of_links, aim_links = blocks[:, :P, :P].reshape(n, P * P), unit * aim[:, :P]
+        to_links = (unit * own_size)[:, :, None] * blocks[:, P:-2, :P]
+        of_own, aim_own = own_size[:, :, None] * blocks[:, P:-2, P:-2] * own_size[:, None, :], own_size * aim[:, P:-2]
+        size, ones = np.maximum(1.0, least), np.eye(_OWN)
         for step in range(steps):
-            H, weight = np.eye(P + K * n), 1.0 / size**2
-            H[:P, :P] += np.tensordot(weight, of_links, 1)
-            H[:P, P:] = np.moveaxis(weight[:, None, None] * across, 0, 1).reshape(P, -1)
-            H[P:, :P] = H[:P, P:].T
-            H[P:, P:].reshape(n, K, n, K)[joints, :, joints] += weight[:, None, None] * of_own
-            h = np.concatenate([weight @ products[:, :P, -1], (weight[:, None] * products[:, P:-1, -1]).ravel()])
+            weight = 1.0 / size**2
             # Scaled to ones on the diagonal: units a thousand times off are beyond double precision otherwise.
-            scale = 1.0 / np.sqrt(np.diag(H))
-            H *= scale[:, None] * scale
-            H[np.diag_indices(len(H))] += ROUNDING
-            root = linalg.cholesky(H, lower=True, check_finite=False)
-            back = linalg.solve_triangular(root, np.column_stack([np.diag(scale), scale * h]), lower=True,
-                                           check_finite=False)
-            z = back[:, -1]
-            theta, covariance = back[:, :-1].T @ z, back[:, :-1].T @ back[:, :-1]
+            H = weight[:, None, None] * of_own + ones
+            scale = 1.0 / np.sqrt(np.einsum("ikk->ik", H))
+            lower = np.linalg.cholesky(scale[:, :, None] * H * scale[:, None, :] + ROUNDING * ones)
+            inverse = np.linalg.inv(lower) * scale[:, None, :]
+            pulled = (inverse @ (weight[:, None, None] * to_links)).reshape(-1, P)
+            z_own = np.einsum("ikl,il->ik", inverse, weight[:, None] * aim_own)
+            H = ((weight * unit[:, 0] ** 2) @ of_links).reshape(P, P)
+            np.einsum("pp->p", H)[:] = (np.einsum("pp->p", H) + 1.0) * (1.0 + ROUNDING)
+            root = np.linalg.cholesky(H - pulled.T @ pulled)
+            back, _ = linalg.lapack.dtrtri(root, lower=1)
+            z = back @ (weight @ aim_links - z_own.ravel() @ pulled)
+            links = z @ back
+            own = np.einsum("ilk,il->ik", inverse, z_own - (pulled @ links).reshape(n, _OWN))
+            # Of the posterior's covariance: the links', between them and a joint's own, a joint's own.
+            seen = (pulled @ back.T).reshape(n, _OWN, P)
+            of_joint = inverse.transpose(0, 2, 1) @ (seen @ seen.transpose(0, 2, 1) + ones) @ inverse
             if step == steps - 1:
                 break
-            about = np.ones((n, P + K + 1))
-            about[:, :P], about[:, P:-1] = -theta[:P], -theta[P:].reshape(n, K)
-            both = covariance[P:, P:].reshape(n, K, n, K)[joints, :, joints]
-            left = (np.einsum("ij,ijk,ik->i", about, products, about, optimize=True)
-                    + np.tensordot(of_links, covariance[:P, :P], 2)
-                    + 2.0 * np.einsum("ipk,pik->i", across, covariance[:P, P:].reshape(P, n, K))
-                    + np.einsum("ikl,ikl->i", of_own, both))
+            covariance = back.T @ back
+            between = -inverse.transpose(0, 2, 1) @ (seen @ back)
+            about = np.concatenate([-unit * links, -own_size * own, torque], axis=1)
+            left = (np.einsum("ij,ij->i", about, (blocks @ about[:, :, None])[:, :, 0])
+                    + unit[:, 0] ** 2 * (of_links @ covariance.ravel())
+                    + np.einsum("ikp,ikp->i", 2.0 * to_links, between) + np.einsum("ikl,ikl->i", of_own, of_joint))
             size = np.maximum(np.sqrt(np.maximum(left, 0.0) / self.count), least)
-        squares = float(products[:, -1, -1] @ weight)
-        value = -0.5 * (squares - float(z @ z)) - float(np.log(np.diag(root)).sum() - np.log(scale).sum())
-        return value - self.count * float(np.log(size).sum()), theta, covariance
+        value = -0.5 * float(squares @ weight - z @ z - np.sum(z_own**2))
+        value -= float(np.log(np.diag(root)).sum() + np.log(np.einsum("ikk->ik", lower) / scale).sum())
+        deviation = np.sqrt(np.einsum("ikk->ik", of_joint))
+        return _Fitted(value - self.count * float(np.log(size).sum()), links, own, deviation)
+
+    def _blocks(self, column: tuple[int, ...], gravity: tuple[float, float, float]) -> Array:
+        """Products of all joints' equations ``(n, P + _OWN + 2, P + _OWN + 2)``; zero of a torque that is dead."""
+        key = (column, gravity)
+        if key not in self.cache:
+            self.cache[key] = np.stack([self.under(i, j, gravity) * self.live[j] for i, j in enumerate(column)])
+        return self.cache[key]
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """What a hypothesis makes of the recording.
+
+    Attributes:
+        value: the evidence of normal priors [nats].
+        links: mean of the links' parameters ``(P,)``, in units of their spread.
+        own, deviation: mean and standard deviation of each joint's own ``(n, _OWN)``.
+    """
+
+    value: float
+    links: Array
+    own: Array
+    deviation: Array
 
 
 def _products(X: list[Array], y: Array, noise: list[ColouredNoise], links: int, pairs: np.ndarray) -> Array:
