@@ -57,7 +57,8 @@ def build(folder: Path) -> None:
         shutil.copy(ROOT / name, source)
     run([*pip, "wheel", "--no-deps", "--no-build-isolation", "-w", str(folder), str(source)], folder)
     [wheel] = folder.glob("*.whl")
-    run([*pip, "install", "--no-deps", "--target", str(folder / "target"), str(wheel)], folder)
+    # Not compiled: what has other times than it had then is compiled again.
+    run([*pip, "install", "--no-deps", "--no-compile", "--target", str(folder / "target"), str(wheel)], folder)
     carry_compiled(folder / "target")
 
 

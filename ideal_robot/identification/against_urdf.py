@@ -32,7 +32,6 @@ from scipy import linalg, special
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics import regressor
 from ideal_robot.dynamics.tool_force import felt_at_tool, torques_of_tool_force
-from ideal_robot.estimate.gaussian import ROUNDING
 from ideal_robot.estimate.noise import ORDER, ColouredNoise
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.channels import dead_share, lattice
@@ -83,6 +82,8 @@ _ROWS = 1500
 """Rows that are compared at most; they are spread over the recording."""
 _MISFIT = 0.02
 """Of a torque's deviation: what a rigid body with this friction cannot say of any arm, beside the noise."""
+_ROUNDING = 1e-12
+"""Share of squares of columns that is rounding: products of some thousand rows are right to 1e-13."""
 _STEPS = 4
 """Of the noise's sizes: four give the evidence within 3 nats of where 16 end, where it is near the best at all."""
 _TURNS = (0.03, 0.1, 0.3)
@@ -178,8 +179,8 @@ class _Rows:
 
     Attributes:
         products: ``[β of inertia, β of gravity along x, y, z, own, means, τ]`` with themselves ``(n, n, C, C)``: of
-            joint i's equation and column j; the links' parameters β in units of their spread.
-        n, links: joints, and parameters of links.
+            joint i's equation and column j; directions β of the links' parameters in units of their spread.
+        n, links: joints, and directions of the links' parameters that the rows show.
         live: which columns of torque hold anything ``(n,)``.
         count: rows.
         least: size of each column's noise at least ``(n,)``, over the one that its products are whitened with.
@@ -213,6 +214,7 @@ class _Rows:
         mean, root = link_prior(robot)
         bodies = [_bodies(s, robot, gravity)[::stride] for gravity in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1))]
         bodies = [bodies[0], *(one - bodies[0] for one in bodies[1:])]
+        root = root @ _shown([one / np.where(live, scale, scale.max())[:, None] for one in bodies], root)
         top = np.maximum(np.quantile(np.abs(s.qd), 0.99, axis=0), 1e-9)
         shapes = (s.qdd, *(np.tanh(s.qd / (turns * top)) for turns in _TURNS), s.qd)
         own = [_in_units(s.decimate(column)[::stride]) for column in shapes]
@@ -309,12 +311,12 @@ class _Rows:
             # Scaled to ones on the diagonal: units a thousand times off are beyond double precision otherwise.
             H = weight[:, None, None] * of_own + ones
             scale = 1.0 / np.sqrt(np.einsum("ikk->ik", H))
-            lower = np.linalg.cholesky(scale[:, :, None] * H * scale[:, None, :] + ROUNDING * ones)
+            lower = np.linalg.cholesky(scale[:, :, None] * H * scale[:, None, :] + _ROUNDING * ones)
             inverse = np.linalg.inv(lower) * scale[:, None, :]
             pulled = (inverse @ (weight[:, None, None] * to_links)).reshape(-1, P)
             z_own = np.einsum("ikl,il->ik", inverse, weight[:, None] * aim_own)
             H = ((weight * unit[:, 0] ** 2) @ of_links).reshape(P, P)
-            np.einsum("pp->p", H)[:] = (np.einsum("pp->p", H) + 1.0) * (1.0 + ROUNDING)
+            np.einsum("pp->p", H)[:] = (np.einsum("pp->p", H) + 1.0) * (1.0 + _ROUNDING)
             root = np.linalg.cholesky(H - pulled.T @ pulled)
             back, _ = linalg.lapack.dtrtri(root, lower=1)
             z = back @ (weight @ aim_links - z_own.ravel() @ pulled)
@@ -401,6 +403,16 @@ def _pushed(recording: Recording, robot: Robot, s: FilteredSignals, stride: int)
     by_axis = torques_of_tool_force(robot, s.q)
     columns = np.concatenate([np.einsum("nlj,nl->nj", by_axis, force)[:, None], _FORCE_ZERO * by_axis], axis=1)
     return s.decimate(np.moveaxis(columns, 1, 2))[::stride]
+
+
+def _shown(bodies: list[Array], root: Array) -> Array:
+    """Orthonormal directions of the links' parameters that the rows ``(M, n, 10 n)`` show at all ``(10 n, P)``.
+
+    Of the others, a third for most arms, the posterior is the prior.
+    """
+    flat = np.concatenate([one.reshape(-1, len(root)) for one in bodies]) @ root
+    squares, directions = linalg.eigh(flat.T @ flat)
+    return np.asarray(directions[:, squares > _ROUNDING * squares[-1]])
 
 
 def _in_units(column: Array) -> Array:

@@ -105,8 +105,9 @@ _SWITCH = 1e-4
 def undisturbed(core: int | None = None, priority: int = PRIORITY) -> Iterator[list[str]]:
     """Yields what was granted, as a person reads it; at the end all is as before.
 
-    A full collection looks at every object of numpy, numba and pinocchio, which takes a hundred milliseconds. What is
-    there now is put aside, and nothing is collected within the block: a cycle makes no circles among objects.
+    A full collection looks at every object of numpy, numba and pinocchio, which takes some hundred milliseconds. What
+    is there now is put aside as it is, garbage too, and nothing is collected within the block: a cycle makes no circles
+    among objects.
 
     Args:
         core: processor core to keep to; None for any.
@@ -115,7 +116,7 @@ def undisturbed(core: int | None = None, priority: int = PRIORITY) -> Iterator[l
     granted = ["garbage collection out of the cycle"]
     interval, enabled = sys.getswitchinterval(), gc.isenabled()
     cores, before = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set[int](), {}
-    gc.collect()
+    within = gc.get_freeze_count() > 0
     gc.freeze()
     gc.disable()
     sys.setswitchinterval(_SWITCH)
@@ -133,7 +134,8 @@ def undisturbed(core: int | None = None, priority: int = PRIORITY) -> Iterator[l
         if core is not None and cores:
             os.sched_setaffinity(0, cores)
         sys.setswitchinterval(interval)
-        gc.unfreeze()
+        if not within:
+            gc.unfreeze()
         if enabled:
             gc.enable()
 
