@@ -272,18 +272,30 @@ class Guard:
 
         Where the motion is held they wait for the arm and go on; where it is stopped they end braked on the path.
         """
+        for q_c, *_ in self.steps(rows):
+            yield q_c
+
+    def steps(self, rows: Array, *beside: Array) -> Iterator[tuple[Array, ...]]:
+        """``along``, and with each command what goes along with its row, of each of ``beside (N, …)``.
+
+        While the arm is waited for that is what belongs to where it is held.
+        """
         k = 0
         while k < len(rows):
-            yield rows[k]
+            here = tuple(values[k] for values in beside)
+            yield rows[k], *here
             if self.reason is not None:
-                yield from self.braking(rows[k:])
+                for q_c in self.braking(rows[k:]):
+                    yield q_c, *here
                 return
             k += 1
             if self.held is not None:
-                yield from self.waiting()
+                for q_c in self.waiting():
+                    yield q_c, *here
                 if self.reason is not None:
                     return
-                (rows,), k = self.resumed(rows, k), 0
+                (rows, *others), k = self.resumed(rows, k, *beside), 0
+                beside = tuple(others)
 
     @contextmanager
     def motion(self, cycle: Cycle) -> Iterator[None]:
@@ -355,7 +367,8 @@ class Guard:
         instants = np.concatenate([instants, instants[-1] + T * np.arange(1.0, len(rest) + 1.0)])
         passed = interpolated(T * np.arange(np.ceil(instants[-1] / T - ROUNDING) + 1), instants,
                               np.concatenate([places, rest])[:, None])[:, 0]
-        left, *others = (interpolated(passed, np.arange(float(len(rows))), values) for values in (rows, *beside))
+        left, *others = (interpolated(passed, np.arange(float(len(rows))), values.reshape(len(rows), -1)
+                                      ).reshape(-1, *values.shape[1:]) for values in (rows, *beside))
         # Where it was held it may stand beside the path, to which it comes as slowly.
         off = now - left[0]
         lasts = max(float(np.max(np.abs(off))) / (0.5 * probing_speed(self._a_max, T)), T)
@@ -425,10 +438,10 @@ class Guard:
         until = BLIND if touching is None else np.inf
         while (way < until or speed > 0.0) and not trail.ended:
             touching = self.touching
-            if until == np.inf and touching is False:
-                until = way + MARGIN
-            elif touching is True:
+            if touching is True:
                 until = np.inf
+            elif until == np.inf:
+                until = way + (MARGIN if touching is False else BLIND)
             most = AWAY if way < until else 0.0
             speed += float(np.clip(most - speed, -AWAY * self._T / _RAMP, AWAY * self._T / _RAMP))
             way += speed * self._T

@@ -5,7 +5,13 @@ the way d is met by the map's forecast alone, whose standard deviation the filte
 
 .. math:: \sigma_F(v) = E\, \sqrt{\sigma_h^2(v\, t) + \sigma_x^2}
 
-with what the arm itself leaves beside its path, :math:`\sigma_x`. Its joints break away as a travel begins, however
+with what the arm itself leaves beside its path, :math:`\sigma_x`. A sensor's gain is known as well as somebody has
+measured it: with the ratio κ of the true force to the shown one and its standard deviation the surface bears no more
+than
+
+.. math:: \hat\kappa F_r + 4\, \sqrt{F_r^2 \sigma_\kappa^2 + \hat\kappa^2 \sigma_F^2}
+
+but for once in 16,000 times. The arm's joints break away as a travel begins, however
 slow that is. On the wave of ``force_wave`` at 0.2 m/s the error's RMS was 0.75, 1.4, 2.1 and 3.1 N at elasticities of
 4, 19, 44 and 79 N/mm; this says 0.66, 1.3, 2.1 and 3.4 N.
 """
@@ -55,8 +61,20 @@ def forecast_error(settings: ContactSettings, errors: Errors, speed: float, T: f
     return E * float(np.sqrt(fusion.deviation(np.array([s[-1] + speed * answered]))[1][0, 1] + LEFT**2))
 
 
-def bearable_speed(settings: ContactSettings, errors: Errors, most: float, T: float, answered: float = NOTICED
-                   ) -> float:
+def worst_force(force: float, ratio: tuple[float, float], error: float) -> float:
+    """The force on the surface that is exceeded once in 16,000 times [N].
+
+    Args:
+        force: that is kept as the sensor shows it [N].
+        ratio: of the true force to the shown one, κ, and its standard deviation.
+        error: standard deviation of the shown force [N].
+    """
+    kappa, sigma = ratio
+    return kappa * force + TIMES * math.hypot(sigma * force, kappa * error)
+
+
+def bearable_speed(settings: ContactSettings, errors: Errors, most: float, T: float, answered: float = NOTICED,
+                   ratio: tuple[float, float] = (1.0, 0.0)) -> float:
     """Largest speed up to ``most`` [m/s] at which the surface bears what it may bear; 0 where no speed would do.
 
     Args:
@@ -65,10 +83,11 @@ def bearable_speed(settings: ContactSettings, errors: Errors, most: float, T: fl
         most: largest speed that is asked for [m/s].
         T: cycle [s].
         answered: time until a force is answered [s].
+        ratio: of the true force to the shown one, and its standard deviation.
     """
-    room, speed = most_force(settings.force) - settings.force, most
+    allowed, speed = most_force(settings.force), most
     while speed >= min(SLOWEST, most):
-        if TIMES * forecast_error(settings, errors, speed, T, answered) <= room:
+        if worst_force(settings.force, ratio, forecast_error(settings, errors, speed, T, answered)) <= allowed:
             return speed
         speed /= STEPS
     return 0.0

@@ -20,7 +20,8 @@ from ideal_robot.arrays import Array
 from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
-from planning.force.sensor_gain import BLOCK, GainByMotors
+from ideal_robot.tolerances import ROUNDING
+from planning.force.sensor_gain import LOSSES, SLIDES, GainByMotors, block_cycles
 from planning.path.kinematics import InverseKinematics
 
 WINDOW = 0.4
@@ -30,7 +31,13 @@ BEHIND = 0.024
 """By how much the motors are behind the commands [s], from which velocity and acceleration are taken."""
 
 
-def _presliding(model: Model) -> Array:
+_SMALL = 1e-3
+"""Way of the tip from which the ways of the joints are taken [m]."""
+_QUIET = 1e-3
+"""Least scatter of a torque, of a motor without noise [N m]."""
+
+
+def presliding_distance(model: Model) -> Array:
     """Presliding distance of each joint ``(n,)`` [rad]; friction without presliding turns at once."""
     return np.array([float(law.shape[-1, 0]) if law.presliding else 1e-12 for law in model.friction.laws])
 
@@ -58,7 +65,8 @@ class FeltByMotors:
         self._air = np.nan
         self._cycles = 0
         # Slower than it was identified dry friction may be anything.
-        self.gain = GainByMotors(model.noise_std + model.friction.dry, _presliding(model), round(BLOCK / self._T))
+        self.gain = GainByMotors(model.noise_std + model.friction.dry, presliding_distance(model),
+                                 block_cycles(self._T, settle))
         self._slid: Array = np.zeros(robot.n)
         self._last: Array | None = None
 
@@ -79,7 +87,7 @@ class FeltByMotors:
             step = q_c - self._last
             self._slid = np.where(step * self._slid >= 0.0, self._slid, 0.0) + step
         self._last = q_c
-        if len(self._commands) < 3 or self._cycles < self._first:
+        if len(self._commands) < 3:
             return
         before, here, after = list(self._commands)[:3]
         v, a = (after - before) / (2 * self._T), (after - 2 * here + before) / self._T**2
@@ -89,6 +97,8 @@ class FeltByMotors:
             self.gain.uneven()
         else:
             self.gain.add(rest, self._kinematics.torque(q, felt), np.abs(self._slid), speed)
+        if self._cycles < self._first:
+            return
         self._forces.append(-float(g @ (self._weight * rest)) / float(g @ (self._weight * g)))
         if np.isnan(self._air) and len(self._forces) == self._window:
             self._air = float(np.mean(self._forces))
@@ -97,6 +107,50 @@ class FeltByMotors:
     def force(self) -> float:
         """Mean force of the last while beyond that in the air [N]; NaN while it is not known."""
         return np.nan if np.isnan(self._air) else float(np.mean(self._forces)) - self._air
+
+
+class Hearing:
+    r"""How slowly a surface has to be pressed for the motors to tell a force sensor's gain.
+
+    While the force rises from 0 to F in the time t, a line of :math:`t/T` torques of scatter :math:`\sigma_j` beside an
+    unknown friction tells κ within
+
+    .. math:: \sigma_\kappa^2 = \frac{12\, T}{t\, F^2 \sum_j (g_j / \sigma_j)^2}
+
+    over the joints that slide, with :math:`g = J^T d`. To know it better than gears and drives do is of no use, so
+    that is ``LOSSES``.
+
+    Args:
+        model, robot, kinematics: of the arm.
+        q: joint angles ``(n,)`` [rad].
+        direction: of the force ``(3,)`` [base frame].
+        scatter: standard deviation of the torques from cycle to cycle ``(n,)`` [N m].
+        force: F, up to which it is pressed [N].
+    """
+
+    def __init__(self, model: Model, robot: Robot, kinematics: InverseKinematics, q: Array, direction: Array,
+                 scatter: Array, force: float) -> None:
+        self._T, self._force = robot.t_ipo, force
+        self._loud = (kinematics.torque(q, direction) / np.maximum(scatter, _QUIET)) ** 2
+        rates = np.abs(kinematics.away(q, _SMALL * direction)) / _SMALL
+        self._ways = SLIDES * presliding_distance(model) / np.maximum(rates, ROUNDING)
+
+    def seconds(self, way: float) -> float:
+        """Time t in which the force has to rise, where the tip has gone straight on for a way [m] before."""
+        told = float(np.sum(self._loud[self._ways <= way]))
+        return 12.0 * self._T / (LOSSES * self._force) ** 2 / max(told, ROUNDING)
+
+    def fastest(self, stiffness: float, way: float) -> float:
+        """Largest speed on a contact of a stiffness [N/m], behind a way [m], at which a gain is told [m/s]."""
+        return self._force / (stiffness * self.seconds(way))
+
+    def quickest(self, stiffness: float) -> tuple[float, float]:
+        """The way through air [m], and the speed behind it [m/s], by which a gain is told soonest.
+
+        The more joints are to slide, the longer the way, and the less slowly the force has to rise.
+        """
+        plans = [(float(way), self.fastest(stiffness, float(way))) for way in self._ways]
+        return min(plans, key=lambda plan: (plan[0] + self._force / stiffness) / plan[1])
 
 
 # Along a path: what the motors feel beyond what the force sensor tells.
@@ -141,7 +195,7 @@ class BeyondSensor:
         self._model, self._T = model, T
         self._apart = max(round(SPAN / T), 1)
         self._heard: deque[tuple[Array, Array, Array, Array]] = deque(maxlen=2 * self._apart + 1)
-        self._distance = _presliding(model)
+        self._distance = presliding_distance(model)
         self._sliding = np.zeros(model.n)
         self._waited = self._travelled = 0.0
         self._filter = KalmanFilter(dim_x=1 + model.n, dim_z=model.n)

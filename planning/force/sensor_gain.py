@@ -15,6 +15,7 @@ some tenths of a second by as much more as their mean leaves there.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,8 @@ LOSSES = 0.05
 data sheets give torque constants to some per cent, and gears lose 5 to 10 % of what they transmit."""
 BLOCK = 0.2
 """Time over which torques are averaged [s]."""
+_BLOCKS = 120
+"""Blocks into which a way through air is divided that takes long: more cost time, and tell no more."""
 ALIKE = 0.05
 """Share by which speeds may differ at which friction is the same."""
 FEWEST = 12
@@ -39,8 +42,12 @@ SLIDES = 5.0
 """Presliding distances behind which a joint that has turned round slides: 1 % of its friction has not turned then."""
 _SILENT, _ANY = 1e-9, 1e6
 """Least variance of a torque, of a motor without noise, and that of friction beside the model's [N² m²]."""
-_LEAST = 4.0
-"""What is known of κ before anything is said, as 1/σ²: a gain within a half."""
+PRIOR = 0.5
+"""Standard deviation of κ before any witness has said anything: gains of 0.5 are within two of them. Beyond are units
+and ranges that were mistaken, of which pressing feels too little, or leaps."""
+_TWO_SIGMA = 2.0
+"""Standard deviations of κ up to which a surface is spared: one gain in 44 lies beyond, in the direction that presses
+harder."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +82,12 @@ class SensorGain:
     @property
     def at_most(self) -> float:
         """The true force over the shown one, two standard deviations above what was measured."""
-        return self.inverse + 2.0 * self.sigma
+        return self.inverse + _TWO_SIGMA * self.sigma
+
+    @property
+    def ratio(self) -> tuple[float, float]:
+        """κ and its standard deviation."""
+        return self.inverse, self.sigma
 
     @property
     def passes(self) -> tuple[float, float]:
@@ -94,6 +106,15 @@ class SensorGain:
         least, largest = self.passes
         return {"value": self.value, "sigma_of_inverse": self.sigma, "witness": self.witness, "passes_from": least,
                 "passes_to": largest, "text": self.text}
+
+
+UNKNOWN = SensorGain(1.0, PRIOR, "nobody")
+"""A gain that nobody has measured."""
+
+
+def best_known(gains: Iterable[SensorGain]) -> SensorGain:
+    """The gain as the witness has it that knows it best; ``UNKNOWN`` without one."""
+    return min(gains, key=lambda gain: gain.sigma, default=UNKNOWN)
 
 
 NOT_MEASURED = ("not measured: whatever it is, the surface bears as much more than is shown; tell what hangs on the "
@@ -118,6 +139,11 @@ def gain_by_weight(tool: ToolLoad, mass: float) -> SensorGain:
     return SensorGain(mass / tool.mass, sigma, f"the stated {mass:g} kg")
 
 
+def block_cycles(T: float, lasts: float) -> int:
+    """Cycles of a block, for cycles of T [s] and a way through air that lasts so long [s]."""
+    return round(max(BLOCK, lasts / _BLOCKS) / T)
+
+
 class GainByMotors:
     """The gain by the motors, from cycles in which the tip goes on evenly.
 
@@ -125,9 +151,6 @@ class GainByMotors:
         beside: standard deviation of what another speed may change a torque by beside the model ``(n,)`` [N m].
         distance: presliding distance of the joints ``(n,)`` [rad].
         cycles: of a block.
-
-    Attributes:
-        told: what is known by now; None while it is nothing.
     """
 
     def __init__(self, beside: Array, distance: Array, cycles: int) -> None:
@@ -137,7 +160,7 @@ class GainByMotors:
         self._blocks: list[tuple[int, Array, Array, Array, Array, Array]] = []
         self._speeds = list[float]()
         self._speed: float | None = None
-        self.told: SensorGain | None = None
+        self._told: tuple[int, SensorGain | None] = 0, None
 
     def add(self, rest: Array, arm: Array, way: Array, speed: float) -> None:
         """A cycle of even motion.
@@ -167,7 +190,18 @@ class GainByMotors:
             self._blocks.append((self._speeds.index(self._speed), rests.mean(axis=0), arms.mean(axis=0), white, slides,
                                  changes))
             self._now.clear()
-            self.told = self._gain()
+
+    @property
+    def told(self) -> SensorGain | None:
+        """What is known by now; None while it is nothing."""
+        if self._told[0] != len(self._blocks):
+            self._told = len(self._blocks), self._gain()
+        return self._told[1]
+
+    @property
+    def scatter(self) -> Array | None:
+        """What the torques scatter by from cycle to cycle ``(n,)`` [N m]; None before any block was heard."""
+        return np.sqrt(np.mean([block[3] for block in self._blocks], axis=0)) if self._blocks else None
 
     def uneven(self) -> None:
         """The motion changes its speed: friction comes to another one from now on."""
@@ -195,7 +229,7 @@ class GainByMotors:
             Cx, Cy = np.linalg.solve(C, np.column_stack([x, y])).T
             total, weighted = total + x @ Cx, weighted + x @ Cy
             parts.append((x, y, C))
-        if total < _LEAST:
+        if total < PRIOR**-2:
             return None
         kappa = weighted / total
         for x, y, C in parts:

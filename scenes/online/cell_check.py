@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.special import chdtrc, chdtri
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, held
 from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.model.model import Model
 from ideal_robot.robots.collisions import Shapes
@@ -126,13 +126,15 @@ def calibrated_by_moving(motion: CalibrationMotion, arm: LiveArm, camera: LiveCa
     ways = arm.timed(motion.out, motion.over, motion.back)
     commands = np.concatenate(ways)
     sag = arm.meanwhile(lambda: motion.deflection.along(commands))
-    begin, end = arm.t_ipo * np.cumsum([len(way) for way in ways])[:2]
+    first, last = np.cumsum([len(way) for way in ways])[:2]
     arm.begin()
     camera.predict = view.predicted
-    fields = 0
+    fields, begin, end = 0, np.inf, np.inf
     with arm.motion():
-        for q_c, bent in zip(commands, sag, strict=True):
-            arm.check(arm.t)
+        for q_c, bent, row in arm.guard.steps(commands, sag, np.arange(float(len(commands)))):
+            # An arm that is paused is waited for, and its time goes on.
+            begin = min(begin, arm.t) if row >= first else np.inf
+            end = min(end, arm.t) if row >= last else np.inf
             arm.q_d = q_c
             q = arm.cycle(q_c).q
             view.history.add(arm.t, q - bent)
@@ -140,6 +142,7 @@ def calibrated_by_moving(motion: CalibrationMotion, arm: LiveArm, camera: LiveCa
                 if begin <= shown.t_stamp <= end:
                     fields += 1
                     view.look(shown, view.predicted(shown.t_stamp), 0.0)
+        arm.check(arm.t)
     near, up = view.piece(piece.at, fields, "how it looks (line.gray, line.width_mm), and the camera")
     arm.meanwhile(lambda: camera.calibrate(view.believed, view.observations, near, up, piece.prior))
     for _ in range(int(_COMPUTING / arm.robot.t_ipo)):
@@ -343,17 +346,19 @@ def _seen(look: Look, arm: LiveArm, camera: LiveCamera, view: CalibrationView, c
     """Leads the arm by commands ``(N, n)`` [rad]; how far beside the reference the line is seen at their end [m]."""
     commands = arm.timed(commands)
     sag = arm.meanwhile(lambda: GearDeflection(look.model, arm.t_ipo).along(commands))
-    rests = arm.t + arm.t_ipo * len(commands) - STILL + 0.1
-    beside = list[float]()
+    # In the last row the deflection is not known; the arm rests before it, and a slow camera is waited for.
+    sag[-1], last, waits = sag[-2], len(commands) - 1, round(PATIENCE / arm.t_ipo)
+    rows = np.arange(float(len(commands) + waits))
+    commands, sag = held(commands, after=waits), held(sag, after=waits)
+    rests, beside = np.inf, list[float]()
     with arm.motion():
-        for cycle in range(len(commands) + round(PATIENCE / arm.t_ipo)):
-            if cycle >= len(commands) and len(beside) >= FEWEST:
+        for q_c, bent, row in arm.guard.steps(commands, sag, rows):
+            if row > last and len(beside) >= FEWEST:
                 break
-            q_c = commands[min(cycle, len(commands) - 1)]
-            arm.check(arm.t)
+            if row >= last - round((STILL - 0.1) / arm.t_ipo):
+                rests = min(rests, arm.t)
             arm.q_d = q_c
-            # In the last row the deflection is not known; the arm rests before it.
-            view.history.add(arm.t + arm.t_ipo, arm.cycle(q_c).q - sag[min(cycle, len(commands) - 2)])
+            view.history.add(arm.t + arm.t_ipo, arm.cycle(q_c).q - bent)
             for shown in camera.arrived(arm.t):
                 detected = view.detector.detect(shown, look.camera, view.predicted(shown.t_stamp), view.detection)
                 if shown.t_stamp < rests or not detected.seen:
@@ -361,6 +366,7 @@ def _seen(look: Look, arm: LiveArm, camera: LiveCamera, view: CalibrationView, c
                 pose = view.history.pose(shown.t_stamp)
                 points = detected.points_tcp[detected.used] @ pose.rotation.T + pose.translation
                 beside.append(float(np.mean(look.reference.project(points, look.begin + AHEAD)[1])))
+        arm.check(arm.t)
     if len(beside) < FEWEST:
         raise SceneError(f"only {len(beside)} pictures from above showed the line; check where it is, how it looks "
                          "(line.gray, line.width_mm) and whether the camera sends")

@@ -106,13 +106,15 @@ class ContactSensor(Sensor):
         """This computer takes so long to fuse, to plan and to command [s], see ``Sensor``."""
         self.at_once, self.in_one = usual / IN_ANSWER, usual / IN_CYCLE
 
-    def calibrated(self, tool: ToolLoad, elasticity: ContactElasticity) -> None:
-        """Takes what a calibration has found meanwhile.
+    def calibrated(self, tool: ToolLoad, elasticity: ContactElasticity, ratio: float = 1.0) -> None:
+        """Takes what a calibration has found meanwhile; ``ratio``: the true force over the shown one, at most.
 
         The model's ``ForceErrors`` are not added: turning the tool shows the sensor's bias as it is, and pressing all
         that gives under the force. They would count twice.
         """
         self.tool, self.elasticity = tool, elasticity
+        limits = self.scene.emergency.limits()
+        self._stop = StopConditions(self.follower.robot, replace(limits, force=limits.force / ratio))
         self.assumed_stiffness = self.scene.assumed.elasticity_ratio * elasticity.stiffness
         self.follower.press_as(self.assumed_stiffness)
 

@@ -7,10 +7,11 @@ weight counts as its weight:
 
 How fast the tip may near a surface follows from the force that a touch may have grown to when it is answered,
 
-    v ≤ (F_max - F_touch) / (E t_noticed)
+    v ≤ (F_max - κ F_touch) / (E t_noticed)
 
-with the stiffness E of the arm itself, which the stiffest surface cannot exceed, until pressing has shown another one.
-Where the tip has been without feeling anything is air.
+with the ratio κ of the true force to the shown one, as large as a gain that is not known may make it, and the stiffness
+E of the arm itself, which the stiffest surface cannot exceed, until pressing has shown another one. Where the tip has
+been without feeling anything is air.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from ideal_robot.execution.guard import Watch
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from planning.force.contact import NOTICED, SLOPE
+from planning.force.sensor_gain import UNKNOWN
 from planning.path.kinematics import InverseKinematics
 from scenes.online.live_sensors import LiveForce
 from sensing.force.force_calibration import ToolLoad
@@ -109,6 +111,7 @@ class FeltForce(Watch):
         tool: bias and weight, once they are known.
         contact: force of the environment on the tool, by the last readings ``(3,)`` [N, tool frame].
         largest: size of the largest such force so far [N].
+        ratio: the true force over the one that is shown which the sensor's gain may make of it.
     """
 
     def __init__(self, force: LiveForce, robot: Robot, surface: Surface | None, limit: float, *,
@@ -116,7 +119,7 @@ class FeltForce(Watch):
         self._meets = meets
         self._force, self._robot, self._limit, self._surface = force, robot, limit, surface
         self._fk, self._T = robot.fk(), robot.t_ipo
-        self.wanted, self.contact = 0.0, np.zeros(3)
+        self.wanted, self.contact, self.ratio = 0.0, np.zeros(3), UNKNOWN.at_most
         self.tool: ToolLoad | None = None
         self._poses: deque[tuple[float, Array, Array]] = deque(maxlen=round(_REMEMBERED / robot.t_ipo))
         self._zero: tuple[Array, Array] | None = None
@@ -155,7 +158,7 @@ class FeltForce(Watch):
         """Speed at which what may be touched may be neared [m/s]."""
         if self._surface is None:
             return _FASTEST
-        room = SAFE * self._limit - self._touch
+        room = SAFE * self._limit - self.ratio * self._touch
         return min(max(room, 1.0) / (self._surface.stiffness * NOTICED), _FASTEST)
 
     def rates(self, rows: Array, T: float) -> Array:
@@ -229,7 +232,7 @@ class FeltForce(Watch):
     def _allowed(self) -> float:
         """Largest force that may be felt now [N]."""
         if self.wanted > 0.0:
-            return self._limit
+            return self._limit / self.ratio
         # What the tool's own inertia may show.
         rows = [place for t, _, place in self._poses if t >= self._poses[-1][0] - _LATELY]
         inertia = 0.0

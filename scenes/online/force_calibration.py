@@ -7,7 +7,9 @@ at; the motors; and what contact is, a push along the surface's normal.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -17,15 +19,16 @@ from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.robots.interface import RobotState
 from planning import OutOfReachError
 from planning.force.contact import LEAP, NOTICED, ContactSettings, most_force
-from planning.force.felt_by_motors import WINDOW, FeltByMotors
-from planning.force.sensor_gain import SensorGain, wrong_gain
+from planning.force.felt_by_motors import WINDOW, FeltByMotors, Hearing
+from planning.force.sensor_gain import ALIKE, SensorGain, best_known, wrong_gain
 from planning.path.kinematics import InverseKinematics
 from scenes.line_way import shapes_about
-from scenes.online.felt_force import ZEROED, FeltForce
+from scenes.online.felt_force import SAFE, ZEROED, FeltForce
 from scenes.online.force_known import START_HEIGHT, KnownSurface
 from scenes.online.live_arm import LiveArm, moves
 from scenes.online.live_sensors import LiveForce
 from scenes.scene_files.scene import SceneError
+from sensing import SensingError
 from sensing.force.force_calibration import (
     ContactElasticity,
     ToolLoad,
@@ -67,6 +70,10 @@ _STEEPER = 2.0
 """Times by which a contact may be stiffer at the force that is pressed with than on the whole way to it."""
 _SPARE = 0.7
 """Share of the force that may be felt beyond that one which may come to it."""
+_LONGEST = 180.0
+"""Time for which the motors are listened to at most [s]; who would take longer is no witness."""
+_SHOWS = 100
+"""Newest readings from which it is told how stiff a contact is while it is pressed."""
 _MARGIN = 0.05
 """Distance from the joints' limits that turned postures keep [rad]."""
 
@@ -141,16 +148,21 @@ def postures_to_weigh(known: KnownSurface, start: Array) -> list[Array]:
     return postures
 
 
-def elasticity_by_pressing(known: KnownSurface, start: Array, arm: LiveArm, force: LiveForce, felt: FeltForce
-                           ) -> tuple[ContactElasticity, SensorGain | None]:
+def elasticity_by_pressing(known: KnownSurface, start: Array, arm: LiveArm, force: LiveForce, felt: FeltForce,
+                           gains: Sequence[SensorGain] = ()) -> tuple[ContactElasticity, SensorGain | None]:
     """E by moving: the tip is pressed slowly into the surface at the start of the path and drawn back.
+
+    Where the force would rise too quickly for the motors to tell the sensor's gain, it is pressed once more, as slowly
+    as that takes, from so far above that the joints slide when it touches.
 
     Args:
         known: what is known of the scene.
         start: where the arm is, and is again afterwards ``(n,)`` [rad].
         arm: connected.
         force: what it feels.
-        felt: the guard's watch over it, with the tool's bias and weight; knows the surface afterwards.
+        felt: the guard's watch over it, with the tool's bias and weight; knows the surface, and what the sensor's gain
+            may be, afterwards.
+        gains: of the sensor, as other witnesses know it.
 
     Returns it, and the sensor's gain by the motors; None where they are not heard.
 
@@ -158,7 +170,7 @@ def elasticity_by_pressing(known: KnownSurface, start: Array, arm: LiveArm, forc
         SceneError: nothing is felt, or the witnesses do not agree. The tip has been drawn back then.
         FollowStoppedError: too much is felt, or the arm or the sensor is not to be relied on; the same.
     """
-    press = arm.meanwhile(lambda: _Press(known, start, arm, force, felt))
+    press = arm.meanwhile(lambda: _Press(known, start, arm, force, felt, gains))
     arm.begin()
     force.reach = LEAP * known.scene.force
     felt.wanted = known.scene.force
@@ -186,7 +198,7 @@ class Pressed:
     """
 
     def __init__(self, known: KnownSurface, tool: ToolLoad, start: Array) -> None:
-        self._wanted, self._tool = known.scene.force, tool
+        self._tool = tool
         self.kinematics = InverseKinematics(known.robot)
         self._deflection = GearDeflection(known.model, known.robot.t_ipo)
         frames = known.reference.frames(np.zeros(1))
@@ -221,13 +233,14 @@ class Pressed:
         """The force felt now ``(3,)`` [N, base frame]."""
         return np.mean(self._felt[-_RECENT:], axis=0) if self._felt else np.zeros(3)
 
-    def elasticity(self) -> ContactElasticity:
-        """From what was felt where."""
-        felt, places = np.array(self._felt), np.array(self._places)
+    def elasticity(self, newest: int = 0) -> ContactElasticity:
+        """From what was felt where, in all readings or in the newest ones."""
+        felt, places = np.array(self._felt[-newest:]), np.array(self._places[-newest:])
+        stamps, times = self._stamps[-newest:], self._times[-newest:]
         # The surface need not be square to the nominal normal: its own is where the force points.
-        normal = felt[felt @ self.up > 0.5 * self._wanted].mean(axis=0)
+        normal = felt[felt @ self.up > 0.5 * np.max(felt @ self.up)].mean(axis=0)
         normal = normal / np.linalg.norm(normal)
-        return identify_elasticity(np.interp(self._stamps, self._times, places @ normal), felt @ normal)
+        return identify_elasticity(np.interp(stamps, times, places @ normal), felt @ normal)
 
 
 _Heard = tuple[Array, RobotState, Array | None, float]
@@ -235,37 +248,99 @@ _Heard = tuple[Array, RobotState, Array | None, float]
 speed [m/s]."""
 
 
-class _Press(Pressed):
-    """One time down and up with a connected arm, as fast as what gives way under the tip allows."""
+@dataclass(frozen=True)
+class _Slower:
+    """How a contact of a stiffness [N/m] has to be pressed for the motors to tell the sensor's gain.
 
-    def __init__(self, known: KnownSurface, start: Array, arm: LiveArm, force: LiveForce, felt: FeltForce) -> None:
+    After a ``way`` through air [m] with a ``speed`` [m/s], where that is ``needed``.
+    """
+
+    stiffness: float
+    way: float
+    speed: float
+    needed: bool
+
+
+class _StoodError(Exception):
+    """The arm stood while it was to press: what was heard of friction belongs to no motion that goes on."""
+
+
+class _Press(Pressed):
+    """Down and up with a connected arm, as fast as what gives way under the tip allows."""
+
+    def __init__(self, known: KnownSurface, start: Array, arm: LiveArm, force: LiveForce, felt: FeltForce,
+                 gains: Sequence[SensorGain]) -> None:
         assert felt.tool is not None
         super().__init__(known, felt.tool, start)
         self._known, self._arm, self._force, self._watch, self._speed = known, arm, force, felt, 0.0
-        self._motors = FeltByMotors(known.model, known.robot, self.kinematics, self.up)
+        self._gains, self.gain = gains, None
         self._most = min(most_force(known.scene.force), known.scene.emergency.force)
         self._pressed = min(_HARD * known.scene.force, 0.5 * (known.scene.force + self._most))
         self._touched: float | None = None
         self._evenly = 0.0
-        self.gain: SensorGain | None = None
+        self._through_air(0.0)
         # Once before anything moves: what is compiled is loaded here, not in a cycle.
         self.where(self.go(0.0))
 
+    gain: SensorGain | None
+
+    def _through_air(self, pace: float, settle: float = 0.4) -> None:
+        """From now on the motors are heard at this speed of the air [m/s], in which friction turns round [s]."""
+        self._pace, self._paced_at, self._slower = pace, self.height, None
+        self._motors = FeltByMotors(self._known.model, self._known.robot, self.kinematics, self.up, settle)
+
+    _pace: float
+    _paced_at: float
+    _slower: _Slower | None
+
     def down_and_up(self) -> None:
-        """Raises ``SceneError`` where it cannot go on."""
+        """Begins once more where the arm was paused on the way. Raises ``SceneError`` where it cannot go on."""
+        while True:
+            with suppress(_StoodError):
+                self._once()
+                return
+            self.q, self._speed = self._arm.q_d, 0.0
+            self.height = float((self.kinematics.fk(self.q).translation - self._origin) @ self.up)
+            for heard in (self._times, self._places, self._stamps, self._felt):
+                heard.clear()
+
+    def _once(self) -> None:
+        """Down and up; raises ``_StoodError`` where the arm was paused on the way, and rests."""
         self._go(lambda: _UP, self._high)
         self._go(lambda: 0.0, lambda: self._speed == 0.0)
         # Quickly through what is air for sure: friction turns round. The motors' own air is that of the slow way.
         self._go(lambda: -_SLOW, lambda: self.height < self._watch.within + _SLOWLY)
-        self._go(lambda: -self._down(), self._hard, heard=True)
+        self._through_air(min(self._watch.nearing, _SLOW))
+        self._go(lambda: -self._down(), lambda: self._hard() or self._too_quick(), heard=True)
+        if (slower := self._slower) is not None and self._too_quick() and self._touched is not None:
+            # There joints slide, and the motors have heard the air, before it touches.
+            top = self._touched + slower.way + slower.speed * (WINDOW + _STEADY) + self._pace * NOTICED
+            self._go(lambda: _SLOW, lambda: self.height >= top and float(self.recent() @ self.up) < _GONE)
+            self._go(lambda: 0.0, lambda: self._speed == 0.0)
+            self._through_air(slower.speed, slower.way / slower.speed)
+            self._go(lambda: -slower.speed, self._hard, heard=True)
         self._go(lambda: _SLOW, lambda: float(self.recent() @ self.up) < _GONE or self._high())
         self._go(lambda: _UP, lambda: self.height >= START_HEIGHT)
 
+    def _too_quick(self) -> bool:
+        """Whether the motors would not tell the sensor's gain at the speed of this way down."""
+        felt, scatter = float(self.recent() @ self.up), self._motors.gain.scatter
+        if self._slower is None and felt > 2.0 * _FELT and scatter is not None:
+            known, here = self._known, self._paced_at - self.height
+            hearing = Hearing(known.model, known.robot, self.kinematics, self.q, self.up, scatter, self._pressed)
+            with suppress(SensingError):
+                stiffness = self.elasticity(_SHOWS).stiffness
+                way, speed = hearing.quickest(stiffness)
+                needed = self._pace > hearing.fastest(stiffness, here) * (1.0 + ALIKE)
+                lasts = (way + self._pressed / stiffness) / speed
+                self._slower = _Slower(stiffness, way, speed, needed and lasts < _LONGEST)
+        return self._slower is not None and self._slower.needed
+
     def _hard(self) -> bool:
-        """Whether it is pressed hard enough, or as hard as may be by what the motors know of the sensor's gain."""
+        """Whether it is pressed hard enough, or as hard as may be by what is known of the sensor's gain."""
         felt = float(self.recent() @ self.up)
-        return felt > self._pressed or (self.gain is not None and felt > _FELT and
-                                        self.gain.at_most * felt > self._most)
+        grows = 0.0 if self._slower is None else -self._speed * self._slower.stiffness * NOTICED
+        return felt > self._pressed or self._watch.ratio * (felt + max(grows, 0.0)) > SAFE * self._most
 
     def _down(self) -> float:
         """Speed towards the surface [m/s]: what has grown beyond the force to be pressed with when it is answered.
@@ -275,12 +350,12 @@ class _Press(Pressed):
         felt = float(self.recent() @ self.up)
         if felt < _FELT:
             self._touched = None
-            return min(self._watch.nearing, _SLOW)
+            return self._pace
         self._touched = self.height if self._touched is None else self._touched
         stiffness = self._watch.stiffness
         if (depth := self._touched - self.height) > 0.0:
             stiffness = min(stiffness, _STEEPER * felt / depth)
-        return min(_SPARE * (self._most - self._pressed) / (stiffness * NOTICED), self._watch.nearing, _SLOW)
+        return min(_SPARE * (self._most - self._pressed) / (stiffness * NOTICED), self._pace)
 
     def _go(self, target: Callable[[], float], done: Callable[[], bool], heard: bool = False) -> None:
         """Moves away from the surface with a speed [m/s] until it is done, and looks at every witness in each cycle.
@@ -291,6 +366,8 @@ class _Press(Pressed):
         states: list[_Heard] = []
         with arm.doing(lambda: self._hear(states)):
             while not done():
+                if arm.guard.held is not None and arm.guard.reason is None:
+                    self._wait()
                 arm.check(arm.t)
                 before = self._speed
                 self._speed += float(np.clip(target() - self._speed, -_JERKY * T, _JERKY * T))
@@ -299,12 +376,20 @@ class _Press(Pressed):
                 self.hear(state, self._force.arrived(arm.t))
                 # Friction changes with the speed: the motors are heard at that of their air alone, and the sensor's
                 # gain is heard where the speed stays what it is.
-                at_air = abs(self._speed + min(self._watch.nearing, _SLOW)) < _EVEN * _SLOW
+                at_air = abs(self._speed + self._pace) < _EVEN * self._pace
                 self._evenly = self._evenly + T if abs(self._speed - before) <= _EVEN * abs(before) else 0.0
                 if heard:
                     felt = self.recent() if self._evenly > _STEADY else None
                     states.append((self.q, state, felt, abs(self._speed)))
                 self._check(self._motors.force if heard and at_air and self._evenly > WINDOW else float("nan"))
+
+    def _wait(self) -> None:
+        """Waits for an arm that stands, its commands where it is; raises ``_StoodError`` when it may be tried again."""
+        for q_c in self._arm.guard.waiting():
+            self._arm.q_d = q_c
+            self._arm.cycle(q_c)
+        self._arm.check(self._arm.t)
+        raise _StoodError
 
     def _hear(self, states: list[_Heard]) -> None:
         """Lets the motors tell of cycles."""
@@ -313,6 +398,7 @@ class _Press(Pressed):
             self._motors.add(q_c, state.q, state.tau, felt, speed)
             if felt is not None and (gain := self._motors.gain.told) is not None:
                 self.gain = gain
+                self._watch.ratio = best_known([*self._gains, gain]).at_most
 
     def _high(self) -> bool:
         """Whether the tip is as high as pressing begins."""

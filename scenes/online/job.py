@@ -21,10 +21,10 @@ from ideal_robot.robots.interface import TOLERANCE, RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import WRENCH
 from planning import PlanningError
-from planning.force.bearable_speed import TIMES, bearable_speed, forecast_error
+from planning.force.bearable_speed import TIMES, bearable_speed, forecast_error, worst_force
 from planning.force.contact import ASKING, NOTICED, most_force
 from planning.force.force_follower import SurfaceFollower
-from planning.force.sensor_gain import NOT_MEASURED, SensorGain, gain_by_weight, wrong_gain
+from planning.force.sensor_gain import NOT_MEASURED, SensorGain, best_known, gain_by_weight, wrong_gain
 from planning.line.line_follower import FollowerSettings, LineFollower
 from scenes.line_way import shapes_about
 from scenes.methods import SceneMethod
@@ -253,6 +253,7 @@ class Job:
             self.gains.append(gain := gain_by_weight(felt.tool, self.tool_mass))
             if gain.wrong:
                 raise SceneError(wrong_gain(gain))
+            felt.ratio = best_known(self.gains).at_most
         self._as_before("tool_mass_kg", mass := felt.tool.mass, "kg", lambda last: abs(mass - last) > _OTHER_TOOL)
         arm.lead(moves(self.robot, [above, self.q_start], 2 * self.robot.t_ipo))
 
@@ -316,12 +317,16 @@ class Job:
         if force is None or felt is None or felt.tool is None:
             raise SceneError("following a surface needs a force sensor, and its tool weighed")
         tool = felt.tool
-        elasticity, by_motors = elasticity_by_pressing(self._surface, self.q_start, arm, force, felt)
+        if not any(np.isfinite(state.tau).all() for state in arm.reported):
+            self._check_gain()
+        elasticity, by_motors = elasticity_by_pressing(self._surface, self.q_start, arm, force, felt, self.gains)
         if by_motors is not None:
             self.gains.append(by_motors)
+        felt.ratio = best_known(self.gains).at_most
         self._as_before("elasticity_N_m", E := elasticity.stiffness, "N/m",
                         lambda last: max(E, last) > _OTHER_SURFACE * min(E, last))
-        arm.meanwhile(lambda: contact.calibrated(tool, elasticity))
+        arm.meanwhile(lambda: contact.calibrated(tool, elasticity, felt.ratio))
+        self._check_gain()
         if isinstance(follower := contact.follower, SurfaceFollower):
             self._check_bearable(follower, arm, force)
         witness = ContactWitness(contact.scene, contact.follower, force, elasticity, self.model, self._begin,
@@ -329,20 +334,37 @@ class Job:
         contact.witnessed(witness, arm.t_ipo < contact.in_one)
         self._force, felt.wanted = force, wanted
 
+    def _check_gain(self) -> None:
+        """Raises ``SceneError`` where the surface may bear too much by what is known of the sensor's gain."""
+        wanted, gain = self.contact.scene.force, best_known(self.gains)
+        if gain.wrong:
+            raise SceneError(wrong_gain(gain))
+        bears, allowed = worst_force(wanted, gain.ratio, 0.0), most_force(wanted)
+        if bears <= allowed:
+            return
+        less = max(most_force(0.0) / worst_force(1.0, gain.ratio, 0.0), 0.0)
+        said = gain.shown if self.gains else "not measured"
+        raise SceneError(f"the force sensor's gain is {said}: where it shows the wanted {wanted:.0f} N, the surface "
+                         f"may bear {bears:.0f} N, and {allowed:.0f} N are allowed; tell what hangs on the sensor "
+                         "(--tool-mass), let the controller tell its torques, or press "
+                         f"with less (force = {math.floor(less):d})")
+
     def _check_bearable(self, follower: SurfaceFollower, arm: LiveArm, force: LiveForce) -> None:
         """Raises ``SceneError`` where the surface is too stiff for the speed: it would bear more than it may."""
         T, wanted, noise = self.robot.t_ipo, self.contact.scene.speed, force.signs.noise
         settings = follower.settings if noise is None else replace(follower.settings, noise=float(np.max(noise[:3])))
-        answered = NOTICED + (_AHEAD * T if self.contact.at_once > T else 0.0)
-        speed = arm.meanwhile(lambda: bearable_speed(settings, follower.errors, wanted, T, answered))
+        answered, ratio = NOTICED + (_AHEAD * T if self.contact.at_once > T else 0.0), best_known(self.gains).ratio
+        speed = arm.meanwhile(lambda: bearable_speed(settings, follower.errors, wanted, T, answered, ratio))
         if speed < wanted:
-            room, E = most_force(settings.force) - settings.force, 1e-3 * settings.elasticity
+            E, allowed = 1e-3 * settings.elasticity, most_force(settings.force)
             # An elasticity scatters by some per cent.
             slower = math.floor(950.0 * speed) / 1e3
-            wrong = arm.meanwhile(lambda: TIMES * forecast_error(settings, follower.errors, wanted, T, answered))
+            error = arm.meanwhile(lambda: forecast_error(settings, follower.errors, wanted, T, answered))
             raise SceneError(f"a contact of {E:.0f} N/mm is too stiff for {wanted:g} m/s: a surface of unknown shape "
                              f"is forecast over {1e3 * answered:.0f} ms, by which the force may go wrong by "
-                             f"{wrong:.0f} N, and {room:.0f} N beyond the wanted {settings.force:.0f} N are allowed; "
+                             f"{TIMES * error:.0f} N, and with a force sensor whose gain is known within "
+                             f"{1e2 * ratio[1]:.0f} % the surface may bear "
+                             f"{worst_force(settings.force, ratio, error):.0f} N, where {allowed:.0f} N are allowed; "
                              + (f"speed = {slower:g} would do" if slower else "no speed would do")
                              + ", or a softer tip")
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planning.force.bearable_speed import SLOWEST, STEPS, TIMES, bearable_speed, forecast_error
+from planning.force.bearable_speed import SLOWEST, STEPS, TIMES, bearable_speed, forecast_error, worst_force
 from planning.force.contact import ContactSettings, most_force
 
 T, ERRORS = 0.012, (0.3, 5e-4, 0.3)
@@ -37,6 +37,21 @@ def test_a_speed_that_would_do_is_the_largest_one(elasticity: float, force: floa
         assert TIMES * forecast_error(settings, ERRORS, faster, T) > room
     assert (speed == 0.2) or elasticity > 4e3
     assert (speed == 0.0) == (elasticity == 1e6)
+
+
+@pytest.mark.parametrize(("kappa", "sigma", "error"), [(1.0, 0.06, 3.0), (1.2, 0.1, 0.5), (1.0, 0.5, 2.0)])
+def test_the_surface_bears_more_than_the_worst_force_once_in_16000_times(kappa: float, sigma: float, error: float
+                                                                          ) -> None:
+    """Whatever a sensor's gain can be by what is known of it, together with what a forecast leaves."""
+    rng, count = np.random.default_rng(3), 2_000_000
+    true = (kappa + sigma * rng.standard_normal(count)) * 20.0 + kappa * error * rng.standard_normal(count)
+    assert 0.5 * count / 32000 < np.sum(true > worst_force(20.0, (kappa, sigma), error)) < 2.0 * count / 32000
+
+
+def test_the_less_is_known_of_a_gain_the_slower_a_surface_is_passed() -> None:
+    speeds = [bearable_speed(contact(8e4), ERRORS, 0.2, T, ratio=(1.0, sigma)) for sigma in (0.0, 0.1, 0.2, 0.5)]
+    assert speeds[0] > speeds[2] > 0.0 == speeds[3]
+    assert (np.diff(speeds) <= 0.0).all()
 
 
 def test_a_slower_job_is_asked_for_no_other_speed() -> None:

@@ -6,7 +6,20 @@ import numpy as np
 import pytest
 
 from ideal_robot.arrays import GRAVITY
-from planning.force.sensor_gain import GainByMotors, SensorGain, gain_by_weight
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from planning.force.felt_by_motors import Hearing, presliding_distance
+from planning.force.sensor_gain import (
+    LOSSES,
+    UNKNOWN,
+    GainByMotors,
+    SensorGain,
+    best_known,
+    block_cycles,
+    gain_by_weight,
+)
+from planning.path.kinematics import InverseKinematics
+from scenes.arms import shipped_model
 from sensing.force.force_calibration import identify_tool
 
 GAINS = (0.5, 0.7, 1.5)
@@ -48,6 +61,39 @@ def test_the_motors_tell_a_sensors_gain(slower: bool) -> None:
         faulty = [pressed(gain, rng, slower=slower) for _ in range(20)]
         assert np.mean([told.wrong for told in faulty]) >= noticed
         assert np.mean([told.value for told in faulty]) == pytest.approx(gain, rel=0.1)
+
+
+@pytest.mark.parametrize("stiffness", [4e3, pytest.param(1e5, marks=pytest.mark.slow), 3e5])
+def test_pressed_as_slowly_as_it_takes_the_motors_tell_a_gain_as_well_as_gears_let_them(stiffness: float) -> None:
+    """On 100 N/mm pressing took half a second, and a gain of 0.5 was told by nobody."""
+    robot, model, up, most = Robot.load("kr6"), Model.load(shipped_model("kr6")), np.eye(3)[2], 28.0
+    kinematics, noise = InverseKinematics(robot), 2.0 * model.noise_std
+    hearing, T = Hearing(model, robot, kinematics, robot.home, up, noise, most), robot.t_ipo
+    way, speed = hearing.quickest(stiffness)
+    seconds = most / (stiffness * speed)
+    assert (way / speed + seconds) < 180.0
+    lever, distance = kinematics.torque(robot.home, up), presliding_distance(model)
+    rates = np.abs(kinematics.away(robot.home, 1e-3 * up)) / 1e-3
+    rng, told = np.random.default_rng(4), list[SensorGain]()
+    for gain in (1.0, 0.5):
+        beside, friction = model.noise_std + model.friction.dry, 10.0 * noise
+        motors, air = GainByMotors(beside, distance, block_cycles(T, way / speed)), round((way / speed + 0.5) / T)
+        for cycle in range(air + round(seconds / T)):
+            force = max(cycle - air, 0) * T * speed * stiffness
+            rest = friction - lever * force + noise * rng.standard_normal(robot.n)
+            motors.add(rest, gain * lever * force, cycle * T * speed * rates, speed)
+        assert motors.told is not None
+        assert motors.told.sigma < 2.0 * LOSSES / gain
+        assert abs(motors.told.inverse - 1.0 / gain) < 4.0 * motors.told.sigma
+        told.append(motors.told)
+    assert [gain.wrong for gain in told] == [False, True]
+
+
+def test_a_gain_that_nobody_has_measured_may_be_a_half() -> None:
+    known = [SensorGain(1.1, 0.1, ""), SensorGain(1.0, 0.03, "")]
+    assert best_known([]) is UNKNOWN
+    assert UNKNOWN.at_most == 2.0
+    assert best_known(known).at_most == pytest.approx(1.06)
 
 
 def test_what_would_pass_is_noticed_in_half_of_the_cases() -> None:

@@ -98,7 +98,13 @@ class Bench(EyeBench):
         self.force: LiveForce | None = None
         self.since = np.inf
 
+    pause: tuple[str, float, float] | None = None
+    """In which stage, how long after its begin, and for how long the arm stands still though packets go on [s]."""
+
     def receive(self) -> RobotState:
+        if self.pause is not None and self.at() == self.pause[0]:
+            (_, after, lasts), self.pause = self.pause, None
+            self.paused = self.arm.t + after, self.arm.t + after + lasts
         t0, state, t1 = self.arm.t, super().receive(), self.arm.t
         for sample in self.cell.sensor.due(t0, t1, self.arm.tcp_at, self.contact.force_at):
             if not np.isfinite(self.since) and self.stage is not None and self.at() == self.stage:
@@ -147,8 +153,8 @@ class Bench(EyeBench):
 
 
 def followed(scene: ForceScene, folder: Path, before: dict[str, Any] | None = None, above: float = 0.0,
-             tool_mass: float | None = None, pause: tuple[float, float] | None = None, **faults: Any
-             ) -> SimpleNamespace:
+             tool_mass: float | None = None, pause: tuple[float, float] | None = None,
+             pause_in: tuple[str, float, float] | None = None, **faults: Any) -> SimpleNamespace:
     """Follows a scene on the bench, with the arm held at first so far above the start of the path [m].
 
     Returns ``failure`` (None for the whole path), the largest true normal force ``force`` since the fault began [N] (of
@@ -161,6 +167,7 @@ def followed(scene: ForceScene, folder: Path, before: dict[str, Any] | None = No
     with SimulatedArm(cell.known.robot, cell.world, cell.noise, held) as arm:
         known, eye = cell.known, Eye(cell) if scene.task == "glue" else None
         bench = Bench(cell, arm, eye, **faults)
+        bench.pause = pause_in
         job = Job(scene, known.robot, known.model, method_of(scene.method, following_methods()), known.delay, 0.3,
                        CalibratedCamera(known.camera if eye is None else eye.true, folder / "camera.json"))
         job.before, job.tool_mass = before or {}, tool_mass

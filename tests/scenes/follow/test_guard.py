@@ -12,7 +12,7 @@ import pytest
 
 from ideal_robot.arrays import GRAVITY, Array
 from ideal_robot.execution.following import Following
-from ideal_robot.execution.guard import Guard, StoppedError, Watch
+from ideal_robot.execution.guard import AWAY, BLIND, MARGIN, Guard, StoppedError, Watch
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from planning.path.kinematics import InverseKinematics
@@ -41,10 +41,13 @@ class Wall(Tame):
         stiffness: of wall and arm together [N/m].
         latency: of the sensor [s].
         mass: of the tool [kg].
+        gain: of the sensor.
     """
 
-    def __init__(self, q: Array, height: float, stiffness: float, latency: float, mass: float, seed: int) -> None:
+    def __init__(self, q: Array, height: float, stiffness: float, latency: float, mass: float, seed: int,
+                 gain: float = 1.0) -> None:
         super().__init__()
+        self._gain = gain
         self.commanded = self.q = q.copy()
         self._height, self._stiffness, self._mass, self._fk = height, stiffness, mass, self.robot.fk()
         self._rng, self._latency = np.random.default_rng(seed), round(latency / self.t_ipo)
@@ -63,7 +66,7 @@ class Wall(Tame):
         pushed = max(0.0, self._height - pose.translation[2]) * self._stiffness
         self.true.append(pushed)
         wrench = self.bias + 0.3 * self._rng.standard_normal(6)
-        wrench[:3] += pose.rotation.T @ (pushed * UP + self._mass * GRAVITY)
+        wrench[:3] += self._gain * pose.rotation.T @ (pushed * UP + self._mass * GRAVITY)
         self._queue.append(Reading(state.t, wrench))
         if len(self._queue) > self._latency and self.force is not None:
             reading = self._queue.popleft()
@@ -87,7 +90,7 @@ def connected(wall: Wall, folder: Path, weighed: bool) -> LiveArm:
     origin = robot.tool_places(robot.home[None])[0]
     E = stiffness_of(model_at("shipped", robot), robot, robot.home, UP)
     felt = FeltForce(force, robot, Surface(origin, UP, WITHIN, E), MOST)
-    felt.tool = ToolLoad(wall.bias, wall._mass, np.zeros(3), np.zeros(2)) if weighed else None
+    felt.tool = ToolLoad(wall.bias, wall._gain * wall._mass, np.zeros(3), np.zeros(2)) if weighed else None
     arm.at_begin.append(felt.begin)
     arm.guard.watches.append(felt)
     return arm
@@ -95,6 +98,7 @@ def connected(wall: Wall, folder: Path, weighed: bool) -> LiveArm:
 
 @pytest.mark.parametrize("seed", [*range(2), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 8))])
 def test_no_motion_presses_on_a_surface_that_lies_elsewhere(seed: int, tmp_path: Path) -> None:
+    """However stiff it is, and whatever the sensor's gain is that nobody has measured."""
     rng = np.random.default_rng(seed)
     robot = Robot.load("kr6")
     K, offset, weighed = 10.0 ** rng.uniform(2.5, 6), rng.uniform(-0.04, 0.04), seed % 2 == 0
@@ -103,7 +107,8 @@ def test_no_motion_presses_on_a_surface_that_lies_elsewhere(seed: int, tmp_path:
     # Beside the way down the tool is turned, as on the way back from a posture in which it is weighed.
     begin = above + np.array([0.0, 0.0, 0.0, 0.1, 0.15, 0.2]) * rng.uniform(-1.0, 1.0, 6)
     E = stiffness_of(model_at("shipped", robot), robot, robot.home, UP)
-    wall = Wall(begin, z + offset, 1.0 / (1.0 / K + 1.0 / E), rng.uniform(0.0, 0.02), rng.uniform(0.1, 2.0), seed)
+    gain = (0.5, 1.0, 1.5)[seed % 3]
+    wall = Wall(begin, z + offset, 1.0 / (1.0 / K + 1.0 / E), rng.uniform(0.0, 0.02), rng.uniform(0.1, 2.0), seed, gain)
     arm = connected(wall, tmp_path, weighed)
     arm.lead(np.tile(begin, (40, 1)))
     deep = robot.home - kinematics.away(robot.home, 0.01 * UP)
@@ -113,7 +118,7 @@ def test_no_motion_presses_on_a_surface_that_lies_elsewhere(seed: int, tmp_path:
     except FollowStoppedError as error:
         ended = str(error)
     assert max(wall.true) <= MOST
-    reached = offset > -0.01 + (5.0 if weighed else 15.0) / min(K, E)
+    reached = offset > -0.01 + (5.0 if weighed else 15.0) / gain / min(K, E)
     assert (ended is not None) or not reached
     if ended is not None:
         assert "N felt" in ended
@@ -133,16 +138,17 @@ def test_no_motion_presses_on_a_surface_that_lies_elsewhere(seed: int, tmp_path:
 class _Says(Watch):
     """Speaks up in one cycle; passes the middle of a path slowly."""
 
-    def __init__(self, at: int, touches: int = 0) -> None:
-        self._at, self._touches, self.cycles = at, touches, 0
+    def __init__(self, at: int, touches: int = 0, wanted: bool = False) -> None:
+        self._at, self._touches, self._wanted, self.cycles = at, touches, wanted, 0
 
     def look(self, t: float, q_c: Array, q: Array) -> str | None:
         self.cycles += 1
         return "something" if self.cycles >= self._at else None
 
     @property
-    def touching(self) -> bool:
-        return self._at <= self.cycles < self._at + self._touches
+    def touching(self) -> bool | None:
+        touches = self._at <= self.cycles < self._at + self._touches
+        return touches or (None if self._wanted else False)
 
     def rates(self, rows: Array, T: float) -> Array:
         return np.where(np.abs(np.linspace(-1.0, 1.0, len(rows))) < 0.3, 0.05, 1.0)
@@ -171,6 +177,29 @@ def test_a_stop_keeps_the_arm_on_its_path_and_its_limits(seed: int) -> None:
     acceleration = np.diff(taken, n=2, axis=0) / robot.t_ipo**2
     assert (np.abs(acceleration) <= 1.5 * robot.a_max).all()
     assert np.abs(taken[-1] - taken[-2]).max() < 1e-3 * robot.t_ipo
+
+
+@pytest.mark.parametrize(("touches", "wanted"), [(0, False), (0, True), (30, False), (30, True)])
+def test_the_way_back_ends_when_nothing_is_felt_any_more(touches: int, wanted: bool) -> None:
+    """A tip that was pressing, and felt nothing then, went back for a minute through all that it had come."""
+    link = Tame()
+    robot = link.robot
+    guard, rows = Guard(robot, robot.home), moves(robot, [robot.home, robot.home + 0.5], 0.1)
+    guard.watches.append(_Says(len(rows) // 2, touches, wanted))
+
+    def cycle(q_c: Array) -> RobotState:
+        link.send(q_c)
+        return link.receive()
+
+    arm: Any = type("Arm", (), {"cycle": staticmethod(cycle)})
+    with pytest.raises(StoppedError, match="something"):
+        guard.lead(guard.around(arm), rows)
+    places = robot.tool_places(np.array(link.taken))
+    farthest = int(np.argmax(np.linalg.norm(places - places[0], axis=1)))
+    back = float(np.linalg.norm(np.diff(places[farthest:], axis=0), axis=1).sum())
+    touched, margin = AWAY * robot.t_ipo * touches, BLIND if wanted else MARGIN * (touches > 0)
+    assert back <= touched + margin + AWAY * 0.2
+    assert back >= margin - 1e-3
 
 
 class _Paused:
@@ -234,6 +263,30 @@ def test_an_arm_that_stands_is_waited_for_and_goes_on_from_where_it_is(seed: int
         direction = (rows[-1] - rows[0]) / np.linalg.norm(rows[-1] - rows[0])
         beside = (taken - rows[0]) - np.outer((taken - rows[0]) @ direction, direction)
         assert np.abs(beside).max() < 1e-3
+
+
+@pytest.mark.parametrize("pause", [0.3, 1.0])
+def test_what_goes_along_with_a_path_waits_with_the_arm(pause: float, tmp_path: Path) -> None:
+    """The gears' deflection, and the number of a row, by which a calibration knows what it looks at."""
+    robot = Robot.load("kr6")
+    wall = Wall(robot.home, -10.0, 1e3, 0.0, 1.0, 0)
+    arm = LiveArm(wall, Journal(tmp_path, robot, {}))
+    arm.guard.watches.append(Following(lambda: wall.commanded, robot, None))
+    rows = moves(robot, [robot.home, robot.home + 0.45], 0.5)
+    wall.receive = _Paused(wall, len(rows) // 3, len(rows) // 3 + pause / arm.t_ipo).receive  # type: ignore[method-assign]
+    passed = []
+    with arm.motion():
+        for q_c, row in arm.guard.steps(rows, np.arange(float(len(rows)))):
+            passed.append((arm.guard.held is None, row, *q_c))
+            arm.cycle(q_c)
+    free, row = np.array(passed)[:, 0] > 0.0, np.array(passed)[:, 1]
+    assert row[0] == 0.0
+    assert row[-1] == len(rows) - 1
+    assert len(passed) > len(rows) + pause / arm.t_ipo
+    on_path = np.array([np.interp(row, np.arange(len(rows)), column) for column in rows.T]).T
+    assert np.abs(np.array(passed)[free, 2:] - on_path[free]).max() < 1e-3
+    # Led back to the arm it goes back once, and else on.
+    assert np.sum(np.diff(row) < 0.0) <= 1
 
 
 def test_a_slow_part_of_a_path_is_reached_and_left_within_the_limits() -> None:

@@ -42,6 +42,19 @@ def test_a_surface_goes_on_where_the_arm_was_paused(name: str, begins: float, la
     assert largest_acceleration(run.bench) < 1.5
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("begins", [0.15, 0.6])
+def test_pressing_begins_once_more_where_the_arm_was_paused(begins: float, tmp_path: Path) -> None:
+    """It ended there, and the calibration with it."""
+    scene = load_scene("force_wave").changed(line={"length": 0.3})
+    run = followed(scene, tmp_path, pause_in=("search", begins, 1.0))
+    assert run.failure is None
+    assert run.bench.paused[1] < run.bench.arm.t
+    assert run.force <= most_force(scene.force)
+    assert run.job.contact.elasticity.stiffness == pytest.approx(3963.0, rel=0.02)
+    assert largest_acceleration(run.bench) < 1.5
+
+
 def test_an_arm_that_never_goes_on_is_left_where_it_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ideal_robot.execution.guard.PATIENCE", 2.0)
     run = followed_by_eye(load_scene("line"), tmp_path, pause=(1.3, np.inf))
