@@ -19,7 +19,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.estimate.recursive import GATE
 from ideal_robot.feedforward.learned_friction import WEIGHT, estimated, evidence, noise_variance
 from ideal_robot.friction.presliding import first_direction, measured_steps
-from ideal_robot.friction.table import Friction, directions_along, friction_along, friction_sizes, largest_speeds
+from ideal_robot.friction.table import Friction, Presliding, friction_along, friction_sizes, largest_speeds
 from ideal_robot.friction.terms import ALONE, TERMS, dry_sizes, friction_terms, table_terms, with_terms
 from ideal_robot.loop.loop import Loop, further_torque, ripple_torque
 from ideal_robot.signals.preprocess import FilteredSignals, preprocess
@@ -105,5 +105,6 @@ def _along(loop: Loop, s: FilteredSignals, load: Array, j: int, bend: float) -> 
         start = first_direction(v[0], friction.distance)
     else:
         steps, start = np.zeros_like(v), np.zeros(1)
-    torque, _ = friction_along(friction, v, load, steps, start * friction_sizes(friction, 0, v[0, 0], load[0, 0])[0])
-    return torque[:, 0], directions_along(friction, v, steps, start)[:, 0]
+    before = Presliding(start * friction_sizes(friction, 0, v[0, 0], load[0, 0])[0], start)
+    torque, states = friction_along(friction, v, load, steps, before)
+    return torque[:, 0], states.direction[:, 0]

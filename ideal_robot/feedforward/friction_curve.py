@@ -167,7 +167,7 @@ class FrictionCurve:
         plans, measured, error = state.plans, state.measured, state.error
         if len(plans) > self.loop.path.delay + 1 + len(measured):  # the cycle before was not measured
             measured, error = (), None
-        plan = Planned(ideal.q_m, ideal.v_m, ideal.direction, state.x)
+        plan = Planned(ideal.q_m, ideal.v_m, ideal.presliding.direction, state.x)
         plans = (*plans, plan)[-self.loop.path.delay - 2 - len(measured) :]
         return state._replace(plans=plans, measured=measured, error=error)
 

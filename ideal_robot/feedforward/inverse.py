@@ -38,8 +38,8 @@ from ideal_robot.dynamics.newton_euler import inverse_dynamics, inverse_dynamics
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import SETTLE, CommandLimits, Feedforward
 from ideal_robot.feedforward.command_path import command_path_inverse
-from ideal_robot.feedforward.path_operators import Operators, spline_operators
-from ideal_robot.friction.table import Friction, directions_along, friction_along
+from ideal_robot.feedforward.path_operators import Operators
+from ideal_robot.friction.table import Friction, Presliding, friction_along
 from ideal_robot.jit import jit
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.loop import (
@@ -108,7 +108,7 @@ class _Grid(NamedTuple):
     fine: Array
     step: float
     last: int
-    at_coarse: list[Array]
+    at_coarse: Operators
     at_fine: Operators
     torque: Operators
 
@@ -122,9 +122,9 @@ def _complete_grid(loop: Loop) -> _Grid:
     t_coarse = T * (delay - 2 + 0.5 * np.arange(2.0 * (_CYCLES + 4) + 1))
     # A position-loop output acts on average half its cycle later: torques are wanted there.
     t_fine = T * delay + fine * (np.arange(float(loop.steps_ipo * _CYCLES)) + 0.5)
-    return _Grid(rows, t_coarse, t_fine, fine, loop.steps_ipo - 1, spline_operators(t_rows, t_coarse, T, _CUTOFF),
-                 Operators(*spline_operators(t_rows, t_fine, T, _CUTOFF)),
-                 Operators(*spline_operators(t_coarse, t_fine, T, _CUTOFF)))
+    return _Grid(rows, t_coarse, t_fine, fine, loop.steps_ipo - 1,
+                 Operators.smoothing(t_rows, t_coarse, T, _CUTOFF), Operators.smoothing(t_rows, t_fine, T, _CUTOFF),
+                 Operators.smoothing(t_coarse, t_fine, T, _CUTOFF))
 
 
 def _printed_grid(loop: Loop, lead: float) -> _Grid:
@@ -132,10 +132,10 @@ def _printed_grid(loop: Loop, lead: float) -> _Grid:
     T = loop.t_ipo
     rows = int(np.ceil(lead / T)) + _AFTER + 1
     t_coarse = lead + T * np.array([-1.0, 0.0, 1.0])
-    at_coarse = spline_operators(T * np.arange(-_BEFORE, rows, dtype=float), t_coarse, T, _PRINTED_CUTOFF)
+    at_coarse = Operators.smoothing(T * np.arange(-_BEFORE, rows, dtype=float), t_coarse, T, _PRINTED_CUTOFF)
     differences = [np.array([[0.0, 1.0, 0.0]]), np.array([[-0.5, 0.0, 0.5]]) / T, np.array([[1.0, -2.0, 1.0]]) / T**2]
     return _Grid(rows, t_coarse, t_coarse[1:2], T, 0, at_coarse,
-                 Operators(*(difference @ at_coarse[0] for difference in differences)), Operators(*differences))
+                 Operators(*(difference @ at_coarse.value for difference in differences)), Operators(*differences))
 
 
 _PRINTED_CUTOFF = 16.0
@@ -157,9 +157,8 @@ class InverseState:
         q_d: desired positions of the cycles before ``(_BEFORE, n)``.
         q_c: commands of the cycles before ``(P, n)``, newest last.
         u, tau: velocity-loop error and motor torque planned so far ``(n,)``.
-        q_m, v_m, direction: motor angles, velocities and directions of sliding planned for the end of the cycle in
-            which the last command acts, each ``(n,)`` [rad, rad/s, -1 to 1].
-        force: presliding state then ``(n,)`` [N m].
+        q_m, v_m, presliding: motor angles, velocities ``(n,)`` [rad, rad/s] and state of the contacts planned for the
+            end of the cycle in which the last command acts.
         deflection: of the gears under gravity at the start, not yet compensated ``(n,)`` [rad].
         cycle: cycles since the start.
     """
@@ -170,8 +169,7 @@ class InverseState:
     tau: Array
     q_m: Array
     v_m: Array
-    direction: Array
-    force: Array
+    presliding: Presliding
     deflection: Array
     cycle: int
 
@@ -248,8 +246,8 @@ class Inverse(Feedforward):
         deflection -= [unevenness(loop.drives.uneven, i, float(q))[0] for i, q in enumerate(q0)]
         return InverseState(
             q_d=np.tile(q0, (_BEFORE, 1)), q_c=np.tile(q0, (self._inverse.n_past, 1)), u=still[0],
-            tau=loop.drives.gain * (holding + loop.drives.offset) + further, q_m=q0, v_m=still[0], direction=still[0],
-            force=still[0], deflection=deflection, cycle=0)
+            tau=loop.drives.gain * (holding + loop.drives.offset) + further, q_m=q0, v_m=still[0],
+            presliding=Presliding.none(loop.n), deflection=deflection, cycle=0)
 
     def step(self, state: InverseState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, InverseState]:
         """See ``Feedforward.step``."""
@@ -268,7 +266,7 @@ class Inverse(Feedforward):
         loop, drives, grid = self.loop, self.loop.drives, self._grid
         q_d = self._checked(q_d)
         rows = np.concatenate([state.q_d, self._horizon(q_d, state.q_d)])
-        q, qd, qdd = (operator @ rows for operator in grid.at_coarse)
+        q, qd, qdd = grid.at_coarse.of(rows)
         load, more = self._load(q, qd, qdd, carried)
         if tau_ext_d is not None:
             external = np.asarray(tau_ext_d, dtype=float)
@@ -293,16 +291,16 @@ class Inverse(Feedforward):
             smooth = smooth + a_m @ inertia.T
         if more is not None:
             smooth = smooth + grid.torque.value @ more
-        steps = grid.step * v_m
-        rubbing, force = friction_along(friction, v_m, gear, steps, state.force)
-        direction = directions_along(friction, v_m, steps, state.direction)
-        further = further_torque(loop, state.cycle * self.t_ipo + grid.fine, q_m, v_m, a_m, gear, direction)
+        rubbing, presliding = friction_along(friction, v_m, gear, grid.step * v_m, state.presliding)
+        further = further_torque(loop, state.cycle * self.t_ipo + grid.fine, q_m, v_m, a_m, gear,
+                                 presliding.direction)
         q_c, planned = self._command(state, _Motion(q_m, v_m, a_m), smooth + rubbing, further)
         k = grid.last
         # Half a step on from the middle of the last one; as printed there is one instant, which is its own end.
         reached = q_m[k] + 0.5 * grid.step * v_m[k] if self.options.path else q_m[k]
         return q_c, InverseState(np.concatenate([state.q_d[1:], q_d[:1]]), np.concatenate([state.q_c[1:], q_c[None]]),
-                                 planned.u, planned.tau, reached, v_m[k], direction[k], force[k], state.deflection,
+                                 planned.u, planned.tau, reached, v_m[k],
+                                 Presliding(presliding.force[k], presliding.direction[k]), state.deflection,
                                  state.cycle + 1)
 
     def _command(self, state: InverseState, motors: _Motion, acting: Array, further: Array) -> tuple[Array, _Planned]:

@@ -52,6 +52,11 @@ class Operators:
     def __init__(self, value: Array, first: Array, second: Array) -> None:
         self.value, self._together = value, np.concatenate([value, first, second])
 
+    @classmethod
+    def smoothing(cls, t_samples: Array, t_out: Array, spacing: float, cutoff: float) -> Operators:
+        """Of ``spline_operators``, with its arguments."""
+        return cls(*spline_operators(t_samples, t_out, spacing, cutoff))
+
     def of(self, rows: Array) -> Array:
         """Values and derivatives of rows ``(m, n)``, shape ``(3, k, n)``."""
         return (self._together @ rows).reshape(3, -1, rows.shape[1])

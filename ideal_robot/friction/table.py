@@ -147,35 +147,37 @@ def friction_step(friction: Friction, joint: int, v: float, load: float, force: 
     return friction_torque(dry, fluid, v, force, step, friction.distance[joint])
 
 
+class Presliding(NamedTuple):
+    """Presliding state of all joints, ``(n,)`` each, or along a motion ``(m, n)``.
+
+    Attributes:
+        force: of the contacts [N m].
+        direction: of sliding, -1 to 1: the force of a unit of dry friction.
+    """
+
+    force: Array
+    direction: Array
+
+    @classmethod
+    def none(cls, n: int) -> Presliding:
+        """Of ``n`` joints whose contacts nothing has bent."""
+        return cls(np.zeros(n), np.zeros(n))
+
+
 @jit()
-def friction_along(friction: Friction, v: Array, load: Array, steps: Array, force: Array) -> tuple[Array, Array]:
-    """Friction torques and presliding states along a motion, ``(m, n)`` each [N m].
+def friction_along(friction: Friction, v: Array, load: Array, steps: Array, before: Presliding
+                   ) -> tuple[Array, Presliding]:
+    """Friction torques along a motion ``(m, n)`` [N m], and the presliding states.
 
     Args:
         friction, v, load, steps: of ``friction_step``, ``(m, n)`` each but the first.
-        force: presliding state before ``(n,)`` [N m].
+        before: state of the ``n`` joints before the motion.
     """
-    torque, forces = np.empty_like(v), np.empty_like(v)
+    torque, forces, directions = np.empty_like(v), np.empty_like(v), np.empty_like(v)
     for i in range(v.shape[1]):
-        state = force[i]
+        force, direction = before.force[i], before.direction[i]
         for k in range(len(v)):
-            torque[k, i], state = friction_step(friction, i, v[k, i], load[k, i], state, steps[k, i])
-            forces[k, i] = state
-    return torque, forces
-
-
-@jit()
-def directions_along(friction: Friction, v: Array, steps: Array, direction: Array) -> Array:
-    """Directions of sliding along a motion ``(m, n)``, -1 to 1.
-
-    Args:
-        friction, v, steps: of ``friction_along``.
-        direction: of sliding before ``(n,)``.
-    """
-    directions = np.empty_like(v)
-    for i in range(v.shape[1]):
-        state = direction[i]
-        for k in range(len(v)):
-            state = presliding_state(1.0, v[k, i], state, steps[k, i], friction.distance[i])
-            directions[k, i] = state
-    return directions
+            torque[k, i], force = friction_step(friction, i, v[k, i], load[k, i], force, steps[k, i])
+            direction = presliding_state(1.0, v[k, i], direction, steps[k, i], friction.distance[i])
+            forces[k, i], directions[k, i] = force, direction
+    return torque, Presliding(forces, directions)

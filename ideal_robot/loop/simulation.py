@@ -14,7 +14,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, joint_frames, mass_matrix, torque_at
 from ideal_robot.errors import IdealRobotError, InputError
-from ideal_robot.friction.table import Friction, directions_along, friction_step
+from ideal_robot.friction.table import Friction, Presliding, friction_along, friction_step
 from ideal_robot.jit import jit
 from ideal_robot.loop.loop import Cascade, Drives, Loop, further_torque, ripple_torque, unevenness
 from ideal_robot.tolerances import ROUNDING, ZERO_CROSSING
@@ -178,7 +178,9 @@ def _played(loop: Loop, reference: Array, external: Array, tau0: Array, q0: Arra
     for start in range(0, cycles * steps, stride):
         if loop.terms and start:
             acceleration = (state.v_m - v) / loop.path.t_position
-            direction = directions_along(loop.friction, state.v_m[None], (state.q_m - q)[None], direction)[0]
+            _, presliding = friction_along(loop.friction, state.v_m[None], state.load[None], (state.q_m - q)[None],
+                                           Presliding(state.force, direction))
+            direction = presliding.direction[0]
             further = _further(loop, start * loop.path.t_position, state, acceleration, direction)
         v, q = state.v_m.copy(), state.q_m.copy()
         _play(loop.chain, drives, loop.friction, loop.cascade, _Inputs(reference, external, further), state, out,

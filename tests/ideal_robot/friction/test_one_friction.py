@@ -24,6 +24,7 @@ from ideal_robot.friction.table import (
     FLUID,
     FORWARD,
     Friction,
+    Presliding,
     friction_along,
     friction_sizes,
     friction_step,
@@ -73,14 +74,13 @@ def test_table_and_steps_are_the_identified_law_to_the_last_bit(seed: int, key: 
     v, load, _, q = a_motion(friction, rng)
     # Noise leaves the band of a twentieth of the distance; what is left of a step is the law's.
     steps = measured_steps(q, np.array([DISTANCE]))
-    start = np.sign(v[:1]) * 0.0
     v[0] = 0.0
-    torque, force = friction_along(friction, v, load, steps, start[0])
+    torque, states = friction_along(friction, v, load, steps, Presliding.none(1))
     np.testing.assert_array_equal(law.torque(v, load, q), torque)
     state = 0.0
     for k in range(len(v)):
         one, state = friction_step(friction, 0, v[k, 0], load[k, 0], state, steps[k, 0])
-        assert (one, state) == (torque[k, 0], force[k, 0])
+        assert (one, state) == (torque[k, 0], states.force[k, 0])
 
 
 @given(SEEDS, st.sampled_from(sorted(LAWS.names())))
@@ -125,7 +125,7 @@ def test_the_inverse_plans_with_the_same_steps() -> None:
     forces = []
     for k in range(80):
         _, state = inverse.step(state, q_d[k : k + 30])
-        forces.append((state.force, state.direction, state.v_m))
+        forces.append((state.presliding.force, state.presliding.direction, state.v_m))
     for force, direction, v in forces[60:]:
         for i in range(loop.n):
             # The plant's dry friction is the same at all speeds and loads: the state is it, times the direction.
@@ -139,7 +139,7 @@ def test_the_inverse_plans_with_the_same_steps() -> None:
 def reversal(friction: Friction) -> Array:
     """Friction torques of a motion over 40 mrad forward and 4 mrad back, every 10 µrad, without load ``(N, n)``."""
     v = np.concatenate([np.full(4000, 0.1), np.full(400, -0.1)])[:, None] * np.ones(len(friction.speeds))
-    return friction_along(friction, v, np.zeros_like(v), 1e-4 * v, np.zeros(v.shape[1]))[0]
+    return friction_along(friction, v, np.zeros_like(v), 1e-4 * v, Presliding.none(v.shape[1]))[0]
 
 
 @pytest.mark.parametrize("key", LAWS.names())
@@ -166,7 +166,7 @@ def test_the_state_stays_until_the_joint_has_moved() -> None:
     friction = a_friction(np.array([[0.0, 1.0]]), flat, 0.0 * flat, 1e-3)._replace(per_load=np.array([[0.5, 0.0]]))
     v, load = np.full((4000, 1), 0.1), np.zeros((4000, 1))
     load[2000:] = 40.0
-    torque = friction_along(friction, v, load, 1e-4 * v, np.zeros(1))[0][:, 0]
+    torque = friction_along(friction, v, load, 1e-4 * v, Presliding.none(1))[0][:, 0]
     assert torque[1999] == pytest.approx(30.0)
     assert torque[2000] == pytest.approx(30.0, rel=0.01)
     assert torque[-1] == pytest.approx(50.0, rel=1e-4)
@@ -193,8 +193,7 @@ def test_friction_is_the_sum_of_its_parts(seed: int) -> None:
     share = rng.uniform(0.0, 1.0, (1, 1, friction.speeds.shape[1], 2))
     parts = [friction._replace(sizes=friction.sizes * s, per_load=p * friction.per_load)
              for s, p in ((share, 0.3), (1.0 - share, 0.7))]
-    start = np.zeros(1)
-    whole, *own = (friction_along(one, v, load, steps, start)[0] for one in (friction, *parts))
+    whole, *own = (friction_along(one, v, load, steps, Presliding.none(1))[0] for one in (friction, *parts))
     np.testing.assert_allclose(sum(own), whole, rtol=1e-12, atol=1e-12)
 
 

@@ -12,7 +12,7 @@ from ideal_robot.dynamics.regressor import regressor
 from ideal_robot.effects import FittedEffect
 from ideal_robot.effects.fitted import Unknown
 from ideal_robot.errors import IdealRobotError, InputError
-from ideal_robot.friction.table import DRY, FLUID, distance_with, friction_along
+from ideal_robot.friction.table import DRY, FLUID, Presliding, distance_with, friction_along
 from ideal_robot.friction.terms import TERMS, table_terms, with_terms
 from ideal_robot.loop.from_model import with_effects, with_rotors
 from ideal_robot.loop.loop import checked, further_torque, low_pass_taps
@@ -184,7 +184,7 @@ def test_a_joint_that_sticks_starts_as_bristles_of_its_stiffness_do(surplus):
         rows = np.zeros((len(t), 6))
         rows[:, joint], moved = v, np.zeros((len(t), 6))
         moved[:, joint] = steps
-        return rms(friction_along(fluid, rows, np.zeros_like(rows), moved, np.zeros(6))[0][:, joint] - true)
+        return rms(friction_along(fluid, rows, np.zeros_like(rows), moved, Presliding.none(6))[0][:, joint] - true)
 
     assert left(sticks.friction) < 0.04 * surplus * dry
     same = sticks.friction._replace(distance=loop.friction.distance)
