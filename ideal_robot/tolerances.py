@@ -56,6 +56,34 @@ TRAIL_LENGTH = 40_000
 """Places of that trail: four radians of the quickest joint."""
 FINEST = 64
 """Places into which a cycle of a path is divided at most."""
+ROWS_BEFORE = 6
+"""Desired positions before an instant from which its derivatives are taken."""
+ROWS_AFTER = 4
+"""The same behind it."""
+COMMANDS_TOGETHER = 7
+"""Commands solved for together: what lies further ahead changes the first one by less than 1e-4 of itself."""
+CORRECTION_STEPS = 2
+"""Newton steps from a drawn arm to the one that it is: of an error of millimetres nanometres are left."""
+CORRECTION_SPACING = 0.06
+"""Between rows of a horizon at which that correction is solved for, which turns slowly [s]."""
+MEASURED_SPACING = 0.012
+"""Between measurements that adaptation looks at, at least [s]: a shorter cycle tells no more of friction."""
+SMALLEST_GAIN = 0.2
+"""Of a learning step: where an eighth of the full one still makes a path worse, learning ends."""
+SLOWINGS = 30
+"""Times that a path is slowed where it leaves a limit; each takes all of what is too much off."""
+SLOWED_BESIDES = 1.02
+"""What is taken off over that, since the rate of slowing adds speed of its own."""
+SLOWEST_RATE = 1e-3
+"""Share of its speed with which a path that is slowed goes on at least, so that it ends."""
+PRESLIDING_BAND = 0.05
+"""Half width of the band within which a measured position may be noisy, in presliding distances."""
+MOVED_BEFORE = 0.1
+"""How long a motion is taken to have lasted before its first sample [s]."""
+CLOCKS_APART = 10.0
+"""Offset between two clocks that is looked for [s]."""
+SAME_POINT = 1e-4
+"""Difference of two positions that one point given twice may have [rad or m]: text of four decimals."""
 SUBSTEP = 0.0005
 """Time step of a model of gears; far below the period of the stiffest gear of an industrial arm [s]."""
 LONGEST_PATH = 7200.0

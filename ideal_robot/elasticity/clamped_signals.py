@@ -14,11 +14,12 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import WRENCH, Recording
+from ideal_robot.tolerances import CLOCKS_APART
 
 FILTER_HZ = 10.0
 """Cut-off of the Butterworth filter, [J] 4.3."""
 FEWEST = 16
-"""Rows that a filter of fourth order, forward and backward, needs."""
+"""Rows that a filter of fourth order needs, forward and backward: more than the 3 (4 + 1) of its padding."""
 DECIMATE_HZ = 5.0
 """Cut-off of the decimation filter, [J] 4.3; samples are kept at twice that."""
 
@@ -136,10 +137,6 @@ def _resampled(t: Array, t_sensor: Array, values: Array) -> Array:
     return result
 
 
-_LARGEST_OFFSET = 10.0
-"""Between the clocks, that is looked for [s]."""
-
-
 def synchronise(t: Array, q_m: Array, t_sensor: Array, sensed: Array) -> Clock:
     """Offset and drift of the sensor's clock ([J] 4.3: synchronised off line).
 
@@ -173,7 +170,7 @@ def synchronise(t: Array, q_m: Array, t_sensor: Array, sensed: Array) -> Clock:
         rho = y - W @ np.linalg.solve(W.T @ W, W.T @ y)
         return float(np.sum(rho * rho) / len(rho))
 
-    coarse = np.arange(-_LARGEST_OFFSET, _LARGEST_OFFSET + 1e-9, 0.1)
+    coarse = np.arange(-CLOCKS_APART, CLOCKS_APART + 1e-9, 0.1)
     start = float(coarse[np.argmin([unexplained(offset, 0.0) for offset in coarse])])
     # Drift scaled so that a unit of either variable is a similar shift in time.
     length = max(float(t_sensor[-1] - t_sensor[0]), 1.0)

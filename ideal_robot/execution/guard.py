@@ -37,7 +37,7 @@ from ideal_robot.execution.path_stop import stopping_rows
 from ideal_robot.jit import jit
 from ideal_robot.robots.interface import RobotInterface, RobotState
 from ideal_robot.robots.robot import Robot
-from ideal_robot.tolerances import FINEST, ROUNDING, TRAIL_LENGTH, TRAIL_SPACING, UNRESOLVED
+from ideal_robot.tolerances import FINEST, ROUNDING, SLOWEST_RATE, TRAIL_LENGTH, TRAIL_SPACING, UNRESOLVED
 
 Cycle = Callable[[Array], RobotState]
 """Hands over a command ``(n,)`` [rad] and waits a cycle, as ``RobotInterface.cycle`` does."""
@@ -53,12 +53,8 @@ MARGIN = 0.01
 a surface gives way by a millimetre a newton."""
 BLIND = 0.03
 """Way back where it is not known whether anything is felt [m]."""
-_SLOWEST = 1e-3
-"""Share of its speed with which a path goes on at least."""
 _FASTEST_UNKNOWN = 5.0
 """Acceleration of a joint whose limit is not known [rad/s²]."""
-_BRAKES = 1.0
-"""Share of the joints' accelerations for the way of the commands back to an arm that stands."""
 _TIMES = 3
 """How often the commands follow an arm that goes on meanwhile: one that sinks, or is moved by hand."""
 _RISE = 0.03
@@ -399,7 +395,7 @@ class Guard:
                 limits = (0.1 * self._v_max, SHARE * self._a_max)
                 yield from eased_way(now, stands, limits, self._T)
                 continue
-            a = _BRAKES * float(np.min(self._a_max * self._T**2 / np.maximum(step, 1e-12)))
+            a = float(np.min(self._a_max * self._T**2 / np.maximum(step, 1e-12)))
             v = float(np.min(self._v_max * self._T / np.maximum(step, 1e-12)))
             bounds = Bounds(*(np.array([value]) for value in (0.0, len(line) - 1.0, max(v, 1.0), a,
                                                               a * self._T / _RISE)))
@@ -497,7 +493,7 @@ def slowed(rows: Array, rate: Array, a_max: Array, T: float) -> Array:
     """
     if len(rows) < 3:
         return np.asarray(T * np.arange(float(len(rows))))
-    rate = np.clip(rate, _SLOWEST, 1.0)
+    rate = np.clip(rate, SLOWEST_RATE, 1.0)
     # Of the two steps beside each row the faster one: between rows the path is straight.
     step = np.abs(np.diff(rows, axis=0)) / T
     speed = np.maximum(np.vstack([step[:1], step]), np.vstack([step, step[-1:]]))

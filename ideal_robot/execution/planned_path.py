@@ -18,12 +18,10 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.bag import SUFFIXES
 from ideal_robot.signals.recording import Recording
-from ideal_robot.tolerances import LONGEST_PATH, ROUNDING
+from ideal_robot.tolerances import LONGEST_PATH, ROUNDING, SAME_POINT
 
 FEW = 6
 """Points below which a path is led through them from rest to rest: fewer tell nothing of speed and acceleration."""
-SAME = 1e-4
-"""Difference of two positions that one point given twice may have [rad or m]: text of four decimals."""
 _TYPE = "trajectory_msgs/msg/JointTrajectory"
 _WITHIN = ("moveit_msgs/msg/RobotTrajectory", "moveit_msgs/msg/DisplayTrajectory",
            "control_msgs/action/FollowJointTrajectory_Goal")
@@ -252,7 +250,7 @@ def distinct(t: Array, q: Array, file: str | None, column: str
     twice = np.flatnonzero(steps == 0.0)
     for k in twice.tolist():
         off = np.abs(q[k + 1] - q[k])
-        if off.max() > SAME:
+        if off.max() > SAME_POINT:
             joint = int(np.argmax(off)) + 1
             raise InputError(f"samples {k + 1} and {k + 2} are both at t = {t[k]:.9g} s, and {column}_{joint} is at "
                              f"{q[k, joint - 1]:.6g} and {q[k + 1, joint - 1]:.6g}: give each its own time", file=file,

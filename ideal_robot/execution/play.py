@@ -14,6 +14,7 @@ from ideal_robot.arrays import Array, held
 from ideal_robot.errors import IdealRobotError, InputError, LimitError, RaisedBy
 from ideal_robot.execution.command_governor import CommandGovernor, stops_at_once
 from ideal_robot.execution.command_limits import check_limits
+from ideal_robot.execution.guard import SHARE
 from ideal_robot.execution.path_stop import stopping_rows
 from ideal_robot.feedforward.base import Feedforward, tried
 from ideal_robot.progress import Progress, silent
@@ -29,8 +30,6 @@ _STANDING = 0.3
 """How long the arm is held after braking [s]."""
 LONGEST_STOP = 5.0
 """Longest that braking takes, and coming to rest behind it or behind a path [s]."""
-_CHANGES = 0.5
-"""Share of the joints' accelerations that a change of the path's speed takes."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -166,7 +165,7 @@ class PathCommands:
         k = min(int(place), self.length - 1)
         speed = np.abs(self._ahead[k + 1] - self._ahead[k]) / self._T
         with np.errstate(divide="ignore"):
-            most = self._T * _CHANGES * float(np.min(np.where(speed > 0.0, self.robot.a_max / speed, np.inf)))
+            most = self._T * SHARE * float(np.min(np.where(speed > 0.0, self.robot.a_max / speed, np.inf)))
         return float(np.clip(wanted, rate - most, rate + most))
 
     def brake(self, place: float, rate: float = 1.0) -> Iterator[tuple[Array, Array]]:

@@ -13,14 +13,11 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import LimitError
 from ideal_robot.execution.command_limits import check_limits
 from ideal_robot.robots.robot import Robot
+from ideal_robot.tolerances import SLOWED_BESIDES, SLOWINGS
 
 _REACH = 0.25
 """Time on either side of a command that leaves a limit in which the path is slowed [s]: commands are given as much
 earlier than the motion that they are for, and the speed changes over that time."""
-_ROUNDS = 30
-"""Of slowing and correcting anew: each takes all of what was too much off."""
-_MORE = 1.02
-"""Of what is taken off, since the rate of slowing adds speed of its own."""
 _SLOWEST = 0.05
 """Share of the path's speed below which it is not slowed: there the limit is not one of speed."""
 
@@ -57,14 +54,14 @@ def slowed(q_d: Array, correct: Callable[[Array], Array], robot: Robot, *, every
     spline = make_interp_spline(rows, q_d, k=min(5, len(q_d) - 1))
     reach = max(1, round(_REACH / robot.t_ipo))
     share = np.ones(len(q_d))
-    for _ in range(_ROUNDS):
+    for _ in range(SLOWINGS):
         at = _cycles(_smooth(share, reach))
         path = np.asarray(spline(at))
         q_c = correct(path)
         over = np.maximum(_beyond(path, robot), _beyond(q_c, robot))
         if not np.any(over > 1.0):
             return SlowedPath(path, q_c, at, float(_smooth(share, reach).min()))
-        less = np.interp(rows, at, 1.0 / np.where(over > 1.0, _MORE * over, 1.0))
+        less = np.interp(rows, at, 1.0 / np.where(over > 1.0, SLOWED_BESIDES * over, 1.0))
         # Between two cycles a single one that is too fast must not be lost.
         np.minimum.at(less, np.clip(np.round(at).astype(int), 0, len(rows) - 1), 1.0 / np.maximum(over, 1.0))
         share = share * (less.min() if everywhere else minimum_filter1d(less, 2 * reach + 1))

@@ -43,8 +43,9 @@ from ideal_robot.signals.preprocess import FilteredSignals, preprocess
 from ideal_robot.signals.recording import Recording
 
 RIPPLE = "torque_ripple"
-LINK, BODY, ROTOR = 0.1, 0.1, 0.03
-"""Standard deviations of a link's weight, of single parameters of it over a body's of that size, and of a rotor."""
+LINK, ROTOR = 0.1, 0.03
+"""Standard deviations of a link's weight and of single parameters of it over a body's of that size, and of a rotor:
+castings differ by some percent, what is wound and turned by less."""
 OFFSET = 0.03
 """Of the offset over dry friction. One that may be large takes what is weight, which bends the gears."""
 
@@ -180,7 +181,7 @@ def _own_root(model: Model) -> Array:
 def _root(model: Model, dry: Array, robot: Robot) -> Array:
     """A root of the covariance of bodies, rotors and offsets ``(12 n, 13 n + 1)``; last come weights and the tool."""
     n, full = model.n, np.array(model.consistent)
-    single = np.concatenate([BODY * parameter_scales(full, n)[: 10 * n], ROTOR * full[10 * n : 11 * n], OFFSET * dry])
+    single = np.concatenate([LINK * parameter_scales(full, n)[: 10 * n], ROTOR * full[10 * n : 11 * n], OFFSET * dry])
     weights, tool = np.zeros((12 * n, n)), np.zeros(12 * n)
     for i in range(n):
         weights[10 * i : 10 * i + 10, i] = LINK * full[10 * i : 10 * i + 10]

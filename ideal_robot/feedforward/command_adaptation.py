@@ -20,19 +20,19 @@ import numpy as np
 
 from ideal_robot.arrays import Array, eased
 from ideal_robot.command.motion import Motion
-from ideal_robot.estimate.recursive import correlation, predict, update
+from ideal_robot.estimate.recursive import GATE, correlation, predict, update
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.command_inverse import Changed, CommandInverse, InverseState
 from ideal_robot.robots.interface import RobotState
 
-_LATE, _GAIN, _OFFSET = 0.05, 0.3, 0.3
-"""Standard deviations beforehand: of a change of lateness [s], of gains over their size, of an offset over the size of
+_LATE, _GAIN = 0.05, 0.3
+"""Standard deviations beforehand: of a change of lateness [s], of gains over their size and of an offset over that of
 ``q_c - q``. A controller's lag was seen to go from 84 to 180 ms with duty."""
 _RESOLVED = 1e-2
 """Of ``q_c - q``, what a measurement is wrong by at least, by smoothing and lines between commands; a smaller change
 changes no path that a user would see."""
-_LATER = 0.2
-"""Lateness beyond the identified one for which desired positions are looked at [s]: four standard deviations."""
+_LATER = GATE * _LATE
+"""Lateness beyond the identified one for which desired positions are looked at [s]: what is learned stays below."""
 _DRIFTS = 60.0
 """Time constant of the changes [s]: a lag drifts within minutes, gains are changed from one job to the next."""
 _ALIKE = 0.1
@@ -57,7 +57,6 @@ _TAKEN_UP = 1.0
 """Time in which the plain path is left, and returned to [s]."""
 _STARTS = 0.5
 """Time from the start in which nothing is learned [s]: the lags fill."""
-_PARAMETERS = 4
 
 
 @dataclass(frozen=True)
@@ -136,7 +135,7 @@ class AdaptedCommand(Feedforward):
         self.n = law.n
         self.deviation = np.maximum(np.nan_to_num(law.deviation), 1e-6)
         self.residual = np.maximum(np.nan_to_num(law.residual), _RESOLVED * self.deviation)
-        self.sigma = np.stack([np.full(self.n, _LATE), _OFFSET * self.deviation, np.full(self.n, _GAIN),
+        self.sigma = np.stack([np.full(self.n, _LATE), _GAIN * self.deviation, np.full(self.n, _GAIN),
                                np.full(self.n, _GAIN)], axis=1)
         moves = [np.array([column.of.moves for column in own.columns], dtype=float) for own in law.joints]
         level = [np.array([column.term == "offset" for column in own.columns], dtype=float) for own in law.joints]
@@ -157,14 +156,14 @@ class AdaptedCommand(Feedforward):
         """See ``Feedforward.init``."""
         n = self.n
         inner = self.inverse.init(q0)
-        eye = np.tile(np.eye(_PARAMETERS), (n, 1, 1))
+        eye = np.tile(np.eye(self.sigma.shape[1]), (n, 1, 1))
         filters = tuple(np.zeros((2, 2, max(len(den) - 1, 0))) for _, den in self.inverse.discrete)
         rows = self.smooth.shape[1]
         past = Past(np.tile(q0, (self.window, 1)), np.full((rows, n), np.nan), np.tile(q0, (rows, 1)),
                     np.zeros((_LAGS, 6, n)), filters)
         judgement = Judgement(np.stack([self.residual**2, self.deviation**2]), np.full(n, _BELIEVED / self.t_ipo),
                               np.ones(n, dtype=bool), np.stack([np.zeros(n), np.full(n, _ASIDE)]))
-        return AdaptedState(inner, np.zeros((n, _PARAMETERS)), eye, past, judgement, np.ones(n))
+        return AdaptedState(inner, np.zeros(self.sigma.shape), eye, past, judgement, np.ones(n))
 
     def changed(self, state: AdaptedState) -> Changed:
         """What has been learned, in the law's units."""

@@ -15,10 +15,8 @@ from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import SETTLE, Feedforward
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
-from ideal_robot.tolerances import REVERSING
+from ideal_robot.tolerances import REVERSING, ROWS_BEFORE
 
-_BEFORE, _AFTER = 6, 6
-"""Desired positions on either side of an instant that its derivatives are taken from."""
 _TURNS = 0.25
 """Share of a joint's acceleration that its command may take where friction turns."""
 _WIDTHS, _LONGEST = (0.0, 0.6, 1.0, 1.5, 2.2, 3.3, 5.0, 7.5, 11.0, 17.0, 25.0, 37.0, 56.0), 0.06
@@ -98,8 +96,8 @@ class CommandInverse(Feedforward):
             turns = -np.diff(self.model.friction.torque(np.array([[1.0], [-1.0]]) * self.law.still), axis=0)[0]
             self._spread = [_bell(self._width(i, turns, robot.a_max)) for i in range(self.n)]
         spread = max(len(kernel) for kernel in self._spread) // 2
-        self.before = _BEFORE + spread
-        self.n_d = int(np.ceil(self.ahead.max() / self.t_ipo)) + _AFTER + spread
+        self.before = ROWS_BEFORE + spread
+        self.n_d = int(np.ceil(self.ahead.max() / self.t_ipo)) + ROWS_BEFORE + spread
 
     def _width(self, i: int, turns: Array, a_max: Array) -> float:
         """Least spread of the friction of joint ``i`` (from 0) with which no command leaps where it turns [cycles].

@@ -16,12 +16,7 @@ from ideal_robot.feedforward.base import SETTLE, Feedforward
 from ideal_robot.model.arm_with_effects import changes_of
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot, common_normals
-from ideal_robot.tolerances import DAMPING
-
-_STEPS = 2
-"""Newton steps: of an error of millimetres nanometres are left."""
-_EVERY = 0.06
-"""Time between the rows of a horizon at which the inverse kinematics is solved [s]."""
+from ideal_robot.tolerances import CORRECTION_SPACING, CORRECTION_STEPS, DAMPING
 
 
 class CorrectedArm:
@@ -63,7 +58,7 @@ class CorrectedArm:
             pin.framesForwardKinematics(self._robot.pinocchio, self._drawn, row)
             wanted = self._drawn.oMf[self._robot.tool_id]
             pose = np.ascontiguousarray(wanted.rotation), np.array(wanted.translation)
-            for _ in range(_STEPS):
+            for _ in range(CORRECTION_STEPS):
                 row += newton_step(self._tool, *pose, row, row, DAMPING, error)
         return result
 
@@ -75,7 +70,7 @@ class CorrectedArm:
         if not self.differs:
             return q
         drawn = np.asarray(q, dtype=float)
-        for _ in range(_STEPS):
+        for _ in range(CORRECTION_STEPS):
             drawn = q - (self.joints(drawn[None])[0] - drawn)
         return np.asarray(drawn)
 
@@ -131,7 +126,8 @@ class ForCorrectedArm(Feedforward):
         share = taken_up(self.t_ipo * (state.cycle + np.arange(float(len(q_d)))))[:, None]
         path = np.asarray(q_d, dtype=float)
         # The correction turns slowly: every few rows of the horizon are enough.
-        rows = np.unique(np.append(np.arange(0, len(path), max(1, round(_EVERY / self.t_ipo))), len(path) - 1))
+        every = max(1, round(CORRECTION_SPACING / self.t_ipo))
+        rows = np.unique(np.append(np.arange(0, len(path), every), len(path) - 1))
         off = self.arm.joints(path[rows]) - path[rows]
         path = path + share * interpolated(np.arange(len(path)), rows, off)
         q_c, inner = self.feedforward.step(state.inner, path, tau_ext_d)

@@ -49,6 +49,7 @@ from ideal_robot.friction.terms import OWN, SHARED, TERMS, dry_sizes, table_term
 from ideal_robot.jit import jit
 from ideal_robot.loop.loop import Drives, Loop, further_torque
 from ideal_robot.robots.interface import RobotState
+from ideal_robot.tolerances import MEASURED_SPACING
 
 _APPARENT = 12.0**-0.5
 """Standard deviation of an apparent inertia over ``k_p T``: torques are read anywhere in the jump."""
@@ -57,8 +58,6 @@ _ACCELERATING = 0.03
 _OWN, _COMMON = TERMS + 1, 3
 """Parameters of each joint, friction's terms and the apparent inertia; behind those of all joints the ones that they
 share: the dry and the rising term, and the mass."""
-_CYCLE = 0.012
-"""Time between measurements that are looked at, at least [s]."""
 _LAG = 2e-2
 """How far arm and motor, or smoothed and measured, may be apart [rad]; what is further is no motion of an arm."""
 
@@ -154,7 +153,7 @@ class FrictionAdaptation:
 
     def __init__(self, loop: Loop, *, tool: Array | None = None, noise_std: Array | None = None) -> None:
         self.loop = loop
-        self._every = max(1, round(_CYCLE / loop.t_ipo))
+        self._every = max(1, round(MEASURED_SPACING / loop.t_ipo))
         spacing, dry = self._every * loop.t_ipo, dry_sizes(loop.friction)
         self._apart = max(1, round(INTERVAL / spacing))
         self._known = _Known(

@@ -54,6 +54,7 @@ from ideal_robot.loop.loop import (
 from ideal_robot.model.arm_with_effects import side_of_gap
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
+from ideal_robot.tolerances import COMMANDS_TOGETHER, ROWS_AFTER, ROWS_BEFORE
 
 
 class Options(NamedTuple):
@@ -79,14 +80,9 @@ AHEAD = Options(path=False)
 PRINTED = Options(elastic=False, path=False, ahead=False)
 """[G] (8), (9), (16) to (20)."""
 
-_CYCLES = 7
-"""Commands solved for together: what lies further ahead changes the first one by less than 1e-4 of itself."""
-_BEFORE = 6
-"""Desired positions kept from the cycles before, for the derivatives."""
-_AFTER = 4
-"""Desired positions wanted beyond the last one used, for the same reason."""
 _CUTOFF = 14.0
-"""Frequencies of the desired path above this are not asked of the arm [Hz]."""
+"""Frequencies of the desired path above this are not asked of the arm [Hz]. With half of it known paths were left twice
+as far, fast lines a quarter further; twice as much gains nothing."""
 
 
 class _Grid(NamedTuple):
@@ -116,12 +112,12 @@ class _Grid(NamedTuple):
 def _complete_grid(loop: Loop) -> _Grid:
     """Over the cycles in which the next commands act: torques every half cycle, motors at the position loop's."""
     T, fine, delay = loop.t_ipo, loop.path.t_position, loop.path.delay
-    rows = delay + _CYCLES + _AFTER + 1
-    t_rows = T * np.arange(-_BEFORE, rows, dtype=float)
+    rows = delay + COMMANDS_TOGETHER + ROWS_AFTER + 1
+    t_rows = T * np.arange(-ROWS_BEFORE, rows, dtype=float)
     # A cycle wider than needed: the derivatives of torques follow from them.
-    t_coarse = T * (delay - 2 + 0.5 * np.arange(2.0 * (_CYCLES + 4) + 1))
+    t_coarse = T * (delay - 2 + 0.5 * np.arange(2.0 * (COMMANDS_TOGETHER + 4) + 1))
     # A position-loop output acts on average half its cycle later: torques are wanted there.
-    t_fine = T * delay + fine * (np.arange(float(loop.steps_ipo * _CYCLES)) + 0.5)
+    t_fine = T * delay + fine * (np.arange(float(loop.steps_ipo * COMMANDS_TOGETHER)) + 0.5)
     return _Grid(rows, t_coarse, t_fine, fine, loop.steps_ipo - 1,
                  Operators.smoothing(t_rows, t_coarse, T, _CUTOFF), Operators.smoothing(t_rows, t_fine, T, _CUTOFF),
                  Operators.smoothing(t_coarse, t_fine, T, _CUTOFF))
@@ -130,16 +126,12 @@ def _complete_grid(loop: Loop) -> _Grid:
 def _printed_grid(loop: Loop, lead: float) -> _Grid:
     """One instant, ``lead`` [s] after the command is handed over, with differences over an interpolation cycle."""
     T = loop.t_ipo
-    rows = int(np.ceil(lead / T)) + _AFTER + 1
+    rows = int(np.ceil(lead / T)) + ROWS_AFTER + 1
     t_coarse = lead + T * np.array([-1.0, 0.0, 1.0])
-    at_coarse = Operators.smoothing(T * np.arange(-_BEFORE, rows, dtype=float), t_coarse, T, _PRINTED_CUTOFF)
+    at_coarse = Operators.smoothing(T * np.arange(-ROWS_BEFORE, rows, dtype=float), t_coarse, T, _CUTOFF)
     differences = [np.array([[0.0, 1.0, 0.0]]), np.array([[-0.5, 0.0, 0.5]]) / T, np.array([[1.0, -2.0, 1.0]]) / T**2]
     return _Grid(rows, t_coarse, t_coarse[1:2], T, 0, at_coarse,
                  Operators(*(difference @ at_coarse.value for difference in differences)), Operators(*differences))
-
-
-_PRINTED_CUTOFF = 16.0
-"""As ``_CUTOFF`` where the controller is inverted as printed, which does not amplify what the command path damps."""
 
 
 def command_lag(loop: Loop) -> float:
@@ -154,7 +146,7 @@ class InverseState:
     """What one cycle hands to the next.
 
     Attributes:
-        q_d: desired positions of the cycles before ``(_BEFORE, n)``.
+        q_d: desired positions of the cycles before ``(ROWS_BEFORE, n)``.
         q_c: commands of the cycles before ``(P, n)``, newest last.
         u, tau: velocity-loop error and motor torque planned so far ``(n,)``.
         q_m, v_m, presliding: motor angles, velocities ``(n,)`` [rad, rad/s] and state of the contacts planned for the
@@ -215,7 +207,7 @@ class Inverse(Feedforward):
         grid = _complete_grid(loop) if options.path else _printed_grid(loop, lead)
         self._grid, self.n_d_needed = grid, grid.rows
         self.n_d = grid.rows if n_d is None else n_d
-        self._inverse = command_path_inverse(loop, _CYCLES)
+        self._inverse = command_path_inverse(loop, COMMANDS_TOGETHER)
         self._printed = _printed_gains(loop.cascade, loop.t_ipo)
         self._compliance = loop.compliance if options.elastic else np.zeros(loop.n)
         self._damped = drives.damping * self._compliance**2
@@ -245,7 +237,7 @@ class Inverse(Feedforward):
         deflection = load[0] * self._compliance + self._gap * side_of_gap(load[0], still[0], loop.drives.gap_load)
         deflection -= [unevenness(loop.drives.uneven, i, float(q))[0] for i, q in enumerate(q0)]
         return InverseState(
-            q_d=np.tile(q0, (_BEFORE, 1)), q_c=np.tile(q0, (self._inverse.n_past, 1)), u=still[0],
+            q_d=np.tile(q0, (ROWS_BEFORE, 1)), q_c=np.tile(q0, (self._inverse.n_past, 1)), u=still[0],
             tau=loop.drives.gain * (holding + loop.drives.offset) + further, q_m=q0, v_m=still[0],
             presliding=Presliding.none(loop.n), deflection=deflection, cycle=0)
 

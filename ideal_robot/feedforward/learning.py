@@ -23,13 +23,12 @@ from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.loop import Loop
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.results import Summarised
+from ideal_robot.tolerances import SMALLEST_GAIN
 
 SMOOTHNESS, SMOOTHNESS_ON_MODEL = 0.3, 0.05
 """Weight of a correction's second differences against an error of the same size: on the arm, where it keeps noise out
 of the commands, and on the identified loop, which has none. There 0.3 leaves a third to five sixths of the loop's
 error, but not of the arm's, whose last errors are others: see ``docs/ideal_robot.md``, Learning."""
-_SMALLEST_STEP = 0.2
-"""Learning stops when a step this much smaller than the full one still makes the path worse."""
 
 
 class LearningLaw:
@@ -118,7 +117,7 @@ def learn(play: Callable[[Array], Array], q_c: Array, law: LearningLaw, *, itera
         else:
             gain *= 0.5
         paths.append(best)
-        if gain < _SMALLEST_STEP:
+        if gain < SMALLEST_GAIN:
             stopped = "smaller steps do not help any more; the best commands are kept"
             break
     return Learned(best, tuple(history), tuple(paths), stopped)

@@ -30,13 +30,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.jit import jit
-from ideal_robot.tolerances import ZERO_CROSSING
-
-_BEFORE = 0.1
-"""How long a motion is taken to have lasted before its first sample [s]."""
-
-_BAND = 0.05
-"""Half width of the band within which a measured position may be noisy, in presliding distances."""
+from ideal_robot.tolerances import MOVED_BEFORE, PRESLIDING_BAND, ZERO_CROSSING
 
 
 @jit()
@@ -107,7 +101,7 @@ def first_direction(qd: Array, distance: Array) -> Array:
         distance: presliding distance ``(n,)`` [rad].
     """
     # Squared, so that the noise of a velocity at rest is without influence.
-    return np.asarray(np.sign(qd) * -np.expm1(-((qd * _BEFORE / distance) ** 2)))
+    return np.asarray(np.sign(qd) * -np.expm1(-((qd * MOVED_BEFORE / distance) ** 2)))
 
 
 @jit()
@@ -123,7 +117,7 @@ def measured_steps(q: Array, distance: Array) -> Array:
     """
     steps = np.zeros_like(q)
     for j in range(q.shape[1]):
-        band, last = _BAND * distance[j], q[0, j]
+        band, last = PRESLIDING_BAND * distance[j], q[0, j]
         for k in range(1, len(q)):
             away = q[k, j] - last
             steps[k, j] = max(away - band, 0.0) + min(away + band, 0.0)

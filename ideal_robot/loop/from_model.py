@@ -26,7 +26,8 @@ from ideal_robot.tolerances import CREEP
 # and with it the motor torque of a motion behind rigid gears, stays what was identified.
 
 _SHARE = 0.5
-"""Rotor inertia over the least inertia that the links hold against the joint, where the rotor is not known."""
+"""Rotor inertia over the least inertia that the links hold against the joint, where the rotor is not known. Assumed:
+gears are chosen so that both sides are alike."""
 
 
 def with_rotors(chain: Chain, rotor_inertia: Array, q_min: Array, q_max: Array) -> tuple[Chain, Array]:
@@ -113,9 +114,11 @@ def _curve(effect: FittedEffect, speeds: Array) -> Array:
 
 
 _LAG_MAX = 0.01
-"""Largest lag of the measured velocity that is believed [s]."""
+"""Largest lag of the measured velocity that is believed [s]: a differentiator lags by some cycles of its loop, which
+are of 0.25 to 2 ms."""
 _FASTEST = 150.0
-"""A gear on which the rotor would oscillate faster than this counts as rigid [Hz]."""
+"""A gear on which the rotor would oscillate faster than this counts as rigid [Hz]: at the 14 Hz that are asked of
+an arm its oscillation adds less than a hundredth of its twist."""
 
 
 def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> Loop:
