@@ -131,11 +131,13 @@ def play_cycles(robot: RobotInterface, limits: Robot, task: Cycled, log: CycleLo
         progress: called now and then.
     """
     # What is there by now is not looked through again and again for circles among objects while the arm moves.
+    within = gc.get_freeze_count() > 0
     gc.freeze()
     try:
         _cycles(robot, limits, task, log, settings, progress)
     finally:
-        gc.unfreeze()
+        if not within:
+            gc.unfreeze()
 
 
 def _cycles(robot: RobotInterface, limits: Robot, task: Cycled, log: CycleLog, settings: CycleSettings,

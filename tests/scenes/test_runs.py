@@ -9,6 +9,7 @@ import dataclasses
 import os
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -27,10 +28,13 @@ from ideal_robot.signals.recording import Recording
 from scenes import load_scene, models, run_scene
 from scenes.closing.result import Measured, visible
 from scenes.force.cell import Prepared
+from scenes.line.cell import prepared
 from scenes.metrics import path_errors, reduction_percent
 from scenes.models import model_for, shipped_model
 from scenes.online.force_known import KnownSurface
 from scenes.online.line_known import KnownLine
+from scenes.scene_files.force_scene import ForceScene
+from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import chosen
 from scenes.sweep import jobs
 from sim.arm.specimen import draw_specimen
@@ -287,9 +291,7 @@ def test_the_task_asks_for_nothing_of_the_world(name: str, changes: dict[str, An
                                                 known: type, monkeypatch: pytest.MonkeyPatch) -> None:
     """The commands are the same bit by bit, so the guard was in force and changed nothing."""
     scene = load_scene(name).changed(**changes)
-    # What moving shows beforehand is shown once.
-    options = {"shared": Prepared(scene)} if module is force_play else {}
-    free = module.play(scene, "ideal", **options)
+    assert isinstance(scene, ForceScene | LineScene)
     guarded: list[Any] = []
     configured = getattr(module, task)
 
@@ -299,8 +301,11 @@ def test_the_task_asks_for_nothing_of_the_world(name: str, changes: dict[str, An
         guarded.append(inner)
         return configured(Guard(inner, attributes(known)), *arguments, **options)
 
-    monkeypatch.setattr(module, task, made)
-    played = module.play(scene, "ideal", **options)
+    # What moving shows beforehand is shown once.
+    with nullcontext(Prepared(scene)) if isinstance(scene, ForceScene) else prepared(scene) as shared:
+        free = module.play(scene, "ideal", shared=shared)
+        monkeypatch.setattr(module, task, made)
+        played = module.play(scene, "ideal", shared=shared)
     assert len(guarded) == 1
     for column in ("q_c_1", "q_1"):
         np.testing.assert_array_equal(played.recording.columns[column], free.recording.columns[column])

@@ -22,7 +22,8 @@ from ideal_robot.signals.recording import Recording
 from scenes.diagnosis.page import summary, unexplained, unused
 from studies.strangers.arm import robot_of
 from studies.strangers.integrator import simulate
-from studies.strangers.logger import record
+from studies.strangers.logger import Logger, record
+from studies.strangers.plant import Plant, Run
 from studies.strangers.score import score
 from studies.strangers.trial import Trial, draw_trial
 from tests.arms import a_logger, a_motion, a_plant, an_arm, written
@@ -235,22 +236,27 @@ def test_a_model_of_another_arm_is_refused(name, says, tmp_path):
 
 # Channels of some joints or axes only, in physics that is not the model's: used as far as they go, the rest said.
 
-@pytest.fixture(scope="module")
-def arm_and_run(tmp_path_factory):
-    """A six-joint arm under its cascade, as an independent integrator moves it, and what of it can be recorded."""
-    arm = an_arm(seed=11, n=6)
+def moved_arm(folder: Path, n: int) -> tuple[Robot, Plant, Run, Logger]:
+    """An arm under its cascade, as an independent integrator moves it, and what of it can be recorded."""
+    arm = an_arm(seed=11, n=n)
     plant = a_plant(arm)
     run = simulate(plant, a_motion(arm, seconds=12.0))
-    logger = a_logger(np.random.default_rng(2), 6, qa=(0, 1, 2), encoder=2e-6, noise=0.005 * np.std(run.tau, axis=0))
-    return Robot.load(written(tmp_path_factory.mktemp("arm"), arm.urdf)), plant, run, logger
+    logger = a_logger(np.random.default_rng(2), n, qa=(0, 1, 2), encoder=2e-6, noise=0.005 * np.std(run.tau, axis=0))
+    return Robot.load(written(folder, arm.urdf)), plant, run, logger
+
+
+@pytest.fixture(scope="module")
+def arm_and_run(tmp_path_factory):
+    return moved_arm(tmp_path_factory.mktemp("arm"), 6)
 
 
 def names(found: Diagnosis) -> list[tuple[str, int, str]]:
     return [(e.fitted.name, e.fitted.joint, e.fitted.channel) for e in (*found.effects, *found.unknown)]
 
 
-def test_late_encoders_on_the_arms_side_of_three_joints_are_one_delay_and_no_gear(arm_and_run):
-    robot, plant, run, logger = arm_and_run
+@pytest.mark.parametrize("n", [3, pytest.param(6, marks=pytest.mark.slow)])
+def test_late_encoders_on_the_arms_side_of_three_joints_are_one_delay_and_no_gear(n, tmp_path):
+    robot, plant, run, logger = moved_arm(tmp_path, n)
     diagnosis = diagnose(record(dataclasses.replace(logger, qa_delay=0.003), plant, run), robot)
     (late,) = [e for e in diagnosis.effects if e.fitted.channel.startswith("qa")]
     assert (late.fitted.name, late.fitted.joint) == ("dead_time", 0)

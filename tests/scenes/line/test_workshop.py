@@ -42,6 +42,7 @@ def test_a_displaced_surface_moves_the_line_and_not_the_reference() -> None:
     np.testing.assert_allclose((moved.line.points - plane.translation) @ plane.rotation[:, 2], 0.0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_kinematic_errors_and_a_displaced_surface_hardly_matter() -> None:
     """What is sensed relative to the tool does not ask where arm and surface think they are ([L] 3.1)."""
     scene = load_scene("line").changed(calibration=CALIBRATED, displacement={"height_mm": 3.0},
@@ -65,6 +66,7 @@ def test_a_line_too_far_from_its_reference_is_said_before_it_is_lost() -> None:
         assert "mm beside its reference" in before.warning
 
 
+@pytest.mark.slow
 def test_the_height_of_a_tilted_surface_shows_while_following() -> None:
     """With the height taken from the reference this line is missed by 0.7 mm: ten millimetres at its ends ([L] 4.2)."""
     followed(load_scene("line").changed(world="bench", seed=2, calibration=CALIBRATED, displacement={"tilt_deg": 1.0}),

@@ -274,11 +274,17 @@ def test_the_self_test_hears_of_every_packet() -> None:
 
 
 def test_what_was_granted_is_given_back() -> None:
+    gc.unfreeze()
     before = gc.isenabled(), gc.get_freeze_count(), sys.getswitchinterval()
     with undisturbed() as granted:
         assert not gc.isenabled()
         assert granted
+        # Of two blocks one within the other what is put aside stays so until the outer one ends.
+        with undisturbed():
+            pass
+        assert gc.get_freeze_count() > 0
     assert (gc.isenabled(), gc.get_freeze_count(), sys.getswitchinterval()) == before
+    gc.freeze()
 
 
 def test_a_method_of_another_package_is_served() -> None:
