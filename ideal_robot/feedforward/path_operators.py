@@ -54,7 +54,11 @@ class Operators:
 
     @classmethod
     def smoothing(cls, t_samples: Array, t_out: Array, spacing: float, cutoff: float) -> Operators:
-        """Of ``spline_operators``, with its arguments."""
+        """The operators that smooth a path.
+
+        Args:
+            t_samples, t_out, spacing, cutoff: as of ``spline_operators``.
+        """
         return cls(*spline_operators(t_samples, t_out, spacing, cutoff))
 
     def of(self, rows: Array) -> Array:
