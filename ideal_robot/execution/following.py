@@ -34,15 +34,20 @@ ANSWERS = 0.4
 """Time after which a loop has answered a command [s]."""
 _STANDS = 0.1
 """Share of the way expected in the last cycles below which an arm counts as standing still."""
-_BRAKES = 0.2
-"""Time within which an arm that is being braked stands [s]; one that runs at an override goes on meanwhile."""
 _DOUBTS = 0.5
 """Share of what is allowed beside what is expected from which on other things are not judged by the motion: a sound arm
 hardly comes to it, and one that is paused is there after half of the time in which it is noticed."""
-_PAUSED = 0.8
-"""Share of its way which a joint of an arm that is being braked does not come to."""
 _SHOWS = 0.1
 """Time in which the way of a joint shows where it goes [s]."""
+_PAUSED = 1.0 - 0.5 * SHARE * ANSWERS / _SHOWS
+"""Share of its way which a joint of an arm that is being braked does not come to. By when a standstill can be noticed
+it has lasted for ``SHARE * ANSWERS`` at least, so that such a joint has gone 0.6 of its way at most in ``_SHOWS``, and
+one that follows all of it: this is the middle."""
+_TURNS = 0.5
+"""Share of its way by which a joint may go back that is paused, as a gear springs back: in the middle between one that
+stands and one that goes the other way."""
+_UNLIMITED = 5.0
+"""Acceleration of a joint whose limit is not known [rad/s²], as in the guard."""
 _FOLLOWED = 3.0
 """Ways as large as the tolerance along which an arm that was on them has shown that it follows."""
 _MOSTLY = 0.5
@@ -161,6 +166,8 @@ class Following(Watch):
         self._answer: Answer = table if response is None else (
             KnownLoop(response) if sure else Both(KnownLoop(response), table))
         v_max = np.where(np.isfinite(robot.v_max), robot.v_max, np.inf)
+        self._a_max = np.where(np.isfinite(robot.a_max), robot.a_max, _UNLIMITED)
+        self._brakes = 0.0
         self._jump, self._usual = np.maximum(3.0 * v_max * T, np.radians(1.0)), tolerance
         self._probed = min(probed(np.where(np.isfinite(robot.a_max), robot.a_max, np.inf), T), tolerance)
         self._forgets, self._unfit = T / _REMEMBERED, np.zeros((1, robot.n))
@@ -220,13 +227,14 @@ class Following(Watch):
 
     def _goes_on(self) -> str | None:
         """What is said of an arm that was taken for one that is being braked, and goes on; None of any other."""
-        if not (self._noticed and self._still and self._braked * self._T < _BRAKES):
+        # While the path is tried a joint that starts late against its friction goes on late, and is tried again.
+        if self._trying or not (self._noticed and self._still and self._braked * self._T < self._brakes):
             return None
         self._braked += 1
         joint, text = self._said_of
-        moves = float(np.ptp(self._measured[: PATIENCE + 1, joint]))
-        # While the path is tried an encoder's noise is as large as what was commanded.
-        if self._braked * self._T < _BRAKES or moves <= max(_STANDS * self._pace[joint], SEEN):
+        rows = self._rows
+        moves = float(np.ptp(self._measured[: rows + 1, joint]))
+        if self._braked * self._T < self._brakes or moves <= max(_STANDS * self._pace[joint] * rows * self._T, SEEN):
             return None
         self._still = False
         return text
@@ -275,10 +283,10 @@ class Following(Watch):
     def _said(self, joint: int, q: Array) -> str:
         """What the last cycles look like."""
         if not self._noticed:
-            rows = PATIENCE + 1
-            self._pace = np.ptp(self._expected[:rows], axis=0)
-            still = np.ptp(self._measured[:rows], axis=0) <= _STANDS * self._pace
-            self._astray = bool(still[joint]) or self._behind(joint)
+            self._pace = np.ptp(self._expected[: PATIENCE + 1], axis=0) / (PATIENCE * self._T)
+            # With all of its acceleration an arm is braked so soon; then it shows whether it stands.
+            self._brakes = float(np.max(self._pace / self._a_max)) + _SHOWS
+            self._astray = self._behind(joint)
             # One that does not stand yet may be on its way to it.
             # While the path is tried a joint that starts late against its friction is tried again.
             followed = bool(self._proved[joint] or self._trying or (self._proved.any() and self._all_behind()))
@@ -300,19 +308,24 @@ class Following(Watch):
 
     def _all_behind(self) -> bool:
         """Whether no joint that is to move goes as far as it should: the arm as a whole is paused."""
-        rows = max(round(_SHOWS / self._T), PATIENCE + 1)
-        moved, expected = (np.abs(known[0] - known[: rows + 1][-1]) for known in (self._measured, self._expected))
+        moved, expected = (np.abs(known[0] - known[: self._rows + 1][-1])
+                           for known in (self._measured, self._expected))
         return bool((moved[expected > SEEN] < _PAUSED * expected[expected > SEEN]).all())
 
+    @property
+    def _rows(self) -> int:
+        """Cycles in which the way of a joint shows."""
+        return max(round(_SHOWS / self._T), PATIENCE + 1)
+
     def _behind(self, joint: int) -> bool:
-        """Whether a joint goes where its command leads, less far.
+        """Whether a joint stands, or goes where its command leads, less far.
 
         The command of one that goes the other way, or further, would be led astray by where that joint is.
         """
-        rows = max(round(_SHOWS / self._T), PATIENCE + 1)
-        moved, expected = (float(known[0, joint] - known[: rows + 1][-1, joint])
+        moved, expected = (float(known[0, joint] - known[: self._rows + 1][-1, joint])
                            for known in (self._measured, self._expected))
-        return -_STANDS * expected**2 <= moved * expected <= expected**2
+        # A joint that was to turn round in that time has shown nothing yet by what it has gone.
+        return abs(moved) <= SEEN or -_TURNS * expected**2 <= moved * expected <= expected**2
 
     def _size(self, value: float, joint: int) -> str:
         return f"{np.degrees(value):.2f}°" if self._units[joint] == "rad" else f"{1e3 * value:.2f} mm"

@@ -227,6 +227,13 @@ class BeyondSensor:
         self._torque = torque
         self._waited, self._travelled = self._waited + self._T, self._travelled + abs(speed) * self._T
 
+    def stood(self) -> None:
+        """The arm stood: motions before and after do not belong together, and friction is another one."""
+        self._heard.clear()
+        self._sliding = np.zeros(self._model.n)
+        self._filter.x[1:] = 0.0
+        self._filter.P = np.diag(np.r_[self._filter.P[0, 0], self._model.noise_std**2])
+
     def weigh(self) -> None:
         """Makes of what was heard last how much more the motors feel, if it is time."""
         if self._waited < HEARD or len(self._heard) < 2 * self._apart + 1:

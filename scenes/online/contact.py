@@ -107,10 +107,15 @@ class ContactSensor(Sensor):
         self.at_once, self.in_one = usual / IN_ANSWER, usual / IN_CYCLE
 
     def calibrated(self, tool: ToolLoad, elasticity: ContactElasticity, ratio: float = 1.0) -> None:
-        """Takes what a calibration has found meanwhile; ``ratio``: the true force over the shown one, at most.
+        """Takes what a calibration has found meanwhile.
 
         The model's ``ForceErrors`` are not added: turning the tool shows the sensor's bias as it is, and pressing all
         that gives under the force. They would count twice.
+
+        Args:
+            tool: bias and weight.
+            elasticity: of tip and surface.
+            ratio: the true force over the shown one, at most.
         """
         self.tool, self.elasticity = tool, elasticity
         limits = self.scene.emergency.limits()

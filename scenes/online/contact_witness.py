@@ -99,6 +99,7 @@ class ContactWitness:
         """See ``scenes.online.contact.Witness``."""
         self._swung.clear()
         self._force.signs.begin()
+        self._motors.stood()
 
     def look(self) -> None:
         """See ``scenes.online.contact.Witness``: does it answer the tip's swing, and what do the motors feel."""

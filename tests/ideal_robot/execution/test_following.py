@@ -84,3 +84,33 @@ def test_a_sound_arm_is_let_go_on_and_one_that_stands_is_noticed(seed: int) -> N
             assert ("stands still" in str(reason)) or fault == "override"
             # How far the command is ahead by then is what has to be made good.
             assert np.abs(path[noticed] - path[moving]).max() <= np.radians(0.5) + 0.12 * speed
+
+
+@pytest.mark.parametrize("fault", ["stands", "override", "the other way"])
+@pytest.mark.parametrize("seed", range(8))
+def test_a_slow_arm_that_is_paused_may_go_on_and_one_that_goes_on_otherwise_may_not(seed: int, fault: str) -> None:
+    """Its gears spring back a little, and a joint may just turn round: "does not follow" was said of a contour."""
+    rng = np.random.default_rng(seed)
+    T, lag, speed = float(rng.choice([0.004, 0.012])), rng.uniform(0.01, 0.03), rng.uniform(0.1, 0.4)
+    loop = Loop(T, rng, lag, 1)
+    watch = Following(lambda: loop.commanded, dataclasses.replace(ROBOT, t_ipo=T), loop.response(round(0.3 / T)))
+    path = commands(T, rng, speed)
+    moving, held, noticed, said = 20 + round(rng.uniform(0.5, 1.1) / T), np.zeros(N), None, None
+    for k, q_c in enumerate(path[: moving + round(0.8 / T)]):
+        # What is noticed of one that stands is answered by commands to where it is.
+        loop.step(q_c if noticed is None or fault != "stands" else held)
+        q, since = loop.q, (k - moving) * T
+        held = q if k <= moving else held
+        if since > 0.0 and fault == "stands":
+            back = np.radians(0.06) * np.sign(path[moving] - path[moving - 1])
+            q = held - back * (1.0 - np.exp(-since / 0.03))
+        elif since > 0.0:
+            q = held + (0.3 if fault == "override" else -1.0) * (q - held)
+        said = watch.look(k * T, loop.commanded, q + 1e-5 * rng.standard_normal(N)) or said
+        noticed = k if noticed is None and said is not None else noticed
+        if said is not None and not watch.passes:
+            break
+    assert noticed is not None
+    assert (noticed - moving) * T < 0.3
+    assert watch.passes == (fault == "stands"), said
+    assert ("stands still" in str(said)) == (fault == "stands")

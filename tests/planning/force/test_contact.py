@@ -350,6 +350,22 @@ def test_motions_before_and_after_lost_cycles_are_no_acceleration() -> None:
     assert abs(motors.excess) < 0.5
 
 
+def test_motions_before_and_after_a_standstill_are_no_force() -> None:
+    """An arm that was paused on a contour was stopped when it went on: 27 N that the motors felt beyond the sensor."""
+    robot, model = known()
+    motors, torque = BeyondSensor(model, CYCLE), InverseKinematics(robot).torque(robot.home, UP)
+    rate = np.array([0.2, 0.05, -0.1, 0.02, 0.3, 0.1])
+    for stretch in range(4):
+        # Meanwhile the arm has gone elsewhere, its joints rest, and friction is another one.
+        place, other = robot.home + 0.05 * stretch, model.noise_std * (-1.0) ** stretch
+        for k in range(200):
+            tau = model.inverse_dynamics(place + rate * CYCLE * k, rate, 0.0 * rate)[0] - 20.0 * torque + other
+            motors.hear(RobotState(CYCLE * k, place + rate * CYCLE * k, tau), torque, 20.0, 0.2)
+            motors.weigh()
+            assert abs(motors.excess) < 5.0
+        motors.stood()
+
+
 @pytest.mark.parametrize(("cycle", "needed"), [(0.012, 3), (0.004, 7)])
 @pytest.mark.parametrize(("sense", "speed"), [(1.0, 0.3), (-1.0, -0.1)])
 def test_the_first_word_of_the_motors_is_what_a_random_walk_lets_expect(cycle: float, needed: int, sense: float,

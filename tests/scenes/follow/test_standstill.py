@@ -32,7 +32,8 @@ def test_a_line_goes_on_where_the_arm_was_paused(begins: float, lasts: float, tm
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "begins", "lasts"), [("force_wave", 2.5, 1.0)])
+@pytest.mark.parametrize(("name", "begins", "lasts"), [("force_wave", 2.5, 1.0), ("contour", 2.5, 1.0),
+                                                      ("contour", 4.5, 2.0)])
 def test_a_surface_goes_on_where_the_arm_was_paused(name: str, begins: float, lasts: float, tmp_path: Path) -> None:
     scene = load_scene(name)
     run = followed(scene, tmp_path, pause=(begins, lasts))
