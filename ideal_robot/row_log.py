@@ -81,7 +81,7 @@ def let_go(*arrays: Array) -> None:
 
 
 KEPT = 32768
-"""Rows held in memory at most."""
+"""Rows held in memory at most; fewer where they are so wide that they are more than ``IN_MEMORY`` values."""
 _PIECE = 512
 """Rows that are made room for at a time, and written to the file: a tenth of a millisecond of a row as long as the
 simulated arm's. Whatever is led in real time waits for no more."""
@@ -174,10 +174,11 @@ class RowLog:
             yield first, np.concatenate(pieces)[: self.rows - first]
 
     def _empty_piece(self) -> Array:
-        """The oldest piece, its rows in the file, where ``KEPT`` rows are held; else a new one."""
+        """The oldest piece, its rows in the file, where as many rows are held as may be; else a new one."""
         piece: Array | None = None
         try:
-            while self.kept >= KEPT and self.rows - self._first >= _PIECE:
+            most = max(min(KEPT, IN_MEMORY // max(self._width, 1)), _PIECE)
+            while self.kept >= most and self.rows - self._first >= _PIECE:
                 self._to_file(self._pieces[0], self._first)
                 piece, self.refused = self._pieces.pop(0), None
                 self._first += _PIECE

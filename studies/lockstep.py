@@ -19,7 +19,7 @@ from ideal_robot.errors import IdealRobotError
 from planning.force.contact import most_force
 from scenes.line.cell import prepared
 from scenes.line.kind import run as run_line
-from scenes.scene_file import load_scene
+from scenes.online.run import load_cell
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
 from studies.report import head, row
@@ -72,7 +72,7 @@ def _spread(plays: list[dict[str, Any]], key: str) -> str:
 
 def _play(name: str, seed: int) -> dict[str, Any]:
     """One play: what came of it as plain values; errors in mm and N."""
-    scene = load_scene(name).changed(seed=seed)
+    scene = load_cell(name).changed(seed=seed)
     told: dict[str, Any] = {"scene": name, "seed": seed, "failure": None}
     with tempfile.TemporaryDirectory() as folder:
         try:

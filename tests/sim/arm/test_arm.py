@@ -309,6 +309,17 @@ def test_rows_in_memory_are_bounded_and_all_rows_are_there() -> None:
         np.testing.assert_array_equal(late[name][:, 0], np.arange(rows + KEPT) + (1 + i) / 100.0)
 
 
+def test_a_served_arm_holds_no_more_of_its_run_than_a_narrow_log() -> None:
+    """Rows of six joints took 16 MB before the first went to the file: `simulate` grew by that in a minute."""
+    history, width = History(6, 0.002), 1 + 6 * len(LOGGED)
+    fill(history, row_log.IN_MEMORY // width)
+    before = history.kept
+    fill(history, 5000)
+    assert history.kept == before
+    assert history.kept * width <= 1.1 * row_log.IN_MEMORY
+    np.testing.assert_allclose(history.columns()["t"], history.step * np.arange(history.rows))
+
+
 def test_a_pose_of_long_ago_is_known() -> None:
     history = History(1, 0.002)
     fill(history, KEPT + 100)
