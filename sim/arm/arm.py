@@ -177,8 +177,8 @@ class SimulatedArm:
         """
         q_c = checked_command(self.robot, q_c, self._pending, self.t_ipo)
         x = self._x
-        x[kernel.X_START] = x[kernel.X_END]
-        reached = self._pending if self.world.correction_delay else q_c
+        x[kernel.X_START], x[kernel.X_TOLD_START] = x[kernel.X_END], x[kernel.X_TOLD_END]
+        x[kernel.X_TOLD_END] = reached = self._pending if self.world.correction_delay else q_c
         x[kernel.X_END] = reached if self._path is None else self._path.next(reached)
         self._pending = q_c.copy()
         noise = self._rng.standard_normal((self._steps_per_cycle + 1, self.robot.n))
@@ -295,7 +295,7 @@ class SimulatedArm:
     def history(self) -> dict[str, Array]:
         """The true arm every 2 ms or finer.
 
-        Keys: ``t (N,)``, and ``(N, n)`` each ``q_c`` (as the joint controllers see it), ``q`` (encoder), ``tau``
+        Keys: ``t (N,)``, and ``(N, n)`` each ``q_c`` (as ``recording`` has it), ``q`` (encoder), ``tau``
         (measured), ``q_m``, ``q_a``, ``qd_a``, ``qd_m``, ``tau_motor``, ``tau_gear``, ``temperature``.
         """
         return self._history.columns()
@@ -313,8 +313,9 @@ class SimulatedArm:
     def recording(self, external: bool = False) -> Recording:
         """What a controller would have logged, every ``world.log_cycle``.
 
-        Columns: ``t``, ``q_c_i``, ``q_i``, ``tau_i``, ``current_i``, ``temp_i``. ``q_c_i`` is the command as
-        the joint controllers see it: after the planner's delay and the interpolation, before the low-pass.
+        Columns: ``t``, ``q_c_i``, ``q_i``, ``tau_i``, ``current_i``, ``temp_i``. ``q_c_i`` is the command after the
+        planner's delay and the interpolation, before all that the controller makes of it (``command_late``,
+        ``command_smoothing``, the low-pass).
         ``external`` adds ``qa_i`` and ``x y z qx qy qz qw`` from an external measuring device with the world's noise.
         """
         return recording_of(self.robot, self.world, self._history, self.tcp_with if external else None)

@@ -194,7 +194,7 @@ def drive_start(p: Array, q0: Array, q_a: Array, holding_torque: Array, temperat
     """
     x = np.zeros((kernel.STATES, p.shape[1]))
     x[[kernel.X_START, kernel.X_END, kernel.X_LOW1, kernel.X_LOW2, kernel.X_COMMAND, kernel.X_ENCODER,
-       kernel.X_MOTOR]] = q0
+       kernel.X_MOTOR, kernel.X_TOLD_START, kernel.X_TOLD_END]] = q0
     x[[kernel.X_INTEGRAL, kernel.X_TORQUE, kernel.X_CURRENT]] = holding_torque / p[kernel.P_GAIN]
     x[kernel.X_GEAR] = holding_torque
     still = x[kernel.X_TORQUE]

@@ -5,9 +5,6 @@
 
 Motors and links are integrated semi-implicitly with the step of PyBullet and exchange the same gear torque, so no
 energy comes from the splitting. Where a gear is rigid, q_m = q_a and the rotor is carried by ``SimulatedArm``.
-
-All compiled code and the layout of its blocks stand in this one file: the compiler's cache notices changes of the file
-that a function is in, and of no other.
 """
 
 from __future__ import annotations
@@ -32,8 +29,9 @@ PARAMETERS = C_TORQUE + 1
 # Rows of the state block: the controller's first.
 (X_START, X_END, X_LOW1, X_LOW2, X_VELOCITY_DESIRED, X_ENCODER, X_VELOCITY, X_INTEGRAL, X_TORQUE, X_COMMAND,
  X_MOTOR, X_MOTOR_VELOCITY, X_BRISTLE, X_TEMPERATURE, X_LUBRICANT, X_GEAR, X_CURRENT,
- X_HYSTERESIS, X_TWIST, X_HOSE, X_HOSE_ANGLE, X_COMPENSATION, X_NOTCH1, X_NOTCH2, X_ASKED) = range(25)
-STATES = X_ASKED + 1
+ X_HYSTERESIS, X_TWIST, X_HOSE, X_HOSE_ANGLE, X_COMPENSATION, X_NOTCH1, X_NOTCH2, X_ASKED, X_TOLD_START,
+ X_TOLD_END) = range(27)
+STATES = X_TOLD_END + 1
 # Numbers that all joints share.
 (S_DT, S_LOW_PASS, S_VELOCITY_PASS, S_CURRENT_PASS, S_T_POSITION, S_T_VELOCITY, S_DRY_TEMPERATURE,
  S_VISCOSITY_TEMPERATURE, S_REFERENCE, S_AMBIENT, S_LUBRICANT_RATE) = range(11)
@@ -117,7 +115,7 @@ def _control_step(p: Array, s: Array, x: Array, j: int, q_m: float, fraction: fl
         x[X_VELOCITY, j] += s[S_VELOCITY_PASS] * (raw - x[X_VELOCITY, j])
     if position_due:
         command = x[X_START, j] + fraction * (x[X_END, j] - x[X_START, j])
-        x[X_COMMAND, j] = command
+        x[X_COMMAND, j] = x[X_TOLD_START, j] + fraction * (x[X_TOLD_END, j] - x[X_TOLD_START, j])
         before = x[X_LOW2, j]
         x[X_LOW1, j] += s[S_LOW_PASS] * (command - x[X_LOW1, j])
         x[X_LOW2, j] += s[S_LOW_PASS] * (x[X_LOW1, j] - x[X_LOW2, j])
