@@ -27,7 +27,7 @@ from ideal_robot.command.smoothing import SMOOTHINGS
 from ideal_robot.command.terms import TERMS
 from ideal_robot.estimate.gaussian import Posterior, posterior
 from ideal_robot.estimate.noise import ColouredNoise
-from ideal_robot.estimate.score import evidence
+from ideal_robot.estimate.score import evidence, standard_error
 
 RESET_TIMES = (0.015, 0.04, 0.1, 0.3)
 """Reset times that are tried first [s]: what controllers of machines and of research arms have."""
@@ -252,10 +252,30 @@ def fit_joint(stretches: Sequence[Stretch], j: int, law: CommandLaw) -> FittedJo
         law: says how postures are measured.
     """
     joint = JointRows(stretches, j, law)
-    torque = "torque" in joint.names
-    # Where torques are known they say what bodies and directions stand for.
-    kinds = [kind for kind in CONTROLLERS if set(kind.core) <= set(joint.names)
-             and torque == any(TERMS[name].torque for name in kind.core)]
+    # Where torques are known they say what bodies and directions stand for; yet a command is made with the model's, and
+    # what that misses of friction the motion itself may tell better.
+    kinds = [kind for kind in CONTROLLERS if set(kind.core) <= set(joint.names)]
+    by_torque = [kind for kind in kinds if any(TERMS[name].torque for name in kind.core)]
+    alone = _judged(joint, _searched(joint, [kind for kind in kinds if kind not in by_torque]))
+    if not by_torque:
+        return alone
+    usual = _judged(joint, _searched(joint, by_torque))
+    return alone if _leaves_less(alone, usual) else usual
+
+
+def _leaves_less(one: FittedJoint, other: FittedJoint) -> bool:
+    """Whether one law leaves less of held-out commands than another.
+
+    By what changes a user's path, and by two standard errors over blocks of time.
+    """
+    a, b = np.concatenate(one.left), np.concatenate(other.left)
+    gain = np.array([np.sum(part) for part in np.array_split(b**2 - a**2, BLOCKS)])
+    return (one.law.residual + _RESOLVED * one.law.deviation < other.law.residual
+            and float(gain.sum()) > 2.0 * standard_error(gain))
+
+
+def _searched(joint: JointRows, kinds: Sequence[Controller]) -> _Found:
+    """The law of some kinds of controllers that predicts a joint's commands best."""
     whole = {name for kind in kinds for name in (*kind.core, *kind.more) if name in joint.names}
     joint.listen(Shape(0.06), [Column(name) for name in sorted(whole)])
     starts: list[_Found] = []
@@ -277,8 +297,7 @@ def fit_joint(stretches: Sequence[Stretch], j: int, law: CommandLaw) -> FittedJo
     # The best kinds without a smoothing, and the best with one: between the times tried either may look worse.
     refined = [start for start in starts if start.shape.smoothing == "none"][:_REFINED]
     refined += [start for start in starts if start.shape.smoothing != "none"][:1]
-    best = max((_refined(joint, start) for start in refined), key=lambda found: found.score)
-    return _judged(joint, best)
+    return max((_refined(joint, start) for start in refined), key=lambda found: found.score)
 
 
 def _judged(joint: JointRows, found: _Found) -> FittedJoint:
