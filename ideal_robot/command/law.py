@@ -28,6 +28,8 @@ from ideal_robot.command.terms import TERMS, Term
 from ideal_robot.errors import InputError
 from ideal_robot.results import plain
 
+_FINER = 0.75
+"""Share of the interpolation cycle below which commands are logged more finely than they are handed over."""
 _LONGEST = 2.0
 """Lateness, smoothing, and times of the command's poles, at most [s]: no joint controller is slower."""
 _DAMPED = 0.25
@@ -205,6 +207,17 @@ class CommandLaw:
     def ahead(self) -> float:
         """How far ahead of the motion commands have to be given at most [s]."""
         return max(law.shape.ahead for law in self.joints)
+
+    def reached_after(self, t_ipo: float) -> float:
+        """Time after which a command that is handed over stands in a log as the one that this law was fitted with [s].
+
+        Commands that are logged as they are handed over stand there at once. Those that are logged more finely are set
+        points in force: lines from command to command, each of which is reached at its cycle's end.
+
+        Args:
+            t_ipo: from command to command, as they are handed over [s].
+        """
+        return t_ipo if self.t_cycle < _FINER * t_ipo else 0.0
 
     @property
     def deviation(self) -> Array:

@@ -67,7 +67,8 @@ class Past:
         given: commands of the last cycles ``(W, n)`` [rad], the newest last.
         measured: angles of the last cycles ``(L, n)`` [rad], the newest last.
         wanted: where the motors were to be in the last cycles ``(L, n)`` [rad].
-        lags: of ``r + Δ ṙ - q``, ``ṙ``, ``e_v``, ``e_f``, ``wanted - q`` and ``q_c - q`` ``(2, 6, n)`` [rad, rad/s].
+        lags: of ``r + Δ ṙ - q``, ``ṙ``, ``e_v``, ``e_f``, ``wanted - q``, ``q_c - q`` and whether a joint moves
+            ``(2, 7, n)`` [rad, rad/s].
         filters: states of each joint's poles, of motion and torque, direct and integrated ``(2, 2, k)`` each.
         cycle: measurements so far.
         led: whether a command of this layer is in force since the last measurement; what others led says nothing.
@@ -160,7 +161,7 @@ class AdaptedCommand(Feedforward):
         filters = tuple(np.zeros((2, 2, max(len(den) - 1, 0))) for _, den in self.inverse.discrete)
         rows = self.smooth.shape[1]
         past = Past(np.tile(q0, (self.window, 1)), np.full((rows, n), np.nan), np.tile(q0, (rows, 1)),
-                    np.zeros((_LAGS, 6, n)), filters)
+                    np.zeros((_LAGS, 7, n)), filters)
         judgement = Judgement(np.stack([self.residual**2, self.deviation**2]), np.full(n, _BELIEVED / self.t_ipo),
                               np.ones(n, dtype=bool), np.stack([np.zeros(n), np.full(n, _ASIDE)]))
         return AdaptedState(inner, np.zeros(self.sigma.shape), eye, past, judgement, np.ones(n))
@@ -207,9 +208,10 @@ class AdaptedCommand(Feedforward):
         middle = _ROWS // 2
         late = np.minimum(state.mean[:, 0] * self.sigma[:, 0], _LATER)
         r, rate = self._seen(past.given, self.late + late + self.behind)
+        moves = np.abs(motion.qd[middle]) > inverse.law.still
         into = np.stack([r + late * rate - motion.q[middle], rate, *e,
                          past.wanted[len(before) // 2] - motion.q[middle],
-                         past.given[-1 - len(before) // 2] - motion.q[middle]])
+                         past.given[-1 - len(before) // 2] - motion.q[middle], moves])
         lags = past.lags.copy()
         for k in range(_LAGS):
             into = lags[k] + self.pass_share * (into - lags[k]) if past.cycle else into
@@ -218,7 +220,7 @@ class AdaptedCommand(Feedforward):
         state = dataclasses.replace(state, past=past)
         if past.cycle * self.t_ipo < _STARTS:
             return state
-        return self._learned(state, np.abs(motion.qd[middle]) > inverse.law.still)
+        return self._learned(state, moves)
 
     def _seen(self, given: Array, late: Array) -> tuple[Array, Array]:
         """What the controllers saw of the commands, so late [s] before the last of them, and its rate ``(n,)`` each."""
@@ -258,9 +260,11 @@ class AdaptedCommand(Feedforward):
 
         Args:
             state: with what is compared.
-            moves: joints that move: of the others nobody knows the friction ``(n,)``.
+            moves: joints that move ``(n,)``. Of the others nobody knows the friction; what the lags hold of rest says
+                of ``q_c - q`` no more than its size.
         """
-        apart, rate, e_v, e_f, missed, plain = state.past.lags[-1]
+        apart, rate, e_v, e_f, missed, plain, moved = state.past.lags[-1]
+        variance = self.variance * (1.0 + ((1.0 - moved) * self.deviation / self.residual) ** 2)
         left = apart - e_v - e_f - self.constant
         mean, covariance, before = state.mean.copy(), state.covariance.copy(), state.judgement
         squares, count = before.squares.copy(), np.minimum(before.count + moves, _JUDGED / self.t_ipo)
@@ -272,7 +276,7 @@ class AdaptedCommand(Feedforward):
             now = np.array([by_law, plain[j]])
             squares[:, j] += (now**2 - squares[:, j]) / count[j]
             predict(mean[j], covariance[j], self.correlation)
-            update(mean[j], covariance[j], h, y, float(self.variance[j]))
+            update(mean[j], covariance[j], h, y, float(variance[j]))
         wait, pause = before.aside
         again = (squares[0] < _BETTER * squares[1]) & (wait <= 0.0)
         law = np.where(before.law, squares[0] < squares[1], again)

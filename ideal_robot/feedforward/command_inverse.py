@@ -86,8 +86,7 @@ class CommandInverse(Feedforward):
         self.model, self.t_ipo, self.n = model, robot.t_ipo, robot.n
         self.bodies = Bodies.of(model.dynamics, model.rotor_inertia)
         self.compliance = (np.zeros(self.n) if model.known_stiffness is None else 1.0 / model.known_stiffness)
-        # A command is reached a cycle after it is handed over; that of the recording's own cycle the law has in it.
-        self.shift = delay * self.t_ipo + self.t_ipo - self.law.t_cycle
+        self.shift = delay * self.t_ipo + self.law.reached_after(self.t_ipo)
         self.ahead = np.maximum([own.shape.ahead + self.shift for own in self.law.joints], 0.0)
         self.discrete = [own.shape.discrete(self.t_ipo) for own in self.law.joints]
         self._spread: list[Array] = [np.ones(1)] * self.n

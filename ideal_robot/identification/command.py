@@ -32,8 +32,6 @@ _FOLLOWS = 0.5
 _BLOCKS = 20
 _STEPS = 1e4
 """What ``q_c - q`` is resolved to at least, over its own size; below, nothing is to be corrected."""
-_FINER = 0.75
-"""Share of the interpolation cycle below which commands are logged more finely than they are handed over."""
 
 
 def identify_command(recordings: Sequence[Recording], model: Model, *, torque: bool,
@@ -136,9 +134,9 @@ def judged(law: CommandLaw, recordings: Sequence[Recording], model: Model, robot
     stretches = stretches_of(recordings, commands_of(recordings[0]), still=law.still)
     try:
         loop = loop_model(model, robot)
-        # Commands logged more finely than they are handed over are set-points in force: a command is one at its cycle's
-        # end. Some controllers log what they were handed over as finely; what the loop predicts better is it.
-        early = (0.0, loop.t_ipo) if law.t_cycle < _FINER * loop.t_ipo else (0.0,)
+        # Some controllers log what they were handed over as finely as set points in force: what the loop predicts
+        # better is it.
+        early = sorted({0.0, law.reached_after(loop.t_ipo)})
         each = [np.concatenate([_left_by_loop(s, loop, by)[s.rows] for s in stretches]) for by in early]
         left = min(each, key=lambda rows: float(np.sum(rows**2)))
         own = np.concatenate([law.expected(s.motion)[s.rows] for s in stretches])
