@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -20,6 +19,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.row_log import RowLog
 from planning import PlanningError
 from scenes.online.pacing import Pacing
+from scenes.online.processes import kept_from_collector
 from scenes.result import Progress
 
 PARTED = 0.02
@@ -130,14 +130,8 @@ def play_cycles(robot: RobotInterface, limits: Robot, task: Cycled, log: CycleLo
         settings: how the play ends.
         progress: called now and then.
     """
-    # What is there by now is not looked through again and again for circles among objects while the arm moves.
-    within = gc.get_freeze_count() > 0
-    gc.freeze()
-    try:
+    with kept_from_collector():
         _cycles(robot, limits, task, log, settings, progress)
-    finally:
-        if not within:
-            gc.unfreeze()
 
 
 def _cycles(robot: RobotInterface, limits: Robot, task: Cycled, log: CycleLog, settings: CycleSettings,

@@ -102,11 +102,27 @@ _SWITCH = 1e-4
 
 
 @contextmanager
+def kept_from_collector() -> Iterator[None]:
+    """Puts aside what there is by now, garbage too: it is not looked through for circles among objects in the block.
+
+    A full collection looks at every object of numpy, numba and pinocchio, which takes some hundred milliseconds. Where
+    something is put aside already, it is left at that.
+    """
+    if gc.get_freeze_count():
+        yield
+        return
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+
+
+@contextmanager
 def undisturbed(core: int | None = None, priority: int = PRIORITY) -> Iterator[list[str]]:
     """Yields what was granted, as a person reads it; at the end all is as before.
 
-    A full collection looks at every object of numpy, numba and pinocchio, which takes some hundred milliseconds. What
-    is there now is put aside as it is, garbage too, and nothing is collected within the block: a cycle makes no circles
+    What is there now is kept from the collector, and nothing is collected within the block: a cycle makes no circles
     among objects.
 
     Args:
@@ -116,8 +132,6 @@ def undisturbed(core: int | None = None, priority: int = PRIORITY) -> Iterator[l
     granted = ["garbage collection out of the cycle"]
     interval, enabled = sys.getswitchinterval(), gc.isenabled()
     cores, before = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set[int](), {}
-    within = gc.get_freeze_count() > 0
-    gc.freeze()
     gc.disable()
     sys.setswitchinterval(_SWITCH)
     try:
@@ -126,7 +140,8 @@ def undisturbed(core: int | None = None, priority: int = PRIORITY) -> Iterator[l
         if hasattr(os, "sched_setscheduler"):
             before = _schedulers(priority)
             granted.append(f"real-time priority {priority}" if before else "no real-time priority (not permitted)")
-        yield granted
+        with kept_from_collector():
+            yield granted
     finally:
         for thread, (policy, had) in before.items():
             with suppress(ProcessLookupError):
@@ -134,8 +149,6 @@ def undisturbed(core: int | None = None, priority: int = PRIORITY) -> Iterator[l
         if core is not None and cores:
             os.sched_setaffinity(0, cores)
         sys.setswitchinterval(interval)
-        if not within:
-            gc.unfreeze()
         if enabled:
             gc.enable()
 

@@ -165,6 +165,8 @@ def rates(scores: Sequence[Score]) -> str:
         all(s.found) for s in _large(g) if s.kind in SINGLE))
     row(f"outside the library ≥ {VISIBLE:g} ×, unknown and no name", lambda g: _share(
         s.right for s in _large(g) if s.kind == "outside"))
+    row("the same, names of what the healthy arm has beside it", lambda g: _share(
+        all(s.found) and not s.false for s in _large(g) if s.kind == "outside"))
     row(f"two effects ≥ {VISIBLE:g} ×, both and nothing else", lambda g: _share(
         s.right for s in _large(g) if s.kind == "two"))
     row("95 % intervals that hold the truth", lambda g: _share(abs(error) <= 1.96 for s in g for _, error in s.covered))
