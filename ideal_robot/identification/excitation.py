@@ -108,7 +108,8 @@ def _points(robot: Robot, q: Array, beyond: float) -> tuple[Array, Array]:
     """
     frame = robot.pinocchio.frames[robot.tool_id]
     point = frame.placement.act(np.array([0.0, 0.0, beyond]))
-    places = joint_places(chain_of(robot.pinocchio), np.array(q), int(frame.parentJoint), point)
+    rows = np.ascontiguousarray(q, dtype=float)
+    places = joint_places(chain_of(robot.pinocchio), rows, int(frame.parentJoint), point)
     tip = places[:, -1]
     return np.hypot(tip[:, 0], tip[:, 1]), np.column_stack([tip[:, 2], places[:, 2:-1, 2]])
 
