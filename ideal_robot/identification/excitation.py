@@ -108,7 +108,7 @@ def _points(robot: Robot, q: Array, beyond: float) -> tuple[Array, Array]:
     """
     frame = robot.pinocchio.frames[robot.tool_id]
     point = frame.placement.act(np.array([0.0, 0.0, beyond]))
-    rows = np.ascontiguousarray(q, dtype=float)
+    rows = np.array(q, dtype=float, order="C")
     places = joint_places(chain_of(robot.pinocchio), rows, int(frame.parentJoint), point)
     tip = places[:, -1]
     return np.hypot(tip[:, 0], tip[:, 1]), np.column_stack([tip[:, 2], places[:, 2:-1, 2]])
