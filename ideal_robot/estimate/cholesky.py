@@ -16,7 +16,7 @@ from ideal_robot.jit import jit
 def factor(A: Array) -> bool:
     """Puts L into the lower half of ``A (n, n)``; False, with ``A`` spoilt, where it is not positive definite.
 
-    Only the lower half of ``A`` is read.
+    Only the lower half of ``A`` is read. What is not a number leaves none.
     """
     for i in range(len(A)):
         for j in range(i + 1):
@@ -25,10 +25,10 @@ def factor(A: Array) -> bool:
                 left -= A[i, k] * A[j, k]
             if j < i:
                 A[i, j] = left / A[j, j]
-            elif left > 0.0:
-                A[i, i] = math.sqrt(left)
-            else:
+            elif left <= 0.0:
                 return False
+            else:
+                A[i, i] = math.sqrt(left)
     return True
 
 

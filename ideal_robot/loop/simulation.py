@@ -14,6 +14,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, joint_frames, mass_matrix, torque_at
 from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.estimate.cholesky import factor, solve
 from ideal_robot.friction.table import Friction, Presliding, friction_along, friction_step
 from ideal_robot.jit import jit
 from ideal_robot.loop.loop import Cascade, Drives, Loop, further_torque, ripple_torque, unevenness
@@ -216,7 +217,8 @@ def _play(chain: Chain, drives: Drives, friction: Friction, cascade: Cascade, in
         for i in range(n):
             # Implicit midpoint for the gear springs: light wrists on stiff gears stay stable at this step.
             M[i, i] += 0.5 * dt * drives.damping[i] + 0.25 * dt * dt * drives.stiffness[i]
-        L = np.linalg.cholesky(M)
+        if not factor(M):
+            raise np.linalg.LinAlgError("the mass matrix is not positive definite")
         for sub in range(substeps):
             if sub > 0:
                 joint_frames(chain, q_a, R, p)
@@ -231,7 +233,8 @@ def _play(chain: Chain, drives: Drives, friction: Friction, cascade: Cascade, in
                 rise[i] = mesh * 0.5 * dt * drives.stiffness[i] * (slope * v_m[i] - v_a[i])
             for i in range(n):
                 acceleration[i] = load[i] - bias[i] + external[cycle, i] + rise[i]
-            _solve_cholesky(L, acceleration)
+            # (M + dt/2 D + dt²/4 K) a = load half a step on - bias.
+            solve(M, acceleration)
             for i in range(n):
                 v_a[i] += acceleration[i] * dt
                 q_a[i] += (v_a[i] - 0.5 * acceleration[i] * dt) * dt
@@ -283,17 +286,3 @@ def _rotor(friction: Friction, inertia: float, state: _Motion, net: float, dt: f
     if abs(free) <= slow:
         return 0.0
     return free - np.sign(free) * slow
-
-
-@jit(inline="always")
-def _solve_cholesky(L: np.ndarray, x: Array) -> None:
-    """Solves ``L Lᵀ x = b`` in place: (M + dt/2 D + dt²/4 K) a = load half a step on - bias."""
-    n = len(x)
-    for i in range(n):
-        for j in range(i):
-            x[i] -= L[i, j] * x[j]
-        x[i] /= L[i, i]
-    for i in range(n - 1, -1, -1):
-        for j in range(i + 1, n):
-            x[i] -= L[j, i] * x[j]
-        x[i] /= L[i, i]
