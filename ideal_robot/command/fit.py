@@ -27,14 +27,12 @@ from ideal_robot.command.smoothing import SMOOTHINGS
 from ideal_robot.command.terms import TERMS
 from ideal_robot.estimate.gaussian import Posterior, posterior
 from ideal_robot.estimate.noise import ColouredNoise
-from ideal_robot.estimate.score import evidence, standard_error
+from ideal_robot.estimate.score import BLOCKS, evidence, leaves_less
 
 RESET_TIMES = (0.015, 0.04, 0.1, 0.3)
 """Reset times that are tried first [s]: what controllers of machines and of research arms have."""
 LATE = (0.0, 0.006, 0.015, 0.03, 0.08, 0.16)
 """Latenesses that are tried first [s]."""
-BLOCKS = 20
-"""Of time; two halves of them judge each other when the coefficients are fitted."""
 REQUIRED = 8.0
 """Log density that a term has to add [nats], as in the score's study of causes; one of forty adds 4 by chance."""
 _PER_TIME = 3.5
@@ -260,18 +258,10 @@ def fit_joint(stretches: Sequence[Stretch], j: int, law: CommandLaw) -> FittedJo
     if not by_torque:
         return alone
     usual = _judged(joint, _searched(joint, by_torque))
-    return alone if _leaves_less(alone, usual) else usual
-
-
-def _leaves_less(one: FittedJoint, other: FittedJoint) -> bool:
-    """Whether one law leaves less of held-out commands than another.
-
-    By what changes a user's path, and by two standard errors over blocks of time.
-    """
-    a, b = np.concatenate(one.left), np.concatenate(other.left)
-    gain = np.array([np.sum(part) for part in np.array_split(b**2 - a**2, BLOCKS)])
-    return (one.law.residual + _RESOLVED * one.law.deviation < other.law.residual
-            and float(gain.sum()) > 2.0 * standard_error(gain))
+    # By what changes a user's path, too.
+    better = (alone.law.residual + _RESOLVED * alone.law.deviation < usual.law.residual
+              and leaves_less(np.concatenate(alone.left), np.concatenate(usual.left)))
+    return alone if better else usual
 
 
 def _searched(joint: JointRows, kinds: Sequence[Controller]) -> _Found:

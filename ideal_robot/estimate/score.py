@@ -56,3 +56,17 @@ def _log_determinant(precision: Array) -> float:
 def standard_error(difference: Array) -> float:
     """Standard error of a sum over blocks ``(B,)``, from their scatter."""
     return float(np.std(difference, ddof=1) * np.sqrt(len(difference))) if len(difference) > 1 else float("inf")
+
+
+BLOCKS = 20
+"""Of time, by whose scatter two predictions are compared."""
+
+
+def leaves_less(one: Array, other: Array) -> bool:
+    """Whether a prediction leaves less than another one, by two standard errors over blocks of time.
+
+    Args:
+        one, other: what each leaves of the same instants, in the order of time ``(N, …)``.
+    """
+    gain = np.array([np.sum(part) for part in np.array_split(other**2 - one**2, BLOCKS)])
+    return float(gain.sum()) > 2.0 * standard_error(gain)

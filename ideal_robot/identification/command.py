@@ -15,7 +15,7 @@ from ideal_robot.command.motion import Bodies, Motion
 from ideal_robot.command.recorded import command_cycle, commands_of, stretches_of, usual_cutoff
 from ideal_robot.command.response import REST, position_response
 from ideal_robot.errors import IdealRobotError, InputError
-from ideal_robot.estimate.score import standard_error
+from ideal_robot.estimate.score import leaves_less
 from ideal_robot.identification.checks import STILL
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.loop import Loop
@@ -29,7 +29,6 @@ _COPIED = 1e-9
 """Commands that differ from the measured angles by less are these angles [rad, m]."""
 _FOLLOWS = 0.5
 """Share of a command's motion that the law leaves, from which on the joint does not follow it."""
-_BLOCKS = 20
 _STEPS = 1e4
 """What ``q_c - q`` is resolved to at least, over its own size; below, nothing is to be corrected."""
 
@@ -142,11 +141,8 @@ def judged(law: CommandLaw, recordings: Sequence[Recording], model: Model, robot
         own = np.concatenate([law.expected(s.motion)[s.rows] for s in stretches])
     except IdealRobotError:
         return law
-    blocks = np.arange(len(left)) * _BLOCKS // len(left)
-    gain = np.array([np.mean(np.sum(left[blocks == b] ** 2 - own[blocks == b] ** 2, axis=1)) for b in range(_BLOCKS)])
-    # By two standard errors over blocks of time: the loop knows more of gears and friction, and keeps what is open.
-    better = float(gain.sum()) > 2.0 * standard_error(gain)
-    return dataclasses.replace(law, cascade=np.sqrt(np.mean(left**2, axis=0)), leads=better)
+    # The loop knows more of gears and friction, and keeps what is open.
+    return dataclasses.replace(law, cascade=np.sqrt(np.mean(left**2, axis=0)), leads=leaves_less(own, left))
 
 
 def _left_by_loop(stretch: Stretch, loop: Loop, early: float = 0.0) -> Array:
