@@ -37,9 +37,9 @@ SHORT: dict[str, dict[str, Any]] = {"straight": {"line": {"points": [[0.0, 0.0],
 
 
 def compile_scenes(*kinds: str) -> None:
-    """Plays a short scene of some kinds, of each if none is named."""
+    """Plays a short scene of each of some kinds."""
     for name, short in SHORT.items():
-        if not kinds or load_scene(name).kind in kinds:
+        if load_scene(name).kind in kinds:
             run_scene(load_scene(name), method="adapted", **short)
 
 
@@ -66,8 +66,10 @@ def compile_all(*kinds: str) -> None:
     One begins with the pictures, the other with the arm, which a run needs last: what one has made the other finds.
     """
     keys = () if kinds else (*methods(Needs.MODEL), *settings(Needs.MODEL))
+    # The other process plays a path in any case.
+    sensed = {*(kinds or (load_scene(name).kind for name in SHORT))} - {"path"}
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as processes:
-        for done in [processes.submit(compile_scenes, *kinds), processes.submit(compile_arm, *keys)]:
+        for done in [processes.submit(compile_scenes, *sensed), processes.submit(compile_arm, *keys)]:
             done.result()
 
 
