@@ -20,7 +20,7 @@ from typing import Protocol
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.execution.guard import PROVED, SEEN, Watch, probed
+from ideal_robot.execution.guard import PROVED, SEEN, Watch, accelerations, probed
 from ideal_robot.robots.interface import TOLERANCE
 from ideal_robot.robots.robot import Robot
 from ideal_robot.tolerances import ROUNDING
@@ -46,8 +46,6 @@ one that follows all of it: this is the middle."""
 _TURNS = 0.5
 """Share of its way by which a joint may go back that is paused, as a gear springs back: in the middle between one that
 stands and one that goes the other way."""
-_UNLIMITED = 5.0
-"""Acceleration of a joint whose limit is not known [rad/s²], as in the guard."""
 _FOLLOWED = 3.0
 """Ways as large as the tolerance along which an arm that was on them has shown that it follows."""
 _MOSTLY = 0.5
@@ -166,7 +164,7 @@ class Following(Watch):
         self._answer: Answer = table if response is None else (
             KnownLoop(response) if sure else Both(KnownLoop(response), table))
         v_max = np.where(np.isfinite(robot.v_max), robot.v_max, np.inf)
-        self._a_max = np.where(np.isfinite(robot.a_max), robot.a_max, _UNLIMITED)
+        self._a_max = accelerations(robot)
         self._brakes = 0.0
         self._jump, self._usual = np.maximum(3.0 * v_max * T, np.radians(1.0)), tolerance
         self._probed = min(probed(np.where(np.isfinite(robot.a_max), robot.a_max, np.inf), T), tolerance)

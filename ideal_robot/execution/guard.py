@@ -69,7 +69,7 @@ _PAUSE = 0.5
 """How long commands are held at an arm that stands before the path is tried again [s]."""
 _CALM = 3.0
 """Time without another standstill after which the next one is waited for as long again [s]; a try takes less."""
-_LATELY = 0.6
+LATELY = 0.6
 """Time in which commands can be ahead of an arm whose standstill is noticed [s]: that of a loop that answers slowly."""
 
 
@@ -152,10 +152,10 @@ class Guard:
         self.held: str | None = None
         self.patience, self._waited = PATIENCE, 0.0
         self._robot, self._T = robot, robot.t_ipo
-        self._a_max = np.where(np.isfinite(robot.a_max), robot.a_max, _FASTEST_UNKNOWN)
+        self._a_max = accelerations(robot)
         self._v_max = np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
         self._came: deque[Array] = deque(maxlen=TRAIL_LENGTH)
-        self._given: deque[Array] = deque(maxlen=round(_LATELY / self._T) + 1)
+        self._given: deque[Array] = deque(maxlen=round(LATELY / self._T) + 1)
         self._went_on, self._going_back = 0, False
         self.begin(q)
 
@@ -344,7 +344,7 @@ class Guard:
             beside: what belongs to each row ``(N, …)``.
         """
         now, T, small = self._last[1], self._T, probed(self._a_max, self._T)
-        begin = max(k - round(_LATELY / T), 0)
+        begin = max(k - round(LATELY / T), 0)
         nearest = max(begin + int(np.argmin(np.max(np.abs(rows[begin : k + 1] - now), axis=1))) - 1, 0)
         # Places so near to each other that the slow begin is some of them.
         part = rows[nearest : nearest + round(_RAMPS / T) + 2]
@@ -453,6 +453,11 @@ SEEN = np.radians(0.02)
 """Way of a joint that stands out of the noise of its encoder and of the friction it starts against [rad]."""
 _ANSWERED = 0.1
 """Time after which nearly every loop has answered a command [s]."""
+
+
+def accelerations(robot: Robot) -> Array:
+    """Limits of the joints' accelerations ``(n,)`` [rad/s²], with ``_FASTEST_UNKNOWN`` where none is known."""
+    return np.where(np.isfinite(robot.a_max), robot.a_max, _FASTEST_UNKNOWN)
 
 
 def probed(a_max: Array, T: float) -> float:

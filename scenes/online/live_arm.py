@@ -18,7 +18,7 @@ import numpy as np
 from ideal_robot.arrays import Array, eased_way
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.execution.following import ANSWERS
-from ideal_robot.execution.guard import Guard, StoppedError
+from ideal_robot.execution.guard import Guard, StoppedError, accelerations
 from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.loop import Loop
 from ideal_robot.robots.interface import RobotState
@@ -358,7 +358,7 @@ def moves(robot: Robot, postures: list[Array], rest: float) -> Array:
     """
     T = robot.t_ipo
     v = _SLOWEST * np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
-    a = _SHARE * np.where(np.isfinite(robot.a_max), robot.a_max, 5.0)
+    a = _SHARE * accelerations(robot)
     rows = [postures[0][None]]
     for start, end in pairwise(postures):
         rows += [eased_way(start, end, (v, a), T), np.tile(end, (max(round(rest / T), 1), 1))]

@@ -21,15 +21,12 @@ import numpy as np
 
 from ideal_robot.arrays import Array, eased, interpolated
 from ideal_robot.execution.command_governor import CommandGovernor
-from ideal_robot.execution.guard import PROVED, SHARE, probed, probing_speed
+from ideal_robot.execution.guard import LATELY, PROVED, SHARE, accelerations, probed, probing_speed
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
+from ideal_robot.tolerances import SLOWEST_RATE
 from scenes.online.live_arm import LiveArm
 
-LATELY = 0.6
-"""Time in which a path can be ahead of an arm whose standstill is noticed [s], as in the guard."""
-_SLOWEST = 1e-3
-"""Share of a cycle by which a path goes on at least."""
 _ALIGNS = 0.02
 """Share of its speed by which a path is slower until its places lie at whole cycles again: at 1 rad/s and 12 ms that is
 1.7 rad/s²."""
@@ -70,7 +67,7 @@ class Pacing:
 
     def __init__(self, arm: LiveArm, limits: Robot, task: Paced) -> None:
         self._arm, self._limits, self._task, self._T = arm, limits, task, arm.t_ipo
-        self._a_max = np.where(np.isfinite(limits.a_max), limits.a_max, 5.0)
+        self._a_max = accelerations(limits)
         self._small, self._try = probed(self._a_max, self._T), probing_speed(self._a_max, self._T)
         self._rows: deque[Array] = deque(maxlen=round(LATELY / self._T))
         self.active = False
@@ -180,7 +177,7 @@ class Pacing:
             r = min(r + change, 1.0)
             if np.max(np.abs(here - self._begun)) < PROVED * self._small:
                 r = min(r, self._try * self._T / max(fastest, 1e-12))
-            r = max(r, _SLOWEST)
+            r = max(r, SLOWEST_RATE)
             part = p - np.floor(p + _WHOLE)
             rates.append(r if r < 1.0 else 1.0 - min(max(part, 0.0), _ALIGNS))
             p += rates[-1]
