@@ -23,10 +23,11 @@ CREEP = 1e-300
 
 # Equations that are solved.
 
-DAMPING = 1e-6
-"""Damping of the least-squares inverse at a pose from which six joints cannot move in all directions."""
 SLIGHT = 1e-10
-"""Damping of that of more than six joints: of what is wished besides it lets this share of the pose's error stand."""
+"""Variance of what inverse kinematics may leave of a place [m²]: no step of Newton's method changes by it, and postures
+from which an arm cannot move in all directions have one."""
+DAMPING = 1e-6
+"""The same near such a posture, where the tool may miss by micrometres rather than a joint run away."""
 SETTLED = 1e-6
 """What may be left to change of more than six joints' posture [rad], and of fewer joints' place [m]."""
 NEWTON_STEPS = 10

@@ -8,9 +8,8 @@ besides, one step is
 for any number of joints: the change nearest to w that removes the error, but for what :math:`\Lambda`, the variances
 of what may be left of it, lets stand. Of six joints that is Newton's step. More come near to wanted joint angles, so
 that the solution is a function of the pose and the path is as smooth as what is wanted along it. Of fewer the place is
-kept, the tool axis as far as the arm can, and the rotation about that axis is what is left.
-Paths are planned with it (``planning.path.kinematics``), and an arm that is not as drawn is
-led by it (``ideal_robot.feedforward.corrected_arm``).
+kept, the tool axis as far as the arm can, and the rotation about that axis is what is left. With it paths are planned
+(``planning.path.kinematics``) and an arm is led that is not as drawn (``ideal_robot.feedforward.corrected_arm``).
 
 Pinocchio is the reference (a test compares them); this is for the control cycle, which solves a whole horizon: a call
 per pose costs more than its arithmetic.
@@ -107,6 +106,7 @@ def tool_jacobian(tool: Tool, q: Array, J: Array, T_R: Array, T_p: Array) -> Non
     R, p = np.empty((n, 3, 3)), np.empty((n, 3))
     joint_frames(chain, q, R, p)
     J[:] = 0.0
+    # Number by number: an assignment of whole arrays takes seconds to compile.
     for r in range(3):
         T_p[r] = tool.p[r]
         for c in range(3):

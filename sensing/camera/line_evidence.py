@@ -168,6 +168,7 @@ def _smoothed(values: Array, half: int) -> Array:
             else:
                 long[i + reach] = values[i, c]
         for i in range(n + 2 * half):
+            # The median of five, by insertion: numpy's sort takes seconds to compile.
             for j in range(5):
                 k = j
                 while k > 0 and five[k - 1] > long[i + j]:
