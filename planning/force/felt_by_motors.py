@@ -12,21 +12,28 @@ straight motions alone, and against what it said at their begin, in the air.
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
+from scipy.special import chdtri
 
 from ideal_robot.arrays import Array
 from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.tolerances import ROUNDING
+from planning.force.contact import NOTICED
 from planning.force.sensor_gain import LOSSES, SLIDES, GainByMotors, block_cycles
 from planning.path.kinematics import InverseKinematics
 
 WINDOW = 0.4
 """Time over which the force is averaged [s]. On the simulated KR 6 at 10 mm/s it is then right within 5 N, one standard
 deviation; over 0.1 s within 13 N."""
+SURELY = float(np.sqrt(chdtri(1, 2e-6)))
+"""Standard deviations that noise alone exceeds once in 10⁶ times, upwards."""
+_SCATTERS = 20
+"""Cycles from which it is told how the force scatters."""
 BEHIND = 0.024
 """By how much the motors are behind the commands [s], from which velocity and acceleration are taken."""
 
@@ -50,20 +57,21 @@ class FeltByMotors:
         robot: the arm with the controller's cycle.
         direction: of the force ``(3,)`` [base frame].
         settle: time after which friction has turned and the air is heard [s].
+        air: time for which the air is heard [s].
 
     Attributes:
         gain: of the force sensor beside which they are heard, from even motion.
     """
 
     def __init__(self, model: Model, robot: Robot, kinematics: InverseKinematics, direction: Array,
-                 settle: float = 0.4) -> None:
+                 settle: float = 0.4, air: float = WINDOW) -> None:
         self._model, self._kinematics, self._direction, self._T = model, kinematics, direction, robot.t_ipo
         self._weight = 1.0 / np.where(np.isfinite(robot.tau_max), robot.tau_max, 1.0) ** 2
         self._window, self._first = round(WINDOW / self._T), round(settle / self._T)
         self._commands: deque[Array] = deque(maxlen=round(BEHIND / self._T) + 3)
         self._forces: deque[float] = deque(maxlen=self._window)
-        self._air = np.nan
-        self._cycles = 0
+        self._air, self._in_air, self._air_cycles = 0.0, 0, round(air / self._T)
+        self._cycles, self._changes, self._before = 0, list[float](), np.nan
         # Slower than it was identified dry friction may be anything.
         self.gain = GainByMotors(model.noise_std + model.friction.dry, presliding_distance(model),
                                  block_cycles(self._T, settle))
@@ -97,16 +105,72 @@ class FeltByMotors:
             self.gain.uneven()
         else:
             self.gain.add(rest, self._kinematics.torque(q, felt), np.abs(self._slid), speed)
+        force = -float(g @ (self._weight * rest)) / float(g @ (self._weight * g))
+        self._changes.append(force - self._before)
+        self._before = force
         if self._cycles < self._first:
             return
-        self._forces.append(-float(g @ (self._weight * rest)) / float(g @ (self._weight * g)))
-        if np.isnan(self._air) and len(self._forces) == self._window:
-            self._air = float(np.mean(self._forces))
+        self._forces.append(force)
+        if self._in_air < self._air_cycles:
+            self._in_air += 1
+            self._air += (force - self._air) / self._in_air
 
     @property
     def force(self) -> float:
         """Mean force of the last while beyond that in the air [N]; NaN while it is not known."""
-        return np.nan if np.isnan(self._air) else float(np.mean(self._forces)) - self._air
+        return self.lately(self._window)
+
+    def lately(self, cycles: int) -> float:
+        """Mean force of so many last cycles beyond that in the air [N]; NaN while it is not known."""
+        if self._in_air < self._air_cycles or len(self._forces) < cycles:
+            return np.nan
+        return float(np.mean(list(self._forces)[-cycles:])) - self._air
+
+    @property
+    def scatter(self) -> float | None:
+        """Standard deviation of a cycle's force [N]; None while that is not known, or no torques are told."""
+        changes = np.array(self._changes)[1:]
+        if len(changes) < _SCATTERS or not np.isfinite(changes).all():
+            return None
+        return float(np.sqrt(np.mean(changes**2) / 2.0))
+
+
+@dataclass(frozen=True)
+class Alert:
+    """How soon the motors notice a force that no sensor tells.
+
+    Attributes:
+        cycles: over which they are averaged.
+        force: from which on it is none of their noise's [N].
+        rate: of a force that rises until the arm lets go, so that the surface bears what it may by then [N/s].
+    """
+
+    cycles: int
+    force: float
+    rate: float
+
+
+def soonest(scatter: float, least: float, most: float, T: float, air: float) -> Alert | None:
+    r"""The mean over that time w by which a force may rise fastest; None where noise hides what may be borne.
+
+    Of a force that rises with the rate R the mean over w is :math:`R\, w / 2` behind. It is noticed once it is beyond
+    ``SURELY`` standard deviations :math:`\sigma \sqrt{T/w + T/w_0}`, that of the air included, and the arm lets go
+    ``NOTICED`` later:
+
+    .. math:: R(w) = \frac{F_{max} - F(w)}{w / 2 + t_0}
+
+    Args:
+        scatter: standard deviation of a cycle's force, σ [N].
+        least: force that the model may be wrong by [N].
+        most: that the surface may bear [N].
+        T: cycle [s].
+        air: time for which the air is heard, w₀ [s].
+    """
+    cycles = np.arange(1, round(WINDOW / T) + 1)
+    force = np.maximum(SURELY * scatter * np.sqrt(1.0 / cycles + T / air), least)
+    rate = (most - force) / (0.5 * cycles * T + NOTICED)
+    best = int(np.argmax(rate))
+    return Alert(int(cycles[best]), float(force[best]), float(rate[best])) if rate[best] > 0.0 else None
 
 
 class Hearing:

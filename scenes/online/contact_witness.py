@@ -104,9 +104,10 @@ class ContactWitness:
     def look(self) -> None:
         """See ``scenes.online.contact.Witness``: does it answer the tip's swing, and what do the motors feel."""
         self._motors.weigh()
-        if self._swung:
+        if self._swung and isinstance(self._follower, SurfaceFollower):
             if len(swung := np.concatenate(self._swung)):
-                self._force.signs.answers(swung, self._stiffness, ASKED)
+                settings = self._follower.settings
+                self._force.signs.answers(swung, self._stiffness, ASKED, settings.asking / settings.elasticity)
             self._swung.clear()
 
     def ended(self, t0: float, measured: RobotState, torque: Array) -> None:

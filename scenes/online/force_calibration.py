@@ -19,8 +19,8 @@ from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.robots.interface import RobotState
 from planning import OutOfReachError
 from planning.force.contact import LEAP, NOTICED, ContactSettings, most_force
-from planning.force.felt_by_motors import WINDOW, FeltByMotors, Hearing
-from planning.force.sensor_gain import ALIKE, SensorGain, best_known, wrong_gain
+from planning.force.felt_by_motors import SURELY, WINDOW, Alert, FeltByMotors, Hearing, soonest
+from planning.force.sensor_gain import ALIKE, LOSSES, SensorGain, best_known, wrong_gain
 from planning.path.kinematics import InverseKinematics
 from scenes.line_way import shapes_about
 from scenes.online.felt_force import SAFE, ZEROED, FeltForce
@@ -61,7 +61,9 @@ _MOTORS = 0.75
 _RECENT = 5
 """Readings whose mean is what is felt now."""
 _SLOWLY = 0.003
-"""Way through air on which the motors are heard before there can be a touch [m]."""
+"""Way through air on which the motors are heard before there can be a touch [m], at least."""
+_SETTLES, _AIR = 0.4, 2.0
+"""Time in which friction turns round, and that in which the motors hear the air at most [s]."""
 _EVEN = 0.01
 """Share of the speed of pressing by which it may differ where it counts as even."""
 _STEADY = 0.1
@@ -278,16 +280,49 @@ class _Press(Pressed):
         self._pressed = min(_HARD * known.scene.force, 0.5 * (known.scene.force + self._most))
         self._touched: float | None = None
         self._evenly = 0.0
+        self._alert: Alert | None = None
         self._through_air(0.0)
         # Once before anything moves: what is compiled is loaded here, not in a cycle.
         self.where(self.go(0.0))
 
     gain: SensorGain | None
 
-    def _through_air(self, pace: float, settle: float = 0.4) -> None:
+    def _through_air(self, pace: float, settle: float = _SETTLES, air: float = WINDOW) -> None:
         """From now on the motors are heard at this speed of the air [m/s], in which friction turns round [s]."""
         self._pace, self._paced_at, self._slower = pace, self.height, None
-        self._motors = FeltByMotors(self._known.model, self._known.robot, self.kinematics, self.up, settle)
+        self._motors = FeltByMotors(self._known.model, self._known.robot, self.kinematics, self.up, settle, air)
+
+    def _search(self) -> None:
+        """From now on it is gone so slowly that a sensor which dies now presses no harder than it may.
+
+        Until it has felt something nobody knows that it lives. The motors notice later, and with the speed at which the
+        air was heard: it is that of pressing, whatever gives way under the tip.
+        """
+        stiffest, T = self._watch.stiffness, self._known.robot.t_ipo
+        pace, scatter = self._pressing(stiffest), self._motors.scatter
+        air = float(np.clip(self._before_touch / pace - _SETTLES, WINDOW, _AIR))
+        if scatter is not None:
+            self._alert = soonest(scatter, self._unfelt, SAFE * self._most, T, air)
+            if self._alert is not None:
+                pace = min(pace, self._alert.rate / stiffest)
+        self._through_air(pace, air=air)
+
+    def _pressing(self, stiffness: float) -> float:
+        """Speed at which a contact of a stiffness [N/m] is pressed on [m/s].
+
+        What has grown beyond the force to be pressed with when that is answered is borne.
+        """
+        return min(_SPARE * (self._most - self._pressed) / (stiffness * NOTICED), self._watch.nearing, _SLOW)
+
+    @property
+    def _before_touch(self) -> float:
+        """Way through air before there can be a touch [m]."""
+        return max(_SLOWLY, self._pressing(self._watch.stiffness) * (_SETTLES + WINDOW))
+
+    @property
+    def _unfelt(self) -> float:
+        """Force that the motors may feel beyond the sensor, as they are no better known [N]."""
+        return _MOTORS * self._known.scene.force
 
     _pace: float
     _paced_at: float
@@ -306,18 +341,18 @@ class _Press(Pressed):
 
     def _once(self) -> None:
         """Down and up; raises ``_StoodError`` where the arm was paused on the way, and rests."""
-        self._go(lambda: _UP, self._high)
+        self._go(lambda: _UP, self._high, heard=True)
         self._go(lambda: 0.0, lambda: self._speed == 0.0)
         # Quickly through what is air for sure: friction turns round. The motors' own air is that of the slow way.
-        self._go(lambda: -_SLOW, lambda: self.height < self._watch.within + _SLOWLY)
-        self._through_air(min(self._watch.nearing, _SLOW))
+        self._go(lambda: -_SLOW, lambda: self.height < self._watch.within + self._before_touch, heard=True)
+        self._search()
         self._go(lambda: -self._down(), lambda: self._hard() or self._too_quick(), heard=True)
         if (slower := self._slower) is not None and self._too_quick() and self._touched is not None:
             # There joints slide, and the motors have heard the air, before it touches.
-            top = self._touched + slower.way + slower.speed * (WINDOW + _STEADY) + self._pace * NOTICED
+            top = self._touched + slower.way + slower.speed * (_AIR + _STEADY) + self._pace * NOTICED
             self._go(lambda: _SLOW, lambda: self.height >= top and float(self.recent() @ self.up) < _GONE)
             self._go(lambda: 0.0, lambda: self._speed == 0.0)
-            self._through_air(slower.speed, slower.way / slower.speed)
+            self._through_air(slower.speed, slower.way / slower.speed, _AIR)
             self._go(lambda: -slower.speed, self._hard, heard=True)
         self._go(lambda: _SLOW, lambda: float(self.recent() @ self.up) < _GONE or self._high())
         self._go(lambda: _UP, lambda: self.height >= START_HEIGHT)
@@ -355,7 +390,7 @@ class _Press(Pressed):
         stiffness = self._watch.stiffness
         if (depth := self._touched - self.height) > 0.0:
             stiffness = min(stiffness, _STEEPER * felt / depth)
-        return min(_SPARE * (self._most - self._pressed) / (stiffness * NOTICED), self._pace)
+        return min(self._pressing(stiffness), self._pace)
 
     def _go(self, target: Callable[[], float], done: Callable[[], bool], heard: bool = False) -> None:
         """Moves away from the surface with a speed [m/s] until it is done, and looks at every witness in each cycle.
@@ -381,7 +416,7 @@ class _Press(Pressed):
                 if heard:
                     felt = self.recent() if self._evenly > _STEADY else None
                     states.append((self.q, state, felt, abs(self._speed)))
-                self._check(self._motors.force if heard and at_air and self._evenly > WINDOW else float("nan"))
+                self._check(heard and at_air)
 
     def _wait(self) -> None:
         """Waits for an arm that stands, its commands where it is; raises ``_StoodError`` when it may be tried again."""
@@ -400,16 +435,22 @@ class _Press(Pressed):
                 self.gain = gain
                 self._watch.ratio = best_known([*self._gains, gain]).at_most
 
+    @property
+    def _by_motors(self) -> list[tuple[int, float]]:
+        """Over how many cycles the motors are heard, and by how much they may then feel more than the sensor [N]."""
+        slowly = round(WINDOW / self._known.robot.t_ipo), self._unfelt
+        return [slowly] if self._alert is None else [slowly, (self._alert.cycles, self._alert.force)]
+
     def _high(self) -> bool:
         """Whether the tip is as high as pressing begins."""
         return self.height >= START_HEIGHT + ABOVE
 
-    def _check(self, by_motors: float) -> None:
+    def _check(self, heard: bool) -> None:
         """Raises ``SceneError`` where the witnesses do not agree, or the surface is not where it can be.
 
-        ``by_motors``: the force as they feel it [N]; NaN where they are not heard.
+        ``heard``: whether the motors are a witness now.
         """
-        scene, felt = self._known.scene, self.recent()
+        felt = self.recent()
         normal = float(felt @ self.up)
         if self.gain is not None and self.gain.wrong:
             raise SceneError(f"pressing was stopped: {wrong_gain(self.gain)}")
@@ -420,9 +461,11 @@ class _Press(Pressed):
         if self.height > START_HEIGHT and normal > _FELT:
             raise SceneError(f"pressing was stopped: {normal:.1f} N felt in the air; look whether the force sensor's "
                              "bias has leapt, or something stands in the way")
-        if by_motors - normal > _MOTORS * scene.force:
-            raise SceneError(f"pressing was stopped: the motors feel {by_motors:.0f} N and the force sensor "
-                             f"{normal:.1f} N; look whether it is alive")
+        for cycles, least in self._by_motors if heard else ():
+            by_motors = self._motors.lately(cycles) if self._evenly > cycles * self._known.robot.t_ipo else np.nan
+            if by_motors - normal > np.hypot(least, SURELY * LOSSES * normal):
+                raise SceneError(f"pressing was stopped: the motors feel {by_motors:.0f} N and the force sensor "
+                                 f"{normal:.1f} N; look whether it is alive")
         deepest = START_HEIGHT - ContactSettings.reach
         if self.height < deepest and normal < _FELT:
             raise SceneError(f"pressed {-1e3 * deepest:.0f} mm below where the surface should be and felt none; look "

@@ -25,6 +25,7 @@ from planning.force.contact import (
     FORCE_ERRORS,
     GENTLEST,
     LONGEST,
+    NOTICED,
     SHARE,
     SLOPE,
     STAMPS,
@@ -38,7 +39,7 @@ from planning.force.contact import (
     most_force,
 )
 from planning.force.contour import ContourFollower, ContourSettings
-from planning.force.felt_by_motors import BEHIND, BeyondSensor, FeltByMotors
+from planning.force.felt_by_motors import BEHIND, BeyondSensor, FeltByMotors, soonest
 from planning.force.surface_forecast import FeltArm
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
@@ -414,3 +415,30 @@ def test_a_force_since_the_air_is_found_whatever_friction_the_model_has_wrong(fo
         # Known once the air was averaged: 0.4 s after friction has settled.
         assert np.isnan(felt.force) == (k - late < round(0.4 / T) + round(0.4 / T) - 2)
     assert felt.force == pytest.approx(force, abs=0.7)
+
+
+@pytest.mark.parametrize("scatter", [1.0, 5.0, 11.0])
+def test_motors_notice_a_force_that_no_sensor_tells_before_it_is_too_large(scatter: float) -> None:
+    """A rigid contact that is met by a sensor that has died: the force that it has come to when the arm lets go."""
+    T, least, most, air, rng = 0.012, 15.0, 36.0, 2.0, np.random.default_rng(4)
+    alert = soonest(scatter, least, most, T, air)
+    assert alert is not None
+    assert alert.force >= least
+    reached = []
+    for _ in range(200):
+        force = np.r_[np.zeros(100), alert.rate * T * np.arange(200.0)]
+        heard = force + scatter * rng.standard_normal(300)
+        mean = np.convolve(heard, np.full(alert.cycles, 1.0 / alert.cycles))[:300]
+        noticed = int(np.argmax(mean - scatter * np.sqrt(T / air) * rng.standard_normal() > alert.force))
+        assert noticed >= 100
+        reached.append(force[noticed] + alert.rate * NOTICED)
+    assert np.mean(reached) <= most + 1.5 * alert.rate * T
+    assert np.percentile(reached, 95) <= most / 0.9 + 1.5 * alert.rate * T
+
+
+def test_motors_that_scatter_by_more_than_may_be_borne_are_no_witness() -> None:
+    assert soonest(200.0, 15.0, 36.0, 0.012, 2.0) is None
+    assert soonest(5.0, 40.0, 36.0, 0.012, 2.0) is None
+    # The less they scatter and the more may be borne, the faster it may rise.
+    rates = [soonest(scatter, 5.0, most, 0.012, 2.0).rate for scatter, most in ((10.0, 30.0), (5.0, 30.0), (5.0, 60.0))]
+    assert rates == sorted(rates)
