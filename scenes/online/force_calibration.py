@@ -350,7 +350,8 @@ class _Press(Pressed):
         if (slower := self._slower) is not None and self._too_quick() and self._touched is not None:
             # There joints slide, and the motors have heard the air, before it touches.
             top = self._touched + slower.way + slower.speed * (_AIR + _STEADY) + self._pace * NOTICED
-            self._go(lambda: _SLOW, lambda: self.height >= top and float(self.recent() @ self.up) < _GONE)
+            self._go(lambda: _SLOW, lambda: self._high() or (
+                self.height >= top and float(self.recent() @ self.up) < _GONE))
             self._go(lambda: 0.0, lambda: self._speed == 0.0)
             self._through_air(slower.speed, slower.way / slower.speed, _AIR)
             self._go(lambda: -slower.speed, self._hard, heard=True)
