@@ -5,7 +5,14 @@ the way d is met by the map's forecast alone, whose standard deviation the filte
 
 .. math:: \sigma_F(v) = E\, \sqrt{\sigma_h^2(v\, t) + \sigma_x^2}
 
-with what the arm itself leaves beside its path, :math:`\sigma_x`. A sensor's gain is known as well as somebody has
+with what the arm itself leaves beside its path, :math:`\sigma_x`: where a travel begins the joints turn round, and the
+friction beside the model's with them, which is as large as the model's residual :math:`\sigma_j`. Behind gears of
+stiffness :math:`k_j` and with the torque :math:`g_j = (J^T d)_j` of one newton it moves the tip by twice of what it
+bends them,
+
+.. math:: \sigma_x^2 = \sum_j (2\, g_j\, \sigma_j / k_j)^2
+
+which is 0.026 to 0.030 mm on the simulated KR 6. A sensor's gain is known as well as somebody has
 measured it: with the ratio κ of the true force to the shown one and its standard deviation the surface bears no more
 than
 
@@ -13,7 +20,7 @@ than
 
 but for once in 16,000 times. The arm's joints break away as a travel begins, however
 slow that is. On the wave of ``force_wave`` at 0.2 m/s the error's RMS was 0.75, 1.4, 2.1 and 3.1 N at elasticities of
-4, 19, 44 and 79 N/mm; this says 0.66, 1.3, 2.1 and 3.4 N.
+4, 19, 44 and 79 N/mm; this says 0.66, 1.2, 2.1 and 3.3 N.
 """
 
 from __future__ import annotations
@@ -22,15 +29,16 @@ import math
 
 import numpy as np
 
+from ideal_robot.arrays import Array
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
 from planning.force.contact import NOTICED, ContactSettings, most_force
 from planning.force.force_follower import Errors, surface_filter
 from planning.line.measurement import Measurement
+from planning.path.kinematics import InverseKinematics
 
 SPACING, STRETCH = 2.4e-3, 0.25
 """Distance of the places at which the surface is felt, and the way after which it is forecast [m]."""
-LEFT = 3e-5
-"""Standard deviation σ_x of the tip's height that the arm leaves, from those errors [m]. At 195 N/mm the force went
-from 19 to 29, 12 and 23 N within 0.1 s behind the begin of a travel, at 0.2 m/s and 0.15 m/s alike."""
 TIMES = 4.0
 """Standard deviations that the force may go wrong by: one in 16,000 is beyond, and a path has some hundred places."""
 STEPS = 1.3
@@ -39,8 +47,23 @@ SLOWEST = 0.01
 """Speed below which none is tried [m/s]."""
 
 
-def forecast_error(settings: ContactSettings, errors: Errors, speed: float, T: float, answered: float = NOTICED
-                   ) -> float:
+def left_beside(model: Model, robot: Robot, q: Array, direction: Array) -> float:
+    """Standard deviation σ_x of the tip's place along a direction that friction beside the model's leaves [m].
+
+    Args:
+        model: of the arm; gears whose stiffness is not known do not bend.
+        robot: its kinematics.
+        q: joint angles ``(n,)`` [rad].
+        direction: unit vector ``(3,)`` in the base frame.
+    """
+    if model.gears is None:
+        return 0.0
+    bent = 2.0 * model.noise_std / model.gears.rigid_if_unknown
+    return float(np.linalg.norm(InverseKinematics(robot).torque(q, direction) * bent))
+
+
+def forecast_error(settings: ContactSettings, errors: Errors, speed: float, T: float, left: float,
+                   answered: float = NOTICED) -> float:
     """Standard deviation of the force on a surface of unknown shape, once some of it was felt [N].
 
     Args:
@@ -48,6 +71,7 @@ def forecast_error(settings: ContactSettings, errors: Errors, speed: float, T: f
         errors: of the force, that are estimated as well.
         speed: along the surface [m/s].
         T: cycle [s].
+        left: see ``left_beside`` [m].
         answered: time until a force is answered [s].
     """
     fusion, step, E = surface_filter(errors), max(speed * T, SPACING), settings.elasticity
@@ -58,7 +82,7 @@ def forecast_error(settings: ContactSettings, errors: Errors, speed: float, T: f
         fusion.travel(place)
         fusion.update(Measurement(place / speed, np.array([place]), np.zeros(1), variance, np.array([[0.0, 1.0]]),
                                   "force", np.zeros((1, 3)), origin=np.zeros(1), at=place))
-    return E * float(np.sqrt(fusion.deviation(np.array([s[-1] + speed * answered]))[1][0, 1] + LEFT**2))
+    return E * float(np.sqrt(fusion.deviation(np.array([s[-1] + speed * answered]))[1][0, 1] + left**2))
 
 
 def worst_force(force: float, ratio: tuple[float, float], error: float) -> float:
@@ -73,8 +97,8 @@ def worst_force(force: float, ratio: tuple[float, float], error: float) -> float
     return kappa * force + TIMES * math.hypot(sigma * force, kappa * error)
 
 
-def bearable_speed(settings: ContactSettings, errors: Errors, most: float, T: float, answered: float = NOTICED,
-                   ratio: tuple[float, float] = (1.0, 0.0)) -> float:
+def bearable_speed(settings: ContactSettings, errors: Errors, most: float, T: float, left: float,
+                   answered: float = NOTICED, ratio: tuple[float, float] = (1.0, 0.0)) -> float:
     """Largest speed up to ``most`` [m/s] at which the surface bears what it may bear; 0 where no speed would do.
 
     Args:
@@ -82,12 +106,13 @@ def bearable_speed(settings: ContactSettings, errors: Errors, most: float, T: fl
         errors: of the force, that are estimated as well.
         most: largest speed that is asked for [m/s].
         T: cycle [s].
+        left: see ``left_beside`` [m].
         answered: time until a force is answered [s].
         ratio: of the true force to the shown one, and its standard deviation.
     """
     allowed, speed = most_force(settings.force), most
     while speed >= min(SLOWEST, most):
-        if worst_force(settings.force, ratio, forecast_error(settings, errors, speed, T, answered)) <= allowed:
+        if worst_force(settings.force, ratio, forecast_error(settings, errors, speed, T, left, answered)) <= allowed:
             return speed
         speed /= STEPS
     return 0.0

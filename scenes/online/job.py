@@ -21,7 +21,7 @@ from ideal_robot.robots.interface import TOLERANCE, RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import WRENCH
 from planning import PlanningError
-from planning.force.bearable_speed import TIMES, bearable_speed, forecast_error, worst_force
+from planning.force.bearable_speed import TIMES, bearable_speed, forecast_error, left_beside, worst_force
 from planning.force.contact import ASKING, NOTICED, most_force
 from planning.force.force_follower import SurfaceFollower
 from planning.force.sensor_gain import NOT_MEASURED, SensorGain, best_known, gain_by_weight, wrong_gain
@@ -354,12 +354,13 @@ class Job:
         T, wanted, noise = self.robot.t_ipo, self.contact.scene.speed, force.signs.noise
         settings = follower.settings if noise is None else replace(follower.settings, noise=float(np.max(noise[:3])))
         answered, ratio = NOTICED + (_AHEAD * T if self.contact.at_once > T else 0.0), best_known(self.gains).ratio
-        speed = arm.meanwhile(lambda: bearable_speed(settings, follower.errors, wanted, T, answered, ratio))
+        left = left_beside(self.model, self.robot, self.q_start, self._begin.up)
+        speed = arm.meanwhile(lambda: bearable_speed(settings, follower.errors, wanted, T, left, answered, ratio))
         if speed < wanted:
             E, allowed = 1e-3 * settings.elasticity, most_force(settings.force)
             # An elasticity scatters by some per cent.
             slower = math.floor(950.0 * speed) / 1e3
-            error = arm.meanwhile(lambda: forecast_error(settings, follower.errors, wanted, T, answered))
+            error = arm.meanwhile(lambda: forecast_error(settings, follower.errors, wanted, T, left, answered))
             raise SceneError(f"a contact of {E:.0f} N/mm is too stiff for {wanted:g} m/s: a surface of unknown shape "
                              f"is forecast over {1e3 * answered:.0f} ms, by which the force may go wrong by "
                              f"{TIMES * error:.0f} N, and with a force sensor whose gain is known within "
