@@ -48,8 +48,7 @@ GROUPS = {
                   "sensors": "diagnoses", "users-way": "users_way"},
     "closings": {"closings": "closings", "outside": "closings", "true-friction": "closings"},
     "robustness": {
-        "limits": "limits", "faults": "faults",
-        "sound-forces": "faults", "camera-faults": "faults", "arm-faults": "faults",
+        "limits": "limits", "device-faults": "faults", "sound-forces": "faults",
         "lockstep": "lockstep", "link-faults": "link_faults",
         "sweep-kills": "sweeps", "sweep-efficiency": "sweeps", "sweep-plan": "sweeps", "check-suite": "sweeps",
         "rsi-hour": "rsi", "rsi-simulators": "rsi", "loopback": "loopback", "follow-hour": "loopback",

@@ -61,14 +61,19 @@ def link_faults(interfaces: Annotated[str, typer.Option(help="With commas betwee
     unknown = [name for name in interfaces.split(",") if name not in FAULTS]
     if unknown:
         raise InputError(f"expected of {', '.join(FAULTS)}", field="--interfaces", value=unknown[0])
-    # Nobody else on this computer shall be heard.
-    os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
     head("interface", "fault", "said", "after [ms]", "acceleration", "from the path [mrad]", "at rest")
     for name in interfaces.split(","):
-        arms, where, faults = FAULTS[name]
-        for fault, begin in faults.items():
-            with arms() as (link, controller):
-                row(name, fault, *_played(link, controller, begin, np.random.default_rng(seed), where))
+        for fault in FAULTS[name][2]:
+            row(name, fault, *play_link(name, fault, seed))
+
+
+def play_link(name: str, fault: str, seed: int = 1) -> list[str]:
+    """Cells of a row of ``link_faults``: what was said, how late, acceleration, distance from the path, at rest."""
+    # Nobody else on this computer shall be heard.
+    os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
+    arms, where, faults = FAULTS[name]
+    with arms() as (link, controller):
+        return _played(link, controller, faults[fault], np.random.default_rng(seed), where)
 
 
 def _played(link: LinkedRobot, controller: Any, begin: Fault, rng: np.random.Generator, where: Where) -> list[str]:

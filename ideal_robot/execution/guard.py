@@ -156,7 +156,7 @@ class Guard:
         self._v_max = np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
         self._came: deque[Array] = deque(maxlen=TRAIL_LENGTH)
         self._given: deque[Array] = deque(maxlen=round(LATELY / self._T) + 1)
-        self._went_on, self._going_back = 0, False
+        self._went_on, self._going_back, self._handed = 0, False, False
         self.begin(q)
 
     def begin(self, q: Array) -> None:
@@ -176,6 +176,15 @@ class Guard:
         if self.reason is not None:
             raise StoppedError(self.reason)
 
+    def hand_over(self, q_c: Array) -> None:
+        """A command ``(n,)`` [rad] is in force, from which the next goes on; ``look`` follows at the end of its cycle.
+
+        For those who ask for the next command before they look. Of others ``look`` takes it.
+        """
+        self._last = np.array([self._last[1], q_c])
+        self._given.append(self._last[1])
+        self._handed = True
+
     def look(self, t: float, q_c: Array, q: Array) -> None:
         """Asks every watch, behind each cycle.
 
@@ -184,8 +193,9 @@ class Guard:
             q_c: command that was handed over in it ``(n,)`` [rad].
             q: motor angles at its end ``(n,)`` [rad].
         """
-        self._last = np.array([self._last[1], q_c])
-        self._given.append(self._last[1])
+        if not self._handed:
+            self.hand_over(q_c)
+        self._handed = False
         for watch in self.watches:
             if (reason := watch.look(t, q_c, q)) is not None:
                 if watch.passes:

@@ -28,7 +28,7 @@ _IN_AIR = 0.003
 """Height above where the calibration touched the surface at which nothing can be felt [m]."""
 _RECEDES = 0.3
 """Share of the wanted force by which a contour may lie deeper than forecast: 0.1 with a sound sensor, over 0.3 within
-0.1 s with one that is stuck (``python -m studies faults``)."""
+0.1 s with one that is stuck (``python -m studies device-faults``)."""
 _TOUCHES = 3.0
 """Force that need not be a push [N]."""
 _SLIDES, _BEFORE = (0.5, 0.25), 1.2

@@ -342,6 +342,7 @@ class PathPlayer:
             assert state is not None
             self.link.ahead = now.ahead
             self.link.send(now.q_c)
+            self.guard.hand_over(now.q_c)
             more = [np.ravel(value) for value in state.columns.values()]
             log.append(np.concatenate([[state.t], now.q_d, now.q_c, state.q, state.tau, *more]))
             if len(log) % 50 == 0:

@@ -95,6 +95,9 @@ def test_an_arm_that_stays_where_it_is_is_not_waited_for_without_end() -> None:
     assert run.failure is not None
     assert "stands still" in run.failure
     assert "waited for it for 3 s" in run.failure
+    # Its commands are led to it as they were going: the next one was computed before the standstill was noticed.
+    bend = np.abs(np.diff(np.array(link.taken), n=2, axis=0)) / T**2 / ROBOT.a_max
+    assert bend.max() <= 1.5
     np.testing.assert_allclose(link.commanded, link.q, atol=1e-6)
 
 
