@@ -47,6 +47,8 @@ _NOTICED = {"sensor's gain is": "gain",
 """What a failure says → the sign by which it was noticed."""
 FROM = 70
 """Cycle of a controller in which its fault begins."""
+MOST = 1.5
+"""Largest acceleration of ours that a fault may come to, as a share of the arm's: controllers trip at about twice it."""
 
 
 def device_faults(tables: str = "force_wave,contour,glue,camera,arm,fanuc,egm,ros2", columns: str = "", only: str = "",
@@ -61,7 +63,7 @@ def device_faults(tables: str = "force_wave,contour,glue,camera,arm,fanuc,egm,ro
 
     Each play is kept as a line of --lines and not repeated; after so many --minutes no other is begun. --write puts the
     tables into the page. Exit code 1 where a surface bore more than 1.5 times the wanted force and more than 40 N, or
-    an acceleration of ours is above the arm's.
+    an acceleration of ours is more than ``MOST`` of the arm's.
 
     Args:
         tables: with commas between.
@@ -177,7 +179,7 @@ def _arm(fault: str) -> tuple[str, bool]:
         run = played(Path(folder), controller, relative=relative)
     commanded, share = np.array(controller.commanded)[first:], float(largest_acceleration(controller).max())
     return (f"{_said(run.failure)}: at rest after {controller.cycle * len(commanded):.2f} s, largest way of a joint "
-            f"{np.ptp(commanded, axis=0).max():.1f}°, {share:.2f} of its acceleration"), share > 1.0
+            f"{np.ptp(commanded, axis=0).max():.1f}°, {share:.2f} of its acceleration"), share > MOST
 
 
 def _link(name: str, fault: str) -> tuple[str, bool]:
