@@ -48,7 +48,7 @@ _NOTICED = {"sensor's gain is": "gain",
 FROM = 70
 """Cycle of a controller in which its fault begins."""
 MOST = 1.5
-"""Largest acceleration of ours that a fault may come to, as a share of the arm's: controllers trip at about twice it."""
+"""Largest acceleration of ours that a fault may come to, as a share of the arm's; controllers trip at twice it."""
 
 
 def device_faults(tables: str = "force_wave,contour,glue,camera,arm,fanuc,egm,ros2", columns: str = "", only: str = "",
