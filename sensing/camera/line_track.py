@@ -14,7 +14,16 @@ from numpy.typing import NDArray
 from ideal_robot.arrays import Array
 from sensing.camera.line_evidence import Strip, evidence, straightened
 from sensing.camera.line_paths import Path, lab_picture
-from sensing.camera.picture_line import EXPECTED, PictureLine, check_asked, find_lines, likeliest, measured, reduced
+from sensing.camera.picture_line import (
+    EXPECTED,
+    Likeliest,
+    PictureLine,
+    check_asked,
+    find_lines,
+    likeliest,
+    measured,
+    reduced,
+)
 
 PATIENCE = 10
 """Pictures without the line until another one is taken."""
@@ -61,33 +70,31 @@ def track(picture: NDArray[np.uint8], before: Track | None = None, *, kind: str 
     """
     check_asked(picture, kind, points)
     small, scale = reduced(picture)
-    size = (picture.shape[1], picture.shape[0])
     known = None if before is None else before.known
     missed = 0 if before is None else before.missed
     again = None
     if before is not None and known is not None and missed < PATIENCE:
         place = known.points + before.motion
-        again = _there(small, known, place)
+        again = _there(small, known, place, kind)
         # The prior alone does not keep the line at a place that is likelier none: anything else may be it then.
         if again is None or again[0] < 0.0:
             again = _elsewhere(small, known, place, kind, missed, again)
         if again is None:
-            line = PictureLine(size, None, -np.inf, 0, f"lost for {missed + 1} pictures")
+            line = measured(picture, Likeliest([], -np.inf, 0, f"lost for {missed + 1} pictures"), scale, points)
             return Track(line, "lost", known, np.zeros(2), missed + 1)
     if again is not None and known is not None:
         value, strip = again
-        line = PictureLine(size, measured(picture, strip, scale, points), value, 0, "")
+        line = measured(picture, Likeliest([strip], value, 0, ""), scale, points)
         return Track(line, "found again" if missed else "followed", strip,
                      np.zeros(2) if missed else _motion(known, strip))
-    pixel = None if near is None or known is not None else np.array(near) * scale
-    value, new, reason, others = likeliest(small, kind, pixel)
-    if new is None:
-        return Track(PictureLine(size, None, value, others, reason), "lost", known, np.zeros(2), missed + 1)
-    line = PictureLine(size, measured(picture, new, scale, points), value, others, reason)
-    return Track(line, "found" if known is None else "another line", new, np.zeros(2))
+    best = likeliest(small, kind, None if near is None or known is not None else (np.array(near) + 0.5) * scale - 0.5)
+    line = measured(picture, best, scale, points)
+    if not best.strips:
+        return Track(line, "lost", known, np.zeros(2), missed + 1)
+    return Track(line, "found" if known is None else "another line", best.strips[0], np.zeros(2))
 
 
-def _there(picture: NDArray[np.uint8], known: Strip, place: Array) -> tuple[float, Strip] | None:
+def _there(picture: NDArray[np.uint8], known: Strip, place: Array, kind: str | None) -> tuple[float, Strip] | None:
     """The line about the place where it is expected, with its log odds; None where it does not show there."""
     count = max(2, round(_LONGER * len(place)))
     step = np.arange(1, count + 1)[:, None]
@@ -98,8 +105,8 @@ def _there(picture: NDArray[np.uint8], known: Strip, place: Array) -> tuple[floa
     if inside.sum() < len(place) // 2:
         return None
     widths = np.pad(known.widths, count, "edge")[inside]
-    strip = straightened(lab_picture(picture), Path(points[inside], widths, 0.0))
-    value = evidence(strip)
+    strip = straightened(lab_picture(picture), Path(points[inside], widths, 0.0), sections=len(place))
+    value = evidence(strip, joint=kind == "seam")
     return (value, strip) if _same(value, strip, known) > 0.0 else None
 
 

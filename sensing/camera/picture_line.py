@@ -7,16 +7,22 @@ measured at full size. A picture has no scale: all lengths are pixels.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit, logit
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, interpolated
 from ideal_robot.errors import InputError
 from sensing.camera.line_evidence import SECTIONS, Strip, evidence, straightened
-from sensing.camera.line_paths import Path, lab_picture, paths
+from sensing.camera.line_growth import continued
+from sensing.camera.line_paths import Lab, Path, lab_picture, paths
+from sensing.camera.line_pieces import apart, broken_at_steps, further_pieces, in_order, share_on, smooth_pieces
 
 KINDS: dict[str, tuple[float, float]] = {
     "line": (0.0, 0.12), "tape": (0.02, 0.45), "laser": (0.0, 0.06), "seam": (0.0, 0.3), "edge": (0.0, 0.0)}
@@ -25,17 +31,25 @@ ANY = (0.0, 0.45)
 """… of a line of any kind but an edge."""
 LONGEST = 640
 """Longer side of the picture in which lines are looked for [px]; points are measured in the whole one."""
-SLENDER = 3.0
-"""What is not longer than so many times its width is no line."""
+SURE = 0.65
+"""Probability from which on a line is reported: the least at which, of photographs whose source took no part in the
+weights' fit, at most 3 % show another thing than the line and at most 3 % of those without one show one
+(``python -m studies line-weights``)."""
 _CANDIDATES = 6
-"""Paths that are straightened."""
-_ABOUT = (0.4, 0.08)
-"""Standard deviation of where a line is meant, about the middle and about a point that was told, as shares of the
-shorter side."""
-EXPECTED = 4.6
-"""Log odds of a line about a point that was told, or where it was before: it is there in 99 of 100."""
+"""Paths that are straightened: in 97 of 99 photographs the line is among them; two more find none of the others."""
+_HOPELESS = -5.0
+"""Log odds below which a path is not followed on beyond its ends: of photographs' lines none begins with less."""
+_SAME = 0.8
+"""Share of a path that lies on another one, of about its width, from which on they are one."""
+_WIDER = 1.4
+"""Ratio of widths up to which two paths may be one."""
 TOLD_WITHIN = 0.02
 """Of the picture's shorter side, how exactly a pixel is told: ten pixels of a common camera."""
+TOLD = 3.6
+"""Log odds by which a line through a pixel that a person tells is likelier: in photographs, what passes a marked pixel
+and what passes one beside a line, or one of a picture without, are equally frequent at so much below even odds."""
+EXPECTED = 4.6
+"""Log odds of a line where it was before, or beyond its end: it is there in 99 of 100."""
 _REACH = 0.3
 """Share of the picture's shorter side beyond which a path is not about the place where the line is expected."""
 
@@ -47,9 +61,10 @@ class PictureLine:
     Attributes:
         size: width and height of the picture [px].
         strip: the line's points with widths, standard deviations and confidence, see ``Strip``; None where none is.
-        evidence: logarithm of how much likelier a line is than none, of the line or of the likeliest candidate.
-        others: further lines in the picture.
+        evidence: log odds that what was found is a line, or of the likeliest candidate where none was.
+        others: further lines in the picture that are no part of it.
         reason: why there is no line, else empty.
+        whole: all pieces of a line that breaks, in all their sections, the one of ``strip`` first; empty without one.
     """
 
     size: tuple[int, int]
@@ -57,6 +72,27 @@ class PictureLine:
     evidence: float
     others: int
     reason: str
+    whole: tuple[Strip, ...] = ()
+
+    @property
+    def probability(self) -> float:
+        """That what was found is a line; of the likeliest candidate where none was."""
+        return float(expit(self.evidence))
+
+    @property
+    def curve(self) -> Array:
+        """The line of ``strip`` in all its sections ``(k, 2)`` [px]: a polygon through few points cuts its bends."""
+        return self.whole[0].points if self.whole else np.empty((0, 2))
+
+    @property
+    def pieces(self) -> tuple[Strip, ...]:
+        """All smooth pieces of the line in their order along it; it breaks between them, or has a corner."""
+        return tuple(piece for strip in in_order(self.whole) for piece in smooth_pieces(strip)) if self.whole else ()
+
+    @property
+    def breaks(self) -> tuple[tuple[Array, Array], ...]:
+        """Where the line breaks: last point of one piece and first of the next ``(2,)`` [px]; one point at a corner."""
+        return tuple((one.points[-1], other.points[0]) for one, other in pairwise(self.pieces))
 
     @property
     def found(self) -> bool:
@@ -91,7 +127,7 @@ class PictureLine:
 
 def detect_in_picture(picture: NDArray[np.uint8], *, kind: str | None = None,
                       near: tuple[float, float] | None = None, points: int = 15) -> PictureLine:
-    """Finds the line of a picture; of several the one that is clearest and nearest to where it is meant.
+    """Finds the line of a picture; of several the likeliest: clear, long, about the middle.
 
     Args:
         picture: gray ``(height, width)`` or BGR ``(height, width, 3)``.
@@ -104,9 +140,8 @@ def detect_in_picture(picture: NDArray[np.uint8], *, kind: str | None = None,
     """
     check_asked(picture, kind, points)
     small, scale = reduced(picture)
-    value, strip, reason, others = likeliest(small, kind, None if near is None else np.array(near) * scale)
-    full = None if strip is None else measured(picture, strip, scale, points)
-    return PictureLine((picture.shape[1], picture.shape[0]), full, value, others, reason)
+    return measured(picture, likeliest(small, kind, None if near is None else (np.array(near) + 0.5) * scale - 0.5),
+                    scale, points)
 
 
 def check_asked(picture: NDArray[np.uint8], kind: str | None, points: int) -> None:
@@ -124,31 +159,60 @@ def check_asked(picture: NDArray[np.uint8], kind: str | None, points: int) -> No
         raise InputError(f"expected one of {', '.join(KINDS)}", field="kind", value=kind)
 
 
-def likeliest(picture: NDArray[np.uint8], kind: str | None, near: Array | None
-              ) -> tuple[float, Strip | None, str, int]:
-    """The line of a reduced picture: its log odds, it or the reason why none is, and how many others there are.
+class Likeliest(NamedTuple):
+    """The line of a reduced picture, its likeliest piece first, or none and why; its log odds; how many others are."""
+
+    strips: list[Strip]
+    evidence: float
+    others: int
+    reason: str
+
+
+def likeliest(picture: NDArray[np.uint8], kind: str | None, near: Array | None) -> Likeliest:
+    """The line of a reduced picture, see ``Likeliest``.
 
     Args:
         picture: of ``reduced``.
         kind: see ``detect_in_picture``.
         near: pixel ``(2,)`` that the line passes, or None.
     """
-    middle = 0.5 * np.array(picture.shape[1::-1]) if near is None else near
-    about = _ABOUT[near is not None] * min(picture.shape[:2])
-    lines = find_lines(picture, kind=kind, about=None if near is None else near[None])
-    if near is not None:
-        # Whoever tells a point says that there is a line.
-        lines = [(value + max(0.0, EXPECTED - 0.5 * (_distance(strip, middle) / about) ** 2), strip)
-                 for value, strip in lines]
-    accepted = [line for line in lines if line[0] > 0.0 and (near is None or _passes(line[1], near, picture))]
-    if near is not None and not accepted and any(value > 0.0 for value, _ in lines):
-        return max(value for value, _ in lines), None, "no line passes that pixel", 0
+    lab = lab_picture(picture)
+    sure = float(logit(SURE))
+    ranked = _ranked(lab, kind)
+    every = _weighed(lab, ranked, kind)
+    lines = every if near is None else _through(lab, every, kind, near)
+    accepted = [line for line in lines if line[0] > sure]
     if not accepted:
         best = max((value for value, _ in lines), default=-np.inf)
-        return best, None, ("nothing crosses the picture between two edges" if not lines else
-                            f"what is most like a line is likelier none (log odds {best:.1f})"), 0
-    value, strip = max(accepted, key=lambda line: _meant(line[0], line[1], middle, about))
-    return value, strip, "", len(accepted) - 1
+        where = "" if near is None else " through this pixel"
+        return Likeliest([], best, 0, f"nothing{where} crosses the picture between two edges" if not lines else
+                         f"what is most like a line{where} is one with a probability of {expit(best):.2f} only")
+    value, strip = accepted[0]
+    parts = broken_at_steps(lab, strip)
+    if near is not None:
+        parts.sort(key=lambda part: float(np.linalg.norm(part.points - near, axis=1).min()))
+    # That a line goes on like itself beyond its end is as likely as that it is where it was.
+    pieces = [piece for piece in further_pieces(lab, parts, ranked)
+              if evidence(piece, joint=kind == "seam") + EXPECTED > sure]
+    rest = [other for odds, other in _distinct_lines(every) if odds > sure]
+    others = sum(all(apart(other, piece) for piece in (strip, *pieces)) for other in rest)
+    return Likeliest([*parts, *pieces], value, others, "")
+
+
+def _through(lab: Lab, every: list[tuple[float, Strip]], kind: str | None, pixel: Array) -> list[tuple[float, Strip]]:
+    """Candidates that pass a pixel, where whoever tells it says that there is a line, the likeliest first.
+
+    Where none of all candidates passes it that is surely a line, paths are sought that have to pass it.
+    """
+    within, passing = TOLD_WITHIN * min(lab.shape[:2]), []
+    for lines in (every, _weighed(lab, _ranked(lab, kind, through=pixel), kind)):
+        # What surrounds or lies on a likelier line is not another one.
+        distinct = _distinct_lines(sorted([*every, *lines], key=lambda line: -line[0]))
+        passing = [(value + TOLD, strip) for value, strip in distinct
+                   if _passes(strip.points, strip.widths, pixel, within)]
+        if passing and passing[0][0] > logit(SURE):
+            break
+    return passing
 
 
 def reduced(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
@@ -158,46 +222,35 @@ def reduced(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
     return np.asarray(small, dtype=np.uint8), scale
 
 
-def measured(picture: NDArray[np.uint8], strip: Strip, scale: float, points: int) -> Strip:
-    """A line of the reduced picture, measured in the whole one.
+def measured(picture: NDArray[np.uint8], found: Likeliest, scale: float, points: int) -> PictureLine:
+    """What was found in the reduced picture, measured in the whole one.
 
     Args:
         picture: the whole one.
-        strip: the line.
+        found: in the reduced one.
         scale: of ``reduced``.
-        points: how many along it.
+        points: how many along the line.
     """
-    if scale < 1.0 or points > len(strip.points):
-        path = Path((strip.points + 0.5) / scale - 0.5, strip.widths / scale, 0.0)
-        strip = straightened(lab_picture(picture), path, sections=max(SECTIONS, points))
-    return strip.thinned(points)
+    lab = lab_picture(picture) if found.strips and (scale < 1.0 or points > SECTIONS) else None
+    whole = tuple(strip if lab is None else _finer(lab, strip, scale, points) for strip in found.strips)
+    return PictureLine((picture.shape[1], picture.shape[0]), whole[0].thinned(points) if whole else None,
+                       found.evidence, found.others, found.reason, whole)
 
 
-def _meant(value: float, strip: Strip, middle: Array, about: float) -> float:
-    """Logarithm of how likely it is that this is a line and the one that is meant, up to a constant.
-
-    What is drawn to be seen has contrast; of two that are certainly lines neither is more of one.
-    """
-    contrast = float(np.log(np.linalg.norm(strip.color)))
-    return -float(np.logaddexp(0.0, -value)) + 2.0 * contrast - 0.5 * (_distance(strip, middle) / about) ** 2
-
-
-def _passes(strip: Strip, place: Array, picture: NDArray[np.uint8]) -> bool:
-    """Whether a line covers a pixel, as exactly as one is told."""
-    begin, along = strip.points[:-1], np.diff(strip.points, axis=0)
-    share = np.einsum("nd,nd->n", place - begin, along) / np.maximum(np.einsum("nd,nd->n", along, along), 1e-12)
-    away = np.linalg.norm(begin + np.clip(share, 0.0, 1.0)[:, None] * along - place, axis=1)
-    half = 0.25 * (strip.widths[:-1] + strip.widths[1:])
-    return bool(np.any(away < half + TOLD_WITHIN * min(picture.shape[:2])))
-
-
-def _distance(strip: Strip, place: Array) -> float:
-    return float(np.min(np.linalg.norm(strip.points - place, axis=1)))
+def _finer(lab: Lab, strip: Strip, scale: float, points: int) -> Strip:
+    """A line of the reduced picture in the whole one, at least at so many points."""
+    # As many sections to the pixel as before, from a path that is smoothed over pixels, not over sections: a bend of a
+    # cable would be cut by more than its edges are looked for.
+    finer = max(round(len(strip.points) / scale), points)
+    even, own = np.linspace(0.0, 1.0, 4 * finer), np.linspace(0.0, 1.0, len(strip.points))
+    path = Path((interpolated(even, own, strip.points) + 0.5) / scale - 0.5, np.interp(even, own, strip.widths) / scale,
+                0.0)
+    return straightened(lab, path, sections=finer)
 
 
 def find_lines(picture: NDArray[np.uint8], *, kind: str | None = None, about: Array | None = None
                ) -> list[tuple[float, Strip]]:
-    """Candidates for lines with the logarithm of their odds, each place of the picture once, the likeliest first.
+    """Candidates for lines with their log odds, each place of the picture once, the likeliest first.
 
     Args:
         picture: gray or BGR, no larger than ``LONGEST``.
@@ -205,29 +258,80 @@ def find_lines(picture: NDArray[np.uint8], *, kind: str | None = None, about: Ar
         about: points ``(m, 2)`` [px] about which they lie; anywhere if None.
     """
     lab = lab_picture(picture)
-    least, widest = KINDS[kind] if kind else ANY
-    size = min(picture.shape[:2])
-    ranked = sorted(paths(lab, widest=widest), key=lambda path: -path.score)
-    if about is not None:
-        ranked = [path for path in ranked if np.linalg.norm(path.points[:, None] - about, axis=2).min() < _REACH * size]
-    lines: list[tuple[float, Strip]] = []
-    for path in ranked[:_CANDIDATES]:
-        strip = straightened(lab, path)
-        width = float(np.median(strip.widths))
-        length = float(np.linalg.norm(np.diff(strip.points, axis=0), axis=1).sum())
-        slender = least * size <= width <= min(widest * size, length / SLENDER)
-        if not slender or (kind == "laser" and strip.color[0] < 0.0):
-            continue
-        lines.append((evidence(strip), strip))
-    lines.sort(key=lambda line: -line[0])
+    return _distinct_lines(_weighed(lab, _ranked(lab, kind, about=about), kind))
+
+
+def _distinct_lines(lines: Iterable[tuple[float, Strip]]) -> list[tuple[float, Strip]]:
     distinct: list[tuple[float, Strip]] = []
     for value, strip in lines:
-        if all(_apart(strip, other) for _, other in distinct):
+        if all(apart(strip, other) and apart(other, strip) for _, other in distinct):
             distinct.append((value, strip))
     return distinct
 
 
-def _apart(one: Strip, other: Strip) -> bool:
-    """Whether most of a line lies beside another."""
-    distance = np.linalg.norm(one.points[:, None] - other.points, axis=2).min(axis=1)
-    return bool(np.mean(distance > np.maximum(2.0, 0.5 * float(np.median(other.widths)))) > 0.5)
+def candidates(picture: NDArray[np.uint8], kind: str | None = None) -> list[Strip]:
+    """What may be a line, straightened, the likeliest first; one place may come several times.
+
+    Args:
+        picture, kind: see ``find_lines``.
+    """
+    lab = lab_picture(picture)
+    return [strip for _, strip in _weighed(lab, _ranked(lab, kind), kind)]
+
+
+def _ranked(lab: Lab, kind: str | None, *, about: Array | None = None, through: Array | None = None) -> list[Path]:
+    """Paths that may be a line's, those that stand out most first; see ``find_lines``.
+
+    With a pixel ``through (2,)`` they have to pass it.
+    """
+    size, widest = min(lab.shape[:2]), (KINDS[kind] if kind else ANY)[1]
+    ranked = sorted(paths(lab, widest=widest, through=through, within=TOLD_WITHIN * size),
+                    key=lambda path: -path.score)
+    if about is not None:
+        ranked = [path for path in ranked if np.linalg.norm(path.points[:, None] - about, axis=2).min() < _REACH * size]
+    if through is not None:
+        ranked = [path for path in ranked if _passes(path.points, path.widths, through, 2.0 * TOLD_WITHIN * size)]
+    return ranked
+
+
+def _weighed(lab: Lab, ranked: Sequence[Path], kind: str | None) -> list[tuple[float, Strip]]:
+    """The first of the paths straightened, with the log odds that it is the line, the likeliest first."""
+    least, widest = (share * min(lab.shape[:2]) for share in (KINDS[kind] if kind else ANY))
+    lines = [(evidence(strip, joint=kind == "seam"), strip) for path in _distinct_paths(ranked)
+             for strip in _with_continued(lab, straightened(lab, path))
+             if least <= float(np.median(strip.widths)) <= widest and not (kind == "laser" and _darkens(strip))]
+    return sorted(lines, key=lambda line: -line[0])
+
+
+def _darkens(strip: Strip) -> bool:
+    """Whether a line is darker than its sides rather than of another colour: light adds to a ground, or tints it."""
+    return bool(strip.color[0] < -np.linalg.norm(strip.color[1:]))
+
+
+def _distinct_paths(ranked: Sequence[Path]) -> list[Path]:
+    """The first paths that do not lie on one before them, ``_CANDIDATES`` at most."""
+    kept: list[tuple[Path, float]] = []
+    for path in ranked:
+        width = max(float(np.median(path.widths)), 0.5)
+        if not any(max(width, broad) < _WIDER * min(width, broad)
+                   and share_on(path.points, other.points, width) > _SAME for other, broad in kept):
+            kept.append((path, width))
+        if len(kept) == _CANDIDATES:
+            break
+    return [path for path, _ in kept]
+
+
+def _with_continued(lab: Lab, strip: Strip) -> list[Strip]:
+    """The line, and beside it the longer one with what continues it."""
+    if not strip.widths.any() or evidence(strip) < _HOPELESS:
+        return [strip]
+    longer = continued(lab, strip)
+    return [strip] if longer is strip else [strip, longer]
+
+
+def _passes(points: Array, widths: Array, pixel: Array, within: float) -> bool:
+    """Whether a line ``(n, 2)`` of widths ``(n,)`` covers a pixel, or comes ``within`` so much of it [px]."""
+    begin, along = points[:-1], np.diff(points, axis=0)
+    share = np.einsum("nd,nd->n", pixel - begin, along) / np.maximum(np.einsum("nd,nd->n", along, along), 1e-12)
+    away = np.linalg.norm(begin + np.clip(share, 0.0, 1.0)[:, None] * along - pixel, axis=1)
+    return bool(np.any(away < 0.25 * (widths[:-1] + widths[1:]) + within))

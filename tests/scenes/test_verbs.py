@@ -69,6 +69,9 @@ def test_what_is_no_picture_is_a_row_and_the_others_go_on(program, folder: Path,
     assert [row["picture"] for row in rows] == ["a.png", "b.png", "broken.png", "a.png", "nowhere.png"]
     assert [row["found"] for row in rows] == [True, False, False, True, False]
     assert "nowhere.png" in rows[4]["reason"]
+    assert rows[0]["probability"] > 0.65 > rows[1]["probability"]
+    assert len(rows[0]["curve"]) > len(rows[0]["points"]) == 15
+    assert [len(row["pieces"]) for row in rows] == [1, 0, 0, 1, 0]
     done = program("detect", "cell/broken.png", "nowhere.png", "--out", "none")
     assert done.code == 2
     assert not (tmp_path / "none").exists()
