@@ -175,7 +175,12 @@ def evidence(strip: Strip, *, joint: bool = False) -> float:
 
 
 def standardised(features: Array, means: Array, spreads: Array) -> Array:
-    """Features ``(…, 15)`` as they are weighed."""
+    """Features as they are weighed ``(…, 15)``.
+
+    Args:
+        features: ``(…, 15)``.
+        means, spreads: of all candidates ``(15,)``.
+    """
     return np.asarray(np.minimum((features - means) / spreads, REACH))
 
 

@@ -69,11 +69,15 @@ def lab_picture(picture: NDArray[np.uint8]) -> Lab:
 
 
 def paths(lab: Lab, *, widest: float, through: Array | None = None, within: float = 0.0) -> list[Path]:
-    """The paths that stand out most in ``lab_picture``'s ``lab``, along its columns and along its rows.
+    """The paths that stand out most, along the columns and along the rows of a picture.
 
-    ``widest`` of the lines is a share of the picture's shorter side; 0 for single edges in the place of pairs. With a
-    pixel ``through (2,)`` only what lies ``within`` so much of it, beside half its width, is left in the columns about
-    it [px]: paths that pass it have no rivals there, however weak they are.
+    What passes a pixel has no rivals there, however weak it is: nothing else is looked at in the columns about it.
+
+    Args:
+        lab: of ``lab_picture``.
+        widest: of the lines, as a share of the picture's shorter side; 0 for single edges in the place of pairs.
+        through: pixel ``(2,)`` that they pass; anywhere if None.
+        within: how near they come to it, beside half their width [px].
     """
     height, width = lab.shape[:2]
     edges = widest == 0.0

@@ -82,7 +82,13 @@ def apart(one: Strip, other: Strip) -> bool:
 
 
 def share_on(points: Array, others: Array, width: float) -> float:
-    """Share of points ``(n, 2)`` that lie on a line through others ``(m, 2)`` of that width."""
+    """Share of points that lie on a line.
+
+    Args:
+        points: ``(n, 2)`` [px].
+        others: points of the line ``(m, 2)`` [px].
+        width: of the line [px].
+    """
     distance = ((points[:, None] - others) ** 2).sum(axis=2).min(axis=1)
     return float(np.mean(distance <= max(2.0, 0.5 * width) ** 2))
 
