@@ -14,7 +14,6 @@ import numpy as np
 from scipy.special import chdtri
 
 from ideal_robot.arrays import Array
-from sensing.asked import HIDES, Asked
 
 STUCK = 25
 """Readings in a row without the least change after which a sensor counts as stuck: a sound one has noise."""
@@ -28,6 +27,9 @@ BY_CHANCE, REFUSED = 1e-7, 10.0
 counts for readings that a filter refused."""
 TOGETHER = 16
 """Innovations whose sum is looked at: χ² of all their values, where noise alone is in them."""
+ASKED_FOR, ANSWERED, ERRORS = 0.2, 0.5, 4.0
+"""Time over which a sensor is asked [s], share of what is asked that a live one answers at least, and standard errors
+by which an answer has to be less: one that answers all of it is twice as far away by chance."""
 STAMPS, FEWEST = 50, 20
 """Messages from which it is judged how even their stamps are, at most and at least."""
 UNEVEN, SURELY = 0.001, 4.0
@@ -36,7 +38,6 @@ STRETCHES = 5
 """Stretches of those messages: what happens once falls into two of them at most."""
 LEAPS = 3
 """Readings in a row behind a leap after which it is none that passes."""
-_HIDDEN = float(np.log(HIDES))
 
 
 class LifeSigns:
@@ -48,14 +49,14 @@ class LifeSigns:
         noise: standard deviation of each channel while nothing happens ``(n,)``; None while it is not known.
         stuck, impossible, leapt, quiet: readings that count as missing, by cause.
         fault: why what comes is not to be trusted any more; None while it is.
-        unanswered: least logarithm of the probability that noise alone hid its answers so far.
+        answered: least share of what it was asked that it answered, ``ERRORS`` standard errors above.
     """
 
     def __init__(self, largest: float, channels: Sequence[str]) -> None:
         self.noise: Array | None = None
         self.stuck = self.impossible = self.leapt = self.quiet = 0
         self.fault: str | None = None
-        self.unanswered = 0.0
+        self.answered = np.inf
         self._largest, self._channels = largest, channels
         self._times, self._stamps = np.zeros((STAMPS, 2)), 0
         self.begin()
@@ -67,7 +68,7 @@ class LifeSigns:
         self._sound: Array | None = None
         self._changes: deque[Array] = deque(maxlen=HEARD)
         self._innovations: deque[tuple[float, int]] = deque(maxlen=TOGETHER)
-        self._asked = Asked()
+        self._asked = np.zeros((0, 4))
 
     def learn(self, rests: list[Array]) -> None:
         """Takes the noise from readings ``(N, n)`` of stretches in which nothing happened."""
@@ -122,15 +123,37 @@ class LifeSigns:
             self.fault = self.fault or ("what it tells does not change as the arm moves (innovations "
                                         f"{total / count:.1f} times as large as their variance)")
 
-    def answers(self, felt: Array, stiffness: float, frequency: float, amplitude: float) -> None:
-        """Takes what a tip that swings on a surface felt, and finds the fault where that does not swing.
+    def answers(self, felt: Array, stiffness: float, frequency: float) -> None:
+        r"""Takes what a tip that swings on a surface felt, and finds the fault where that does not swing.
 
-        Arguments as of ``Asked.add``.
+        A surface is a matter of the place, so a cubic along the path takes it away from heights and forces alike, also
+        where cycles are lost and the arm leaps in the path's time. Of both the same swing remains, but for the
+        stiffness:
+
+        .. math:: y = \sum_{i=0}^{3} c_i s^i + a \cos \omega t + b \sin \omega t
+
+        Args:
+            felt: instant [s], arc length [m], height [m] and force [N] of the last samples ``(m, 4)``.
+            stiffness: of the contact [N/m].
+            frequency: ω/2π, at which it swings [Hz].
         """
-        self._asked.add(felt, stiffness, frequency, amplitude)
-        self.unanswered = min(self.unanswered, self._asked.chance)
-        if self._asked.chance < _HIDDEN:
-            self.fault = self.fault or (f"it answers {100.0 * self._asked.share:.0f} % of what the tip's swing on the "
+        samples = np.concatenate([self._asked, felt])
+        self._asked = samples = samples[samples[:, 0] > samples[-1, 0] - ASKED_FOR]
+        s, turned = samples[:, 1] - samples[-1, 1], 2.0 * np.pi * frequency * samples[:, 0]
+        u = s / max(float(np.max(np.abs(s))), 1e-6)
+        rows = np.column_stack([np.cos(turned), np.sin(turned), np.ones(len(u)), u, u**2, u**3])
+        if len(u) < 2 * rows.shape[1]:
+            return
+        values = samples[:, 2:] * [-stiffness, 1.0]
+        known = np.linalg.pinv(rows)
+        fit = known @ values
+        swing = fit[:2, 0] / max(float(fit[:2, 0] @ fit[:2, 0]), 1e-12)
+        rest = values[:, 1] - rows @ fit[:, 1]
+        error = np.linalg.norm(swing @ known[:2]) * np.linalg.norm(rest) / np.sqrt(len(u) - rows.shape[1])
+        share = float(swing @ fit[:2, 1])
+        self.answered = min(self.answered, share + ERRORS * error)
+        if self.answered < ANSWERED:
+            self.fault = self.fault or (f"it answers {100.0 * max(share, 0.0):.0f} % of what the tip's swing on the "
                                         "surface makes; look whether it is alive, and what its filter leaves of "
                                         f"{frequency:.0f} Hz")
 

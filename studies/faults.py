@@ -191,11 +191,11 @@ def _link(name: str, fault: str) -> tuple[str, bool]:
 def sound_forces(scenes: str = "force_wave,contour,glue", speeds: str = "0", seeds: str = "1,2,3") -> None:
     """Force sensors without a fault: how near what they tell comes to each sign of a fault, as a share of its limit.
 
-    A speed of 0 is the scene's. What a sensor answers of what it is asked on the way is hidden by noise with some
-    probability: 1e-06 stops. Exit code 1 where a sound one is stopped.
+    A speed of 0 is the scene's. Of what a sensor is asked on the way it has to answer half at least. Exit code 1 where
+    a sound one is stopped.
     """
     signs, stopped = ("motors", "sideways", "forecast"), 0
-    head("scene", "speed [m/s]", "seed", *signs, "answers hidden", "rms of the felt force [N]")
+    head("scene", "speed [m/s]", "seed", *signs, "answers at least", "rms of the felt force [N]")
     for name, speed, seed in product(scenes.split(","), map(float, speeds.split(",")), map(int, seeds.split(","))):
         loaded = scene_of(ForceScene, name).changed(seed=seed)
         loaded = loaded.changed(speed=speed) if speed else loaded
@@ -204,7 +204,7 @@ def sound_forces(scenes: str = "force_wave,contour,glue", speeds: str = "0", see
         stopped += run.failure is not None
         witness, rms = run.job.contact.witness, run.job.figures()["force_N"]["rms_error"]
         row(name, f"{loaded.speed:g}", str(seed), *(f"{witness.nearest.get(sign, 0.0):.2f}" for sign in signs),
-            f"{np.exp(run.job.contact.device.signs.unanswered):.0e}", run.failure or f"{rms:.2f}")
+            f"{run.job.contact.device.signs.answered:.2f}", run.failure or f"{rms:.2f}")
     if stopped:
         sys.exit(1)
 

@@ -14,7 +14,6 @@ one of them does that fitted its motion so far about as well as the best.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from typing import Protocol
 
@@ -35,9 +34,9 @@ ANSWERS = 0.4
 """Time after which a loop has answered a command [s]."""
 _STANDS = 0.1
 """Share of the way expected in the last cycles below which an arm counts as standing still."""
-_PROVES, _APART = 20.0, 0.05
-"""Time in which an arm has to have gone far enough to be known to have followed, and how far apart the places are from
-which its way is taken [s]."""
+_DOUBTS = 0.5
+"""Share of what is allowed beside what is expected from which on other things are not judged by the motion: a sound arm
+hardly comes to it, and one that is paused is there after half of the time in which it is noticed."""
 _SHOWS = 0.1
 """Time in which the way of a joint shows where it goes [s]."""
 _PAUSED = 1.0 - 0.5 * SHARE * ANSWERS / _SHOWS
@@ -176,8 +175,7 @@ class Following(Watch):
         self._beyond = self.unread = self._jumped = self._braked = 0
         self._pace: Array = np.zeros(robot.n)
         self._said_of = 0, ""
-        self._passed: deque[tuple[float, Array]] = deque(maxlen=round(_PROVES / _APART))
-        self._sure = -np.inf
+        self._doubt = 0.0
         self._followed = np.full(robot.n, response is not None and sure)
         self._proved = np.zeros(robot.n, dtype=bool)
         self._noticed = self._astray = self._still = self._trying = self._lost = False
@@ -216,7 +214,7 @@ class Following(Watch):
         square = np.minimum(np.where(fits, np.abs(off), np.abs((q - expected) / allowed)), 1.0) ** 2
         self._unfit += self._forgets * (square - self._unfit)
         least[~self._followed] = 0.0
-        self._prove(t, allowed)
+        self._doubt = float(least.max())
         if (reason := self._goes_on()) is not None:
             return reason
         self._beyond = self._beyond + 1 if (least > 1.0).any() else 0
@@ -258,24 +256,9 @@ class Following(Watch):
         return self._measured[0] - self._rest if self._astray and self._rest is not None else None
 
     @property
-    def sure_until(self) -> float:
+    def unsure(self) -> bool:
         """See ``Watch``."""
-        return self._sure
-
-    def _prove(self, t: float, allowed: Array) -> None:
-        """Finds until when the arm has followed by what is noticed at ``t`` [s], with what is ``allowed (n,)`` [rad].
-
-        Had it stood since, it would be as far beside where it should be as it should have gone, and that is noticed.
-        """
-        if self._passed and t < self._passed[-1][0]:
-            self._passed.clear()
-            self._sure = -np.inf
-        noticed = self._expected[PATIENCE - 1]
-        while self._passed and (np.abs(noticed - self._passed[0][1])[self._followed] >
-                                allowed[self._followed]).any():
-            self._sure = self._passed.popleft()[0]
-        if not self._passed or t - self._passed[-1][0] >= _APART:
-            self._passed.append((t, self._expected[0].copy()))
+        return self._doubt > _DOUBTS
 
     @property
     def passes(self) -> bool:
@@ -294,7 +277,6 @@ class Following(Watch):
         self._answer.begin(command)
         self._given[:], self._measured[:], self._expected[:] = command, command + rest, command + rest
         self._beyond, self._noticed, self._astray = 0, False, False
-        self._passed.clear()
 
     def _said(self, joint: int, q: Array) -> str:
         """What the last cycles look like."""

@@ -109,9 +109,9 @@ class Watch(ABC):
         return None
 
     @property
-    def sure_until(self) -> float:
-        """Time until which the motion was what was commanded [s]: by what came later nothing else is to be judged."""
-        return math.inf
+    def unsure(self) -> bool:
+        """Whether the motion may not be what was commanded, so that nothing else is to be judged by it."""
+        return False
 
     @property
     def passes(self) -> bool:
@@ -210,9 +210,9 @@ class Guard:
             self._came.append(np.array(q_c))
 
     @property
-    def sure_until(self) -> float:
-        """Time until which the motion was what was commanded, by every watch [s]."""
-        return min((watch.sure_until for watch in self.watches), default=math.inf)
+    def unsure(self) -> bool:
+        """Whether any watch doubts that the motion is what was commanded."""
+        return any(watch.unsure for watch in self.watches)
 
     @property
     def touching(self) -> bool | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from statistics import median
 
@@ -55,7 +54,7 @@ class ContactWitness:
         elasticity: of tip and surface, and where that was touched, from calibration.
         model: of the arm, of whose motors it is asked what they feel.
         surface: where the path begins, and the normal there.
-        sure_until: until when the arm has moved as it was commanded [s]: by its motion since no sensor is judged.
+        unsure: whether the arm may not move as it is commanded, by which no sensor is to be judged then.
 
     Attributes:
         nearest: how near what was felt came to each limit, as a share of it.
@@ -63,10 +62,8 @@ class ContactWitness:
 
     def __init__(self, scene: ForceScene, follower: SurfaceFollower | ContourFollower, force: LiveForce,
                  elasticity: ContactElasticity, model: Model, surface: Surface,
-                 sure_until: Callable[[], float] = lambda: np.inf) -> None:
-        self._sure_until = sure_until
-        # Instants of innovations [s], their sizes and numbers of values, until the arm is known to have moved then.
-        self._waiting: deque[tuple[float, float, int]] = deque()
+                 unsure: Callable[[], bool] = lambda: False) -> None:
+        self._unsure = unsure
         self._surface = surface
         self._scene, self._follower, self._force = scene, follower, force
         self._stiffness = elasticity.stiffness
@@ -89,29 +86,27 @@ class ContactWitness:
 
     def fused(self, innovation: float, values: int) -> None:
         """See ``scenes.online.contact.Witness``: the map of a surface tells how well it fits."""
+        if self._unsure():
+            return
         if isinstance(self._follower, SurfaceFollower) and self._follower.phase is Phase.TRAVEL:
-            felt = self._follower.felt
-            self._waiting.append((float(felt[-1, 0]), innovation, values))
-            while self._waiting and self._waiting[0][0] <= self._sure_until():
-                self._force.signs.fits(*self._waiting.popleft()[1:])
+            self._force.signs.fits(innovation, values)
             # Where it begins to slide, friction changes with time, not with the place.
+            felt = self._follower.felt
             self._travelling = min(self._travelling, float(felt[0, 0]))
             self._swung.append(felt[felt[:, 0] > self._travelling + _SLIDING[0]])
 
     def stood(self) -> None:
         """See ``scenes.online.contact.Witness``."""
         self._swung.clear()
-        self._waiting.clear()
         self._force.signs.begin()
         self._motors.stood()
 
     def look(self) -> None:
         """See ``scenes.online.contact.Witness``: does it answer the tip's swing, and what do the motors feel."""
         self._motors.weigh()
-        if self._swung and isinstance(self._follower, SurfaceFollower):
+        if self._swung:
             if len(swung := np.concatenate(self._swung)):
-                settings = self._follower.settings
-                self._force.signs.answers(swung, self._stiffness, ASKED, settings.asking / settings.elasticity)
+                self._force.signs.answers(swung, self._stiffness, ASKED)
             self._swung.clear()
 
     def ended(self, t0: float, measured: RobotState, torque: Array) -> None:

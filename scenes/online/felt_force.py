@@ -54,9 +54,6 @@ _REMEMBERED, _LATELY = 0.6, 0.15
 tool still shows in what is felt [s]."""
 _BY_NOISE = float(np.sqrt(chdtri(3, 1e-6)))
 """Standard deviations of an axis that a force of noise alone exceeds once in 10⁶ times."""
-_LEAVES, _ALIKE = 0.01, 3.0
-"""Way of the tip over which what is felt of a touch changes [m], and standard deviations of a mean of readings within
-which nothing has: of three axes a sound sensor that is led away, or along, hardly shows so little change."""
 _PRIOR = 1e-3
 """Weight of no mass in the estimate of the tool's, as a change of direction squared [m²/s⁴]: of a tenth of a degree."""
 
@@ -99,35 +96,6 @@ def stiffness_of(model: Model, robot: Robot, q: Array, direction: Array) -> floa
     return 1.0 / max(compliance, 1.0 / RIGID)
 
 
-class _Changes:
-    """Whether what a sensor shows changes as its tip moves: the means of stretches of ``_LEAVES`` are compared.
-
-    Attributes:
-        none: whether it did not from the last stretch but one to the last.
-    """
-
-    def __init__(self) -> None:
-        self.none = False
-        self._place: Array | None = None
-        self._before: tuple[Array, int] | None = None
-        self._way, self._sum, self._count = 0.0, np.zeros(3), 0
-
-    def add(self, place: Array, readings: list[Array], noise: Array | None) -> None:
-        """Takes where the tip is ``(3,)`` [m], forces that were read ``(3,)`` [N], and their noise if that is known."""
-        self._way += 0.0 if self._place is None else float(np.linalg.norm(place - self._place))
-        self._place = place
-        for reading in readings:
-            self._sum, self._count = self._sum + reading, self._count + 1
-        if self._way < _LEAVES or not self._count:
-            return
-        mean, count = self._sum / self._count, self._count
-        if self._before is not None and noise is not None:
-            last, number = self._before
-            self.none = bool((np.abs(mean - last) < _ALIKE * noise[:3] * np.sqrt(1.0 / count + 1.0 / number)).all())
-        self._before = mean, count
-        self._way, self._sum, self._count = 0.0, np.zeros(3), 0
-
-
 class FeltForce(Watch):
     """The force sensor among an arm's watches.
 
@@ -159,16 +127,10 @@ class FeltForce(Watch):
         self._weights = np.array([_PRIOR, 0.0])
         self._touching: bool | None = False
         self._count, self.largest = 1, 0.0
-        self._changes = _Changes()
 
     @property
     def touching(self) -> bool | None:
-        """See ``Watch``; None while the sensor is not to be relied on, or nobody wonders that nothing is felt.
-
-        Nor is it where it shows a touch that does not change as the arm moves.
-        """
-        if self._touching and self._changes.none:
-            return None
+        """See ``Watch``; None while the sensor is not to be relied on, or nobody wonders that nothing is felt."""
         return self._touching or (None if self.wanted > 0.0 else self._touching)
 
     @property
@@ -214,7 +176,6 @@ class FeltForce(Watch):
     def begin(self) -> None:
         """The run's time begins anew."""
         self._poses.clear()
-        self._changes = _Changes()
 
     def look(self, t: float, q_c: Array, q: Array) -> str | None:
         """See ``Watch.look``."""
@@ -228,7 +189,6 @@ class FeltForce(Watch):
             self.contact = self._felt(float(np.mean([sample.t for sample in samples])),
                                       np.mean([sample.wrench for sample in samples], axis=0))
             self._count = len(samples)
-        self._changes.add(pose.translation, [sample.wrench[:3] for sample in samples], self._force.signs.noise)
         felt, allowed = float(np.linalg.norm(self.contact)), self._allowed()
         self.largest = max(self.largest, felt)
         clear = GONE * self._touch + self._noise()

@@ -330,7 +330,7 @@ class Job:
         if isinstance(follower := contact.follower, SurfaceFollower):
             self._check_bearable(follower, arm, force)
         witness = ContactWitness(contact.scene, contact.follower, force, elasticity, self.model, self._begin,
-                                 lambda: arm.guard.sure_until)
+                                 lambda: arm.guard.unsure)
         contact.witnessed(witness, arm.t_ipo < contact.in_one)
         self._force, felt.wanted = force, wanted
 

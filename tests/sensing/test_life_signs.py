@@ -72,6 +72,38 @@ def test_what_contradicts_the_motion_is_a_fault_and_single_outliers_are_none() -
     assert "does not change as the arm moves" in str(signs.fault)
 
 
+def swung(seed: int, lives: float, noise: float, roughness: float, lost: int = 0) -> LifeSigns:
+    """Two seconds at 250 Hz on 4 N/mm: a tip that swings by 0.5 N, and a surface under it that goes by millimetres.
+
+    Each quarter of a second ``lost`` cycles of 12 ms are lost: the arm goes on, the path's time does not.
+    """
+    rng, (signs, _) = np.random.default_rng(seed), alive()
+    t = np.arange(500) * 0.004
+    place = 0.2 * t
+    surface = 5e-3 * np.sin(2.0 * np.pi * 5.0 * place + seed)
+    height = surface - 1.25e-4 * np.sin(2.0 * np.pi * 10.0 * t)
+    surface = surface + roughness * rng.standard_normal(500)
+    force = 20.0 + lives * 4000.0 * (surface - height) + noise * rng.standard_normal(500)
+    gone = np.where(t % 0.25 < 0.012 * (lost + 1), 0.004 / (lost + 1), 0.004)
+    felt = np.column_stack([np.cumsum(gone), place, height, force])
+    for k in range(0, 500, 3):
+        signs.answers(felt[k : k + 3], 4000.0, 10.0)
+    return signs
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 1000), st.floats(0.1, 1.0), st.floats(0.0, 1e-4), st.integers(0, 4))
+def test_a_live_sensor_answers_whatever_surface_it_is_on(seed: int, noise: float, roughness: float, lost: int) -> None:
+    assert swung(seed, 1.0, noise, roughness, lost).fault is None
+    assert swung(seed, 0.75, 0.4 * noise, 0.4 * roughness, lost).fault is None
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 1000), st.floats(0.0, 0.3), st.integers(0, 4))
+def test_a_sensor_that_does_not_answer_is_named(seed: int, noise: float, lost: int) -> None:
+    assert "% of what the tip's swing" in str(swung(seed, 0.0, noise, 0.0, lost).fault)
+
+
 @given(st.integers(0, 500), st.floats(0.0, 0.005), st.floats(0.0, 0.1))
 @settings(max_examples=30)
 def test_even_stamps_are_believed_however_late_messages_are(seed: int, late: float, lost: float) -> None:

@@ -252,7 +252,7 @@ def test_no_fusion_is_left_out_where_the_sensor_is_looked_at_later() -> None:
     job, fits, answers = glue(), list[float](), list[Array]()
     contact, follower = job.contact, job.contact.follower
     signs = SimpleNamespace(fits=lambda innovation, values: fits.append(innovation),
-                            answers=lambda felt, *_: answers.append(felt))
+                            answers=lambda felt, stiffness, frequency: answers.append(felt))
     contact.witnessed(ContactWitness(job.scene, follower, SimpleNamespace(signs=signs),  # type: ignore[arg-type]
                                      contact.elasticity, job.model, job._begin), short=True)
     follower.phase = Phase.TRAVEL  # type: ignore[misc]
