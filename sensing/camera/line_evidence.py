@@ -202,6 +202,19 @@ def straightened(lab: Lab, path: Path, sections: int = SECTIONS) -> Strip:
     return replace(strip, features=np.array(_features(lab, strip, look)))
 
 
+def measured_again(lab: Lab, strip: Strip, path: Path, sections: int) -> Strip:
+    """A line that is known, its edges found anew in another picture of it; its features are those that it had.
+
+    Args:
+        lab: of ``lab_picture``, of that picture.
+        strip: the line as it is known.
+        path: its course and widths there.
+        sections: how many, at equal distances.
+    """
+    points, halves = _even(path.points, 0.5 * path.widths, sections)
+    return replace(_measured(lab, points, halves, not path.widths.any())[0], features=strip.features)
+
+
 class _Look(NamedTuple):
     """What features are made of beside the strip.
 
@@ -220,7 +233,8 @@ class _Look(NamedTuple):
 
 def _features(lab: Lab, strip: Strip, look: _Look) -> Features:
     rows, columns = lab.shape[:2]
-    size, corner, contrast = min(rows, columns), np.array([columns, rows]) - 1.0, float(np.linalg.norm(strip.color))
+    size, corner = min(rows, columns), np.array([columns, rows]) - 1.0
+    contrast = max(float(np.linalg.norm(strip.color)), 1e-3)
     length, width = strip.length, float(_median(strip.widths))
     uneven = float(np.sqrt(np.mean(_beyond_taper(strip.widths) ** 2)))
     (x, y), (u, v) = strip.normals[:-1].T, strip.normals[1:].T
@@ -314,7 +328,7 @@ def _smoothed(values: Array, half: int) -> Array:
     return out
 
 
-@jit()
+@jit(fastmath=True)
 def _sampled(lab: Lab, points: Array, normals: Array, offsets: Array) -> Array:
     """Lightness and weighted colour ``(n, m, 3)`` at offsets ``(n, m)`` [px] across a line's points ``(n, 2)``.
 
@@ -334,10 +348,13 @@ def _sampled(lab: Lab, points: Array, normals: Array, offsets: Array) -> Array:
                 v = min(max(y + offsets[i, k] * normals[i, 1], 0.0), rows - 1.0)
                 q, p = min(int(u), columns - 2), min(int(v), rows - 2)
                 right, down = u - q, v - p
+                both = right * down
+                of_q, of_p, neither = right - both, down - both, 1.0 - right - down + both
                 for c in range(colors):
-                    upper = (1.0 - right) * lab[p, q, c] + right * lab[p, q + 1, c]
-                    lower = (1.0 - right) * lab[p + 1, q, c] + right * lab[p + 1, q + 1, c]
-                    out[i, k, c] += ((1.0 - down) * upper + down * lower) * COLOR[c] / _ALONG
+                    out[i, k, c] += (neither * lab[p, q, c] + of_q * lab[p, q + 1, c] + of_p * lab[p + 1, q, c]
+                                     + both * lab[p + 1, q + 1, c])
+    for c in range(colors):
+        out[:, :, c] *= COLOR[c] / _ALONG
     return out
 
 

@@ -19,7 +19,7 @@ from scipy.special import expit, logit
 
 from ideal_robot.arrays import Array, interpolated
 from ideal_robot.errors import InputError
-from sensing.camera.line_evidence import SECTIONS, Strip, evidence, straightened
+from sensing.camera.line_evidence import SECTIONS, Strip, evidence, measured_again, straightened
 from sensing.camera.line_growth import continued
 from sensing.camera.line_paths import Lab, Path, lab_picture, paths
 from sensing.camera.line_pieces import apart, broken_at_steps, further_pieces, in_order, share_on, smooth_pieces
@@ -127,12 +127,12 @@ class PictureLine:
 
 def detect_in_picture(picture: NDArray[np.uint8], *, kind: str | None = None,
                       near: tuple[float, float] | None = None, points: int = 15) -> PictureLine:
-    """Finds the line of a picture; of several the likeliest: clear, long, about the middle.
+    """Finds the line of a picture, of several the likeliest.
 
     Args:
         picture: gray ``(height, width)`` or BGR ``(height, width, 3)``.
         kind: of ``KINDS``; None for any but a single edge.
-        near: pixel u, v that the line passes, or there is none; if None any, of several that about the middle.
+        near: pixel u, v that the line passes, or there is none; if None any.
         points: along the line.
 
     Raises:
@@ -204,15 +204,18 @@ def _through(lab: Lab, every: list[tuple[float, Strip]], kind: str | None, pixel
 
     Where none of all candidates passes it that is surely a line, paths are sought that have to pass it.
     """
-    within, passing = TOLD_WITHIN * min(lab.shape[:2]), []
-    for lines in (every, _weighed(lab, _ranked(lab, kind, through=pixel), kind)):
-        # What surrounds or lies on a likelier line is not another one.
-        distinct = _distinct_lines(sorted([*every, *lines], key=lambda line: -line[0]))
-        passing = [(value + TOLD, strip) for value, strip in distinct
-                   if _passes(strip.points, strip.widths, pixel, within)]
-        if passing and passing[0][0] > logit(SURE):
-            break
-    return passing
+    found = _passing(every, pixel, lab)
+    if found and found[0][0] > logit(SURE):
+        return found
+    sought = _weighed(lab, _ranked(lab, kind, through=pixel), kind)
+    return _passing(sorted([*every, *sought], key=lambda line: -line[0]), pixel, lab)
+
+
+def _passing(lines: Iterable[tuple[float, Strip]], pixel: Array, lab: Lab) -> list[tuple[float, Strip]]:
+    """Those of candidates that pass a pixel; what surrounds or lies on a likelier line is not another one."""
+    within = TOLD_WITHIN * min(lab.shape[:2])
+    return [(value + TOLD, strip) for value, strip in _distinct_lines(lines)
+            if _passes(strip.points, strip.widths, pixel, within)]
 
 
 def reduced(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
@@ -245,7 +248,7 @@ def _finer(lab: Lab, strip: Strip, scale: float, points: int) -> Strip:
     even, own = np.linspace(0.0, 1.0, 4 * finer), np.linspace(0.0, 1.0, len(strip.points))
     path = Path((interpolated(even, own, strip.points) + 0.5) / scale - 0.5, np.interp(even, own, strip.widths) / scale,
                 0.0)
-    return straightened(lab, path, sections=finer)
+    return measured_again(lab, strip, path, finer)
 
 
 def find_lines(picture: NDArray[np.uint8], *, kind: str | None = None, about: Array | None = None
