@@ -217,7 +217,7 @@ class Inverse(Feedforward):
         self._limits = CommandLimits.of(loop.path)
 
     @classmethod
-    def of(cls, model: Model, robot: Robot, n_d: int | None = 30, *, delay: int | None = None,
+    def of(cls, model: Model, robot: Robot, n_d: int | None = 30, *, delay: int = 0,
            options: Options = COMPLETE) -> Inverse:
         """From an identified model: see ``loop_model`` for ``delay`` and the class for ``n_d`` and ``options``.
 

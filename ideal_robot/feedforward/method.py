@@ -138,7 +138,8 @@ class Setting:
         robot: cycle times and limits.
         model: identified model; None where only ``NOTHING`` is needed.
         n_d: length of the horizon that will be given; None where the method may choose.
-        delay: cycles between hand-over of a command and the start of its interpolation ([G] 5.2.3).
+        delay: cycles between hand-over of a command and the start of its interpolation ([G] 5.2.3), beyond those of the
+            recordings that the model is from.
         q_d: the path at the cycles ``(N, n)`` [rad], where it is known beforehand.
         q_c: commands ``(N, n)`` [rad] that learning starts from; the path itself if None.
         practice: plays on the arm, where there is one to play on.

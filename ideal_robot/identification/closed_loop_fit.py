@@ -3,19 +3,22 @@
 [G] 5.2.2 identifies the controller at the interpolation cycle and has to live with inputs that are not constant in it.
 A recording at the position loop's cycle allows better: the cascade
 
-    r = low-pass(q_c) ,  u = k_v (r - q) + k_ff ṙ - q̇_f ,  τ = k_p u + k_i ∫u + c
+    r = low-pass(q_c(t - late)) ,  u = k_v (r - q) + k_ff ṙ - q̇_f ,  τ = k_p u + k_i ∫u + c
 
 is simulated with the *measured* angles, so neither rigid body nor friction enters, and its parameters are those
 whose torque comes closest to the measured one over the whole recording (simulated, not predicted a step ahead, as
 [G] Fig. 17 teaches). What a drive logs as its torque is the present one, or the mean since the last sample, which is a
 millisecond or two older. Taken for the other, gains come out wrong by a fifth; the one that fits better is taken.
-Written out, τ is linear in k_p k_v, k_p k_ff and k_p; only the two time constants and k_i / k_p need a search.
+Written out, τ is linear in k_p k_v, k_p k_ff and k_p; only the times and k_i / k_p need a search. What happens to
+commands before the cascade (a lateness, a lag) is the same for all joints, and sought where a short low-pass does not
+explain the torque.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -23,6 +26,7 @@ from scipy.optimize import least_squares, nnls
 from scipy.signal import butter, filtfilt, lfilter
 
 from ideal_robot.arrays import Array
+from ideal_robot.command.fit import LATE
 from ideal_robot.errors import InputError
 from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.model.parametrisation import ControllerModel
@@ -31,7 +35,10 @@ from ideal_robot.signals.recording import Recording
 from ideal_robot.signals.sampling import gap_free
 
 _ORDER = 2
-"""Stages of the command low-pass that are fitted; a single one comes out as two shorter ones just as well."""
+"""Stages of the command low-pass that are fitted; a single short one comes out as two shorter ones just as well."""
+_SEEN = 0.9
+"""Share of the torque's squares that a low-pass leaves, below which a channel has to come to be sought for: with every
+lateness there is one that differs from it by noise alone."""
 _CUTOFF = 12.0
 """Torque and angles are compared below this frequency [Hz]: above, the encoder's increments make the velocity."""
 _INTEGRAL = 0.05
@@ -72,17 +79,71 @@ def fit_controller(recording: Recording, robot: Robot) -> ControllerFit:
     if not parts:
         raise InputError(f"too short: {2 * _EDGE + 2} samples without a gap are needed", file=recording.source,
                          field="t")
-    fits = [[_fit_joint([_JointCascade(part.columns[f"q_c_{i}"], part.columns[f"q_{i}"], part.columns[f"tau_{i}"],
-                                       float(np.median(np.diff(part.t))), robot.t_velocity, averaged)
-                         for part in parts]) for i in range(1, recording.n + 1)] for averaged in (False, True)]
     # How a drive logs is the same for all of its joints.
-    fits.sort(key=lambda joints: sum(error**2 for _, error in joints))
-    values, error = (np.array(part) for part in zip(*fits[0], strict=True))
-    k_v, k_ff, k_p, k_i, t_low, t_filter = values.T
+    joints = [_joints(parts, robot, averaged) for averaged in (False, True)]
+    best = min((_with_channel(each, _Channel()) for each in joints), key=lambda fit: fit.squares)
+    if (channel := _sought(joints[0], best)) is not None:
+        best = min((_with_channel(each, channel) for each in joints), key=lambda fit: fit.squares)
+    k_v, k_ff, k_p, k_i, t_low, t_filter = best.values.T
     controller = ControllerModel(
         t_cycle=robot.t_position, k_p=k_p * k_v, k_d=k_p * k_ff, k_1=k_p * (k_ff - 1.0), k_2=k_p * t_filter,
-        k_i=k_i / k_p * robot.t_position, filter_time=t_low, filter_order=_ORDER)
-    return ControllerFit(controller, error)
+        k_i=k_i / k_p * robot.t_position, filter_time=t_low, filter_order=best.channel.order, delay=best.channel.late)
+    return ControllerFit(controller, best.error)
+
+
+class _Channel(NamedTuple):
+    """What commands of all joints pass: stages of a low-pass, about what time each has [s], and a lateness [s]."""
+
+    order: int = _ORDER
+    low: float = 0.0
+    late: float = 0.0
+
+
+_CHANNELS = tuple(_Channel(order, low, late) for order in (_ORDER, 1)
+                  for low in (0.001, 0.003, 0.006, 0.015, 0.04, 0.08) for late in LATE if order == _ORDER or low > 0.01)
+"""What commands pass that is tried; a single short lag is as good as two of half its time."""
+
+
+class _Fitted(NamedTuple):
+    """Cascades of all joints: ``values (n, 6)`` as of ``_fit_joint``, errors ``(n,)`` [%], and what commands pass."""
+
+    values: Array
+    error: Array
+    channel: _Channel
+
+    @property
+    def squares(self) -> float:
+        """Sum of the joints' squared errors."""
+        return float(np.sum(self.error**2))
+
+
+def _joints(parts: Sequence[Recording], robot: Robot, averaged: bool) -> list[_Stretches]:
+    """Every joint over stretches without a gap; ``averaged``: as of ``_JointCascade``."""
+    return [_Stretches([_JointCascade(part.columns[f"q_c_{i}"], part.columns[f"q_{i}"], part.columns[f"tau_{i}"],
+                                      float(np.median(np.diff(part.t))), robot.t_velocity, averaged)
+                        for part in parts]) for i in range(1, parts[0].n + 1)]
+
+
+def _sought(joints: Sequence[_Stretches], plain: _Fitted) -> _Channel | None:
+    """What commands pass before the cascades; None where short low-passes tell as much.
+
+    Args:
+        joints: of the arm.
+        plain: their cascades without.
+    """
+    worst = int(np.argmax(plain.error))
+    channel = min(_CHANNELS, key=joints[worst].least)
+    if _fit_joint(joints[worst], channel, free=True)[1] ** 2 > _SEEN * plain.error[worst] ** 2:
+        return None
+    # Each joint says how late commands are; they are as late for all.
+    late = [_fit_joint(joint, channel, free=True)[2] for joint in joints]
+    return channel._replace(late=float(np.median(late)))
+
+
+def _with_channel(joints: Sequence[_Stretches], channel: _Channel) -> _Fitted:
+    """The cascades of all joints where commands pass a channel."""
+    values, error, _ = zip(*(_fit_joint(joint, channel) for joint in joints), strict=True)
+    return _Fitted(np.array(values), np.array(error), channel)
 
 
 class _JointCascade:
@@ -115,14 +176,20 @@ class _JointCascade:
     def _smoothed(self, x: Array) -> Array:
         return np.asarray(filtfilt(*self._low_pass, x, axis=0)[_EDGE:-_EDGE])
 
-    def columns(self, times: Array) -> Array:
-        """What the products of gains multiply ``(M, 6)``, at time constants of command and velocity ``(2,)`` [s]."""
-        low, velocity = times
-        r = _low_passed(self.q_c, self.cycle, abs(low))
+    def columns(self, times: Array, order: int = _ORDER, late: float = 0.0) -> Array:
+        """What the products of gains multiply ``(M, 6)``.
+
+        Args:
+            times: time constants of command and velocity ``(2,)`` [s].
+            order, late: stages of the commands' low-pass, and their lateness [s].
+        """
+        low, velocity = np.abs(times)
+        at = self.cycle * np.arange(float(len(self.q_c)))
+        r = _low_passed(np.interp(at - late, at, self.q_c) if late else self.q_c, self.cycle, low, order)
         rate = np.concatenate([[0.0], np.diff(r)]) / self.cycle
         # What the position loop says is held over its cycle; both act from the instant of the sample on.
         held = np.repeat(np.column_stack([r - self.q, rate]), self.every, axis=0)[: len(self.angle)]
-        acting = np.column_stack([held, -_differentiated(self.angle, self.t_velocity, abs(velocity))])
+        acting = np.column_stack([held, -_differentiated(self.angle, self.t_velocity, velocity)])
         acting = np.hstack([acting, np.cumsum(acting, axis=0) * self.t_velocity])
         if self.averaged:
             logged = acting[1:].reshape(-1, self.every, 6).mean(axis=1)
@@ -140,16 +207,20 @@ class _Stretches:
         self._parts = parts
         self.tau = np.concatenate([part.tau for part in parts])
         self.scale = float(np.std(self.tau))
-        self._times, self._columns = np.full(2, np.nan), np.empty((0, 6))
+        self.cycle, self.t_velocity = parts[0].cycle, parts[0].t_velocity
+        self._kept: tuple[float, ...] = ()
+        self._columns = np.empty((0, 6))
 
-    def fitted(self, lags: Array) -> tuple[Array, Array]:
+    def fitted(self, lags: Array, channel: _Channel) -> tuple[Array, Array]:
         """Best ``k_p k_v, k_p k_ff, k_p`` ``(3,)``, and the torque about its mean that they leave ``(M,)`` [N m].
 
-        The ``lags (3,)`` are time constants of command and velocity [s], and the integrator's k_i / k_p [1/s].
+        Args:
+            lags: time constants of command and velocity [s], and the integrator's k_i / k_p [1/s] ``(3,)``.
+            channel: what commands pass.
         """
-        if not np.array_equal(lags[:2], self._times):
-            H = [part.columns(lags[:2]) for part in self._parts]
-            self._times = lags[:2].copy()
+        if (*lags[:2], channel.order, channel.late) != self._kept:
+            H = [part.columns(lags[:2], channel.order, channel.late) for part in self._parts]
+            self._kept = (*lags[:2], channel.order, channel.late)
             self._columns = np.concatenate([part - part.mean(axis=0) for part in H])
         A = self._columns[:, :3] + abs(lags[2]) * self._columns[:, 3:]
         unit = np.linalg.norm(A, axis=0)
@@ -157,33 +228,49 @@ class _Stretches:
         products = nnls((A / unit).T @ (A / unit), (A / unit).T @ self.tau)[0] / unit
         return products, self.tau - A @ products
 
+    def least(self, channel: _Channel) -> float:
+        """Share of the torque's squares that a channel leaves with the best of the first integrators [1]."""
+        lags = [np.array([channel.low, 2.0 * self.t_velocity, ratio / _INTEGRAL]) for ratio in _RATIOS]
+        return min(float(np.sum(self.fitted(each, channel)[1] ** 2)) for each in lags) / float(np.sum(self.tau**2))
 
-def _fit_joint(parts: Sequence[_JointCascade]) -> tuple[Array, float]:
-    """Gains ``k_v, k_ff, k_p, k_i`` and time constants of one joint ``(6,)``, and the relative error [%].
+
+_RATIOS = (0.0, *2.0 ** np.arange(-3, 5))
+"""Integrators that are tried first, over ``_INTEGRAL``'s."""
+
+
+def _fit_joint(joint: _Stretches, channel: _Channel, free: bool = False) -> tuple[Array, float, float]:
+    """Gains ``k_v, k_ff, k_p, k_i`` and time constants of one joint ``(6,)``, the error [%], and the lateness [s].
 
     A lag of half a millisecond adds up to hundreds of newton metres in the integrator: lags and integrator must be
     about right together before a search can succeed.
+
+    Args:
+        joint: its torques.
+        channel: what commands pass.
+        free: whether the lateness is sought, too.
     """
-    joint = _Stretches(parts)
-    unit = np.array([parts[0].cycle, parts[0].t_velocity, 1.0 / _INTEGRAL])
+    unit = np.array([joint.cycle, joint.t_velocity, 1.0 / _INTEGRAL, joint.cycle])
 
     def left(lags: Array) -> Array:
-        return joint.fitted(lags * unit)[1] / joint.scale
+        lags = lags * unit[: len(lags)]
+        return joint.fitted(lags[:3], channel._replace(late=abs(lags[3])) if free else channel)[1] / joint.scale
 
-    starts = [np.array([low + 0.05, 2.0, ratio]) for low in np.arange(0.0, 4.01, 0.5)
-              for ratio in (0.0, *2.0 ** np.arange(-3, 5))]
+    lows = [*np.arange(0.05, 4.06, 0.5), *([channel.low / joint.cycle] if channel.low else [])]
+    starts = [np.array([low, 2.0, ratio, *([channel.late / joint.cycle] if free else [])])
+              for low in lows for ratio in _RATIOS]
     start = min(starts, key=lambda lags: float(np.sum(left(lags) ** 2)))
-    lags = np.abs(least_squares(left, start, diff_step=1e-2, max_nfev=20).x * unit)
-    (stiff, ahead, k_p), rest = joint.fitted(lags)
+    found = np.abs(least_squares(left, start, diff_step=1e-2, max_nfev=20).x)
+    lags, late = found[:3] * unit[:3], float(found[3] * unit[3]) if free else channel.late
+    (stiff, ahead, k_p), rest = joint.fitted(lags, channel._replace(late=late))
     k_p = max(k_p, 1e-9)
     error = 100.0 * float(np.linalg.norm(rest) / np.linalg.norm(joint.tau))
-    return np.array([stiff / k_p, ahead / k_p, k_p, lags[2] * k_p, *lags[:2]]), error
+    return np.array([stiff / k_p, ahead / k_p, k_p, lags[2] * k_p, *lags[:2]]), error, late
 
 
-def _low_passed(x: Array, cycle: float, time: float) -> Array:
+def _low_passed(x: Array, cycle: float, time: float, order: int) -> Array:
     a = np.exp(-cycle / time) if time > 0 else 0.0
     out = x - x[0]
-    for _ in range(_ORDER):
+    for _ in range(order):
         out = lfilter([1 - a], [1, -a], out)
     return np.asarray(out + x[0])
 

@@ -121,14 +121,14 @@ _FASTEST = 150.0
 an arm its oscillation adds less than a hundredth of its twist."""
 
 
-def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> Loop:
+def loop_model(model: Model, robot: Robot, *, delay: int = 0) -> Loop:
     """The identified closed loop of an arm.
 
     Args:
         model: identified model; its controller is needed, its stiffness is optional (rigid gears without).
         robot: cycle times and limits.
-        delay: cycles between hand-over of a command and the start of its interpolation, where it is known better than
-            identified (the standard path planner in force or not, [G] 5.2.3).
+        delay: cycles between hand-over of a command and the start of its interpolation, beyond those of the recording
+            that the controller was identified from (the standard path planner in force or not, [G] 5.2.3).
 
     Raises:
         InputError: model and robot do not belong together, or the model has no controller.
@@ -141,9 +141,9 @@ def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> Loop:
                          field="controller")
     n = model.n
     k_v, k_ff, k_p, k_i = cascade_gains(controller)
-    whole = round(controller.delay / robot.t_ipo) if delay is None else delay
     # What the delay has beyond whole cycles, and the low-pass, make the command filter.
-    rest = max(0.0, controller.delay - round(controller.delay / robot.t_ipo) * robot.t_ipo)
+    identified = int(controller.delay / robot.t_ipo)
+    whole, rest = delay + identified, controller.delay - identified * robot.t_ipo
     chain, rotor_inertia = with_rotors(chain_of(model.dynamics), np.array(model.rotor_inertia), robot.q_min,
                                        robot.q_max)
     none = np.zeros((0, 3, n))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
+from ideal_robot.identification.command import judged
 from ideal_robot.identification.excitation import Workspace
 from ideal_robot.identification.friction_runs import fit_ripple
 from ideal_robot.identification.whole_model import identify_model
@@ -37,7 +38,11 @@ def identified_model(robot_name: str, *, world: World | None = None, boxes: Sequ
         recordings.append(play_plan(planned, robot, run + 1, partial(_moving, played), world))
     progress(0.8, "identifying")
     model = identify_model(recordings, robot).model
-    return model.with_effects(fit_ripple(recordings, model, robot)), recordings
+    model = model.with_effects(fit_ripple(recordings, model, robot))
+    if model.command is not None and model.controller is not None:
+        # The loop that knows the ripple predicts better than the one that was compared with the command's law.
+        model = replace(model, command=judged(model.command, recordings, model, robot))
+    return model, recordings
 
 
 def _moving(progress: Progress, share: float) -> None:

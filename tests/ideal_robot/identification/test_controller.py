@@ -173,6 +173,29 @@ def test_torques_that_are_logged_as_they_are_tell_the_same_gains() -> None:
         np.testing.assert_allclose(gains, true, rtol=0.04)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("late", [0.02, 0.0437, 0.1])
+def test_commands_that_reach_the_cascade_late_are_told_from_its_feedforward(late: float) -> None:
+    """A cascade of the module's own equation before a sine: lateness and gains come out, not a low-pass for both."""
+    t, cycle = 0.002 * np.arange(2500), 0.002
+    q_c = 0.3 * np.sin(2.0 * t) + 0.05 * np.sin(9.0 * t + 1.0) + 0.01 * np.sin(21.0 * t)
+    q = np.interp(t - late - 0.012, t, q_c) + 2e-3 * np.sin(5.0 * t)
+    k_v, k_ff, k_p, k_i = 18.0, 0.92, 500.0, 9000.0
+    blank = _JointCascade(q_c, q, np.zeros(len(t)), cycle, 0.0005)
+    blank._smoothed = np.asarray  # type: ignore[method-assign]
+    tau = blank.columns(np.array([0.002, 0.001]), late=late) @ np.outer([k_p, k_i], [k_v, k_ff, 1.0]).ravel()
+    recording = Recording.from_arrays(t, q_c=q_c[:, None], q=q[:, None], tau=tau[:, None])
+    fit = fit_controller(recording, ROBOT)
+    found = [float(values[0]) for values in cascade_gains(fit.controller)]
+    # So short a low-pass delays, and one joint's motion does not tell which of the two it is.
+    delayed = fit.controller.delay + fit.controller.filter_order * fit.controller.filter_time[0]
+    assert fit.controller.delay > 0.75 * late
+    assert delayed == pytest.approx(late + 0.004, abs=2.5e-3)
+    assert found[1] == pytest.approx(k_ff, abs=0.05)
+    # A low-pass alone has no feedforward, and leaves several per cent of the torque.
+    assert fit.error_percent[0] < 1.0
+
+
 def test_refuses_slow_sampling_and_joints_at_rest():
     recording = recorded(3, 3.0)
     slow = Recording({name: values[::6].copy() for name, values in recording.columns.items()})
