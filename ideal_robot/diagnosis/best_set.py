@@ -37,7 +37,7 @@ CLASS_ERROR = 0.05
 CURVE_ERROR = 0.12
 """The same in the direction of a curve, which bends to whatever the class leaves."""
 BESIDE = 0.05
-"""Share of its contribution by which the form of a cause may be wrong, in the direction of another of the joint."""
+"""Share of its contribution by which the form of a cause may be wrong, in the direction of another in its channels."""
 SMALLEST = {"rad": 8e-6, "m": 12e-6}
 """What a cause makes of a measured angle or place at most [rad, m] where nobody would care about it; one of four times
 that is seen."""
@@ -55,6 +55,8 @@ ACCEPT = 3.0
 """Nats by which a set has to be better to be taken: odds of twenty to one."""
 FINALISTS = 5
 """Candidates of a round that are refined and scored, at most."""
+FIRST_STEP = 0.04
+"""Of its range, by which a shape among several is moved first as it is refined."""
 MOST = 16
 """Causes of a set, at most."""
 
@@ -208,7 +210,7 @@ class BestSet:
             if spread is None:
                 measured = np.array([channel.weight * float(self.system.total(j, "measured", "measured")[2].sum())
                                      if channel.weight else 0.0 for j, channel in enumerate(self.system.channels)])
-                self._wide[candidate.key] = _spread_of(self._own_products(candidate.key),
+                self._wide[candidate.key] = _spread_of(self.system.beside(candidate.key, [])[1],
                                                        WIDE**2 * self._of_channels(candidate.key, measured))
             else:
                 self._wide[candidate.key] = root_of(spread)
@@ -246,14 +248,18 @@ class BestSet:
         keys = ["W", *[c.key for c in others if c.key != candidate.key]]
         fitted = self.system.posterior(keys)
         across, own, _ = self.system.beside(candidate.key, keys)
-        # A share of the residual, and of other causes of the joint, of which no form is quite right.
+        # A share of the residual, and of other causes in the same channels, of which no form is quite right.
         error = (CURVE_ERROR if candidate.effect.learned else CLASS_ERROR) * (1.0 + candidate.effect.usual)
         places, squares = self.system.places(keys), error**2 * self._of_channels(candidate.key, self.system.count)
+        channels = set(self.system.groups[candidate.key].channels)
         for other in others:
-            if other.key != candidate.key and other.joint == candidate.joint:
-                mean = fitted.mean[places[other.key]]
-                squares += BESIDE**2 * float(mean @ self._own_products(other.key) @ mean)
-        root = _spread_of(own - across @ fitted.solve(across.T), squares)
+            # What is wrong with the form of a cause of the whole arm shows in its joints.
+            if other.key != candidate.key and (other.joint == candidate.joint or (candidate.joint and
+                                               channels <= set(self.system.groups[other.key].channels))):
+                squares += BESIDE**2 * self._squares_in(other.key, fitted.mean[places[other.key]], channels)
+        taken = fitted.solve(across.T)
+        known = self.system.full_precision(keys) @ taken
+        root = _error_of(own - across @ taken, taken.T @ known, squares)
         return np.hstack([root, np.diag(self._nobody_cares(candidate.key))]) if matters else root
 
     def _nobody_cares(self, key: str) -> Array:
@@ -277,6 +283,14 @@ class BestSet:
         shares = np.array([self.system.channels[j].weight * float(np.trace(self.system.total(j, key, key)[2]))
                            for j in channels])
         return float(shares @ values[channels] / max(float(shares.sum()), 1e-300))
+
+    def _squares_in(self, key: str, mean: Array, channels: set[int]) -> float:
+        """Weighted squares of what a group with coefficients ``(m,)`` makes of channels, and no parameter can."""
+        of = {j: self.system.channels[j].weight * float(mean[left] @ own @ mean[left])
+              for j in self.system.groups[key].channels if self.system.channels[j].weight
+              for left, _, own in [self.system.total(j, key, key)]}
+        here = sum(squares for j, squares in of.items() if j in channels)
+        return float(mean @ self._own_products(key) @ mean) * here / max(sum(of.values()), 1e-300) if here else 0.0
 
     def _own_products(self, key: str) -> Array:
         """Weighted products of a group with itself, of what the model's parameters cannot make ``(m, m)``."""
@@ -352,11 +366,14 @@ class BestSet:
         self._refresh()
         if start:
             self._improve()
+        seen: set[frozenset[str]] = set()
         for round_ in range(MOST):
             self.progress(round_ / (round_ + 4.0), f"round {round_ + 1}")
             best = self._best()
-            if best is None or best.nats < ACCEPT:
+            # Noise and levels are those of each set: one that comes again is as good as what led back to it.
+            if best is None or (places := frozenset(c.place for c in self.choices)) in seen:
                 break
+            seen.add(places)
             self.take([*self.choices, best.candidate])
             self._improve()
         if self.learns:
@@ -368,9 +385,9 @@ class BestSet:
         self.choices = choices
         self._refresh()
 
-    def _best(self, hole: Candidate | None = None) -> Weighed | None:
-        ranked = self.ranked(hole)
-        return ranked[0] if ranked else None
+    def _best(self) -> Weighed | None:
+        """Of the candidates that stand above what the class cannot say the one that explains most; None without."""
+        return next((w for w in self.ranked() if w.nats >= ACCEPT), None)
 
     def ranked(self, hole: Candidate | None = None, finalists: int = FINALISTS, *,
                anywhere: bool = False, least: float = 0.0) -> list[Weighed]:
@@ -394,7 +411,8 @@ class BestSet:
             with RaisedBy(f"effect {starts[0].effect.key} at joint {starts[0].joint}"):
                 best = self._best_start(starts, fitted, keys, residual, least)
             if best is not None and (hole is None or best.candidate.place != hole.place):
-                first.append(best)
+                error = joined(fitted, *self.system.beside(best.candidate.key, keys), self.narrow(best.candidate, rest))
+                first.append(replace(best, nats=best.nats - error.evidence))
         first.sort(key=lambda w: -w.nats)
         result: list[Weighed] = []
         for k, w in enumerate(first[:finalists]):
@@ -403,7 +421,7 @@ class BestSet:
             refined = self.refined(w.candidate, fitted, keys)
             own = self.joined(refined, fitted, keys)
             result.append(Weighed(refined, own, own.evidence - self.cost(refined)))
-        # By what they explain; how far the best stands above what the class cannot say decides whether it is taken.
+        # By what they explain; how far one stands above what the class cannot say decides whether it is taken.
         result.sort(key=lambda w: -w.nats)
         beside = [] if hole is None else [hole]
         return [replace(w, nats=self._beside(rest, [w.candidate], beside) - self.cost(w.candidate)
@@ -458,8 +476,13 @@ class BestSet:
             optimum = optimize.minimize_scalar(loss, bounds=(low, high), method="bounded",
                                                options={"maxiter": 14, "xatol": 1e-3 * (high - low)})
         else:
-            optimum = optimize.minimize(loss, np.array(candidate.theta), method="Nelder-Mead", bounds=bounds,
-                                        options={"maxfev": 40, "xatol": 1e-3, "fatol": 1e-2})
+            # Steps in proportion to what is allowed, not to the start, which may be zero; inwards from a bound.
+            low, high = np.array(bounds).T
+            start = np.clip(np.array(candidate.theta), low, high)
+            steps = np.where(start < 0.5 * (low + high), FIRST_STEP, -FIRST_STEP) * (high - low)
+            optimum = optimize.minimize(loss, start, method="Nelder-Mead", bounds=bounds, options={
+                "maxfev": 60, "xatol": 1e-3, "fatol": 1e-2,
+                "initial_simplex": np.vstack([start, start + np.diag(steps)])})
         return at(optimum.x) if optimum.fun < loss(np.array(candidate.theta)) else candidate
 
     def _improve(self) -> None:
@@ -499,13 +522,14 @@ class BestSet:
     # Curves without a cause.
 
     def _with_curves(self) -> None:
-        """Takes curves, beside the causes or in the place of one, while the score rises; drops what they replace."""
+        """Takes curves, beside a joint's causes or in the place of one or all, while the score rises."""
         for _ in range(3):
             best: tuple[float, list[Candidate]] | None = None
             for j in range(self.system.c):
-                for hole in [None, *[c for c in self.choices if c.joint == j + 1 and not c.effect.learned]]:
-                    for curve in self.curves_of(j, hole):
-                        other = [*[c for c in self.choices if c is not hole], curve]
+                here = [c for c in self.choices if c.joint == j + 1 and not c.effect.learned]
+                for holes in [(), *((c,) for c in here), *([tuple(here)] if len(here) > 1 else [])]:
+                    for curve in self.curves_of(j, holes):
+                        other = [*[c for c in self.choices if c not in holes], curve]
                         nats = self.better(other, self.choices)
                         if nats > ACCEPT and (best is None or nats > best[0]):
                             best = nats, other
@@ -514,19 +538,18 @@ class BestSet:
             self.take(best[1])
             self._improve()
 
-    def curves_of(self, j: int, hole: Candidate | None) -> list[Candidate]:
-        """The three most promising curves of one channel."""
+    def curves_of(self, j: int, holes: Sequence[Candidate]) -> list[Candidate]:
+        """The three most promising curves of one channel, from 0, in the place of causes of the set or beside all."""
         r, domain = self.regression, self.regression.domain
         use = r.use[:, j]
         if not use.any() or any(c.effect.learned and c.joint == j + 1 for c in self.choices):
             return []
         if j >= r.signals.n and domain != TCP_POSITION:
             return []
-        rest = [c for c in self.choices if c is not hole]
-        keys = ["W", *[c.key for c in rest]]
+        keys = ["W", *[c.key for c in self.choices if c not in holes]]
         residual = self.system.residual(keys, self.system.posterior(keys).mean)
         period = time_period(residual[:, j], use, self.at_rows.t, domain)
-        curves = [*terms(self.at_rows, j, hole is None, domain), *([] if period is None else [period])]
+        curves = [*terms(self.at_rows, j, not holes, domain), *([] if period is None else [period])]
         tests = sorted(self._dependence.tests(residual[:, j], j, curves),
                        key=lambda d: (d.expected - d.share) / max(1.0 - d.expected, 1e-12))
         found = [Candidate(d.term, j + 1, (), len(tests) * self.system.c) for d in tests[:3] if d.p_value < 0.01]
@@ -605,6 +628,27 @@ def _spread_of(own: Array, squares: float) -> Array:
     # What others make all but rounding of has no direction of its own.
     values = np.maximum(values, 1e-6 * max(float(values[-1]), 1e-290))
     return np.asarray(vectors * np.sqrt(max(squares, 0.0) / (len(own) * values)))
+
+
+def _error_of(own: Array, known: Array, squares: float) -> Array:
+    """Root of the covariance ``(m, m)`` of coefficients, estimated from rows that are off by so many squares.
+
+    What the rows are off by is along no direction more than along another, and reaches the coefficients as noise does:
+    by the estimator's gain, with covariance ``A⁻¹ B A⁻¹``, ``A = C'S⁻¹C``, ``B = C'S⁻²C``, for columns ``C`` beside
+    noise and parameters with a prior, whose covariance is ``S`` in units of the noise.
+
+    Args:
+        own: ``A``.
+        known: ``A - B``, what the parameters' prior says.
+        squares: on average.
+    """
+    values, vectors = np.linalg.eigh(0.5 * (own + own.T))
+    # What others make all but rounding of has no direction of its own.
+    values = np.maximum(values, 1e-6 * max(float(values[-1]), 1e-290))
+    middle = vectors.T @ (own - known) @ vectors
+    size, ways = np.linalg.eigh(0.5 * (middle + middle.T))
+    root = (vectors / values) @ (ways * np.sqrt(np.maximum(size, 0.0)))
+    return np.asarray(root * np.sqrt(max(squares, 0.0) / len(own)))
 
 
 def _inverse(root: Array) -> Array:

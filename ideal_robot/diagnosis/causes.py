@@ -16,13 +16,16 @@ import numpy as np
 
 from ideal_robot.effects import Effect, Signals
 from ideal_robot.effects.drive import DeadTime
+from ideal_robot.effects.fitted import Unknown
+from ideal_robot.effects.loads import AngleLaw
 from ideal_robot.errors import RaisedBy
 
 SHAPE = 0.5 * float(np.log(1000.0))
 """Nats that a physical shape costs: half the logarithm of how many values of it a recording of a thousand independent
 rows tells apart (the asymptotic cost of one parameter)."""
 CURVE = 10.0
-"""Nats that a curve without a cause costs beside its place: what the library has is likelier than what it lacks."""
+"""Nats that a curve without a cause costs beside its place, for each signal that it is over: what the library has is
+likelier than what it lacks."""
 
 
 @dataclass(frozen=True)
@@ -53,15 +56,18 @@ class Candidate:
     def cost(self) -> float:
         """Nats that its starts and shapes cost, and what its effect says beforehand."""
         own = np.log(max(self.tries, 1)) - self.effect.prior
-        if self.effect.learned:
-            return float(own + CURVE)
+        if isinstance(self.effect, Unknown):
+            return float(own + CURVE * len(self.effect.depends_on))
         physical = self.effect.theta_is_physical and not self.effect.scanned
         return float(own + SHAPE * len(self.theta) * physical)
 
     def one_at_most_with(self, other: Candidate) -> bool:
-        """Whether the two are forms of one cause at one joint, of which it has one at most: it is late once."""
-        late = isinstance(self.effect, DeadTime) and isinstance(other.effect, DeadTime)
-        return self.joint == other.joint and (self.effect.name == other.effect.name or late)
+        """Whether the two are forms of one cause at one joint, of which it has one at most.
+
+        It is late once; and of two springs a sum takes any curve over the angle.
+        """
+        alike = any(isinstance(self.effect, kind) and isinstance(other.effect, kind) for kind in (DeadTime, AngleLaw))
+        return self.joint == other.joint and (self.effect.name == other.effect.name or alike)
 
 
 Only = tuple[tuple[str, int], ...]

@@ -216,7 +216,7 @@ def argument(best: BestSet, own: Candidate) -> Argument:
     others += [w.candidate for w in best.ranked(own, anywhere=len(best.system.groups[own.key].channels) > 1)]
     if best.learns:
         channel = best.regression.channel_of(own.joint)
-        others += [] if channel is None or own.effect.learned else best.curves_of(channel, own)[:1]
+        others += [] if channel is None or own.effect.learned else best.curves_of(channel, [own])[:1]
     sets, misfit = [], []
     for other in others:
         instead = rest if other is None else [*rest, other]

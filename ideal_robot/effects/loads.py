@@ -13,9 +13,7 @@ from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
 _UPRIGHT = 1e-6
-"""Weight that the first axis carries, over the most that any does, up to which it stands upright."""
-_LEAST_WEIGHT = 0.02
-"""Of a joint's largest torque, what gravity has to ask of it for a balancing spring to make sense."""
+"""Weight that an axis carries, over the most that any does, up to which it stands upright."""
 
 
 _MASS, _LEVER = 5.0, 0.25
@@ -89,14 +87,21 @@ class Payload(WholeArmEffect, LinkLoad):
         return signals.payload
 
     def spread(self, signals: Signals, joint: int) -> Array | None:
-        """See ``Effect.spread``. What is carried hangs at the tool, its centre some decimetre from it."""
-        if signals.tool is None:
+        """See ``Effect.spread``. What is carried hangs at the tool, its centre some decimetre from it.
+
+        No joint gets more from it than the arm asks of that joint anyway.
+        """
+        if signals.tool is None or signals.payload is None:
             return super().spread(signals, joint)
         step = 1e-3
+        with np.errstate(divide="ignore", invalid="ignore"):
+            bears = np.sqrt(np.mean(signals.torque**2, axis=0) /
+                            np.mean((signals.payload @ _point(signals.tool)) ** 2, axis=0))
+        mass = min(_MASS, float(np.min(bears, initial=np.inf, where=np.isfinite(bears) & (bears > 0.0))))
         moved = [(_point(signals.tool + step * axis) - _point(signals.tool - step * axis)) / (2.0 * step)
                  for axis in np.eye(3)]
-        ways = _MASS * np.column_stack([_point(signals.tool), *(_NEAR * way for way in moved)])
-        own = np.diag(np.square(_MASS * np.array([1e-3] + 3 * [1e-2] + 6 * [_NEAR**2])))
+        ways = mass * np.column_stack([_point(signals.tool), *(_NEAR * way for way in moved)])
+        own = np.diag(np.square(mass * np.array([1e-3] + 3 * [1e-2] + 6 * [_NEAR**2])))
         return np.asarray(ways @ ways.T + own)
 
     def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
@@ -188,6 +193,53 @@ class CableSpring(AngleLaw):
         return signals.on_joint(joint, signals.q[:, joint - 1])
 
 
+class SlackCable(AngleLaw):
+    """A cable or hose with slack, which pulls where it is taut, and the more so the further it is drawn.
+
+        tau = k (x - y) + k_2 (x² - y²),   x = max(q - q_above, 0),   y = max(q_below - q, 0)
+
+    Between ``q_below`` and ``q_above`` it hangs. Most pull on one side only: then the motion does not reach the other.
+    """
+
+    name = CableSpring.name
+    prefix = "tau_taut"
+    theta_names = ("taut below", "taut above")
+    theta_units = ("rad", "rad")
+    coefficient_names = ("stiffness", "growth of stiffness")
+    coefficient_units = ("N m/rad", "N m/rad²")
+    source = CableSpring.source
+
+    @property
+    def at_motor(self) -> bool:
+        """See ``Effect.at_motor``."""
+        return True
+
+    def starts(self, signals: Signals, joint: int) -> list[Theta]:
+        """Taut on either side alone, from six places of what the joint turned, and on both."""
+        (never, _), (_, nor) = self.bounds(signals, joint)
+        low, turned = float(signals.q[:, joint - 1].min()), float(np.ptp(signals.q[:, joint - 1]))
+        places = [low + share * turned for share in (0.1, 0.26, 0.42, 0.58, 0.74, 0.9)]
+        return [*((never, place) for place in places), *((place, nor) for place in places), (places[1], places[4])]
+
+    def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
+        """Within what the joint turned, or as far again beyond it, where the motion does not reach."""
+        q = signals.q[:, joint - 1]
+        low, high = float(q.min()), float(q.max())
+        return [(2.0 * low - high, high), (low, 2.0 * high - low)]
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 2)``."""
+        q = signals.q[:, joint - 1]
+        above, below = np.maximum(q - max(theta), 0.0), np.maximum(min(theta) - q, 0.0)
+        return signals.on_joint(joint, above - below, above**2 - below**2)
+
+    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
+        """See ``Effect.plausible``. It pulls back, drawn as far as it was and half of that."""
+        q, (k, growth) = signals.q[:, joint - 1], coefficients
+        furthest = max(float(q.max()) - max(theta), min(theta) - float(q.min()), 0.0)
+        return bool(min(k + growth * furthest, k + 0.5 * growth * furthest) > 0.0)
+
+
 class GravitySpring(AngleLaw):
     """Torque of a spring between a point on the link and one on the frame ([J] section 2: gravity compensator).
 
@@ -223,8 +275,8 @@ class GravitySpring(AngleLaw):
         """Where gravity does nothing none is balanced."""
         if signals.weight is None:
             return True
-        weight, torque = (np.max(np.abs(values[:, joint - 1])) for values in (signals.weight, signals.torque))
-        return bool(weight > _LEAST_WEIGHT * torque)
+        size = np.abs(signals.weight).max(axis=0)
+        return bool(size[joint - 1] > _UPRIGHT * size.max())
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
         """See ``Effect.columns``. Shape ``(N, n, 2)``."""

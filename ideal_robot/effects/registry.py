@@ -32,6 +32,7 @@ _TABLE = {
     "rotor_inertia/tau": "drive:RotorInertia",
     "gravity_spring/tau": "loads:GravitySpring",
     "cable_spring/tau": "loads:CableSpring",
+    "cable_spring/tau_taut": "loads:SlackCable",
     "payload/tau": "loads:Payload",
     "link_load/tau": "loads:LinkLoad",
     "zero_error/tau": "kinematics:ZeroError",

@@ -1,7 +1,8 @@
 """The strict score: named at its joint, and nothing else named anywhere.
 
 An empty recording is right only where nothing is named and the verdict is not ``effects`` or ``unknown``. What is
-outside the library is right only as ``unknown`` at its joint with no name beside it. Two effects are right only both.
+outside the library is right only as ``unknown`` at its joint. What the healthy arm truly has may be named beside it.
+Two effects are right only both.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ class Score:
         right: everything, and nothing else.
         covered: for each parameter that can be compared, its error over its standard deviation.
         seconds: processor time of the diagnosis.
+        small: of ``named`` those that are said to be too small to matter.
         probabilities: for each of ``named`` how probable it is said to be, and whether it, or what it is said not to
             be told from, is there.
     """
@@ -57,6 +59,7 @@ class Score:
     covered: tuple[tuple[str, float], ...]
     seconds: float
     probabilities: tuple[tuple[float, bool], ...] = ()
+    small: tuple[tuple[str, int], ...] = ()
 
     @property
     def said(self) -> tuple[tuple[str, int], ...]:
@@ -84,15 +87,17 @@ def score(trial: Trial, diagnosis: Any, seconds: float = 0.0) -> Score:
         diagnosis: the result of ``ideal_robot.diagnosis.diagnose``, or anything with verdict, effects and unknown.
         seconds: processor time it took.
     """
-    named = tuple((said_name(str(e.fitted.name), str(e.fitted.channel)), int(e.fitted.joint))
-                  for e in diagnosis.effects)
+    loud, model = [e.fitted for e in diagnosis.effects], getattr(diagnosis, "model", None)
+    # What is too small to matter is said in a sentence, and stands in the model.
+    quiet = [] if model is None else [e for e in model.effects if e not in loud and not e.effect.learned]
+    named, small = (tuple((said_name(str(e.name), str(e.channel)), int(e.joint)) for e in group)
+                    for group in ([*loud, *quiet], quiet))
     unknown = tuple(int(u.fitted.joint) for u in diagnosis.unknown)
     said = [*named, *(("unknown", j) for j in unknown)]
     true = frozenset().union(*(c.right for c in trial.causes)) if trial.causes else frozenset()
     found = tuple(any(s in c.right for s in said) for c in trial.causes)
     false = tuple(s for s in said if s not in true and s not in trial.healthy)
-    outside = any(c.outside for c in trial.causes)
-    right = all(found) and not false and (diagnosis.verdict == "unknown" if outside else True)
+    right = all(found) and not false
     if not trial.causes and not said and diagnosis.verdict not in ("none", "undecided"):
         right = False
     covered, compared = [], set()
@@ -112,7 +117,7 @@ def score(trial: Trial, diagnosis: Any, seconds: float = 0.0) -> Score:
     return Score(trial.seed, trial.kind, trial.engine, trial.arm, trial.motion, trial.logger, trial.controller,
                  trial.friction, trial.gears, tuple((c.name, c.joint, c.size) for c in trial.causes),
                  str(diagnosis.verdict), named, unknown, false, found, bool(right), tuple(covered), seconds,
-                 _probabilities(diagnosis, true | trial.healthy))
+                 _probabilities(diagnosis, true | trial.healthy), small)
 
 
 def _probabilities(diagnosis: Any, true: frozenset[tuple[str, int]]) -> tuple[tuple[float, bool], ...]:
@@ -163,10 +168,10 @@ def rates(scores: Sequence[Score]) -> str:
     row(f"one effect ≥ {VISIBLE:g} × visible, right and nothing else", lambda g: _share(single(_large(g))))
     row("the same, named at its joint whatever else", lambda g: _share(
         all(s.found) for s in _large(g) if s.kind in SINGLE))
-    row(f"outside the library ≥ {VISIBLE:g} ×, unknown and no name", lambda g: _share(
+    row(f"outside the library ≥ {VISIBLE:g} ×, unknown, and no name of what is not there", lambda g: _share(
         s.right for s in _large(g) if s.kind == "outside"))
-    row("the same, names of what the healthy arm has beside it", lambda g: _share(
-        all(s.found) and not s.false for s in _large(g) if s.kind == "outside"))
+    row("the same, and no name at all", lambda g: _share(
+        s.right and not s.named for s in _large(g) if s.kind == "outside"))
     row(f"two effects ≥ {VISIBLE:g} ×, both and nothing else", lambda g: _share(
         s.right for s in _large(g) if s.kind == "two"))
     row("95 % intervals that hold the truth", lambda g: _share(abs(error) <= 1.96 for s in g for _, error in s.covered))

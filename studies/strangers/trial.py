@@ -36,6 +36,9 @@ EQUIVALENT: dict[str, tuple[tuple[str, str], ...]] = {
     "backlash": (
         ("arm:backlash", "the same gear where its angle is measured on the arm's side"),
     ),
+    "hose_pull": (
+        ("cable_spring", "a hose is a cable; the library has one with slack"),
+    ),
     "link_load": (
         ("payload", "a body on the last link but one, seen by the last joint alone, only by its inertia"),
     ),
@@ -197,7 +200,7 @@ def _attempt(rng: np.random.Generator, seed: int, kind: str, engine: str, size: 
         amount, reached, run = scaled
         setup = effect.apply(setup, amount)
         values.update(effect.values(amount))
-        outside = kind == "outside"
+        outside = kind == "outside" and effect.name not in EQUIVALENT
         right = frozenset({("unknown", effect.joint)}) if outside else right_names(
             effect.name, effect.joint, arm.n, setup.logger.qa)
         causes.append(Cause(effect.name, effect.joint, reached, right, outside))
@@ -208,6 +211,9 @@ def _attempt(rng: np.random.Generator, seed: int, kind: str, engine: str, size: 
         again = draw_motion(rng, arm, duration, motion.kind)
         other = dataclasses.replace(healthy.setup.logger, seed=int(rng.integers(2**31)))
         reference = record(other, plant, ENGINES[engine](plant, again))
+    if kind == "outside" and not any(cause.outside for cause in causes):
+        # It was outside when the seeds were drawn first; the library has a name for it since.
+        kind = "new"
     logger = setup.logger
     # Two lags in a row are one.
     values = {key: value + (logger.late if key[0] in LATE else 0.0) for key, value in values.items()}

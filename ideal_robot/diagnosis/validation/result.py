@@ -188,9 +188,14 @@ class WeighedSet:
     learned: bool = False
 
     @property
+    def moderated(self) -> float:
+        """Nats by which it is worse, averaged over their standard error: MacKay's moderated output (1992)."""
+        return float(self.nats / np.sqrt(1.0 + np.pi / 8.0 * self.std**2)) if np.isfinite(self.std) else 0.0
+
+    @property
     def rejected(self) -> bool:
         """Whether the data reject it beside the best one."""
-        return self.nats > NOT_REJECTED
+        return self.moderated > NOT_REJECTED
 
     @property
     def words(self) -> str:
@@ -212,14 +217,13 @@ class WeighedSet:
 def probability(sets: Sequence[WeighedSet], name: str) -> float:
     """Probability of a cause against the other sets, of which one with the same name speaks for it.
 
-    The odds are those of the score, averaged over its standard error: MacKay's moderated output (1992).
+    The odds are those of the score, averaged over its standard error.
 
     Args:
         sets: with something else, or nothing, in its place.
         name: of the cause.
     """
-    nats = np.array([s.nats / np.sqrt(1.0 + np.pi / 8.0 * s.std**2) if np.isfinite(s.std) else 0.0
-                     for s in sets if s.name != name])
+    nats = np.array([s.moderated for s in sets if s.name != name])
     return float(1.0 / (1.0 + np.exp(-np.clip(nats, -500.0, 500.0)).sum())) if nats.size else 1.0
 
 

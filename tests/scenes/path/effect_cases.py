@@ -96,6 +96,8 @@ TORQUES: dict[str, tuple[tuple[float, ...], tuple[float, ...], Callable[..., flo
     "stribeck/tau_bell": ((1.0,), (0.05,), lambda c, q, qd: c[0] * _along(qd[1]) * np.exp(-((qd[1] / 0.05) ** 2))),
     "current_offset/tau": ((1.0,), (), lambda c, q, qd: c[0]),
     "cable_spring/tau": ((1.0,), (), lambda c, q, qd: c[0] * q[1]),
+    "cable_spring/tau_taut": ((1.0, 0.4), (-9.0, -1.5), lambda c, q, qd: (
+        c[0] + c[1] * max(q[1] + 1.5, 0.0)) * max(q[1] + 1.5, 0.0)),
     "axis_coupling/tau": ((0.0, 1.0, 0.3), (3.0, 1.0, 1.0),
                           lambda c, q, qd: c[1] * qd[2] + c[2] * _along(qd[1] + qd[2])),
     "gravity_spring/tau": ((1.0, 0.5), (0.4, 0.5), lambda c, q, qd: np.sin(q[1] - 0.4) * (
