@@ -201,15 +201,17 @@ class BestSet:
             self.system.add(candidate.key, self.problem.columns(candidate))
 
     def wide(self, candidate: Candidate) -> Array:
-        """Root of the coefficients' covariance beforehand ``(m, m)``: a channel moves as far as it varies.
+        """Root of the coefficients' covariance beforehand ``(m, m)``: a channel moves as far as it varies, or is off.
 
         Where an effect knows how large it is, as far as it says.
         """
         if candidate.key not in self._wide:
             spread = candidate.effect.spread(self.regression.signals, candidate.joint)
             if spread is None:
-                measured = np.array([channel.weight * float(self.system.total(j, "measured", "measured")[2].sum())
-                                     if channel.weight else 0.0 for j, channel in enumerate(self.system.channels)])
+                # What was measured of positions is about its mean, and what a cause makes may be constant.
+                measured = np.array([max(channel.weight * float(self.system.total(j, key, key)[2].sum())
+                                         for key in ("measured", "y")) if channel.weight else 0.0
+                                     for j, channel in enumerate(self.system.channels)])
                 self._wide[candidate.key] = _spread_of(self.system.beside(candidate.key, [])[1],
                                                        WIDE**2 * self._of_channels(candidate.key, measured))
             else:

@@ -36,6 +36,7 @@ class Score:
         covered: for each parameter that can be compared, its error over its standard deviation.
         seconds: processor time of the diagnosis.
         small: of ``named`` those that are said to be too small to matter.
+        told: for each cause, whether it was said, and not as too small to matter.
         probabilities: for each of ``named`` how probable it is said to be, and whether it, or what it is said not to
             be told from, is there.
     """
@@ -60,6 +61,7 @@ class Score:
     seconds: float
     probabilities: tuple[tuple[float, bool], ...] = ()
     small: tuple[tuple[str, int], ...] = ()
+    told: tuple[bool, ...] = ()
 
     @property
     def said(self) -> tuple[tuple[str, int], ...]:
@@ -96,6 +98,7 @@ def score(trial: Trial, diagnosis: Any, seconds: float = 0.0) -> Score:
     said = [*named, *(("unknown", j) for j in unknown)]
     true = frozenset().union(*(c.right for c in trial.causes)) if trial.causes else frozenset()
     found = tuple(any(s in c.right for s in said) for c in trial.causes)
+    told = tuple(any(s in c.right and s not in small for s in said) for c in trial.causes)
     false = tuple(s for s in said if s not in true and s not in trial.healthy)
     right = all(found) and not false
     if not trial.causes and not said and diagnosis.verdict not in ("none", "undecided"):
@@ -117,7 +120,7 @@ def score(trial: Trial, diagnosis: Any, seconds: float = 0.0) -> Score:
     return Score(trial.seed, trial.kind, trial.engine, trial.arm, trial.motion, trial.logger, trial.controller,
                  trial.friction, trial.gears, tuple((c.name, c.joint, c.size) for c in trial.causes),
                  str(diagnosis.verdict), named, unknown, false, found, bool(right), tuple(covered), seconds,
-                 _probabilities(diagnosis, true | trial.healthy), small)
+                 _probabilities(diagnosis, true | trial.healthy), small, told)
 
 
 def _probabilities(diagnosis: Any, true: frozenset[tuple[str, int]]) -> tuple[tuple[float, bool], ...]:
@@ -166,7 +169,9 @@ def rates(scores: Sequence[Score]) -> str:
     row("false names per empty recording", lambda g: _mean(len(s.false) for s in g if s.kind == "none"))
     row("one effect of any size, right and nothing else", lambda g: _share(single(g)))
     row(f"one effect ≥ {VISIBLE:g} × visible, right and nothing else", lambda g: _share(single(_large(g))))
-    row("the same, named at its joint whatever else", lambda g: _share(
+    row("the same, and not as too small to matter", lambda g: _share(
+        s.right and all(s.told) for s in _large(g) if s.kind in SINGLE))
+    row(f"one effect ≥ {VISIBLE:g} ×, named at its joint whatever else", lambda g: _share(
         all(s.found) for s in _large(g) if s.kind in SINGLE))
     row(f"outside the library ≥ {VISIBLE:g} ×, unknown, and no name of what is not there", lambda g: _share(
         s.right for s in _large(g) if s.kind == "outside"))
