@@ -149,6 +149,7 @@ class Following(Watch):
         sure: whether that is the loop of this arm, as it is now, and not of one of its type.
         tolerance: how far beside what is expected it may be at rest [rad].
         cause: says of a joint, counted from 0, what its motion looks like, where it does not stand still.
+        paused: whether the controller itself says that it does not carry out commands; then the arm stands.
 
     Where no loop is surely known it speaks of joints that have followed once: of the others nothing is known.
 
@@ -157,9 +158,10 @@ class Following(Watch):
     """
 
     def __init__(self, commanded: Callable[[], Array], robot: Robot, response: Array | None, *,
-                 sure: bool = True, tolerance: float = TOLERANCE, cause: Callable[[int], str] | None = None) -> None:
+                 sure: bool = True, tolerance: float = TOLERANCE, cause: Callable[[int], str] | None = None,
+                 paused: Callable[[], bool] = lambda: False) -> None:
         self._T = T = robot.t_ipo
-        self._commanded, self._units, self._cause = commanded, robot.units("rad"), cause
+        self._commanded, self._units, self._cause, self._paused = commanded, robot.units("rad"), cause, paused
         table = AnyLoop(robot.n, T)
         self._answer: Answer = table if response is None else (
             KnownLoop(response) if sure else Both(KnownLoop(response), table))
@@ -187,6 +189,10 @@ class Following(Watch):
             self._rest = q - command
             self._begin(command)
         if self._lost:
+            return None
+        if self._paused():
+            self._measured[1:], self._measured[0] = self._measured[:-1].copy(), q
+            self._noticed = self._astray = self._still = True
             return None
         leap = np.abs(q - self._measured[0])
         if (leap > self._jump * (1 + self._jumped)).any():

@@ -266,7 +266,8 @@ class PathPlayer:
                     raise SceneError(self._reason or f"no sound reading of the force sensor for {_READ:.0f} s: "
                                      f"{force.why_silent()}")
             self.guard.watches.append(Following(lambda: self._in_force.commanded, link.robot, self._response,
-                                                sure=False, tolerance=link.tolerance, cause=link.cause))
+                                                sure=False, tolerance=link.tolerance, cause=link.cause,
+                                                paused=lambda: link.paused is not None))
             yield
 
     def _cycle(self, q_c: Array, ahead: Array | None = None) -> RobotState:

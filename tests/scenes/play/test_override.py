@@ -95,6 +95,17 @@ def test_an_override_of_nothing_is_not_waited_for_without_end() -> None:
     assert along(run.recording.joints("q"))[1].max() < 2e-3
 
 
+@pytest.mark.parametrize("cycle", [100, *(pytest.param(cycle, marks=pytest.mark.slow) for cycle in (60, 85, 115, 130))])
+def test_an_arm_whose_speed_was_set_to_zero_goes_on_along_its_path(cycle: int) -> None:
+    run, _ = played(speed={cycle: 0.0, cycle + 150: 1.0})
+    assert run.failure is None
+    share, off = along(run.recording.joints("q"))
+    assert share[-1] == pytest.approx(1.0, abs=2e-3)
+    # Joints stand where they are, each as late as its loop is.
+    assert off.max() < 5e-3
+    assert run.details["guard"]["acceleration_share"] < 1.5
+
+
 @pytest.mark.parametrize("pause", [range(90, 130), pytest.param(range(150, 260), marks=pytest.mark.slow)])
 def test_a_paused_program_is_waited_for(pause: range) -> None:
     run, link = played(pauses=pause)
