@@ -62,7 +62,8 @@ def _of_domains(case: Case, found: Findings) -> Diagnosis:
     return Diagnosis(
         "none", tuple(channel for result in results for channel in result.channels), effects, unknown,
         _held_out(case), found.domains[0].held_out_seconds if found.domains else 0.0,
-        found.problem.regression.undecided, warnings=(*found.warnings, *_small(results), *_contradicted(case, results)),
+        found.problem.regression.undecided, warnings=(
+            *found.warnings, *_small(results), *_contradicted(case, results), *_perhaps(results)),
         before=tuple(structure for result in results for structure in result.before),
         remaining=tuple(structure for result in results for structure in result.remaining),
         traces=tuple(result.traces for result in results), unused=unused_columns(case.recording, tuple(searched)),
@@ -82,6 +83,13 @@ def _contradicted(case: Case, results: Sequence[DomainResult]) -> Iterator[str]:
     if gone and case.validate is not None:
         yield (f"left out, for with it {_name(case.validate)}, which took no part, is predicted worse than without: "
                f"{', '.join(gone)}")
+
+
+def _perhaps(results: Sequence[DomainResult]) -> Iterator[str]:
+    """One sentence on causes that are not told from nothing."""
+    names = [name for result in results for name in result.perhaps]
+    if names:
+        yield f"may be there, with odds below three to one against nothing: {', '.join(names)}"
 
 
 def _moved(case: Case, found: Findings) -> tuple[MovedParameter, ...]:

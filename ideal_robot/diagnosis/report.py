@@ -19,6 +19,7 @@ from ideal_robot.diagnosis.channels.regression import Regression, noise_left, rm
 from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms
 from ideal_robot.diagnosis.statistics.problem import Estimate
 from ideal_robot.diagnosis.validation.result import (
+    LEAST_ODDS,
     Argument,
     ChannelResult,
     FoundEffect,
@@ -45,6 +46,7 @@ class DomainResult:
     arguments: tuple[Argument, ...]
     small: tuple[FittedEffect, ...] = ()
     gone: tuple[str, ...] = ()
+    perhaps: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,7 @@ class DomainDiagnosis:
         arguments: why each cause is in the set.
         named: those of the set, from 0, that are large enough to matter.
         gone: those that the validation recording contradicts.
+        perhaps: those that are not told from nothing.
         validation: the regression of the validation recording, or None.
         given: whether the model was given, so that "before" is the model as it was.
         source: hash of the recording.
@@ -67,13 +70,16 @@ class DomainDiagnosis:
     arguments: tuple[Argument, ...]
     named: tuple[int, ...]
     gone: tuple[Candidate, ...]
+    perhaps: tuple[Candidate, ...]
     validation: Regression | None
     given: bool
     source: str
 
     @classmethod
     def of(cls, best: BestSet, validation: Regression | None, given: bool, source: str) -> DomainDiagnosis:
-        """The domain of a search that has run; what another recording contradicts leaves its set.
+        """The domain of a search that has run.
+
+        What another recording contradicts leaves its set, and what is not told from nothing.
 
         Args:
             best: the search.
@@ -81,10 +87,10 @@ class DomainDiagnosis:
             given: whether the model was given.
             source: hash of the recording.
         """
-        gone = _not_transferred(best, validation)
+        gone, perhaps = _not_transferred(best, validation), _not_told_from_nothing(best)
         arguments = tuple(argument(best, choice) for choice in best.choices)
         named = tuple(k for k, choice in enumerate(best.choices) if best.matters(choice))
-        return cls(best, best.estimate(), arguments, named, gone, validation, given, source)
+        return cls(best, best.estimate(), arguments, named, gone, perhaps, validation, given, source)
 
     @property
     def choices(self) -> tuple[Candidate, ...]:
@@ -150,7 +156,8 @@ class DomainDiagnosis:
                             (reported.channels, traces), tuple(self.arguments[k] for k in self.named),
                             tuple(self.final.fitted(k, reported.prismatic) for k, choice in enumerate(self.choices)
                                   if k not in self.named and not choice.effect.learned),
-                            tuple(f"{_name(c.effect)} in {c.effect.channel(c.joint)}" for c in self.gone))
+                            *(tuple(f"{_name(c.effect)} in {c.effect.channel(c.joint)}" for c in left)
+                              for left in (self.gone, self.perhaps)))
 
     def _found(self, k: int) -> FoundEffect:
         """What is said of a cause of the best set."""
@@ -199,6 +206,21 @@ def _not_transferred(best: BestSet, validation: Regression | None) -> tuple[Cand
         gone.append(best.choices[worst])
         best.take([c for k, c in enumerate(best.choices) if k != worst])
     return tuple(gone)
+
+
+def _not_told_from_nothing(best: BestSet) -> tuple[Candidate, ...]:
+    """Causes that leave the best set, for the odds against nothing in their place are low beside their error."""
+    left: list[Candidate] = []
+    while best.choices:
+        rests = [[c for c in best.choices if c is not choice] for choice in best.choices]
+        against = [WeighedSet("", 0, best.better(best.choices, rest),
+                              standard_error(best.better_by_block(best.choices, rest))).moderated for rest in rests]
+        worst = int(np.argmin(against))
+        if against[worst] >= LEAST_ODDS:
+            break
+        left.append(best.choices[worst])
+        best.take(rests[worst])
+    return tuple(left)
 
 
 # Why a cause is in the best set.
