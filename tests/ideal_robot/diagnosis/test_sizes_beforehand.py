@@ -10,6 +10,7 @@ import pytest
 from ideal_robot.diagnosis.best_set import BestSet, Weighed, _error_of
 from ideal_robot.diagnosis.causes import Candidate
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
+from ideal_robot.diagnosis.report import _not_told_from_nothing
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.effects import MOTOR_TORQUE, library
 from ideal_robot.effects.registry import find
@@ -82,3 +83,14 @@ def test_what_the_class_may_err_by_bars_no_cause_that_stands_above_it(problem: P
     assert best._best() is above
     monkeypatch.setattr(best, "ranked", lambda: [below])
     assert best._best() is None
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_what_is_not_told_from_nothing_leaves_the_set(problem: Problem, there: bool) -> None:
+    spring = Candidate(find("cable_spring", "tau"), 3)
+    columns = problem.regression.filtered.decimate(spring.effect.columns(problem.regression.signals, 3, ()))[:, :, 0]
+    pulled = replace(problem.regression, y=problem.regression.y + 20.0 * there * columns)
+    best = BestSet(Problem(pulled), EFFECTS, absorbed=False)
+    best.take([spring])
+    assert _not_told_from_nothing(best) == (() if there else (spring,))
+    assert best.choices == ([spring] if there else [])
