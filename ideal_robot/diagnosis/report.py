@@ -6,7 +6,7 @@ recording, by the fit to the first one.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -189,38 +189,62 @@ class DomainDiagnosis:
         return int(np.argmax((without - self._rms(self.with_all)) / (without + 1e-300)))
 
 
-def _not_transferred(best: BestSet, validation: Regression | None) -> tuple[Candidate, ...]:
-    """Causes that leave the best set, for with them another recording is predicted worse than without them."""
-    gone: list[Candidate] = []
-    while validation is not None and best.choices:
-        def error(choices: Sequence[Candidate], other: Regression = validation) -> float:
-            # In units of what each channel varies by, for a cause may act on several.
-            left = rms(best.fit_of(choices).residual(other), other.use)
-            return float(np.sum((left / np.maximum(spread(other.measured, other.use), 1e-300)) ** 2))
+def _without_needless(best: BestSet, gains: Callable[[list[list[Candidate]]], Sequence[float]],
+                      least: float) -> tuple[Candidate, ...]:
+    """Takes causes out of the best set, one after the other, as long as one gains less than ``least``; returns them.
 
-        whole = error(best.choices)
-        without = [error([c for c in best.choices if c is not choice]) for choice in best.choices]
-        worst = int(np.argmin(without))
-        if without[worst] >= whole:
+    Args:
+        best: the search.
+        gains: by how much the set is better than each of the sets without one of its causes.
+        least: see above.
+    """
+    gone: list[Candidate] = []
+    while best.choices:
+        rests = [[c for c in best.choices if c is not choice] for choice in best.choices]
+        gained = gains(rests)
+        worst = int(np.argmin(gained))
+        if gained[worst] >= least:
             break
         gone.append(best.choices[worst])
-        best.take([c for k, c in enumerate(best.choices) if k != worst])
+        best.take(rests[worst])
     return tuple(gone)
+
+
+def _not_transferred(best: BestSet, validation: Regression | None) -> tuple[Candidate, ...]:
+    """Causes that leave the best set, for with them another recording is predicted worse than without them."""
+    if validation is None:
+        return ()
+
+    def error(choices: Sequence[Candidate]) -> float:
+        # In units of what each channel varies by, for a cause may act on several.
+        left = rms(best.fit_of(choices).residual(validation), validation.use)
+        return float(np.sum((left / np.maximum(spread(validation.measured, validation.use), 1e-300)) ** 2))
+
+    def gains(rests: list[list[Candidate]]) -> list[float]:
+        whole = error(best.choices)
+        return [error(rest) - whole for rest in rests]
+
+    return _without_needless(best, gains, 0.0)
 
 
 def _not_told_from_nothing(best: BestSet) -> tuple[Candidate, ...]:
     """Causes that leave the best set, for the odds against nothing in their place are low beside their error."""
-    left: list[Candidate] = []
-    while best.choices:
-        rests = [[c for c in best.choices if c is not choice] for choice in best.choices]
-        against = [WeighedSet("", 0, best.better(best.choices, rest),
-                              standard_error(best.better_by_block(best.choices, rest))).moderated for rest in rests]
-        worst = int(np.argmin(against))
-        if against[worst] >= LEAST_ODDS:
-            break
-        left.append(best.choices[worst])
-        best.take(rests[worst])
-    return tuple(left)
+    return _without_needless(best, lambda rests: [_weighed(best, rest)[0].moderated for rest in rests], LEAST_ODDS)
+
+
+def _weighed(best: BestSet, instead: Sequence[Candidate], other: Candidate | None = None) -> tuple[WeighedSet, Array]:
+    """A set in the place of the best one, and what each block of time, or pair of blocks, adds to the difference.
+
+    Args:
+        best: the search.
+        instead: the set.
+        other: the cause of it that stands in the place of one of the best set; None where nothing does.
+    """
+    # Ten pieces of time are enough for a standard error; when a cause shows is asked of all.
+    gain = best.better_by_block(best.choices, instead, 1 if other is None else 2)
+    nats, std = best.better(best.choices, instead), standard_error(gain)
+    return (WeighedSet("", 0, nats, std) if other is None else
+            WeighedSet(_name(other.effect), other.joint, nats, std, other.effect.learned)), gain
 
 
 # Why a cause is in the best set.
@@ -239,18 +263,10 @@ def argument(best: BestSet, own: Candidate) -> Argument:
     if best.learns:
         channel = best.regression.channel_of(own.joint)
         others += [] if channel is None or own.effect.learned else best.curves_of(channel, [own])[:1]
-    sets, misfit = [], []
-    for other in others:
-        instead = rest if other is None else [*rest, other]
-        # Ten pieces of time are enough for a standard error; when a cause shows is asked of all.
-        gain = best.better_by_block(best.choices, instead, 1 if other is None else 2)
-        nats, std = best.better(best.choices, instead), standard_error(gain)
-        sets.append(WeighedSet("", 0, nats, std) if other is None else
-                    WeighedSet(_name(other.effect), other.joint, nats, std, other.effect.learned))
-        misfit.append(gain)
+    weighed = [_weighed(best, rest if other is None else [*rest, other], other) for other in others]
     whole = best.regression.domain.whole
-    share, when = _when(best, own, misfit[0])
-    ordered = sorted(sets, key=lambda s: s.nats)
+    share, when = _when(best, own, weighed[0][1])
+    ordered = sorted((each for each, _ in weighed), key=lambda s: s.nats)
     return Argument(own.effect.name, own.joint, own.effect.channel(own.joint),
                     f"joint {own.joint}" if own.joint else whole, tuple(ordered), when, share,
                     probability([s for s in ordered if not s.learned], own.effect.name))

@@ -70,6 +70,7 @@ class System:
         self.groups = {"W": Columns(base * use[:, :, None], everywhere),
                        "y": Columns((y * use)[:, :, None], everywhere)}
         self._posteriors: dict[tuple[str, ...], Posterior] = {}
+        self._besides: dict[tuple[str, tuple[str, ...]], tuple[Array, Array, Array]] = {}
         self.edges = np.array(time_blocks(self.N, MOST_BLOCKS, FEWEST_ROWS).edges)
         flat = ColouredNoise.of_autocovariance(np.array([1.0, 0.0]))
         self.channels = [_Channel(use[:, j].copy(), flat) for j in range(self.c)]
@@ -98,8 +99,15 @@ class System:
         self.groups.pop(key, None)
         for kept in [kept for kept in self._posteriors if key in kept]:
             del self._posteriors[kept]
+        for pair in [pair for pair in self._besides if key == pair[0] or key in pair[1]]:
+            del self._besides[pair]
         for channel in self.channels:
             channel.forget(key)
+
+    def _forget_sums(self) -> None:
+        """Forgets what was summed over channels with other noise or levels."""
+        self._posteriors.clear()
+        self._besides.clear()
 
     # Noise.
 
@@ -111,7 +119,7 @@ class System:
             explained: of each channel orthonormal columns ``(N, k)`` that hold no noise; what of the residual is along
                 them is left out.
         """
-        self._posteriors.clear()
+        self._forget_sums()
         for j, channel in enumerate(self.channels):
             if not channel.use.any():
                 continue
@@ -130,14 +138,14 @@ class System:
         """Takes a noise of each channel that is known from elsewhere, unless it has it."""
         for j, (channel, own) in enumerate(zip(self.channels, noise, strict=True)):
             if channel.noise is not own:
-                self._posteriors.clear()
+                self._forget_sums()
                 self.channels[j] = _Channel(channel.use, own)
 
     def with_levels(self, keys: Sequence[str]) -> Posterior:
         """Takes each channel's level from what groups leave, and returns their posterior at these levels."""
         for _ in range(2):
             fitted = self.posterior(keys)
-            self._posteriors.clear()
+            self._forget_sums()
             left = self.squares(keys, fitted.mean)
             for channel, squares, count in zip(self.channels, left, self.count, strict=True):
                 channel.weight = count / squares if count and squares > 0.0 else 0.0
@@ -257,6 +265,13 @@ class System:
 
     def beside(self, key: str, keys: Sequence[str]) -> tuple[Array, Array, Array]:
         """Weighted products of one more group with others ``(m, P)``, with itself ``(m, m)`` and with ``y (m,)``."""
+        asked = key, tuple(keys)
+        if asked not in self._besides:
+            self._besides[asked] = self._summed_beside(key, keys)
+        return self._besides[asked]
+
+    def _summed_beside(self, key: str, keys: Sequence[str]) -> tuple[Array, Array, Array]:
+        """See ``beside``."""
         places, group = self.places([*keys, "y"]), self.groups[key]
         products, own = np.zeros((group.m, places["y"].stop)), np.zeros((group.m, group.m))
         for j in group.channels:
