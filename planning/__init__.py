@@ -36,7 +36,8 @@ class OutOfReachError(PlanningError):
         if joint:
             cause = f"joint {joint} would be at {value:.3f}, its limit is {limit:.3f}"
         else:
-            cause = f"the arm stays {1e3 * error:.1f} mm away"
+            cause = (f"the arm stays {1e3 * error:.1f} mm away" if error >= 1e-4 else
+                     "the arm cannot turn the tool as it is wanted there")
         super().__init__(f"{place} is out of reach: {cause}; move the path nearer to the robot or turn the tool")
 
 

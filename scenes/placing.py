@@ -14,7 +14,7 @@ import numpy as np
 
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
-from ideal_robot.robots.size import reach, shoulder_height
+from ideal_robot.robots.size import mean_height, reach, shoulder_height
 from planning import OutOfReachError
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
@@ -25,7 +25,7 @@ from scenes.scene_files.line_scene import LineScene
 AHEAD = (0.6, 0.5, 0.7, 0.4)
 """Distances of the line from the base that are tried, relative to the reach …"""
 BELOW = (-0.2, -0.35, -0.05, 0.1, -0.5)
-"""… heights of the surface from the second joint …"""
+"""… heights of the surface from the second joint, and that at which the tool is on average …"""
 HEADINGS = (90.0, 0.0)
 """Of the line, across the arm or away from it; the second is tried where the first fits nowhere [deg] …"""
 SIZES = (0.75, 0.6, 0.45, 0.3)
@@ -135,8 +135,9 @@ def _candidates(scene: LineScene, robot: Robot, share: float, heading: float) ->
     size, shoulder = reach(robot), shoulder_height(robot)
     length = round(share * size, 2)
     turn = math.radians(heading)
-    for tool, below, ahead in product(TOOLS, BELOW, AHEAD):
-        height = round(max(shoulder + below * size, LOWEST), 2)
+    heights = dict.fromkeys(round(max(height, LOWEST), 2)
+                            for height in (*(shoulder + below * size for below in BELOW), mean_height(robot)))
+    for tool, height, ahead in product(TOOLS, heights, AHEAD):
         begin = np.array([ahead * size, 0.0]) - 0.5 * length * np.array([math.cos(turn), math.sin(turn)])
         origin = (round(float(begin[0]), 2), round(float(begin[1]), 2), height)
         yield resized(scene, length, origin, heading).changed(tool_mm=round(100.0 * tool * size) * 10.0)

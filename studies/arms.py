@@ -54,7 +54,7 @@ WITHOUT: dict[str, dict[str, Any]] = {
 """What is taken away from the world while the arm's model stays, by name."""
 ASSUMED = {"masses": "the links weigh", "some masses": "no arm's masses", "speeds": "no arm's speed limit",
            "efforts": "no effort", "end of a turn": "turns without end", "joints held": "is held",
-           "tool's direction": "last joint's axis"}
+           "tool's direction": "which is not the z axis"}
 """What is assumed of an arm, by words that `new` and `run` tell it with."""
 
 

@@ -39,6 +39,15 @@ GRIPPER = """<link name="hand"/><joint name="hand_joint" type="fixed"><parent li
 <link name="right"/><joint name="right_finger" type="prismatic"><parent link="hand"/><child link="right"/><axis xyz="0 -1 0"/>
 <limit lower="0" upper="0.04" effort="20" velocity="0.2"/><mimic joint="left_finger"/></joint>"""  # noqa: E501
 
+SCARA = """<robot name="scara"><link name="base_link"/><link name="a"/><link name="b"/><link name="c"/><link name="d"/>
+<joint name="j1" type="revolute"><parent link="base_link"/><child link="a"/><origin xyz="0 0 0.2"/><axis xyz="0 0 1"/>{limit}</joint>
+<joint name="j2" type="revolute"><parent link="a"/><child link="b"/><origin xyz="{one} 0 0"/><axis xyz="0 0 {up}"/>{limit}</joint>
+<joint name="j3" type="prismatic"><parent link="b"/><child link="c"/><origin xyz="{two} 0 0.05"/><axis xyz="0 0 {up}"/>
+<limit lower="-0.2" upper="0" effort="300" velocity="1"/></joint>
+<joint name="j4" type="revolute"><parent link="c"/><child link="d"/><origin xyz="0 0 0" rpy="{roll} 0 0"/><axis xyz="0 0 1"/>{limit}</joint>
+</robot>"""  # noqa: E501
+"""An arm of four joints, two of them upright, one that slides, one that turns the tool."""
+
 
 def urdf(joints: int = 6, *, mass: float | None = None, limit: str = 'lower="-2.9" upper="2.9" effort="0" velocity="0"',
          beyond: str = "", kind: str = "revolute") -> str:

@@ -182,43 +182,89 @@ def _facing_away(root: ET.Element, tree: _Tree, chain: list[ET.Element], link: s
                  ) -> str | None:
     """The tool link, or a frame added to it whose z axis leads away from the arm where the link's own does not.
 
-    The last joint's axis is the way that a tool points; URDFs of before the frame ``tool0`` have x along it. A frame is
-    added to ``root``, and told in ``changed``.
+    A tool lies along the last joint's axis, or beside it where that joint bends the wrist, and points from there; URDFs
+    of before the frame ``tool0`` have x along it. Where no joint can tilt the tool, as of a SCARA, it points down. A
+    frame is added to ``root``, and told in ``changed``.
     """
     moving = [joint for joint in chain if drives(joint)]
-    if link is None or len(moving) < 2 or moving[-1].get("type") == "prismatic":
+    if link is None or len(moving) < 2:
+        return link
+    if not _tilts(tree.path(link), moving):
+        place = _placed(tree.path(link))
+        down = place.rotation.T @ np.array([0.0, 0.0, -1.0])
+        if down[2] > _ASIDE:
+            return link
+        changed.append(f"the tool points down, which is not the z axis of {link}: no joint can tilt it")
+        return _turned(root, link, down)
+    if moving[-1].get("type") == "prismatic":
         return link
     beyond = _placed(tree.path(link), moving[-1])
     back = _placed(tree.path(_link(moving[-1], "child")), moving[-2])
     along = _axis(moving[-1])
     # The last joint's angle turns about the axis alone: what lies along it is the same at every angle.
     length = float(along @ (beyond.translation + back.rotation.T @ back.translation))
-    if abs(length) < _SHORT:
+    carried = beyond.translation
+    if np.linalg.norm(carried) < _SHORT:
+        carried = _carried(root, tree, _link(moving[-1], "child"))
+    beside = carried - along * (along @ carried)
+    aside = float(np.linalg.norm(beside))
+    ways = []
+    if abs(length) >= _SHORT:
+        ways.append((abs(length), math.copysign(1.0, length) * along, "points along the last joint's axis"))
+    if aside >= max(_SHORT, abs(length)):
+        ways.append((aside, beside / aside, "points away from the last joint, which bends the wrist"))
+    away = [(beyond.rotation.T @ way, says) for _, way, says in sorted(ways, key=lambda way: -way[0])]
+    if not away or any(way[2] > _ASIDE for way, _ in away):
         return link
-    away = beyond.rotation.T @ (math.copysign(1.0, length) * along)
-    if away[2] > _ASIDE:
-        return link
-    rpy = pin.rpy.matrixToRpy(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), away).matrix())
+    way, says = away[0]
+    changed.append(f"the tool {says}, which is not the z axis of {link}: give another link as tool_frame in the "
+                   "robot's TOML if it does not")
+    return _turned(root, link, way)
+
+
+def _tilts(path: list[ET.Element], moving: list[ET.Element]) -> bool:
+    """Whether a joint turns the tool about another axis than the vertical, in the posture of all joints at zero."""
+    upright = math.cos(math.radians(1.0))
+    return any(joint.get("type") != "prismatic"
+               and abs(float((_placed(path[: path.index(joint) + 1]).rotation @ _axis(joint))[2])) < upright
+               for joint in moving)
+
+
+def _carried(root: ET.Element, tree: _Tree, link: str) -> Array:
+    """The middle of what a link carries: its centre of mass and the places of what is put on it, in its frame [m]."""
+    element = next((one for one in root.findall("link") if one.get("name") == link), None)
+    inertial = None if element is None else element.find("inertial")
+    places = [] if inertial is None else [_origin(inertial).translation]
+    places += [_origin(tree.joints[child]).translation for child in tree.children.get(link, ())]
+    return np.mean(places, axis=0) if places else np.zeros(3)
+
+
+def _turned(root: ET.Element, link: str, way: Array) -> str:
+    """Adds a frame to a link whose z axis has a direction in the link's frame; its name."""
+    rpy = pin.rpy.matrixToRpy(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), way).matrix())
     name = f"{link}_away"
     joint = ET.SubElement(root, "joint", {"name": f"{name}_joint", "type": "fixed"})
     ET.SubElement(joint, "parent", {"link": link})
     ET.SubElement(joint, "child", {"link": name})
     ET.SubElement(joint, "origin", {"xyz": "0 0 0", "rpy": " ".join(f"{v:.12g}" for v in rpy)})
     ET.SubElement(root, "link", {"name": name})
-    changed.append(f"the tool points along the last joint's axis, which is not the z axis of {link}: give another link "
-                   "as tool_frame in the robot's TOML if it does not")
     return name
 
 
-def _placed(path: list[ET.Element], behind: ET.Element) -> pin.SE3:
-    """The place of a path's last link in the frame of a joint on it, all joints at zero."""
+def _placed(path: list[ET.Element], behind: ET.Element | None = None) -> pin.SE3:
+    """The place of a path's last link in the frame of a joint on it, the root's for None; all joints at zero."""
     place = pin.SE3.Identity()
-    for joint in path[path.index(behind) + 1:]:
-        origin = joint.find("origin")
-        xyz, rpy = (np.zeros(3) if origin is None else np.array([float(v) for v in origin.get(key, "0 0 0").split()])
-                    for key in ("xyz", "rpy"))
-        place = place * pin.SE3(pin.rpy.rpyToMatrix(rpy), xyz)
+    for joint in path[0 if behind is None else path.index(behind) + 1:]:
+        place = place * _origin(joint)
     return place
+
+
+def _origin(element: ET.Element) -> pin.SE3:
+    """The place that an element's ``origin`` says."""
+    origin = element.find("origin")
+    xyz, rpy = (np.zeros(3) if origin is None else np.array([float(v) for v in origin.get(key, "0 0 0").split()])
+                for key in ("xyz", "rpy"))
+    return pin.SE3(pin.rpy.rpyToMatrix(rpy), xyz)
 
 
 def _axis(joint: ET.Element) -> Array:

@@ -20,7 +20,8 @@ THICK = 0.045
 OFTEN = 0.5
 """Share of the postures all over its range in which shapes that overlap say nothing: they stand for neighbours."""
 NEIGHBOURS = 2
-"""Links so many joints apart touch each other by their gears, not by accident."""
+"""Links so many joints apart touch each other by their gears, not by accident. So do links whose joints are less apart
+than a link is thick, as those about the centre of a wrist."""
 BOARD = 0.02
 """Thickness of a surface [m]."""
 ON_THE_WAY = 12
@@ -86,7 +87,7 @@ class Shapes:
         self._geometry = pin.GeometryModel()
         links = self._links()
         for (i, shape), (j, other) in combinations(links, 2):
-            if j - i > NEIGHBOURS:
+            if j - i > NEIGHBOURS and self._between(i, j) > 2.0 * self._radius:
                 self._geometry.addCollisionPair(pin.CollisionPair(shape, other))
         self._planes(links, surface, size)
         self._drop_neighbours()
@@ -112,6 +113,11 @@ class Shapes:
     def touch_between(self, start: Array, end: Array) -> Touch | None:
         """The first touch on the straight way of the joints between two postures ``(n,)`` [rad]; None without one."""
         return self.first_touch(start + np.linspace(0.0, 1.0, ON_THE_WAY)[:, None] * (end - start))
+
+    def _between(self, first: int, last: int) -> float:
+        """Length of the links between two others, along the chain from joint to joint [m]."""
+        places = self._robot.pinocchio.jointPlacements
+        return sum(float(np.linalg.norm(places[joint].translation)) for joint in range(first + 2, last + 1))
 
     def _links(self) -> list[tuple[int, int]]:
         """Adds the links' shapes; joint that carries each, and its number."""

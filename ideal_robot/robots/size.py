@@ -162,9 +162,10 @@ def _speeds(robot: Robot, notes: list[str]) -> Array:
 def _efforts(robot: Robot, notes: list[str]) -> Array:
     """Efforts of the URDF; of the class where a joint's is none, cannot hold the arm or is a placeholder like those."""
     gravity, inertia = loads(robot)
-    usual = LIFTS * gravity + inertia * robot.v_max / RISE
-    usual = np.maximum(usual, WEAKEST * usual[~robot.prismatic].max(initial=0.0))
-    weak = np.isfinite(robot.tau_max) & ~(robot.tau_max > np.maximum(HOLDS * gravity, usual / TOO_WEAK))
+    asked = LIFTS * gravity + inertia * robot.v_max / RISE
+    usual = np.maximum(asked, WEAKEST * asked[~robot.prismatic].max(initial=0.0))
+    # By what the joint itself carries: what turns the base of a whole robot says nothing of its wrist.
+    weak = np.isfinite(robot.tau_max) & ~(robot.tau_max > np.maximum(HOLDS * gravity, asked / TOO_WEAK))
     # The same number at a joint that happens to be light is no better.
     missing = ~np.isfinite(robot.tau_max) | np.isin(robot.tau_max, robot.tau_max[weak])
     if missing.any():
@@ -192,3 +193,9 @@ def shoulder_height(robot: Robot) -> float:
     data = robot.pinocchio.createData()
     pin.forwardKinematics(robot.pinocchio, data, robot.home)
     return float(data.oMi[min(2, robot.n)].translation[2])
+
+
+def mean_height(robot: Robot) -> float:
+    """Height of the tool above the base plane z = 0, averaged over the arm's range [m]."""
+    fk = robot.fk()
+    return float(np.mean([fk(q).translation[2] for q in spread_postures(robot.q_min, robot.q_max)]))

@@ -58,7 +58,7 @@ def in_si(text: str) -> tuple[str, tuple[str, ...]]:
         return text, ()
     notes: list[str] = []
     size = STRETCHED * _lengths(root, joints, notes)
-    _limits(joints, notes)
+    _limits(joints, size, notes)
     _speeds(joints, size, notes)
     _masses(root, size, notes)
     return (ET.tostring(root, encoding="unicode"), tuple(notes)) if notes else (text, ())
@@ -82,7 +82,7 @@ def _lengths(root: ET.Element, joints: list[ET.Element], notes: list[str]) -> fl
     return total * factor
 
 
-def _limits(joints: list[ET.Element], notes: list[str]) -> None:
+def _limits(joints: list[ET.Element], size: float, notes: list[str]) -> None:
     """Converts position limits in degrees or millimetres; what no joint turns is no limit."""
     turning = {joint: _span(joint) for joint in joints if joint.get("type") == "revolute"}
     wound = [joint for joint, span in turning.items() if WOUND < span <= MOST_TURNED]
@@ -104,11 +104,21 @@ def _limits(joints: list[ET.Element], notes: list[str]) -> None:
     if endless:
         notes.append(f"limits of {_names(endless)} stand for none: one turn to either side is used")
     far = [joint for joint in joints if joint.get("type") == "prismatic" and FARTHEST < _span(joint) < math.inf]
-    for joint in far:
+    written = [joint for joint in far if _span(joint) <= FARTHEST / 1e-3]
+    for joint in written:
         for key in ("lower", "upper"):
             _scale(joint.find("limit"), key, 1e-3)
-    if far:
-        notes.append(f"limits of {_names(far)} are millimetres, times 0.001")
+    if written:
+        notes.append(f"limits of {_names(written)} are millimetres, times 0.001")
+    boundless = [joint for joint in far if joint not in written]
+    for joint in boundless:
+        limit = joint.find("limit")
+        if limit is not None:
+            limit.set("lower", f"{-size:.12g}")
+            limit.set("upper", f"{size:.12g}")
+    if boundless:
+        notes.append(f"limits of {_names(boundless)} stand for none: the arm's reach, {size:.2g} m, is used to either "
+                     "side")
 
 
 def _speeds(joints: list[ET.Element], size: float, notes: list[str]) -> None:

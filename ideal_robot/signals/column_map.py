@@ -80,11 +80,13 @@ class ColumnMap:
         of: our name → where it comes from.
         joints: names of the joints, in the order of their numbers; empty where the titles only count.
         given: whether the user gave it.
+        rate: of the samples [Hz], of a table without a clock.
     """
 
     of: dict[str, Source]
     joints: tuple[str, ...] = ()
     given: bool = field(default=False, compare=False)
+    rate: float | None = None
 
     def applied(self, columns: Mapping[str, Array], meta: dict[str, Any]) -> tuple[dict[str, Array], dict[str, Any]]:
         """Columns ``(N,)`` under our names and in our units, others as they were, and what was read as what."""
@@ -94,6 +96,9 @@ class ColumnMap:
         for name, source in self.of.items():
             values = columns[source.title]
             result[name] = values if source.factor == 1.0 else np.asarray(values, dtype=float) * source.factor
+        if self.rate is not None:
+            result["t"] = np.arange(len(next(iter(columns.values()), ()))) / self.rate
+            said.append(f"clock: samples are counted at {self.rate:g} Hz")
         t, unit = _from_epoch(result["t"]) if "t" in result else (None, "")
         if t is not None and "t" in result and t is not result["t"]:
             result["t"] = t
@@ -140,10 +145,12 @@ def given_map(path: Path, titles: Sequence[str]) -> ColumnMap:
 
     A key is one of docs/files.md without the joint's number: its value is a title, a list of titles (one a joint), or a
     pattern with the joint's number in braces, ``{0}`` counted from 0 and ``{1}`` from 1; or a table with ``column`` or
-    ``columns``, ``factor`` (a number or one a joint) and ``unit``. ``joints`` lists the joints' names.
+    ``columns``, ``factor`` (a number or one a joint) and ``unit``. ``joints`` lists the joints' names. ``t`` of a table
+    without a clock is a table with its ``rate`` [Hz].
     """
     of: dict[str, Source] = {}
     joints: tuple[str, ...] = ()
+    rate: float | None = None
     known = set(titles)
     for key, value in read_toml(path, "a map of columns").items():
         if key == "joints":
@@ -153,6 +160,9 @@ def given_map(path: Path, titles: Sequence[str]) -> ColumnMap:
             raise InputError(f"{did_you_mean(key, (*OF_JOINTS, *SINGLE))}expected joints or one of "
                              f"{', '.join((*SINGLE[:1], *OF_JOINTS, *SINGLE[1:]))}", file=path, field=key)
         table = value if isinstance(value, dict) else {"columns": value}
+        if key == "t" and "rate" in table:
+            rate = _rate(table, path)
+            continue
         if odd := sorted(set(table) - {"column", "columns", "factor", "unit"}):
             raise InputError("expected columns (or column), factor, unit", file=path, field=f"{key}.{odd[0]}")
         named = _titles(table.get("columns", table.get("column")), known, path, key)
@@ -161,15 +171,48 @@ def given_map(path: Path, titles: Sequence[str]) -> ColumnMap:
             raise InputError(f"expected the title of one column, not {len(named)}", file=path, field=key)
         names = [key] if key in SINGLE else [f"{key}_{j + 1}" for j in range(len(named))]
         of.update({name: Source(title, factor) for name, title, factor in zip(names, named, factors, strict=True)})
+    # A clock that says what it is need not be named.
+    if "t" not in (*of, *known) and rate is None and (time := _time(titles)):
+        of["t"] = time
     for wanted in ("t", "q_1"):
-        if wanted not in of and wanted not in known:
+        if wanted not in of and wanted not in known and (wanted != "t" or rate is None):
             raise InputError(f"maps no column to {wanted.partition('_')[0]}; the table's columns are "
                              f"{listed_titles(titles)}", file=path, field=wanted.partition("_")[0])
-    return ColumnMap(of, joints, given=True)
+    return ColumnMap(of, joints, given=True, rate=rate)
+
+
+def _rate(table: Mapping[str, Any], path: Path) -> float:
+    """The rate of the samples of a table without a clock [Hz]."""
+    rate = table["rate"]
+    if len(table) > 1 or isinstance(rate, bool) or not isinstance(rate, (int, float)) or not 0.0 < rate < math.inf:
+        raise InputError("expected the samples' rate alone, a number above 0 [Hz]", file=path, field="t.rate",
+                         value=rate)
+    return float(rate)
 
 
 def listed_titles(titles: Sequence[str]) -> str:
-    """Titles for a message, the first of them where they are many."""
+    """Titles for a message, those that only count as one pattern of a map, the first of them where they are many."""
+    runs: dict[str, list[int]] = {}
+    for title in titles:
+        for number in re.finditer(r"\d+", title):
+            runs.setdefault(_pattern(title, number), []).append(int(number[0]))
+    counted = {pattern: numbers for pattern, numbers in runs.items()
+               if len(numbers) > 2 and numbers == list(range(numbers[0], numbers[0] + len(numbers))) and numbers[0] < 2}
+    shown: dict[str, None] = {}
+    for title in titles:
+        pattern = next((found for number in re.finditer(r"\d+", title)
+                        if (found := _pattern(title, number)) in counted), None)
+        shown[title if pattern is None else
+              f"{pattern.replace('{}', f'{{{counted[pattern][0]}}}')} ({len(counted[pattern])})"] = None
+    return _listed_first(list(shown))
+
+
+def _pattern(title: str, number: re.Match[str]) -> str:
+    """A title with a place in the stead of one of its numbers."""
+    return f"{title[: number.start()]}{{}}{title[number.end():]}"
+
+
+def _listed_first(titles: Sequence[str]) -> str:
     return (", ".join(titles[:_LISTED]) + (f" and {len(titles) - _LISTED} more" if len(titles) > _LISTED else "")
             or "none")
 

@@ -266,9 +266,10 @@ class Recording(Summarised):
             if "t" not in values or not any(name.startswith("q_") for name in values):
                 missing = "t [s]" if "t" not in values else "q_1 [rad]"
                 if "t" not in values or meta.get("reading"):
+                    clock = ", and of a table without a clock its rate, t = {rate = 100}" * ("t" not in values)
                     raise InputError(f"a recording needs the column {missing}; columns are "
-                                     f"{listed_titles([*values, *words])}; say which is which with --columns map.toml "
-                                     "(docs/files.md)", file=path, field=missing.split()[0])
+                                     f"{listed_titles([*values, *words])}; say which is which with --columns map.toml"
+                                     f"{clock} (docs/files.md)", file=path, field=missing.split()[0])
         if joints is not None:
             values, meta = of_joints(values, meta, joints, str(path))
         return cls(values, meta, str(path))

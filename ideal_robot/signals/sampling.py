@@ -87,7 +87,8 @@ _TIES = 0.2
 def rising_stamps(recording: Recording) -> tuple[Recording, list[str]]:
     """The recording with stamps that rise, and what was done; as it is where that cannot be said.
 
-    Samples of a handful of stamps that fall are left out. Stamps of too few digits, many of them alike, are put on a
+    Recordings one after another, each with a clock of its own, are joined with a pause between them. Samples of a
+    handful of stamps that fall are left out. Stamps of too few digits, many of them alike, are put on a
     clock: an even one, or one that spreads the samples of a stamp evenly, whichever the positions are smoother over.
     """
     t = recording.t
@@ -107,6 +108,8 @@ def rising_stamps(recording: Recording) -> tuple[Recording, list[str]]:
         return (replace(recording, columns={**recording.columns, "t": np.ascontiguousarray(clock)}),
                 [f"coarse-stamps: stamps come in steps of {1e3 * quantum:.3g} ms, samples every {1e3 * step:.3g} ms; "
                  f"they are put on {how}"])
+    if (joined := _joined(recording)) is not None:
+        return joined
     rising = _longest_rising(t)
     rising &= _together(t, rising)
     bad = int((~rising).sum())
@@ -117,6 +120,23 @@ def rising_stamps(recording: Recording) -> tuple[Recording, list[str]]:
                                         for name, values in recording.columns.items()}),
             [f"bad-stamps: {bad} samples whose stamps are not among the others' are left out (first: sample "
              f"{first + 1}, t = {t[first]:.6g} s)"])
+
+
+def _joined(recording: Recording) -> tuple[Recording, list[str]] | None:
+    """The recording with one clock for all of its parts, each of which has its own; None where it is not made so."""
+    t, steps = recording.t, np.diff(recording.t)
+    begins = np.concatenate([[0], np.flatnonzero((steps < 0.0) | (steps > LONGEST_PAUSE)) + 1])
+    ends = np.concatenate([begins[1:], [len(t)]])
+    parts = [t[begin:end] for begin, end in zip(begins, ends, strict=True)]
+    if len(parts) < 2 or min(map(len, parts)) < WINDOW or any(np.any(np.diff(part) <= 0.0) for part in parts):
+        return None
+    shifts = _one_after_another(parts)
+    shift = np.repeat(shifts, ends - begins)
+    columns = {name: np.ascontiguousarray(values + shift) if name in _TIMES else values
+               for name, values in recording.columns.items()}
+    return replace(recording, columns=columns), [
+        f"joined: the clock starts anew {len(parts) - 1} times, first at sample {begins[1] + 1}; the parts follow each "
+        "other after a pause"]
 
 
 def _even_clock(t: Array, quantum: float) -> Array | None:
@@ -388,19 +408,25 @@ def shortened(recording: Recording) -> tuple[Recording, list[str]]:
     parts, warnings = stretches([recording])
     if not warnings:
         return recording, []
-    shifts: list[float] = []
-    end = 0.0
-    for part in parts:
-        step = float(part.t[-1] - part.t[0]) / max(len(part.t) - 1, 1)
-        begin = end + max(_PAUSE, _STEPS * step) if shifts else float(part.t[0])
-        shifts.append(begin - float(part.t[0]))
-        end = float(part.t[-1]) + shifts[-1]
+    shifts = _one_after_another([part.t for part in parts])
     columns = {name: np.concatenate([part.columns[name] + (shift if name in _TIMES else 0.0)
                                      for part, shift in zip(parts, shifts, strict=True)])
                for name in recording.columns}
     for values in columns.values():
         values.setflags(write=False)
     return replace(recording, columns=columns), [f"{warnings[0]}; the time between them is taken out"]
+
+
+def _one_after_another(parts: Sequence[Array]) -> list[float]:
+    """What is added to the times of recordings, so that each follows the one before after a pause [s]."""
+    shifts: list[float] = []
+    end = 0.0
+    for t in parts:
+        step = float(t[-1] - t[0]) / max(len(t) - 1, 1)
+        begin = end + max(_PAUSE, _STEPS * step) if shifts else float(t[0])
+        shifts.append(begin - float(t[0]))
+        end = float(t[-1]) + shifts[-1]
+    return shifts
 
 
 def _part(recording: Recording, start: int, rows: int) -> Recording:

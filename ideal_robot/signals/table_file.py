@@ -40,9 +40,10 @@ _UNPACKED = 8
 def read_table(path: Path) -> tuple[dict[str, Array], dict[str, Any], list[str]]:
     """Columns ``(N,)`` by name, the metadata, and the names of columns that are not of numbers, which are left out.
 
-    Of a Parquet file, or of a CSV file by its ending. Of large tables the columns lie in a file without a name,
-    read-only, and are filled piece by piece. Raises InputError for a file that is not readable or larger than the
-    bounds, a column twice, metadata that is no table.
+    Of a Parquet file, or of a CSV file by its ending. Dates are seconds since 1970, times of the day seconds since
+    midnight; lists of one length in a Parquet file are columns ``name_0``, ``name_1``, …. Of large tables the columns
+    lie in a file without a name, read-only, and are filled piece by piece. Raises InputError for a file that is not
+    readable or larger than the bounds, a column twice with other values, metadata that is no table.
     """
     try:
         return _csv(path) if path.suffix.lower() == ".csv" else _parquet(path)
@@ -60,25 +61,72 @@ def _parquet(path: Path) -> tuple[dict[str, Array], dict[str, Any], list[str]]:
     with pq.ParquetFile(path) as file:
         schema, rows = file.schema_arrow, file.metadata.num_rows
         _check_names(schema.names, path)
-        names = [field.name for field in schema if _numeric(field.type)]
-        TABLE_VALUES.check(rows * len(schema.names), path, "cut it into pieces")
-        check_unfolding(TABLE_UNFOLDING, rows * len(schema.names) * _UNPACKED, path.stat().st_size, path)
+        widths = _widths(file)
+        names = [field.name for field in schema if _numeric(field.type) or field.name in widths]
+        unfolded = [title for name in names for title in _unfolded(name, widths.get(name))]
+        _check_names(unfolded, path)
+        TABLE_VALUES.check(rows * max(len(schema.names), len(unfolded)), path, "cut it into pieces")
+        check_unfolding(TABLE_UNFOLDING, rows * len(unfolded) * _UNPACKED, path.stat().st_size, path)
         raw = (schema.metadata or {}).get(b"ideal_robot")
-        pieces = file.iter_batches(_rows_of_a_piece(len(schema.names)), columns=names)
-        columns, words = _filled((piece.to_pandas(ignore_metadata=True) for piece in pieces), names, rows)
+        pieces = file.iter_batches(_rows_of_a_piece(max(len(schema.names), len(unfolded))), columns=names)
+        columns, words = _filled((_flat(piece, widths, path) for piece in pieces), unfolded, rows)
     words += [name for name in schema.names if name not in names]
     meta = {} if raw is None else _metadata(raw, path)
     # A file that was made of another one carries what its reader said of the other: it is dropped.
-    return columns, {key: value for key, value in meta.items() if key != "reading"}, words
+    meta = {key: value for key, value in meta.items() if key != "reading"}
+    if widths:
+        said = ", ".join(f"{name} of {width} values" for name, width in widths.items())
+        meta["reading"] = [f"lists: {said}, a column each, counted from 0"]
+    return columns, meta, words
+
+
+def _widths(file: Any) -> dict[str, int]:
+    """How many numbers each value of a column of lists holds, by the first of them; of columns of lists alone."""
+    import pyarrow as pa
+
+    listed = [field.name for field in file.schema_arrow
+              if (pa.types.is_list(field.type) or pa.types.is_large_list(field.type)
+                  or pa.types.is_fixed_size_list(field.type)) and _numeric(field.type.value_type)]
+    if not listed or not file.metadata.num_rows:
+        return {}
+    first = next(file.iter_batches(1, columns=listed)).to_pylist()[0]
+    return {name: len(first[name]) for name in listed if first[name]}
+
+
+def _unfolded(name: str, width: int | None) -> list[str]:
+    return [name] if width is None else [f"{name}_{k}" for k in range(width)]
+
+
+def _flat(piece: Any, widths: dict[str, int], path: Path) -> pd.DataFrame:
+    """A piece of a Parquet file with a column for each place of its lists; InputError for lists of another length."""
+    import pandas as pd
+    import pyarrow as pa
+
+    columns: dict[str, Any] = {}
+    for name, column in zip(piece.schema.names, piece.columns, strict=True):
+        if name not in widths:
+            columns[name] = column.to_pandas()
+            continue
+        lengths = column.value_lengths() if hasattr(column, "value_lengths") else None
+        values = column.flatten()
+        if len(values) != widths[name] * len(column) or (
+                lengths is not None and not pa.types.is_fixed_size_list(column.type)
+                and (np.asarray(lengths) != widths[name]).any()):
+            raise InputError(f"its lists are not all of {widths[name]} values; write a column for each joint",
+                             file=path, field=_shown(name))
+        table = np.asarray(values.to_numpy(zero_copy_only=False), dtype=float).reshape(-1, widths[name])
+        columns.update({title: table[:, k] for k, title in enumerate(_unfolded(name, widths[name]))})
+    return pd.DataFrame(columns)
 
 
 def _numeric(type_: Any) -> bool:
-    """Whether an Arrow type is one of numbers; text is not even unpacked."""
+    """Whether an Arrow type is one of numbers or stamps; text is not even unpacked."""
     import pyarrow as pa
 
     kind = type_.value_type if pa.types.is_dictionary(type_) else type_
     return any(of(kind) for of in (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean,
-                                   pa.types.is_decimal, pa.types.is_null))
+                                   pa.types.is_decimal, pa.types.is_null,
+                                   pa.types.is_timestamp))
 
 
 def _csv(path: Path) -> tuple[dict[str, Array], dict[str, Any], list[str]]:
@@ -86,19 +134,43 @@ def _csv(path: Path) -> tuple[dict[str, Array], dict[str, Any], list[str]]:
 
     rows = _lines(path)
     form = _layout(path)
-    _check_names(form.titles, path)
+    TABLE_COLUMNS.check(len(form.titles), path)
+    titles = _apart(form.titles)
     # An empty value takes a byte, its comma.
     TABLE_VALUES.check(min(rows * len(form.titles), path.stat().st_size), path, "cut it into pieces")
     with warnings.catch_warnings():
         # Rows of more values than there are names, which pandas would cut.
         warnings.simplefilter("error", pd.errors.ParserWarning)
         with pd.read_csv(path.absolute(), index_col=False, low_memory=False, sep=form.separator, decimal=form.decimal,
-                         names=form.titles, header=None, skiprows=form.skipped, encoding=form.encoding,
+                         names=titles, header=None, skiprows=form.skipped, encoding=form.encoding,
                          skipinitialspace=True, chunksize=_rows_of_a_piece(len(form.titles))) as pieces:
             columns, words = _filled(pieces, None, rows)
     unnamed = [name for name in form.unnamed if name in columns and np.isnan(columns[name]).all()]
-    return ({name: values for name, values in columns.items() if name not in unnamed},
-            {"reading": [form.said]} if form.said else {}, words)
+    twice = dict(zip(titles, form.titles, strict=True))
+    again = [name for name in titles if name != twice[name]]
+    for name in again:
+        own, other = columns.get(name), columns.get(twice[name])
+        if (own is None or other is None) != (own is other) or (
+                own is not None and other is not None and not np.array_equal(own, other, equal_nan=True)):
+            raise InputError("the column stands in the file twice, with other values; rename one of them", file=path,
+                             field=_shown(twice[name]))
+    said = [form.said] * bool(form.said)
+    said += [f"left-out: {', '.join(dict.fromkeys(twice[name] for name in again))}, which stand in the file twice with "
+             "the same values, once"] * bool(again)
+    return ({name: values for name, values in columns.items() if name not in (*unnamed, *again)},
+            {"reading": said} if said else {}, [name for name in words if name not in again])
+
+
+def _apart(titles: list[str]) -> list[str]:
+    """Titles of which none stands twice: a second one has a number behind it."""
+    apart: dict[str, None] = {}
+    for title in titles:
+        name, number = title, 1
+        while name in apart or (name != title and name in titles):
+            number += 1
+            name = f"{title} ({number})"
+        apart[name] = None
+    return list(apart)
 
 
 # How a text file is a table: what stands between its values, before them and over them.
@@ -219,11 +291,35 @@ def _filled(frames: Iterable[pd.DataFrame], names: list[str] | None, most: int) 
     return {name: values[:count] for name, values in finished(columns).items() if name not in words}, list(words)
 
 
+_DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
+_TIME_OF_DAY = re.compile(r"\d{1,2}:\d\d:\d\d")
+
+
 def _numbers(column: pd.Series) -> Array | None:
+    """The values of a column ``(N,)``, of dates and times of the day their seconds; None where they are text."""
+    if column.dtype.kind == "M":
+        return _seconds(column)
     if column.dtype.kind not in "fiubO":
         return None
     try:
         return np.array(column, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        return _seconds(column)
+
+
+def _seconds(column: pd.Series) -> Array | None:
+    """Seconds since 1970 of dates, since midnight of times of the day ``(N,)``; None where a column is neither."""
+    import pandas as pd
+
+    first = str(column.iloc[0]) if len(column) else ""
+    try:
+        if column.dtype.kind == "M" or _DATE.match(first):
+            since = pd.to_datetime(column, format="ISO8601", utc=True) - pd.Timestamp(0, tz="UTC")
+        elif _TIME_OF_DAY.match(first):
+            since = pd.to_timedelta(column)
+        else:
+            return None
+        return np.array(since.dt.total_seconds(), dtype=float)
     except (TypeError, ValueError, OverflowError):
         return None
 

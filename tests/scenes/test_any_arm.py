@@ -39,7 +39,7 @@ from scenes.scene_files.scene import Scene, SceneError, boxes_of
 from sim.arm.generic import FOLLOWED, MARGIN, STEP, fastest, generic_world, growth
 from sim.arm.world import World
 from studies.report import scene_of
-from tests.arms import GRIPPER, urdf, written
+from tests.arms import GRIPPER, SCARA, urdf, written
 from tests.sources import ROOT
 
 
@@ -64,6 +64,14 @@ def test_a_line_is_placed_where_a_bare_arm_reaches_it(joints: int, beyond: str, 
     scene = placed(written(tmp_path, urdf(joints, beyond=beyond)), tmp_path)
     assert scene.speed >= 0.1
     assert (fits(scene, scene.arm) or 0.0) >= scene.speed
+
+
+@pytest.mark.slow
+def test_a_line_is_placed_where_the_tool_of_a_scara_is(tmp_path: Path) -> None:
+    """Heights were counted from the second joint alone, which is no matter to an arm whose tool slides up and down."""
+    limit = '<limit lower="-2.7" upper="2.7" effort="60" velocity="5"/>'
+    scene = placed(written(tmp_path, SCARA.format(limit=limit, one=0.3, two=0.25, up=1, roll=0.0)), tmp_path)
+    assert 0.05 < scene.surface.origin[2] < 0.25
 
 
 def drawn_arm(rng: np.random.Generator) -> str:

@@ -22,7 +22,7 @@ from ideal_robot.robots.interface import CatchUp
 from ideal_robot.robots.robot import Robot
 from ideal_robot.robots.size import of_its_size, reach
 from ideal_robot.robots.urdf import without_meshes
-from tests.arms import GRIPPER, urdf, written
+from tests.arms import GRIPPER, INERTIAL, LINK, SCARA, urdf, written
 
 URDF = """<robot name="one">
 <link name="base"/>
@@ -286,6 +286,64 @@ def test_a_tool_frame_with_x_ahead_gets_one_with_z_ahead(tmp_path: Path) -> None
     named = Robot.load(robot.urdf)
     assert named.assumed == ()
     np.testing.assert_allclose(named.fk()(q).rotation[:, 0], usual.fk()(q).rotation[:, 2], atol=1e-6)
+
+
+@pytest.mark.parametrize("own", [(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0)])
+def test_a_tool_beside_a_joint_that_bends_the_wrist_points_from_it(own: tuple[float, ...], tmp_path: Path) -> None:
+    """Of arms of five joints that end in a bend the joint's axis was taken for the tool's direction."""
+    text = urdf(5)
+    for joint, axis in ((4, "0 0 1"), (5, "0 1 0")):
+        text = re.sub(rf'(name="joint_{joint}".*?<axis xyz=)"[^"]*"', rf'\1"{axis}"', text)
+    turn = pin.rpy.matrixToRpy(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), np.array(own)).matrix())
+    text = re.sub(r'(<child link="tool0"/><origin) xyz="[^"]*" rpy="[^"]*"',
+                  rf'\1 xyz="0.12 0.002 0" rpy="{" ".join(f"{value:.9g}" for value in turn)}"', text)
+    robot = Robot.load(written(tmp_path, text))
+    np.testing.assert_allclose(robot.fk()(np.zeros(5)).rotation[:, 2], [1.0, 0.0, 0.0], atol=1e-6)
+    assert any("bends the wrist" in said for said in robot.assumed) == (own[0] < 0.5)
+
+
+@pytest.mark.parametrize(("up", "roll"), [(1, 0.0), (1, np.pi), (-1, 0.0)])
+def test_what_no_joint_can_tilt_points_down(up: int, roll: float, tmp_path: Path) -> None:
+    limit = '<limit lower="-2.5" upper="2.5" effort="50" velocity="4"/>'
+    robot = Robot.load(written(tmp_path, SCARA.format(limit=limit, one=0.3, two=0.25, up=up, roll=roll)))
+    assert robot.n == 4
+    np.testing.assert_allclose(robot.fk()(robot.home).rotation[:, 2], [0.0, 0.0, -1.0], atol=1e-9)
+    assert (roll == 0.0) == any("points down" in said for said in robot.assumed)
+
+
+@pytest.mark.parametrize("heavy", [20.0, 300.0])
+def test_the_efforts_of_an_arm_on_a_turntable_and_a_carriage_are_its_makers(heavy: float, tmp_path: Path) -> None:
+    limit = 'lower="-2.9" upper="2.9" effort="{}" velocity="3"'
+    efforts = [300.0, 290.0, 200.0, 25.0, 22.0, 20.0]
+    text = urdf(6, mass=4.0, limit=limit)
+    for effort in efforts:
+        text = text.replace("{}", f"{effort:g}", 1)
+    base = LINK.format(name="{}", inertial=INERTIAL.format(mass=heavy, inertia=0.1 * heavy))
+    below = (base.format("car") + base.format("table") + base.format("floor")
+             + '<joint name="turntable" type="revolute"><parent link="floor"/><child link="table"/><axis xyz="0 0 1"/>'
+             '<limit lower="-999999" upper="999999" effort="87" velocity="4"/></joint>'
+             '<joint name="carriage" type="prismatic"><parent link="table"/><child link="car"/><axis xyz="1 0 0"/>'
+             '<limit lower="-999999" upper="999999" effort="87" velocity="4"/></joint>'
+             '<joint name="mount" type="fixed"><parent link="car"/><child link="base_link"/></joint>')
+    robot = of_its_size(Robot.load(written(tmp_path, text.replace('<link name="base_link"/>',
+                                                                  '<link name="base_link"/>' + below, 1))))
+    assert robot.n == 8
+    np.testing.assert_allclose(robot.tau_max[2:], efforts)
+    assert robot.q_max[1] < 5.0
+    assert any("carriage stand for none" in said for said in robot.assumed)
+
+
+def test_links_about_the_centre_of_a_wrist_are_neighbours(tmp_path: Path) -> None:
+    """An arm of seven joints whose last three meet in a point was said to touch itself wherever its wrist bends."""
+    limit = 'lower="-2" upper="2" effort="100" velocity="2"'
+    text = urdf(7, mass=3.0, limit=limit)
+    places = [found.span(1) for found in re.finditer(r'<origin xyz="([^"]*)"/><axis', text)]
+    for joint in (6, 5):
+        begin, end = places[joint]
+        text = text[:begin] + "0 0 0" + text[end:]
+    robot = of_its_size(Robot.load(written(tmp_path, text)))
+    bent = np.array([0.0, 0.5, 0.0, 0.8, 0.0, 1.9, 0.0])
+    assert Shapes(robot).first_touch(np.array([bent])) is None
 
 
 def test_a_finger_is_no_tool_and_a_fixed_joint_follows_none(tmp_path: Path) -> None:

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -111,7 +113,7 @@ def test_a_line_of_units_and_a_separator_at_the_end(tmp_path: Path) -> None:
 def test_a_map_names_columns_factors_and_joints(tmp_path: Path) -> None:
     frame = table(lambda j: (f"ang{j}", f"x{j}"), "clock", 1e3 * T, np.degrees(1.0))
     frame.to_csv(tmp_path / "r.csv", index=False)
-    with pytest.raises(InputError, match=r"columns are clock, ang0.*--columns"):
+    with pytest.raises(InputError, match=r"columns are clock, ang\{0\} \(6\).*--columns"):
         Recording.read(tmp_path / "r.csv")
     gains = np.arange(1.0, 7.0)
     (tmp_path / "map.toml").write_text(
@@ -148,6 +150,82 @@ def test_epoch_stamps_count_from_the_first(factor: float, digits: int, tmp_path:
 
 
 # Stamps.
+
+@pytest.mark.parametrize("rate", [50.0, 250.0])
+def test_a_table_without_a_clock_is_read_at_a_rate(rate: float, tmp_path: Path) -> None:
+    table(lambda j: (f"joint{j}", f"load{j}"), "row").drop(columns="row").to_csv(tmp_path / "r.csv", index=False)
+    with pytest.raises(InputError, match=r"joint\{0\} \(6\), load\{0\} \(6\).*rate"):
+        Recording.read(tmp_path / "r.csv")
+    (tmp_path / "map.toml").write_text(f't = {{rate = {rate}}}\nq = "joint{{0}}"\ntau = "load{{0}}"\n')
+    read = Recording.read(tmp_path / "r.csv", columns=tmp_path / "map.toml")
+    np.testing.assert_allclose(read.t, np.arange(ROWS) / rate)
+    np.testing.assert_allclose(read.joints("tau"), TAU)
+    assert any(text.startswith("clock: ") for text in read.meta["reading"])
+    (tmp_path / "map.toml").write_text('t = {rate = 0}\nq = "joint{0}"\n')
+    with pytest.raises(InputError, match="rate"):
+        Recording.read(tmp_path / "r.csv", columns=tmp_path / "map.toml")
+
+
+def test_a_map_need_not_name_a_clock_that_names_itself(tmp_path: Path) -> None:
+    table(lambda j: (f"joint{j}", f"load{j}"), "timestamp").to_csv(tmp_path / "r.csv", index=False)
+    (tmp_path / "map.toml").write_text('q = "joint{0}"\n')
+    np.testing.assert_allclose(Recording.read(tmp_path / "r.csv", columns=tmp_path / "map.toml").t, T)
+
+
+@pytest.mark.parametrize("joint", range(3))
+def test_a_column_that_stands_there_twice(joint: int, tmp_path: Path) -> None:
+    frame = table(lambda j: (f"q_{j + 1}", f"tau_{j + 1}"), "t")
+    again = pd.concat([frame, frame[[f"tau_{joint + 1}"]]], axis=1)
+    again.to_csv(tmp_path / "r.csv", index=False)
+    read = Recording.read(tmp_path / "r.csv")
+    np.testing.assert_allclose(read.joints("tau"), TAU)
+    assert any(f"tau_{joint + 1}" in text and "twice" in text for text in read.meta["reading"])
+    again.iloc[:, -1] += 1.0
+    again.to_csv(tmp_path / "r.csv", index=False)
+    with pytest.raises(InputError, match="rename"):
+        Recording.read(tmp_path / "r.csv")
+
+
+@pytest.mark.parametrize("form", ["%Y-%m-%d %H:%M:%S.%f", "%Y-%m-%dT%H:%M:%S.%f+00:00", "%H:%M:%S.%f"])
+def test_dates_and_times_of_the_day_are_a_clock(form: str, tmp_path: Path) -> None:
+    frame = table(lambda j: (f"q_{j + 1}", f"tau_{j + 1}"), "t")
+    stamps = pd.Timestamp("2025-07-03 14:01:15.37") + pd.to_timedelta(T, unit="s")
+    frame["t"] = stamps.strftime(form)
+    frame.to_csv(tmp_path / "r.csv", index=False)
+    read = Recording.read(tmp_path / "r.csv")
+    np.testing.assert_allclose(read.t - read.t[0], T, atol=2e-6)
+    frame["t"] = stamps
+    frame.to_parquet(tmp_path / "r.parquet")
+    read = Recording.read(tmp_path / "r.parquet")
+    np.testing.assert_allclose(read.t - read.t[0], T, atol=2e-6)
+
+
+@pytest.mark.parametrize("fixed", [True, False])
+def test_lists_in_a_table_are_a_column_for_each_joint(fixed: bool, tmp_path: Path) -> None:
+    kind = pa.list_(pa.float64(), N if fixed else -1)
+    lists = {"timestamp": pa.array(T), "position": pa.array(list(Q), kind), "effort": pa.array(list(TAU), kind)}
+    pq.write_table(pa.table(lists), tmp_path / "r.parquet")
+    read = Recording.read(tmp_path / "r.parquet")
+    np.testing.assert_allclose(read.joints("q"), Q)
+    np.testing.assert_allclose(read.joints("tau"), TAU)
+    short = [*TAU[:-1], TAU[-1][:3]]
+    if not fixed:
+        pq.write_table(pa.table({**lists, "effort": pa.array(short, kind)}), tmp_path / "r.parquet")
+        with pytest.raises(InputError, match="lists"):
+            Recording.read(tmp_path / "r.parquet")
+
+
+@pytest.mark.parametrize("parts", [2, 4])
+def test_recordings_one_after_another_are_joined(parts: int) -> None:
+    t = np.concatenate([T + (3.0 if k == 1 else 0.0) for k in range(parts)])
+    read = Recording.from_arrays(t, q=np.vstack([Q] * parts), tau=np.vstack([TAU] * parts))
+    done = cleaned(read, KR6)
+    joined = done.recording
+    assert len(joined.t) == parts * ROWS
+    assert np.all(np.diff(joined.t) > 0.0)
+    assert np.count_nonzero(np.diff(joined.t) > 10.0 * STEP) == parts - 1
+    assert any(text.startswith("joined: ") and f"sample {ROWS + 1}" in text for text in done.acts)
+
 
 @pytest.mark.parametrize("lost", [0.0, 0.02])
 def test_stamps_of_few_digits_are_put_on_a_clock(lost: float) -> None:
