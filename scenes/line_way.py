@@ -89,14 +89,30 @@ def line_way(scene: LineScene, robot: Robot, points: Array | None = None, surfac
     """
     points = reference_points(scene) if points is None else points
     up = scene.surface.pose().rotation[:, 2]
-    if surface is not None:
-        points, up = points @ surface.rotation.T + surface.translation, surface.rotation @ up
     reference = ReferencePath(points, up=up, turning=1.0)
-    path = JointPath.of(robot, reference)
     if surface is not None:
-        return LineWay(scene, robot, reference, path)
+        found = ReferencePath(points @ surface.rotation.T + surface.translation, up=surface.rotation @ up, turning=1.0)
+        # The posture in which fewer than seven joints take a place is the one nearest to home, wherever the place is.
+        path = JointPath.of(robot, found) if robot.n <= 6 else _moved(robot, found, JointPath.of(robot, reference))
+        return LineWay(scene, robot, found, path)
+    path = JointPath.of(robot, reference)
     check_clear(shapes_about(scene, robot), path)
     return LineWay(scene, robot, reference, path, tuple(_beside(scene, robot, reference, path)))
+
+
+def _moved(robot: Robot, reference: ReferencePath, path: JointPath) -> JointPath:
+    """The joint path of a reference that was moved a little, as near as it can be to the one before.
+
+    More than six joints may take a place in many postures: searched for anew it could be one that leaves the limits
+    where this one, which was judged before the run, does not. Raises InputError where it is out of reach.
+    """
+    s = np.linspace(0.0, reference.length, len(path.s))
+    try:
+        q = InverseKinematics(robot).refine_rows(reference.rotation(s), reference.frames(s).position, path.q,
+                                                 wanted=path.q)
+    except OutOfReachError as error:
+        raise InputError(f"the path cannot be reached by {robot.name}: {error}", field="path") from error
+    return JointPath.through(s, q)
 
 
 def _beside(scene: LineScene, robot: Robot, reference: ReferencePath, path: JointPath) -> Iterator[JointPath]:
