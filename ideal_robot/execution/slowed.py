@@ -75,8 +75,9 @@ def slowed(q_d: Array, correct: Callable[[Array], Array], robot: Robot, *, every
 def _smooth(share: Array, reach: int) -> Array:
     """Shares ``(N,)`` that change over twice ``reach`` rows and are nowhere above those given."""
     window = np.hanning(2 * reach + 3)[1:-1]
-    lowest = minimum_filter1d(share, 2 * reach + 1)
-    return np.convolve(np.pad(lowest, reach, mode="edge"), window / window.sum(), mode="valid")
+    most = 1.0 - minimum_filter1d(share, 2 * reach + 1)
+    # Of what is missing to 1, so that a share of 1 stays 1 however the sum is rounded.
+    return np.asarray(1.0 - np.convolve(np.pad(most, reach, mode="edge"), window / window.sum(), mode="valid"))
 
 
 def _cycles(share: Array) -> Array:
