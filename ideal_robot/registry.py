@@ -26,6 +26,11 @@ def imported(implementation: T | str) -> T:
     return cast(T, metadata.EntryPoint("", implementation, "").load())
 
 
+def in_words(name: str) -> str:
+    """A registered name, or another key of files, as a person reads it: ``gear_play`` as "gear play"."""
+    return name.replace("_", " ")
+
+
 class Registry(Generic[T]):
     """Implementations of one seam by name.
 

@@ -578,7 +578,11 @@ class BestSet:
                               for channel in self.system.channels]
 
     def about(self, problem: Problem) -> BestSet:
-        """The same best set, and its noise, beside a regression about another model."""
+        """A copy of the best set, with the noise that it has here, for the regression of another model.
+
+        Args:
+            problem: that regression; the search does not go on, only numbers are fitted anew.
+        """
         other = BestSet(problem, [], absorbed=self.absorbed, noise=self.noise)
         other.pool, other.learns, other.choices = self.pool, self.learns, list(self.choices)
         other._refresh()

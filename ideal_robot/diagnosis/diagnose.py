@@ -19,6 +19,7 @@ from ideal_robot.identification.checks import checked
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import parameter_vector
 from ideal_robot.progress import Progress, Steps, silent
+from ideal_robot.registry import in_words
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.channels import channel_findings, dead_joints
 from ideal_robot.signals.recording import Recording, expect
@@ -72,7 +73,7 @@ def _of_domains(case: Case, found: Findings) -> Diagnosis:
 
 def _small(results: Sequence[DomainResult]) -> Iterator[str]:
     """One sentence on causes that are there and too small to matter."""
-    small = [f"{effect.name.replace('_', ' ')} in {effect.channel}" for result in results for effect in result.small]
+    small = [f"{in_words(effect.name)} in {effect.channel}" for result in results for effect in result.small]
     if small:
         yield f"also found, too small to matter: {', '.join(small)}"
 

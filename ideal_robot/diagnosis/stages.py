@@ -89,7 +89,10 @@ def _searched(case: Case, found: Findings, start: Sequence[Candidate]) -> Findin
 
 
 def _finished(case: Case, found: Findings) -> Findings:
-    """The search as the domain of the motor torques, about a model whose friction brakes."""
+    """The findings with the motor torques' result, and with the other recording's regression where there is one.
+
+    Before it is made, friction that would drive the arm is taken out of the model.
+    """
     found = _with_braking_friction(case, found)
     validation = None
     if case.validate is not None:

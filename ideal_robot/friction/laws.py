@@ -22,7 +22,7 @@ from ideal_robot.friction.presliding import (
     measured_steps,
     sliding_direction,
 )
-from ideal_robot.registry import Registry
+from ideal_robot.registry import Registry, in_words
 from ideal_robot.tolerances import CREEP
 
 
@@ -189,7 +189,7 @@ class FrictionModel(ABC):
     def label(self) -> str:
         """The law in words."""
         extras = [word for word, on in (("presliding", self.presliding), ("load", self.loaded)) if on]
-        return self.key.replace("_", " ") + (f" with {' and '.join(extras)}" if extras else "")
+        return in_words(self.key) + (f" with {' and '.join(extras)}" if extras else "")
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for the model file."""

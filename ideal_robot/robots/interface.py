@@ -513,7 +513,11 @@ class LinkedRobot(ABC):
         self._watch.begin(commanded, measured)
 
     def _bridged(self, since: int) -> None:
-        """A packet has come so many cycles after the last one; raises ``lost_link`` for more than can be bridged."""
+        """Counts packets that were lost before this one; raises ``lost_link`` where they are more than are tolerated.
+
+        Args:
+            since: cycles since the packet before; 1 where none was lost.
+        """
         if since - 1 > self.max_lost:
             raise self.lost_link(f"{since - 1} {self.packets} in a row were lost, more than {self.max_lost}; check "
                                  "network and load")

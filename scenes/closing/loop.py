@@ -16,6 +16,7 @@ from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.model.model import Model
 from ideal_robot.progress import Steps
+from ideal_robot.registry import in_words
 from ideal_robot.signals.recording import Recording
 from ideal_robot.whole_file import OutputError
 from scenes.result import Progress, part_of, silent
@@ -145,7 +146,7 @@ def places_of(effects: Sequence[FittedEffect]) -> tuple[Place, ...]:
 
 def said(name: str, joint: int) -> str:
     """An effect for people."""
-    return name.replace("_", " ") + (f" in joint {joint}" if joint else "")
+    return in_words(name) + (f" in joint {joint}" if joint else "")
 
 
 @dataclass(frozen=True)
@@ -158,7 +159,7 @@ class Group:
     @classmethod
     def adding(cls, effects: Sequence[FittedEffect]) -> Group:
         """Effects on top of the model, together and each alone."""
-        label = " and ".join(dict.fromkeys(effect.name.replace("_", " ") for effect in effects))
+        label = " and ".join(dict.fromkeys(in_words(effect.name) for effect in effects))
         together = (Form.adding(label, effects),) if len(effects) > 1 else ()
         return cls(together, tuple((Form.adding(said(effect.name, effect.joint), (effect,)),) for effect in effects))
 

@@ -12,6 +12,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.validation.result import Argument, Diagnosis, FoundEffect, Traces
 from ideal_robot.effects.base import TCP_POSITION, prefix_of
 from ideal_robot.estimate.score import TOLD
+from ideal_robot.registry import in_words
 
 _BEFORE, _AFTER, _EFFECT, _SOFT = "#b0413e", "#2f6690", "#e06a00", "#8893a1"
 _CURVE = 0.5
@@ -33,7 +34,7 @@ def without_each_figure(diagnosis: Diagnosis) -> Figure:
     for axes, name in zip(panels, channels, strict=True):
         own = next((c for c in diagnosis.channels if c.channel == name), None)
         steps = [("before", own.rms_before)] if own else []
-        steps += [(f"all but {e.fitted.name.replace('_', ' ')}" +
+        steps += [(f"all but {in_words(e.fitted.name)}" +
                    (f" ({', '.join(e.depends_on)})" if e.depends_on else ""), e.rms_before) for e in rows[name]]
         steps += [("all", rows[name][0].rms_after)]
         scale, unit = shown_in(unit_of(diagnosis, name))
@@ -122,7 +123,7 @@ def effect_figure(effect: FoundEffect, contribution: Contribution, unit: str) ->
                    acceleration: np.gradient(traces.qd[:, j], traces.t), **signals}
     shares = {label: _explained(x[mask], added[mask]) for label, x in signals.items()}
     label = max(shares, key=lambda key: shares[key])
-    word = effect.fitted.name.replace("_", " ")
+    word = in_words(effect.fitted.name)
     curve = shares[label] >= _CURVE
     x = signals[label] if curve else added
     # What the model would leave if only this effect were taken out again.

@@ -9,6 +9,7 @@ import numpy as np
 
 from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, FoundEffect, Traces
 from ideal_robot.effects import SENSOR
+from ideal_robot.registry import in_words
 from scenes.diagnosis.figures import (
     arguments_figure,
     contributions,
@@ -195,7 +196,7 @@ def _named(effects: list[FoundEffect]) -> list[str]:
     """Each effect once, with all the joints it is in, whatever channels show it there."""
     places: dict[tuple[str, str], set[int]] = {}
     for e in effects:
-        key = _plain(e.fitted.name), "" if e.fitted.joint else _where(e)
+        key = in_words(e.fitted.name), "" if e.fitted.joint else _where(e)
         places.setdefault(key, set()).add(e.fitted.joint)
     return [f"{name} in {where or ('joints ' if len(at) > 1 else 'joint ') + _listed(list(map(str, sorted(at))))}"
             for (name, where), at in places.items()]
@@ -205,20 +206,15 @@ def _listed(parts: list[str]) -> str:
     return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + " and " + parts[-1] if parts else ""
 
 
-def _plain(names: str) -> str:
-    """Names of effects as words."""
-    return names.replace("_", " ")
-
-
 def _effects(page: Report, diagnosis: Diagnosis) -> None:
     if not diagnosis.effects and not diagnosis.unknown:
         return
     page.heading("What the model lacks")
     effects = (*diagnosis.effects, *diagnosis.unknown)
-    rows = [[_plain(e.fitted.name) + (f" ({', '.join(e.depends_on)})" if e.depends_on else ""), _where(e),
+    rows = [[in_words(e.fitted.name) + (f" ({', '.join(e.depends_on)})" if e.depends_on else ""), _where(e),
              e.fitted.channel,
              *_told(unit_of(diagnosis, e.fitted.channel), e.rms_before, e.rms_after), e.nats, e.probability,
-             "; ".join(p.text for p in e.fitted.parameters), _plain(", ".join(e.indistinguishable_from)) or "–",
+             "; ".join(p.text for p in e.fitted.parameters), in_words(", ".join(e.indistinguishable_from)) or "–",
              {None: "–", True: "yes", False: "no"}[e.transfers]] for e in effects]
     titles = ["effect", "where", "channel", "error without", "error with", "unit", "nats", "probability",
               "parameters", "not distinguishable from", "lowers the error of the other recording"]
@@ -228,8 +224,8 @@ def _effects(page: Report, diagnosis: Diagnosis) -> None:
                "without it; the probability is that against everything else that was weighed in its place.")
     for e in effects:
         if e.would_tell:
-            page.text(f"What distinguishes {_plain(e.fitted.name)} in {_where(e)} from "
-                      f"{_plain(', '.join(e.indistinguishable_from))}: {e.would_tell}.")
+            page.text(f"What distinguishes {in_words(e.fitted.name)} in {_where(e)} from "
+                      f"{in_words(', '.join(e.indistinguishable_from))}: {e.would_tell}.")
         if e.transfers is False:
             page.warning(f"{e.fitted.name} in {_where(e)} does not lower the error of the validation recording: "
                          "it may be a habit of the first recording.")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
+from ideal_robot.registry import in_words
 from ideal_robot.row_log import let_go
 from scenes.arms import arm_of
 from scenes.force.cell import scene_curves
@@ -77,7 +78,7 @@ def run_page(result: ForceResult, moving: Replay | None) -> Report:
 def comparison_page(comparison: ForceComparison) -> Report:
     """The page that compares the methods on one scene."""
     scene = comparison.scene
-    shown = ", ".join(f"{run.figures.rms:.2f} N with {method.replace('_', ' ')}"
+    shown = ", ".join(f"{run.figures.rms:.2f} N with {in_words(method)}"
                       for method, run in reversed(comparison.runs.items()))
     page = Report(f"{scene.title}: methods compared", f"RMS force error {shown}.")
     page.next(("Press on a surface of your own.", "ideal-robot new my_surface --kind force"))

@@ -34,6 +34,7 @@ from ideal_robot.feedforward.training_motion import training_motion
 from ideal_robot.identification.checks import checked
 from ideal_robot.model.model import Model
 from ideal_robot.progress import Steps
+from ideal_robot.registry import in_words
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.arms import arm_of
@@ -162,7 +163,7 @@ class _Line(Subject[LineResult]):
             before = [effect.name for effect in model.effects if effect.channel == "line"]
             return model.with_effects(self.fitted(run, model, tuple(dict.fromkeys([*before, *names]))))
 
-        return Form(" and ".join(names).replace("_", " "), change, tuple((name, 0) for name in names))
+        return Form(" and ".join(map(in_words, names)), change, tuple((name, 0) for name in names))
 
     def asked(self, found: Found, model: Model, run: LineResult, progress: Progress) -> Found | None:
         if not self.looks_at_arm or self.about:

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from ideal_robot.arrays import Array
+from ideal_robot.registry import in_words
 from planning.path.reference import ReferencePath
 from scenes.line.compare import LineComparison
 from scenes.line.result import LineResult
@@ -336,7 +337,7 @@ def _along_all(comparison: LineComparison) -> Figure:
     for method, run in comparison.runs.items():
         whole = run.control_error_from_start
         (colour,) = upper.plot(1e3 * whole.s, 1e3 * whole.lateral, color=COLOURS.get(method),
-                               label=method.replace("_", " "))
+                               label=in_words(method))
         if run.control_error.p95 < 12 * best:
             lower.plot(1e3 * run.control_error.s, 1e3 * run.control_error.lateral, color=colour.get_color())
     for axes in (upper, lower):

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from ideal_robot.registry import in_words
 from ideal_robot.results import flat
 from scenes.online.result import FollowResult
 from scenes.report.page import Report, write_run_files
@@ -65,5 +66,5 @@ def _motion(result: FollowResult) -> Figure:
 
 
 def _told(values: dict[str, Any]) -> list[list[Any]]:
-    return [[name.replace(".", " ").replace("_", " "), ", ".join(map(str, value)) if isinstance(value, list) else value]
+    return [[in_words(name.replace(".", " ")), ", ".join(map(str, value)) if isinstance(value, list) else value]
             for name, value in flat(values).items()]

@@ -24,6 +24,7 @@ from ideal_robot.execution.following import Following
 from ideal_robot.execution.guard import PATIENCE, Guard
 from ideal_robot.execution.play import LONGEST_STOP, PathCommands
 from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.registry import in_words
 from ideal_robot.results import Summarised, shown_cell
 from ideal_robot.robots.collisions import Shapes
 from ideal_robot.robots.interface import LinkedRobot, RobotState
@@ -99,7 +100,7 @@ class PathRun(Summarised):
     def table(self) -> tuple[list[str], list[list[Any]]]:
         """What a person wants first."""
         rows: list[list[Any]] = [["cycles answered", f"{len(self.recording.t)} of {self.rows}"],
-                                 *([key.replace("_", " "), value] for key, value in self.counts.items()
+                                 *([in_words(key), value] for key, value in self.counts.items()
                                    if key != "cycles" and isinstance(value, int)),
                                  ["answer after, median ms", self.answer_times_ms["median"]],
                                  ["answer after, worst ms", self.answer_times_ms["max"]]]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import stats
 
+from ideal_robot.registry import in_words
 from ideal_robot.results import plain
 from ideal_robot.whole_file import whole_file, write_text
 from scenes.outputs import whole_folder
@@ -126,14 +127,14 @@ def sentence(row: Row) -> str:
             f"{sure}")
 
 
-def in_words(figure: str) -> str:
+def figure_in_words(figure: str) -> str:
     """A figure's key as words, its unit left out.
 
-    >>> in_words("path_error_mm.time_matched.E_car")
+    >>> figure_in_words("path_error_mm.time_matched.E_car")
     'path error, time matched, E_car'
     """
     parts = [part.removesuffix(f"_{unit_of(figure)}") for part in figure.split(".")]
-    return ", ".join(part if part.startswith("E_") else part.replace("_", " ") for part in parts)
+    return ", ".join(part if part.startswith("E_") else in_words(part) for part in parts)
 
 
 def answer(comparison: Comparison) -> str:
@@ -143,10 +144,11 @@ def answer(comparison: Comparison) -> str:
     if worst is not None:
         unit, ratio = unit_of(worst.figure) or "", worst.after / max(worst.before, 1e-300)
         by = f"{100.0 * (ratio - 1.0):+.0f} %" if ratio < 3.0 else f"{ratio:.3g} times as much"
-        return (f"{worst.case}: {in_words(worst.figure)} rose from {worst.before:.3g} to {worst.after:.3g} "
+        return (f"{worst.case}: {figure_in_words(worst.figure)} rose from {worst.before:.3g} to {worst.after:.3g} "
                 f"{unit}".rstrip() + f" ({by}).")
     if missed is not None:
-        return (f"{missed.case}: {in_words(missed.figure)} is {missed.mean:.3g} {unit_of(missed.figure) or ''}".rstrip()
+        unit = unit_of(missed.figure) or ""
+        return (f"{missed.case}: {figure_in_words(missed.figure)} is {missed.mean:.3g} {unit}".rstrip()
                 + f", its bound {missed.limit:.3g}.")
     if comparison.uncompared:
         return f"Nothing to compare with: {'; '.join(comparison.uncompared)}."
@@ -238,7 +240,7 @@ def picture(comparison: Comparison) -> Figure | None:
         spread = float(stats.sem(share) * stats.t.ppf(0.975, len(share) - 1)) if len(share) > 1 else 0.0
         right.errorbar(float(share.mean()), i, xerr=spread, fmt="k|", capsize=3.0)
     unit = unit_of(name) or "1"
-    left.set(title=in_words(name), xlabel=f"before [{unit}]", ylabel=f"after [{unit}]")
+    left.set(title=figure_in_words(name), xlabel=f"before [{unit}]", ylabel=f"after [{unit}]")
     right.axvline(0.0, color="0.6", lw=1.0)
     right.set_yticks(range(len(groups)), [group[0] for group in groups])
     right.invert_yaxis()

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import jinja2
 import numpy as np
 
+from ideal_robot.registry import in_words
 from ideal_robot.results import plain
 from ideal_robot.whole_file import write_text
 from scenes.outputs import whole_folder
@@ -235,7 +236,7 @@ COLUMNS = ["setting", "value, per joint where there are several", "unit"]
 
 def world_rows(world: Mapping[str, Any]) -> list[list[Any]]:
     """Rows of setting, value and unit, from ``World.table()``."""
-    return [[name.replace("_", " "), _short(value), UNITS.get(name, "")] for name, value in world.items()]
+    return [[in_words(name), _short(value), UNITS.get(name, "")] for name, value in world.items()]
 
 
 def _short(value: Any) -> Any:
