@@ -207,7 +207,7 @@ class RtdeRobot(LinkedRobot):
         return data["runtime_state"][0] == _PLAYING
 
     def _state(self, data: Values) -> RobotState:
-        """The state that a packet reports: angles, and currents as torques by the drive gain; its speed becomes ours."""
+        """The state of a packet: angles, and currents as torques by the drive gain; keeps the speed that it reports."""
         measured = self._looked_at(np.array(data["actual_q"]))
         current = np.array(data["actual_current"])
         self.speed = float(np.prod([data.get(name, (1.0,))[0] for name in ("speed_scaling", "target_speed_fraction")]))
