@@ -26,6 +26,7 @@ slow that is. On the wave of ``force_wave`` at 0.2 m/s the error's RMS was 0.75,
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 
 import numpy as np
 
@@ -110,9 +111,13 @@ def bearable_speed(settings: ContactSettings, errors: Errors, most: float, T: fl
         answered: time until a force is answered [s].
         ratio: of the true force to the shown one, and its standard deviation.
     """
-    allowed, speed = most_force(settings.force), most
-    while speed >= min(SLOWEST, most):
-        if worst_force(settings.force, ratio, forecast_error(settings, errors, speed, T, left, answered)) <= allowed:
-            return speed
-        speed /= STEPS
-    return 0.0
+    speeds = most / STEPS ** np.arange(1 + max(0, math.floor(math.log(most / SLOWEST, STEPS))))
+    allowed = most_force(settings.force)
+
+    def bears(k: int) -> bool:
+        error = forecast_error(settings, errors, float(speeds[k]), T, left, answered)
+        return worst_force(settings.force, ratio, error) <= allowed
+
+    # The error grows with the speed: no faster one would do.
+    k = bisect_left(range(len(speeds)), True, key=bears)
+    return float(speeds[k]) if k < len(speeds) else 0.0

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -81,6 +83,15 @@ def recorded(arm: Robot, law: Law, *, late: float, seed: int, step: float = 1e-6
 GAINS = np.array([18.0, 25.0])
 
 
+@cache
+def identified(law: Law, seed: int, late: float = 0.006, torque: bool = True) -> CommandLaw:
+    """The law of a recording; several tests look at the same one."""
+    with TemporaryDirectory() as folder:
+        arm = robot(Path(folder))
+        return identify_command([recorded(arm, law, late=late, seed=seed, torque=torque)], Model.nominal(arm),
+                                torque=torque)
+
+
 def cascade(q: Array, qd: Array, tau: Array) -> Array:
     """A P/PI cascade with a reset time of 60 ms."""
     return qd / GAINS + high_passed(tau, 0.06) / (GAINS * np.array([40.0, 10.0]))
@@ -91,11 +102,9 @@ def pd(q: Array, qd: Array, tau: Array) -> Array:
     return tau / np.array([900.0, 300.0]) + 0.03 * qd
 
 
-@pytest.mark.parametrize("seed", [1, 2, pytest.param(3, marks=pytest.mark.slow)])
-def test_a_cascade_is_recovered(tmp_path: Path, seed: int) -> None:
-    arm = robot(tmp_path)
-    law = identify_command([recorded(arm, cascade, late=0.006, seed=seed)], Model.nominal(arm), torque=True)
-    for own, gain in zip(law.joints, GAINS, strict=True):
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
+def test_a_cascade_is_recovered(seed: int) -> None:
+    for own, gain in zip(identified(cascade, seed).joints, GAINS, strict=True):
         assert own.shape.reset == pytest.approx(0.06, rel=0.25)
         total = own.coefficient("velocity") + own.shape.a_1 + own.shape.late + own.shape.filter.delay * own.shape.time
         assert total == pytest.approx(1.0 / gain + 0.006, rel=0.05)
@@ -104,10 +113,8 @@ def test_a_cascade_is_recovered(tmp_path: Path, seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", [4, pytest.param(5, marks=pytest.mark.slow)])
-def test_stiffness_of_an_arm_that_sags_is_recovered(tmp_path: Path, seed: int) -> None:
-    arm = robot(tmp_path)
-    law = identify_command([recorded(arm, pd, late=0.0, seed=seed)], Model.nominal(arm), torque=True)
-    for own, stiffness in zip(law.joints, (900.0, 300.0), strict=True):
+def test_stiffness_of_an_arm_that_sags_is_recovered(seed: int) -> None:
+    for own, stiffness in zip(identified(pd, seed, late=0.0).joints, (900.0, 300.0), strict=True):
         assert own.shape.reset is None or own.shape.reset > 2.0
         assert 1.0 / own.coefficient("torque") == pytest.approx(stiffness, rel=0.05)
 
@@ -117,10 +124,8 @@ def test_stiffness_of_an_arm_that_sags_is_recovered(tmp_path: Path, seed: int) -
 def test_the_inverse_commands_what_the_controller_needs(tmp_path: Path, controller: Law, torque: bool) -> None:
     """On a motion that the law was not fitted to; and its expected error is that which is made."""
     arm = dataclasses.replace(robot(tmp_path), t_ipo=CYCLE)
-    given = recorded(arm, controller, late=0.006, seed=1, torque=torque)
-    model = Model.nominal(arm)
-    law = identify_command([given], model, torque=torque)
-    model = dataclasses.replace(model, command=dataclasses.replace(law, t_cycle=CYCLE))
+    law = identified(controller, 1, torque=torque)
+    model = dataclasses.replace(Model.nominal(arm), command=dataclasses.replace(law, t_cycle=CYCLE))
     other = recorded(arm, controller, late=0.006, seed=9)
     every = round(CYCLE / DT)
     q, q_c = moved(9)[1][::every], other.joints("q_c")[::every]
@@ -142,8 +147,7 @@ def test_the_inverse_commands_what_the_controller_needs(tmp_path: Path, controll
     pytest.param(cascade, False, marks=pytest.mark.slow)])
 def test_the_error_of_the_plain_path_is_foretold(tmp_path: Path, controller: Law, torque: bool) -> None:
     arm = dataclasses.replace(robot(tmp_path), t_ipo=DT)
-    law = identify_command([recorded(arm, controller, late=0.006, seed=1, torque=torque)], Model.nominal(arm),
-                           torque=torque)
+    law = identified(controller, 1, torque=torque)
     other = recorded(arm, controller, late=0.006, seed=9)
     q_c, q = (other.joints(name)[:4000] for name in ("q_c", "q"))
     foretold = CommandInverse(dataclasses.replace(Model.nominal(arm), command=law), arm).uncorrected(q_c)

@@ -189,7 +189,7 @@ def diagnosed(folder: Path, cause: Torque, middle: float = 0.0, turn: float = 1.
 
 
 @pytest.mark.parametrize("order", [pytest.param(11.0, id="hardly three periods in the range"),
-                                   pytest.param(40.0, id="ten"),
+                                   pytest.param(40.0, id="ten", marks=pytest.mark.slow),
                                    pytest.param(170.0, id="seen in the slower part of the motion alone")])
 def test_a_ripple_is_found_with_its_order(order: float, tmp_path: Path) -> None:
     diagnosis = diagnosed(tmp_path, lambda q, qd, load: 0.6 * np.cos(order * q) + 0.08 * np.cos(2.0 * order * q))
@@ -253,15 +253,15 @@ def said(problem: Problem, *start: Candidate) -> set[str]:
     return {"a curve" if name.startswith(("a curve", "unknown")) else name for name in (choice.effect.name, *near)}
 
 
-@pytest.mark.parametrize("start", [(), (BALANCER,)], ids=["nothing", "balancer"])
+@pytest.mark.parametrize("start", [pytest.param((), marks=pytest.mark.slow), (BALANCER,)], ids=["nothing", "balancer"])
 def test_a_cable_stays_a_cable_where_the_search_begins_with_a_balancer(tmp_path, start):
     names = [c.effect.name for c in searched(problem_with(tmp_path, lambda q: 1.5 * q), *start)]
     assert names == ["cable_spring"]
 
 
 @pytest.mark.parametrize(("start", "phi"), [
-    ((), 0.3), ((BALANCER,), 2.4), ((CABLE,), 0.3),
-    *(pytest.param((), phi, marks=pytest.mark.slow) for phi in (2.4, -1.7))])
+    ((CABLE,), 0.3), *(pytest.param(*case, marks=pytest.mark.slow) for case in (
+        ((), 0.3), ((BALANCER,), 2.4), ((), 2.4), ((), -1.7)))])
 def test_a_balancer_is_found_from_a_cable_and_no_curve_stands_for_it(tmp_path, start, phi):
     problem = problem_with(tmp_path, lambda q: balancer(q, 20.0, phi, 0.4))
     # Over this range a cable says the same to 0.4 %, where no form is right to that.
@@ -274,7 +274,8 @@ def test_a_curve_that_no_spring_has_stays_a_curve(tmp_path):
 
 
 @pytest.mark.parametrize(("side", "growth", "start"), [
-    (1.0, 2.0, (BALANCER,)), (-1.0, 2.0, ()), (1.0, 0.0, ()), (-1.0, 0.0, (BALANCER,))])
+    (1.0, 2.0, (BALANCER,)), (-1.0, 0.0, ()), *(pytest.param(*case, marks=pytest.mark.slow) for case in (
+        (-1.0, 2.0, ()), (1.0, 0.0, ()), (-1.0, 0.0, (BALANCER,))))])
 def test_a_hose_that_is_slack_up_to_an_angle_is_a_cable(tmp_path, side, growth, start):
     def hose(q):
         x = np.maximum(side * (q - 0.2), 0.0)

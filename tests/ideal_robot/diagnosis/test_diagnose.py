@@ -192,7 +192,7 @@ def test_what_nothing_explains_is_not_called_nothing(tmp_path):
     assert "tau_1" in unexplained(diagnosis)
 
 
-@pytest.mark.parametrize("width", [0.004, 0.006])
+@pytest.mark.parametrize("width", [0.004, pytest.param(0.006, marks=pytest.mark.slow)])
 def test_how_sharply_friction_changes_sign_is_found_and_is_no_effect(width, tmp_path):
     robot, (t, q, qd, _) = arm(tmp_path), strokes()
     speed = width * np.percentile(np.abs(qd), 99)

@@ -113,7 +113,7 @@ def test_behind_another_controller_it_does_not_end_worse_than_the_plain_path(
     assert adapted < 1.05 * plain
 
 
-@pytest.mark.parametrize("stuck", [2e-3, -4e-3])
+@pytest.mark.parametrize("stuck", [-4e-3, pytest.param(2e-3, marks=pytest.mark.slow)])
 def test_how_friction_holds_a_joint_at_rest_teaches_no_offset(stuck: float) -> None:
     """Friction at rest is anywhere within its size; once a joint moves it is what the law says."""
     q_d, inverse = path(10, 6.0), CommandInverse(law(), ARM)

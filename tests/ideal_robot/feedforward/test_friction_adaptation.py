@@ -210,7 +210,7 @@ def falling(loop, share=0.3):
     return loop.changed(sizes=sizes)
 
 
-@pytest.mark.parametrize("factor", [0.8, 1.3])
+@pytest.mark.parametrize("factor", [0.8, pytest.param(1.3, marks=pytest.mark.slow)])
 def test_friction_that_falls_before_it_rises_is_found_in_the_torques(factor):
     """At half a percent of the largest speed, where it falls, at three and at twenty; over dry friction."""
     loop, slow = plant(), motion(0.05)

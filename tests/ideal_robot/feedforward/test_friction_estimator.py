@@ -27,7 +27,7 @@ from ideal_robot.loop.loop import Loop
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.signals.recording import Recording
 from scenes.arms import model_at
-from tests.arms import ROBOT, T, commands, motion, off, plant, rms
+from tests.arms import ROBOT, T, motion, off, plant, rms
 
 P = 7
 
@@ -74,7 +74,7 @@ def test_what_was_learned_long_ago_is_as_uncertain_as_at_first():
     np.testing.assert_allclose(covariance, np.eye(P), atol=1e-7)
 
 
-@pytest.mark.parametrize("seconds", [2.0, 10.0, 60.0])
+@pytest.mark.parametrize("seconds", [2.0, 10.0, pytest.param(60.0, marks=pytest.mark.slow)])
 def test_of_friction_that_warms_steadily_sigma_is_true(seconds):
     """A dry term goes from one draw of its prior to another; a walk of that time constant has σ √2 too wide."""
     rng, runs, h, a = np.random.default_rng(1), 400, ALONE[0] / NOISE, process_correlation(INTERVAL)
@@ -167,11 +167,13 @@ def learned(loop: Loop, true: Loop, q_d: Array, repeat: int = 4, scale: float = 
     """What is learned while the ideal robot, which does not know, moves the true arm again and again."""
     ideal, curves = Inverse(loop), FrictionCurve(loop)
     q_d = np.concatenate([q_d] * repeat)
-    done = simulate(true, commands(ideal, q_d))
-    state, known = ideal.init(q_d[0]), curves.init()
     ahead = np.concatenate([q_d, np.tile(q_d[-1], (ideal.n_d, 1))])
+    q_c, states = np.empty_like(q_d), [ideal.init(q_d[0])]
     for k in range(len(q_d)):
-        _, state = ideal.step(state, ahead[k : k + ideal.n_d])
+        q_c[k], state = ideal.step(states[-1], ahead[k : k + ideal.n_d])
+        states.append(state)
+    done, known = simulate(true, q_c), curves.init()
+    for k, state in enumerate(states[1:]):
         known = curves.planned(known, state)
         # The plan knows nothing of what is found.
         known = known._replace(plans=(*known.plans[:-1], known.plans[-1]._replace(x=np.zeros_like(known.x))))
@@ -179,7 +181,7 @@ def learned(loop: Loop, true: Loop, q_d: Array, repeat: int = 4, scale: float = 
     return known
 
 
-@pytest.mark.parametrize("delay", [0, 1])
+@pytest.mark.parametrize("delay", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_friction_that_falls_with_speed_is_found_in_the_motor_angles(delay: int) -> None:
     """The identified law rises from rest on; two factors on it cannot fall."""
     loop = plant(delay=delay)
@@ -192,7 +194,7 @@ def test_friction_that_falls_with_speed_is_found_in_the_motor_angles(delay: int)
     assert np.all((ratio > 0.5) & (ratio < 1.2)), ratio
 
 
-@pytest.mark.parametrize("delay", [0, 1])
+@pytest.mark.parametrize("delay", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_inertia_that_the_model_has_not_is_found_in_the_motor_angles(delay: int) -> None:
     loop = plant(delay=delay)
     more = np.array([0.08, -0.08, 0.08, -0.08, 0.08, -0.08]) * loop.cascade.k_p * loop.t_ipo

@@ -142,7 +142,7 @@ def recorded(joint: int, seconds: float = 9.0) -> Recording:
     return Recording(columns, whole.meta)
 
 
-@pytest.mark.parametrize("joint", [1, 3])
+@pytest.mark.parametrize("joint", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_finds_the_cascade_behind_encoder_steps_and_current_noise(joint):
     world = World.default("kr15")
     fit = fit_controller(recorded(joint), ROBOT)
@@ -234,7 +234,7 @@ def without(recording: Recording, rows: slice | np.ndarray) -> Recording:
 
 
 @pytest.mark.parametrize("lost", [
-    pytest.param(2001, marks=pytest.mark.slow), slice(1500, 2700), np.arange(40, 4500, 97)])
+    *(pytest.param(lost, marks=pytest.mark.slow) for lost in (2001, slice(1500, 2700))), np.arange(40, 4500, 97)])
 def test_lost_rows_and_pauses_leave_the_closed_loop_what_it_is(lost: int | slice | np.ndarray) -> None:
     """Counted by rows, all that follows a lost one belongs to other instants: gains changed by a third and more."""
     whole = recorded(1)

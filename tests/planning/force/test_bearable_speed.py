@@ -27,7 +27,7 @@ def contact(elasticity: float, force: float = 20.0) -> ContactSettings:
     return ContactSettings(force=force, elasticity=elasticity, position_noise=5e-6)
 
 
-@pytest.mark.parametrize("elasticity", [1e3, 1e6])
+@pytest.mark.parametrize("elasticity", [1e3, pytest.param(1e6, marks=pytest.mark.slow)])
 def test_what_a_forecast_costs_grows_with_speed_stiffness_and_lateness(elasticity: float) -> None:
     errors = [forecast_error(contact(elasticity), ERRORS, speed, T, LEFT) for speed in (0.1, 0.2, 0.4)]
     assert (np.diff(errors) > 0.0).all()

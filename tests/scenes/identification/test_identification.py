@@ -116,8 +116,8 @@ def test_shipped_models_predict_their_arm() -> None:
     for name in ("kr6", "kr15", "manutec_r15"):
         model = Model.load(MODELS / f"{name}.json")
         robot = Robot.load(name)
-        motion = design_excitation(robot, np.random.default_rng(5), period=6.0, trials=10, refinements=0)
-        commands = fourier_commands(robot, motion, robot.home, robot.t_ipo)[:800]
+        motion = design_excitation(robot, np.random.default_rng(5), period=6.0, trials=2, refinements=0)
+        commands = fourier_commands(robot, motion, robot.home, robot.t_ipo)[:400]
         recording = played(robot, World.default(name), commands, 5)
         assert model.controller is not None
         assert np.all(model.predict(recording).relative_error_percent[:3] < 12.0)

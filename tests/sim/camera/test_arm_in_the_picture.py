@@ -89,7 +89,7 @@ def along(cell: Cell) -> Sequence[tuple[Array, pin.SE3]]:
     return postures
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in ("corner", "line") else pytest.mark.slow)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name == "corner" else pytest.mark.slow)
                                   for name in LINES])
 def test_behind_a_tool_of_300_mm_no_link_comes_into_view_on_any_line(name: str) -> None:
     cell = set_up(load_scene(name).changed(tool_mm=300.0))
