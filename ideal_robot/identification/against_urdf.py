@@ -54,6 +54,8 @@ _COMMON = 0.8
 """Spread of ln of a factor that all joints share: masses of a URDF that were guessed for the arm as a whole."""
 _UNITS = np.log(1e6)
 """Range of ln of the units that a torque may be in: from a motor's to a thousandth of a rated torque."""
+_WEIGHED = 0.1
+"""The same of a URDF whose masses are believed, by which the factor of a torque in another unit is said."""
 _APART = 0.5 * np.log(10.0)
 """Of units that are tried, in ln; what is found is improved to half of that to either side."""
 _FACTORS = tuple(np.exp(_APART * np.arange(-6, 7)).tolist())
@@ -70,8 +72,8 @@ _SHARE_OFF = np.log(3.0)
 """The same of one joint, where all torques come in the round steps of a share of a rated torque."""
 _MOST = 2.0 / 3.0
 """Share of the joints that are off, at least, where the recording has another unit: one alone is a drive gain."""
-_SEEN, _FELL = np.log(2.5), 2.0
-"""A joint's factor is determined where the evidence falls by so many nats within this range to either side."""
+_SEEN, _FELL = np.log(1.5), 2.0
+"""A joint's factor is determined by the URDF's masses where the evidence falls by so many nats within this range to either side."""
 _COMMON_OFF = np.log(4.0)
 """A factor that all joints share is said from here on: masses guessed for a measured arm are 3.2 times off."""
 _CUTOFF, _BAND = 10.0, 5.0
@@ -187,6 +189,7 @@ class _Rows:
         rubs: spread of each joint's friction [N m or N] over that of each column's torque ``(n, n)``.
         peaks: ln of each column's largest torque over what each joint is allowed ``(n, n)``.
         shares: whether all torques come in the same round steps, as shares of a rated torque do.
+        sure: the links' spread over the usual one.
     """
 
     products: Array
@@ -198,6 +201,7 @@ class _Rows:
     rubs: Array
     peaks: Array
     shares: bool = False
+    sure: float = 1.0
     cache: dict[tuple[Any, ...], Array] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
@@ -293,6 +297,10 @@ class _Rows:
         """
         n, P = self.n, self.links
         blocks, unit = self._blocks(reading.column, reading.gravity), np.array(reading.unit)[:, None]
+        if self.sure != 1.0:
+            blocks = blocks.copy()
+            blocks[:, :P] *= self.sure
+            blocks[:, :, :P] *= self.sure
         column = list(reading.column)
         least = np.where(self.live[column], self.least[column], 1.0)
         # Friction is at most what a gear has in that unit; acceleration and constant stay as they are.
@@ -640,19 +648,42 @@ def _scale(reading: Reading, rows: _Rows, robot: Robot, nats: float) -> Finding 
     if not told and abs(common) <= _COMMON_OFF and len(apart) < _MOST * len(live):
         return None
     # Shares of a rated torque are those of every joint, though one may be near a newton metre by chance.
-    off = live if told else [i for i in live if abs(logs[i]) > _OFF]
-    known = [i for i in off if _determined(reading, rows, i)]
+    weighed, surer = _by_the_urdf(reading, rows, live)
+    units = np.array(weighed.unit)
+    off = live if told else [i for i in live if max(abs(logs[i]), abs(np.log(units[i]))) > _OFF]
+    known = [i for i in off if _determined(weighed, surer, i)]
     ratio = np.asarray(robot.gear_ratio)
+    logs = np.log(units)
     motor = bool(known) and np.all(np.abs(logs[known] + np.log(np.maximum(ratio[known], 1e-9))) < _OFF) and np.all(
         ratio[off] > 1.0)
     why = ("they are at the motor's side of the gear: multiply by the gear ratio" if motor else
            "another unit (per cent or per mille of the rated torque, the motor's side of the gear), or masses that are "
            "not the arm's")
     friction = [i for i in off if i not in known]
-    fits = ["what fits is about " + ", ".join(f"tau_{i + 1} × {1.0 / reading.unit[i]:.3g}" for i in known)
+    fits = ["what fits them is about " + ", ".join(f"tau_{i + 1} × {float(f'{1.0 / units[i]:.2g}'):g}" for i in known)
             if known else "", f"of {_columns(friction)}, mostly friction, no factor can be seen" if friction else ""]
     return Finding(WRONG_SCALE, tuple(i + 1 for i in off), f"the torques are not in N m by the URDF's masses: {why}; "
                    f"{'; '.join(filter(None, fits))} (--columns map.toml with factor)", nats)
+
+
+def _by_the_urdf(reading: Reading, rows: _Rows, joints: Sequence[int]) -> tuple[Reading, _Rows]:
+    """Units of some joints' torques that the URDF's masses explain best, were they as sure as ``_WEIGHED``; such rows.
+
+    The search for what a recording is doubts the masses, and leaves a unit and masses that are off by the same factor
+    as likely: that is no factor to multiply by.
+    """
+    surer = replace(rows, sure=_WEIGHED / _MASSES)
+    for step in (_APART, 0.25 * _APART, 0.0625 * _APART):
+        # Joints that carry the same bodies draw each other's units along.
+        for _ in range(2 * len(joints)):
+            before = reading
+            for i in joints:
+                tried = [replace(reading, unit=_with(reading.unit, i, reading.unit[i] * factor))
+                         for factor in np.exp(step * np.array([0.0, -2.0, -1.0, 1.0, 2.0])).tolist()]
+                reading = max(tried, key=surer.evidence)
+            if reading == before:
+                break
+    return reading, surer
 
 
 def _determined(reading: Reading, rows: _Rows, joint: int) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -112,6 +113,11 @@ def test_other_units_are_said(unit: np.ndarray) -> None:
     said = found(torques(lambda tau: unit * tau))
     assert WRONG_SCALE in said
     assert not {WRONG_SIGN, NO_GRAVITY} & said.keys()
+    # Half the unit and half the masses explain as much: a factor was off by two.
+    factors = {int(joint): float(factor) for joint, factor in re.findall(r"tau_(\d) × ([\d.]+)", said[WRONG_SCALE].text)}
+    assert len(factors) >= 3
+    for joint, factor in factors.items():
+        assert abs(np.log(factor * unit[joint - 1])) < np.log(1.25 if joint <= 3 else 2.0)
 
 
 @pytest.mark.parametrize("degrees", [90.0, *(pytest.param(angle, marks=pytest.mark.slow) for angle in (20.0, 180.0))])
