@@ -73,7 +73,8 @@ _SHARE_OFF = np.log(3.0)
 _MOST = 2.0 / 3.0
 """Share of the joints that are off, at least, where the recording has another unit: one alone is a drive gain."""
 _SEEN, _FELL = np.log(1.5), 2.0
-"""A joint's factor is determined by the URDF's masses where the evidence falls by so many nats within this range to either side."""
+"""A joint's factor is determined by the URDF's masses where the evidence falls by so many nats within this range to
+either side."""
 _COMMON_OFF = np.log(4.0)
 """A factor that all joints share is said from here on: masses guessed for a measured arm are 3.2 times off."""
 _CUTOFF, _BAND = 10.0, 5.0

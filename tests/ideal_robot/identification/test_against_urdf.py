@@ -114,7 +114,8 @@ def test_other_units_are_said(unit: np.ndarray) -> None:
     assert WRONG_SCALE in said
     assert not {WRONG_SIGN, NO_GRAVITY} & said.keys()
     # Half the unit and half the masses explain as much: a factor was off by two.
-    factors = {int(joint): float(factor) for joint, factor in re.findall(r"tau_(\d) × ([\d.]+)", said[WRONG_SCALE].text)}
+    pairs = re.findall(r"tau_(\d) × ([\d.]+)", said[WRONG_SCALE].text)
+    factors = {int(joint): float(factor) for joint, factor in pairs}
     assert len(factors) >= 3
     for joint, factor in factors.items():
         assert abs(np.log(factor * unit[joint - 1])) < np.log(1.25 if joint <= 3 else 2.0)
