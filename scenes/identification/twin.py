@@ -317,7 +317,7 @@ def _gears(model: Model, robot: Robot, loads: tuple[Array, Array, Array, Array],
     else:
         spread |= {"stiffness": _GEARS, "damping": _GEARS}
         words[1].append("gears: stiffness and damping of a class")
-    rigid = too_fast(replace(robot, pinocchio=_with_body(robot, body)), table["stiffness"], rotor)
+    rigid = too_fast(replace(robot, pinocchio=_with_body(robot, body)), table["stiffness"], table["damping"], rotor)
     table["stiffness"] = np.where(rigid, RIGID, np.minimum(table["stiffness"], RIGID))
 
 

@@ -30,7 +30,8 @@ MARGIN = 2.0
 """Factor by which the gain of a cascade could be raised before it is unstable, 6 dB."""
 
 FOLLOWED = 1.0
-"""Oscillation that the simulation's step is to follow, times the step; ``SimulatedArm`` refuses 1.2."""
+"""Oscillation that the simulation's step is to follow, and rate at which a gear's damping acts, times the step;
+``SimulatedArm`` refuses oscillations of 1.2, and with (ω h)² / 2 + 2 ζ ω h of 2 the step is unstable."""
 SWEPT = 25
 """Angles of each joint at which it is looked at."""
 
@@ -53,7 +54,7 @@ def generic_world(robot: Robot) -> dict[str, Any]:
     link = np.maximum(mass, 0.2 * rotor)
     stiffness = np.maximum((2 * np.pi * RESONANCE) ** 2 * link, gravity / SAG)
     damping = 2 * DAMPING * np.sqrt(stiffness * link)
-    rigid = too_fast(robot, stiffness, rotor)
+    rigid = too_fast(robot, stiffness, damping, rotor)
     gain = np.array([_stable(BANDWIDTH * (m + j), j, (light, m), k, d)
                      for m, j, light, k, d in zip(mass, rotor, lightest, stiffness, damping, strict=True)])
     turns = np.where(robot.gear_ratio > 1.0, 1.0, GEAR)
@@ -121,14 +122,17 @@ def fastest(mass: Array, stiffness: Array, rotor: Array) -> tuple[float, int]:
     return float(np.sqrt(max(values[-1], 0.0))), int(np.argmax(np.abs(ways[:, -1])))
 
 
-def too_fast(robot: Robot, stiffness: Array, rotor: Array) -> NDArray[np.bool_]:
+def too_fast(robot: Robot, stiffness: Array, damping: Array, rotor: Array) -> NDArray[np.bool_]:
     """Gears that have to be rigid ``(n,)``, so that the step follows all oscillations wherever the arm stands.
+
+    And their damping: on a last link that is far lighter than its drive it acts faster than the gear oscillates.
 
     Where two axes fall together, a slim link between them alone holds their gears apart.
 
     Args:
         robot: the arm.
         stiffness: of its gears ``(n,)`` [N m/rad].
+        damping: of its gears ``(n,)`` [N m s/rad].
         rotor: on the joint side ``(n,)`` [kg m²].
     """
     model, data = robot.pinocchio, robot.pinocchio.createData()
@@ -141,6 +145,9 @@ def too_fast(robot: Robot, stiffness: Array, rotor: Array) -> NDArray[np.bool_]:
         mass = pin.crba(model, data, q)
         mass = np.triu(mass) + np.triu(mass, 1).T
         while (worst := fastest(mass, stiffened, rotor))[0] > FOLLOWED / STEP:
+            stiffened[worst[1]] = np.inf
+        # The rates are those of √D (M⁻¹ + J⁻¹) √D.
+        while (worst := fastest(mass, np.where(np.isinf(stiffened), np.inf, damping), rotor))[0] ** 2 > FOLLOWED / STEP:
             stiffened[worst[1]] = np.inf
     return np.isinf(stiffened)
 

@@ -252,6 +252,23 @@ def test_a_slim_link_between_two_axes_that_fall_together_makes_a_gear_rigid(tmp_
         assert fastest(mass, stiffness, rotor)[0] <= FOLLOWED / STEP
 
 
+@pytest.mark.parametrize("lighter", [1e-2, 1e-4, 1e-5])
+def test_a_gear_whose_damping_the_step_cannot_follow_is_rigid(lighter: float, tmp_path: Path) -> None:
+    """The gear of a last link of 25 g, damped as its drive's inertia asks for, made the simulation diverge."""
+    across, along = 1e-2 * lighter, 1e-3 * lighter
+    light = f'<mass value="{lighter:g}"/><inertia ixx="{across:g}" iyy="{across:g}" izz="{along:g}"'
+    limit = 'lower="-2.9" upper="2.9" effort="40" velocity="2"'
+    text, heavy = urdf(5, mass=1.0, limit=limit), '<mass value="1.0"/><inertia ixx="0.01" iyy="0.01" izz="0.01"'
+    place = text.rindex(heavy)
+    robot = Robot.load(written(tmp_path, text[:place] + light + text[place + len(heavy):]))
+    world = {name: np.array(values) for name, values in generic_world(robot).items()}
+    data, step_rate = robot.pinocchio.createData(), FOLLOWED / STEP
+    soft = np.isfinite(world["stiffness"])
+    mass = pin.crba(robot.pinocchio, data, robot.home).diagonal()
+    assert (world["damping"] / mass <= step_rate)[soft].all()
+    assert soft[-1] == (world["damping"][-1] / mass[-1] <= step_rate)
+
+
 def test_a_gain_that_is_too_high_is_found_unstable() -> None:
     assert growth(60.0, 0.1, 1.0, 9000.0, 13.0) < 0.0
     assert growth(100.0 * 60.0 * MARGIN, 0.1, 1.0, 9000.0, 13.0) > 0.0
