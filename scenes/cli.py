@@ -121,7 +121,7 @@ class Program(TyperGroup):
         self.commands: dict[str, Any] = dict.fromkeys(VERBS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """The verb, declared when it is asked for: all of them cost as much as the answer of one."""
+        """The command of a verb, its options declared now: those of all verbs would double the time of an answer."""
         if cmd_name in VERBS and self.commands[cmd_name] is None:
             alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
             alone.command(cmd_name, cls=Verb)(function_of(cmd_name))

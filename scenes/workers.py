@@ -289,7 +289,7 @@ class _Handed:
         batch = self._queue.popleft() if self._queue else list(itertools.islice(self._next, self._size))
         if batch or self.pending or not self._suspects:
             return batch
-        # With nothing beside it: a worker that dies counts for all that it was given.
+        # Alone: of several jobs that a dead worker had, nobody could say which one killed it.
         return [self._suspects.popleft()]
 
     def _fetched(self, future: Any) -> list[tuple[int, Any]] | None:

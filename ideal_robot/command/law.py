@@ -52,7 +52,7 @@ class Column:
 
     @property
     def of(self) -> Term:
-        """The term."""
+        """The entry of ``TERMS`` that this column is made from."""
         return TERMS[self.term]
 
     @property

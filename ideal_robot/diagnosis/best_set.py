@@ -118,7 +118,7 @@ class BestSet:
         size = np.max(size / (FREE * self.measured_std[:, None]), axis=0)
         return np.diag(np.where(size > 0.0, 1.0 / np.maximum(size, 1e-300), 0.0))
 
-    # What every arm has.
+    # Elasticity and presliding, which every arm has.
 
     def _with_what_every_arm_has(self) -> None:
         """Each joint's elasticity and presliding at its shortest distance: no cause, but never negative."""
@@ -274,7 +274,7 @@ class BestSet:
         else:
             least = np.array([(SMALLEST_SEEN if r.domain == SENSOR and unit == "m" else SMALLEST.get(unit, 0.0))
                               for unit in r.units])
-        # Of each column by the channel in which it is largest.
+        # A column may show in several channels: the one in which it is largest decides.
         with np.errstate(divide="ignore", invalid="ignore"):
             spread = np.min(np.where(size > 0.0, least[list(group.channels)][:, None] / size, np.inf), axis=0)
         return np.where(np.isfinite(spread), spread, 0.0) / np.sqrt(group.m)

@@ -273,7 +273,7 @@ def argument(best: BestSet, own: Candidate) -> Argument:
 
 
 def _when(best: BestSet, own: Candidate, gain: Array) -> tuple[float, str]:
-    """Share of the evidence against nothing in the quarter of the time that holds most of it, and when that is."""
+    """The quarter of the recording in which most speaks for a cause: its share of all that does, and when it is."""
     gain, t = np.maximum(gain, 0.0), best.regression.t
     quarters = [float(part.sum()) for part in np.array_split(gain, 4)]
     total, k = sum(quarters) or 1.0, int(np.argmax(quarters))

@@ -116,7 +116,7 @@ def _solve(A: Array, b: Array, scale: Array, nominal: Array, n: int) -> Array:
     cones.append(clarabel.NonnegativeConeT(n))
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    # What keeps the unseen parameters weighs little; its squares must still count.
+    # The term that keeps parameters without data at their nominal values is small: the gap has to be smaller still.
     settings.tol_gap_abs = settings.tol_gap_rel = 1e-13
     G = np.vstack(rows)
     solver = clarabel.DefaultSolver(P, q, sparse.csc_matrix(G * size), np.concatenate(rhs) - G @ start, cones, settings)

@@ -206,15 +206,15 @@ class GearResonance(GearEffect):
         return super().usable(signals, joint) and loaded and len(signals.t) > 2
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """By the resonance."""
+        """See ``Effect.starts``: stiffnesses whose resonances lie at ``_HERTZ``."""
         return [(_stiffness(signals, joint, hertz),) for hertz in _HERTZ]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """Resonances within the band."""
+        """See ``Effect.bounds``: stiffnesses whose resonances lie within the band."""
         return [(_stiffness(signals, joint, _LOWEST), _stiffness(signals, joint, _HIGHEST))]
 
     def bounds_near(self, signals: Signals, joint: int, theta: Theta) -> list[tuple[float, float]]:
-        """See ``Effect.bounds_near``. From one start to the next."""
+        """See ``Effect.bounds_near``: from the start below to the start above."""
         (low, high), = self.bounds(signals, joint)
         return [(max(low, 0.72 * theta[0]), min(high, 1.4 * theta[0]))]
 

@@ -231,7 +231,7 @@ class Following(Watch):
 
     def _goes_on(self) -> str | None:
         """What is said of an arm that was taken for one that is being braked, and goes on; None of any other."""
-        # While the path is tried a joint that starts late against its friction goes on late, and is tried again.
+        # During the trial of the path a joint may start late, held by its friction: the trial is repeated then.
         if self._trying or not (self._noticed and self._still and self._braked * self._T < self._brakes):
             return None
         self._braked += 1

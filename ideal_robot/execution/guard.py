@@ -542,7 +542,7 @@ class _Trail:
         return not self._came
 
     def further(self, way: float) -> Array:
-        """Joint angles ``(n,)`` [rad] so much further back [m]; a turn by a radian counts as a tenth of a metre."""
+        """Goes back by ``way`` [m]; returns the joint angles there ``(n,)`` [rad]. A turn by 1 rad counts as 0.1 m."""
         while self._came:
             q = self._came[-1]
             place = self._robot.tool_places(q[None])[0]

@@ -146,7 +146,7 @@ class FciRobot(LinkedRobot):
         self._cycle_began += since * self._steps
         self.gone_on = since - 1
         if since > 1:
-            # It holds or extrapolates: what is in force it reports itself.
+            # Of a cycle without a command the controller holds or extrapolates the last one, and reports which.
             self._wire_speed = np.array(state.dq_d) * self.t_ipo
             self.commanded = np.array(state.q_d)
             self._knots[:] = self.commanded

@@ -236,7 +236,7 @@ def _spread_over(rows: Array, kernel: Array) -> Array:
 
 
 def _settled(t: Array, t_ipo: float) -> Array:
-    """Share of a start's difference that is taken up at instants ``(N,)`` [s], smoothly from 0 to 1."""
+    """Share of the start's offset that is removed at instants ``(N,)`` [s]: it rises smoothly from 0 to 1."""
     share = np.clip(t / max(SETTLE, t_ipo), 0.0, 1.0)
     return np.asarray(share**3 * (10.0 - 15.0 * share + 6.0 * share**2))
 

@@ -95,7 +95,7 @@ def friction_terms(share: Array, z: Array) -> Array:
 
 
 def dry_sizes(friction: Friction) -> Array:
-    """Dry friction that the terms are in units of ``(n,)`` [N m]; never zero."""
+    """Dry friction of each joint, the unit of the terms ``(n,)`` [N m]; never zero."""
     return np.asarray(np.maximum(friction.dry, 1e-6))
 
 

@@ -166,7 +166,7 @@ def _efforts(robot: Robot, notes: list[str]) -> Array:
     usual = np.maximum(asked, WEAKEST * asked[~robot.prismatic].max(initial=0.0))
     # By what the joint itself carries: what turns the base of a whole robot says nothing of its wrist.
     weak = np.isfinite(robot.tau_max) & ~(robot.tau_max > np.maximum(HOLDS * gravity, asked / TOO_WEAK))
-    # The same number at a joint that happens to be light is no better.
+    # A number that is a placeholder at one joint is one at all, also where the joint is light enough for it.
     missing = ~np.isfinite(robot.tau_max) | np.isin(robot.tau_max, robot.tau_max[weak])
     if missing.any():
         notes.append(f"no effort of {_joints(missing)} in the URDF that could hold and move the arm: "

@@ -176,7 +176,7 @@ class LinkCounts:
 
     @property
     def others(self) -> str:
-        """What else came, for a message; empty where nothing did."""
+        """Refused and foreign packets as the end of a message; empty where none came."""
         text = f"; the last of {self.refused} refused packets: {self.last_refused}" if self.refused else ""
         if not self.foreign:
             return text

@@ -277,7 +277,7 @@ class RsiRobot(LinkedRobot):
         return shrunk
 
     def _resynchronise(self, step: Array) -> None:
-        """After lost increments, at rest: where the arm is measured is where they have led."""
+        """Takes the measured position for the commanded one, once the arm rests after increments that may be lost."""
         moving = np.max(np.abs(step)) > _RESTED or self.missed or self._catch_up.active
         self._still = 0 if moving or not self._in_doubt else self._still + 1
         if self._still * self.t_ipo >= _REST_TIME:

@@ -70,7 +70,7 @@ class DeviationModel(ABC):
         return not self.drifts
 
     def spread(self, s: Array, stand: Stand) -> Array | None:
-        """Variance of the deviation at ``s (m,)`` that no state holds yet ``(m, directions)`` [m²]; None for none."""
+        """Variance at ``s (m,)`` of shapes that the state has no entry for ``(m, directions)`` [m²]; None for none."""
         return None
 
 

@@ -178,10 +178,10 @@ def _usual_rotors(robot: Robot) -> Array:
 
 
 def behind_gears(own: Recording, twin: Twin, filters: dict[str, Any]) -> Recording:
-    """What a twin logs along a motion, its torques without what turns the rotors that the recordings did not show.
+    """A twin's recording without the torques that accelerate its extra rotors, which no recording has shown.
 
     Args:
-        own, twin: its recording and its world.
+        own, twin: the recording, and the twin that made it.
         filters: of the identification.
     """
     hidden = np.asarray(twin.table["extra_rotor_inertia"])

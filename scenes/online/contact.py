@@ -99,11 +99,16 @@ class ContactSensor(Sensor):
         self.device = device
 
     def witnessed(self, witness: Witness, short: bool) -> None:
-        """From now on what is felt is looked at; ``short``: cycles are short, see ``in_one``."""
+        """Has a witness check what the sensor feels from now on.
+
+        Args:
+            witness: that stops the arm where the sensor cannot be right.
+            short: whether a cycle is too short for all that is done in one, see ``in_one``.
+        """
         self.witness, self._in_two = witness, short
 
     def takes(self, usual: float) -> None:
-        """This computer takes so long to fuse, to plan and to command [s], see ``Sensor``."""
+        """Takes how long this computer usually needs to fuse, to plan and to command [s], see ``Sensor``."""
         self.at_once, self.in_one = usual / IN_ANSWER, usual / IN_CYCLE
 
     def calibrated(self, tool: ToolLoad, elasticity: ContactElasticity, ratio: float = 1.0) -> None:

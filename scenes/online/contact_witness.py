@@ -135,8 +135,9 @@ class ContactWitness:
                                      "sensor is alive, and check its axes")
         if isinstance(follower, ContourFollower) and follower.phase is Phase.TRAVEL and self._beyond(
                 "forecast", follower.recedes, _RECEDES * scene.force):
-            raise EmergencyStopError("force", t, f"the contour lies deeper by {follower.recedes:.1f} N than it was "
-                                     f"felt to go on {LATELY:.2f} s ago; look whether the force sensor is alive")
+            raise EmergencyStopError("force", t, f"the contour lies deeper than its course until {LATELY:.2f} s ago "
+                                     f"predicts, by what makes {follower.recedes:.1f} N; check that the force sensor "
+                                     "is alive")
         if self._beyond("motors", self._motors.excess, _BY_MOTORS * (most_force(scene.force) - scene.force)):
             raise EmergencyStopError("force", t, f"the motors feel {self._motors.excess:.0f} N more than the "
                                      f"{follower.force:.0f} N of the force sensor; look whether it is alive, and "

@@ -284,7 +284,9 @@ class Job:
         return Surface(frames.position[0], up, WITHIN, stiffness_of(self.model, self.robot, self.q_start, up))
 
     def ready(self, arm: LiveArm, camera: LiveCamera | None, force: LiveForce | None) -> Task:
-        """Whatever has to be moved for before; the arm is at ``q_start`` and is left there.
+        """The task, after all motions that it needs beforehand (calibration, weighing the tool, touching the surface).
+
+        The arm is at ``q_start`` and is left there.
 
         Args:
             arm: connected, at the start.

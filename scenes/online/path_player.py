@@ -80,7 +80,7 @@ class PathRun(Summarised):
     details: dict[str, Any] = field(default_factory=dict)
 
     def summary(self) -> list[tuple[str, str]]:
-        """What came of the cycles."""
+        """Rows of label and value: cycles answered, packets lost or late, and how well the arm followed."""
         _, rows = self.table()
         return [("path", f"{rows[0][1]} cycles answered{f', ended early: {self.failure}' if self.failure else ''}"),
                 *((str(label), shown_cell(value)) for label, value in rows[1:])]

@@ -128,7 +128,7 @@ def travel(length: float, speed: float, acceleration: float, t: Array) -> tuple[
 
 
 def duration(length: float, speed: float, acceleration: float) -> float:
-    """Time of such a motion [s].
+    """Time of a stop-to-stop motion with sin² ramps [s].
 
     Args:
         length, speed, acceleration: as for ``travel``.

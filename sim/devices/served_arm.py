@@ -227,7 +227,7 @@ class ServedArm:
             self._moved(q, session)
 
     def _go_back(self, q: Array) -> None:
-        """As a person would with the pendant: back to the start, where the next session begins."""
+        """Moves the arm back to its start, as a person would with the pendant; the next session begins there."""
         limits = _SHARE * self.arm.robot.v_max, _SHARE * self.arm.robot.a_max
         for row in held(eased_way(q, self._start, limits, self._T), after=round(_BETWEEN / self._T)):
             if self._stopped:

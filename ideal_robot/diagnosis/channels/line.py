@@ -145,7 +145,7 @@ def _seen(recording: Recording) -> tuple[Array, np.ndarray, Array] | None:
 
 
 def _smooth(t: Array, values: Array, at: Array) -> tuple[Array, Array]:
-    """Values and rates ``(F, k)`` at some times, by a parabola through half a period of its band to each side."""
+    """Smoothed values and their rates at some times ``(F, k)``: a parabola is fitted half a period to each side."""
     fits = np.empty((2, len(at), values.shape[1]))
     half = max(0.5 / POSITION_BAND, 2.5 * float(np.median(np.diff(t))))
     for k, moment in enumerate(at):

@@ -184,7 +184,9 @@ class Causes:
 
 
 def undecided_joints(problem: Problem, robot: Robot, joints: Sequence[int]) -> list[Pair]:
-    """Joints that moved too little: every cause of the library there, as large as the noise, against none.
+    """Questions that a next motion may answer of joints that moved too little: has a joint a cause, or none?
+
+    Each pair is one cause of the library, as large as the noise, and nothing in its place.
 
     Args:
         problem, robot: the motor torques, and the arm, whose speeds say where theta starts.
