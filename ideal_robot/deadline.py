@@ -20,7 +20,7 @@ class Deadline:
 
     @classmethod
     def within(cls, seconds: float) -> Deadline:
-        """So long from now [s]."""
+        """A deadline that passes ``seconds`` from now."""
         return cls(seconds, time.perf_counter() + seconds)
 
     @property

@@ -33,7 +33,7 @@ def new_array(*shape: int) -> Array:
 
 
 def in_new_file(count: int) -> Array:
-    """So many zeros in a file without a name; raises OutputError where the folder for temporary files has no room."""
+    """``count`` zeros in a file without a name; raises OutputError where the folder for temporary files has no room."""
     try:
         with tempfile.TemporaryFile() as file:
             # Room that is only promised would end the program where it is written to and not there.

@@ -137,7 +137,7 @@ ORANGE, BLUE, GREY = "#e06000", "#1f5fa8", "#808080"
 
 
 def stiffness_page(analysis: StiffnessAnalysis, *, title: str, truth: Array | None = None) -> Report:
-    """The page.
+    """The page of a stiffness analysis.
 
     Args:
         analysis, title: what it shows, and its title.

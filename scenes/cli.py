@@ -82,7 +82,7 @@ class Verb(TyperCommand):
     """A verb that begins only if what it is to read is there and its numbers are finite."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
-        """As the library does it, then looks at the numbers, which ``float`` takes from ``nan`` on, and at the files.
+        """Parses as the library does, then checks numbers, as ``float`` takes ``nan``, and files.
 
         Raises:
             InputError: a path that the verb takes as its argument, and so reads, leads nowhere, or any is too long.

@@ -23,7 +23,7 @@ class Play(Protocol):
     """Plays a scene once; a kind may take further keywords, such as the sensors of a line scene."""
 
     def __call__(self, scene: Any, *, method: Any = None, out: Any = None, progress: Any = ...) -> RunResult:
-        """Plays it.
+        """Plays the scene.
 
         Args:
             scene: of the kind's class.

@@ -45,7 +45,7 @@ class Error:
 
     @classmethod
     def of(cls, deviation: Array) -> Error:
-        """From deviations ``(N,)`` [m]."""
+        """Figures of deviations ``(N,)`` [m]."""
         return cls(float(np.sqrt(np.mean(deviation**2))), float(np.max(deviation)), deviation)
 
     def json_mm(self) -> dict[str, float]:
@@ -162,7 +162,7 @@ def _distance_to_path(t: Array, x: Array, t_path: Array, x_path: Array) -> Array
 
 
 def reduction_percent(before: float, after: float) -> float:
-    """By how much an error became smaller [%]; negative where it grew."""
+    """Reduction of an error [%]; negative where it grew."""
     return 100.0 * (1.0 - after / before) if before > 0 else float("nan")
 
 
@@ -185,7 +185,7 @@ class ControlError:
 
     @classmethod
     def of(cls, t: Array, s: Array, lateral: Array, counts: NDArray[np.bool_]) -> ControlError:
-        """From signed distances; without any that counts, all figures are NaN.
+        """Figures of signed distances; all are NaN where none is used.
 
         Args:
             t, s, lateral: as the attributes.

@@ -105,7 +105,7 @@ def model_for(scene: Scene, robot: Robot, progress: Progress = silent) -> Model:
 
 
 def own_model(scene: Scene, robot: Robot, progress: Progress = silent) -> str:
-    """Where the model lies that the own motions of the scene's arm give; identified now if that has not been done.
+    """Path of the model that the scene's arm gives by motions of its own; identified now where it is missing.
 
     Args:
         scene, robot: the arm as it is, and as its data sheet has it.

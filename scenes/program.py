@@ -126,6 +126,6 @@ def check_rooms() -> None:
 
 
 def find_ours_first() -> None:
-    """Of a process that is ours alone: puts our packages before folders of the same names."""
+    """Puts our packages before folders of the same names, in a process that is ours alone."""
     if _hidden():
         sys.path.insert(0, str(_ROOT))

@@ -39,7 +39,7 @@ _LARGEST = 1e15
 
 
 class Kept:
-    """Where answers are kept as they come, so that a sweep that was ended can go on; this one keeps none."""
+    """Keeps answers as they come, so that a sweep that was ended can go on; this one keeps none."""
 
     def __init__(self) -> None:
         self.answers: dict[Hashable, dict[str, Any]] = {}
@@ -93,7 +93,7 @@ class SweepFile(Kept):
         self.keep(job, answer)
 
     def keep(self, job: dict[str, Any], answer: dict[str, Any], **more: Any) -> None:
-        """As ``add``, with more entries on the line, which ``lines`` has after it was read again.
+        """Adds an answer, see ``add``, with more entries on the line, which ``lines`` has after it was read again.
 
         Args:
             job, answer: as for ``add``.

@@ -64,7 +64,7 @@ def undeclared_effects(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
 
 
 def effects_of_world(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
-    """As ``undeclared_effects``, of a world that may hold none."""
+    """Effects of a world that may hold none, see ``undeclared_effects``."""
     default, file = World.default(scene.robot), scene.source
     world = World.from_table(scene.robot, scene.arm_world, file)
     for key, value in scene.arm_world.items():

@@ -209,7 +209,7 @@ class _GoneError(Exception):
 
 
 def _batch(function: Callable[[Any], Any], tasks: list[Any], limit: float) -> tuple[float, list[Any]]:
-    """On a worker: the time that a task takes [s], and the results."""
+    """Runs a batch on a worker: the time that a task takes [s], and the results."""
     start, results = time.perf_counter(), []
     for task in tasks:
         results.append(_limited(function, task, limit))

@@ -61,7 +61,7 @@ class ClockReport:
     restarts: int
 
     def to_dict(self) -> dict[str, Any]:
-        """As plain values; what is not known is None."""
+        """Plain values for JSON; what is not known is None."""
         return {key: None if isinstance(value, float) and not math.isfinite(value) else value
                 for key, value in asdict(self).items()}
 

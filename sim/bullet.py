@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def output_dropped() -> Iterator[None]:
-    """Whatever C++ code writes to the standard streams inside this block is dropped; exceptions pass."""
+    """Drops what C++ code writes to the standard streams within the block; exceptions pass."""
     sys.stdout.flush()
     sys.stderr.flush()
     saved = [os.dup(1), os.dup(2)]

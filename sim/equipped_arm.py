@@ -85,7 +85,7 @@ class Knock:
 
     @classmethod
     def of(cls, table: Any) -> Knock | None:
-        """As the camera's table of a scene file has it; None for nothing."""
+        """The disturbance that the camera's table of a scene file asks for; None for none."""
         return cls(table.knock_s, math.radians(table.knock_deg)) if table.knock_deg else None
 
 

@@ -170,7 +170,7 @@ class JointLaw:
     kind: str = ""
 
     def coefficient(self, name: str) -> float:
-        """Of a column by its name; 0 where the law has none."""
+        """Coefficient of a column by its name; 0 where the law has none."""
         return next((float(c) for column, c in zip(self.columns, self.coefficients, strict=True)
                      if column.name == name), 0.0)
 

@@ -97,7 +97,7 @@ class Motion:
 
     @cached_property
     def direction(self) -> Array:
-        """Of motion ``(N, n)``, -1 to 1."""
+        """Direction in which each joint slides ``(N, n)``, -1 to 1."""
         return np.tanh(self.qd / self.still)
 
     @cached_property

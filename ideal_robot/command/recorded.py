@@ -81,7 +81,7 @@ def update_instants(t: Array, q_c: Array) -> np.ndarray:
 
 
 def command_cycle(recordings: Sequence[Recording], name: str) -> float:
-    """From command to command [s], as the commands' own steps say."""
+    """Time from command to command [s], found from the instants at which the logged commands change."""
     steps = []
     for recording in recordings:
         rows = update_instants(recording.t, recording.joints(name))
@@ -102,7 +102,7 @@ def usual_cutoff(recordings: Sequence[Recording]) -> float:
 def stretches_of(recordings: Sequence[Recording], name: str, *, cutoff: float | None = None,
                  bodies: Bodies | None = None, torque: Torque | None = None, measured: bool = True,
                  still: Array | None = None) -> list[Stretch]:
-    """The recordings, low-passed.
+    """The recordings' stretches without gaps, low-passed.
 
     Args:
         recordings: with ``q_i`` and the commands.

@@ -39,7 +39,7 @@ class Smoothing:
 
     @property
     def delay(self) -> float:
-        """By how much slow motion is delayed, over the filter's time."""
+        """Delay of slow motion by the filter, over the filter's time constant."""
         return self.late + self.bend[0]
 
     def before(self, r: Array, dt: float, time: float) -> Array:

@@ -173,7 +173,7 @@ class BestSet:
         self.fitted, self._model_alone = fitted, self.system.posterior(["W"])
 
     def _smooth(self) -> list[Array | None]:
-        """Of each channel orthonormal smooth functions of its own motion: what may be a cause is no noise."""
+        """Orthonormal smooth functions of each channel's own motion: what they explain may be a cause, so no noise."""
         if self._explained is None:
             self._explained = []
             for j in range(self.system.c):
@@ -326,7 +326,7 @@ class BestSet:
         return joined(present, gram[own, :P], gram[own, own], gram[own, -1], linalg.block_diag(*roots)).evidence
 
     def _precisions(self, chosen: Sequence[Candidate]) -> dict[str, Array]:
-        """Of each cause of a set, beforehand ``(m, m)``."""
+        """Precision of each cause's coefficients before the data ``(m, m)``."""
         return {c.key: _inverse(self.wide(c)) for c in chosen}
 
     def cost(self, candidate: Candidate) -> float:
@@ -334,7 +334,7 @@ class BestSet:
         return float(np.log(max(len(self.pool), 1)) + candidate.cost)
 
     def better(self, chosen: Sequence[Candidate], than: Sequence[Candidate]) -> float:
-        """By how many nats one set is better than another, priors and all."""
+        """Score of one set less that of another [nats], priors included."""
         common, ours, theirs = _apart(chosen, than)
         return (self._beside(common, ours, theirs) - self._beside(common, theirs, ours) +
                 sum(map(self.cost, theirs)) - sum(map(self.cost, ours)))
@@ -388,7 +388,7 @@ class BestSet:
         self._refresh()
 
     def _best(self) -> Weighed | None:
-        """Of the candidates that stand above what the class cannot say the one that explains most; None without."""
+        """The candidate with the best score; None where none is good enough to be accepted."""
         return next((w for w in self.ranked() if w.nats >= ACCEPT), None)
 
     def ranked(self, hole: Candidate | None = None, finalists: int = FINALISTS, *,
@@ -573,7 +573,7 @@ class BestSet:
 
     @property
     def noise(self) -> Sequence[ColouredNoise]:
-        """Of each channel, with its level."""
+        """Noise of each channel, with its level."""
         return self.fixed or [channel.noise.scaled(channel.weight**-0.5) if channel.weight else channel.noise
                               for channel in self.system.channels]
 

@@ -40,7 +40,7 @@ class Case:
 
     @property
     def stiffness(self) -> Array | None:
-        """Of the gears as far as the given model knows it ``(n,)`` [N m/rad]."""
+        """Stiffness of the gears ``(n,)`` [N m/rad], where the given model has one."""
         return None if self.given is None else self.given.known_stiffness
 
     def torque_regression(self, recording: Recording, model: Model, *, cutoff: float | None = None,

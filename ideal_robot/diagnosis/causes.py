@@ -76,7 +76,7 @@ Only = tuple[tuple[str, int], ...]
 
 def candidates(effects: Sequence[Effect], signals: Signals, absorbed: bool,
                only: Only | None = None) -> Iterator[list[Candidate]]:
-    """For every effect and joint the list of its starts.
+    """Candidates of every effect and joint: a list each, with one for each start of theta.
 
     Args:
         effects, signals: to try, in a recording.

@@ -94,7 +94,7 @@ class DomainDiagnosis:
 
     @property
     def choices(self) -> tuple[Candidate, ...]:
-        """The best set."""
+        """Causes of the best set."""
         return self.final.effects
 
     @property
@@ -298,7 +298,7 @@ def discriminating_motion(name: str, rivals: tuple[str, ...]) -> str:
 
 
 def _ranked_structure(best: BestSet, residuals: Sequence[Array]) -> list[tuple[Structure, ...]]:
-    """For each residual ``(N, c)`` the three strongest dependences of each channel that are not as by chance."""
+    """The three strongest dependences of each channel beyond chance, for each residual ``(N, c)``."""
     regression, use = best.regression, best.regression.use
     dependence = DependenceTest(best.at_rows, use, best.problem.blocks)
     curves = [terms(best.at_rows, j, False, regression.domain) for j in range(use.shape[1])]
@@ -341,7 +341,7 @@ def with_limits(fitted: FittedEffect, candidate: Candidate, signals: Signals) ->
 
 
 def sides(candidate: Candidate, signals: Signals) -> list[int]:
-    """For each theta -1 where it stands at the lower end of what was searched, 1 at the upper, 0 between."""
+    """Where each theta stands in the range that was searched: -1 at its lower end, 1 at its upper end, 0 between."""
     effect, theta = candidate.effect, candidate.theta
     bounds = effect.bounds(signals, candidate.joint) if effect.theta_is_physical else []
     if len(bounds) != len(theta):

@@ -194,7 +194,7 @@ class System:
         return totals[a, b]
 
     def places(self, keys: Sequence[str]) -> dict[str, slice]:
-        """Where the columns of each group stand."""
+        """Columns of each group in the matrix of all of them."""
         ends = np.cumsum([0, *(self.groups[key].m for key in keys)])
         return {key: slice(int(first), int(end)) for key, first, end in zip(keys, ends[:-1], ends[1:], strict=True)}
 

@@ -49,7 +49,7 @@ class Tool(NamedTuple):
 
     @classmethod
     def of(cls, model: pin.Model, frame: int) -> Tool:
-        """Of a frame of a Pinocchio model; raises InputError where the model is no serial chain."""
+        """The tool at a frame of a Pinocchio model; raises InputError where the model is no serial chain."""
         tool = model.frames[frame]
         return cls(chain_of(model), int(tool.parentJoint), np.ascontiguousarray(tool.placement.rotation),
                    np.array(tool.placement.translation))

@@ -173,7 +173,7 @@ class CameraErrors:
 
     @classmethod
     def of(cls, effects: Sequence[FittedEffect]) -> CameraErrors:
-        """Of all effects of a model."""
+        """Errors of a camera that all effects of a model make together."""
         fits = [(fitted.effect, fitted.coefficients) for fitted in effects]
         return cls(tuple(size for effect, coefficients in fits if isinstance(effect, CameraEffect)
                          for size in zip(effect.errors, coefficients, strict=False)))
@@ -198,7 +198,7 @@ class CameraErrors:
 
 
 def from_axis(points: Array, axis: Array) -> Array:
-    """From the optical axis to points ``(m, 3)`` along the surface, both in the tool frame [m]."""
+    """Vectors ``(m, 3)`` from the optical axis to points along the surface, in the tool frame [m]."""
     out = points - axis
     out[:, 2] = 0.0
     return out

@@ -228,7 +228,7 @@ class CommonDelay(WholeArmEffect, LateTorque):
     )
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """Of one joint alone it is that joint's delay."""
+        """See ``Effect.usable``: on a recording of several joints; on one it would be that joint's delay."""
         return signals.n > 1
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
@@ -255,7 +255,7 @@ class TorqueFilter(CommonDelay):
         return [(1e-3,), (8e-3,)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """No filter, and the longest."""
+        """See ``Effect.bounds``: from no filter to the longest."""
         return [(0.0, self.longest)]
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
@@ -284,7 +284,7 @@ class LatePosition(DeadTime):
     held = (0.0, HOLD)
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """With one joint alone it is the torque's delay with the other sign."""
+        """See ``Effect.usable``: on a recording of several joints; on one it is a delay of the torque, negative."""
         return signals.n > 1 and signals.rigid is not None
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
@@ -307,7 +307,7 @@ class LateMeasurement(DeadTime):
     longest = 0.1
 
     def joints(self, signals: Signals) -> Iterator[int]:
-        """Each joint by itself, or the whole arm; of one joint alone both are the same."""
+        """See ``Effect.joints``: each joint, and the whole arm where it has more than one."""
         if self.channel_prefix == ARM_POSITION.prefix:
             yield from super().joints(signals)
         elif signals.n > 1 or self.domain == TCP_POSITION:

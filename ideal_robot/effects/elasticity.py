@@ -153,7 +153,7 @@ class ElasticityAtArm(JointElasticity):
     theta_units = ("kg m²",)
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """As the model has it."""
+        """See ``Effect.starts``: the rotor inertia that the model has."""
         return [(0.0,)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:

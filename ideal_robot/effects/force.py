@@ -90,7 +90,7 @@ class ForceErrors:
 
     @classmethod
     def of(cls, effects: Sequence[FittedEffect]) -> ForceErrors:
-        """Of all effects of a model."""
+        """Errors of a force sensor that all effects of a model make together."""
         changes = [effect.effect.loop_change(effect.coefficients, effect.theta) for effect in effects]
         wrench = np.zeros(6)
         for change in changes:

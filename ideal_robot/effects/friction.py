@@ -92,7 +92,7 @@ class Degressive(LawTerm):
     source = "[G] (2), (3)"
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """From a bend at the fastest speed of the recording to one at a fortieth of it."""
+        """See ``Effect.starts``: bends from the recording's top speed down to a fortieth of it."""
         top = _top_speed(signals, joint)
         return [(factor / top,) for factor in (2.0, 4.0, 8.0, 16.0, 40.0)]
 
@@ -122,7 +122,7 @@ class Stribeck(LawTerm):
     source = "[G] (4)"
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """From a fiftieth of the top speed to a third of it."""
+        """See ``Effect.starts``: from a fiftieth of the top speed to a third of it."""
         top = _top_speed(signals, joint)
         return [(top * factor,) for factor in (0.02, 0.05, 0.1, 0.2, 0.35)]
 
@@ -203,7 +203,7 @@ class LoadDependentFriction(Effect):
         return [(share * largest,) for share in (0.1, 0.5, 0.9)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """Between nothing and all."""
+        """See ``Effect.bounds``: from nothing to all."""
         largest = _inertia_of_load(signals, joint)
         return [(1e-3 * largest, largest)]
 
@@ -306,7 +306,7 @@ class WarmingEffect(Effect):
     theta_units = ("s",)
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """By time with constants from a tenth of the recording to three of it; by temperature if it varies."""
+        """See ``Effect.starts``: time constants of a tenth to three times the recording; temperature if it varies."""
         span = float(signals.t[-1] - signals.t[0])
         starts: list[Theta] = [(span * factor,) for factor in (0.1, 0.3, 1.0, 3.0)]
         if signals.temperature is not None and float(np.ptp(signals.temperature[:, joint - 1])) > 0.5:

@@ -272,7 +272,7 @@ class GravitySpring(AngleLaw):
         return [(-np.pi, 3.0 * np.pi), (0.1, 0.9)]
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """Where gravity does nothing none is balanced."""
+        """See ``Effect.usable``: where gravity acts on the joint, as nothing else is balanced."""
         if signals.weight is None:
             return True
         size = np.abs(signals.weight).max(axis=0)

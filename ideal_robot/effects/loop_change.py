@@ -12,7 +12,7 @@ def _place(words: str, default: Any) -> Any:
 
 @dataclass(frozen=True)
 class LoopChange:
-    """Where an effect acts, and by how much; what is not given stays as it is.
+    """The change that an effect makes to the closed loop; what is not given stays as it is.
 
     Attributes:
         torque: whether its torque, as it stands, joins what the motor has to give.

@@ -39,7 +39,7 @@ class TorqueRipple(Effect):
         return [(float(order),) for order in np.linspace(low, high, count)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """From a few periods in the range to what the sampling resolves in the slowest quarter of the motion.
+        """See ``Effect.bounds``: from a few periods in the range to what the slowest quarter's sampling resolves.
 
         What is too fast for the band in the rest of it is taken out of columns and residual alike.
         """

@@ -19,7 +19,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 
 ORDER = 4
-"""Of the autoregression. Orders 1 to 10 name the same causes in 48 recordings of a fourth engine."""
+"""Order of the autoregression. Orders 1 to 10 name the same causes in 48 recordings of a fourth engine."""
 _LARGEST_REFLECTION = 0.98
 """Of a partial autocorrelation: noise that lasts longer is drift, of which a recording holds too few periods."""
 _OUTLIER = 5.0
@@ -72,7 +72,7 @@ class ColouredNoise:
 
     @property
     def order(self) -> int:
-        """Of the autoregression."""
+        """Order of the autoregression."""
         return self.predictors.shape[1]
 
     @property

@@ -168,7 +168,7 @@ class Guard:
         self._came.append(self._last[0])
 
     def stop(self, reason: str) -> None:
-        """No motion may go on; the first reason counts. To be called from anywhere."""
+        """Ends all motion, from any thread; of several reasons the first is reported."""
         self.reason = self.reason or reason
 
     def check(self) -> None:
@@ -305,7 +305,7 @@ class Guard:
 
     @contextmanager
     def motion(self, cycle: Cycle) -> Iterator[None]:
-        """Whatever ends the motion in the block early, the arm is at rest behind it and touches nothing."""
+        """Brings the arm to rest, away from what it touches, where the motion in the block ends early."""
         try:
             yield
         except IdealRobotError:

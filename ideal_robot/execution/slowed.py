@@ -91,7 +91,7 @@ def _cycles(share: Array) -> Array:
 
 
 def _beyond(q: Array, robot: Robot) -> Array:
-    """By how much the speed of each row has to fall to be within limits ``(N,)``, as ``check_limits`` sees them."""
+    """Factor by which the speed of each row exceeds what the limits of ``check_limits`` allow ``(N,)``, at least 1."""
     speed = np.diff(q, axis=0) / robot.t_ipo
     bend = np.diff(speed, axis=0) / robot.t_ipo
     over = np.ones(len(q))

@@ -16,7 +16,7 @@ from typing import Any
 
 
 class _CallablePackage(ModuleType):
-    """This package; see the registry for the arguments of the call."""
+    """The type of this package, which can be called: ``feedforward(key, …)``, see the registry."""
 
     def __call__(self, *arguments: Any, **options: Any) -> Any:
         return import_module(f"{__name__}.registry").feedforward(*arguments, **options)

@@ -33,7 +33,7 @@ class CommandLimits(NamedTuple):
 
     @classmethod
     def of(cls, arm: Robot | CommandPath) -> CommandLimits:
-        """From positions and speeds that an arm may have, and its cycle."""
+        """Limits of commands by the positions, speeds and cycle of an arm."""
         return cls(arm.q_min, arm.q_max, FASTEST * arm.v_max * arm.t_ipo)
 
     def within(self, commands: Array) -> Array:
@@ -62,7 +62,7 @@ class Feedforward(ABC):
 
     @abstractmethod
     def step(self, state: Any, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, Any]:
-        """One interpolation cycle.
+        """The command of one interpolation cycle.
 
         Args:
             state: what the last ``step`` or ``init`` returned.

@@ -29,7 +29,7 @@ on more make no difference (``python -m studies horizon``, seeds 1 to 3)."""
 
 
 def _corrected(setting: Setting, feedforward: Feedforward) -> Feedforward:
-    """For the arm's geometry as effects say that it is."""
+    """A feedforward whose commands correct the arm's geometry by the model's effects."""
     return for_arm(feedforward, setting.robot, setting.identified().effects)
 
 

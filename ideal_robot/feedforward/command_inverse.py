@@ -44,7 +44,7 @@ class InverseState:
 
 @dataclass(frozen=True)
 class Changed:
-    """By what a law has changed since it was identified.
+    """Changes of a law since it was identified.
 
     Attributes:
         late: commands act so much later ``(n,)`` [s].

@@ -63,7 +63,7 @@ _LAG = 2e-2
 
 
 class _Measured(NamedTuple):
-    """Of one cycle: motor angles [rad], motor torques and joint torques of contact [N m], ``(n,)`` each."""
+    """Signals of one cycle: motor angles [rad], motor torques and joint torques of contact [N m], ``(n,)`` each."""
 
     q: Array
     tau: Array
@@ -80,7 +80,7 @@ class _Estimate(NamedTuple):
 
 
 class FrictionFactors(NamedTuple):
-    """What adaptation knows.
+    """Factors of friction that adaptation has estimated.
 
     Attributes:
         x: parameters: each joint's own, and those that all joints share ``(p,)``.
@@ -340,7 +340,7 @@ class AdaptedIdeal(Feedforward):
         self.n_d, self.t_ipo = ideal.n_d, ideal.t_ipo
 
     def init(self, q0: Array, factors: FrictionFactors | None = None) -> AdaptedState:
-        """At rest at ``q0``, with what is known from before, if anything."""
+        """State at rest at ``q0``, with the factors of an earlier motion if there are any."""
         factors = self.known if factors is None else factors
         factors = self.adaptation.init() if factors is None else self.adaptation.begun(factors)
         curve = None if self.curve is None else self.curve.init(self.known_curve)

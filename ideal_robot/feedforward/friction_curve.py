@@ -53,7 +53,7 @@ STRAY = 0.01
 
 
 class Planned(NamedTuple):
-    """Of one cycle: motor angles and velocities at its end, direction of sliding, each ``(n,)``, and what was known."""
+    """A cycle's plan: motor angles and velocities at its end, direction of sliding, ``(n,)`` each; what was known."""
 
     q: Array
     v: Array
@@ -62,7 +62,7 @@ class Planned(NamedTuple):
 
 
 class CurveState(NamedTuple):
-    """What is known.
+    """What is known of friction and inertia.
 
     Attributes:
         x: of each joint: friction's terms, offset, inertia for every joint's acceleration ``(n, p)`` with
@@ -139,7 +139,7 @@ class FrictionCurve:
         self._size = TERMS + 1 + n
 
     def init(self, known: CurveState | None = None) -> CurveState:
-        """Nothing known, or what is known from another motion; of that motion's following error nothing stays."""
+        """State before a motion: nothing known, or what another motion has shown, without its following error."""
         places = np.delete(np.arange(self._size), TERMS)
         if known is None:
             return self._begun(np.zeros((self.loop.n, self._size)), np.zeros((self.loop.n, self._size, self._size)),

@@ -219,7 +219,7 @@ class Inverse(Feedforward):
     @classmethod
     def of(cls, model: Model, robot: Robot, n_d: int | None = 30, *, delay: int = 0,
            options: Options = COMPLETE) -> Inverse:
-        """From an identified model: see ``loop_model`` for ``delay`` and the class for ``n_d`` and ``options``.
+        """The inverse of an identified model; ``delay`` as in ``loop_model``, ``n_d`` and ``options`` as in the class.
 
         Args:
             model, robot, delay: as of ``loop_model``.
@@ -354,7 +354,7 @@ class _PrintedGains(NamedTuple):
 
 
 def _printed_gains(cascade: Cascade, T: float) -> _PrintedGains:
-    """Of the cascade: ``k_P = k_p k_v``, ``k_D = k_p k_ff``, ``k_1 = k_D - k_p``, ``k_2 = k_p t_filter``."""
+    """A cascade's gains in [G]: ``k_P = k_p k_v``, ``k_D = k_p k_ff``, ``k_1 = k_D - k_p``, ``k_2 = k_p t_filter``."""
     k_d = cascade.k_p * cascade.k_ff
     return _PrintedGains(cascade.k_p * cascade.k_v, k_d, k_d - cascade.k_p, cascade.k_p * cascade.t_filter,
                          cascade.k_i * T / cascade.k_p)

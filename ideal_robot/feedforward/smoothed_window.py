@@ -52,12 +52,12 @@ class Window(NamedTuple):
 
     @classmethod
     def empty(cls, n: int) -> Window:
-        """Nothing measured yet of ``n`` joints."""
+        """Window of ``n`` joints without a measurement."""
         return cls(np.zeros((CYCLES, n)), np.zeros((CYCLES, n)), np.zeros((CYCLES, n)), 0)
 
 
 class Smoothed(NamedTuple):
-    """In the middle of the window, each ``(1, n)``.
+    """Smoothed signals in the middle of the window, ``(1, n)`` each.
 
     Attributes:
         q, v, a: of the arm [rad, rad/s, rad/s²].

@@ -160,7 +160,7 @@ class Presliding(NamedTuple):
 
     @classmethod
     def none(cls, n: int) -> Presliding:
-        """Of ``n`` joints whose contacts nothing has bent."""
+        """State of ``n`` joints without any presliding."""
         return cls(np.zeros(n), np.zeros(n))
 
 

@@ -41,7 +41,7 @@ class Workspace:
 
     @classmethod
     def of(cls, robot: Robot) -> Workspace:
-        """For arms that reach a metre or further the default, for smaller ones in proportion to their reach.
+        """The default workspace of an arm; in proportion to its reach where that is less than a metre.
 
         The floor is never so high that the tool or a joint could not rise above it by half of the height it can reach:
         a turntable has its tool on the floor.
@@ -74,7 +74,7 @@ class Workspace:
 
 
 def clear_of_obstacles(robot: Robot, q: Array, workspace: Workspace) -> NDArray[np.bool_]:
-    """In which of postures ``(N, n)`` the arm keeps off floor and base column ``(N,)``.
+    """Whether the arm keeps off floor and base column in postures ``(N, n)``: ``(N,)``.
 
     Args:
         robot, q: the arm, and postures ``(N, n)`` [rad].
@@ -96,7 +96,7 @@ def obstacle(robot: Robot, q: Array, workspace: Workspace) -> str | None:
 
 
 def _met(robot: Robot, q: Array, workspace: Workspace) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """In which of postures ``(N, n)`` the arm is too low, and in which the tool is too near to the base ``(N,)``."""
+    """Whether in postures ``(N, n)`` the arm is too low, and the tool too near to the base, ``(N,)`` each."""
     span, heights = _points(robot, q, workspace.beyond)
     return heights.min(axis=1) < workspace.z_min, (heights[:, 0] < workspace.z_free) & (span < workspace.r_min)
 

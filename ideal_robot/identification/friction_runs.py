@@ -208,7 +208,7 @@ class FrictionProjection:
 
     @cached_property
     def _without(self) -> list[_Eliminated]:
-        """With each of the folds left out."""
+        """The eliminated problem with each of the folds left out."""
         return [self._eliminated([*self._folds[:k], *self._folds[k + 1 :]]) for k in range(len(self._folds))]
 
     def _moments(self, F: Array, rows: slice) -> _Moments:

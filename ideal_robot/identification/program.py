@@ -230,7 +230,7 @@ def _farthest(robot: Robot, centre: Array, wanted: Array, room: Workspace) -> Ar
 
 
 def _turns(centre: Array, moved: Array) -> Array:
-    """Where each axis turns back ``(2 n, n)`` that moves so far ``(n,)`` [rad] both ways from a posture."""
+    """Postures ``(2 n, n)`` at the ends of each axis's motion by ``moved (n,)`` [rad] both ways from ``centre``."""
     return np.vstack([centre + np.diag(moved), centre - np.diag(moved)])
 
 

@@ -52,7 +52,7 @@ class JointVerdict:
     would_tell: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Plain values for JSON."""
         return dict(vars(self))
 
 

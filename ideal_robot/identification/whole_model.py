@@ -204,7 +204,7 @@ def with_given_controller(analysis: IdentificationResult, wanted: str | Path, ro
 
 
 def command_figures(model: Model) -> list[dict[str, Any]]:
-    """Of each joint what controller was found, what its law leaves of ``q_c - q`` on held-out data, what there was."""
+    """A row a joint: its controller, the law's residual of ``q_c - q`` on held-out data, and ``q_c - q`` itself."""
     law = model.command
     if law is None:
         return []

@@ -67,7 +67,7 @@ class Cascade(NamedTuple):
 
 
 class CommandPath(NamedTuple):
-    """From a command that is handed over to the reference that the position loop gets, and the cycles.
+    """The way of a command to the position loop's reference: filter, delay, cycles and limits.
 
     Attributes:
         command_filter: impulse response of the command low-pass at the position loop's cycle ``(L, n)``, sums to 1.

@@ -275,7 +275,7 @@ class _Servo:
 
     @classmethod
     def of(cls, law: JointLaw) -> _Servo | None:
-        """Of a command's law ``q_c - q = τ / K + (D / K) q̇``, commands at once; None where it is another law."""
+        """The servo of a command's law ``q_c - q = τ / K + (D / K) q̇``, without delay; None where it is another law."""
         names = [column.name for column in law.columns]
         if "torque" not in names or law.shape.reset is not None or law.shape.smoothing != "none":
             return None

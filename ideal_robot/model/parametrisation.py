@@ -46,7 +46,7 @@ class Parameter:
         return 100.0 * self.std / abs(self.value) if self.value else float("nan")
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Plain values for JSON."""
         return {"name": self.name, "joint": self.joint, "value": self.value, "std": self.std,
                 "std_percent": self.std_percent, "unit": self.unit, "meaning": self.meaning}
 

@@ -252,7 +252,7 @@ class CatchUp:
         self._left, self.active = 0, False
 
     def start(self, offset: Array, drift: Array, bend: Array, wanted: Array) -> None:
-        """From another position and speed.
+        """Begins a way from another position and speed.
 
         Args:
             offset, drift: position and speed in force minus those wanted in the last cycle ``(n,)`` [rad, rad a cycle].
@@ -302,7 +302,7 @@ class CatchUp:
 
 
 def _plans(longest: int) -> list[Array]:
-    """Of each number of cycles N how its way follows from ``o, d, b``: change, acceleration, speed ``(3, N, 3)``."""
+    """For each number of cycles N how its way follows from ``o, d, b``: change, acceleration, speed ``(3, N, 3)``."""
     A, plans = np.triu(np.ones((3, 3))), [np.zeros((3, 0, 3))]
     power, reach = A, np.ones((3, 1))
     for _ in range(longest):
@@ -343,7 +343,7 @@ class LinkCounts:
 
 
 def cycles_since(number: int, before: int) -> int:
-    """By how much a packet's number is further than that of one before; numbers of 32 bits begin anew behind the last.
+    """Cycles between the numbers of two packets; numbers of 32 bits begin anew behind the last.
 
     >>> cycles_since(2, 2**32 - 1), cycles_since(5, 7)
     (3, -2)

@@ -234,7 +234,7 @@ class Robot(Summarised):
 
     @property
     def tool_length(self) -> float:
-        """Of the tool that ``with_tool`` put on [m]."""
+        """Length of the tool that ``with_tool`` put on [m]."""
         frame = self.pinocchio.frames[self.tool_id]
         if frame.name != TOOL_TIP:
             return 0.0

@@ -74,7 +74,7 @@ def reach_at_home(robot: Robot) -> float:
 
 
 def _ways(robot: Robot) -> Array:
-    """From each joint to the next one, the last one's to the tool, in the joint's frame ``(n, 3)`` [m]."""
+    """Vector from each joint to the next one, from the last one to the tool, in the joint's frame ``(n, 3)`` [m]."""
     model = robot.pinocchio
     return np.array([*(model.jointPlacements[j + 1].translation for j in range(1, robot.n)), robot.tool_place])
 

@@ -102,7 +102,7 @@ class Stamps:
         return self.rise == 0 or (after - before + _RANGE // 2) % _RANGE > _RANGE // 2
 
     def described(self) -> str:
-        """For the report."""
+        """How the controller's time stamps rise, in words."""
         if self.rise is None:
             return "not known"
         return {0: "do not rise: repeated and late packets cannot be told", self.step: f"rise by {self.step} ms a cycle"

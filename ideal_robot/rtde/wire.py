@@ -196,7 +196,7 @@ class RtdeConnection:
             raise RtdeError("the controller does not start to send" + self._last_text())
 
     def pause(self) -> None:
-        """No data packages any more; what the controller answers is not waited for."""
+        """Asks the controller to send no more data packages; does not wait for its answer."""
         try:
             self._socket.sendall(package(Kind.PAUSE))
         except OSError:

@@ -181,7 +181,7 @@ def clipped(values: Array, still: np.ndarray | None = None) -> np.ndarray:
 
 
 def _limits(values: Array, step: float, moves: np.ndarray) -> Iterator[np.ndarray]:
-    """For each side on which there is a limit, the samples that stand at it while the joint ``moves`` ``(N,)``."""
+    """Yields the samples ``(N,)`` that stand at a limit while the joint ``moves``, for each side that has one."""
     if len(np.unique(values[: 20 * _LEVELS])) <= _LEVELS and len(np.unique(values)) <= _LEVELS:
         return
     for side in (values, -values):

@@ -70,7 +70,7 @@ class Recording(Summarised):
 
     @property
     def duration(self) -> float:
-        """From the first sample to the last [s]; 0 where there is none."""
+        """Time from the first sample to the last [s]; 0 where there is none."""
         return float(self.t[-1] - self.t[0]) if len(self.t) else 0.0
 
     def summary(self) -> list[tuple[str, str]]:

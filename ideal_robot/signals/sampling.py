@@ -272,7 +272,7 @@ class _Products:
 
 
 def _common(of: _Products, without: int | None = None) -> Array:
-    """By how much each sample is late ``(N,)`` [s], most likely, by all joints or ``without`` one of them.
+    """The likeliest delay of each sample ``(N,)`` [s], by all joints, or all but ``without``.
 
     Little is said where no joint moves.
     """

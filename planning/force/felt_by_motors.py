@@ -79,7 +79,7 @@ class FeltByMotors:
         self._last: Array | None = None
 
     def add(self, q_c: Array, q: Array, tau: Array, felt: Array | None = None, speed: float = 0.0) -> None:
-        """One cycle.
+        """Adds what one cycle commanded and measured.
 
         Args:
             q_c: commanded joint angles ``(n,)`` [rad].

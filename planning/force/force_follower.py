@@ -50,7 +50,7 @@ Errors = tuple[float, float, float]
 
 
 def surface_filter(errors: Errors) -> FilterBank:
-    """Of a surface of which nothing is known but that it is smooth."""
+    """The filter of a surface's height of which nothing is known but that it is smooth."""
     return FilterBank([DeviationFilter(model, biases={"force": errors}) for model in surfaces()])
 
 
@@ -129,7 +129,7 @@ class SurfaceFollower:
             self.fusion = self._fresh()
 
     def _fresh(self) -> FilterBank:
-        """Of a surface of which nothing was felt, on a contact of the elasticity that is assumed."""
+        """The filter of a surface that has not been touched, for a contact of the assumed elasticity."""
         return self._made(self.errors)
 
     @property

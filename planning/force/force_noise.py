@@ -40,7 +40,7 @@ class ForceNoise:
 
     @property
     def std(self) -> float:
-        """As estimated now [N]."""
+        """The noise's present estimate, standard deviation [N]."""
         return max(float(np.sqrt(self._sum / self._weight)), LEAST)
 
     def hear(self, t: Array, error: Array) -> None:

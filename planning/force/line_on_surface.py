@@ -88,11 +88,11 @@ class LineOnSurface:
 
     @property
     def _sunk(self) -> float:
-        """By how much the undeformed tip is below the surface when the force is right [m]."""
+        """Depth of the undeformed tip below the surface at the wanted force [m]."""
         return self.follower.settings.force / self.follower.settings.elasticity
 
     def predict(self, t: float) -> LineAhead:
-        """Where the line should be in a field exposed at ``t`` [s]."""
+        """The line as predicted for a field exposed at ``t`` [s]."""
         follower = self.follower
         s_now = follower.s_at(t)
         near, far = self.settings.view

@@ -66,7 +66,7 @@ class SensorGain:
 
     @property
     def value(self) -> float:
-        """γ."""
+        """The estimated gain γ."""
         return 1.0 / self.inverse if self.inverse > 0.0 else np.inf
 
     @property
@@ -97,12 +97,12 @@ class SensorGain:
 
     @property
     def text(self) -> str:
-        """In words, with what would pass."""
+        """The test's result in words, with what would pass it."""
         least, largest = self.passes
         return f"{self.shown}; one from {least:.2f} to {largest:.2f} would pass"
 
     def json(self) -> dict[str, float | str]:
-        """As plain values."""
+        """Plain values for JSON."""
         least, largest = self.passes
         return {"value": self.value, "sigma_of_inverse": self.sigma, "witness": self.witness, "passes_from": least,
                 "passes_to": largest, "text": self.text}

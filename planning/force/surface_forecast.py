@@ -66,7 +66,7 @@ class SmoothSurface(DeviationModel):
         self._height = slice(self._first + 2, self.size)
 
     def prior(self) -> tuple[Array, Array]:
-        """No deviation, with the expected variances."""
+        """Mean and covariance of the state before any measurement: no deviation, the expected variances."""
         P = np.zeros((self.size, self.size))
         if self._across is not None:
             P[: self._first, : self._first] = self._across.prior()[1]

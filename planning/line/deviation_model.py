@@ -19,7 +19,7 @@ from planning.path.reference import ReferencePath
 
 
 class Stand(NamedTuple):
-    """Where a state stands: from which arc length on it holds places, and how far the tool has come [m]."""
+    """The window of a state: arc length of its first place, and how far the tool has come [m]."""
 
     begin: float = -np.inf
     s: float = 0.0
@@ -150,7 +150,7 @@ class PathDeviation(DeviationModel):
         self._turning = Rigid(centre, np.stack([start.tangent, start.normal, start.up]), self.rigid)
 
     def prior(self) -> tuple[Array, Array]:
-        """No deviation, with the expected variances; the process is stationary, so the window does not matter."""
+        """Mean and covariance of the state before any measurement; of a stationary process the same in any window."""
         return np.zeros(self.size), self._prior.copy()
 
     @property

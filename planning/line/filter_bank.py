@@ -36,7 +36,7 @@ class FilterBank:
 
     @property
     def model(self) -> DeviationModel:
-        """Of the likeliest member."""
+        """Model of the likeliest member."""
         return self.likeliest.model
 
     @property
@@ -74,5 +74,5 @@ class FilterBank:
         return self._mixed(np.array([member.mean(s) for member in self.members]))
 
     def _mixed(self, every: Array) -> Array:
-        """Of the members' values ``(members, m, directions)``."""
+        """The mean of the members' values ``(members, m, directions)``, weighted by their probabilities."""
         return np.asarray((self._weights @ every.reshape(len(every), -1)).reshape(every.shape[1:]))

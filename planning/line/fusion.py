@@ -116,7 +116,7 @@ class DeviationFilter:
         return self.take(measurement)
 
     def take(self, measurement: Measurement) -> Fused:
-        """As ``update``, with a measurement that was checked."""
+        """Fuses a measurement that was checked already, see ``update``."""
         t = measurement.t
         if not self.model.drifts:
             # Late and unordered measurements are as good as any.

@@ -134,7 +134,7 @@ class Hypotheses:
         self.begin()
 
     def begin(self) -> None:
-        """Nothing is known."""
+        """Begins anew, with nothing known."""
         self.map, self._rival = self._fresh(), None
         self.shaken: list[Hypothesis] = []
 
@@ -165,7 +165,7 @@ class Hypotheses:
         return fused
 
     def _replaced(self, by: Hypothesis, fused: Fused, reason: str) -> Fused:
-        """Another hypothesis takes over, for which all values count."""
+        """Makes another hypothesis the present one; all values of the measurement are used by it."""
         self.map, self._rival, self.shaken = by, None, []
         count = len(fused.innovation)
         return Fused(np.ones(count, dtype=bool), fused.innovation, fused.nis, count, reason, sigma=fused.sigma)

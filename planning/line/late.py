@@ -47,7 +47,7 @@ class Buffer:
             self._entries.popleft()
 
     def clear(self) -> None:
-        """Forgets all."""
+        """Forgets all measurements that are kept."""
         self._entries.clear()
 
     def taken_back(self, t: float) -> list[Before] | None:

@@ -204,7 +204,7 @@ class LineFollower:
         self.history.add(t, q)
 
     def predict(self, t: float) -> LineAhead:
-        """Where the line should be in a field exposed at ``t`` [s], from where the TCP will be when it takes effect."""
+        """The line as predicted for a field exposed at ``t`` [s], by the pose of the TCP then."""
         s_tcp, speed = self.profile.at(t - self.t_start)
         return line_ahead(self.reference, self.fusion, s_tcp + self._where_to_look(speed))
 
@@ -304,7 +304,7 @@ class LineFollower:
         return q
 
     def check(self, t: float) -> None:
-        """Nothing: ``horizon`` looks whether the line was seen."""
+        """Does nothing, as ``horizon`` checks whether the line was seen."""
         return
 
     def _check_seen(self, t: float, s: float) -> None:
@@ -352,7 +352,7 @@ class Uncorrected:
 
 
 def line_ahead(reference: ReferencePath, fusion: DeviationFilter, s: Array) -> LineAhead:
-    """Where the line should be at some places, as a map of its deviation from the reference has it.
+    """The line as predicted at some places, from the map of its deviation from the reference.
 
     Args:
         reference: the reference path.

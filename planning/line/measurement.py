@@ -122,7 +122,7 @@ class SeenLine(Protocol):
 
 @dataclass(frozen=True)
 class LineAhead:
-    """Where the line should be at some places ahead.
+    """A prediction of the line at some places ahead.
 
     Attributes:
         s: arc lengths of the reference ``(m,)`` [m].
@@ -240,7 +240,7 @@ def widened(covariance: Array, direction: Array, variance: Array) -> Array:  # p
 @jit()
 def extended(H: Array, z: Array, R: Array, x: Array, P: Array, origin: Array,  # pragma: no cover
              at: tuple[int, int]) -> tuple[Array, Array]:
-    r"""About the state that is estimated: the Jacobian goes into ``H (m, n)``; values and their noise are returned.
+    r"""Linearises a measurement about the estimated state: fills the Jacobian ``H (m, n)``, returns values and noise.
 
     With a ratio r of the distances from the sensor's place o (an extended Kalman filter, [L] 4.3):
 
@@ -313,7 +313,7 @@ def within(innovation: Array, S: Array, gate: float) -> tuple[NDArray[np.bool_],
 
 @jit()
 def mean_and_variance(H: Array, x: Array, P: Array) -> tuple[Array, Array]:  # pragma: no cover
-    """Of linear functions of a state, ``(m,)`` each.
+    """Mean and variance of linear functions ``H`` of a state, ``(m,)`` each.
 
     Args:
         H: the functions' rows ``(m, n)``.

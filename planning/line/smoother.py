@@ -52,7 +52,7 @@ def smoothed(model: DeviationModel, passed: Sequence[Passed], kf: KalmanFilter, 
 
 
 def _inverse(P: Array) -> Array:
-    """Of a covariance; the pseudo-inverse where a state is known exactly, such as an error that no sensor has."""
+    """Inverse of a covariance; the pseudo-inverse where a state is known exactly, as an error that no sensor has."""
     try:
         return np.asarray(np.linalg.inv(P))
     except np.linalg.LinAlgError:

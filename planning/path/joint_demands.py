@@ -100,7 +100,7 @@ class JointDemands:
         return min(demand.room(row, square) for demand in self.demands)
 
     def excess(self, s: Array, speed: Array, acceleration: Array) -> Array:
-        """By what factor a travel is too fast for the joints at each instant ``(N,)``; at most 1 where it is not.
+        """Speed of a travel over what the joints allow at each instant ``(N,)``; at most 1 where it is allowed.
 
         Args:
             s, speed, acceleration: of the travel ``(N,)`` [m, m/s, m/s²].

@@ -65,7 +65,7 @@ class SpeedProfile:
     """
 
     def __init__(self, s: Array, tick: float = TICK) -> None:
-        """Of samples ``s (K,)`` [m] every ``tick`` seconds, beginning and ending at rest."""
+        """A profile of samples ``s (K,)`` [m] every ``tick`` seconds, beginning and ending at rest."""
         self.tick = tick
         self.duration = tick * (len(s) - 1)
         self.length = float(s[-1])

@@ -167,7 +167,7 @@ class Closing(ShownTable):
               for step in self.steps]]
 
     def page(self) -> Report:
-        """The report."""
+        """The page of the closing."""
         page = Report(f"{self.scene.title or self.scene.name}: the loop closed", self.answer())
         for refused in self.refusals():
             page.warning(f"{refused[:1].upper()}{refused[1:]}.")
@@ -202,7 +202,7 @@ class Closing(ShownTable):
         return figure
 
     def written(self, folder: Path | None) -> Closing:
-        """With recordings, model and report in a folder, which appears whole or not at all; as it is without one."""
+        """The result with its files in a folder, which appears whole or not at all; without one the result as it is."""
         if folder is None:
             return self
         page = self.page()
@@ -270,7 +270,7 @@ _HIDDEN = {"motor": _PLACE, "arm": _PLACE, "tcp": ()}
 
 
 def visible(recording: Recording, measured: Measured) -> Recording:
-    """Of a recording with everything what such an arm measures."""
+    """The columns of a full recording that such an arm measures."""
     columns = {name: values for name, values in recording.columns.items()
                if name not in _HIDDEN[measured] and not (measured == "motor" and name.startswith("qa_"))}
     return Recording(columns, recording.meta, recording.source)

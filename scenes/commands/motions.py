@@ -138,7 +138,7 @@ def plan_diagnosis(options: DiagnosticMotion) -> None:
 
 
 def _workspace(arm: Robot, z_min: float | None, cell: Path | None) -> Workspace:
-    """Where tool and links may be: by the arm's size, but for a height given [m], and off what a scene names."""
+    """The space for tool and links: by the arm's size or a given height [m], and off the obstacles of a scene."""
     from ideal_robot.identification.excitation import Workspace
 
     workspace = Workspace.of(arm) if z_min is None else replace(Workspace.of(arm), z_min=z_min)

@@ -141,7 +141,7 @@ def _show_alone(analysis: CommandIdentification, page: Path) -> None:
 
 
 def _show_commands(model: Model) -> None:
-    """Of each joint what controller was found, and what its law leaves of command minus angle on held-out data."""
+    """Prints each joint's controller, and the law's residual of command minus angle on held-out data."""
     from ideal_robot.identification.whole_model import command_figures
 
     figures, units = command_figures(model), model.units("mrad")

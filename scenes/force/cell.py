@@ -82,7 +82,7 @@ def _streams(scene: ForceScene) -> list[np.random.Generator]:
 
 
 def set_up(scene: ForceScene, seen: tuple[HandEye, DetectionSettings] | None = None) -> Cell:
-    """Builds a scene.
+    """Builds world, surface and follower of a force scene.
 
     Args:
         scene: what is played.

@@ -104,7 +104,7 @@ class _Force(Subject[ForceResult]):
         return left
 
     def seen(self, run: ForceResult) -> Recording:
-        """Of a run what is measured."""
+        """The recording of a run, without what the arm does not measure."""
         return visible(run.recording, self.measured)
 
 

@@ -87,7 +87,7 @@ class ForceResult(ShownRun):
 
     @property
     def lateral(self) -> dict[str, Any]:
-        """For ``glue``: figures of the distance from the drawn line, and of the camera's fields."""
+        """Figures of a ``glue`` scene: of the distance from the drawn line, and of the camera's fields."""
         if self.control_error is None:
             return {}
         return {"control_error_mm": self.control_error.json_mm(),

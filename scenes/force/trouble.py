@@ -46,7 +46,7 @@ class Trouble:
         return self.garbage(seen) if self._during(self._table.garbage, field.t_stamp) else seen
 
     def garbage(self, seen: LineField) -> LineField:
-        """Another field than the camera took."""
+        """The field with its points moved beside the line, all together and each a little by chance."""
         size = 1e-3 * self._table.garbage_mm
         beside = size * self._rng.uniform(-1, 1) + 0.2 * size * self._rng.standard_normal(len(seen.points_tcp))
         points = seen.points_tcp.copy()

@@ -28,7 +28,7 @@ _TRIES = 40
 
 @dataclass(frozen=True, repr=False)
 class Plan(Summarised):
-    """A planned motion.
+    """A planned identification motion.
 
     Attributes:
         method: ``joint`` or ``two-step``.

@@ -76,7 +76,7 @@ EFFECTS = {"camera_latency": ("camera", "stamp_offset"), "clock_drift": ("camera
 
 
 def assumed_latency(model: Model) -> float:
-    """By how much the model says that the camera's time stamps are wrong [s]; 0 where it says nothing."""
+    """Error of the camera's time stamps in the model [s]; 0 where it has none."""
     return CameraErrors.of(model.effects).late_by(0.0)
 
 
@@ -202,7 +202,7 @@ class _Line(Subject[LineResult]):
         return self.cell.known.robot
 
     def seen(self, run: LineResult) -> Recording:
-        """Of a run what is measured."""
+        """The recording of a run, without what the arm does not measure."""
         return visible(run.recording, self.measured)
 
     def fitted(self, run: LineResult, model: Model, names: Sequence[str]) -> tuple[FittedEffect, ...]:

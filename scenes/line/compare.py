@@ -193,7 +193,7 @@ class Fastest(Summarised):
                 ("95 % predicted", f"{1e3 * self.predicted:.3g} mm"), ("trials", str(len(self.trials)))]
 
     def json(self) -> dict[str, Any]:
-        """For ``--json``."""
+        """The content of ``--json``."""
         return {"speed_m_s": self.speed, "tolerance_mm": 1e3 * self.tolerance, "predicted_mm": 1e3 * self.predicted,
                 "trials": [{"speed_m_s": v, "p95_mm": 1e3 * error} for v, error in self.trials]}
 

@@ -368,7 +368,7 @@ def _gains(comparison: LineComparison) -> Figure:
 
 
 def _laid_out(figure: Figure) -> Figure:
-    """With a grid in each of its axes."""
+    """The figure with a grid in each of its axes."""
     for axes in figure.axes:
         axes.grid(alpha=0.25)
     figure.tight_layout()

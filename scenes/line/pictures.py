@@ -32,7 +32,7 @@ class Pictures(Sensor):
         self._at = set(np.linspace(0.35 * follower.lasts, 0.9 * follower.lasts, SHOWN).astype(int))
 
     def fuse(self, t: float) -> Work:
-        """Nothing: what it looks at is the camera's."""
+        """Fuses nothing, as it only looks at the camera's fields."""
         return Work.NOTHING
 
     def ended(self, t0: float, measured: RobotState, torque: Array | None) -> None:

@@ -109,7 +109,7 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
 
 
 def _mounted(camera: CameraModel) -> dict[str, Any]:
-    """Where the optical axis of the camera, as it is believed, meets the surface, and how far away."""
+    """Place where the believed camera's optical axis meets the surface, and its distance."""
     mount = camera.T_tool_camera
     return {"camera": {"axis": [float(v) for v in camera.axis_on_surface],
                        "distance": float(-mount.translation[2] / mount.rotation[2, 2])}}

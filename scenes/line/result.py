@@ -123,7 +123,7 @@ class LineResult(ShownRun):
     report: Path | None = None
 
     def beside_none(self, none: LineResult) -> LineResult:
-        """With a warning where no correction leaves little more."""
+        """The result, with a warning where the run without correction is hardly worse."""
         warning = little_gained(self.control_error.mean, none.control_error.mean)
         return replace(self, warning="; ".join(filter(None, [self.warning, warning])))
 

@@ -81,7 +81,7 @@ class CameraProcess:
 
     @property
     def pid(self) -> int | None:
-        """Of the process."""
+        """Identifier of the process."""
         return self._process.pid
 
     def poll(self) -> list[Header | LineField | Any]:
@@ -169,7 +169,7 @@ class CalibratedCamera:
         return self.file is not None and not self.wanted
 
     def found(self, hand_eye: HandEye) -> CalibratedCamera:
-        """With what a calibration has found, which is written to the file."""
+        """The camera as a calibration has found it, which is written to its file."""
         result = replace(self, camera=hand_eye.camera, wanted=False, time_offset=hand_eye.time_offset,
                          residual=hand_eye.residual_after, surface=hand_eye.surface)
         if self.file is not None:
@@ -177,7 +177,7 @@ class CalibratedCamera:
         return result
 
     def json(self) -> dict[str, Any]:
-        """As plain values."""
+        """Plain values for JSON."""
         T = self.camera.T_tool_camera
         return {"width": self.camera.width, "height": self.camera.height, "K": self.camera.K.tolist(),
                 "distortion": self.camera.distortion.tolist(), "translation_m": T.translation.tolist(),
@@ -218,7 +218,7 @@ def calibrated_camera(by_hand: CameraModel, file: Path | None) -> CalibratedCame
 
 
 def _pose(rotation: Array, translation: Array) -> pin.SE3:
-    """Of a rotation that is one; raises ValueError where it is none."""
+    """The pose of a rotation and a translation; raises ValueError where it is none."""
     if (rotation.shape != (3, 3) or translation.shape != (3,) or not np.isfinite(translation).all()
             or not np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-6):
         raise ValueError("no pose")

@@ -59,7 +59,7 @@ class Piece:
 
 @dataclass(frozen=True)
 class CalibrationMotion:
-    """From the start over the piece of the line and back, which is planned before the arm is connected.
+    """The motion from the start over a segment of the line and back, planned before the arm is connected.
 
     Attributes:
         out, over, back: commands ``(N, n)`` [rad] from rest to rest. On the way there and back another piece of the
@@ -198,7 +198,7 @@ class Look:
 
 @dataclass(frozen=True)
 class Seen:
-    r"""Where a line was seen from several poses.
+    r"""What was seen of a line from several poses.
 
     A camera that was knocked shows it a distance :math:`e` beside its place where the job looks from, and from pose i
     :math:`e\, b_i`: the farther away the more, and turned round on the other side. The places :math:`p_i` of a sound
@@ -244,7 +244,7 @@ class Seen:
                 f"to {1e3 * self.passes:.1f} mm beside the line would pass")
 
     def json(self) -> dict[str, Any]:
-        """As plain values."""
+        """Plain values for JSON."""
         return {"apart_mm": 1e3 * self.apart, "sigma_mm": 1e3 * self.sigma, "by_chance": self.by_chance,
                 "turned_deg": float(np.degrees(self.turned)), "passes_mm": 1e3 * self.passes, "text": self.text}
 

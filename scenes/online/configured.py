@@ -51,7 +51,7 @@ class Configured:
     camera: LineCamera | None = None
 
     def connect(self, force: ForceSensor | None = None, camera: Camera | None = None) -> None:
-        """From now on with these devices."""
+        """Connects the task with these devices."""
         if self.contact is not None and force is not None:
             self.contact.connect(force)
         if self.camera is not None and camera is not None:

@@ -219,7 +219,7 @@ class ContactSensor(Sensor):
             self.witness.ended(t0, measured, torque)
 
     def away(self, q_d: Array) -> Array | None:
-        """Whatever it is stopped for the tip lets go of the surface; at a contour's end, too."""
+        """Joint angles with the tip off the surface, to go to after any stop; None where it is off already."""
         if self._direct.done(0.0) if self._direct is not None else (
                 isinstance(self.follower, SurfaceFollower) and self.follower.phase is Phase.DONE):
             return None

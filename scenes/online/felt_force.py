@@ -226,7 +226,7 @@ class FeltForce(Watch):
 
     @property
     def _mass(self) -> float:
-        """Of the tool, as far as it is known [kg]; of either sign, as a sensor's may be."""
+        """Mass of the tool, as far as it is known [kg]; negative where the sensor has the other sign."""
         return self.tool.mass if self.tool is not None else float(self._weights[1] / self._weights[0])
 
     def _allowed(self) -> float:
@@ -246,7 +246,7 @@ class FeltForce(Watch):
         return 0.0 if noise is None else _BY_NOISE * float(np.max(noise[:3])) / np.sqrt(self._count)
 
     def _air(self) -> None:
-        """Where the tip has been without feeling anything the surface does not begin."""
+        """Takes note that the surface does not begin where the tip has been without feeling it."""
         surface = self._surface
         if surface is not None and self._zero is not None:
             # What happens now is felt later.

@@ -186,7 +186,7 @@ def elasticity_by_pressing(known: KnownSurface, start: Array, arm: LiveArm, forc
 
 
 class Pressed:
-    """Where the tip was along the normal at the start of the path, and what it felt there.
+    """Positions of the tip along the normal at the start of the path, and the forces felt there.
 
     Args:
         known: what is known of the scene.
@@ -236,7 +236,7 @@ class Pressed:
         return np.mean(self._felt[-_RECENT:], axis=0) if self._felt else np.zeros(3)
 
     def elasticity(self, newest: int = 0) -> ContactElasticity:
-        """From what was felt where, in all readings or in the newest ones."""
+        """Elasticity of the contact by all readings, or by the newest ones."""
         felt, places = np.array(self._felt[-newest:]), np.array(self._places[-newest:])
         stamps, times = self._stamps[-newest:], self._times[-newest:]
         # The surface need not be square to the nominal normal: its own is where the force points.
@@ -288,12 +288,12 @@ class _Press(Pressed):
     gain: SensorGain | None
 
     def _through_air(self, pace: float, settle: float = _SETTLES, air: float = WINDOW) -> None:
-        """From now on the motors are heard at this speed of the air [m/s], in which friction turns round [s]."""
+        """Compares motors and sensor from now on, at ``pace`` [m/s]; friction turns round within ``settle`` [s]."""
         self._pace, self._paced_at, self._slower = pace, self.height, None
         self._motors = FeltByMotors(self._known.model, self._known.robot, self.kinematics, self.up, settle, air)
 
     def _search(self) -> None:
-        """From now on it is gone so slowly that a sensor which dies now presses no harder than it may.
+        """Approaches from now on so slowly that the force stays allowed if the sensor fails.
 
         Until it has felt something nobody knows that it lives. The motors notice later, and with the speed at which the
         air was heard: it is that of pressing, whatever gives way under the tip.

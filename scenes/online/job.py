@@ -135,7 +135,7 @@ class Job:
 
     @property
     def log(self) -> TaskLog:
-        """What happened."""
+        """The log of the task."""
         return self.configured.task.log
 
     @property
@@ -146,7 +146,7 @@ class Job:
 
     @property
     def camera(self) -> CameraModel | None:
-        """As it is believed to be; None where none is needed."""
+        """The camera as it is believed to be; None where none is needed."""
         return self.calibration.camera if self.configured.camera is not None else None
 
     @property
@@ -163,7 +163,7 @@ class Job:
         return self.configured.task.q_start
 
     def calibration_motion(self) -> CalibrationMotion:
-        """From ``q_start`` and back, for the camera to be calibrated on; raises ``SceneError`` where there is none."""
+        """The motion from ``q_start`` and back that calibrates the camera; raises ``SceneError`` where there is none."""
         known, ends = self.known, self.scene.reference
         piece = Piece(known.reference, 0.5 * (ends.run_up + (known.reference.length - ends.run_out)), self.q_start,
                       known.clear, shapes_about(self.scene, self.robot), known.prior)
@@ -258,7 +258,7 @@ class Job:
         arm.lead(moves(self.robot, [above, self.q_start], 2 * self.robot.t_ipo))
 
     def _watch_following(self, arm: LiveArm) -> None:
-        """From now on the guard looks whether the arm goes where its commands lead."""
+        """Has the guard check from now on whether the arm follows its commands."""
         def loaded() -> Following:
             loop = loop_model(self.model, self.robot, delay=self.delay)
             return Following(lambda: arm.link.commanded, self.robot, response_of(loop, self.robot),

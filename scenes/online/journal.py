@@ -97,7 +97,7 @@ class Journal:
         return values.reshape(-1, len(self._row))
 
     def close(self) -> None:
-        """No more rows; the file stays, unless there is none in it: a run to which no arm came leaves nothing."""
+        """Ends the file; it is removed where it has no row, as of a run without an arm."""
         self._file.close()
         if not self._rows:
             remove(self._folder)

@@ -35,7 +35,7 @@ class Sight(Protocol):
     """Where to look for the line, and what a field says of the deviation."""
 
     def predict(self, t: float) -> LineAhead:
-        """Where the line should be in a field exposed at ``t`` [s]."""
+        """The line as predicted for a field exposed at ``t`` [s]."""
 
     def update(self, line: SeenLine, pose: pin.SE3 | None = None) -> Fused | None:
         """Fuses one field, with the TCP's ``pose`` at the exposure; None if it showed nothing."""
@@ -87,11 +87,11 @@ class LineCamera(Sensor):
         """The last field that was fused in this cycle, and what was seen in it."""
 
     def connect(self, camera: Camera, heard: Callable[[Fused | None], None] | None = None) -> None:
-        """From now on with this camera; ``heard`` looks at what became of each field (None: it showed nothing)."""
+        """Takes the camera that is read from now on; ``heard`` gets what became of each field, None for nothing."""
         self.camera, self.heard = camera, heard
 
     def predicted(self, t: float) -> PredictedLine:
-        """Where the line should be in a picture taken at ``t`` [s], in the tool frame."""
+        """The line as predicted for a picture taken at ``t`` [s], in the tool frame."""
         return self.sight.predict(t).seen_by(self.known.camera, t, self.history.row_pose)
 
     def fuse(self, t: float) -> Work:

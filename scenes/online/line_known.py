@@ -147,7 +147,7 @@ class SeenBefore:
     @classmethod
     def of(cls, detection: DetectionSettings, places: Array, pictures: Sequence[tuple[Gray, pin.SE3]],
            reference: ReferencePath) -> SeenBefore:
-        """From the points of each picture in the tool frame.
+        """What pictures have shown, from the points of each in the tool frame.
 
         Args:
             detection: how the line looks.
@@ -166,7 +166,7 @@ class SeenBefore:
 
     @property
     def covariance(self) -> Array:
-        """Of the deviations ``(2 k, 2 k)`` [m²]: the two of a picture share what is wrong with the camera."""
+        """Covariance of the deviations ``(2 k, 2 k)`` [m²]: the two of a picture share the camera's error."""
         return np.kron(np.eye(len(self.s) // 2), np.full((2, 2), BY_HAND**2)) + ROUGH**2 * np.eye(len(self.s))
 
     def _likeliest(self, reference: ReferencePath) -> tuple[float, float] | None:
@@ -178,7 +178,7 @@ class SeenBefore:
         return SHAPES[int(np.argmax(np.max(scores, axis=0)))]
 
     def _likelihoods(self, reference: ReferencePath, line: NDArray[np.bool_]) -> Array:
-        """Of ``SHAPES``, where those of the points ``(2 k,)`` are of the line and the others lie anywhere."""
+        """Log-likelihoods of ``SHAPES``, if these of the points ``(2 k,)`` are the line's and others lie anywhere."""
         stray = self.deviation[~line]
         density = -0.5 * (stray / ANYWHERE) ** 2 - np.log(ANYWHERE * np.sqrt(2.0 * np.pi))
         wrong = len(stray) // 2 * np.log(STRAY) + float(density.sum())

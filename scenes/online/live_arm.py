@@ -186,7 +186,7 @@ class LiveArm:
 
     @property
     def controller_time(self) -> float:
-        """Of the last cycle, by the controller [s]; NaN before the first."""
+        """Controller time of the last cycle [s]; NaN before the first."""
         return float("nan") if self._last is None else self._last.t
 
     def cycle(self, q_c: Array) -> RobotState:
@@ -237,7 +237,7 @@ class LiveArm:
                       "network")
 
     def _late(self) -> str:
-        """In how many of the last cycles the controller had no answer in time, in words."""
+        """How many of the last cycles had no answer in time, in words."""
         return (f"in {sum(self._missed)} of the last {len(self._missed)} cycles of {1e3 * self.t_ipo:g} ms the "
                 f"controller had no answer in time, which takes {1e3 * self._usual():.1f} ms")
 
@@ -322,7 +322,7 @@ class LiveArm:
 
     @contextmanager
     def motion(self) -> Iterator[None]:
-        """Whatever ends the motion in the block early, the arm is at rest behind it and touches nothing."""
+        """Brings the arm to rest, away from what it touches, where the motion in the block ends early."""
         with self.guard.motion(self.cycle):
             yield
 

@@ -86,7 +86,7 @@ class PathRun(Summarised):
                 *((str(label), shown_cell(value)) for label, value in rows[1:])]
 
     def json(self) -> dict[str, Any]:
-        """Key figures."""
+        """Key figures for JSON."""
         return {**self.recording.meta, "failure": self.failure, "cycles": len(self.recording.t),
                 "path_cycles": self.rows, "link": self.counts, **self.details,
                 "answer_time_ms": self.answer_times_ms, "timing": self.precautions,

@@ -24,7 +24,7 @@ NOT_CHECKED = "not looked at: a camera that shows any distance beside the line w
 
 @dataclass(frozen=True, repr=False)
 class FollowResult(ShownRun):
-    """One run.
+    """Result of one run on devices.
 
     Attributes:
         recording: the controller's side of it: ``t``, ``q_d_i``, ``q_c_i``, ``q_i``, torques, line points, wrenches.

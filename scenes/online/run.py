@@ -55,7 +55,7 @@ REST = 0.3
 
 def follow(scene: Scene, devices: Devices, *, method: str | None = None, calibration: Path | None = None,
            out: Path | None = None, progress: Progress = silent) -> FollowResult:
-    """Follows once.
+    """Follows the scene's line or surface once, on devices.
 
     Args:
         scene: from ``load_cell``; of its tables those of the world are not looked at.

@@ -58,13 +58,13 @@ class SelfTest:
 
     @property
     def text(self) -> str:
-        """In words."""
+        """The result in words."""
         usual, longest, jitter = (1e3 * value for value in (*self.computing, self.jitter))
         return (f"{self.late} of {self.cycles} answers late at rest, a cycle of {1e3 * self.t_ipo:g} ms computed in "
                 f"{usual:.1f} ms, at most {longest:.1f} ms; answers jitter by {jitter:.2f} ms")
 
     def json(self) -> dict[str, float | int | str]:
-        """As plain values."""
+        """Plain values for JSON."""
         return {"cycles": self.cycles, "late": self.late, "computing_ms": 1e3 * self.computing[0],
                 "longest_ms": 1e3 * self.computing[1], "jitter_ms": 1e3 * self.jitter, "text": self.text}
 

@@ -119,7 +119,7 @@ class AskedMotion:
     diagnosis: Diagnosis | None = field(default=None, repr=False)
 
     def json(self) -> dict[str, Any]:
-        """For ``--json``."""
+        """The content of ``--json``."""
         effects = None if self.diagnosis is None else [
             {"effect": effect.fitted.name, "joint": effect.fitted.joint,
              "indistinguishable_from": list(effect.indistinguishable_from)} for effect in self.diagnosis.effects]

@@ -108,7 +108,7 @@ class Comparison(Summarised):
 
     @property
     def verdict(self) -> str:
-        """Of the suite: the worst that any figure, bound or run says."""
+        """Verdict on the suite: the worst of all figures, bounds and runs."""
         verdicts = {row.verdict for row in self.rows}
         if FAILED in verdicts:
             return FAILED

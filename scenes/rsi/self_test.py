@@ -30,7 +30,7 @@ _ALLOWED = 1e-3
 
 @dataclass(frozen=True)
 class CycleTest:
-    """One cycle.
+    """The test of one cycle time.
 
     Attributes:
         cycle_ms: cycle [ms].
@@ -164,7 +164,7 @@ _AFTER = 4
 
 
 def _delays(port: int, cycle: float, packets: int, axes: list[float]) -> list[float | None]:
-    """From each packet to its answer [ms], from the first that was answered on; None where there was none.
+    """Time from each packet to its answer [ms], from the first answered one on; None where there was none.
 
     ``cycle`` [s]; ``axes``: the axis angles that every packet tells [deg].
     """

@@ -127,7 +127,7 @@ class LineTables(Protocol):
 
     @property
     def displacement(self) -> Displacement:
-        """By how much the drawn line lies beside its nominal place."""
+        """Displacement of the drawn line from its nominal place."""
 
     @property
     def folder(self) -> Path | None:
@@ -136,7 +136,7 @@ class LineTables(Protocol):
 
 @dataclass(frozen=True)
 class Geometry:
-    """Where everything is, in the base frame.
+    """Places of surface, drawn line and reference in the base frame.
 
     Attributes:
         plane: pose of the surface, where it really is.

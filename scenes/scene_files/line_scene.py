@@ -58,7 +58,7 @@ class Light(Table):
 
 
 class BentDisplacement(Displacement):
-    """By how much the drawn line and its surface are elsewhere than the scene file says."""
+    """Displacement of the drawn line and its surface from where the scene file says they are."""
 
     bow_mm: float = pydantic.Field(default=0.0, ge=0, le=20)
     """How far the surface's middle is out of the plane of its ends, over the line's length, up or down; needs

@@ -97,7 +97,7 @@ class ToolPath:
 
     @property
     def positions(self) -> Array:
-        """``(N, 3)`` [m]."""
+        """Positions of the tool ``(N, 3)`` [m]."""
         return np.array([pose.translation for pose in self.poses])
 
 

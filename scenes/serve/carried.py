@@ -173,7 +173,7 @@ class ServedCamera:
             self._waiting += 1
 
     def close(self) -> None:
-        """No more pictures."""
+        """Stops sending pictures."""
         with suppress(OSError):
             self._pipe.send(None)
         self._process.join(2.0)

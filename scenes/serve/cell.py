@@ -49,7 +49,7 @@ CONTROLLERS: dict[str, type[ServedArm]] = {"rsi": ServedArm, "rtde": ServedRtde,
 
 @dataclass(frozen=True)
 class Places:
-    """Where devices are.
+    """Addresses of the devices.
 
     Attributes:
         arm: where the follower listens for RSI or EGM, or this controller for RTDE.
@@ -248,7 +248,7 @@ def serve_scene(scene: Scene, places: Places, unkind: Unkindness, sessions: int,
 
 
 def _say_where(cell: ServedCell, places: Places, scene: Scene, say: Callable[[str], None]) -> None:
-    """Where the devices are, once they answer."""
+    """Says where the devices are, once they answer."""
     if places.scheme == "ros2":
         say(f"controller: ros2://{places.namespace}")
     else:

@@ -92,7 +92,7 @@ class LiveView:
             self._plot.data = (t, off)
 
     def _ended(self) -> None:
-        """No journal: a run that is over has left its report, if it has one."""
+        """Shows the report of a run that is over, where it has left one."""
         file = self._folder / "report.json"
         self._size = -1
         try:

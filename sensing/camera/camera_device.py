@@ -39,7 +39,7 @@ class Field:
 
     @classmethod
     def cut(cls, t: float, picture: Gray, windows: Sequence[Window]) -> Field:
-        """Of a whole picture ``(height, width)``, there at ``t`` [s], when it was exposed.
+        """A field cut from a whole picture ``(height, width)`` that was exposed and arrived at ``t`` [s].
 
         Args:
             t: stamp [s].

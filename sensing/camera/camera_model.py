@@ -188,7 +188,7 @@ class CameraModel:
         object.__setattr__(self, "distortion", distortion)
 
     def __reduce__(self) -> tuple[type[CameraModel], tuple[Any, ...]]:
-        """In another process, too, its arrays are read-only: numba compiles anew for those that are not."""
+        """Restores it with read-only arrays in another process: numba would compile anew for writable ones."""
         return type(self), tuple(getattr(self, entry.name) for entry in fields(self))
 
     @property

@@ -22,7 +22,7 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class PredictedLine:
-    """Where the line should be, in the tool frame at the exposure.
+    """The line as predicted, in the tool frame at the exposure.
 
     Attributes:
         points: predicted line points ``(m, 3)`` [m]; five in [L].
@@ -41,7 +41,7 @@ class PredictedLine:
 
     @property
     def covariance_or_zero(self) -> Array:
-        """Of the lateral predictions but for a motion of the whole ``(m, m)`` [m²]."""
+        """Covariance of the lateral predictions, without a motion of the whole line ``(m, m)`` [m²]."""
         return np.zeros((len(self.points),) * 2) if self.covariance is None else self.covariance
 
     @classmethod
@@ -107,7 +107,7 @@ class DetectionSettings:
 
     @classmethod
     def of(cls, width: float, darker: float) -> DetectionSettings:
-        """Of a line of this width [m], darker than its background by so much [gray], brighter where negative."""
+        """Settings for a line of this width [m], darker than its background by ``darker`` [gray], or brighter."""
         return cls(line_width=width, dark=darker > 0, min_contrast=min(cls.min_contrast, CONTRAST * abs(darker)))
 
     @property

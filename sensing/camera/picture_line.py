@@ -116,7 +116,7 @@ class PictureLine:
 
     @property
     def contrast(self) -> float:
-        """By how much line and sides differ, lightness and colour together [gray]; NaN where no line was found."""
+        """Difference of line and sides in lightness and colour together [gray]; NaN where no line was found."""
         return float("nan") if self.strip is None else float(np.linalg.norm(self.strip.color))
 
     @property

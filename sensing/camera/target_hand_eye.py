@@ -210,7 +210,7 @@ class _Problem:
         return np.asarray((np.asarray(view.pixels) - pixels).ravel())
 
     def _linearised(self, X: pin.SE3, Y: pin.SE3) -> list[tuple[Array, Array, Array]]:
-        """Of each picture residual, its slope, and how an error of the arm's pose moves it.
+        """Residual of each picture, its derivative, and its derivative by an error of the arm's pose.
 
         ``(2 m,)``; by camera and target ``(2 m, 12)``; ``(2 m, 6)``: translation [m], then rotation [rad] of each.
         """

@@ -21,7 +21,7 @@ from sensing.stream import Kind, StreamConnection, host_and_port, options
 
 @dataclass(frozen=True)
 class WrenchSample:
-    """One sample.
+    """One reading of a force sensor.
 
     Attributes:
         t, t_arrival: instants of measurement, and at which it is available [s].

@@ -158,7 +158,7 @@ _SIDES = 8
 
 
 class View(NamedTuple):
-    """From where an arm is shown.
+    """The view that an arm is shown from.
 
     Attributes:
         width, height: of the picture [px].

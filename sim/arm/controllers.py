@@ -58,7 +58,7 @@ class TorqueController:
         return TorqueController(robot, world, p)
 
     def reset(self, q: Array, holding: Array) -> None:
-        """At rest at motor angles ``q (n,)`` [rad] with the torque that holds the arm ``(n,)`` [N m]."""
+        """Puts the controller to rest at motor angles ``q (n,)`` [rad], ``holding (n,)`` the arm's weight [N m]."""
         self._r, self._rate, self._bend = q.copy(), np.zeros_like(q), np.zeros_like(q)
         self._integral = holding / self._k_p
         self._ticks = 0
@@ -105,7 +105,7 @@ class CommandPath:
         return CommandPath(world) if world.command_late > 0.0 or world.command_time > 0.0 else None
 
     def reset(self, q: Array) -> None:
-        """At rest at ``q (n,)`` [rad]."""
+        """Puts the command path to rest at ``q (n,)`` [rad]."""
         kept = int(np.ceil(self._late)) + int(np.ceil(self._time)) + 2
         self._given = deque([q.copy()] * kept, maxlen=kept)
         self._stages = [q.copy(), q.copy()]

@@ -163,7 +163,7 @@ NOTCH = (0.1, 0.5)
 
 
 def _share(cycle: float, time_constant: float) -> float:
-    """By how much of the difference a first-order low-pass moves in one cycle."""
+    """Share of the difference by which a first-order low-pass moves in one cycle."""
     return 1.0 - math.exp(-cycle / time_constant) if time_constant > 0.0 else 1.0
 
 

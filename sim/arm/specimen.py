@@ -15,7 +15,7 @@ from sim.arm.world import ExtraTorque, World
 
 @dataclass(frozen=True)
 class Specimen:
-    """The true arm.
+    """The true arm, one individual of its type.
 
     Attributes:
         model: Pinocchio model with the true kinematics and inertias, the payload included, rotors not.

@@ -263,7 +263,7 @@ class RenderedCamera:
         return self._gain
 
     def _brightness(self, lamp: Lamp, pose: pin.SE3, shape: Sequence[Array]) -> float:
-        """Of the picture: the most light at a few places in it, so that it is not overexposed."""
+        """Most light at a few places of the picture, by which it is exposed."""
         points = self._on_plane(*self._metered, pose)
         hidden = covered(points, lamp.place, lamp.radius, *_capsules(shape))
         return float(light(lamp, points, self.surface.plane.rotation[:, 2], self._lit_at, hidden).max())

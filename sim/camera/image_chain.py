@@ -66,7 +66,7 @@ class CameraSettings:
 
     @classmethod
     def of(cls, table: Any) -> CameraSettings:
-        """As the camera's table of a scene file has it, whose keys are named as the settings."""
+        """Settings from the camera's table of a scene file, which has keys of the same names."""
         same = {f.name: getattr(table, f.name) for f in fields(cls) if f.name not in ("phase", "rolling")}
         return cls(**same, rolling=1e-3 * table.rolling_ms)
 
@@ -112,7 +112,7 @@ NEIGHBOURS = 2
 
 
 class ImageChain:
-    """From light to gray values, for a whole picture or for windows of it: the pixels of a window are the same in both.
+    """Turns light into gray values, of a whole picture or of windows; a window has the same pixels either way.
 
     Args:
         width, height: of the picture [px].

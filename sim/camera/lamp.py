@@ -272,7 +272,7 @@ def covered(points: Array, lamp: Array, lamp_radius: float, ends: Array, radii: 
 
 @jit(inline="always")
 def _passing(x: float, y: float, z: float, lamp: Array, ends: Array) -> tuple[float, float]:
-    """At which distance the way from a place to the lamp passes a capsule's axis [m], and at which share of the way."""
+    """Distance of the ray from a place to the lamp from a capsule's axis [m], and the share of the ray before it."""
     d0, d1, d2 = lamp[0] - x, lamp[1] - y, lamp[2] - z
     e0, e1, e2 = ends[1, 0] - ends[0, 0], ends[1, 1] - ends[0, 1], ends[1, 2] - ends[0, 2]
     r0, r1, r2 = x - ends[0, 0], y - ends[0, 1], z - ends[0, 2]

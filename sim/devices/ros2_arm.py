@@ -212,14 +212,14 @@ class Ros2Arm:
             self._states.publish(item[1])
 
     def _command(self, message: Any) -> None:
-        """Of a forward command controller: the reference is what was sent last."""
+        """Takes a command as a forward command controller does: the newest message is the reference."""
         if len(message.data) == self.arm.robot.n:
             self.run.heard += 1
             self._points = []
             self._reference = np.array(message.data)
 
     def _trajectory(self, message: Any) -> None:
-        """Of a joint trajectory controller: points by name, from the header's time on, else from the arrival on.
+        """Takes a trajectory as a joint trajectory controller does: from the header's time on, else from its arrival.
 
         They replace what was there; until the first of them the reference goes there from where it is.
         """

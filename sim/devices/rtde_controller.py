@@ -74,7 +74,7 @@ class RtdeController:
 
     @property
     def commanded(self) -> Array | None:
-        """Where the program wants the arm ``(n,)``; None while it waits for its first number."""
+        """Joint angles ``(n,)`` that the program commands [rad]; None while it waits for its first number."""
         if self.inputs.get(f"input_int_register_{self.register}", (0,))[0] <= 0:
             return None
         angles = (f"input_double_register_{self.register + i}" for i in range(6))

@@ -126,7 +126,7 @@ class ServedArm:
             yield
 
     def _over(self, session: Session, done: Callable[[Session], None]) -> bool:
-        """Behind a session the arm is brought to rest and back; whether it has moved."""
+        """Brings the arm to rest and back after a session; whether it has moved."""
         if session.commands:
             self._brake(session)
             done(session)
@@ -177,7 +177,7 @@ class ServedArm:
         return correction is not None
 
     def _until(self) -> float:
-        """Until when an answer counts, by ``time.perf_counter`` [s]."""
+        """Time until which an answer is used, by ``time.perf_counter`` [s]."""
         return max(self._due, time.perf_counter()) + ANSWER_WITHIN * self._host_T
 
     def _gone(self) -> str | None:

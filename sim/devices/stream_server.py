@@ -275,7 +275,7 @@ class Outbox:
             self._some.notify()
 
     def close(self) -> None:
-        """Nothing is sent any more."""
+        """Stops sending."""
         with self._some:
             self._closed = True
             self._some.notify()

@@ -69,7 +69,7 @@ class Score:
         return (*self.named, *(("unknown", j) for j in self.unknown))
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Plain values for JSON."""
         return asdict(self)
 
     @classmethod

@@ -160,7 +160,7 @@ def tool_motion(robot: Robot, q: Array, qd: Array) -> tuple[Array, Array, Array]
 
 
 def _postures(robot: Robot, q: Array) -> Iterator[tuple[pin.Data, Array]]:
-    """At each row of positions Pinocchio's data, and the Jacobian of the tool ``(6, n)``."""
+    """Yields Pinocchio's data and the tool's Jacobian ``(6, n)`` for each row of positions."""
     model, data = robot.pinocchio, robot.pinocchio.createData()
     for row in q:
         full = pin.computeFrameJacobian(model, data, row, robot.tool_id, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)

@@ -257,7 +257,7 @@ def direction_of(signals: Signals, j: int) -> Array:
 
 
 def _differentiated(filtered: FilteredSignals) -> FilteredSignals:
-    """With the derivatives of a quintic spline through the filtered positions.
+    """The signals with velocities and accelerations of a quintic spline through the filtered positions.
 
     Central differences lose ``(2 pi f dt)^2 / 3`` of an acceleration, which a soft gear does as well.
     """
@@ -275,7 +275,7 @@ def in_position_band(made: Regression, recording: Recording) -> Regression:
 
 
 def _thinned(filtered: FilteredSignals) -> FilteredSignals:
-    """At no more than five samples a period of the widest band: effects are computed at every sample."""
+    """The signals thinned to five samples a period of the widest band, as effects are computed at every sample."""
     stride = int(1.0 / (filtered.dt * 5.0 * POSITION_BAND) + 1e-6)
     if stride < 2:
         return filtered
@@ -284,7 +284,7 @@ def _thinned(filtered: FilteredSignals) -> FilteredSignals:
 
 
 def without_spikes(recording: Recording) -> Recording:
-    """With single samples of the torque that stand out of their neighbours put back among them.
+    """The recording with single outliers of the torque replaced by what their neighbours say.
 
     As they were recorded: brought to an even grid, a sample before a hole becomes as many as the hole is long.
     """

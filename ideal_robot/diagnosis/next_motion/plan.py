@@ -61,7 +61,7 @@ class PlannedPair:
         return self.planned.told_apart
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Plain values for JSON."""
         return {"cause": self.cause, "rival": self.rival or None, "told_apart": self.told_apart,
                 **{name: {"before": getattr(self.before, name), "planned": getattr(self.planned, name)}
                    for name in ("sigma", "own_share", "seen_share")}, "only": self.only or None}
@@ -114,7 +114,7 @@ class DiagnosisPlan(Summarised):
         return Recording({"t": self.t_ipo * np.arange(float(len(self.commands))), **columns}, {}, "plan-diagnosis")
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Plain values for JSON."""
         return plain({
             "pairs": [pair.to_dict() for pair in self.pairs], "duration_s": self.seconds, "cycle_s": self.t_ipo,
             "samples": len(self.commands), "useful": self.useful, "not_asked": list(self.not_asked),

@@ -31,7 +31,7 @@ class MovedParameter:
 
     @property
     def text(self) -> str:
-        """In a few words."""
+        """The dependence in a few words."""
         return f"{self.name} from {self.value:.3g} to {self.refitted:.3g} {self.unit} ({self.sigmas:+.1f} σ)"
 
 
@@ -91,7 +91,7 @@ class ChannelResult:
         return self.loud and self.judged and (not self.channel.startswith("tau") or self.rms_after > _MATTERS * whole)
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON, relative errors 100·‖y − ŷ‖/‖y‖ included."""
+        """Plain values for JSON, relative errors 100·‖y − ŷ‖/‖y‖ included."""
         scale = 100.0 / self.rms_signal if self.rms_signal > 0 else float("nan")
         return {"channel": self.channel, "unit": self.unit, "rms_before": self.rms_before, "rms_after": self.rms_after,
                 "noise_floor": self.noise_floor, "rms_refit": self.rms_refit, "rms_signal": self.rms_signal,
@@ -131,7 +131,7 @@ class FoundEffect:
     taken: int = 0
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Plain values for JSON."""
         return {"effect": self.fitted.name, "joint": self.fitted.joint, "channel": self.fitted.channel,
                 "rms_before": self.rms_before, "rms_after": self.rms_after, "nats": self.nats,
                 "nats_std": self.nats_std, "probability": self.probability,
@@ -213,7 +213,7 @@ class WeighedSet:
         return f"{abs(self.nats):.{digits}f} ± {self.std:.{digits}f} nats {'worse' if self.nats >= 0.0 else 'better'}"
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Plain values for JSON."""
         return {"effect": self.name or None, "joint": self.joint, "nats_worse": self.nats, "std": self.std,
                 "rejected": self.rejected}
 
@@ -260,7 +260,7 @@ class Argument:
 
     @property
     def nats(self) -> float:
-        """By which the best set is better than with nothing in its place."""
+        """Score of the best set less that of the set with nothing in this place [nats]."""
         return self.nothing.nats
 
     @property
@@ -295,7 +295,7 @@ class Argument:
         return f"{' '.join(parts)} Sets compared: {len(self.sets) + 1}."
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Plain values for JSON."""
         return {"effect": self.name, "joint": self.joint, "channel": self.channel, "text": self.text,
                 "probability": self.probability, "sets": [weighed.to_dict() for weighed in self.sets],
                 "when": self.when, "share": self.share}
@@ -370,7 +370,7 @@ class Diagnosis(Summarised):
         return over_time(first.t, panels, self.summary()[0][1])
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON: the keys that were promised, and a few more."""
+        """Plain values for JSON: the keys that were promised, and a few more."""
         return plain({
             "verdict": self.verdict,
             "channels": [c.to_dict() for c in self.channels],
