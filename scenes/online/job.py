@@ -163,7 +163,7 @@ class Job:
         return self.configured.task.q_start
 
     def calibration_motion(self) -> CalibrationMotion:
-        """The motion from ``q_start`` and back that calibrates the camera; raises ``SceneError`` where there is none."""
+        """The motion from ``q_start`` and back to calibrate the camera; raises ``SceneError`` where there is none."""
         known, ends = self.known, self.scene.reference
         piece = Piece(known.reference, 0.5 * (ends.run_up + (known.reference.length - ends.run_out)), self.q_start,
                       known.clear, shapes_about(self.scene, self.robot), known.prior)

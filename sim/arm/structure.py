@@ -67,7 +67,7 @@ class Structure:
         return None if rigid and world.thermal_expansion == 0.0 else Structure(robot, model, world, step)
 
     def reset(self, q: Array, temperature: Array) -> None:
-        """Puts the structure to rest at arm angles ``q (n,)`` [rad] with gears at ``temperature (n,)`` [°C], its log empty."""
+        """Puts the structure to rest at arm angles ``q (n,)`` [rad], gears at ``temperature`` [°C]; empties the log."""
         self.touch, self._felt = np.zeros(3), np.zeros(3)
         self._before: Array | None = None
         self._swing = np.zeros((2, 2))
