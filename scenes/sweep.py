@@ -139,7 +139,7 @@ def _append(descriptor: int, line: bytes) -> None:
 
 
 def key_of(job: dict[str, Any]) -> str:
-    """What tells jobs apart."""
+    """What distinguishes a job from others."""
     return json.dumps(plain(job), sort_keys=True)
 
 
@@ -285,7 +285,7 @@ def _named(job: Job) -> dict[str, Any]:
 
 
 def _check_names(scenes: Sequence[Scene]) -> None:
-    """Raises InputError for two files with scenes of one name: nothing tells their answers apart."""
+    """Raises InputError for two files with scenes of one name: nothing distinguishes their answers."""
     files: dict[str, str] = {}
     for scene in scenes:
         first = files.setdefault(scene.name, scene.source)

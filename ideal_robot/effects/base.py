@@ -162,7 +162,7 @@ class Effect(ABC):
 
     @property
     def key(self) -> str:
-        """Name and place: what tells the forms of one cause apart."""
+        """Name and place, by which the forms of one cause differ."""
         return f"{self.name}/{self.channel_prefix}"
 
     @property

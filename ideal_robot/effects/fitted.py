@@ -161,7 +161,7 @@ class FittedEffect:
         theta, theta_std: nonlinear parameters.
         data: what the effect must remember of the data it was fitted to (e.g. knots and bounds of a spline).
         parameters: the physical numbers for people.
-        evidence: p-value, error before and after, how it was held out, what it cannot be told apart from.
+        evidence: p-value, error before and after, how it was held out, what it cannot be distinguished from.
     """
 
     name: str

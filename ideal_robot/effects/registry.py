@@ -108,7 +108,7 @@ def find(name: str, prefix: str) -> Effect:
 
 
 def _effect(key: str) -> Effect:
-    """The one object of an effect; searches tell effects apart by it."""
+    """The one object of an effect; searches distinguish effects by it."""
     if key not in _made:
         entry = EFFECTS.get(key)
         effect = entry.seen_in(key.partition("/")[2]) if isinstance(entry, type) else entry

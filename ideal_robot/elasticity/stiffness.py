@@ -40,7 +40,7 @@ class LeastSquares:
 def least_squares(W: Array, Y: Array, *, lag: int = 0) -> LeastSquares:
     """Solves [J] (14) with (15)–(17).
 
-    Raises InputError for fewer rows than parameters, or parameters that the data cannot tell apart.
+    Raises InputError for fewer rows than parameters, or parameters that the data cannot distinguish.
 
     Args:
         W, Y: observations ``(r, b)`` and measurements ``(r,)``.
@@ -92,7 +92,7 @@ class Tolerances:
     Attributes:
         drive_gain: data-sheet drive gains, [J] (9): "a few per cent".
         wrench: calibration of the wrench sensor.
-        model: geometry, and elasticity of clamp and links that was not told apart from the gear's.
+        model: geometry, and elasticity of clamp and links that was not distinguished from the gear's.
     """
 
     drive_gain: float = 0.03

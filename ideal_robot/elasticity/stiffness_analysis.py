@@ -48,7 +48,7 @@ def without_clamp_give(signals: Sequence[ClampedSignals], robot: Robot) -> tuple
     """
     n = robot.n
     if n != 6:
-        raise InputError("the give of clamp and links is told apart from that of six joints only; leave --clamp out",
+        raise InputError("compliance of clamp and links is estimated on arms of six joints only; leave --clamp out",
                          field="robot", value=f"{robot.name}, {n} joints")
     blocks = [_block(signal, robot) for signal in signals]
     weight = np.ones(n)
@@ -74,7 +74,7 @@ def without_clamp_give(signals: Sequence[ClampedSignals], robot: Robot) -> tuple
 def _block(signal: ClampedSignals, robot: Robot) -> tuple[Array, Array]:
     """Regressor ``(N, n, 2 n + 2)`` and motor angles ``(N, n)``, the means taken away from each."""
     if len(signal.measured) < 6:
-        raise InputError("all six wrench components are needed to tell clamp and gears apart", file=signal.source,
+        raise InputError("all six wrench components are needed to distinguish clamp and gears", file=signal.source,
                          field="fx fy fz mx my mz")
     tau, use = joint_torque(signal, robot, "wrench")
     if np.count_nonzero(use) < 10:

@@ -79,5 +79,5 @@ def excitation_warnings(model: Model, solution: Solution) -> list[str]:
     bounds = [p.name for p, held in zip(parameters, solution.at_bound, strict=False) if held]
     if bounds:
         warnings.append(f"friction-at-bound: {', '.join(bounds)} would be negative and is held at zero; the motion has "
-                        "too few speeds to tell friction apart, or something that is not friction acts like it")
+                        "too few speeds to distinguish the parts of friction, or something else acts like friction")
     return warnings

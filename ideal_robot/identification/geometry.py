@@ -27,8 +27,8 @@ def measured_geometry(recordings: Sequence[Recording], robot: Robot, usual: tupl
 
         Δx = R_p (d + w × r),  Δφ = R_p w     r: from the joint to the tool, R_p: of the joint's parent
 
-    Least squares of first order, as kinematic calibration is done. What no pose tells apart - of parallel axes, or of a
-    joint and its tool - is shared as is usual. The device stands anywhere, so where the first joint is remains open.
+    Least squares of first order, as kinematic calibration is done. What no pose distinguishes, as parallel axes or a
+    joint and its tool, is shared as is usual. The device stands anywhere, so where the first joint is remains open.
 
     Args:
         recordings, robot: with arm angles and poses, see ``has_geometry``; the arm as its data sheet has it.

@@ -35,7 +35,7 @@ _LONGEST = 60.0
 _SHORTEST = 15.0
 """Seconds of a recording that it looks at, at least: the slowest filters lose one or two at each end and hole."""
 _FINE = 6.0
-"""Samples a period of the cut-off that tell candidates apart: errors are within 0.3 % of those of all samples."""
+"""Samples a period of the cut-off that distinguish candidates: errors are within 0.3 % of those of all samples."""
 _WORSE = 1.15
 """Candidates beyond one whose error is this many times the best are not tried any more."""
 _BEYOND = 8.0

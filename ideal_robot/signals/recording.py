@@ -373,7 +373,7 @@ def recordings_of(given: Recording | Sequence[Recording], field: str) -> tuple[R
 
 
 def short_names(sources: Sequence[str]) -> list[str]:
-    """Names of files by which a reader tells them apart: of those that are called alike with their folders.
+    """Short names of files that a reader can distinguish: with their folders where two have the same name.
 
     Args:
         sources: where recordings come from, see ``Recording.source``.

@@ -118,7 +118,7 @@ class LineFollower:
     .. math:: z = d - \frac{r_n}{r_u} h
 
     with the ray's components across the path and out of the surface. One place seen under different rays, as the line
-    comes nearer in a curve, tells d and h apart; the map holds both, and the desired path follows both.
+    comes nearer in a curve, distinguishes d and h; the map holds both, and the desired path follows both.
     Raises ``InputError`` for a cycle too long for a camera.
 
     Args:

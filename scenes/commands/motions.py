@@ -103,7 +103,7 @@ class DiagnosticMotion:
 
 
 def plan_diagnosis(options: DiagnosticMotion) -> None:
-    """Plans the motion that separates causes which a recording could not tell apart, or says what else would.
+    """Plans the motion that separates causes which a recording could not distinguish, or says what else would.
 
     The motion has `t` and the joint angles `q_d_i` (as commands `q_c_i`) at the interpolation cycle, from rest to rest,
     within the limits of position, speed and acceleration. It begins where the recording began. Look at it before it
@@ -166,7 +166,7 @@ def _questions(result: Path | None, recording: Recording, arm: Robot, known: Mod
 
 
 def _show_planned(plan: DiagnosisPlan, out: Path) -> None:
-    """How far each pair of causes is told apart, what no motion can tell, and where the motion is."""
+    """Prints how well each pair of causes is distinguished, what no motion can decide, and where the motion is."""
     if plan.pairs:
         show_table("what is to be told apart: standard deviations between the two, and share of its own",
                    ["cause", "or", "recorded σ", "own %", "planned σ", "own %", "told apart"],
@@ -180,6 +180,6 @@ def _show_planned(plan: DiagnosisPlan, out: Path) -> None:
     if plan.useful:
         typer.echo(f"motion of {plan.seconds:.1f} s: {out}")
     elif plan.pairs:
-        typer.echo("no motion is written: none within the limits tells these apart")
+        typer.echo("no motion is written: none within the limits distinguishes these")
     else:
         typer.echo("nothing is open that a motion of the joints could tell")

@@ -43,7 +43,7 @@ LIFT = 0.15
 TURNS = ((0.0, 0.0), (0.0, 0.4), (0.0, -0.4), (0.5, 0.3), (1.0, 0.5), (-0.5, 0.4), (-1.0, -0.3))
 """Turns of the joints before the last two [rad]."""
 LEAST = 3
-"""Postures that tell bias and weight apart."""
+"""Postures that distinguish bias and weight."""
 REST, USED = 0.6, 0.35
 """Rest in each posture, and the end of it that counts [s]."""
 ABOVE = 0.01

@@ -107,7 +107,7 @@ class AskedMotion:
 
     Attributes:
         round: from 1.
-        plan: pairs to be told apart and the motion; None where none lies within the limits.
+        plan: pairs to be distinguished and the motion; None where none lies within the limits.
         reason: why there is no motion; empty where there is one.
         recording, diagnosis: of the motion, where it was played.
     """
@@ -154,7 +154,7 @@ def asked_motion(cell: PathCell, found: Diagnosis, moved: Recording, measured: M
     except InputError as error:
         return AskedMotion(round_, None, str(error))
     if not plan.useful:
-        return AskedMotion(round_, plan, "no motion within the limits tells them apart")
+        return AskedMotion(round_, plan, "no motion within the limits distinguishes them")
     progress(0.5, "playing the planned motion")
     t_ipo = cell.world.t_ipo
     played = visible(cell.play(PassThrough(t_ipo), path=without_tcp(plan.commands, t_ipo)).recording, measured)

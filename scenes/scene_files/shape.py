@@ -90,7 +90,7 @@ def evaluated(formula: str, x: Array) -> Array:
     shown = formula if len(formula) <= 60 else formula[:57] + "..."
     names = {**FUNCTIONS, **NAMES, "x": x, "__builtins__": {}}
     try:
-        # Python folds look-alike letters into plain ones; only what can be told apart by eye is read.
+        # Python folds look-alike letters into plain ones; only what the eye can distinguish is read.
         if len(formula) > MAX_LENGTH or not formula.isascii() or not formula.isprintable():
             raise ValueError(f"longer than {MAX_LENGTH} characters, or of other than plain ones")
         with warnings.catch_warnings(), np.errstate(all="ignore"):

@@ -1,4 +1,4 @@
-"""The motion that a diagnosis asks for: it tells apart what the recording could not."""
+"""The motion that a diagnosis asks for: it distinguishes causes that the recording could not."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ from ideal_robot.signals.recording import Recording
 
 LONGEST = 30.0
 """Length of a motion [s], at most, unless asked otherwise."""
-_BEHIND = ("no motion within the limits tells them apart by what motors show; a device on the arm's side (qa_i or "
+_BEHIND = ("no motion within the limits distinguishes them by what motors show; a device on the arm's side (qa_i or "
            "x y z) or a clamped flange ([J], ideal-robot stiffness) would")
-_NOTHING = "no motion within the limits and this time tells them apart"
+_NOTHING = "no motion within the limits and this time distinguishes them"
 
 
 @dataclass(frozen=True)
 class PlannedPair:
-    """One pair of causes, or a joint to be decided, and how far each motion tells it.
+    """One pair of causes, or a joint without one, and how well recording and planned motion decide it.
 
     Attributes:
         cause, rival: in words; the rival is empty for a joint that is to be decided.
@@ -57,7 +57,7 @@ class PlannedPair:
 
     @property
     def told_apart(self) -> bool:
-        """Whether the planned motion is expected to tell them apart."""
+        """Whether the planned motion is expected to distinguish them."""
         return self.planned.told_apart
 
     def to_dict(self) -> dict[str, Any]:
@@ -86,7 +86,7 @@ class DiagnosisPlan(Summarised):
     still_undecided: tuple[int, ...] = ()
 
     def summary(self) -> list[tuple[str, str]]:
-        """What the motion tells apart."""
+        """Rows of label and value: which pairs the motion distinguishes."""
         count = sum(pair.told_apart for pair in self.pairs)
         return [("motion", f"{self.seconds:.1f} s that tell {count} of {len(self.pairs)} pairs"),
                 ("not asked", str(len(self.not_asked)))]
@@ -98,7 +98,7 @@ class DiagnosisPlan(Summarised):
 
     @property
     def useful(self) -> bool:
-        """Whether the motion tells anything apart that the recording did not."""
+        """Whether the motion distinguishes a pair that the recording did not."""
         return len(self.commands) > 0 and any(pair.told_apart for pair in self.pairs)
 
     def path(self) -> Recording:
@@ -124,7 +124,7 @@ class DiagnosisPlan(Summarised):
 def plan_diagnosis(recording: Recording, robot: Robot, questions: Open, *, model: Model | None = None,
                    longest: float = LONGEST, workspace: Workspace | None = None, seed: int = 1,
                    progress: Progress = silent) -> DiagnosisPlan:
-    """Plans the motion that tells best what a diagnosis of a recording left open.
+    """Plans the motion that best decides what a diagnosis of a recording left open.
 
     Args:
         recording, robot, model: as ``diagnose`` was given them.
@@ -191,14 +191,14 @@ def _asked_of(questions: Open, problems: Mapping[Domain, Problem], robot: Robot)
 
 
 def _told(pairs: Sequence[Pair], foresight: Foresight, q_c: Array) -> list[Products]:
-    """What a motion ``(N, n)`` [rad] tells of each pair."""
+    """How well a motion ``(N, n)`` [rad] distinguishes each pair."""
     regressions = {domain: foresight.regression(q_c, domain) for domain in dict.fromkeys(pair.domain for pair in pairs)}
     return [pair.products(regressions[pair.domain]) for pair in pairs]
 
 
 def _best_motion(pairs: Sequence[Pair], foresight: Foresight, room: Workspace, longest: float,
                  seed: int, progress: Progress) -> Array:
-    """The commands ``(N, n)`` [rad] that tell the pairs best, within the arm's limits and the room."""
+    """The commands ``(N, n)`` [rad] that distinguish the pairs best, within the arm's limits and the room."""
     case, robot = foresight.case, foresight.case.robot
     start = np.clip(case.recording.joints("q")[0], robot.q_min, robot.q_max)
 

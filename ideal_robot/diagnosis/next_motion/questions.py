@@ -1,4 +1,4 @@
-"""What a diagnosis leaves open: causes that it could not tell apart, and joints that it could not decide."""
+"""What a diagnosis leaves open: causes that it could not distinguish, and joints that it could not decide."""
 
 from __future__ import annotations
 

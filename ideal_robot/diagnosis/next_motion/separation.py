@@ -1,4 +1,4 @@
-"""How far a motion tells two causes apart, before it is played: T-optimality (Atkinson & Fedorov 1975).
+"""How well a motion distinguishes two causes, before it is played: T-optimality (Atkinson & Fedorov 1975).
 
 If cause a is the true one it adds ``y = C_a(theta_a) c_a`` to the channels. What of it neither the parameters of the
 model nor the rival can make, whatever the rival's numbers, is what a recording can tell the two by:
@@ -56,7 +56,7 @@ class Cause:
 
 @dataclass(frozen=True)
 class Separation:
-    """How far a motion tells a pair apart, in the less favourable of the two cases of which is true.
+    """How well a motion distinguishes a pair, in the less favourable of the two cases of which is true.
 
     Attributes:
         sigma: expected distance of the two in standard deviations of the noise.
@@ -99,7 +99,7 @@ class Products:
 
 @dataclass(frozen=True)
 class Pair:
-    """A cause and the one it is to be told from; no rival, in a joint that is to be decided: from nothing at all.
+    """A cause and its rival, which a motion is to distinguish; without a rival, a cause and nothing at all.
 
     Attributes:
         cause, rival: the two.
@@ -142,7 +142,7 @@ class Pair:
         return Products(tuple(sides), made.use.sum(axis=0).astype(float))
 
     def separation(self, products: Products) -> Separation:
-        """How far the motions of the products tell the two apart."""
+        """How well the motions of the products distinguish the two."""
         results, known = [], 0 if self.root is None else self.root.shape[1]
         for energy, *matrices in products.sides:
             rest, *beside = (max(_left(matrix, known), 0.0) for matrix in matrices)
