@@ -47,7 +47,7 @@ class OutputError(IdealRobotError):
                    f"{remedy or _REMEDIES.get(number, 'look at the disk, or give another place')}")
 
     def named(self, partial: Path, place: Path) -> OutputError:
-        """The same of the place that a partial file or folder stands for."""
+        """The error about ``place``, for which a partial file or folder was written."""
         return OutputError(str(self).replace(str(partial), str(place)))
 
 

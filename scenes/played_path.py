@@ -103,12 +103,12 @@ class PlannedPath:
         return not isinstance(self.law, PassThrough) or not np.array_equal(self.desired, self.commands)
 
     def plain(self) -> PlannedPath:
-        """The same path as it is, without any correction."""
+        """The path without any correction."""
         return replace(self, law=PassThrough(self.arm.t_ipo), commands=self.desired,
                        meta={**self.meta, "method": "none"})
 
     def player(self, link: Any, felt: Felt | None = None, patience: float = PATIENCE) -> PathPlayer:
-        """Who plays it, see ``PathPlayer``.
+        """The player of this path on a connected arm.
 
         Args:
             link: the arm, connected.

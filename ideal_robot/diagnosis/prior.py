@@ -198,7 +198,7 @@ def _with_spreads(regression: Regression, found: list[Spread]) -> Array:
 
 
 def hypotheses(model: Model, found: list[Spread]) -> Iterator[Hypothesis]:
-    """The same arm, and another arm of its type, of a model whose arm differs by what ``spreads`` says."""
+    """Two hypotheses of a given model's parameters: the recording is of the same arm, or of another of its type."""
     yield Hypothesis(SAME, _root_of_day(model, found), 0.0)
     other = np.diag([np.hypot(spread.day, spread.type) for spread in found])
     yield Hypothesis(TYPE, linalg.block_diag(root_of(_same(model) + _of_type(model)), other), ANOTHER_ARM)

@@ -41,7 +41,7 @@ from ideal_robot.signals.recording import Recording, recordings_of
 # maps its rotations across its joint axis to the flange. All unknowns enter linearly, and none is negative.
 
 def without_clamp_give(signals: Sequence[ClampedSignals], robot: Robot) -> tuple[ClampedSignals, ...]:
-    """The same recordings with the motor angles they would have, did the arm stand as [J] (3) assumes.
+    """The recordings with the motor angles that they would have if the arm stood as [J] (3) assumes.
 
     They are two or more in different configurations, with all six wrench components. Raises InputError where there are
     not six joints, a wrench component is missing, or too few samples are under load.

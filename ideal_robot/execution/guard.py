@@ -395,7 +395,7 @@ class Guard:
                 return
             came = np.array(self._given)
             beside = np.max(np.abs(came - stands), axis=1)
-            # The last time that they were there.
+            # The trail begins where the commands were there last.
             came = came[int(np.flatnonzero(beside <= beside.min() + probed(self._a_max, self._T))[-1]) :]
             begin = float(len(came) - 1)
             # Straight on while it is braked.

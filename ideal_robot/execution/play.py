@@ -215,7 +215,7 @@ class PathCommands:
         return q_d, q_c
 
     def to_rest(self, q_d: Array) -> Iterator[tuple[Array, Array]]:
-        """To rest at ``q_d (n,)`` [rad] where commands end in motion; held at once, the arm would stop at once."""
+        """Yields cycles that bring commands which end in motion to rest at ``q_d (n,)`` [rad] within the limits."""
         if self.robot is None or stops_at_once(self._last[1] - self._last[0], self.robot, self._T):
             return
         for _ in range(int(np.ceil(LONGEST_STOP / self._T))):
@@ -235,7 +235,7 @@ class _Player:
         self.times: list[float] = []
 
     def hand_over(self, rows: Iterator[tuple[Array, Array]], progress: Progress = silent) -> None:
-        """Cycle by cycle; what the arm reports goes to the feedforward before its next command."""
+        """Plays rows cycle by cycle; what the arm reports goes to the feedforward before its next command."""
         begun = time.perf_counter()
         for q_d, q_c in rows:
             seconds = time.perf_counter() - begun

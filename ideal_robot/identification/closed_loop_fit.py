@@ -92,7 +92,7 @@ def fit_controller(recording: Recording, robot: Robot) -> ControllerFit:
 
 
 class _Channel(NamedTuple):
-    """What commands of all joints pass: stages of a low-pass, about what time each has [s], and a lateness [s]."""
+    """The way of all joints' commands: order of its low-pass, its stages' time constant at first, delay [s]."""
 
     order: int = _ORDER
     low: float = 0.0
@@ -101,7 +101,7 @@ class _Channel(NamedTuple):
 
 _CHANNELS = tuple(_Channel(order, low, late) for order in (_ORDER, 1)
                   for low in (0.001, 0.003, 0.006, 0.015, 0.04, 0.08) for late in LATE if order == _ORDER or low > 0.01)
-"""What commands pass that is tried; a single short lag is as good as two of half its time."""
+"""Ways of the commands that are tried; a single short lag is as good as two of half its time."""
 
 
 class _Fitted(NamedTuple):

@@ -162,7 +162,7 @@ class JointProblem:
         fastest = np.max(np.abs(self._velocity), axis=0)
         wrong = [j for j, law in enumerate(friction.laws) if not brakes(law, fastest[j])]
         if wrong:
-            # Of a degressive law only the sum has to brake, which no bound of a coefficient can hold.
+            # Only the sum of a degressive law's terms has to brake: bounds of single coefficients cannot ensure it.
             plain = candidates([law_of("viscous_coulomb")], refine=False)[0].make(())
             return self._final([plain if j in wrong else law for j, law in enumerate(laws)], load, variance)
         return self._with_shape(solution, W, friction, load), friction

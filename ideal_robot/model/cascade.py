@@ -76,7 +76,7 @@ class Cascade:
                        controller.k_2 / k_p, np.array(controller.filter_time))
 
     def controller(self, t_position: float, spread: dict[str, list[float]]) -> ControllerModel:
-        """The same in the form of [G] (16), (17), at the position loop's cycle [s] and with the attributes' spread."""
+        """The controller in the form of [G] (16), (17), at the position loop's cycle [s], with a spread."""
         k_p, k_ff = self.velocity_gain, self.velocity_feedforward
         return ControllerModel(t_position, k_p * self.position_gain, k_p * k_ff, k_p * (k_ff - 1.0),
                                k_p * self.velocity_filter, t_position / self.integral_time, self.command_filter,

@@ -221,7 +221,7 @@ def _layout(path: Path) -> _Layout:
         width = len(rows[begin])
         above = [row for row in rows[:begin] if len(row) == width]
         if begin and not above and separator == ",":
-            # Titles of another number: pandas says what is wrong.
+            # Another number of titles than of columns: pandas' error says so.
             break
         titles, units = (above[-1], None) if above else ([""] * width, None)
         if len(above) > 1 and _are_units(above[-1]):

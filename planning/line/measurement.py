@@ -141,7 +141,7 @@ class LineAhead:
     covariance: Array | None = None
 
     def seen_by(self, camera: CameraModel, t: float, pose_at: PoseAt) -> PredictedLine:
-        """The same as a picture of a time shows it, each point in the tool frame at its own row's instant.
+        """The prediction as a picture shows it, each point in the tool frame at its own row's instant.
 
         Args:
             camera: as it is calibrated.
@@ -151,7 +151,7 @@ class LineAhead:
         return predicted_by_rows(self.seen_from(pose_at(t)), camera, t, pose_at)
 
     def seen_from(self, pose: pin.SE3) -> PredictedLine:
-        """The same in the tool frame, for the line detection."""
+        """The prediction in the tool frame, for the line detection."""
         return PredictedLine.from_base(self.points, self.tangents, self.up.mean(axis=0), pose,
                                        float(self.sigma.max()), self.covariance)
 

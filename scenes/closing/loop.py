@@ -131,12 +131,12 @@ class Form:
 
     @classmethod
     def adding(cls, label: str, effects: Sequence[FittedEffect]) -> Form:
-        """Effects on top of the model."""
+        """The form that adds effects to the model."""
         return cls(label, lambda model, _: model.with_effects(tuple(effects)), places_of(effects))
 
 
 Forms = tuple[Form, ...]
-"""Of one change: the first that stands the trial stays."""
+"""Forms of one change; the first that passes its trial is accepted."""
 
 
 def places_of(effects: Sequence[FittedEffect]) -> tuple[Place, ...]:

@@ -91,7 +91,7 @@ def close_loop(scene: LineScene, *, measured: str = "tcp", out: Path | None = No
 
 def closed(scene: LineScene, undeclared: tuple[str, ...], *, arm: tuple[Place, ...] = (), measured: str = "tcp",
            out: Path | None = None, progress: Progress = silent) -> Closing:
-    """The same with what an oracle is told, which may be nothing.
+    """Closes the loop with what an oracle is given, which may be nothing.
 
     Args:
         scene: what to play.

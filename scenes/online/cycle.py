@@ -227,8 +227,9 @@ def _planned(task: Cycled, t: float, q_d: Array) -> Array:
 
 def _stopped(error: Exception, log: CycleLog, task: Cycled, q_d: Array, motion: tuple[float, float], limits: Robot,
              T: float) -> Iterator[Array]:
-    """Notes why the arm stops; rows of the last plan ``q_d (n_d, n)`` [rad] on which it does, and lets go if it has to.
+    """Notes why the arm stops; yields rows of the last plan ``q_d (n_d, n)`` [rad] that bring it to rest.
 
+    In the end it lets go of what it touches.
     ``motion``: speed on the path [m/s], and how it brakes [m/s²].
     """
     log.failure = str(error)

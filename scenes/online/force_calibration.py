@@ -343,7 +343,7 @@ class _Press(Pressed):
         """Down and up; raises ``_StoodError`` where the arm was paused on the way, and rests."""
         self._go(lambda: _UP, self._high, heard=True)
         self._go(lambda: 0.0, lambda: self._speed == 0.0)
-        # Quickly through what is air for sure: friction turns round. The motors' own air is that of the slow way.
+        # Quickly where there is certainly no contact, until friction has turned round; the motors are compared later.
         self._go(lambda: -_SLOW, lambda: self.height < self._watch.within + self._before_touch, heard=True)
         self._search()
         self._go(lambda: -self._down(), lambda: self._hard() or self._too_quick(), heard=True)

@@ -327,7 +327,7 @@ class PathPlayer:
             raise SceneError(str(self._reason))
 
     def _meanwhile(self, work: Callable[[], Worked]) -> Worked:
-        """What work that takes longer than a cycle gives; the arm, at rest, is held where it is until then."""
+        """The result of work that takes longer than a cycle; the arm is held at rest meanwhile."""
         rest = self.link.commanded.copy()
         with ThreadPoolExecutor(1) as beside:
             result = beside.submit(work)

@@ -74,7 +74,7 @@ def close_loop(scene: PathScene, *, measured: str = "tcp", ask: bool = True, out
 
 def closed(scene: PathScene, subject: ArmOnPath, undeclared: tuple[Place, ...], *, oracle: Feedforward | None = None,
            rounds_at_most: int = ROUNDS, out: Path | None = None, progress: Progress = silent) -> Closing:
-    """The same with an arm that is set up: it may be one that no scene file describes.
+    """Closes the loop on an arm that is set up: it may be one that no scene file describes.
 
     Args:
         scene: whose path the arm plays.

@@ -87,19 +87,19 @@ class Strip:
         return float(np.sqrt((np.diff(self.points, axis=0) ** 2).sum(axis=1)).sum())
 
     def thinned(self, count: int) -> Strip:
-        """The same with so many of its sections, first and last among them."""
+        """The strip thinned to ``count`` sections, first and last among them."""
         return self._of(np.linspace(0, len(self.points) - 1, count).round().astype(int))
 
     def part(self, first: int, end: int) -> Strip:
-        """The same from one section to before another."""
+        """The strip from one section to before another."""
         return self._of(np.arange(first, end))
 
     def reversed(self) -> Strip:
-        """The same from its last section to its first."""
+        """The strip from its last section to its first."""
         return self._of(np.arange(len(self.points))[::-1])
 
     def _of(self, k: NDArray[np.int64]) -> Strip:
-        """The same of these sections alone."""
+        """The strip of these sections alone."""
         return replace(self, points=self.points[k], normals=self.normals[k], widths=self.widths[k],
                        sigmas=self.sigmas[k], shown=self.shown[k])
 

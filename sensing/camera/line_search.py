@@ -47,7 +47,7 @@ class PredictedLine:
     @classmethod
     def from_base(cls, points: Array, tangents: Array, normal: Array, pose: pin.SE3, sigma: float,
                   covariance: Array | None = None) -> PredictedLine:
-        """The same from points, tangents and surface normal in the base frame and the TCP's pose.
+        """A prediction from points, tangents and surface normal in the base frame and the TCP's pose.
 
         Args:
             points: in the base frame ``(m, 3)`` [m].

@@ -87,7 +87,7 @@ def camera_number(text: str) -> int | None:
 
 
 def opened_usb(rest: str, least_delay: float) -> VideoCapture:
-    """``usb:0``; raises InputError where it is no number of a camera, or cannot be opened."""
+    """The camera of an address like ``usb:0``; raises InputError for no number, or one that cannot be opened."""
     number = camera_number(rest)
     if number is None:
         raise InputError("expected the number of a camera, as in usb:0", field="camera", value=rest)

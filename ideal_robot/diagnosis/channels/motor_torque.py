@@ -183,7 +183,7 @@ def _small_velocity(recording: Recording, filtered: FilteredSignals) -> Array:
 
 
 def without_dead_channels(made: Regression, dead: Sequence[int]) -> Regression:
-    """The same regression where some torque channels (from 0) do not count, for they do not measure their joint."""
+    """The regression without some torque channels (from 0), which do not measure their joint."""
     use = made.use.copy()
     use[:, list(dead)] = False
     why = {j + 1: f"has a dead torque channel, tau_{j + 1}: it has no part" for j in dead}
@@ -218,7 +218,7 @@ def about_model(made: Regression, model: Model) -> Regression:
 
 
 def _bent_gears(signals: Signals) -> Array:
-    """What the gears that the model knows bend, and swing, changes in the torques ``(N, n)`` [N m].
+    """Change of the torques by the twist and swing of gears whose stiffness the model has ``(N, n)`` [N m].
 
     The rigid body is asked at the motors' angles; the arm is where its gears leave it.
     """
@@ -233,7 +233,7 @@ def _bent_gears(signals: Signals) -> Array:
 
 
 def with_reversal_width(made: Regression, model: Model, reversal_width: Array) -> Regression:
-    """The same regression with dry friction that changes sign over other speeds, and without samples that slow.
+    """The regression with dry friction that changes sign over other speeds, and without samples that slow.
 
     Where an axis creeps, its friction is anything between none and sliding, by a law that is another in every drive.
 

@@ -69,7 +69,7 @@ class PlannedPair:
 
 @dataclass(frozen=True, repr=False)
 class DiagnosisPlan(Summarised):
-    """The answer.
+    """A motion that decides what a diagnosis left open, and how well it does.
 
     Attributes:
         pairs: what was asked.

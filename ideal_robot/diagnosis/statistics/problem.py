@@ -52,7 +52,7 @@ class Estimate:
     theta_std: tuple[Array, ...]
 
     def of_model(self, count: int) -> Estimate:
-        """The same numbers of the first ``count`` parameters, those of the model; others differ by the day."""
+        """The estimate of the first ``count`` parameters, those of the model; others differ by the day."""
         return replace(self, change=self.change[:count], covariance=self.covariance[:count, :count])
 
     def residual(self, regression: Regression) -> Array:

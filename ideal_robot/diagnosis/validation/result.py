@@ -303,7 +303,7 @@ class Argument:
 
 @dataclass(frozen=True, repr=False)
 class Diagnosis(Summarised):
-    """The whole answer.
+    """What a diagnosis found in a recording: causes, what they explain, and what remains.
 
     Attributes:
         verdict: ``effects``, ``none``, ``unknown`` where something remains that matters and has no name, or
