@@ -23,7 +23,7 @@ from ideal_robot.errors import InputError
 
 
 class Limit(NamedTuple):
-    """A row of the table: so many, ``most``, of ``what`` at most, and ``why``: what it leaves room for."""
+    """A row of the table of limits: at most ``most`` of ``what``, and ``why`` that is enough."""
 
     most: int
     what: str

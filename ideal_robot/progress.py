@@ -28,7 +28,7 @@ def part_of(progress: Progress, start: float, share: float, key: str = "") -> Pr
 
 
 class Steps:
-    """Steps of a job, each with its measured share of the time, together 1; what is told never goes back."""
+    """Steps of a job, each with its measured share of the time, together 1; reported progress never falls."""
 
     def __init__(self, progress: Progress, shares: Mapping[str, float]) -> None:
         self._progress, self._shares = progress, shares

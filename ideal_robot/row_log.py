@@ -47,7 +47,7 @@ def in_new_file(count: int) -> Array:
 
 
 def no_room(error: OSError) -> OutputError:
-    """What is said where the folder for temporary files has no room."""
+    """The error for a folder for temporary files that has no room."""
     return OutputError(f"{tempfile.gettempdir()}: temporary files cannot be written ({error.strerror or error}); make "
                        "room, or set TMPDIR to another folder")
 

@@ -34,7 +34,7 @@ class OutputError(IdealRobotError):
 
     @classmethod
     def of(cls, place: object, error: Exception, remedy: str | None = None) -> OutputError:
-        """What is said of a place that cannot be written.
+        """The error for a place that cannot be written.
 
         Args:
             place: the file or folder, as the user named it.

@@ -154,7 +154,7 @@ _RESULTS_LOOK = 0.02
 
 
 def batch_lasts(workers: int) -> float:
-    """How long the tasks of a batch take [s], so that the client keeps so many workers busy, with half to spare."""
+    """Duration of a batch's tasks [s] by which the client keeps ``workers`` busy, with half to spare."""
     return max(BATCH, 1.5 * SPENT * workers)
 
 
@@ -326,7 +326,7 @@ class _Handed:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Dask tells of a lost connection in tracebacks; here it is said in a line."""
+    """Keeps Dask's tracebacks of lost connections off the terminal, within the block."""
     logging.disable(logging.CRITICAL)
     try:
         yield

@@ -291,7 +291,7 @@ def _searched(joint: JointRows, kinds: Sequence[Controller]) -> _Found:
 
 
 def _judged(joint: JointRows, found: _Found) -> FittedJoint:
-    """The law with its coefficients, and what it leaves of motion that they were not fitted to, as it is used.
+    """The law with its coefficients, and its residual on motion that they were not fitted to.
 
     Coefficients come from rows with the measured torque or with the model's, whichever leaves less.
     """

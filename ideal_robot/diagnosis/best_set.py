@@ -629,7 +629,7 @@ def _apart(ours: Sequence[Candidate], theirs: Sequence[Candidate]) -> tuple[list
 
 
 def _spread_of(own: Array, squares: float) -> Array:
-    """Root of the covariance ``(m, m)`` with which columns of these products make so many squares, on average."""
+    """Root of the prior covariance ``(m, m)`` with which columns of these products have ``squares`` on average."""
     values, vectors = np.linalg.eigh(0.5 * (own + own.T))
     # What others make all but rounding of has no direction of its own.
     values = np.maximum(values, 1e-6 * max(float(values[-1]), 1e-290))
@@ -637,7 +637,7 @@ def _spread_of(own: Array, squares: float) -> Array:
 
 
 def _error_of(own: Array, known: Array, squares: float) -> Array:
-    """Root of the covariance ``(m, m)`` of coefficients, estimated from rows that are off by so many squares.
+    """Root of the covariance ``(m, m)`` of coefficients estimated from rows whose error has ``squares``.
 
     What the rows are off by is along no direction more than along another, and reaches the coefficients as noise does:
     by the estimator's gain, with covariance ``A⁻¹ B A⁻¹``, ``A = C'S⁻¹C``, ``B = C'S⁻²C``, for columns ``C`` beside

@@ -87,7 +87,7 @@ def _contradicted(case: Case, results: Sequence[DomainResult]) -> Iterator[str]:
 
 
 def _perhaps(results: Sequence[DomainResult]) -> Iterator[str]:
-    """One sentence on causes that are not told from nothing."""
+    """One sentence on causes that the data cannot distinguish from none."""
     names = [name for result in results for name in result.perhaps]
     if names:
         yield f"may be there, with odds below three to one against nothing: {', '.join(names)}"

@@ -160,7 +160,7 @@ class DomainDiagnosis:
                               for left in (self.gone, self.perhaps)))
 
     def _found(self, k: int) -> FoundEffect:
-        """What is said of a cause of the best set."""
+        """The report of a cause of the best set."""
         choice, effect, why = self.choices[k], self.choices[k].effect, self.arguments[k]
         without = self._rms(self.residual([c for c in self.choices if c is not choice]))
         j = self._channel(k, without)
@@ -289,7 +289,7 @@ def _name(effect: Effect) -> str:
 
 
 def discriminating_motion(name: str, rivals: tuple[str, ...]) -> str:
-    """The motion that would tell an effect from its rivals; empty where there are none."""
+    """The motion that would distinguish an effect from its rivals; empty where there are none."""
     motions = {frozenset({effect.name, other}): motion for effect in library()
                for other, motion in effect.discriminating_motion}
     advice = [motions.get(frozenset({name, rival}), f"a motion with other speeds, ranges and loads ({name} or {rival})")

@@ -48,7 +48,7 @@ class PointError(CameraError):
 
 @dataclass(frozen=True)
 class StampError(CameraError):
-    """Pictures were taken later than they are stamped: ``late`` by so much [s], like the stamps it is given [s]."""
+    """Pictures taken later than their stamps say: ``late`` gives the delay [s] of stamps [s]."""
 
     late: Callable[[Array], Array]
 
@@ -167,7 +167,7 @@ class ClockDrift(CameraEffect):
 
 @dataclass(frozen=True)
 class CameraErrors:
-    """What effects say of a camera, errors with their sizes: how a follower corrects what it is told."""
+    """The errors of a camera with their sizes, by which a follower corrects its measurements."""
 
     sizes: tuple[tuple[CameraError, float], ...]
 

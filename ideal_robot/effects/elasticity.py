@@ -36,7 +36,7 @@ class GearEffect(Effect):
     """The position filter lets pass all of the band that is looked at; the load counts up to two thirds of that."""
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """Torques tell of it where the rigid body is known as a function, a TCP where the joint moves it."""
+        """See ``Effect.usable``: by torques where the rigid body is a known function, by a TCP that the joint moves."""
         return signals.rigid is not None if self.domain == MOTOR_TORQUE else shows_gear(self.domain, signals, joint)
 
     @abstractmethod

@@ -89,7 +89,7 @@ class Unknown(Effect):
         return signals.on_joint(joint, *basis.T)
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """A curve over the arm's motion is asked of the motor; what lies outside what was seen counts nothing."""
+        """See ``Effect.loop_change``: the curve is taken at the motor's motion, zero outside the recorded range."""
         if self.domain != MOTOR_TORQUE:
             return LoopChange(nowhere="a curve without a cause does not say whether arm or measurement is off")
         if not all(_MOTION.fullmatch(name) for name in self.depends_on):

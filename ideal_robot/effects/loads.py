@@ -138,7 +138,7 @@ class BaseTilt(WholeArmEffect):
     source = "[G] (5) with another direction of gravity"
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """What gravity across does has to be known, and there has to be more than one joint to tell it from springs."""
+        """See ``Effect.usable``: where gravity across the axis is known, and another joint excludes springs."""
         return signals.n > 1 and signals.gravity_across is not None
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:

@@ -134,7 +134,7 @@ class EgmRobot(LinkedRobot):
         self._peer = None
 
     def _check_pace(self, tm: int) -> None:
-        """The controller's time stamps [ms] tell whether its cycle is the one that is expected."""
+        """Raises EgmError where the controller's time stamps [ms] show another cycle than expected."""
         count = (self._number - self._paced) % 2**32
         if count < _PACE:
             return

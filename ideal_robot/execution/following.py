@@ -230,7 +230,7 @@ class Following(Watch):
         return self._said(int(np.argmax(least)), q)
 
     def _goes_on(self) -> str | None:
-        """What is said of an arm that was taken for one that is being braked, and goes on; None of any other."""
+        """The message about an arm that seemed to be braked and moves on; None for any other."""
         # During the trial of the path a joint may start late, held by its friction: the trial is repeated then.
         if self._trying or not (self._noticed and self._still and self._braked * self._T < self._brakes):
             return None
@@ -304,7 +304,7 @@ class Following(Watch):
                 "whether the controller is paused or stopped")
 
     def _other(self, joint: int, off: float) -> str:
-        """What is said of a joint that does not stand still, and is so far beside where it should be [rad]."""
+        """The message about a joint that moves, and is ``off`` [rad] from where it should be."""
         if self._cause is not None:
             return self._cause(joint)
         return (f"joint {joint + 1} is {self._size(off, joint)} beside where its command leads and does not follow it; "

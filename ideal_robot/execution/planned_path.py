@@ -148,7 +148,7 @@ def _trajectories(message: Any) -> Iterator[Any]:
 
 
 def _trajectory(message: Mapping[str, Any], robot: Robot, path: Path) -> GivenPath:
-    """A JointTrajectory's points at the arm's cycle where they tell their speed, else as they are."""
+    """A JointTrajectory's points: at the arm's cycle where they have velocities, else as they are."""
     names, points = message["joint_names"], message["points"]
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise InputError("expected a list of names", file=path, field="joint_names")
@@ -187,7 +187,7 @@ def instants_of(t: Array, t_ipo: float) -> Array:
 
 
 def _order(names: Sequence[str], robot: Robot, path: Path) -> tuple[list[int], tuple[str, ...]]:
-    """Which of the named joints the arm's are, in its order, and what is said of the others."""
+    """Places of the arm's joints among the named ones, in its order, and a warning about the others."""
     own = list(robot.pinocchio.names)[1:]
     if all(name in names for name in own):
         others = [name for name in names if name not in own]

@@ -107,7 +107,7 @@ def _quickest(t: Array, q_d: Array, robot: Robot) -> float:
 
 
 def _bridged(t: Array, q_d: Array, robot: Robot, file: str | None) -> tuple[str, ...]:
-    """A warning where samples of a path are missing, and how well the others tell the way between.
+    """A warning where samples of a path are missing, with the error of interpolating them.
 
     Two smooth ways through the other samples, splines of third and of fifth order, differ there by more than the finer
     one is off. Raises InputError where they differ by more than ``UNSURE``.

@@ -108,7 +108,7 @@ def _with_bodies(model: Model, root: Array, solution: Posterior, nearby: Array) 
 
 
 def _nearby(model: Model, change: Array, heavier: Array) -> Array:
-    """Possible full parameters ``(12 n,)`` for what no motion tells, e.g. how a rotor and a link share an inertia."""
+    """Physically possible full parameters ``(12 n,)``: values for what no motion determines, e.g. a rotor's share."""
     n, full = model.n, np.array(model.consistent)
     full[: 10 * n] *= np.repeat(np.maximum(1.0 + LINK * heavier, 0.1), 10)
     full[10 * n :] += change[10 * n :]

@@ -147,7 +147,7 @@ class FrictionCurve:
         return self._begun(known.x, known.covariance, places)
 
     def inertia_alone(self, state: CurveState) -> CurveState:
-        """What a motion tells of any other: the inertia. Friction's shape is unknown again."""
+        """The part of a state that holds for any other motion: inertia; friction's shape is unknown again."""
         return self._begun(state.x, state.covariance, np.arange(TERMS + 1, self._size))
 
     def _begun(self, x: Array, covariance: Array, places: Array) -> CurveState:

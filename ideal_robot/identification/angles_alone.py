@@ -41,7 +41,7 @@ class CommandIdentification(Summarised):
     missing: tuple[str, ...]
 
     def summary(self) -> list[tuple[str, str]]:
-        """What was found of each joint's controller, and what it leaves."""
+        """Rows of label and value: each joint's controller, and its residual."""
         law, unit = self.model.command, one_unit(self.model.units("mrad"))
         assert law is not None
         return [("model", f"{self.model.arm.name!r}: commands of {self.model.n} joints; no torques"),
@@ -85,7 +85,7 @@ def identify_arm(recordings: Recording | Sequence[Recording], robot: Robot, *, p
 
 
 def without_torque(recordings: Sequence[Recording]) -> bool:
-    """Whether these are recordings of commands and angles alone, of an arm that tells no torques at all."""
+    """Whether the recordings hold commands and angles alone, as of an arm that reports no torques."""
     return bool(recordings) and all(
         commands_of(r) and not any(name.startswith(("tau_", "current_")) for name in r.columns) for r in recordings)
 

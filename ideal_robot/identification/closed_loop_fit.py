@@ -125,7 +125,7 @@ def _joints(parts: Sequence[Recording], robot: Robot, averaged: bool) -> list[_S
 
 
 def _sought(joints: Sequence[_Stretches], plain: _Fitted) -> _Channel | None:
-    """What commands pass before the cascades; None where short low-passes tell as much.
+    """The way of the commands before the cascades; None where short low-passes explain as much.
 
     Args:
         joints: of the arm.
@@ -392,7 +392,7 @@ def _rows(series: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
 
 
 def _noise(X: Array, y: Array) -> float:
-    """Standard deviation with which a sample counts, so that correlated residuals are not taken for so many news."""
+    """Standard deviation of a sample's noise, enlarged for correlated residuals, which carry less information."""
     A = X.T @ X
     g = np.linalg.solve(A + 1e-9 * np.trace(A) * np.eye(len(A)), X.T @ y)
     e = y - X @ g

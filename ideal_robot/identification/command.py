@@ -81,7 +81,7 @@ def identify_command(recordings: Sequence[Recording], model: Model, *, torque: b
 
 def _with_errors(law: CommandLaw, joints: Sequence[FittedJoint], stretches: Sequence[Stretch], bodies: Bodies,
                  model: Model) -> CommandLaw:
-    """The law with what its commands leave of the position: what it leaves of commands, as the closed loop answers."""
+    """The law with the position error of its commands: its residual as the closed loop answers it."""
     dt = stretches[0].motion.dt
     ahead = np.array([own.shape.ahead for own in law.joints])
     after = int(np.ceil(law.ahead / dt)) + 1
@@ -99,7 +99,7 @@ def _with_errors(law: CommandLaw, joints: Sequence[FittedJoint], stretches: Sequ
 
 
 def require_commands(recording: Recording, name: str) -> None:
-    """Raises InputError for commands that tell nothing of a controller: copies of the angles, or another joint's.
+    """Raises InputError for commands without information: copies of the angles, or another joint's.
 
     Args:
         recording: with ``q_i``.

@@ -145,7 +145,7 @@ def _require_signals(recordings: Sequence[Recording], without_integrator: Sequen
 def _command_delay(stretches: Sequence[_Stretch], t_cycle: float) -> tuple[float, float]:
     """The delay of the command with which the simulated controllers come closest to the torque, and its σ [s]."""
     def squares(delay: float) -> tuple[Array, Array]:
-        """Squared errors over the torque's squares, and over how many samples that tell news ``(n,)`` each."""
+        """Squared errors over the torque's squares, and the number of independent samples ``(n,)`` each."""
         series = [_series(stretch, t_cycle, delay, offsets=False)[0] for stretch in stretches]
         joints = [_Joint(series, j) for j in range(stretches[0].recording.n)]
         errors = np.array([min(_simulation(joint, k, None).error_percent ** 2 for k in np.geomspace(0.02, 0.8, 8))

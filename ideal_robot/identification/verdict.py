@@ -57,7 +57,7 @@ class JointVerdict:
 
 
 def told(parameter: Parameter) -> bool:
-    """Whether the data tell a parameter from zero: by two standard deviations."""
+    """Whether a parameter differs from zero by two standard deviations."""
     return parameter.value != 0.0 and parameter.std < 0.5 * abs(parameter.value)
 
 
@@ -123,7 +123,7 @@ def _kind(name: str, model: Model) -> str:
 
 
 def _verdict(j: int, own: float, unseen: float, uncertain: dict[str, float], broken: str) -> JointVerdict:
-    """The verdict for joint ``j``, of what is left and what is uncertain [%], and what is wrong with its recording."""
+    """The verdict on joint ``j``, from its residuals and uncertainties [%], and faults of its recording."""
     residual, wide = max(own, unseen), uncertain["all"]
     moves = _TELLS[max(_TELLS, key=lambda kind: uncertain[kind])].format(j=j + 1)
     values = (float(residual), float(wide))

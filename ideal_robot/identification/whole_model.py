@@ -187,7 +187,7 @@ def identify_model(recordings: Recording | Sequence[Recording], robot: Robot, *,
 
 
 def with_given_controller(analysis: IdentificationResult, wanted: str | Path, robot: Robot) -> IdentificationResult:
-    """The result with a controller from elsewhere, where the recordings tell none.
+    """The result with a given controller, where the recordings determine none.
 
     Args:
         analysis, robot: what the recordings tell, and the arm.
@@ -261,7 +261,7 @@ def _warm_up(model: Model, result: Identification) -> tuple[WarmUp | None, ...]:
 
 def _missing_of_the_loop(controller: ControllerIdentification | None, loop: LinearLoopFit | None,
                          commanded: Sequence[Recording], robot: Robot) -> list[str]:
-    """What the recordings with commands do not tell of controllers and closed loop."""
+    """Yields warnings on what recordings with commands do not determine of controllers and closed loop."""
     if not commanded:
         return [f"controller, linear loop: commands q_c_1 to q_c_{robot.n} are needed; without a controller the model "
                 "cannot correct a path"]

@@ -164,7 +164,7 @@ def loop_model(model: Model, robot: Robot, *, delay: int = 0) -> Loop:
 
 
 def _elastic(model: Model, rotor_inertia: Array) -> Array:
-    """Stiffness ``(n,)`` [N m/rad]; ``inf`` where none is known or the gear cannot be told from a rigid one."""
+    """Stiffness ``(n,)`` [N m/rad]; ``inf`` where it is not known or the gear is as good as rigid."""
     if model.gears is None:
         return np.full(model.n, np.inf)
     stiffness = model.gears.rigid_if_unknown

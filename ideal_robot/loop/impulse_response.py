@@ -27,7 +27,7 @@ class Measurement(NamedTuple):
 
 
 def least_squares(*measurements: Measurement) -> Array:
-    """The unknowns ``x (size,)`` that measurements make likeliest; of smallest norm where they tell nothing.
+    """The likeliest unknowns ``x (size,)``; of smallest norm where measurements do not determine them.
 
     A prior is a measurement like any other.
     """

@@ -22,7 +22,7 @@ from ideal_robot.robots.robot import Robot
 
 @dataclass(frozen=True, slots=True)
 class RobotState:
-    """What the controller tells at one interpolation cycle.
+    """The state that the controller reports in one interpolation cycle.
 
     Attributes:
         t: controller time at which ``q`` and ``tau`` were valid [s].

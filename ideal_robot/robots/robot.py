@@ -131,7 +131,7 @@ class Robot(Summarised):
 
     @property
     def without_gain(self) -> list[int]:
-        """Joints, counted from 1, whose currents are not known to be so many N m an ampere."""
+        """Joints, counted from 1, without a known drive gain [N m/A]."""
         return [int(j) + 1 for j in np.flatnonzero(self.drive_gain == 1.0)]
 
     @property

@@ -66,7 +66,7 @@ class Corrections(Protocol):
         """The whole correction ``(m,)`` behind an increment."""
 
     def unusable(self, q: Array, relative: bool) -> str | None:
-        """Why joint angles ``q (n,)`` [rad] cannot be told; None where they can."""
+        """Why joint angles ``q (n,)`` [rad] cannot be commanded as corrections; None where they can."""
 
     def contradiction(self, message: RobMessage) -> str | None:
         """What a message says that cannot be, if these corrections lead to where they shall; None where it fits."""

@@ -295,7 +295,7 @@ class PacketLink:
             self._socket.send(answer)
 
     def _read(self) -> RobMessage | None:
-        """The next packet, None where it counts for nothing.
+        """The next packet; None for one that is not used.
 
         Raises TimeoutError or BlockingIOError where there is none, as the socket's timeout has it, RsiError where the
         system closed the port.

@@ -74,7 +74,7 @@ class RsiFormat:
 
     @cached_property
     def still(self) -> str:
-        """What an answer tells external axes that are held."""
+        """The part of an answer that holds external axes."""
         groups: dict[str, list[str]] = {}
         for name in self.held:
             group, _, axis = name.partition(".")
@@ -218,7 +218,7 @@ _Element = tuple[str, str]
 
 @dataclass(frozen=True, slots=True)
 class RobMessage:
-    """What a controller tells in one cycle; angles as it counts them, in degrees.
+    """The message of a controller in one cycle; angles as it counts them, in degrees.
 
     Attributes:
         ipoc: the controller's time stamp of the cycle; the answer has to repeat it.

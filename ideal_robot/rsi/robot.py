@@ -331,7 +331,7 @@ class RsiRobot(LinkedRobot):
         return self._state(newest)
 
     def _check_pace(self) -> None:
-        """Where time stamps do not tell the cycle, the clock tells at least that it is not a much shorter one."""
+        """Checks by the clock that the cycle is not much shorter, where time stamps do not show it."""
         if self.counts.cycles == 1:
             # From the first packet after an answer: the one before it may have waited for the program to be ready.
             self._began = self._link.arrived

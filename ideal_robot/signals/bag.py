@@ -494,7 +494,7 @@ def _in_bag(file: Path) -> Iterator[int]:
 
 
 def _in_db3(file: Path) -> Iterator[int]:
-    """Bytes of the messages of an SQLite bag; a view or a computed column could tell any number."""
+    """Yields the sizes of an SQLite bag's messages [bytes], from stored columns only."""
     with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as base:
         names = ("topics", "messages", "message_definitions", "schema", "metadata")
         tables = base.execute("SELECT name, type, sql FROM sqlite_master WHERE lower(name) IN (?, ?, ?, ?, ?)", names)

@@ -117,7 +117,7 @@ def with_reading(meta: dict[str, Any], said: Sequence[str]) -> dict[str, Any]:
 
 
 def recognised(titles: Sequence[str], topic: str | None = None) -> ColumnMap:
-    """The map that titles tell by their words; empty where they are ours already or tell nothing.
+    """The map of columns that their titles suggest; empty where they are ours already, or say nothing.
 
     Args:
         titles: of the table's columns.

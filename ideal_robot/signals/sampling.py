@@ -264,7 +264,7 @@ class _Products:
         self._size = np.mean(fast**2, axis=0)
 
     def precision(self, late: Array | None = None) -> Array:
-        """1/σ² of what is left of each joint's fast part ``(n,)`` with samples late by ``late (N,)``."""
+        """1/σ² of the residual of each joint's fast part ``(n,)`` with samples late by ``late (N,)``."""
         squares = self._size
         if late is not None:
             squares = squares - (2.0 * late @ self.product - late**2 @ self.squared) / len(late)

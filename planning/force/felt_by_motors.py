@@ -121,14 +121,14 @@ class FeltByMotors:
         return self.lately(self._window)
 
     def lately(self, cycles: int) -> float:
-        """Mean force of so many last cycles beyond that in the air [N]; NaN while it is not known."""
+        """Mean force over the last ``cycles``, less that in the air [N]; NaN while it is not known."""
         if self._in_air < self._air_cycles or len(self._forces) < cycles:
             return np.nan
         return float(np.mean(list(self._forces)[-cycles:])) - self._air
 
     @property
     def scatter(self) -> float | None:
-        """Standard deviation of a cycle's force [N]; None while that is not known, or no torques are told."""
+        """Standard deviation of a cycle's force [N]; None while it is not known, or without torques."""
         changes = np.array(self._changes)[1:]
         if len(changes) < _SCATTERS or not np.isfinite(changes).all():
             return None
@@ -137,7 +137,7 @@ class FeltByMotors:
 
 @dataclass(frozen=True)
 class Alert:
-    """How soon the motors notice a force that no sensor tells.
+    """How soon the motors notice a force that no sensor shows.
 
     Attributes:
         cycles: over which they are averaged.
@@ -174,7 +174,7 @@ def soonest(scatter: float, least: float, most: float, T: float, air: float) -> 
 
 
 class Hearing:
-    r"""How slowly a surface has to be pressed for the motors to tell a force sensor's gain.
+    r"""How slowly a surface has to be pressed for the motors to measure a force sensor's gain.
 
     While the force rises from 0 to F in the time t, a line of :math:`t/T` torques of scatter :math:`\sigma_j` beside an
     unknown friction tells κ within
@@ -205,11 +205,11 @@ class Hearing:
         return 12.0 * self._T / (LOSSES * self._force) ** 2 / max(told, ROUNDING)
 
     def fastest(self, stiffness: float, way: float) -> float:
-        """Largest speed on a contact of a stiffness [N/m], behind a way [m], at which a gain is told [m/s]."""
+        """Largest speed [m/s] on a contact of a stiffness [N/m], after a way [m], at which the gain is measured."""
         return self._force / (stiffness * self.seconds(way))
 
     def quickest(self, stiffness: float) -> tuple[float, float]:
-        """The way through air [m], and the speed behind it [m/s], by which a gain is told soonest.
+        """The way through air [m], and the speed after it [m/s], by which the gain is measured soonest.
 
         The more joints are to slide, the longer the way, and the less slowly the force has to rise.
         """

@@ -146,7 +146,7 @@ class SurfaceFollower:
         return fused
 
     def measured(self, t: Array, contact: Array) -> Measurement | None:
-        """What the contact forces since the last cycle tell of the deviation; None while there is no contact yet.
+        """A measurement of the deviation by the contact forces since the last cycle; None before there is contact.
 
         Args:
             t: instants they belong to ``(m,)`` [s].

@@ -63,7 +63,7 @@ class DeviationModel(ABC):
         return None
 
     def told(self, s: Array, stand: Stand) -> bool:
-        """Whether all that was measured before tells of the deviation at ``s (m,)`` [m] through the state alone.
+        """Whether earlier measurements bear on the deviation at ``s (m,)`` [m] through the state alone.
 
         A measurement there is worth as much late as in time. Where the state changes on its way that is not so.
         """

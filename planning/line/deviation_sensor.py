@@ -34,7 +34,7 @@ class Reading:
 
 
 class DeviationSensor(Protocol):
-    """A sensor that tells how far the line is from the tool.
+    """A sensor of the line's distance from the tool.
 
     It measures on its own clock; readings may come late, in any order and in any direction. Each carries the
     *controller's* time of its measurement as well as the device knows it.

@@ -40,7 +40,7 @@ _ANSWERS = {"before": "before", "after": "after", "tracker": "with a tracker's a
 
 @dataclass(frozen=True)
 class Words:
-    """How a kind of scene tells a closing.
+    """Words by which a kind of scene reports a closing.
 
     Attributes:
         errors: under which the plays' errors stand in the JSON.

@@ -265,7 +265,7 @@ def fetch(
 
 
 def _there(what: str) -> str:
-    """What is to be shown as given, if there is such a recording, robot or scene."""
+    """The given name, if there is such a recording, robot or scene to show."""
     suffix = Path(what).suffix
     if suffix not in (".parquet", ".csv"):
         urdf_of(what) if what in SHIPPED or suffix == ".urdf" else scenes_there(what)

@@ -131,7 +131,7 @@ def identify(options: IdentifyOptions) -> None:
 
 
 def _show_alone(analysis: CommandIdentification, page: Path) -> None:
-    """What commands and angles alone tell, and what they cannot."""
+    """Prints what commands and angles alone determine, and what they cannot."""
     _show_commands(analysis.model)
     for warning in analysis.warnings:
         typer.echo(f"warning: {warning}", err=True)
@@ -159,7 +159,7 @@ def _show_commands(model: Model) -> None:
 
 
 def _show_identified(analysis: IdentificationResult, arm: Robot, recordings: list[dict[str, Any]]) -> None:
-    """Errors of each recording, the parameters that the data tell, friction laws, warnings, and the verdicts."""
+    """Prints errors of each recording, determined parameters, friction laws, warnings and verdicts."""
     from ideal_robot.identification.verdict import told
     from scenes.identification.page import verdict_table
 
@@ -261,7 +261,7 @@ def diagnose(options: DiagnoseOptions) -> None:
 
 
 def _show_diagnosed(diagnosis: Diagnosis, explain: bool) -> None:
-    """Errors of each channel, what was added, and what is left open, with the reasons; each argument if ``explain``."""
+    """Prints each channel's errors, added effects and open questions with reasons; the arguments if ``explain``."""
     from scenes.diagnosis.page import unexplained, unused
 
     show_table(f"verdict: {diagnosis.verdict}; errors on held-out data ({diagnosis.held_out_how})",

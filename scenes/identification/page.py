@@ -88,7 +88,7 @@ def identification_page(analysis: IdentificationResult, call: Call = UNKNOWN, ke
 
 
 def command_page(analysis: CommandIdentification) -> Report:
-    """What commands and angles alone tell of an arm, and what they cannot."""
+    """The page on what commands and angles alone determine of an arm, and what they cannot."""
     page = Report(f"Commands of {analysis.model.arm.name}", "Which command makes each joint move so, from commands "
                   "and angles alone. precorrect and play use it; diagnosis needs torques.")
     for warning in analysis.warnings:

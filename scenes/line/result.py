@@ -40,7 +40,7 @@ def far_from_line(mean: float) -> str:
 
 
 def little_gained(mean: float, none: float) -> str:
-    """What is said where the mean distance from the line [m] is over half of that without correction; else empty."""
+    """A warning where the mean distance from the line [m] is over half of that without correction; else empty."""
     if not mean > GAIN * none:
         return ""
     return (f"the correction leaves {1e3 * mean:.2f} mm of {1e3 * none:.2f} mm that are there without it: the model "

@@ -42,7 +42,7 @@ class Witness(Protocol):
         """See ``scenes.online.task.Sensor``."""
 
     def fused(self, innovation: float, values: int) -> None:
-        """Forces were fused: normalised innovation squared of so many values."""
+        """Takes the normalised innovation squared of forces that were fused, and of how many values it is."""
 
     def stood(self) -> None:
         """The arm stood: what was felt before belongs to no motion that goes on."""

@@ -45,7 +45,7 @@ _UNSEEN = 5
 
 
 class ContactWitness:
-    """Looks at what a force sensor tells, with what else is known of the contact.
+    """Checks a force sensor's readings against what else is known of the contact.
 
     Args:
         scene: how hard is pressed.

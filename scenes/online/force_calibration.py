@@ -252,7 +252,7 @@ speed [m/s]."""
 
 @dataclass(frozen=True)
 class _Slower:
-    """How a contact of a stiffness [N/m] has to be pressed for the motors to tell the sensor's gain.
+    """How a contact of a stiffness [N/m] has to be pressed for the motors to measure the sensor's gain.
 
     After a ``way`` through air [m] with a ``speed`` [m/s], where that is ``needed``.
     """
@@ -359,7 +359,7 @@ class _Press(Pressed):
         self._go(lambda: _UP, lambda: self.height >= START_HEIGHT)
 
     def _too_quick(self) -> bool:
-        """Whether the motors would not tell the sensor's gain at the speed of this way down."""
+        """Whether this way down is too quick for the motors to measure the sensor's gain."""
         felt, scatter = float(self.recent() @ self.up), self._motors.gain.scatter
         if self._slower is None and felt > 2.0 * _FELT and scatter is not None:
             known, here = self._known, self._paced_at - self.height
@@ -428,7 +428,7 @@ class _Press(Pressed):
         raise _StoodError
 
     def _hear(self, states: list[_Heard]) -> None:
-        """Lets the motors tell of cycles."""
+        """Hands cycles to the estimate by the motors."""
         while states:
             q_c, state, felt, speed = states.pop(0)
             self._motors.add(q_c, state.q, state.tau, felt, speed)

@@ -63,7 +63,7 @@ class KnownSurface(Known):
 
     @property
     def n_d(self) -> int:
-        """Desired positions over the horizon, one a cycle; three at least: fewer tell no acceleration, nor a stop."""
+        """Desired positions over the horizon, one a cycle; three at least, as fewer have no acceleration."""
         return max(round(HORIZON / self.robot.t_ipo), 3)
 
     def follower(self, elasticity: float,

@@ -427,7 +427,7 @@ class Job:
                 "largest": float(max((force for _, force, *_ in log.samples), default=float("nan")))}
 
     def _calibrated(self) -> dict[str, float]:
-        """What calibrations have found, the last run's where this one has not come so far."""
+        """Results of the calibrations; those of the last run where this one has not made them."""
         keys = "elasticity_N_m", "tool_mass_kg"
         if self._force is None:
             return {key: float(self.before.get(key) or math.nan) for key in keys}

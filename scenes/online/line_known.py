@@ -187,7 +187,7 @@ class SeenBefore:
         return wrong + shape_likelihoods(reference, self.s[line], self.deviation[line], self.covariance[line][:, line])
 
     def too_far(self) -> str:
-        """What is said of a line that leaves its reference by more than is followed; empty where it does not."""
+        """A warning on a line that leaves its reference by more than can be followed; empty where it does not."""
         aside = np.abs(self.deviation)
         steep = np.abs(np.diff(self.deviation.reshape(-1, 2)) / np.diff(self.s.reshape(-1, 2)))[:, 0]
         if not np.any(aside > FOLLOWED) and not np.any(steep > STEEP):

@@ -318,7 +318,7 @@ class ImaginedCamera:
 
 
 class ImaginedForce:
-    """A sensor that feels what it is told; a ``sensing.force.sensors.ForceSensor``.
+    """A sensor that shows given forces; a ``sensing.force.sensors.ForceSensor``.
 
     Attributes:
         wrench: what it feels ``(6,)`` [N, N m].

@@ -55,7 +55,7 @@ class FollowResult(ShownRun):
                 "left_behind": self.left_behind}
 
     def plot(self) -> Figure:
-        """Motor angles and torques over time: what devices tell of a run."""
+        """Motor angles and torques of a run over time."""
         return self.recording.plot()
 
     def answer(self) -> str:

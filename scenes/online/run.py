@@ -218,7 +218,7 @@ def _follow(opened: _Opened, job: Job, method: str, progress: Progress, check: b
 
 def _played(scene: Scene, job: Job, devices: Devices, folder: Path, method: str, progress: Progress,
             work: Callable[[_Opened], None]) -> FollowResult:
-    """Opens the devices, does the work and tells what came of it, however it ended."""
+    """Opens the devices, does the work and returns its result, however it ended."""
     with _opened(scene, job, devices, folder, method, progress) as opened:
         arm = opened.arm
         pids = [os.getpid()] + ([opened.process.pid] if opened.process is not None and opened.process.pid else [])

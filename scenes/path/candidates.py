@@ -127,7 +127,7 @@ class AskedMotion:
                 "played": self.recording is not None, "reason": self.reason or None, "found": effects}
 
     def table(self) -> list[list[Any]]:
-        """One row a pair: cause, rival, σ before and planned, whether the motion tells them."""
+        """A row a pair: cause, rival, σ before and planned, whether the motion distinguishes them."""
         return [] if self.plan is None else [
             [pair.cause, pair.rival or "none", pair.before.sigma, pair.planned.sigma,
              "yes" if pair.told_apart else pair.only] for pair in self.plan.pairs]

@@ -24,7 +24,7 @@ MOST_SEEDS = 100_000
 
 @dataclass(frozen=True)
 class Rules:
-    """What counts as a change.
+    """Rules by which a difference is a change.
 
     Attributes:
         false_alarms: chance that anything of an unchanged program is called worse or better.
@@ -150,7 +150,7 @@ def _judged(row: Row, corrected: float, level: float, rules: Rules) -> Row:
 
 
 def seeds_needed(effect: float, chance: float) -> int | None:
-    """How many seeds tell a mean from its bound, by a one-sided t-test with the chance ``POWER``; None if too many.
+    """Seeds that distinguish a mean from its bound by a one-sided t-test of power ``POWER``; None if too many.
 
     The power is that of the noncentral t distribution.
 

@@ -269,7 +269,7 @@ def check_clock(camera: CameraTable, calibration: Calibration) -> None:
 
 
 def believed_camera(table: CameraTable, told: Calibration | None = None) -> CameraModel:
-    """The camera as mounted by hand, with the readout that its data sheet tells."""
+    """The camera as mounted by hand, with the readout of its data sheet."""
     mounted = CameraModel.default(table.width, table.height, table.focal_px, table.distortion,
                                   default_mount(table.mount_height, table.mount_ahead))
     rolling_ms = None if told is None else told.rolling_ms

@@ -44,7 +44,7 @@ _PRIORITY = 20
 
 @dataclass(frozen=True)
 class CameraDevice:
-    """What the process of a camera is told once.
+    """The description that a camera's process gets at its start.
 
     Attributes:
         camera: draws what the true camera sees.

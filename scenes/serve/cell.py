@@ -108,7 +108,7 @@ class ServedCell:
         return np.zeros(3) if self.contact is None or self.arm.t == 0 else self.contact.force_at(t)
 
     def truth(self, session: Session) -> dict[str, Any]:
-        """What really happened in a session, which no device tells."""
+        """The truth of a session, which no device reports."""
         commands = np.array(session.commands)
         T, limits = self.arm.t_ipo, self.arm.robot.a_max
         steps = np.diff(commands, axis=0, prepend=commands[:1])

@@ -29,7 +29,7 @@ _COLOUR = (0, 110, 190)  # a blue
 
 
 class LiveView:
-    """What is known so far of the run in a folder, in a viewer with its arm; ``state`` is what the page says."""
+    """Shows the run in a folder, as far as it has come, in a viewer with its arm; ``state`` is the page's text."""
 
     def __init__(self, viewer: Viewer, folder: Path) -> None:
         self.viewer, self._folder = viewer, folder

@@ -260,7 +260,7 @@ def _features(lab: Lab, strip: Strip, look: _Look) -> Features:
 
 
 def _small(share: np.floating | float) -> float:
-    """Logarithm of the inverse of a share of the contrast; what is below a twentieth is not told from nothing."""
+    """Negative logarithm of a share of the contrast, to which ``_LITTLE`` is added."""
     return -float(np.log(_LITTLE + share))
 
 

@@ -200,7 +200,7 @@ def likeliest(picture: NDArray[np.uint8], kind: str | None, near: Array | None) 
 
 
 def _through(lab: Lab, every: list[tuple[float, Strip]], kind: str | None, pixel: Array) -> list[tuple[float, Strip]]:
-    """Candidates that pass a pixel, where whoever tells it says that there is a line, the likeliest first.
+    """Candidates that pass a given pixel, at which a line is known to be, the likeliest first.
 
     Where none of all candidates passes it that is surely a line, paths are sought that have to pass it.
     """

@@ -128,7 +128,7 @@ class CommandPath:
         return r
 
     def _at(self, cycles: float) -> Array:
-        """The commands so many cycles ago, on the lines between them ``(n,)``."""
+        """The commands ``cycles`` ago, linear between them ``(n,)``."""
         whole = int(cycles)
         part = cycles - whole
         newer = self._given[-1 - whole]

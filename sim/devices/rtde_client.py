@@ -243,7 +243,7 @@ def count(kind: str) -> int:
 
 
 def output_type(name: str) -> str | None:
-    """Type of a field that a controller tells; None if it has no such field. It tells its inputs, too."""
+    """Type of a field that a controller can report, its inputs included; None if it has no such field."""
     return _type(name, _OUTPUTS, ("output", "input"))
 
 

@@ -205,7 +205,7 @@ class RtdeController:
         client.close()
 
     def _told(self, names: tuple[str, ...], state: RobotState, held: Array, k: int) -> bytes:
-        """What a data package tells; of what this arm does not have, zeros."""
+        """Values of a data package; zeros for what this arm does not have."""
         stop, end, stands = self.faults.protective_stop, self.faults.program_ends, self.faults.clock_stands
         playing = self.playing and self.faults.program_begins <= k and (end is None or k < end)
         paused = k in self.faults.pauses

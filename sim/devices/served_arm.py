@@ -181,7 +181,7 @@ class ServedArm:
         return max(self._due, time.perf_counter()) + ANSWER_WITHIN * self._host_T
 
     def _gone(self) -> str | None:
-        """Why who led the arm does not any more; packets do not tell."""
+        """Why a session has ended; None where packets do not show it."""
         return None
 
     def _held_up(self, session: Session) -> bool:

@@ -120,7 +120,7 @@ def punctual(recording: Recording, delays: Sequence[tuple[int, float]]) -> Recor
 
 
 def with_loose_weights(made: Regression, effects: Sequence[Candidate]) -> Regression:
-    """The regression of arm angles with what springs bend gears by, where torques do not tell them from weight.
+    """The regression of arm angles with the twist by springs that torques cannot distinguish from weight.
 
     A term of the form of gravity goes to the spring or to the masses as it falls out, and whether a spring pulls on
     the motor's or on the arm's side of its gear no torque says: what the gear carries is known but for the columns of

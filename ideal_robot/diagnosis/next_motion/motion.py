@@ -57,7 +57,7 @@ _DRAWN = 6
 
 @dataclass(frozen=True)
 class _Part:
-    """One Fourier motion, its commands ``(N, n)`` [rad] with the rests about it, and what these tell by themselves."""
+    """One Fourier motion, its commands ``(N, n)`` [rad] with the rests about it, and their information alone."""
 
     kind: Kind
     motion: FourierMotion

@@ -165,7 +165,7 @@ def plan_diagnosis(recording: Recording, robot: Robot, questions: Open, *, model
 
 
 def _problems(case: Case, found: Findings) -> Iterator[tuple[Domain, Problem]]:
-    """The domains in which a motion of the joints tells anything, as the diagnosis sees them."""
+    """The domains in which a motion of the joints is informative, with the diagnosis' problem of each."""
     problem = found.problem
     torque = in_position_band(problem.regression, case.recording)
     if case.given is not None and np.any(found.start.covariance):
@@ -176,7 +176,7 @@ def _problems(case: Case, found: Findings) -> Iterator[tuple[Domain, Problem]]:
 
 
 def _asked_of(questions: Open, problems: Mapping[Domain, Problem], robot: Robot) -> tuple[list[Pair], tuple[str, ...]]:
-    """Pairs and joints that a motion may tell, and what no motion of the joints can answer."""
+    """Pairs and joints that a motion may decide, and questions that no motion of the joints can answer."""
     open_pairs, not_asked = list[Pair](), list[str]()
     for problem in problems.values():
         pairs, mute = Causes(problem).pairs(questions)
@@ -216,7 +216,7 @@ def _best_motion(pairs: Sequence[Pair], foresight: Foresight, room: Workspace, l
 
 
 def _planned_pair(pair: Pair, before: Separation, after: Separation, recording: Recording) -> PlannedPair:
-    """How far recording and planned motion tell a pair, and what else would where the planned one does not."""
+    """How well recording and planned motion distinguish a pair, and what else would where they do not."""
     only = ""
     if not after.told_apart:
         names = {c.candidate.effect.name for c in (pair.cause, pair.rival) if c is not None}

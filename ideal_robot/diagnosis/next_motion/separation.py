@@ -70,12 +70,12 @@ class Separation:
 
     @property
     def told_apart(self) -> bool:
-        """Whether a recording is expected to tell them: the difference of the fits' squares scatters by ``2 sigma``."""
+        """Whether a recording should distinguish them: the difference of the fits' squares scatters by ``2 sigma``."""
         return 0.5 * self.sigma >= TOLD and self.own_share >= 1.0 - NEARLY
 
     @property
     def margin(self) -> float:
-        """What a motion is chosen by: one where a diagnosis would just see and tell it."""
+        """The criterion by which a motion is chosen: 1 where a diagnosis would just find and distinguish the cause."""
         return min(0.5 * self.sigma / TOLD, self.own_share / (1.0 - NEARLY), self.seen_share / VISIBLE_SHARE)
 
 

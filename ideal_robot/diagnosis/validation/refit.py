@@ -24,7 +24,7 @@ from ideal_robot.signals.recording import Recording
 
 
 def _held(regression: Regression) -> Problem:
-    """The problem of a regression whose model stays as it is: what changes is said as effects."""
+    """The problem of a regression whose model is fixed: only effects are fitted."""
     return Problem(replace(regression, W=regression.W[:, :, :0]))
 
 
