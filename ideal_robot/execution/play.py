@@ -169,7 +169,7 @@ class PathCommands:
         return float(np.clip(wanted, rate - most, rate + most))
 
     def brake(self, place: float, rate: float = 1.0) -> Iterator[tuple[Array, Array]]:
-        """To rest on the path from a place on, of which nothing has been commanded."""
+        """Yields cycles that brake to rest on the path, from a place on that has not been commanded yet."""
         if self.robot is None:
             return
         ahead = self._horizon(place, rate, 2)

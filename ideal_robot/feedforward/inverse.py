@@ -124,7 +124,7 @@ def _complete_grid(loop: Loop) -> _Grid:
 
 
 def _printed_grid(loop: Loop, lead: float) -> _Grid:
-    """One instant, ``lead`` [s] after the command is handed over, with differences over an interpolation cycle."""
+    """The grid of the printed precorrection: one instant, ``lead`` [s] after the command, differences over a cycle."""
     T = loop.t_ipo
     rows = int(np.ceil(lead / T)) + ROWS_AFTER + 1
     t_coarse = lead + T * np.array([-1.0, 0.0, 1.0])

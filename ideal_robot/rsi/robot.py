@@ -290,14 +290,14 @@ class RsiRobot(LinkedRobot):
                 self.counts.resynchronised += 1
 
     def _too_far(self, since: int) -> None:
-        """A time stamp further ahead than can be bridged: one alone is no cycle of this controller."""
+        """Refuses a packet whose time stamp is too far ahead; raises RsiError where several in a row are."""
         self._ahead += 1
         self.counts.refuse(f"its time stamp lies {since} cycles ahead")
         if self._ahead >= _AHEAD:
             raise RsiError(f"{since - 1} packets in a row were lost, more than {self.max_lost}; check network and load")
 
     def _went_back(self, stamp: int) -> None:
-        """A time stamp of before: many in a row that rise are those of a controller that has begun anew."""
+        """Counts earlier time stamps that rise; raises RsiError for many in a row: the controller has begun anew."""
         self._back = self._back + 1 if self._back and self.stamps.newer(self._older, stamp) else 1
         self._older = stamp
         if self._back > self.max_lost:

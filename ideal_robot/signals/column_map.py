@@ -368,7 +368,7 @@ def _joint_columns(groups: Mapping[str, Group], prefix: str, found: dict[str, So
 
 
 def _by_number(columns: Mapping[str, Source], names: Sequence[str]) -> dict[str, Source] | None:
-    """Columns by the names of the positions, where both only count: ``tau_J_0`` beside ``q_0``."""
+    """Columns by the positions' joint names, where both have only numbers: ``tau_J_0`` beside ``q_0``."""
     numbers = _numbers(list(columns))
     if numbers is None or _numbers(names) is None or len(columns) != len(names):
         return None

@@ -223,12 +223,12 @@ def rows_along(direction: Array, basis: Array) -> Array:  # pragma: no cover
 
 @jit()
 def widened(covariance: Array, direction: Array, variance: Array) -> Array:  # pragma: no cover
-    """A covariance with the variances of what no state holds in it.
+    """The covariance of values, enlarged by the variance of shapes that the state has no entry for.
 
     Args:
         covariance: of the values ``(m, m)`` [m²].
         direction: along which each is seen ``(m, d)``.
-        variance: of what no state holds ``(m, d)`` [m²].
+        variance: of these shapes ``(m, d)`` [m²].
     """
     wider = covariance.copy()
     for i in range(len(direction)):

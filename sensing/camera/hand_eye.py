@@ -181,7 +181,7 @@ def calibrate(
 
 def _shared(values: Array, covariance: Array, height: int, of_camera: float, of_surface: float
             ) -> tuple[Array, Array]:
-    """A height that was seen, shared by camera and surface by the variances of both beforehand [m²].
+    """Parameters and covariance with an estimated height divided between camera and surface by prior variances.
 
     The surface's is the last of the parameters returned ``(k + 1,)``; ``height`` is the place of the camera's.
     """
