@@ -204,8 +204,9 @@ def _facing_away(root: ET.Element, tree: _Tree, chain: list[ET.Element], link: s
     # The last joint's angle turns about the axis alone: what lies along it is the same at every angle.
     length = float(along @ (beyond.translation + back.rotation.T @ back.translation))
     carried = beyond.translation
-    if np.linalg.norm(carried) < _SHORT:
-        carried = _carried(root, tree, _link(moving[-1], "child"))
+    if link == _link(moving[-1], "child") and np.linalg.norm(carried) < _SHORT:
+        # No frame is drawn for a tool: where the last link has its weight.
+        carried = _carried(root, tree, link)
     beside = carried - along * (along @ carried)
     aside = float(np.linalg.norm(beside))
     ways = []
