@@ -15,9 +15,9 @@ from ideal_robot.robots.interface import RobotState
 from planning import OutOfReachError
 from planning.line.line_follower import line_ahead
 from planning.path.kinematics import InverseKinematics
-from scenes.line_way import shapes_about
+from scenes.line_way import calibration_postures, shapes_about
 from scenes.online.known import Known
-from scenes.online.line_known import REST, CalibrationView, SeenBefore, calibration_postures, piece_map, view_of
+from scenes.online.line_known import REST, CalibrationView, SeenBefore, piece_map, view_of
 from scenes.online.live_arm import moves
 from sensing import SensingError
 from sensing.camera.camera_device import Field

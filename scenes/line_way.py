@@ -15,6 +15,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.collisions import Shapes
 from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
+from planning.line.measurement import LineAhead
 from planning.path.joint_demands import JointDemands
 from planning.path.joint_path import JointPath
 from planning.path.kinematics import TILTED, InverseKinematics
@@ -23,7 +24,9 @@ from planning.path.speed_profile import Limits, SpeedProfile
 from scenes.scene_files.drawn_line import reference_points
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
-from scenes.scene_files.scene import Scene, boxes_of, obstacles
+from scenes.scene_files.scene import Scene, SceneError, boxes_of, obstacles
+from sensing.camera.camera_model import CameraModel
+from sensing.camera.hand_eye import calibration_poses
 
 ROWS = 60
 """Places along the reference at which the surfaces beside it are looked at."""
@@ -173,3 +176,45 @@ def shapes_in(scene: Scene, robot: Robot) -> Shapes:
     if isinstance(scene, LineScene | ForceScene):
         return shapes_about(scene, robot)
     return Shapes(robot, boxes=obstacles(boxes_of(scene)))
+
+
+def middle_of_view(camera: CameraModel) -> Array:
+    """Where the optical axis meets the plane through the TCP, in the tool frame ``(3,)`` [m]."""
+    T, axis = camera.T_tool_camera, camera.T_tool_camera.rotation[:, 2]
+    return np.asarray(T.translation - T.translation[2] / axis[2] * axis)
+
+
+def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraModel, at: float, clear: float = 0.0,
+                         shapes: Shapes | None = None, line: LineAhead | None = None) -> list[Array]:
+    """Joint angles of the poses that the arm reaches, each near the one before and on a way that touches nothing.
+
+    Args:
+        robot: the arm.
+        reference: the reference path.
+        camera: as mounted by hand.
+        at: arc length of the reference around which the piece lies [m].
+        clear: how far the tip keeps away from the reference at least [m].
+        shapes: the arm in its cell; None where nothing is known of it.
+        line: where it is there as far as known; on the reference if None.
+
+    Raises:
+        SceneError: fewer than half of the poses can be reached.
+    """
+    frames, kinematics = reference.frames(np.array([at])), InverseKinematics(robot)
+    q, up = kinematics.search(reference.pose(at), robot.home), frames.up[0]
+    place, direction = ((frames.position[0], frames.tangent[0]) if line is None
+                        else (line.points[0], line.tangents[0]))
+    poses = calibration_poses(place + clear * up, direction, up, float(middle_of_view(camera)[0]))
+    postures: list[Array] = []
+    for pose in poses:
+        try:
+            posture = kinematics.search(pose, q)
+        except OutOfReachError:
+            continue
+        if shapes is None or shapes.touch_between(q, posture) is None:
+            postures.append(posture)
+            q = posture
+    if len(postures) < len(poses) // 2:
+        raise SceneError(f"the camera could not be calibrated: the arm reaches only {len(postures)} of {len(poses)} "
+                         "poses; move the surface nearer, or set calibration.by_moving = false")
+    return postures

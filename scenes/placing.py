@@ -18,9 +18,10 @@ from ideal_robot.robots.size import mean_height, reach, shoulder_height
 from planning import OutOfReachError
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
-from scenes.line_way import line_way
-from scenes.scene_files.drawn_line import reference_points
+from scenes.line_way import calibration_postures, line_way, shapes_about
+from scenes.scene_files.drawn_line import believed_camera, reference_points
 from scenes.scene_files.line_scene import LineScene
+from scenes.scene_files.scene import SceneError
 
 AHEAD = (0.6, 0.5, 0.7, 0.4)
 """Distances of the line from the base that are tried, relative to the reach …"""
@@ -88,34 +89,60 @@ def place_line(scene: LineScene) -> Place:
     if shoulder_height(robot) < 0.0:
         raise InputError(f"{robot.name} hangs below z = 0, which is the floor; let the URDF begin with a link on the "
                          "floor and a fixed joint from there to the arm's base", file=robot.urdf, field="robot")
+    blind: Place | None = None
     for turn in TURNS:
-        if (place := _placed(scene.changed(tool_turn_deg=turn), robot)) is not None:
+        place, seen = _placed(scene.changed(tool_turn_deg=turn), robot)
+        if place is not None and seen:
             return place
+        blind = blind or place
+    if blind is not None:
+        return blind
     raise InputError(f"no line fits in the reach of {robot.name} ({reach(robot):.2f} m) with the tool pointing down; "
                      "give the posture to work from as home in the robot's TOML, or place surface and line by hand",
                      file=robot.urdf, field="robot")
 
 
-def _placed(scene: LineScene, robot: Robot) -> Place | None:
-    """Where a line fits with the tool mounted as it is; None where it fits nowhere."""
+def _placed(scene: LineScene, robot: Robot) -> tuple[Place | None, bool]:
+    """Where a line fits with the tool mounted as it is, or None; whether the camera can be calibrated there.
+
+    A place where the arm cannot move the camera about the line is taken only where there is no other.
+    """
     slow: Place | None = None
+    blind: Place | None = None
     for heading, share in product(HEADINGS, SIZES):
         best: Place | None = None
         wanted = min(FASTEST, wave(round(share * reach(robot), 2)) / PERIOD)
         for candidate in _candidates(scene, robot, share, heading):
             speed = fits(candidate, candidate.arm, wanted)
             if speed is not None and (best is None or speed > best.speed):
-                best = Place(candidate.surface.origin, heading, float(candidate.line.length or 0.0), speed,
-                             candidate.tool_mm, candidate.tool_turn_deg)
+                place = Place(candidate.surface.origin, heading, float(candidate.line.length or 0.0), speed,
+                              candidate.tool_mm, candidate.tool_turn_deg)
+                if calibrates(candidate, candidate.arm):
+                    best = place
+                else:
+                    blind = blind or place
             if best is not None and best.speed >= math.floor(100.0 * wanted) / 100.0:
-                return best
+                return best, True
         if best is not None and best.speed >= WORTH * wanted:
-            return best
+            return best, True
         if best is not None and (slow is None or best.speed > slow.speed):
             slow = best
         if slow is not None and share == SIZES[-1]:
-            return slow
-    return None
+            return slow, True
+    return blind, False
+
+
+def calibrates(scene: LineScene, robot: Robot) -> bool:
+    """Whether the arm reaches the poses that calibrate the camera over the middle of the line, or need not."""
+    if not scene.calibration.by_moving:
+        return True
+    reference = ReferencePath(reference_points(scene), up=scene.surface.pose().rotation[:, 2], turning=1.0)
+    try:
+        calibration_postures(robot, reference, believed_camera(scene.camera, scene.calibration),
+                             0.5 * reference.length, shapes=shapes_about(scene, robot))
+    except (SceneError, OutOfReachError):
+        return False
+    return True
 
 
 def where_it_fits(scene: LineScene) -> str:

@@ -23,7 +23,8 @@ from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
-from scenes.online.line_known import FINE, REST, CalibrationView, calibration_postures, piece_map
+from scenes.line_way import calibration_postures
+from scenes.online.line_known import FINE, REST, CalibrationView, piece_map
 from scenes.online.live_arm import LiveArm, moves
 from scenes.online.live_sensors import FoundBefore, ImaginedCamera, LiveCamera
 from scenes.scene_files.scene import SceneError

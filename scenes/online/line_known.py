@@ -11,17 +11,15 @@ from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.robots.collisions import Shapes
 from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
 from planning.line.deviation_model import COPIED, SHAPES, Expected, PathDeviation, fitting_shape, shape_likelihoods
 from planning.line.fusion import DeviationFilter
 from planning.line.line_follower import FollowerSettings, LineFollower, line_ahead
-from planning.line.measurement import LineAhead, Measurement
-from planning.path.kinematics import InverseKinematics
+from planning.line.measurement import Measurement
 from planning.path.pose_history import PoseHistory
 from planning.path.reference import ReferencePath
-from scenes.line_way import FOUND, line_way
+from scenes.line_way import FOUND, line_way, middle_of_view
 from scenes.online.known import Known
 from scenes.placing import where_it_fits
 from scenes.scene_files.line_scene import LineScene
@@ -29,7 +27,7 @@ from scenes.scene_files.scene import SceneError
 from sensing.camera.camera_device import Field, Gray
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.detector import LineDetector
-from sensing.camera.hand_eye import Observation, calibration_poses
+from sensing.camera.hand_eye import Observation
 from sensing.camera.line_search import DetectionSettings, PredictedLine, search_windows
 
 HORIZON = 0.3
@@ -216,7 +214,7 @@ def looked_again(known: KnownLine, camera: CameraModel, before: SeenBefore, span
     line = piece_map(known.reference, 0.5 * known.reference.length, before, 0.5 * known.reference.length)
     projections = [(np.empty(0), np.empty(0))]
     for picture, pose in before.pictures:
-        s = _nearest(known.reference, pose.act(_middle_of_view(camera)))
+        s = _nearest(known.reference, pose.act(middle_of_view(camera)))
         prediction = line_ahead(known.reference, line, s + SPREAD).seen_from(pose)
         shown = Field.cut(0.0, picture, search_windows(camera, prediction, before.detection))
         detected = known.detector.detect(shown, camera, prediction, before.detection)
@@ -287,7 +285,7 @@ class CalibrationView:
 
     def _at(self, pose: pin.SE3) -> float:
         """Arc length of the reference in the middle of the view [m]."""
-        return _nearest(self.reference, pose.act(_middle_of_view(self.believed)))
+        return _nearest(self.reference, pose.act(middle_of_view(self.believed)))
 
     def look(self, shown: Field, prediction: PredictedLine, ahead: float) -> None:
         """Notes the line points of a field.
@@ -321,45 +319,3 @@ class CalibrationView:
                              f"check where the line is, {remedy}")
         return (self.reference.position(np.arange(at - 0.25, at + 0.25, 0.001)),
                 self.reference.frames(np.array([at])).up[0])
-
-
-def _middle_of_view(camera: CameraModel) -> Array:
-    """Where the optical axis meets the plane through the TCP, in the tool frame ``(3,)`` [m]."""
-    T, axis = camera.T_tool_camera, camera.T_tool_camera.rotation[:, 2]
-    return np.asarray(T.translation - T.translation[2] / axis[2] * axis)
-
-
-def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraModel, at: float, clear: float = 0.0,
-                         shapes: Shapes | None = None, line: LineAhead | None = None) -> list[Array]:
-    """Joint angles of the poses that the arm reaches, each near the one before and on a way that touches nothing.
-
-    Args:
-        robot: the arm.
-        reference: the reference path.
-        camera: as mounted by hand.
-        at: arc length of the reference around which the piece lies [m].
-        clear: how far the tip keeps away from the reference at least [m].
-        shapes: the arm in its cell; None where nothing is known of it.
-        line: where it is there as far as known; on the reference if None.
-
-    Raises:
-        SceneError: fewer than half of the poses can be reached.
-    """
-    frames, kinematics = reference.frames(np.array([at])), InverseKinematics(robot)
-    q, up = kinematics.search(reference.pose(at), robot.home), frames.up[0]
-    place, direction = ((frames.position[0], frames.tangent[0]) if line is None
-                        else (line.points[0], line.tangents[0]))
-    poses = calibration_poses(place + clear * up, direction, up, float(_middle_of_view(camera)[0]))
-    postures: list[Array] = []
-    for pose in poses:
-        try:
-            posture = kinematics.search(pose, q)
-        except OutOfReachError:
-            continue
-        if shapes is None or shapes.touch_between(q, posture) is None:
-            postures.append(posture)
-            q = posture
-    if len(postures) < len(poses) // 2:
-        raise SceneError(f"the camera could not be calibrated: the arm reaches only {len(postures)} of {len(poses)} "
-                         "poses; move the surface nearer, or set calibration.by_moving = false")
-    return postures

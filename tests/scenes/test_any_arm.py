@@ -23,10 +23,9 @@ from scenes.force.cell import set_up as set_up_force
 from scenes.identification.plan import plan
 from scenes.line.cell import set_up
 from scenes.line.result import far_from_line, little_gained
-from scenes.line_way import line_way, shapes_about, shapes_in
+from scenes.line_way import calibration_postures, line_way, shapes_about, shapes_in
 from scenes.models import cache_name, identity, model_for
 from scenes.online.force_calibration import LEAST, TURNS, postures_to_weigh
-from scenes.online.line_known import calibration_postures
 from scenes.placing import fits, place_line, resized, scene_text
 from scenes.play import run_scene
 from scenes.regression.suite import Suite
