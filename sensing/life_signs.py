@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from statistics import median
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import chdtri, ndtr, stdtrit
 
 from ideal_robot.arrays import Array
 
@@ -30,6 +30,11 @@ TOGETHER = 16
 ASKED_FOR, ANSWERED, ERRORS = 0.2, 0.5, 4.0
 """Time over which a sensor is asked [s], share of what is asked that a live one answers at least, and standard errors
 by which an answer has to be less: one that answers all of it is twice as far away by chance."""
+_CUBIC, _RESTS = 4, 0.02
+"""Coefficients of what a surface takes away, and how fast a tip at rest goes on along its way [m/s]: slower than any that
+travels."""
+REDDEST = 0.98
+"""Largest colour: the 80 readings at rest in which noise is heard tell no slower one from a bias."""
 STAMPS, FEWEST = 50, 20
 """Messages from which it is judged how even their stamps are, at most and at least."""
 UNEVEN, SURELY = 0.001, 4.0
@@ -47,6 +52,7 @@ class LifeSigns:
 
     Attributes:
         noise: standard deviation of each channel while nothing happens ``(n,)``; None while it is not known.
+        colour: correlation of a reading's noise with that of the reading before, of the channel where it is largest.
         stuck, impossible, leapt, quiet: readings that count as missing, by cause.
         fault: why what comes is not to be trusted any more; None while it is.
         answered: least share of what it was asked that it answered, ``ERRORS`` standard errors above.
@@ -54,6 +60,7 @@ class LifeSigns:
 
     def __init__(self, largest: float, channels: Sequence[str]) -> None:
         self.noise: Array | None = None
+        self.colour = 0.0
         self.stuck = self.impossible = self.leapt = self.quiet = 0
         self.fault: str | None = None
         self.answered = np.inf
@@ -71,9 +78,13 @@ class LifeSigns:
         self._asked = np.zeros((0, 4))
 
     def learn(self, rests: list[Array]) -> None:
-        """Takes the noise from readings ``(N, n)`` of stretches in which nothing happened."""
+        """Takes the noise and its colour from readings ``(N, n)`` of stretches in which nothing happened."""
         steps = np.concatenate([np.diff(rows, axis=0) for rows in rests])
         self.noise = np.sqrt(np.mean(steps**2, axis=0) / 2.0)
+        apart = [rows - rows.mean(axis=0) for rows in rests]
+        alike = sum(np.sum(rows[1:] * rows[:-1], axis=0) for rows in apart)
+        power = sum(np.sum(rows**2, axis=0) for rows in apart)
+        self.colour = float(np.clip(np.max(alike / np.maximum(power, 1e-300)), 0.0, REDDEST))
 
     def check(self, values: Array, reach: Array | float = np.inf) -> bool:
         """Whether a reading ``(n,)`` can be.
@@ -123,35 +134,49 @@ class LifeSigns:
             self.fault = self.fault or ("what it tells does not change as the arm moves (innovations "
                                         f"{total / count:.1f} times as large as their variance)")
 
-    def answers(self, felt: Array, stiffness: float, frequency: float) -> None:
-        r"""Takes what a tip that swings on a surface felt, and finds the fault where that does not swing.
-
-        A surface is a matter of the place, so a cubic along the path takes it away from heights and forces alike, also
-        where cycles are lost and the arm leaps in the path's time. Of both the same swing remains, but for the
-        stiffness:
-
-        .. math:: y = \sum_{i=0}^{3} c_i s^i + a \cos \omega t + b \sin \omega t
+    def swings(self, felt: Array) -> None:
+        """Takes what a tip that swings on a surface felt, for ``answers``.
 
         Args:
             felt: instant [s], arc length [m], height [m] and force [N] of the last samples ``(m, 4)``.
-            stiffness: of the contact [N/m].
-            frequency: ω/2π, at which it swings [Hz].
         """
         samples = np.concatenate([self._asked, felt])
-        self._asked = samples = samples[samples[:, 0] > samples[-1, 0] - ASKED_FOR]
-        s, turned = samples[:, 1] - samples[-1, 1], 2.0 * np.pi * frequency * samples[:, 0]
-        u = s / max(float(np.max(np.abs(s))), 1e-6)
-        rows = np.column_stack([np.cos(turned), np.sin(turned), np.ones(len(u)), u, u**2, u**3])
-        if len(u) < 2 * rows.shape[1]:
+        self._asked = samples[samples[:, 0] > samples[-1, 0] - ASKED_FOR]
+
+    def answers(self, stiffness: float, frequency: float) -> None:
+        r"""Finds the fault where what was felt does not go with the height of the tip that swings.
+
+        A surface is a matter of the place, so a cubic along the path takes it away, also where cycles are lost and the
+        arm leaps in the path's time; while the tip rests it is one over time. What is left of the heights h shows in the
+        forces f but for the stiffness E, by the share κ that the sensor answers:
+
+        .. math:: f = \sum_{i=0}^{3} c_i w^i - \kappa E h + \nu, \qquad w = s + v_0 t, \qquad
+                  \nu_k = \varphi \nu_{k-1} + \epsilon_k
+
+        by least squares of what each sample adds to φ times the one before. Where the noise at rest has a colour, that
+        is what tells a swing from chance.
+
+        Args:
+            stiffness: E of the contact [N/m].
+            frequency: at which the tip swings [Hz].
+        """
+        t, s, height, force = self._asked.T
+        if len(t) < 2 * (_CUBIC + 1):
             return
-        values = samples[:, 2:] * [-stiffness, 1.0]
-        known = np.linalg.pinv(rows)
-        fit = known @ values
-        swing = fit[:2, 0] / max(float(fit[:2, 0] @ fit[:2, 0]), 1e-12)
-        rest = values[:, 1] - rows @ fit[:, 1]
-        error = np.linalg.norm(swing @ known[:2]) * np.linalg.norm(rest) / np.sqrt(len(u) - rows.shape[1])
-        share = float(swing @ fit[:2, 1])
-        self.answered = min(self.answered, share + ERRORS * error)
+        w = s + _RESTS * t
+        u = (w - w[-1]) / max(float(np.ptp(w)), 1e-9)
+        rows = np.column_stack([u[:, None] ** np.arange(_CUBIC), -stiffness * height, force])
+        step = np.maximum(np.diff(t), 1e-9)
+        kept = self.colour ** (step / median(step.tolist()))
+        rows[1:] = (rows[1:] - kept[:, None] * rows[:-1]) / np.sqrt(1.0 - kept[:, None] ** 2)
+        known, _ = np.linalg.qr(rows[:, :_CUBIC])
+        swing, felt = (rows[:, _CUBIC:] - known @ (known.T @ rows[:, _CUBIC:])).T
+        power = max(float(swing @ swing), 1e-12)
+        share = float(swing @ felt) / power
+        freedom = len(t) - _CUBIC - 1
+        error = float(np.linalg.norm(felt - share * swing)) / np.sqrt(power * freedom)
+        # Student's t: of few samples the noise itself is not well known.
+        self.answered = min(self.answered, share + float(stdtrit(freedom, ndtr(ERRORS))) * error)
         if self.answered < ANSWERED:
             self.fault = self.fault or (f"it answers {100.0 * max(share, 0.0):.0f} % of what the tip's swing on the "
                                         "surface makes; look whether it is alive, and what its filter leaves of "

@@ -297,9 +297,10 @@ class SurfaceFollower:
         estimate = self.fusion.mean(self._table.s[rows])
         if self._contact_since is None:
             estimate[:, 1] = self._height - self.settings.approach * (t + ahead)
-        elif self.phase is Phase.TRAVEL:
+        elif self.phase in (Phase.SETTLE, Phase.TRAVEL):
+            # From the touch on, so that a sensor has answered before the tip leaves the place that it was felt at.
             depth = self.settings.asking / self.settings.elasticity
-            estimate[:, 1] -= depth * np.sin(2.0 * np.pi * ASKED * (t + ahead - self.t_travel))
+            estimate[:, 1] -= depth * np.sin(2.0 * np.pi * ASKED * (t + ahead - self._contact_since))
         elif self.phase in (Phase.LIFT, Phase.DONE):
             rise = np.clip((t + ahead - self._t_lift) * 0.05, 0.0, self.settings.lift)
             estimate = self._lift_from + np.column_stack([np.zeros(len(rise)), rise])

@@ -88,12 +88,16 @@ class ContactWitness:
         """See ``scenes.online.contact.Witness``: the map of a surface tells how well it fits."""
         if self._unsure():
             return
-        if isinstance(self._follower, SurfaceFollower) and self._follower.phase is Phase.TRAVEL:
+        if not isinstance(self._follower, SurfaceFollower):
+            return
+        felt = self._follower.felt
+        if self._follower.phase is Phase.SETTLE:
+            # So that a sensor that dies as the tip begins to travel is asked already.
+            self._force.signs.swings(felt)
+        elif self._follower.phase is Phase.TRAVEL:
             self._force.signs.fits(innovation, values)
-            # Where it begins to slide, friction changes with time, not with the place.
-            felt = self._follower.felt
             self._travelling = min(self._travelling, float(felt[0, 0]))
-            self._swung.append(felt[felt[:, 0] > self._travelling + _SLIDING[0]])
+            self._swung.append(felt)
 
     def stood(self) -> None:
         """See ``scenes.online.contact.Witness``."""
@@ -105,8 +109,8 @@ class ContactWitness:
         """See ``scenes.online.contact.Witness``: does it answer the tip's swing, and what do the motors feel."""
         self._motors.weigh()
         if self._swung:
-            if len(swung := np.concatenate(self._swung)):
-                self._force.signs.answers(swung, self._stiffness, ASKED)
+            self._force.signs.swings(np.concatenate(self._swung))
+            self._force.signs.answers(self._stiffness, ASKED)
             self._swung.clear()
 
     def ended(self, t0: float, measured: RobotState, torque: Array) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 
 from sensing.life_signs import LifeSigns
 
@@ -72,22 +73,32 @@ def test_what_contradicts_the_motion_is_a_fault_and_single_outliers_are_none() -
     assert "does not change as the arm moves" in str(signs.fault)
 
 
-def swung(seed: int, lives: float, noise: float, roughness: float, lost: int = 0) -> LifeSigns:
+def coloured(rng: np.random.Generator, count: int, colour: float) -> np.ndarray:
+    """Noise of variance 1 that keeps this share of itself from one reading to the next."""
+    fresh = np.sqrt(1.0 - colour**2) * rng.standard_normal(count)
+    fresh[0] = rng.standard_normal()
+    return np.asarray(lfilter([1.0], [1.0, -colour], fresh))
+
+
+def swung(seed: int, lives: float, noise: float, roughness: float, lost: int = 0, colour: float = 0.0) -> LifeSigns:
     """Two seconds at 250 Hz on 4 N/mm: a tip that swings by 0.5 N, and a surface under it that goes by millimetres.
 
-    Each quarter of a second ``lost`` cycles of 12 ms are lost: the arm goes on, the path's time does not.
+    Each quarter of a second ``lost`` cycles of 12 ms are lost: the arm goes on, the path's time does not. The sensor's
+    noise is heard at rest before.
     """
-    rng, (signs, _) = np.random.default_rng(seed), alive()
+    rng, signs = np.random.default_rng(seed), LifeSigns(1e5, ["a"])
+    signs.learn([noise * coloured(rng, 80, colour)[:, None] for _ in range(7)])
     t = np.arange(500) * 0.004
     place = 0.2 * t
     surface = 5e-3 * np.sin(2.0 * np.pi * 5.0 * place + seed)
     height = surface - 1.25e-4 * np.sin(2.0 * np.pi * 10.0 * t)
     surface = surface + roughness * rng.standard_normal(500)
-    force = 20.0 + lives * 4000.0 * (surface - height) + noise * rng.standard_normal(500)
+    force = 20.0 + lives * 4000.0 * (surface - height) + noise * coloured(rng, 500, colour)
     gone = np.where(t % 0.25 < 0.012 * (lost + 1), 0.004 / (lost + 1), 0.004)
     felt = np.column_stack([np.cumsum(gone), place, height, force])
     for k in range(0, 500, 3):
-        signs.answers(felt[k : k + 3], 4000.0, 10.0)
+        signs.swings(felt[k : k + 3])
+        signs.answers(4000.0, 10.0)
     return signs
 
 
@@ -96,6 +107,19 @@ def swung(seed: int, lives: float, noise: float, roughness: float, lost: int = 0
 def test_a_live_sensor_answers_whatever_surface_it_is_on(seed: int, noise: float, roughness: float, lost: int) -> None:
     assert swung(seed, 1.0, noise, roughness, lost).fault is None
     assert swung(seed, 0.75, 0.4 * noise, 0.4 * roughness, lost).fault is None
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 1000), st.floats(0.1, 1.5), st.floats(0.0, 0.97), st.integers(0, 4))
+def test_noise_of_any_colour_is_no_missing_answer(seed: int, noise: float, colour: float, lost: int) -> None:
+    assert swung(seed, 1.0, noise, 0.0, lost, colour).fault is None
+
+
+@pytest.mark.parametrize("colour", [0.3, 0.9])
+def test_the_colour_of_the_noise_is_learned_at_rest(colour: float) -> None:
+    rng, signs = np.random.default_rng(4), LifeSigns(1e5, ["a", "b"])
+    signs.learn([5.0 + np.column_stack([coloured(rng, 80, 0.0), coloured(rng, 80, colour)]) for _ in range(20)])
+    assert signs.colour == pytest.approx(colour, abs=0.1)
 
 
 @settings(max_examples=20)
