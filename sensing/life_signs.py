@@ -31,8 +31,8 @@ ASKED_FOR, ANSWERED, ERRORS = 0.2, 0.5, 4.0
 """Time over which a sensor is asked [s], share of what is asked that a live one answers at least, and standard errors
 by which an answer has to be less: one that answers all of it is twice as far away by chance."""
 _CUBIC, _RESTS = 4, 0.02
-"""Coefficients of what a surface takes away, and how fast a tip at rest goes on along its way [m/s]: slower than any that
-travels."""
+"""Coefficients of what a surface takes away, and how fast a tip at rest goes on along its way [m/s]: slower than any
+that travels."""
 REDDEST = 0.98
 """Largest colour: the 80 readings at rest in which noise is heard tell no slower one from a bias."""
 STAMPS, FEWEST = 50, 20
@@ -134,6 +134,23 @@ class LifeSigns:
             self.fault = self.fault or ("what it tells does not change as the arm moves (innovations "
                                         f"{total / count:.1f} times as large as their variance)")
 
+    def loudness(self, noise: float, frequency: float, pace: float) -> float:
+        r"""Amplitude of a swing that is told from noise, of which ``noise`` was learned, within ``ASKED_FOR``.
+
+        Of white noise σ, N samples tell an amplitude within :math:`\sigma \sqrt{2/N}`; of coloured noise the share that
+        lies about the frequency counts,
+
+        .. math:: \sigma_\omega^2 = \sigma^2 \frac{1 - \varphi^2}{1 - 2 \varphi \cos \omega T + \varphi^2}
+
+        Args:
+            noise: see ``noise``, in which differences leave out what successive readings have in common.
+            frequency: ω/2π, at which it swings [Hz].
+            pace: T, from reading to reading [s].
+        """
+        colour, turn = self.colour, 2.0 * np.pi * frequency * pace
+        variance = noise**2 / (1.0 - colour) * (1.0 - colour**2) / (1.0 - 2.0 * colour * np.cos(turn) + colour**2)
+        return float(ERRORS / ANSWERED * np.sqrt(variance * 2.0 * pace / ASKED_FOR))
+
     def swings(self, felt: Array) -> None:
         """Takes what a tip that swings on a surface felt, for ``answers``.
 
@@ -147,8 +164,8 @@ class LifeSigns:
         r"""Finds the fault where what was felt does not go with the height of the tip that swings.
 
         A surface is a matter of the place, so a cubic along the path takes it away, also where cycles are lost and the
-        arm leaps in the path's time; while the tip rests it is one over time. What is left of the heights h shows in the
-        forces f but for the stiffness E, by the share κ that the sensor answers:
+        arm leaps in the path's time; while the tip rests it is one over time. What is left of the heights h shows in
+        the forces f but for the stiffness E, by the share κ that the sensor answers:
 
         .. math:: f = \sum_{i=0}^{3} c_i w^i - \kappa E h + \nu, \qquad w = s + v_0 t, \qquad
                   \nu_k = \varphi \nu_{k-1} + \epsilon_k

@@ -33,9 +33,10 @@ BEGUN = 1.0
 GENTLEST = 0.2
 """Jerk with which a travel begins at least [m/s³]."""
 
-ASKED, ASKING = 10.0, 0.5
-"""Frequency [Hz] and amplitude [N] by which a sensor is asked on the way whether it lives: faster than the surface
-comes and slower than the arm follows; 50 samples with a noise of 0.3 N, those of 0.2 s, tell it within 0.07 N."""
+ASKED, ASKING, LOUDEST = 10.0, 0.5, 0.1
+"""Frequency [Hz] and least amplitude [N] by which a sensor is asked on the way whether it lives: faster than the
+surface comes and slower than the arm follows, and above what a map of the surface is wrong by; and the largest as a
+share of the wanted force, within what counts as settled."""
 
 TOGETHER = 0.06
 """Way along the path within which samples lie that arrive together and are fused as one [m]."""

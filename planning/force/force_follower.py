@@ -13,7 +13,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from planning.follower import Phase
-from planning.force.contact import ASKED, FORCE_ERRORS, SLOPE, TOGETHER, ContactSettings
+from planning.force.contact import ASKED, FORCE_ERRORS, LOUDEST, SLOPE, TOGETHER, ContactSettings
 from planning.force.contour import SPARE, SlidingPlan
 from planning.force.force_noise import ForceNoise
 from planning.force.surface_forecast import surfaces
@@ -127,6 +127,10 @@ class SurfaceFollower:
         self.settings = replace(self.settings, elasticity=elasticity)
         if self._contact_since is None:
             self.fusion = self._fresh()
+
+    def ask(self, amplitude: float) -> None:
+        """Swings the tip by this force [N] from now on, but for ``LOUDEST`` of the wanted one."""
+        self.settings = replace(self.settings, asking=min(amplitude, LOUDEST * self.settings.force))
 
     def _fresh(self) -> FilterBank:
         """The filter of a surface that has not been touched, for a contact of the assumed elasticity."""

@@ -22,7 +22,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import WRENCH
 from planning import PlanningError
 from planning.force.bearable_speed import TIMES, bearable_speed, forecast_error, left_beside, worst_force
-from planning.force.contact import ASKING, NOTICED, most_force
+from planning.force.contact import ASKED, ASKING, NOTICED, most_force
 from planning.force.force_follower import SurfaceFollower
 from planning.force.sensor_gain import NOT_MEASURED, SensorGain, best_known, gain_by_weight, wrong_gain
 from planning.line.line_follower import FollowerSettings, LineFollower
@@ -331,6 +331,8 @@ class Job:
         self._check_gain()
         if isinstance(follower := contact.follower, SurfaceFollower):
             self._check_bearable(follower, arm, force)
+            if (noise := force.signs.noise) is not None:
+                follower.ask(max(ASKING, force.signs.loudness(float(np.max(noise[:3])), ASKED, force.pace)))
         witness = ContactWitness(contact.scene, contact.follower, force, elasticity, self.model, self._begin,
                                  lambda: arm.guard.unsure)
         contact.witnessed(witness, arm.t_ipo < contact.in_one)

@@ -8,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from statistics import median
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -41,6 +42,9 @@ LEAP = 0.004
 camera that is mounted by hand, and corners that no map expects. Pictures that are moved by eight pixels show 6 mm."""
 BY_CHANCE = 1e-6
 """Probability of what the filter takes for possible to be exceeded in a field."""
+
+_LATELY = 50
+"""Readings of which it is known how far apart they come."""
 
 _FAR = float(np.sqrt(chdtri(1, BY_CHANCE)))
 
@@ -244,6 +248,12 @@ class LiveForce:
             self.samples.append((sample.t, *sample.wrench))
         self._taken.extend(samples)
         return samples
+
+    @property
+    def pace(self) -> float:
+        """Time from one of the last readings to the next, as most of them are apart [s]; 0 while there are too few."""
+        lately = [sample[0] for sample in self.samples[-_LATELY:]]
+        return median(np.diff(lately).tolist()) if len(lately) > 1 else 0.0
 
     def silent(self, t: float) -> float:
         """How long there has been no sound reading by ``t`` [s]."""

@@ -115,6 +115,23 @@ def test_noise_of_any_colour_is_no_missing_answer(seed: int, noise: float, colou
     assert swung(seed, 1.0, noise, 0.0, lost, colour).fault is None
 
 
+@pytest.mark.parametrize(("noise", "colour"), [(0.3, 0.0), (1.0, 0.0), (0.6, 0.8)])
+def test_a_swing_as_loud_as_the_noise_asks_for_is_heard_in_time(noise: float, colour: float) -> None:
+    """Of a dead sensor: one twice as loud nearly always within the time of one asking, one half as loud hardly ever."""
+    for times, least, most in ((2.0, 27, 30), (0.5, 0, 3)):
+        heard = 0
+        for seed in range(30):
+            rng, signs = np.random.default_rng(seed), LifeSigns(1e5, ["a"])
+            signs.learn([noise * coloured(rng, 80, colour)[:, None] for _ in range(20)])
+            assert signs.noise is not None
+            t, loud = 0.004 * np.arange(50), signs.loudness(float(signs.noise[0]), 10.0, 0.004)
+            height = -times * loud / 4000.0 * np.sin(2.0 * np.pi * 10.0 * t)
+            signs.swings(np.column_stack([t, 0.2 * t, height, 20.0 + noise * coloured(rng, 50, colour)]))
+            signs.answers(4000.0, 10.0)
+            heard += signs.fault is not None
+        assert least <= heard <= most
+
+
 @pytest.mark.parametrize("colour", [0.3, 0.9])
 def test_the_colour_of_the_noise_is_learned_at_rest(colour: float) -> None:
     rng, signs = np.random.default_rng(4), LifeSigns(1e5, ["a", "b"])
