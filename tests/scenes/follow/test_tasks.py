@@ -247,16 +247,16 @@ def test_one_thing_is_done_between_two_packets_and_what_is_felt_is_fused_behind_
 def test_no_fusion_is_left_out_where_the_sensor_is_looked_at_later() -> None:
     """At 4 ms there is time for that behind two of five fusions, and none where a camera is quick: fields wait then.
 
-    What is felt as the tip begins to slide is no answer to its swing.
+    Of what is felt while the force settles it is known as well, by the time the tip travels.
     """
-    job, fits, answers = glue(), list[float](), list[Array]()
+    job, fits, swings, looks = glue(), list[float](), list[Array](), list[int]()
     contact, follower = job.contact, job.contact.follower
-    signs = SimpleNamespace(fits=lambda innovation, values: fits.append(innovation),
-                            answers=lambda felt, stiffness, frequency: answers.append(felt))
+    signs = SimpleNamespace(fits=lambda innovation, values: fits.append(innovation), swings=swings.append,
+                            answers=lambda stiffness, frequency: looks.append(len(swings)))
     contact.witnessed(ContactWitness(job.scene, follower, SimpleNamespace(signs=signs),  # type: ignore[arg-type]
                                      contact.elasticity, job.model, job._begin), short=True)
-    follower.phase = Phase.TRAVEL  # type: ignore[misc]
-    for k in range(5):
+    for k in range(-1, 5):
+        follower.phase = Phase.TRAVEL if k >= 0 else Phase.SETTLE  # type: ignore[misc]
         follower.felt = np.full((3, 4), float(k))  # type: ignore[union-attr]
         contact._fused(np.array([0.01 * k]), Fused(np.ones(3, dtype=bool), np.zeros(3), 3.0 * k, 3, ""))
     assert job.configured.camera is not None
@@ -266,7 +266,8 @@ def test_no_fusion_is_left_out_where_the_sensor_is_looked_at_later() -> None:
     ahead.prepare(0.0)
     ahead.prepare(0.0)
     assert fits == [0.0, 1.0, 2.0, 3.0, 4.0]
-    assert [felt[:, 0].tolist() for felt in answers] == [np.repeat(np.arange(1.0, 5.0), 3).tolist()]
+    assert [felt[:, 0].tolist() for felt in swings] == [[-1.0] * 3, np.repeat(np.arange(5.0), 3).tolist()]
+    assert looks == [2]
 
 
 class Bursts(Seen):
