@@ -5,7 +5,8 @@ the rest, from the gear torque back to the command. Step by step, along [G] (8),
 
     τ_g = M(q_d) q̈_d + c + g - τ_ext            gear torque, [G] (5)
     q_m = q_d + τ_g / k                          motor angle behind the elastic gear; with play, and turned unevenly
-    τ_d = τ_g + J q̈_m + τ_f(q̇_m) + τ_r(q_m)       motor torque, [G] (8), with ripple and further effects where known
+    τ_d = τ_g + J q̈_m + τ_f(q̇_m) + τ_r(q_m)       motor torque, [G] (8), with ripple and further effects where known,
+                                                 less what the drive compensates of friction by itself
 
 What comes then is a setting.
 
@@ -47,8 +48,10 @@ from ideal_robot.loop.loop import (
     Drives,
     Loop,
     behind_uneven_gears,
+    compensated,
     further_torque,
     ripple_torque,
+    scheduled,
     unevenness,
 )
 from ideal_robot.model.arm_with_effects import side_of_gap
@@ -299,17 +302,28 @@ class Inverse(Feedforward):
         """The command ``(n,)`` [rad], and what is planned one cycle on, for the motors' motion and torques it takes."""
         loop, path = self.loop, self.loop.path
         if self.options.path:
-            signal, planned = _position_loop_signal(loop.drives, loop.cascade, motors, acting, further, self._lag,
-                                                    path.t_position, loop.steps_ipo, _Planned(state.u, state.tau))
+            signal, planned = _position_loop_signal(loop.drives, self._cascade(motors), motors, acting, further,
+                                                    self._lag, path.t_position, loop.steps_ipo,
+                                                    _Planned(state.u, state.tau))
             q_c = _command(self._inverse.wanted, signal, self._inverse.past, state.q_c, self._limits)
             return q_c, planned
-        (q, qd, qdd), gains, T = (rows[0] for rows in motors), self._printed, self.t_ipo
+        gains = _printed_gains(self._cascade(motors), self.t_ipo) if loop.cascade.schedule else self._printed
+        (q, qd, qdd), T = (rows[0] for rows in motors), self.t_ipo
         ripple = np.array([ripple_torque(loop.drives.ripple, i, float(angle)) for i, angle in enumerate(q)])
         tau = loop.drives.gain * (acting[0] + ripple) + further[0]
+        tau = tau - [compensated(loop.cascade, i, float(speed)) for i, speed in enumerate(qd)]
         u = (tau - state.tau + state.u) / (1.0 + gains.k_i)
         before = state.q_c[-1] - state.q_m
         correction = (u + gains.k_d * before / T - gains.k_1 * qd - gains.k_2 * qdd) / (gains.k_p + gains.k_d / T)
         return self._limits.within(q + correction), _Planned(u, tau)
+
+    def _cascade(self, motors: _Motion) -> Cascade:
+        """The loops with the gains that they have where the motion begins."""
+        cascade = self.loop.cascade
+        if not cascade.schedule:
+            return cascade
+        follows = scheduled(cascade, motors.q[0])
+        return cascade._replace(k_p=follows * cascade.k_p, k_i=follows * cascade.k_i)
 
     def _checked(self, q_d: Array) -> Array:
         """A horizon's positions ``(n_d, n)``; InputError where they are none."""
@@ -393,6 +407,8 @@ def _position_loop_signal(drives: Drives, cascade: Cascade, motors: _Motion, act
         for j in range(N):
             q, v = motors.q[j, i], motors.v[j, i]
             wanted = drives.gain[i] * (acting[j, i] + ripple_torque(drives.ripple, i, q)) + further[j, i]
+            # The command moves as the motor does, but for what is corrected.
+            wanted -= compensated(cascade, i, v)
             # [G] (18) with the trapezoidal rule: k_p Δu + k_i T (u + u_before)/2 = Δτ.
             u = (wanted - tau + u * (k_p[i] - half)) / (k_p[i] + half)
             tau = wanted

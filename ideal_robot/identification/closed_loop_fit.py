@@ -3,7 +3,7 @@
 [G] 5.2.2 identifies the controller at the interpolation cycle and has to live with inputs that are not constant in it.
 A recording at the position loop's cycle allows better: the cascade
 
-    r = low-pass(q_c(t - late)) ,  u = k_v (r - q) + k_ff ṙ - q̇_f ,  τ = k_p u + k_i ∫u + c
+    r = low-pass(q_c(t - late)) ,  u = k_v (r - q) + k_ff ṙ - q̇_f ,  τ = k_p u + k_i ∫u + τ_c tanh(ṙ / v_c) + c
 
 is simulated with the *measured* angles, so neither rigid body nor friction enters, and its parameters are those
 whose torque comes closest to the measured one over the whole recording (simulated, not predicted a step ahead, as
@@ -11,7 +11,9 @@ whose torque comes closest to the measured one over the whole recording (simulat
 millisecond or two older. Taken for the other, gains come out wrong by a fifth; the one that fits better is taken.
 Written out, τ is linear in k_p k_v, k_p k_ff and k_p; only the times and k_i / k_p need a search. What happens to
 commands before the cascade (a lateness, a lag) is the same for all joints, and sought where a short low-pass does not
-explain the torque.
+explain the torque. So is what drives may do by themselves: the speed v_c over which they turn round what they
+compensate of friction, τ_c, and the share g in which the gains of the velocity loop follow the inertia that a joint
+moves, ``k_p (1 + g (J(q) / J_0 - 1))``.
 """
 
 from __future__ import annotations
@@ -22,13 +24,15 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.optimize import least_squares, nnls
+from scipy.optimize import least_squares, minimize_scalar, nnls
 from scipy.signal import butter, filtfilt, lfilter
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, interpolated
 from ideal_robot.command.fit import LATE
+from ideal_robot.dynamics.newton_euler import chain_of
 from ideal_robot.errors import InputError
 from ideal_robot.loop.impulse_response import LinearLoop
+from ideal_robot.loop.loop import moved_inertia
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
@@ -60,8 +64,10 @@ class ControllerFit:
     error_percent: Array
 
 
-def fit_controller(recording: Recording, robot: Robot) -> ControllerFit:
+def fit_controller(recording: Recording, robot: Robot, rotors: Array | None = None) -> ControllerFit:
     """Fits the cascade of every joint to a recording in which all joints move.
+
+    Gains may follow the inertia of the robot's bodies where those of the ``rotors (n,)`` are given [kg m²].
 
     It has ``q_c_i`` (the command before its low-pass), ``q_i`` and ``tau_i`` at the position loop's cycle or a few
     times slower. Raises InputError for a missing column, too slow a sampling, or a joint that does not move.
@@ -80,23 +86,35 @@ def fit_controller(recording: Recording, robot: Robot) -> ControllerFit:
         raise InputError(f"too short: {2 * _EDGE + 2} samples without a gap are needed", file=recording.source,
                          field="t")
     # How a drive logs is the same for all of its joints.
-    joints = [_joints(parts, robot, averaged) for averaged in (False, True)]
+    inertia = None if rotors is None else _inertia(robot, rotors, np.concatenate([part.joints("q") for part in parts]))
+    joints = [_joints(parts, robot, averaged, inertia) for averaged in (False, True)]
     best = min((_with_channel(each, _Channel()) for each in joints), key=lambda fit: fit.squares)
     if (channel := _sought(joints[0], best)) is not None:
         best = min((_with_channel(each, channel) for each in joints), key=lambda fit: fit.squares)
-    k_v, k_ff, k_p, k_i, t_low, t_filter = best.values.T
+    if (helped := _helped(joints, best)) is not None:
+        best = min((best, _with_channel(*helped)), key=lambda fit: fit.squares)
+    k_v, k_ff, k_p, k_i, t_low, t_filter, compensation, turns = best.values.T
     controller = ControllerModel(
         t_cycle=robot.t_position, k_p=k_p * k_v, k_d=k_p * k_ff, k_1=k_p * (k_ff - 1.0), k_2=k_p * t_filter,
-        k_i=k_i / k_p * robot.t_position, filter_time=t_low, filter_order=best.channel.order, delay=best.channel.late)
+        k_i=k_i / k_p * robot.t_position, filter_time=t_low, filter_order=best.channel.order, delay=best.channel.late,
+        **({"compensation": compensation, "v_compensation": turns} if best.channel.turns else {}),
+        **({"scheduled_at": inertia.mean(axis=0), "schedule": best.channel.schedule}
+           if inertia is not None and best.channel.schedule else {}))
     return ControllerFit(controller, best.error)
 
 
 class _Channel(NamedTuple):
-    """The way of all joints' commands: order of its low-pass, its stages' time constant at first, delay [s]."""
+    """The way of all joints' commands: order of its low-pass, its stages' time constant at first, delay [s].
+
+    And what drives do by themselves: the speed ``turns`` over which they turn round what they compensate of friction,
+    any of ``_TURNS`` [rad/s], and the share ``schedule`` in which gains follow the inertia; 0 where they do not.
+    """
 
     order: int = _ORDER
     low: float = 0.0
     late: float = 0.0
+    turns: float = 0.0
+    schedule: float = 0.0
 
 
 _CHANNELS = tuple(_Channel(order, low, late) for order in (_ORDER, 1)
@@ -105,7 +123,7 @@ _CHANNELS = tuple(_Channel(order, low, late) for order in (_ORDER, 1)
 
 
 class _Fitted(NamedTuple):
-    """Cascades of all joints: ``values (n, 6)`` as of ``_fit_joint``, errors ``(n,)`` [%], and what commands pass."""
+    """Cascades of all joints: ``values (n, 8)`` as of ``_fit_joint`` and v_c, errors ``(n,)`` [%], and channel."""
 
     values: Array
     error: Array
@@ -117,11 +135,21 @@ class _Fitted(NamedTuple):
         return float(np.sum(self.error**2))
 
 
-def _joints(parts: Sequence[Recording], robot: Robot, averaged: bool) -> list[_Stretches]:
-    """Every joint over stretches without a gap; ``averaged``: as of ``_JointCascade``."""
+def _inertia(robot: Robot, rotors: Array, q: Array) -> Array:
+    """Inertia that each joint moves by the data sheet at postures ``(N, n)``, those of its rotors ``(n,)`` [kg m²]."""
+    chain, every = chain_of(robot.pinocchio), np.arange(0, len(q), _EDGE)
+    known = np.array([moved_inertia(chain, rotors, q[k]) for k in every])
+    return interpolated(np.arange(float(len(q))), every.astype(float), known)
+
+
+def _joints(parts: Sequence[Recording], robot: Robot, averaged: bool, inertia: Array | None) -> list[_Stretches]:
+    """Every joint over stretches without a gap; ``averaged``: as of ``_JointCascade``, ``inertia (N, n)`` of all."""
+    ends = np.cumsum([len(part.t) for part in parts])[:-1]
+    follows = [None] * len(parts) if inertia is None else np.split(inertia / inertia.mean(axis=0) - 1.0, ends)
     return [_Stretches([_JointCascade(part.columns[f"q_c_{i}"], part.columns[f"q_{i}"], part.columns[f"tau_{i}"],
-                                      float(np.median(np.diff(part.t))), robot.t_velocity, averaged)
-                        for part in parts]) for i in range(1, parts[0].n + 1)]
+                                      float(np.median(np.diff(part.t))), robot.t_velocity, averaged,
+                                      None if more is None else more[:, i - 1])
+                        for part, more in zip(parts, follows, strict=True)]) for i in range(1, parts[0].n + 1)]
 
 
 def _sought(joints: Sequence[_Stretches], plain: _Fitted) -> _Channel | None:
@@ -140,10 +168,59 @@ def _sought(joints: Sequence[_Stretches], plain: _Fitted) -> _Channel | None:
     return channel._replace(late=float(np.median(late)))
 
 
+_TURNS = (0.003, 0.01, 0.03, 0.1)
+"""Speeds over which compensated friction may turn round [rad/s]; beyond the last it is like a share of the velocity."""
+_SCHEDULES = (0.25, 0.5, 0.75, 1.0)
+"""Shares in which gains may follow the inertia: the search begins with them."""
+
+
+def _helped(joints: Sequence[Sequence[_Stretches]], plain: _Fitted) -> tuple[Sequence[_Stretches], _Channel] | None:
+    """Joints as they log, and the channel with what drives do by themselves; None where that explains no more.
+
+    All joints tell, each by the logarithm of what is left of its torque; the one kind is taken and then the other where
+    it leaves less by ``_SEEN``.
+
+    Args:
+        joints: of the arm, for each way of logging.
+        plain: their cascades without.
+    """
+    def left(each: Sequence[_Stretches], channel: _Channel) -> float:
+        return float(np.mean([np.log(min(joint.least(one) for one in _turning(channel))) for joint in each]))
+
+    kinds = [("turns", _TURNS[:1]), *([("schedule", _SCHEDULES)] if joints[0][0].follows else [])]
+    best = least = min((left(each, plain.channel), index) for index, each in enumerate(joints))
+    channel = plain.channel
+    for _ in kinds:
+        tried = [((left(each, changed), index), changed) for index, each in enumerate(joints)
+                 for name, values in kinds if not getattr(channel, name)
+                 for changed in (channel._replace(**{name: value}) for value in values)]
+        found, changed = min(tried, key=lambda one: one[0])
+        if found[0] >= least[0] + np.log(_SEEN):
+            break
+        least, channel = found, changed
+    if least is best:
+        return None
+    each = joints[least[1]]
+    if channel.schedule:
+        near = _SCHEDULES[0]
+        share = minimize_scalar(lambda g: left(each, channel._replace(schedule=float(g))), method="bounded",
+                                bounds=(max(channel.schedule - near, 0.0), channel.schedule + near),
+                                options={"xatol": 0.02}).x
+        channel = channel._replace(schedule=float(share))
+    return each, channel
+
+
+def _turning(channel: _Channel) -> list[_Channel]:
+    """The channel with each speed over which compensated friction may turn round; as it is where none is."""
+    return [channel._replace(turns=turns) for turns in _TURNS] if channel.turns else [channel]
+
+
 def _with_channel(joints: Sequence[_Stretches], channel: _Channel) -> _Fitted:
-    """The cascades of all joints where commands pass a channel."""
-    values, error, _ = zip(*(_fit_joint(joint, channel) for joint in joints), strict=True)
-    return _Fitted(np.array(values), np.array(error), channel)
+    """The cascades of all joints where commands pass a channel; each compensates friction over a speed of its own."""
+    own = [min(_turning(channel), key=joint.least) for joint in joints]
+    fits = [_fit_joint(joint, one) for joint, one in zip(joints, own, strict=True)]
+    return _Fitted(np.array([[*values, one.turns or 1.0] for (values, *_), one in zip(fits, own, strict=True)]),
+                   np.array([error for _, error, _ in fits]), channel)
 
 
 class _JointCascade:
@@ -156,11 +233,12 @@ class _JointCascade:
         cycle, t_velocity: cycles of the recording and of the velocity loop [s].
         every: steps of the velocity loop in a cycle of the recording.
         averaged: whether a torque is the mean since the last sample.
+        more: inertia that the joint moves, over its mean, less 1 ``(N,)``; None where it is not known.
     """
 
     def __init__(self, q_c: Array, q: Array, tau: Array, cycle: float, t_velocity: float,
-                 averaged: bool = False) -> None:
-        self.averaged = averaged
+                 averaged: bool = False, more: Array | None = None) -> None:
+        self.averaged, self.more = averaged, more
         # A logged cycle is measured, and rarely a whole number of the controller's: its steps are fitted into it.
         self.every = max(round(cycle / t_velocity), 1)
         if abs(self.every * t_velocity - cycle) > 1e-9 * cycle:
@@ -176,12 +254,13 @@ class _JointCascade:
     def _smoothed(self, x: Array) -> Array:
         return np.asarray(filtfilt(*self._low_pass, x, axis=0)[_EDGE:-_EDGE])
 
-    def columns(self, times: Array, order: int = _ORDER, late: float = 0.0) -> Array:
-        """What the products of gains multiply ``(M, 6)``.
+    def columns(self, times: Array, order: int = _ORDER, late: float = 0.0, turns: float = 0.0,
+                schedule: float = 0.0) -> Array:
+        """What the products of gains multiply ``(M, 6)``, and what is compensated of friction, where it is ``(M, 7)``.
 
         Args:
             times: time constants of command and velocity ``(2,)`` [s].
-            order, late: stages of the commands' low-pass, and their lateness [s].
+            order, late, turns, schedule: as of ``_Channel``.
         """
         low, velocity = np.abs(times)
         at = self.cycle * np.arange(float(len(self.q_c)))
@@ -190,9 +269,13 @@ class _JointCascade:
         # What the position loop says is held over its cycle; both act from the instant of the sample on.
         held = np.repeat(np.column_stack([r - self.q, rate]), self.every, axis=0)[: len(self.angle)]
         acting = np.column_stack([held, -_differentiated(self.angle, self.t_velocity, velocity)])
+        if schedule and self.more is not None:
+            acting = acting * np.repeat(1.0 + schedule * self.more, self.every)[: len(self.angle), None]
         acting = np.hstack([acting, np.cumsum(acting, axis=0) * self.t_velocity])
+        if turns:
+            acting = np.column_stack([acting, np.tanh(held[:, 1] / turns)])
         if self.averaged:
-            logged = acting[1:].reshape(-1, self.every, 6).mean(axis=1)
+            logged = acting[1:].reshape(-1, self.every, acting.shape[1]).mean(axis=1)
             return self._smoothed(np.concatenate([acting[:1], logged]))
         return self._smoothed(acting[:: self.every])
 
@@ -208,25 +291,29 @@ class _Stretches:
         self.tau = np.concatenate([part.tau for part in parts])
         self.scale = float(np.std(self.tau))
         self.cycle, self.t_velocity = parts[0].cycle, parts[0].t_velocity
+        self.follows = parts[0].more is not None
         self._kept: tuple[float, ...] = ()
         self._columns = np.empty((0, 6))
 
     def fitted(self, lags: Array, channel: _Channel) -> tuple[Array, Array]:
-        """Best ``k_p k_v, k_p k_ff, k_p`` ``(3,)``, and the torque about its mean that they leave ``(M,)`` [N m].
+        """Best ``k_p k_v, k_p k_ff, k_p, τ_c`` ``(4,)``, and the torque about its mean that they leave ``(M,)`` [N m].
 
         Args:
             lags: time constants of command and velocity [s], and the integrator's k_i / k_p [1/s] ``(3,)``.
             channel: what commands pass.
         """
-        if (*lags[:2], channel.order, channel.late) != self._kept:
-            H = [part.columns(lags[:2], channel.order, channel.late) for part in self._parts]
-            self._kept = (*lags[:2], channel.order, channel.late)
+        how = channel.order, channel.late, channel.turns, channel.schedule
+        if (key := (*lags[:2], *how)) != self._kept:
+            H = [part.columns(lags[:2], *how) for part in self._parts]
+            self._kept = key
             self._columns = np.concatenate([part - part.mean(axis=0) for part in H])
-        A = self._columns[:, :3] + abs(lags[2]) * self._columns[:, 3:]
+        A = self._columns[:, :3] + abs(lags[2]) * self._columns[:, 3:6]
+        if channel.turns:
+            A = np.column_stack([A, self._columns[:, 6]])
         unit = np.linalg.norm(A, axis=0)
         # A loop feeds back what it is to take away: no gain is negative.
         products = nnls((A / unit).T @ (A / unit), (A / unit).T @ self.tau)[0] / unit
-        return products, self.tau - A @ products
+        return np.append(products, np.zeros(4 - len(products))), self.tau - A @ products
 
     def least(self, channel: _Channel) -> float:
         """Share of the torque's squares that a channel leaves with the best of the first integrators [1]."""
@@ -239,7 +326,7 @@ _RATIOS = (0.0, *2.0 ** np.arange(-3, 5))
 
 
 def _fit_joint(joint: _Stretches, channel: _Channel, free: bool = False) -> tuple[Array, float, float]:
-    """Gains ``k_v, k_ff, k_p, k_i`` and time constants of one joint ``(6,)``, the error [%], and the lateness [s].
+    """Gains ``k_v, k_ff, k_p, k_i``, time constants and τ_c of one joint ``(7,)``, the error [%], and the lateness [s].
 
     A lag of half a millisecond adds up to hundreds of newton metres in the integrator: lags and integrator must be
     about right together before a search can succeed.
@@ -261,10 +348,10 @@ def _fit_joint(joint: _Stretches, channel: _Channel, free: bool = False) -> tupl
     start = min(starts, key=lambda lags: float(np.sum(left(lags) ** 2)))
     found = np.abs(least_squares(left, start, diff_step=1e-2, max_nfev=20).x)
     lags, late = found[:3] * unit[:3], float(found[3] * unit[3]) if free else channel.late
-    (stiff, ahead, k_p), rest = joint.fitted(lags, channel._replace(late=late))
+    (stiff, ahead, k_p, compensation), rest = joint.fitted(lags, channel._replace(late=late))
     k_p = max(k_p, 1e-9)
     error = 100.0 * float(np.linalg.norm(rest) / np.linalg.norm(joint.tau))
-    return np.array([stiff / k_p, ahead / k_p, k_p, lags[2] * k_p, *lags[:2]]), error, late
+    return np.array([stiff / k_p, ahead / k_p, k_p, lags[2] * k_p, *lags[:2], compensation]), error, late
 
 
 def _low_passed(x: Array, cycle: float, time: float, order: int) -> Array:

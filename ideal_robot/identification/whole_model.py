@@ -25,6 +25,7 @@ from ideal_robot.identification.idim import Identification, identify
 from ideal_robot.identification.joint_fit import stiffness_from_arm
 from ideal_robot.identification.two_step import TwoStep, identify_two_step
 from ideal_robot.identification.verdict import JointVerdict, joint_verdicts
+from ideal_robot.loop.from_model import sheet_rotors
 from ideal_robot.model.cascade import given_controller
 from ideal_robot.model.model import Model
 from ideal_robot.model.model_file import require_controller
@@ -316,7 +317,7 @@ def _with_controller(recordings: Sequence[Recording], without_integrator: Sequen
     controller = result.model
     if cascade:
         try:
-            cascades = fit_controller(recordings[0], robot).controller
+            cascades = fit_controller(recordings[0], robot, sheet_rotors(model, robot)).controller
             require_controller(cascades, robot.n, recordings[0].source)
             controller = cascades
         except InputError as error:

@@ -152,7 +152,11 @@ def loop_model(model: Model, robot: Robot, *, delay: int = 0) -> Loop:
         Drives(rotor_inertia, np.array(model.offset), np.ones(n), none, _elastic(model, rotor_inertia),
                np.zeros(n) if model.gears is None else model.gears.known_damping, none, np.zeros(n), np.zeros(n)),
         Friction.of(model.friction, robot.v_max),
-        Cascade(k_v, k_ff, k_p, k_i, np.clip(controller.k_2 / k_p, 0.0, _LAG_MAX), robot.tau_max),
+        Cascade(k_v, k_ff, k_p, k_i, np.clip(controller.k_2 / k_p, 0.0, _LAG_MAX), robot.tau_max,
+                np.zeros(n) if controller.compensation is None else controller.compensation,
+                np.ones(n) if controller.v_compensation is None else controller.v_compensation, controller.schedule,
+                np.ones(n) if controller.scheduled_at is None else controller.scheduled_at,
+                chain_of(robot.pinocchio), sheet_rotors(model, robot)),
         CommandPath(low_pass_taps(controller.filter_time, controller.filter_order, robot.t_position, n,
                                   dead_time=rest),
                     whole, robot.t_ipo, robot.t_position, robot.t_velocity, robot.q_min, robot.q_max, robot.v_max))
@@ -161,6 +165,11 @@ def loop_model(model: Model, robot: Robot, *, delay: int = 0) -> Loop:
         chain, rotor_inertia = with_rotors(loop.chain, loop.drives.rotor_inertia, robot.q_min, robot.q_max)
         loop = loop.changed(chain=chain, rotor_inertia=rotor_inertia)
     return checked(loop)
+
+
+def sheet_rotors(model: Model, robot: Robot) -> Array:
+    """Rotor inertias of the data sheet ``(n,)`` [kg m²], as identified where it has none."""
+    return np.where(robot.rotor_inertia > 0.0, robot.rotor_inertia, np.maximum(model.rotor_inertia, 0.0))
 
 
 def _elastic(model: Model, rotor_inertia: Array) -> Array:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics
+from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics, joint_frames, mass_matrix
 from ideal_robot.effects import FittedEffect, Signals
 from ideal_robot.errors import InputError
 from ideal_robot.friction.table import Friction
@@ -49,13 +49,20 @@ class Cascade(NamedTuple):
     """Position and velocity loops of ``n`` joints, [G] (16), (17), at their own cycles.
 
     Position loop ``u = k_v (r - q) + k_ff ṙ - q̇`` and velocity loop ``τ = k_p u + k_i ∫u``. (16) in these terms:
-    ``k_P = k_v``, ``k_D = k_ff``, ``k_1 = k_ff - 1``.
+    ``k_P = k_v``, ``k_D = k_ff``, ``k_1 = k_ff - 1``. To τ some drives add what friction takes from a motion in the
+    direction of the command, ``τ_c tanh(ṙ / v_c)``. Gains of the velocity loop may follow the inertia J that the joint
+    moves, its rotor's included, as the data sheet has it: ``k_p (1 + g (J(q) / J_0 - 1))``, and ``k_i`` likewise.
 
     Attributes:
         k_v, k_ff: position loop ``(n,)`` [1/s], [-].
         k_p, k_i: velocity loop ``(n,)`` [N m s/rad], [N m/rad].
         t_filter: time constant of the low-pass differentiator ``(n,)`` [s].
         tau_max: torque limit ``(n,)`` [N m]; infinite for none.
+        compensation: τ_c, friction that the drive itself compensates ``(n,)`` [N m].
+        v_compensation: v_c, speed of the command over which that turns round ``(n,)`` [rad/s].
+        schedule: g, share in which gains follow the inertia; 0 for gains that are the same everywhere.
+        scheduled_at: J_0, at which gains are as they are here ``(n,)`` [kg m²].
+        sheet, sheet_rotors: bodies and rotor inertias ``(n,)`` [kg m²] of the data sheet.
     """
 
     k_v: Array
@@ -64,6 +71,12 @@ class Cascade(NamedTuple):
     k_i: Array
     t_filter: Array
     tau_max: Array
+    compensation: Array
+    v_compensation: Array
+    schedule: float
+    scheduled_at: Array
+    sheet: Chain
+    sheet_rotors: Array
 
 
 class CommandPath(NamedTuple):
@@ -159,7 +172,8 @@ def checked(loop: Loop) -> Loop:
         raise InputError("cycle times must be whole multiples of each other", field="t_ipo",
                          value=(path.t_ipo, path.t_position, path.t_velocity))
     return Loop(_in_one_piece(loop.chain), _in_one_piece(loop.drives), _in_one_piece(loop.friction),
-                _in_one_piece(loop.cascade), _in_one_piece(path), loop.terms)
+                _in_one_piece(loop.cascade._replace(sheet=_in_one_piece(loop.cascade.sheet))), _in_one_piece(path),
+                loop.terms)
 
 
 def _in_one_piece(record: Any) -> Any:
@@ -181,6 +195,43 @@ def ripple_torque(ripple: Array, i: int, q: float) -> float:
         phase = ripple[m, 0, i] * q
         torque += ripple[m, 1, i] * np.cos(phase) + ripple[m, 2, i] * np.sin(phase)
     return torque
+
+
+@jit()
+def moved_inertia(chain: Chain, rotor_inertia: Array, q: Array) -> Array:
+    """Inertia that each joint moves at a posture, its rotor's included ``(n,)`` [kg m²].
+
+    Args:
+        chain, rotor_inertia: of the arm, ``(n,)`` [kg m²].
+        q: joint angles ``(n,)`` [rad].
+    """
+    n = len(q)
+    R, p, M = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, n))
+    joint_frames(chain, q, R, p)
+    mass_matrix(chain, R, p, M)
+    return np.diag(M) + rotor_inertia
+
+
+@jit()
+def scheduled(cascade: Cascade, q: Array) -> Array:
+    """Gains of the velocity loops at a posture ``q (n,)`` [rad] over those of the record ``(n,)``."""
+    if cascade.schedule == 0.0:
+        return np.ones(len(q))
+    inertia = moved_inertia(cascade.sheet, cascade.sheet_rotors, q)
+    return 1.0 + cascade.schedule * (inertia / cascade.scheduled_at - 1.0)
+
+
+@jit()
+def compensated(cascade: Cascade, i: int, rate: float) -> float:
+    """Torque that a joint's drive adds to its loops' [N m].
+
+    Args:
+        cascade: of all joints.
+        i, rate: joint, from 0, and how fast its command moves [rad/s].
+    """
+    if cascade.compensation[i] == 0.0:
+        return 0.0
+    return float(cascade.compensation[i] * np.tanh(rate / cascade.v_compensation[i]))
 
 
 @jit()

@@ -17,7 +17,16 @@ from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.estimate.cholesky import factor, solve
 from ideal_robot.friction.table import Friction, Presliding, friction_along, friction_step
 from ideal_robot.jit import jit
-from ideal_robot.loop.loop import Cascade, Drives, Loop, further_torque, ripple_torque, unevenness
+from ideal_robot.loop.loop import (
+    Cascade,
+    Drives,
+    Loop,
+    compensated,
+    further_torque,
+    ripple_torque,
+    scheduled,
+    unevenness,
+)
 from ideal_robot.tolerances import ROUNDING, ZERO_CROSSING
 
 
@@ -200,6 +209,7 @@ def _play(chain: Chain, drives: Drives, friction: Friction, cascade: Cascade, in
           out: Array, clock: _Clock, span: tuple[int, int]) -> None:
     """Plays the position cycles of ``span``; ``out (3, cycles + 1, n)`` gets arm and motor angles and motor torques."""
     n = len(state.q_m)
+    helped = np.zeros(n)
     reference, external, further = inputs
     t_position, dt, steps_ipo = clock
     substeps = round(t_position / dt)
@@ -210,8 +220,11 @@ def _play(chain: Chain, drives: Drives, friction: Friction, cascade: Cascade, in
         cycle = step // steps_ipo
         r = reference[step]
         for i in range(n):
-            v_ref[i] = cascade.k_v[i] * (r[i] - q_m[i]) + cascade.k_ff[i] * (r[i] - state.reference[i]) / t_position
+            rate = (r[i] - state.reference[i]) / t_position
+            v_ref[i] = cascade.k_v[i] * (r[i] - q_m[i]) + cascade.k_ff[i] * rate
+            helped[i] = compensated(cascade, i, rate)
             state.reference[i] = r[i]
+        follows = scheduled(cascade, q_m)
         joint_frames(chain, q_a, R, p)
         mass_matrix(chain, R, p, M)
         for i in range(n):
@@ -224,7 +237,7 @@ def _play(chain: Chain, drives: Drives, friction: Friction, cascade: Cascade, in
                 joint_frames(chain, q_a, R, p)
             torque_at(chain, R, p, v_a, zero, 1.0, bias)
             for i in range(n):
-                tau = _velocity_loop(cascade, state, v_ref[i], dt, i)
+                tau = _velocity_loop(cascade, state, v_ref[i], (follows[i], helped[i]), dt, i)
                 mesh, slope = _gear(drives, state, i)
                 net = ((tau - further[i]) / drives.gain[i] - drives.offset[i] - slope * load[i]
                        - ripple_torque(drives.ripple, i, q_m[i]))
@@ -244,16 +257,21 @@ def _play(chain: Chain, drives: Drives, friction: Friction, cascade: Cascade, in
 
 
 @jit(inline="always")
-def _velocity_loop(cascade: Cascade, state: _Motion, v_ref: float, dt: float, i: int) -> float:
-    """Motor torque [N m] of a joint's velocity loop, [G] (17) at its own cycle, with the low-pass differentiator."""
+def _velocity_loop(cascade: Cascade, state: _Motion, v_ref: float, here: tuple[float, float], dt: float,
+                   i: int) -> float:
+    """Motor torque [N m] of a joint's velocity loop, [G] (17) at its own cycle, with the low-pass differentiator.
+
+    What holds ``here`` is how large gains are over those of the record, and what the drive adds [N m].
+    """
+    follows, helped = here
     speed = (state.q_m[i] - state.previous[i]) / dt
     state.previous[i] = state.q_m[i]
     state.filtered[i] += dt / (dt + cascade.t_filter[i]) * (speed - state.filtered[i])
     u = v_ref - state.filtered[i]
-    wanted = cascade.k_p[i] * u + state.integral[i] + cascade.k_i[i] * u * dt
+    wanted = follows * (cascade.k_p[i] * u + cascade.k_i[i] * u * dt) + state.integral[i] + helped
     state.tau[i] = min(max(wanted, -cascade.tau_max[i]), cascade.tau_max[i])
     if wanted == state.tau[i]:
-        state.integral[i] += cascade.k_i[i] * u * dt
+        state.integral[i] += follows * cascade.k_i[i] * u * dt
     return state.tau[i]
 
 

@@ -198,7 +198,10 @@ def require_controller(controller: ControllerModel, n: int, file: Path | str | N
         controller, n: of the joints, and how many there are.
         file: where it comes from.
     """
-    for key in ("k_p", "k_d", "k_1", "k_2", "k_i", "filter_time"):
+    known = ("k_p", "k_d", "k_1", "k_2", "k_i", "filter_time")
+    further = [key for key in ("compensation", "v_compensation", "scheduled_at")
+               if getattr(controller, key) is not None]
+    for key in (*known, *further):
         array = getattr(controller, key)
         if not isinstance(array, np.ndarray):
             raise InputError(f"expected {n} numbers", file=file, field=f"controller.{key}")
@@ -209,11 +212,19 @@ def require_controller(controller: ControllerModel, n: int, file: Path | str | N
     if np.any(controller.filter_time < 0) or np.any(controller.filter_time > _SLOWEST_FILTER):
         raise InputError(f"expected times of 0 to {_SLOWEST_FILTER} s", file=file, field="controller.filter_time",
                          value=controller.filter_time.tolist())
-    for key, low, high in (("t_cycle", 1e-5, 1.0), ("delay", 0.0, 10.0), ("filter_order", 1, 10)):
+    for key, low, high in (("t_cycle", 1e-5, 1.0), ("delay", 0.0, 10.0), ("filter_order", 1, 10),
+                           ("schedule", 0.0, 2.0)):
         value = getattr(controller, key)
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
             raise InputError(f"expected a number from {low:g} to {high:g}", file=file, field=f"controller.{key}",
                              value=value if isinstance(value, (int, float, str)) else None)
+    if (controller.compensation is None) != (controller.v_compensation is None):
+        raise InputError(f"expected {n} numbers beside those of compensation", file=file,
+                         field="controller.v_compensation")
+    for key in ("v_compensation", "scheduled_at"):
+        array = getattr(controller, key)
+        if array is not None and np.any(array <= 0.0):
+            raise InputError("expected positive numbers", file=file, field=f"controller.{key}", value=array.tolist())
     if not isinstance(controller.filter_order, int):
         raise InputError("expected a whole number", file=file, field="controller.filter_order")
     for key in ("std", "spread"):

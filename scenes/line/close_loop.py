@@ -6,8 +6,10 @@ measure of its camera.
 
 A run along a line says nothing of the arm's gears and friction: it turns hardly a joint round. So a motion about the
 line is diagnosed once nothing more is found of the camera, and what decides is how close the tool keeps to what the
-follower wanted. The arm's geometry stays as drawn: a camera that rides on the arm sees the line by the same wrong
-geometry with which the arm then goes there, and what one line shows of it would bend everything off that line.
+follower wanted. In a cell (``world = "cell"``) the joint controllers are identified anew from that motion, too: drives
+there compensate friction, and their gains follow the inertia. The arm is cold, so its friction is adapted meanwhile.
+The arm's geometry stays as drawn: a camera that rides on the arm sees the line by the same wrong geometry with which
+the arm then goes there, and what one line shows of it would bend everything off that line.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from ideal_robot.arrays import Array, interpolated
+from ideal_robot.command.words import helped
 from ideal_robot.diagnosis import diagnose
 from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
@@ -32,7 +35,11 @@ from ideal_robot.execution.play import play as play_motion
 from ideal_robot.feedforward.base import PassThrough
 from ideal_robot.feedforward.training_motion import training_motion
 from ideal_robot.identification.checks import checked
+from ideal_robot.identification.closed_loop_fit import fit_controller
+from ideal_robot.loop.from_model import sheet_rotors
 from ideal_robot.model.model import Model
+from ideal_robot.model.model_file import require_controller
+from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.progress import Steps
 from ideal_robot.registry import in_words
 from ideal_robot.robots.robot import Robot
@@ -53,11 +60,11 @@ from scenes.closing.result import (
 from scenes.line.cell import Cell, Prepared, prepared, set_up
 from scenes.line.play import play
 from scenes.line.result import LineResult
-from scenes.methods import IDEAL
+from scenes.methods import ADAPTED, IDEAL
 from scenes.models import model_for
 from scenes.result import Progress, silent
 from scenes.scene_files.line_scene import LineScene
-from scenes.scene_files.scene import SceneError
+from scenes.scene_files.scene import CELL, SceneError
 from scenes.undeclared import GEOMETRY, effects_of_world, keys_of_arm
 from sim.arm.arm import SimulatedArm
 
@@ -75,6 +82,10 @@ EFFECTS = {"camera_latency": ("camera", "stamp_offset"), "clock_drift": ("camera
 """What a camera that is wrong is called in the effect library: table of the scene and its keys."""
 
 
+DRIVES: Place = ("joint_controllers", 0)
+"""What is called a change of the controllers, which are no effect."""
+
+
 def assumed_latency(model: Model) -> float:
     """Error of the camera's time stamps in the model [s]; 0 where it has none."""
     return CameraErrors.of(model.effects).late_by(0.0)
@@ -84,7 +95,7 @@ def close_loop(scene: LineScene, *, measured: str = "tcp", out: Path | None = No
                progress: Progress = silent) -> Closing:
     """See ``CloseLoop.__call__``: follows a line, and finds what is wrong with the camera."""
     undeclared = undeclared_effects(scene)
-    arm = effects_of_world(scene, arm_of(scene.robot).n) if keys_of_arm(scene) else ()
+    arm = effects_of_world(scene, arm_of(scene.robot).n) if keys_of_arm(scene) else _of_cell(scene)
     return closed(scene, undeclared, arm=tuple(pair for pair in arm if pair[0] != "kinematic_error"), measured=measured,
                   out=out, progress=progress)
 
@@ -110,7 +121,10 @@ def closed(scene: LineScene, undeclared: tuple[str, ...], *, arm: tuple[Place, .
         done = close(line, known, before, out=out, progress=job.part("rounds"))
         job.begin("oracle")
         oracle_model = known.with_effects(line.fitted(before, known, undeclared)) if undeclared else known
-        oracle_model = with_named_effects(line.moved(), line.robot, oracle_model, arm) if arm else oracle_model
+        named = tuple(place for place in arm if place != DRIVES)
+        if len(named) < len(arm) and (anew := line.controllers()) is not None:
+            oracle_model = anew.change(oracle_model, before)
+        oracle_model = with_named_effects(line.moved(), line.robot, oracle_model, named) if named else oracle_model
         try:
             oracle = line.play(oracle_model) if undeclared or arm else before
         except SceneError:
@@ -129,7 +143,7 @@ def closed(scene: LineScene, undeclared: tuple[str, ...], *, arm: tuple[Place, .
 
 @dataclass
 class _Line(Subject[LineResult]):
-    """A line, the camera that sees it and the arm that follows it."""
+    """A line, the camera that sees it and the arm that follows it; which controllers each play knew is kept."""
 
     scene: LineScene
     cell: Cell
@@ -140,14 +154,16 @@ class _Line(Subject[LineResult]):
     looks_at_arm: bool
     stops: bool = False
     about: list[Recording] = field(default_factory=list)
+    played_with: dict[int, ControllerModel | None] = field(default_factory=dict)
 
     def play(self, model: Model, shared: Prepared | None = None) -> LineResult:
         scene = self.scene.model_copy(update={"model": str(model.save(self.folder / "model.json"))})
-        run = play(scene, IDEAL, shared=shared or self.shared)
+        run = play(scene, ADAPTED if _of_cell(scene) else IDEAL, shared=shared or self.shared)
         if run.failure and model is not self.known and not self.stops:
             # Of the piece before it stopped nothing can be compared, unless the first one stopped, too.
             raise SceneError(run.failure)
         self.stops = self.stops or bool(run.failure)
+        self.played_with[id(run)] = model.controller
         return run
 
     def find(self, model: Model, run: LineResult, progress: Progress) -> Found:
@@ -171,9 +187,26 @@ class _Line(Subject[LineResult]):
         moved = self.moved()
         diagnosis = diagnose(moved, self.robot, model=model, progress=progress)
         effects = [e.fitted for e in (*diagnosis.effects, *diagnosis.unknown) if e.fitted.domain != SENSOR]
-        return Found(diagnosis, moved, (Group.adding([effect for effect in effects if _acts(effect)]),))
+        anew = self.controllers() if _of_cell(self.scene) else None
+        return Found(diagnosis, moved, (*([Group((anew,))] if anew is not None else []),
+                                        Group.adding([effect for effect in effects if _acts(effect)])))
+
+    def controllers(self) -> Form | None:
+        """The joint controllers anew, from the motion about the line; None where it does not tell them."""
+        rotors = sheet_rotors(self.known, self.robot)
+        try:
+            controller = fit_controller(self.moved(), self.robot, rotors).controller
+            require_controller(controller, self.robot.n)
+        except InputError:
+            return None
+        label = "joint controllers" + (f": {words}" if (words := helped(controller)) else "")
+        # A law of the command that was known is one of other controllers.
+        return Form(label, lambda model, _: dataclasses.replace(model, controller=controller, command=None), (DRIVES,))
 
     def readings(self, before: LineResult, after: LineResult, model: Model) -> list[tuple[Array, Array]]:
+        if model.controller is not self.played_with[id(before)]:
+            # What controllers are for, whatever gears and geometry add behind the motors.
+            return [(self._kept(before, "motor"), self._kept(after, "motor"))]
         of_camera = not model.effects or model.effects[-1].channel == "line"
         deviation = self._spread if of_camera or before is after else self._kept
         return [(deviation(before), deviation(after))]
@@ -185,9 +218,10 @@ class _Line(Subject[LineResult]):
         regression = line_regression(recording, self.robot, torque, self.known.known_stiffness)
         return np.empty(0) if regression is None else regression.y - regression.y.mean(axis=0)
 
-    def _kept(self, run: LineResult) -> Array:
-        """How far the tool was from where the follower wanted it ``(N,)`` [m]."""
-        (recording,), _ = checked([self.seen(run)], self.robot)
+    def _kept(self, run: LineResult, measured: Measured | None = None) -> Array:
+        """How far the tool was from where the follower wanted it ``(N,)`` [m], by what is ``measured`` of the arm."""
+        seen = self.seen(run) if measured is None else visible(run.recording, measured)
+        (recording,), _ = checked([seen], self.robot)
         t = np.arange(recording.t[0], recording.t[-1], self.robot.t_ipo)
         q_d = interpolated(t, recording.t, recording.joints("q_d"))
         moving = np.flatnonzero(np.abs(np.diff(q_d, axis=0)).max(axis=1) > 1e-8)
@@ -220,6 +254,11 @@ class _Line(Subject[LineResult]):
                     raise ended
                 self.about.append(visible(arm.recording(external=True), self.measured))
         return self.about[0]
+
+
+def _of_cell(scene: LineScene) -> tuple[Place, ...]:
+    """What every cell hides of its arm that a model can be told: nothing elsewhere."""
+    return (DRIVES,) if scene.world.get("base") == CELL else ()
 
 
 def _acts(effect: FittedEffect) -> bool:
@@ -258,10 +297,11 @@ def undeclared_effects(scene: LineScene) -> tuple[str, ...]:
                          "line by the same wrong geometry with which the arm goes there; close a path scene with this "
                          "world",
                          file=scene.source, field=f"world.{keys[0]}", value=scene.world[keys[0]])
-    if not effects and not keys:
+    if not effects and not keys and not _of_cell(scene):
         raise InputError("the camera is right, or its follower finds out by itself: nothing is there to be found; set "
                          "camera.stamp_offset or camera.stamp_drift with stamp_estimate = false, or the sizes in "
-                         "[calibration] with by_moving = false, or one of the arm's keys in [world]",
+                         "[calibration] with by_moving = false, one of the arm's keys in [world], or world = "
+                         '"cell"',
                          file=scene.source, field="camera")
     return effects
 

@@ -11,9 +11,10 @@ from ideal_robot.errors import InputError
 from ideal_robot.execution.precorrect import precorrect
 from ideal_robot.feedforward.base import CommandLimits, PassThrough
 from ideal_robot.feedforward.corrected_arm import CorrectedArm, ForCorrectedArm
-from ideal_robot.feedforward.inverse import Inverse, Options
+from ideal_robot.feedforward.inverse import AHEAD, COMPLETE, Inverse, Options
 from ideal_robot.feedforward.learning import LearningLaw, Playback, learn, learn_on_model
 from ideal_robot.loop.impulse_response import LinearLoop
+from ideal_robot.loop.loop import checked, moved_inertia
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
@@ -44,6 +45,20 @@ def test_wrong_inertias_friction_and_stiffness_cost_little():
 def test_gears_that_are_known_to_be_elastic_are_compensated():
     loop, q_d = plant(), motion()
     assert off(loop, Inverse(loop), q_d) < 0.2 * off(loop, Inverse(loop, options=Options(elastic=False)), q_d)
+
+
+@pytest.mark.parametrize(("options", "times"), [(COMPLETE, 3.0), (AHEAD, 1.3)])
+def test_what_drives_do_by_themselves_is_inverted_with_the_loop(options: Options, times: float) -> None:
+    """Friction that they compensate, and gains that follow the inertia: by a loop that knows neither more is left."""
+    plain, q_d = plant(), motion()
+    half = 0.5 * plain.friction.dry
+    known = checked(plain.changed(compensation=half, v_compensation=np.full(6, 0.05), schedule=0.6,
+                                  scheduled_at=1.4 * moved_inertia(plain.chain, ROBOT.rotor_inertia, ROBOT.home)))
+    usual = off(plain, Inverse(plain, options=options), q_d)
+    left, without = (off(known, Inverse(loop, options=options), q_d) for loop in (known, plain))
+    assert left < 2.0 * usual
+    assert without > times * left
+
 
 
 def test_at_rest_the_arm_and_not_the_motor_is_where_it_shall_be():

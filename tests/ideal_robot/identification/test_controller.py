@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -124,9 +127,9 @@ def test_recordings_shorter_than_the_response_tell_nothing_of_it() -> None:
 ROBOT = Robot.load("kr15")
 
 
-def recorded(joint: int, seconds: float = 9.0) -> Recording:
+def recorded(joint: int, seconds: float = 9.0, **keys: Any) -> Recording:
     """One joint of the default world's arm through slow and quick sinusoids; the columns of that joint only."""
-    world = World.default("kr15")
+    world = dataclasses.replace(World.default("kr15"), **keys)
     t = world.t_ipo * np.arange(round(seconds / world.t_ipo))
     fade = np.clip(np.minimum(t, seconds - t), 0, 1) ** 2
     wave = 0.25 * np.sin(1.5 * t) + 0.08 * np.sin(4.1 * t + 1) + 0.02 * np.sin(12 * t + 2)
@@ -156,6 +159,34 @@ def test_finds_the_cascade_behind_encoder_steps_and_current_noise(joint):
     assert k_v == pytest.approx(true["position_gain"], rel=0.05)
     assert k_ff == pytest.approx(true["velocity_feedforward"], abs=0.01)
     assert k_p / k_i == pytest.approx(true["integral_time"], rel=0.05)
+
+
+def test_friction_that_the_drive_compensates_is_found_beside_the_cascade() -> None:
+    """Half of the dry friction, in the direction of the command; a drive that does not has none."""
+    world = World.default("kr15")
+    fit = fit_controller(recorded(1, friction_compensation=0.5), ROBOT)
+    assert fit.controller.compensation is not None
+    assert fit.controller.compensation[0] == pytest.approx(0.5 * world.per_joint("coulomb", 6)[1], rel=0.15)
+    assert cascade_gains(fit.controller)[2][0] == pytest.approx(world.per_joint("velocity_gain", 6)[1], rel=0.1)
+    assert fit_controller(recorded(1), ROBOT).controller.compensation is None
+
+
+@pytest.mark.slow
+def test_gains_that_follow_the_inertia_are_found_beside_the_cascade() -> None:
+    """All joints move, so that the inertia of the first two changes by tens of per cent."""
+    world = dataclasses.replace(World.default("kr15"), gain_schedule=0.6)
+    t = world.t_ipo * np.arange(round(12.0 / world.t_ipo))
+    fade = np.clip(np.minimum(t, 12.0 - t), 0, 1) ** 2
+    rates = np.array([0.9, 0.7, 1.1, 2.1, 1.7, 2.9])
+    wave = 0.35 * np.sin(np.outer(t, rates)) + 0.04 * np.sin(np.outer(t, 4.3 * rates) + 1.0)
+    with SimulatedArm(ROBOT, world, np.random.default_rng(4)) as arm:
+        for row in ROBOT.home + fade[:, None] * wave:
+            arm.cycle(row)
+        whole = arm.recording()
+    with_inertia, without = (fit_controller(whole, ROBOT, rotors) for rotors in (ROBOT.rotor_inertia, None))
+    assert with_inertia.controller.schedule == pytest.approx(0.6, abs=0.15)
+    assert with_inertia.controller.compensation is None
+    assert np.all(with_inertia.error_percent[:2] < 0.5 * without.error_percent[:2])
 
 
 def test_torques_that_are_logged_as_they_are_tell_the_same_gains() -> None:
