@@ -245,16 +245,22 @@ def tool_deviation(recording: Recording, wanted: tuple[Array, Array, Array], rob
         doubt: share by which what these bend is taken to be more.
     """
     t, q_d, counts = wanted
-    if all(axis in recording.columns for axis in "xyz"):
-        x: Array = np.column_stack([recording.columns[axis] for axis in "xyz"])
-    elif recording.has("qa"):
-        x = robot.tool_places(recording.joints("qa"))
-    else:
-        bent = _deflections(known, t, q_d, recording.t)
-        if loads:
-            bent = bent + (1.0 + doubt) * (_deflections(known.with_effects(loads), t, q_d, recording.t) - bent)
-        x = robot.tool_places(recording.joints("q") - bent)
+    x = measured_places(recording, (t, q_d), robot, known, loads, doubt)
     return path_errors(t[counts], robot.tool_places(q_d[counts]), recording.t, x).aligned.deviation
+
+
+def measured_places(recording: Recording, wanted: tuple[Array, Array], robot: Robot, known: Model,
+                    loads: tuple[FittedEffect, ...] = (), doubt: float = 0.0) -> Array:
+    """Where the tool was, as the arm itself measures it ``(N, 3)`` [m]; see ``tool_deviation``."""
+    t, q_d = wanted
+    if all(axis in recording.columns for axis in "xyz"):
+        return np.column_stack([recording.columns[axis] for axis in "xyz"])
+    if recording.has("qa"):
+        return robot.tool_places(recording.joints("qa"))
+    bent = _deflections(known, t, q_d, recording.t)
+    if loads:
+        bent = bent + (1.0 + doubt) * (_deflections(known.with_effects(loads), t, q_d, recording.t) - bent)
+    return robot.tool_places(recording.joints("q") - bent)
 
 
 def _deflections(model: Model, t: Array, q_d: Array, at: Array) -> Array:

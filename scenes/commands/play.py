@@ -256,17 +256,19 @@ def close_loop(
     speed: Speed = None,
     measured: Annotated[str, typer.Option(help="What the arm measures: motor (angles and currents), arm (arm angles "
                                                "too) or tcp (the tool's place too).")] = "tcp",
+    world: Annotated[str | None, typer.Option(help="Where it plays instead of the scene's world: workshop, bench or "
+                                                   "cell, where drives do what no model knows.")] = None,
     json: JsonFigures = None,
     out: Annotated[Path | None, typer.Option(help="Folder of recording, model and report; default out/SCENE.")] = None,
 ) -> None:
     """Plays a scene, finds what its model misses from a diagnostic motion, extends the model and plays it again.
 
-    Example: `ideal-robot close-loop close_elastic --json circle.json`
+    Example: `ideal-robot close-loop close_elastic --json circle.json`, `ideal-robot close-loop line --world cell`
     """
     from scenes.play import close_scene
     from scenes.scene_files.scene import chosen
 
-    loaded = chosen(load_scene(scene), speed=speed, seed=seed, individual=individual)
+    loaded = chosen(load_scene(scene), speed=speed, seed=seed, individual=individual, world=world)
     folder = out or Path("out") / loaded.name
     check_outputs({"--out": folder}, json=json)
     with folders_held(), progress_bar(f"{loaded.name}") as progress:

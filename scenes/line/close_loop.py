@@ -54,7 +54,7 @@ from scenes.closing.result import (
     Words,
     at_speeds,
     checked_measured,
-    tool_deviation,
+    measured_places,
     visible,
 )
 from scenes.line.cell import Cell, Prepared, prepared, set_up
@@ -219,16 +219,25 @@ class _Line(Subject[LineResult]):
         return np.empty(0) if regression is None else regression.y - regression.y.mean(axis=0)
 
     def _kept(self, run: LineResult, measured: Measured | None = None) -> Array:
-        """How far the tool was from where the follower wanted it ``(N,)`` [m], by what is ``measured`` of the arm."""
+        """How far the tool was across its way from where it was wanted ``(N, 2)`` [m], by what is ``measured``.
+
+        When it comes to a place is no distance from a line.
+        """
         seen = self.seen(run) if measured is None else visible(run.recording, measured)
         (recording,), _ = checked([seen], self.robot)
         t = np.arange(recording.t[0], recording.t[-1], self.robot.t_ipo)
         q_d = interpolated(t, recording.t, recording.joints("q_d"))
         moving = np.flatnonzero(np.abs(np.diff(q_d, axis=0)).max(axis=1) > 1e-8)
         if len(moving) < 8:
-            return np.empty(0)
+            return np.empty((0, 2))
         counts = (np.arange(len(t)) >= moving[0]) & (np.arange(len(t)) <= moving[-1])
-        return tool_deviation(recording, (t, q_d, counts), self.robot, self.known)
+        wanted = self.robot.tool_places(q_d)
+        off = interpolated(t, recording.t, measured_places(recording, (t, q_d), self.robot, self.known)) - wanted
+        along = np.gradient(wanted, axis=0)
+        across = np.cross(self.cell.known.reference.frames(np.zeros(1)).up[0], along)
+        sides = np.stack([across, np.cross(along, across)], axis=1)[counts]
+        size = np.maximum(np.linalg.norm(sides, axis=2), 1e-12)
+        return np.asarray(np.einsum("nsk,nk->ns", sides, off[counts]) / size)
 
     @property
     def robot(self) -> Robot:

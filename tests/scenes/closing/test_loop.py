@@ -322,6 +322,13 @@ def test_friction_that_the_model_does_not_know_is_found_in_a_motion_about_the_li
     closes(result, 0.7, 1.25)
 
 
+@pytest.mark.slow
+def test_what_the_drives_of_a_cell_do_by_themselves_is_found_in_a_motion_about_the_line() -> None:
+    result = close_loop(scene_of(LineScene, "line").changed(world={"base": "cell"}))
+    assert any(step.taken and ("joint_controllers", 0) in step.places for step in result.steps)
+    closes(result, 0.7, 1.25)
+
+
 def test_random_lines_are_wrong_by_what_they_are_drawn_with() -> None:
     """What is drawn at random is a line scene that can be closed, and a right camera stays right."""
     for seed in range(6):
