@@ -187,14 +187,12 @@ def _helped(joints: Sequence[Sequence[_Stretches]], plain: _Fitted) -> tuple[Seq
     def left(each: Sequence[_Stretches], channel: _Channel) -> float:
         return float(np.mean([np.log(min(joint.least(one) for one in _turning(channel))) for joint in each]))
 
-    kinds = [("turns", _TURNS[:1]), *([("schedule", _SCHEDULES)] if joints[0][0].follows else [])]
     best = least = min((left(each, plain.channel), index) for index, each in enumerate(joints))
-    channel = plain.channel
-    for _ in kinds:
-        tried = [((left(each, changed), index), changed) for index, each in enumerate(joints)
-                 for name, values in kinds if not getattr(channel, name)
-                 for changed in (channel._replace(**{name: value}) for value in values)]
-        found, changed = min(tried, key=lambda one: one[0])
+    channel, follow = plain.channel, _SCHEDULES if joints[0][0].follows else ()
+    while more := [*(channel._replace(turns=turns) for turns in _TURNS[:1] if not channel.turns),
+                   *(channel._replace(schedule=share) for share in follow if not channel.schedule)]:
+        found, changed = min((((left(each, one), index), one) for index, each in enumerate(joints) for one in more),
+                             key=lambda tried: tried[0])
         if found[0] >= least[0] + np.log(_SEEN):
             break
         least, channel = found, changed

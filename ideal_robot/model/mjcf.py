@@ -18,7 +18,7 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import read_text
 from ideal_robot.command.law import CommandLaw, JointLaw
-from ideal_robot.command.words import described
+from ideal_robot.command.words import described, helped
 from ideal_robot.dynamics import base_parameters, link_parameters
 from ideal_robot.errors import InputError
 from ideal_robot.friction import PerJointFriction
@@ -367,6 +367,8 @@ def _unsaid(model: Model, spec: Any, names: list[str]) -> Iterator[str]:
     elif model.controller is not None:
         if np.any(model.controller.k_i > 0.0):
             yield "the integrators of the velocity loops"
+        if words := helped(model.controller):
+            yield f"what drives do by themselves: {words}"
         if np.any(model.controller.filter_time > 0.0) or model.controller.delay > 0.0:
             yield "the commands' low-pass and dead time"
     for effect in model.effects:

@@ -142,6 +142,7 @@ def _show_alone(analysis: CommandIdentification, page: Path) -> None:
 
 def _show_commands(model: Model) -> None:
     """Prints each joint's controller, and the law's residual of command minus angle on held-out data."""
+    from ideal_robot.command.words import helped
     from ideal_robot.identification.whole_model import command_figures
 
     figures, units = command_figures(model), model.units("mrad")
@@ -151,6 +152,8 @@ def _show_commands(model: Model) -> None:
                ["joint", "found", "command minus angle", "law leaves", "unit"],
                [[f["joint"], f["found"], 1e3 * f["of"], 1e3 * f["left"], unit]
                 for f, unit in zip(figures, units, strict=True)])
+    if model.controller is not None and (words := helped(model.controller)):
+        typer.echo(f"what drives do by themselves: {words}")
     law = model.command
     if law is not None and law.cascade is not None:
         cascade, own = (1e3 * float((values**2).mean() ** 0.5) for values in (law.cascade, law.residual))

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ideal_robot.command.words import helped
 from ideal_robot.identification.angles_alone import CommandIdentification
 from ideal_robot.identification.closed_loop_fit import LinearLoopFit
 from ideal_robot.identification.controller import ControllerIdentification
@@ -253,6 +254,8 @@ def _controller(page: Report, controller: ControllerIdentification, arm: Model) 
                 "k_I direct", "error [%]"], rows,
                f"[G] (16), (17) at {1e3 * model.t_cycle:g} ms; the command takes effect "
                f"{1e3 * model.delay:.3g} ms after it is logged.")
+    if arm.controller is not None and (words := helped(arm.controller)):
+        page.text(f"At the controllers' own cycle: {words}.")
     page.figure(drift_figure(controller, one_unit(arm.units("N m"))), "Why k_I is found by simulation ([G] Fig. 17): a "
                 "value that is best from one step to the next lets errors add up; deviation of the simulated from "
                 "the measured torque.")
