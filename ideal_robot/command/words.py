@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from ideal_robot.command.law import CommandLaw, JointLaw
-from ideal_robot.model.parametrisation import ControllerModel
 
 _SHOWN_LATE = 5e-4
 """Lateness that is worth a word [s]: recordings are stamped to about that."""
@@ -46,17 +45,6 @@ def beyond_cascade(law: CommandLaw) -> tuple[tuple[int, str], ...]:
         found += [(j, f"gains follow the posture of joint {i}")
                   for i in sorted({column.posture for column in own.columns if column.posture})]
     return tuple(found)
-
-
-def helped(controller: ControllerModel) -> str:
-    """What drives do beside the loops of a P/PI cascade, in the field's words; empty where nothing was found."""
-    parts = []
-    if controller.compensation is not None:
-        sizes = ", ".join(f"{size:.3g}" for size in controller.compensation)
-        parts.append(f"drives compensate friction by {sizes} N m")
-    if controller.schedule:
-        parts.append(f"gains follow the inertia in a share of {controller.schedule:.2g}")
-    return " and ".join(parts)
 
 
 def _controller(law: JointLaw, unit: str) -> list[str]:

@@ -65,12 +65,17 @@ class ControllerFit:
 
 
 def fit_controller(recording: Recording, robot: Robot, rotors: Array | None = None) -> ControllerFit:
-    """Fits the cascade of every joint to a recording in which all joints move.
+    """Cascade gains of every joint, from a recording in which all joints move.
 
-    Gains may follow the inertia of the robot's bodies where those of the ``rotors (n,)`` are given [kg m²].
+    Args:
+        recording: with ``q_c_i`` (the command before its low-pass), ``q_i`` and ``tau_i`` at the position loop's cycle
+            or a few times slower.
+        robot: cycles, and the bodies of the data sheet.
+        rotors: inertias of the rotors by the data sheet ``(n,)`` [kg m²], for gains that follow what a joint moves;
+            None where these are not to be looked for.
 
-    It has ``q_c_i`` (the command before its low-pass), ``q_i`` and ``tau_i`` at the position loop's cycle or a few
-    times slower. Raises InputError for a missing column, too slow a sampling, or a joint that does not move.
+    Raises:
+        InputError: a missing column, too slow a sampling, a joint that does not move.
     """
     cycle = float(np.median(np.diff(recording.t)))
     if cycle > 2.5 * robot.t_position:

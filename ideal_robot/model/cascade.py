@@ -144,3 +144,14 @@ def per_joint(value: object, n: int, file: str | Path | None, field: str) -> Arr
     if isinstance(value, (bool, str)) or array.shape not in ((), (n,)) or not np.all(array >= 0.0):
         raise InputError(f"expected one number or {n}, none below 0", file=file, field=field, value=value)
     return np.array(np.broadcast_to(array, (n,)), dtype=float)
+
+
+def helped(controller: ControllerModel) -> str:
+    """What drives do beside the loops of a P/PI cascade, in the field's words; empty where nothing was found."""
+    parts = []
+    if controller.compensation is not None:
+        sizes = ", ".join(f"{size:.3g}" for size in controller.compensation)
+        parts.append(f"drives compensate friction by {sizes} N m")
+    if controller.schedule:
+        parts.append(f"gains follow the inertia in a share of {controller.schedule:.2g}")
+    return " and ".join(parts)

@@ -18,12 +18,12 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import read_text
 from ideal_robot.command.law import CommandLaw, JointLaw
-from ideal_robot.command.words import described, helped
+from ideal_robot.command.words import described
 from ideal_robot.dynamics import base_parameters, link_parameters
 from ideal_robot.errors import InputError
 from ideal_robot.friction import PerJointFriction
 from ideal_robot.friction.laws import ViscousCoulomb
-from ideal_robot.model.cascade import Cascade
+from ideal_robot.model.cascade import Cascade, helped
 from ideal_robot.model.model import Model
 from ideal_robot.model.model_file import urdf_with_inertials
 from ideal_robot.model.parametrisation import coefficient_columns, friction_places

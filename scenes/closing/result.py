@@ -251,7 +251,13 @@ def tool_deviation(recording: Recording, wanted: tuple[Array, Array, Array], rob
 
 def measured_places(recording: Recording, wanted: tuple[Array, Array], robot: Robot, known: Model,
                     loads: tuple[FittedEffect, ...] = (), doubt: float = 0.0) -> Array:
-    """Where the tool was, as the arm itself measures it ``(N, 3)`` [m]; see ``tool_deviation``."""
+    """Where the tool was, as the arm itself measures it ``(N, 3)`` [m].
+
+    Args:
+        recording: of what is measured.
+        wanted: instants ``(M,)`` [s] one cycle apart, and joint angles at them ``(M, n)`` [rad].
+        robot, known, loads, doubt: as of ``tool_deviation``.
+    """
     t, q_d = wanted
     if all(axis in recording.columns for axis in "xyz"):
         return np.column_stack([recording.columns[axis] for axis in "xyz"])

@@ -142,8 +142,8 @@ def _show_alone(analysis: CommandIdentification, page: Path) -> None:
 
 def _show_commands(model: Model) -> None:
     """Prints each joint's controller, and the law's residual of command minus angle on held-out data."""
-    from ideal_robot.command.words import helped
     from ideal_robot.identification.whole_model import command_figures
+    from ideal_robot.model.cascade import helped
 
     figures, units = command_figures(model), model.units("mrad")
     if not figures:

@@ -10,12 +10,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ideal_robot.command.words import helped
 from ideal_robot.identification.angles_alone import CommandIdentification
 from ideal_robot.identification.closed_loop_fit import LinearLoopFit
 from ideal_robot.identification.controller import ControllerIdentification
 from ideal_robot.identification.two_step import TwoStep
 from ideal_robot.identification.whole_model import IdentificationResult, command_figures, friction_points
+from ideal_robot.model.cascade import helped
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import Prediction, joined
 from ideal_robot.results import one_unit

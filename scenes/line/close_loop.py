@@ -23,7 +23,6 @@ from pathlib import Path
 import numpy as np
 
 from ideal_robot.arrays import Array, interpolated
-from ideal_robot.command.words import helped
 from ideal_robot.diagnosis import diagnose
 from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
@@ -37,6 +36,7 @@ from ideal_robot.feedforward.training_motion import training_motion
 from ideal_robot.identification.checks import checked
 from ideal_robot.identification.closed_loop_fit import fit_controller
 from ideal_robot.loop.from_model import sheet_rotors
+from ideal_robot.model.cascade import helped
 from ideal_robot.model.model import Model
 from ideal_robot.model.model_file import require_controller
 from ideal_robot.model.parametrisation import ControllerModel
