@@ -89,53 +89,40 @@ def place_line(scene: LineScene) -> Place:
     if shoulder_height(robot) < 0.0:
         raise InputError(f"{robot.name} hangs below z = 0, which is the floor; let the URDF begin with a link on the "
                          "floor and a fixed joint from there to the arm's base", file=robot.urdf, field="robot")
-    blind: Place | None = None
-    for turn in TURNS:
-        place, seen = _placed(scene.changed(tool_turn_deg=turn), robot)
-        if place is not None and seen:
+    # Where the arm cannot move the camera about any line, the line is placed as if it could.
+    for seeing, turn in product((True, False) if scene.calibration.by_moving else (False,), TURNS):
+        if (place := _placed(scene.changed(tool_turn_deg=turn), robot, seeing)) is not None:
             return place
-        blind = blind or place
-    if blind is not None:
-        return blind
     raise InputError(f"no line fits in the reach of {robot.name} ({reach(robot):.2f} m) with the tool pointing down; "
                      "give the posture to work from as home in the robot's TOML, or place surface and line by hand",
                      file=robot.urdf, field="robot")
 
 
-def _placed(scene: LineScene, robot: Robot) -> tuple[Place | None, bool]:
-    """Where a line fits with the tool mounted as it is, or None; whether the camera can be calibrated there.
-
-    A place where the arm cannot move the camera about the line is taken only where there is no other.
-    """
+def _placed(scene: LineScene, robot: Robot, seeing: bool) -> Place | None:
+    """Where a line fits with the tool mounted as it is, and on request the camera is calibrated; None for nowhere."""
     slow: Place | None = None
-    blind: Place | None = None
     for heading, share in product(HEADINGS, SIZES):
         best: Place | None = None
         wanted = min(FASTEST, wave(round(share * reach(robot), 2)) / PERIOD)
         for candidate in _candidates(scene, robot, share, heading):
             speed = fits(candidate, candidate.arm, wanted)
-            if speed is not None and (best is None or speed > best.speed):
-                place = Place(candidate.surface.origin, heading, float(candidate.line.length or 0.0), speed,
-                              candidate.tool_mm, candidate.tool_turn_deg)
-                if calibrates(candidate, candidate.arm):
-                    best = place
-                else:
-                    blind = blind or place
+            if (speed is not None and (best is None or speed > best.speed)
+                    and (not seeing or calibrates(candidate, candidate.arm))):
+                best = Place(candidate.surface.origin, heading, float(candidate.line.length or 0.0), speed,
+                             candidate.tool_mm, candidate.tool_turn_deg)
             if best is not None and best.speed >= math.floor(100.0 * wanted) / 100.0:
-                return best, True
+                return best
         if best is not None and best.speed >= WORTH * wanted:
-            return best, True
+            return best
         if best is not None and (slow is None or best.speed > slow.speed):
             slow = best
         if slow is not None and share == SIZES[-1]:
-            return slow, True
-    return blind, False
+            return slow
+    return None
 
 
 def calibrates(scene: LineScene, robot: Robot) -> bool:
-    """Whether the arm reaches the poses that calibrate the camera over the middle of the line, or need not."""
-    if not scene.calibration.by_moving:
-        return True
+    """Whether the arm reaches the poses that calibrate the camera over the middle of the line."""
     reference = ReferencePath(reference_points(scene), up=scene.surface.pose().rotation[:, 2], turning=1.0)
     try:
         calibration_postures(robot, reference, believed_camera(scene.camera, scene.calibration),
