@@ -169,8 +169,6 @@ class Closing(ShownTable):
     def page(self) -> Report:
         """The page of the closing."""
         page = Report(f"{self.scene.title or self.scene.name}: the loop closed", self.answer())
-        for refused in self.refusals():
-            page.warning(f"{refused[:1].upper()}{refused[1:]}.")
         page.heading("Before and after")
         page.table(*self.table(), self.words.caption)
         if self.words.axes is not None:
@@ -182,6 +180,8 @@ class Closing(ShownTable):
         page.table(*self.ladder(),
                    f"{self.words.decides} A change stays where it falls by more than one standard error: of its "
                    "scatter along the motion and from play to play.")
+        if refusals := self.refusals():
+            page.table(["what a diagnosis names and the model does not get"], [[refused] for refused in refusals])
         self.section(page)
         if self.diagnosis is not None:
             page.heading("The first diagnosis", folded=True)
