@@ -122,8 +122,8 @@ def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
     """The recording without what is no number or no position, and what was wrong; raises InputError for the rest."""
     n, source = robot.n, recording.source
     if recording.n != n:
-        raise InputError(f"the recording has {recording.n} joints, the robot {robot.name} has {n}", file=source,
-                         field="q_i")
+        raise InputError(f"the recording has {recording.n} joints, the robot {robot.name} has {n}; choose "
+                         "with --joints which are the arm's", file=source, field="q_i")
     recording = with_commands(recording)
     names = [[f"{kind}_{i + 1}" for i in range(n)] for kind in ("q", "q_c")]
     recording, warnings = plausible(recording, names[0], [], robot.tau_max)
