@@ -58,7 +58,7 @@ def _check(path: Path, option: str, folder: bool) -> None:
     if is_device(path):
         raise InputError("is a device or a pipe; expected the name of a file", field=option, value=str(path))
     place = path if folder else path.parent
-    # Libraries and pages want text: no name that the system has, but UTF-8 has not.
+    # Raises for names that the file system has but UTF-8 cannot say, as libraries and pages need text.
     str(path).encode()
     if not folder and len(os.fsencode(path.name)) > 255:
         raise InputError("the name is too long", field=option, value=f"{path.name[:40]}…")

@@ -258,7 +258,7 @@ def fit_joint(stretches: Sequence[Stretch], j: int, law: CommandLaw) -> FittedJo
     if not by_torque:
         return alone
     usual = _judged(joint, _searched(joint, by_torque))
-    # By what changes a user's path, too.
+    # Better not only beyond chance, but by as much as changes a user's path.
     better = (alone.law.residual + _RESOLVED * alone.law.deviation < usual.law.residual
               and leaves_less(np.concatenate(alone.left), np.concatenate(usual.left)))
     return alone if better else usual

@@ -73,7 +73,7 @@ class BacklashByMotion(GearEffect):
     theta_units = ("rad",)
     coefficient_names = ("share",)
     coefficient_units = ("1",)
-    # The arm lags.
+    # The arm lags behind its motor: the share is positive.
     within = (0.0, np.inf)
     source = "M. Nordin, P.-O. Gutman, Automatica 38, 2002"
 

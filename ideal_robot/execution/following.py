@@ -291,8 +291,8 @@ class Following(Watch):
             # With all of its acceleration an arm is braked so soon; then it shows whether it stands.
             self._brakes = float(np.max(self._pace / self._a_max)) + _SHOWS
             self._astray = self._behind(joint)
-            # One that does not stand yet may be on its way to it.
-            # While the path is tried a joint that starts late against its friction is tried again.
+            # A joint that still moves may be coming to rest. During the trial of the path one that starts late, held by
+            # its friction, is given another trial.
             followed = bool(self._proved[joint] or self._trying or (self._proved.any() and self._all_behind()))
             self._noticed, self._still, self._braked = True, followed and self._astray, 0
             off = abs(q[joint] - self._expected[0, joint])

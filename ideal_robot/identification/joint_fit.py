@@ -224,7 +224,7 @@ class JointProblem:
         n, b = self._robot.n, self._base.count
         friction = np.abs(rough.value[b:].reshape(n, 2))
         sigma = np.maximum(np.mean(self._sigma_v, axis=0), 1e-12)
-        # 4 p (1 - p) with the odds p of the wrong sign, to a few per cent; a decimated sample has its share of it.
+        # 4 p (1 - p) to a few per cent, p the probability of the wrong sign; decimated as the samples are.
         undecided = np.clip(np.concatenate([s.decimate(np.exp(-0.5 * np.minimum(np.abs(s.qd) / sigma, 30.0) ** 2))
                                             for s in self._signals]), 0.0, 1.0)
         return np.asarray((np.abs(self._inertia(rough)) * self._sigma_a) ** 2 + (friction[:, 0] * self._sigma_v) ** 2

@@ -91,7 +91,7 @@ class FeltByMotors:
         self._commands.append(q_c)
         self._cycles += 1
         if self._last is not None:
-            # Way since the joint turned round; a gear that winds up turns no friction.
+            # Way since the joint turned round, by its command: the motor also moves where only its gear twists.
             step = q_c - self._last
             self._slid = np.where(step * self._slid >= 0.0, self._slid, 0.0) + step
         self._last = q_c

@@ -195,7 +195,7 @@ def _cycles(robot: RobotInterface, limits: Robot, task: Cycled, log: CycleLog, s
         if pacing is not None and pacing.needed and stopping is None:
             q_d, q, before, governor = _paced(pacing, k + 1, q_d, t)
             continue
-        # The plan may rest while the command is still on its way to it, as the limits let it.
+        # The plan may be at rest while the command, within its limits, still moves towards it.
         resting, before = stops_at_once(q_c - before, limits, T), q_c
         still = (still + 1) * (stopping is not None and resting and np.allclose(q_d, q_d[0], atol=STANDSTILL))
         if still * T > settings.rest:

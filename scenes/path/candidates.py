@@ -40,7 +40,7 @@ def changes(model: Model, found: Diagnosis, measured: Measured) -> tuple[tuple[G
     refused = tuple(Step(said(effect.name, effect.joint), reason, places=places_of((effect,)))
                     for effect, reason in zip(effects, reasons, strict=True) if reason)
     acting = tuple(effect for effect, reason in zip(effects, reasons, strict=True) if not reason)
-    # What is too small to be named explains all the same.
+    # Effects that are too small to be reported are in the extended model, too, and explain their part of the error.
     more = () if found.model is None else found.model.effects[len(model.effects):]
     added = (*acting, *(effect for effect in more if effect not in effects and not _not_tried(effect, measured)))
     apart = [(Form.adding(said(effect.name, effect.joint), (effect,)),) for effect in acting]

@@ -131,7 +131,7 @@ class ServedCamera:
         self._process = context.Process(target=called, args=("scenes.serve.carried:draw_and_send", theirs), daemon=True)
         self._process.start()
         theirs.close()
-        # Not among the arguments: a process whose parent ends while it reads those ends with a traceback.
+        # By the pipe, not as an argument: a process whose parent ends while it reads arguments prints a traceback.
         with suppress(OSError):
             self._pipe.send(device)
         reply = self._pipe.recv() if self._pipe.poll(_STARTS) else f"the camera does not begin within {_STARTS:g} s"

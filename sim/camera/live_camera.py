@@ -50,7 +50,7 @@ class LiveCamera:
                  relief: HeightSurface | None = None, lamp: Lamp | None = None, tool: bool = False) -> None:
         self.model, self._plane, self._relief, self._settings, self._rng = model, surface.plane, relief, settings, rng
         self._texture = texture = paint(surface, settings.resolution)
-        # A pixel sees the mean over its footprint: of the same standard deviation as a box of that width.
+        # A pixel sees the mean over its footprint: a Gaussian with the standard deviation of a box of that width.
         self._distance = height = -float(model.T_tool_camera.translation[2])
         sigma = max(height / model.K[0, 0] / settings.resolution / np.sqrt(12.0), 0.3)
         self._chain = ImageChain(model.width, model.height, settings)

@@ -112,7 +112,7 @@ class StreamServer:
                 client.close()
                 continue
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            # Sending waits so long; questions may be further apart.
+            # How long sending waits for a slow client; reading its questions waits again.
             client.settimeout(0.1)
             with suppress(OSError):
                 client.sendall(self._hello)
