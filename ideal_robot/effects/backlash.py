@@ -35,16 +35,16 @@ class Backlash(GearEffect):
     """A gap is crossed at once: what the position filter makes of that is not taken for load, up to half as far."""
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """The load has to change sign."""
+        """See ``Effect.usable``: the load has to change sign."""
         return super().usable(signals, joint) and _turns(signals.load[:, joint - 1])
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """Fractions of the load; torques show gaps that are crossed slowly, too."""
+        """See ``Effect.starts``: fractions of the load; torques show gaps that are crossed slowly, too."""
         factors = (0.05, 0.15, 0.4) if self.domain == MOTOR_TORQUE else (0.05, 0.15)
         return [(_spread(signals, joint) * factor,) for factor in factors]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """Sharper than the load itself."""
+        """See ``Effect.bounds``: sharper than the load itself."""
         low, high = (0.02, 0.6) if self.domain == MOTOR_TORQUE else (0.01, 0.4)
         size = _spread(signals, joint)
         return [(low * size, high * size)]
@@ -78,11 +78,11 @@ class BacklashByMotion(GearEffect):
     source = "M. Nordin, P.-O. Gutman, Automatica 38, 2002"
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """Small fractions of the range that was driven."""
+        """See ``Effect.starts``: small fractions of the range that was driven."""
         return [(signals.span(joint) * factor,) for factor in (2e-5, 1e-4, 5e-4, 2e-3)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """A gap, not a range of motion."""
+        """See ``Effect.bounds``: a gap, not a range of motion."""
         return [(5e-6 * signals.span(joint), 0.01 * signals.span(joint))]
 
     def bend(self, signals: Signals, joint: int, theta: Theta) -> Array:
@@ -120,7 +120,10 @@ class BacklashInFlight(GearEffect):
     """The motor's own jumps at the impacts are not taken for load."""
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """There has to be an inertia behind the gear, and a load that changes sign for one of the starts."""
+        """See ``Effect.usable``.
+
+        There has to be an inertia behind the gear, and a load that changes sign for one of the starts.
+        """
         if not super().usable(signals, joint) or len(signals.t) < 3 \
                 or float(np.mean(signals.inertia_behind(joint))) <= 0.0:
             return False
@@ -128,7 +131,10 @@ class BacklashInFlight(GearEffect):
         return any(_turns(load + shift) for _, shift in self.starts(signals, joint))
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """Gaps by the time they take to cross, loads besides around none and around all of the constant torque."""
+        """See ``Effect.starts``.
+
+        Gaps by the time they take to cross, loads besides around none and around all of the constant torque.
+        """
         load = self._crossing_load(signals, joint)
         size = float(np.std(load)) + 1e-12
         shifts = [share * size for share in _SHIFTS]
@@ -147,7 +153,10 @@ class BacklashInFlight(GearEffect):
         return starts
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """Bounds of the gap [rad or m] and of a constant load besides, which is no larger than the loads there are."""
+        """See ``Effect.bounds``.
+
+        Bounds of the gap [rad or m] and of a constant load besides, which is no larger than the loads there are.
+        """
         most = 3.0 * float(np.std(signals.load[:, joint - 1])) + 2.0 * abs(_constant(signals, joint)) + 1e-12
         return [(1e-5, 0.02), (-most, most)]
 

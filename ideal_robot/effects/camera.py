@@ -80,7 +80,7 @@ class CameraEffect(WholeArmEffect):
     errors: ClassVar[tuple[CameraError, ...]]
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """Whether the recording can show the effect: the camera saw a line in it."""
+        """See ``Effect.usable``: whether the recording can show the effect: the camera saw a line in it."""
         return all(error.signal in signals.extra for error in self.errors if not error.optional)
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:

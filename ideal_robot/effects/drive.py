@@ -115,12 +115,15 @@ class AxisCoupling(Effect):
     source = "J. Swevers et al., IEEE CSM 27(5), 2007; M. Gautier, wrist of the Stäubli RX 90"
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """Every axis near by, both senses; what both joints feel is named after the higher-numbered one."""
+        """See ``Effect.starts``.
+
+        Every axis near by, both senses; what both joints feel is named after the higher-numbered one.
+        """
         return [(float(i), sense, sides) for i in range(1, signals.n + 1) if i != joint and abs(i - joint) <= 2
                 for sense in (1.0, -1.0) for sides in ((1.0, 2.0) if joint > i else (1.0,))]
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """There has to be another axis."""
+        """See ``Effect.usable``: there has to be another axis."""
         return signals.n > 1
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
@@ -191,11 +194,11 @@ class LateTorque(DeadTime):
     _shortest = 5e-5
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """A tangent, and chords to either side."""
+        """See ``Effect.starts``: a tangent, and chords to either side."""
         return [(delay,) for delay in (1e-3, -1e-3, 8e-3, -8e-3)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """The longest delay to either side."""
+        """See ``Effect.bounds``: the longest delay to either side."""
         return [(-self.longest, self.longest)]
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
@@ -251,7 +254,7 @@ class TorqueFilter(CommonDelay):
     source = "lag of first order"
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """A short and a long one."""
+        """See ``Effect.starts``: a short and a long one."""
         return [(1e-3,), (8e-3,)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:

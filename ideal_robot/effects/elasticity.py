@@ -81,7 +81,10 @@ class JointElasticity(GearEffect):
     source = "[J] (1), (2): elastic joint"
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """Without a load nothing bends; in torques a gear that the model knows gives further, or not at all."""
+        """See ``Effect.usable``.
+
+        Without a load nothing bends; in torques a gear that the model knows gives further, or not at all.
+        """
         known = self.domain == MOTOR_TORQUE and _known_gear(signals, joint)
         return super().usable(signals, joint) and not known and float(np.std(signals.load[:, joint - 1])) > 0.0
 
@@ -157,7 +160,10 @@ class ElasticityAtArm(JointElasticity):
         return [(0.0,)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """Either may have all of the inertia; of none, which a poorly identified model may have, there is nothing."""
+        """See ``Effect.bounds``.
+
+        Either may have all of the inertia; of none, which a poorly identified model may have, there is nothing.
+        """
         inertia = _mean_inertia(signals, joint)
         return [(-inertia, inertia)] if inertia > 0.0 else []
 
@@ -200,7 +206,7 @@ class GearResonance(GearEffect):
     source = JointElasticity.source
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """There has to be a load, and an inertia behind the gear."""
+        """See ``Effect.usable``: there has to be a load, and an inertia behind the gear."""
         loaded = float(np.std(signals.load[:, joint - 1])) > 0.0 and _mean_inertia(signals, joint) > 0.0
         loaded = loaded and not _known_gear(signals, joint)
         return super().usable(signals, joint) and loaded and len(signals.t) > 2

@@ -38,7 +38,7 @@ class ForceBias(WholeArmEffect):
     source = "[L] 4.4: bias and weight of the tool from several orientations"
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """A wrench in free motion has to be there."""
+        """See ``Effect.usable``: a wrench in free motion has to be there."""
         return MOMENTS in signals.extra
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
@@ -63,7 +63,7 @@ class ForceCompliance(WholeArmEffect):
     source = "[L] (3): F_r - F = E delta x"
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """There has to be a contact."""
+        """See ``Effect.usable``: there has to be a contact."""
         return CONTACT_FORCE in signals.extra
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:

@@ -97,7 +97,7 @@ class Degressive(LawTerm):
         return [(factor / top,) for factor in (2.0, 4.0, 8.0, 16.0, 40.0)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """The bend lies inside the range of speeds that was driven."""
+        """See ``Effect.bounds``: the bend lies inside the range of speeds that was driven."""
         top = _top_speed(signals, joint)
         return [(1.5 / top, 80.0 / top)]
 
@@ -127,7 +127,7 @@ class Stribeck(LawTerm):
         return [(top * factor,) for factor in (0.02, 0.05, 0.1, 0.2, 0.35)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """The fall is over within the range of speeds that was driven."""
+        """See ``Effect.bounds``: the fall is over within the range of speeds that was driven."""
         top = _top_speed(signals, joint)
         return [(0.01 * top, 0.5 * top)]
 
@@ -193,12 +193,12 @@ class LoadDependentFriction(Effect):
     source = "P. Hamon, M. Gautier, P. Garrec, IROS 2010: dry friction depending on load"
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """The load has to vary, or the effect is Coulomb friction."""
+        """See ``Effect.usable``: the load has to vary, or the effect is Coulomb friction."""
         load = np.abs(signals.borne(joint))
         return bool(np.std(load) > 0.05 * (np.mean(load) + 1e-12))
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """A tenth, half and most of what the load has of inertia."""
+        """See ``Effect.starts``: a tenth, half and most of what the load has of inertia."""
         largest = _inertia_of_load(signals, joint)
         return [(share * largest,) for share in (0.1, 0.5, 0.9)]
 
@@ -279,11 +279,14 @@ class PreslidingHysteresis(Effect):
     source = "Swevers et al. 2000, cited in [G]; the state of P. R. Dahl 1968"
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """Distances from which the search begins: fractions of the joint's driven range."""
+        """See ``Effect.starts``: distances from which the search begins: fractions of the joint's driven range."""
         return [(signals.span(joint) * factor,) for factor in (0.002, 0.006, 0.02, 0.06)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """Least and largest distance: far below the joint's driven range, else the effect is a spring."""
+        """See ``Effect.bounds``.
+
+        Least and largest distance: far below the joint's driven range, else the effect is a spring.
+        """
         return [(0.0005 * signals.span(joint), 0.15 * signals.span(joint))]
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
@@ -314,7 +317,10 @@ class WarmingEffect(Effect):
         return starts
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """Faster than a twentieth of the recording is no warming, slower than four times it is a straight line."""
+        """See ``Effect.bounds``.
+
+        Faster than a twentieth of the recording is no warming, slower than four times it is a straight line.
+        """
         span = float(signals.t[-1] - signals.t[0])
         return [(0.05 * span, 4.0 * span)]
 
@@ -380,7 +386,7 @@ class Warmth(WholeArmEffect):
     source = "[G] Figs 3, 12"
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """The model has to have friction."""
+        """See ``Effect.usable``: the model has to have friction."""
         return signals.dry is not None and bool(np.any(signals.dry > 0.0))
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:

@@ -26,7 +26,7 @@ class ZeroError(Effect):
     source = "derivative of [G] (5) by one angle"
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """The rigid body has to be known as a function, and the angle has to matter to it."""
+        """See ``Effect.usable``: the rigid body has to be known as a function, and the angle has to matter to it."""
         if signals.rigid is None:
             return False
         return bool(np.max(np.abs(self.columns(signals, joint, ()))) > 1e-6 * np.max(np.abs(signals.load)) + 1e-12)

@@ -39,11 +39,11 @@ class LinkLoad(Effect):
     source = "[G] (5)"
 
     def joints(self, signals: Signals) -> Iterator[int]:
-        """All links but the last."""
+        """See ``Effect.joints``: all links but the last."""
         yield from range(1, signals.n)
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """The regressor of the links has to be known."""
+        """See ``Effect.usable``: the regressor of the links has to be known."""
         return signals.bodies is not None
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
@@ -77,7 +77,7 @@ class Payload(WholeArmEffect, LinkLoad):
     name = "payload"
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """The regressor of the last link has to be known."""
+        """See ``Effect.usable``: the regressor of the last link has to be known."""
         return signals.payload is not None
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
@@ -215,14 +215,17 @@ class SlackCable(AngleLaw):
         return True
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """Taut on either side alone, from six places of what the joint turned, and on both."""
+        """See ``Effect.starts``: taut on either side alone, from six places of what the joint turned, and on both."""
         (never, _), (_, nor) = self.bounds(signals, joint)
         low, turned = float(signals.q[:, joint - 1].min()), float(np.ptp(signals.q[:, joint - 1]))
         places = [low + share * turned for share in (0.1, 0.26, 0.42, 0.58, 0.74, 0.9)]
         return [*((never, place) for place in places), *((place, nor) for place in places), (places[1], places[4])]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """Within what the joint turned, or as far again beyond it, where the motion does not reach."""
+        """See ``Effect.bounds``.
+
+        Within what the joint turned, or as far again beyond it, where the motion does not reach.
+        """
         q = signals.q[:, joint - 1]
         low, high = float(q.min()), float(q.max())
         return [(2.0 * low - high, high), (low, 2.0 * high - low)]
@@ -264,11 +267,14 @@ class GravitySpring(AngleLaw):
     source = "[J] section 2"
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """Eight directions, two lever ratios."""
+        """See ``Effect.starts``: eight directions, two lever ratios."""
         return [(float(phi), rho) for phi in np.arange(8) * np.pi / 4 for rho in (0.35, 0.7)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """Any direction; levers neither equal (the spring would vanish) nor one of them zero (no torque)."""
+        """See ``Effect.bounds``.
+
+        Any direction; levers neither equal (the spring would vanish) nor one of them zero (no torque).
+        """
         return [(-np.pi, 3.0 * np.pi), (0.1, 0.9)]
 
     def usable(self, signals: Signals, joint: int) -> bool:

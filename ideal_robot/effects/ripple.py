@@ -32,7 +32,10 @@ class TorqueRipple(Effect):
     least_periods: ClassVar[float] = 2.0
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
-        """Orders on a grid of a third of a period over the range; the residual narrows them down."""
+        """See ``Effect.starts``.
+
+        Orders on a grid of a third of a period over the range; the residual narrows them down.
+        """
         low, high = self.bounds(signals, joint)[0]
         span = signals.span(joint)
         count = int(np.clip((high - low) * span / 2.0, 2, 4000))

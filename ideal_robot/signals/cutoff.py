@@ -251,7 +251,13 @@ def _held_out(fits: Sequence[_Rows], judged: Sequence[_Rows], held: np.ndarray, 
 
 
 def _times(W: Array, joints: Sequence[tuple[np.ndarray, slice]], p: Array) -> Array:
-    """``W p`` of what is held of an observation matrix ``(E, M)``: ``(M, n)``; columns and elements of each joint."""
+    """Product of an observation matrix and parameters ``(M, n)``.
+
+    Args:
+        W: its elements that are not zero ``(E, M)``.
+        joints: columns and elements of each joint.
+        p: parameters.
+    """
     return np.column_stack([p[columns] @ W[span] for columns, span in joints])
 
 

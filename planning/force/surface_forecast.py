@@ -111,7 +111,7 @@ class SmoothSurface(DeviationModel):
 
 
 class RowsAcross:
-    """Rows of a map across the path, if there is one; all length scales ask one after another for the same places."""
+    """Rows of the map across the path, kept for the last places, as all length scales ask for the same ones."""
 
     def __init__(self, model: PathDeviation | None) -> None:
         self._model = model

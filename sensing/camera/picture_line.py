@@ -76,7 +76,7 @@ class PictureLine:
 
     @property
     def probability(self) -> float:
-        """That what was found is a line; of the likeliest candidate where none was."""
+        """Probability that what was found is a line; of the likeliest candidate where none was."""
         return float(expit(self.evidence))
 
     @property
