@@ -173,7 +173,10 @@ class Closing(ShownTable):
         page.table(*self.table(), self.words.caption)
         if self.words.axes is not None:
             page.figure(self._curves(*self.words.axes[:2]), self.words.axes[2])
-        if self.closed.model is not None:
+        if self.closed.model is not None and self.scene.kind in ("line", "force"):
+            page.next((f'Play the scene with the extended model: a scene file beside this page with model = "{MODEL}".',
+                       f"ideal-robot run my_{self.scene.name}.toml"))
+        elif self.closed.model is not None:
             page.next(("Correct a path with the extended model, which is beside this page.",
                        f"ideal-robot precorrect PATH.csv --robot {self.scene.robot} --model {MODEL} -o corrected.csv"))
         page.heading("What was tried, and what stays", folded=True)
