@@ -52,7 +52,8 @@ class LifeSigns:
 
     Attributes:
         noise: standard deviation of each channel while nothing happens ``(n,)``; None while it is not known.
-        colour: correlation of a reading's noise with that of the reading before, of the channel where it is largest.
+        colour: correlation of a reading's noise with that of the reading before, mean of the channels: one device
+            filters them all alike.
         stuck, impossible, leapt, quiet: readings that count as missing, by cause.
         fault: why what comes is not to be trusted any more; None while it is.
         answered: least share of what it was asked that it answered, ``ERRORS`` standard errors above.
@@ -84,7 +85,7 @@ class LifeSigns:
         apart = [rows - rows.mean(axis=0) for rows in rests]
         alike = sum(np.sum(rows[1:] * rows[:-1], axis=0) for rows in apart)
         power = sum(np.sum(rows**2, axis=0) for rows in apart)
-        self.colour = float(np.clip(np.max(alike / np.maximum(power, 1e-300)), 0.0, REDDEST))
+        self.colour = float(np.clip(np.mean(alike / np.maximum(power, 1e-300)), 0.0, REDDEST))
 
     def check(self, values: Array, reach: Array | float = np.inf) -> bool:
         """Whether a reading ``(n,)`` can be.

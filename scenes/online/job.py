@@ -332,7 +332,8 @@ class Job:
         if isinstance(follower := contact.follower, SurfaceFollower):
             self._check_bearable(follower, arm, force)
             if (noise := force.signs.noise) is not None:
-                follower.ask(max(ASKING, force.signs.loudness(float(np.max(noise[:3])), ASKED, force.pace)))
+                usual = float(np.sqrt(np.mean(noise[:3] ** 2)))
+                follower.ask(max(ASKING, force.signs.loudness(usual, ASKED, force.pace)))
         witness = ContactWitness(contact.scene, contact.follower, force, elasticity, self.model, self._begin,
                                  lambda: arm.guard.unsure)
         contact.witnessed(witness, arm.t_ipo < contact.in_one)

@@ -135,7 +135,7 @@ def test_a_swing_as_loud_as_the_noise_asks_for_is_heard_in_time(noise: float, co
 @pytest.mark.parametrize("colour", [0.3, 0.9])
 def test_the_colour_of_the_noise_is_learned_at_rest(colour: float) -> None:
     rng, signs = np.random.default_rng(4), LifeSigns(1e5, ["a", "b"])
-    signs.learn([5.0 + np.column_stack([coloured(rng, 80, 0.0), coloured(rng, 80, colour)]) for _ in range(20)])
+    signs.learn([5.0 + np.column_stack([coloured(rng, 80, colour), coloured(rng, 80, colour)]) for _ in range(20)])
     assert signs.colour == pytest.approx(colour, abs=0.1)
 
 
