@@ -134,8 +134,8 @@ def plant(*, inertia: float = 1.0, friction: float = 1.0, stiffness: float = 1.0
                none, np.zeros(n), np.zeros(n)),
         a_friction(speeds, friction * np.tile(dry[:, None], speeds.shape[1]), 0.5 * friction * dry[:, None]
                    * np.sqrt(speeds), 3e-4),
-        Cascade(np.full(n, 20.0), np.full(n, 0.93), k_p, k_p / 0.05, np.full(n, 1e-3), ROBOT.tau_max, np.zeros(n),
-                np.ones(n), 0.0, np.ones(n), chain, ROBOT.rotor_inertia),
+        Cascade(np.full(n, 20.0), np.full(n, 0.93), k_p, k_p / 0.05, np.full(n, 1e-3), ROBOT.tau_max, 1.0, np.zeros(n),
+                np.ones(n), 0.0, np.zeros(n), np.ones(n), chain, ROBOT.rotor_inertia),
         CommandPath(low_pass_taps(1.5e-3, 2, 0.002, n), delay, T, 0.002, 0.0005, ROBOT.q_min, ROBOT.q_max,
                     ROBOT.v_max)))
 

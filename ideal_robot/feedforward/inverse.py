@@ -52,6 +52,7 @@ from ideal_robot.loop.loop import (
     further_torque,
     ripple_torque,
     scheduled,
+    sheet_torque,
     unevenness,
 )
 from ideal_robot.model.arm_with_effects import side_of_gap
@@ -144,6 +145,15 @@ def command_lag(loop: Loop) -> float:
     return (loop.path.delay + 1) * loop.t_ipo + loop.path.t_position * float(np.mean(np.arange(len(taps)) @ taps))
 
 
+class _Planned(NamedTuple):
+    """Velocity-loop error, motor torque, what the integrator sums up and reference, ``(n,)`` each [rad/s, N m, rad]."""
+
+    u: Array
+    tau: Array
+    summed: Array
+    reference: Array
+
+
 @dataclass(frozen=True)
 class InverseState:
     """What one cycle hands to the next.
@@ -151,21 +161,22 @@ class InverseState:
     Attributes:
         q_d: desired positions of the cycles before ``(ROWS_BEFORE, n)``.
         q_c: commands of the cycles before ``(P, n)``, newest last.
-        u, tau: velocity-loop error and motor torque planned so far ``(n,)``.
+        planned: velocity-loop error, motor torque, what the integrator sums up and reference so far.
         q_m, v_m, presliding: motor angles, velocities ``(n,)`` [rad, rad/s] and state of the contacts planned for the
             end of the cycle in which the last command acts.
         deflection: of the gears under gravity at the start, not yet compensated ``(n,)`` [rad].
+        sag: speed that stands for how far joints without an integrator sag there, not yet taken up ``(n,)`` [rad/s].
         cycle: cycles since the start.
     """
 
     q_d: Array
     q_c: Array
-    u: Array
-    tau: Array
+    planned: _Planned
     q_m: Array
     v_m: Array
     presliding: Presliding
     deflection: Array
+    sag: Array
     cycle: int
 
 
@@ -175,13 +186,6 @@ class _Motion(NamedTuple):
     q: Array
     v: Array
     a: Array
-
-
-class _Planned(NamedTuple):
-    """Velocity-loop error and motor torque, ``(n,)`` each [rad/s, N m]."""
-
-    u: Array
-    tau: Array
 
 
 class Carried(NamedTuple):
@@ -216,6 +220,7 @@ class Inverse(Feedforward):
         self._damped = drives.damping * self._compliance**2
         self._gap = drives.half_gap if options.elastic else np.zeros(loop.n)
         self._gaps = bool(self._gap.any())
+        self._adds, self._sags = bool(loop.cascade.bodies.any()), bool((loop.cascade.k_i == 0.0).any())
         self._lag = loop.cascade.t_filter + 0.5 * loop.path.t_velocity
         self._limits = CommandLimits.of(loop.path)
 
@@ -239,9 +244,12 @@ class Inverse(Feedforward):
         holding = load[0] if more is None else load[0] + more[0]
         deflection = load[0] * self._compliance + self._gap * side_of_gap(load[0], still[0], loop.drives.gap_load)
         deflection -= [unevenness(loop.drives.uneven, i, float(q))[0] for i, q in enumerate(q0)]
+        tau = loop.drives.gain * (holding + loop.drives.offset) + further - sheet_torque(loop.cascade, q0, still[0])
+        sag = np.where(loop.cascade.k_i > 0.0, 0.0, tau / loop.cascade.k_p)
         return InverseState(
-            q_d=np.tile(q0, (ROWS_BEFORE, 1)), q_c=np.tile(q0, (self._inverse.n_past, 1)), u=still[0],
-            tau=loop.drives.gain * (holding + loop.drives.offset) + further, q_m=q0, v_m=still[0],
+            q_d=np.tile(q0, (ROWS_BEFORE, 1)), q_c=np.tile(q0, (self._inverse.n_past, 1)),
+            planned=_Planned(sag, tau, still[0], q0), sag=sag,
+            q_m=q0, v_m=still[0],
             presliding=Presliding.none(loop.n), deflection=deflection, cycle=0)
 
     def step(self, state: InverseState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, InverseState]:
@@ -294,17 +302,21 @@ class Inverse(Feedforward):
         # Half a step on from the middle of the last one; as printed there is one instant, which is its own end.
         reached = q_m[k] + 0.5 * grid.step * v_m[k] if self.options.path else q_m[k]
         return q_c, InverseState(np.concatenate([state.q_d[1:], q_d[:1]]), np.concatenate([state.q_c[1:], q_c[None]]),
-                                 planned.u, planned.tau, reached, v_m[k],
+                                 planned, reached, v_m[k],
                                  Presliding(presliding.force[k], presliding.direction[k]), state.deflection,
-                                 state.cycle + 1)
+                                 state.sag, state.cycle + 1)
 
     def _command(self, state: InverseState, motors: _Motion, acting: Array, further: Array) -> tuple[Array, _Planned]:
         """The command ``(n,)`` [rad], and what is planned one cycle on, for the motors' motion and torques it takes."""
         loop, path = self.loop, self.loop.path
+        if self._adds:
+            added = inverse_dynamics(loop.cascade.sheet, motors.q, motors.v, np.zeros_like(motors.q))
+            further = further - loop.cascade.bodies * added
         if self.options.path:
             signal, planned = _position_loop_signal(loop.drives, self._cascade(motors), motors, acting, further,
-                                                    self._lag, path.t_position, loop.steps_ipo,
-                                                    _Planned(state.u, state.tau))
+                                                    self._lag, path.t_position, loop.steps_ipo, state.planned)
+            if self._sags:
+                signal -= state.sag * self._to_come(state)
             q_c = _command(self._inverse.wanted, signal, self._inverse.past, state.q_c, self._limits)
             return q_c, planned
         gains = _printed_gains(self._cascade(motors), self.t_ipo) if loop.cascade.schedule else self._printed
@@ -312,10 +324,10 @@ class Inverse(Feedforward):
         ripple = np.array([ripple_torque(loop.drives.ripple, i, float(angle)) for i, angle in enumerate(q)])
         tau = loop.drives.gain * (acting[0] + ripple) + further[0]
         tau = tau - [compensated(loop.cascade, i, float(speed)) for i, speed in enumerate(qd)]
-        u = (tau - state.tau + state.u) / (1.0 + gains.k_i)
+        u = (tau - state.planned.tau + state.planned.u) / (1.0 + gains.k_i)
         before = state.q_c[-1] - state.q_m
         correction = (u + gains.k_d * before / T - gains.k_1 * qd - gains.k_2 * qdd) / (gains.k_p + gains.k_d / T)
-        return self._limits.within(q + correction), _Planned(u, tau)
+        return self._limits.within(q + correction), state.planned._replace(u=u, tau=tau)
 
     def _cascade(self, motors: _Motion) -> Cascade:
         """The loops with the gains that they have where the motion begins."""
@@ -338,8 +350,13 @@ class Inverse(Feedforward):
         begun = (state.cycle * self.t_ipo + self._grid.fine) / SETTLE
         if begun[0] < 1.0:
             remaining = 1.0 - np.minimum(begun, 1.0)[:, None]
-            q_m -= state.deflection * remaining**3 * (10.0 - 15.0 * remaining + 6.0 * remaining**2)
+            q_m -= state.deflection * self._to_come(state)
             v_m += state.deflection * 30.0 * remaining**2 * (1.0 - remaining) ** 2 / SETTLE
+
+    def _to_come(self, state: InverseState) -> Array:
+        """Share of what is taken up at the start that is still to come ``(f, 1)``."""
+        remaining = 1.0 - np.minimum((state.cycle * self.t_ipo + self._grid.fine) / SETTLE, 1.0)[:, None]
+        return np.asarray(remaining**3 * (10.0 - 15.0 * remaining + 6.0 * remaining**2))
 
     def _load(self, q: Array, qd: Array, qdd: Array, carried: Carried | None) -> tuple[Array, Array | None]:
         """Torques of the model's bodies and of what is carried beyond them, each ``(N, n)`` [N m]."""
@@ -399,22 +416,34 @@ def _position_loop_signal(drives: Drives, cascade: Cascade, motors: _Motion, act
     """
     N, n = acting.shape
     signal = np.empty((N, n))
-    u_next, tau_next = before.u.copy(), before.tau.copy()
-    k_p, k_i = cascade.k_p, cascade.k_i
+    u_next, tau_next, summed_next = before.u.copy(), before.tau.copy(), before.summed.copy()
+    reference_next = before.reference.copy()
+    k_p, k_i, k_v, w = cascade.k_p, cascade.k_i, cascade.k_v, cascade.integrated
     for i in range(n):
-        u, tau = before.u[i], before.tau[i]
+        u, tau, summed, reference = before.u[i], before.tau[i], before.summed[i], before.reference[i]
         half = 0.5 * k_i[i] * t_position
+        ahead = cascade.k_ff[i] / t_position
+        share = k_v[i] / (k_v[i] + ahead)
         for j in range(N):
             q, v = motors.q[j, i], motors.v[j, i]
             wanted = drives.gain[i] * (acting[j, i] + ripple_torque(drives.ripple, i, q)) + further[j, i]
             # The command moves as the motor does, but for what is corrected.
             wanted -= compensated(cascade, i, v)
-            # [G] (18) with the trapezoidal rule: k_p Δu + k_i T (u + u_before)/2 = Δτ.
-            u = (wanted - tau + u * (k_p[i] - half)) / (k_p[i] + half)
+            # Half a position cycle back to the instant at which the position is compared.
+            measured, compared = v - lag[i] * motors.a[j, i], k_v[i] * (q - 0.5 * t_position * v)
+            # [G] (18) with the trapezoidal rule: k_p Δu + k_i T (s + s_before)/2 = Δτ, s = w u + (1 - w) k_v (r - q),
+            # where k_v r + k_ff ṙ is the signal: k_v (r - q) = share u + rest.
+            if w == 1.0:
+                u = (wanted - tau + u * (k_p[i] - half)) / (k_p[i] + half)
+            else:
+                rest = share * (measured + compared + ahead * reference) - compared
+                u = (wanted - tau + k_p[i] * u - half * (summed + (1.0 - w) * rest)) / (
+                    k_p[i] + half * (w + (1.0 - w) * share))
+                summed = w * u + (1.0 - w) * (share * u + rest)
+                reference = (summed - w * u) / ((1.0 - w) * k_v[i]) + compared / k_v[i]
             tau = wanted
-            # [G] (19), half a position cycle back to the instant at which the position is compared.
-            measured = v - lag[i] * motors.a[j, i]
-            signal[j, i] = u + measured + cascade.k_v[i] * (q - 0.5 * t_position * v)
+            # [G] (19).
+            signal[j, i] = u + measured + compared
             if j == steps - 1:
-                u_next[i], tau_next[i] = u, tau
-    return signal, _Planned(u_next, tau_next)
+                u_next[i], tau_next[i], summed_next[i], reference_next[i] = u, tau, summed, reference
+    return signal, _Planned(u_next, tau_next, summed_next, reference_next)

@@ -29,7 +29,7 @@ from scipy.signal import butter, filtfilt, lfilter
 
 from ideal_robot.arrays import Array, interpolated
 from ideal_robot.command.fit import LATE
-from ideal_robot.dynamics.newton_euler import chain_of
+from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics
 from ideal_robot.errors import InputError
 from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.loop import moved_inertia
@@ -93,16 +93,22 @@ def fit_controller(recording: Recording, robot: Robot, rotors: Array | None = No
     # How a drive logs is the same for all of its joints.
     inertia = None if rotors is None else _inertia(robot, rotors, np.concatenate([part.joints("q") for part in parts]))
     joints = [_joints(parts, robot, averaged, inertia) for averaged in (False, True)]
-    best = min((_with_channel(each, _Channel()) for each in joints), key=lambda fit: fit.squares)
-    if (channel := _sought(joints[0], best)) is not None:
-        best = min((_with_channel(each, channel) for each in joints), key=lambda fit: fit.squares)
-    if (helped := _helped(joints, best)) is not None:
-        best = min((best, _with_channel(*helped)), key=lambda fit: fit.squares)
-    k_v, k_ff, k_p, k_i, t_low, t_filter, compensation, turns = best.values.T
+    plain = min((_with_channel(each, _Channel()) for each in joints), key=lambda fit: fit.squares)
+    fits = [plain]
+    if (channel := _sought(joints[0], plain)) is not None:
+        fits.append(min((_with_channel(each, channel) for each in joints), key=lambda fit: fit.squares))
+    fits = [one for fit in fits for one in (fit, *(_with_channel(*more) for more in _helped(joints, fit)))]
+    best = fits[0]
+    for fit in fits[1:]:
+        # What asks for more has to leave clearly less.
+        best = fit if fit.squares < _SEEN * best.squares else best
+    k_v, k_ff, k_p, k_i, t_low, t_filter, compensation, bodies, turns = best.values.T
     controller = ControllerModel(
         t_cycle=robot.t_position, k_p=k_p * k_v, k_d=k_p * k_ff, k_1=k_p * (k_ff - 1.0), k_2=k_p * t_filter,
         k_i=k_i / k_p * robot.t_position, filter_time=t_low, filter_order=best.channel.order, delay=best.channel.late,
+        integrated=best.channel.integrated,
         **({"compensation": compensation, "v_compensation": turns} if best.channel.turns else {}),
+        **({"bodies": bodies} if best.channel.bodies else {}),
         **({"scheduled_at": inertia.mean(axis=0), "schedule": best.channel.schedule}
            if inertia is not None and best.channel.schedule else {}))
     return ControllerFit(controller, best.error)
@@ -113,6 +119,8 @@ class _Channel(NamedTuple):
 
     And what drives do by themselves: the speed ``turns`` over which they turn round what they compensate of friction,
     any of ``_TURNS`` [rad/s], and the share ``schedule`` in which gains follow the inertia; 0 where they do not.
+    ``integrated`` is the share of u without the position that the integrator gets: 0 of PID control;
+    ``bodies`` whether torques of the data sheet's bodies are added.
     """
 
     order: int = _ORDER
@@ -120,6 +128,8 @@ class _Channel(NamedTuple):
     late: float = 0.0
     turns: float = 0.0
     schedule: float = 0.0
+    integrated: float = 1.0
+    bodies: bool = False
 
 
 _CHANNELS = tuple(_Channel(order, low, late) for order in (_ORDER, 1)
@@ -128,7 +138,7 @@ _CHANNELS = tuple(_Channel(order, low, late) for order in (_ORDER, 1)
 
 
 class _Fitted(NamedTuple):
-    """Cascades of all joints: ``values (n, 8)`` as of ``_fit_joint`` and v_c, errors ``(n,)`` [%], and channel."""
+    """Cascades of all joints: ``values (n, 9)`` as of ``_fit_joint`` and v_c, errors ``(n,)`` [%], and channel."""
 
     values: Array
     error: Array
@@ -150,11 +160,18 @@ def _inertia(robot: Robot, rotors: Array, q: Array) -> Array:
 def _joints(parts: Sequence[Recording], robot: Robot, averaged: bool, inertia: Array | None) -> list[_Stretches]:
     """Every joint over stretches without a gap; ``averaged``: as of ``_JointCascade``, ``inertia (N, n)`` of all."""
     ends = np.cumsum([len(part.t) for part in parts])[:-1]
-    follows = [None] * len(parts) if inertia is None else np.split(inertia / inertia.mean(axis=0) - 1.0, ends)
-    return [_Stretches([_JointCascade(part.columns[f"q_c_{i}"], part.columns[f"q_{i}"], part.columns[f"tau_{i}"],
-                                      float(np.median(np.diff(part.t))), robot.t_velocity, averaged,
-                                      None if more is None else more[:, i - 1])
-                        for part, more in zip(parts, follows, strict=True)]) for i in range(1, parts[0].n + 1)]
+    steps = [float(np.median(np.diff(part.t))) for part in parts]
+    sheet: list[tuple[Array, Array] | None] = [None] * len(parts)
+    if inertia is not None:
+        chain = chain_of(robot.pinocchio)
+        sheet = [(more, inverse_dynamics(chain, q, np.gradient(q, step, axis=0), np.zeros_like(q)))
+                 for more, step, q in zip(np.split(inertia / inertia.mean(axis=0) - 1.0, ends), steps,
+                                          (np.ascontiguousarray(part.joints("q")) for part in parts), strict=True)]
+    return [_Stretches([_JointCascade(part.columns[f"q_c_{i}"], part.columns[f"q_{i}"], part.columns[f"tau_{i}"], step,
+                                      robot.t_velocity, averaged,
+                                      None if known is None else (known[0][:, i - 1], known[1][:, i - 1]))
+                        for part, step, known in zip(parts, steps, sheet, strict=True)])
+            for i in range(1, parts[0].n + 1)]
 
 
 def _sought(joints: Sequence[_Stretches], plain: _Fitted) -> _Channel | None:
@@ -179,8 +196,8 @@ _SCHEDULES = (0.25, 0.5, 0.75, 1.0)
 """Shares in which gains may follow the inertia: the search begins with them."""
 
 
-def _helped(joints: Sequence[Sequence[_Stretches]], plain: _Fitted) -> tuple[Sequence[_Stretches], _Channel] | None:
-    """Joints as they log, and the channel with what drives do by themselves; None where that explains no more.
+def _helped(joints: Sequence[Sequence[_Stretches]], plain: _Fitted) -> list[tuple[Sequence[_Stretches], _Channel]]:
+    """Joints as they log, and the channel with what drives do by themselves; none where that explains no more.
 
     All joints tell, each by the logarithm of what is left of its torque; the one kind is taken and then the other where
     it leaves less by ``_SEEN``.
@@ -194,7 +211,9 @@ def _helped(joints: Sequence[Sequence[_Stretches]], plain: _Fitted) -> tuple[Seq
 
     best = least = min((left(each, plain.channel), index) for index, each in enumerate(joints))
     channel, follow = plain.channel, _SCHEDULES if joints[0][0].follows else ()
-    while more := [*(channel._replace(turns=turns) for turns in _TURNS[:1] if not channel.turns),
+    while more := [*([channel._replace(bodies=True)] if follow and not channel.bodies else []),
+                   *([channel._replace(integrated=0.0)] if channel.integrated else []),
+                   *(channel._replace(turns=turns) for turns in _TURNS[:1] if not channel.turns),
                    *(channel._replace(schedule=share) for share in follow if not channel.schedule)]:
         found, changed = min((((left(each, one), index), one) for index, each in enumerate(joints) for one in more),
                              key=lambda tried: tried[0])
@@ -202,7 +221,7 @@ def _helped(joints: Sequence[Sequence[_Stretches]], plain: _Fitted) -> tuple[Seq
             break
         least, channel = found, changed
     if least is best:
-        return None
+        return []
     each = joints[least[1]]
     if channel.schedule:
         near = _SCHEDULES[0]
@@ -210,7 +229,7 @@ def _helped(joints: Sequence[Sequence[_Stretches]], plain: _Fitted) -> tuple[Seq
                                 bounds=(max(channel.schedule - near, 0.0), channel.schedule + near),
                                 options={"xatol": 0.02}).x
         channel = channel._replace(schedule=float(share))
-    return each, channel
+    return [(each, channel)]
 
 
 def _turning(channel: _Channel) -> list[_Channel]:
@@ -236,12 +255,13 @@ class _JointCascade:
         cycle, t_velocity: cycles of the recording and of the velocity loop [s].
         every: steps of the velocity loop in a cycle of the recording.
         averaged: whether a torque is the mean since the last sample.
-        more: inertia that the joint moves, over its mean, less 1 ``(N,)``; None where it is not known.
+        sheet: of the data sheet the inertia that the joint moves, over its mean, less 1, and its torque of gravity and
+            velocities [N m], ``(N,)`` each; None where they are not known.
     """
 
     def __init__(self, q_c: Array, q: Array, tau: Array, cycle: float, t_velocity: float,
-                 averaged: bool = False, more: Array | None = None) -> None:
-        self.averaged, self.more = averaged, more
+                 averaged: bool = False, sheet: tuple[Array, Array] | None = None) -> None:
+        self.averaged, self.sheet = averaged, sheet
         # A logged cycle is measured, and rarely a whole number of the controller's: its steps are fitted into it.
         self.every = max(round(cycle / t_velocity), 1)
         if abs(self.every * t_velocity - cycle) > 1e-9 * cycle:
@@ -257,14 +277,14 @@ class _JointCascade:
     def _smoothed(self, x: Array) -> Array:
         return np.asarray(filtfilt(*self._low_pass, x, axis=0)[_EDGE:-_EDGE])
 
-    def columns(self, times: Array, order: int = _ORDER, late: float = 0.0, turns: float = 0.0,
-                schedule: float = 0.0) -> Array:
-        """What the products of gains multiply ``(M, 6)``, and what is compensated of friction, where it is ``(M, 7)``.
+    def columns(self, times: Array, channel: _Channel = _Channel()) -> Array:
+        """What the products of gains multiply ``(M, 6)``; behind them what is compensated of friction and of bodies.
 
         Args:
             times: time constants of command and velocity ``(2,)`` [s].
-            order, late, turns, schedule: as of ``_Channel``.
+            channel: what commands pass, and what drives do by themselves.
         """
+        order, late, turns, schedule = channel.order, channel.late, channel.turns, channel.schedule
         low, velocity = np.abs(times)
         at = self.cycle * np.arange(float(len(self.q_c)))
         r = _low_passed(np.interp(at - late, at, self.q_c) if late else self.q_c, self.cycle, low, order)
@@ -272,11 +292,14 @@ class _JointCascade:
         # What the position loop says is held over its cycle; both act from the instant of the sample on.
         held = np.repeat(np.column_stack([r - self.q, rate]), self.every, axis=0)[: len(self.angle)]
         acting = np.column_stack([held, -_differentiated(self.angle, self.t_velocity, velocity)])
-        if schedule and self.more is not None:
-            acting = acting * np.repeat(1.0 + schedule * self.more, self.every)[: len(self.angle), None]
-        acting = np.hstack([acting, np.cumsum(acting, axis=0) * self.t_velocity])
+        if schedule and self.sheet is not None:
+            acting = acting * np.repeat(1.0 + schedule * self.sheet[0], self.every)[: len(self.angle), None]
+        summed = acting * [1.0, channel.integrated, channel.integrated]
+        acting = np.hstack([acting, np.cumsum(summed, axis=0) * self.t_velocity])
         if turns:
             acting = np.column_stack([acting, np.tanh(held[:, 1] / turns)])
+        if channel.bodies and self.sheet is not None:
+            acting = np.column_stack([acting, np.repeat(self.sheet[1], self.every)[: len(self.angle)]])
         if self.averaged:
             logged = acting[1:].reshape(-1, self.every, acting.shape[1]).mean(axis=1)
             return self._smoothed(np.concatenate([acting[:1], logged]))
@@ -294,29 +317,29 @@ class _Stretches:
         self.tau = np.concatenate([part.tau for part in parts])
         self.scale = float(np.std(self.tau))
         self.cycle, self.t_velocity = parts[0].cycle, parts[0].t_velocity
-        self.follows = parts[0].more is not None
+        self.follows = parts[0].sheet is not None
         self._kept: tuple[float, ...] = ()
         self._columns = np.empty((0, 6))
 
     def fitted(self, lags: Array, channel: _Channel) -> tuple[Array, Array]:
-        """Best ``k_p k_v, k_p k_ff, k_p, τ_c`` ``(4,)``, and the torque about its mean that they leave ``(M,)`` [N m].
+        """Best ``k_p k_v, k_p k_ff, k_p, τ_c, b`` ``(5,)``, and what they leave of the torque about its mean ``(M,)``.
 
         Args:
             lags: time constants of command and velocity [s], and the integrator's k_i / k_p [1/s] ``(3,)``.
             channel: what commands pass.
         """
-        how = channel.order, channel.late, channel.turns, channel.schedule
-        if (key := (*lags[:2], *how)) != self._kept:
-            H = [part.columns(lags[:2], *how) for part in self._parts]
+        # About what time a low-pass has is where a search begins.
+        if (key := (*lags[:2], *channel._replace(low=0.0))) != self._kept:
+            H = [part.columns(lags[:2], channel) for part in self._parts]
             self._kept = key
             self._columns = np.concatenate([part - part.mean(axis=0) for part in H])
-        A = self._columns[:, :3] + abs(lags[2]) * self._columns[:, 3:6]
-        if channel.turns:
-            A = np.column_stack([A, self._columns[:, 6]])
-        unit = np.linalg.norm(A, axis=0)
+        A = np.hstack([self._columns[:, :3] + abs(lags[2]) * self._columns[:, 3:6], self._columns[:, 6:]])
+        unit = np.maximum(np.linalg.norm(A, axis=0), 1e-12)
         # A loop feeds back what it is to take away: no gain is negative.
         products = nnls((A / unit).T @ (A / unit), (A / unit).T @ self.tau)[0] / unit
-        return np.append(products, np.zeros(4 - len(products))), self.tau - A @ products
+        every = np.zeros(5)
+        every[[0, 1, 2, *([3] if channel.turns else []), *([4] if channel.bodies else [])]] = products
+        return every, self.tau - A @ products
 
     def least(self, channel: _Channel) -> float:
         """Share of the torque's squares that a channel leaves with the best of the first integrators [1]."""
@@ -324,12 +347,14 @@ class _Stretches:
         return min(float(np.sum(self.fitted(each, channel)[1] ** 2)) for each in lags) / float(np.sum(self.tau**2))
 
 
+_SLOWEST = 0.1
+"""Integrator's k_i / k_p that recordings of some ten seconds tell from none [1/s]."""
 _RATIOS = (0.0, *2.0 ** np.arange(-3, 5))
 """Integrators that are tried first, over ``_INTEGRAL``'s."""
 
 
 def _fit_joint(joint: _Stretches, channel: _Channel, free: bool = False) -> tuple[Array, float, float]:
-    """Gains ``k_v, k_ff, k_p, k_i``, time constants and τ_c of one joint ``(7,)``, the error [%], and the lateness [s].
+    """Gains ``k_v, k_ff, k_p, k_i``, times, τ_c and b of one joint ``(8,)``, the error [%], and the lateness [s].
 
     A lag of half a millisecond adds up to hundreds of newton metres in the integrator: lags and integrator must be
     about right together before a search can succeed.
@@ -351,10 +376,12 @@ def _fit_joint(joint: _Stretches, channel: _Channel, free: bool = False) -> tupl
     start = min(starts, key=lambda lags: float(np.sum(left(lags) ** 2)))
     found = np.abs(least_squares(left, start, diff_step=1e-2, max_nfev=20).x)
     lags, late = found[:3] * unit[:3], float(found[3] * unit[3]) if free else channel.late
-    (stiff, ahead, k_p, compensation), rest = joint.fitted(lags, channel._replace(late=late))
+    (stiff, ahead, k_p, *added), rest = joint.fitted(lags, channel._replace(late=late))
     k_p = max(k_p, 1e-9)
     error = 100.0 * float(np.linalg.norm(rest) / np.linalg.norm(joint.tau))
-    return np.array([stiff / k_p, ahead / k_p, k_p, lags[2] * k_p, *lags[:2], compensation]), error, late
+    # An integrator that is slower than the recording is none.
+    k_i = lags[2] * k_p if lags[2] > _SLOWEST else 0.0
+    return np.array([stiff / k_p, ahead / k_p, k_p, k_i, *lags[:2], *added]), error, late
 
 
 def _low_passed(x: Array, cycle: float, time: float, order: int) -> Array:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics, joint_frames, mass_matrix
+from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics, joint_frames, mass_matrix, torque_at
 from ideal_robot.effects import FittedEffect, Signals
 from ideal_robot.errors import InputError
 from ideal_robot.friction.table import Friction
@@ -48,19 +48,26 @@ class Drives(NamedTuple):
 class Cascade(NamedTuple):
     """Position and velocity loops of ``n`` joints, [G] (16), (17), at their own cycles.
 
-    Position loop ``u = k_v (r - q) + k_ff ṙ - q̇`` and velocity loop ``τ = k_p u + k_i ∫u``. (16) in these terms:
-    ``k_P = k_v``, ``k_D = k_ff``, ``k_1 = k_ff - 1``. To τ some drives add what friction takes from a motion in the
-    direction of the command, ``τ_c tanh(ṙ / v_c)``. Gains of the velocity loop may follow the inertia J that the joint
-    moves, its rotor's included, as the data sheet has it: ``k_p (1 + g (J(q) / J_0 - 1))``, and ``k_i`` likewise.
+    Position loop ``u = k_v (r - q) + k_ff ṙ - q̇``, velocity loop ``τ = k_p u + k_i ∫u``. (16) in these terms:
+    ``k_P = k_v``, ``k_D = k_ff``, ``k_1 = k_ff - 1``. Of PID control of the position the integrator gets
+    ``k_v (r - q)`` alone, a share w = 0 of the rest; impedance control has no integrator. To τ some add
+
+    - what friction takes from a motion in the direction of the command, ``τ_c tanh(ṙ / v_c)``,
+    - a share b of the data sheet's gravity and Coriolis torques.
+
+    Gains of the velocity loop may follow the inertia J that the joint moves by the data sheet, its rotor's included:
+    ``k_p (1 + g (J(q) / J_0 - 1))``, and ``k_i`` likewise.
 
     Attributes:
         k_v, k_ff: position loop ``(n,)`` [1/s], [-].
         k_p, k_i: velocity loop ``(n,)`` [N m s/rad], [N m/rad].
         t_filter: time constant of the low-pass differentiator ``(n,)`` [s].
         tau_max: torque limit ``(n,)`` [N m]; infinite for none.
+        integrated: w, of what is not position; 1 of a cascade, 0 of PID control.
         compensation: τ_c, friction that the drive itself compensates ``(n,)`` [N m].
         v_compensation: v_c, speed of the command over which that turns round ``(n,)`` [rad/s].
         schedule: g, share in which gains follow the inertia; 0 for gains that are the same everywhere.
+        bodies: b ``(n,)``; 0 where no bodies are compensated.
         scheduled_at: J_0, at which gains are as they are here ``(n,)`` [kg m²].
         sheet, sheet_rotors: bodies and rotor inertias ``(n,)`` [kg m²] of the data sheet.
     """
@@ -71,9 +78,11 @@ class Cascade(NamedTuple):
     k_i: Array
     t_filter: Array
     tau_max: Array
+    integrated: float
     compensation: Array
     v_compensation: Array
     schedule: float
+    bodies: Array
     scheduled_at: Array
     sheet: Chain
     sheet_rotors: Array
@@ -219,6 +228,23 @@ def scheduled(cascade: Cascade, q: Array) -> Array:
         return np.ones(len(q))
     inertia = moved_inertia(cascade.sheet, cascade.sheet_rotors, q)
     return 1.0 + cascade.schedule * (inertia / cascade.scheduled_at - 1.0)
+
+
+@jit()
+def sheet_torque(cascade: Cascade, q: Array, v: Array) -> Array:
+    """Torque of gravity and velocities that controllers add for the bodies of the data sheet ``(n,)`` [N m].
+
+    Args:
+        cascade: of all joints.
+        q, v: motor angles and velocities ``(n,)`` [rad, rad/s].
+    """
+    n = len(q)
+    torque = np.zeros(n)
+    if np.any(cascade.bodies != 0.0):
+        R, p = np.empty((n, 3, 3)), np.empty((n, 3))
+        joint_frames(cascade.sheet, q, R, p)
+        torque_at(cascade.sheet, R, p, v, np.zeros(n), 1.0, torque)
+    return cascade.bodies * torque
 
 
 @jit()

@@ -25,6 +25,7 @@ from ideal_robot.loop.loop import (
     further_torque,
     ripple_torque,
     scheduled,
+    sheet_torque,
     unevenness,
 )
 from ideal_robot.tolerances import ROUNDING, ZERO_CROSSING
@@ -177,8 +178,11 @@ def _played(loop: Loop, reference: Array, external: Array, tau0: Array, q0: Arra
     q_a = np.array([q + unevenness(drives.uneven, i, q)[0] for i, q in enumerate(q0)])
     q_a = q_a - tau0 / drives.stiffness - side * drives.half_gap
     holding = drives.gain * (tau0 + drives.offset) + further
-    state = _Motion(q_a, still.copy(), q0.copy(), still.copy(), holding, still.copy(), q0.copy(), q0.copy(),
-                    still.copy(), holding.copy(), tau0.copy())
+    summed = holding - sheet_torque(loop.cascade, q0, still)
+    # Without an integrator the joint sags until its stiffness holds it.
+    sag = np.where(loop.cascade.k_i > 0.0, 0.0, summed / (loop.cascade.k_p * loop.cascade.k_v))
+    state = _Motion(q_a - sag, still.copy(), q0 - sag, still.copy(), np.where(loop.cascade.k_i > 0.0, summed, 0.0),
+                    still.copy(), q0 - sag, q0.copy(), still.copy(), holding.copy(), tau0.copy())
     out = np.empty((3, cycles + 1, n))
     out[:, 0] = state.q_a, state.q_m, state.tau
     # Without further torques all is one compiled call; they are computed anew in every position cycle.
@@ -209,7 +213,7 @@ def _play(chain: Chain, drives: Drives, friction: Friction, cascade: Cascade, in
           out: Array, clock: _Clock, span: tuple[int, int]) -> None:
     """Plays the position cycles of ``span``; ``out (3, cycles + 1, n)`` gets arm and motor angles and motor torques."""
     n = len(state.q_m)
-    helped = np.zeros(n)
+    helped, position = np.zeros(n), np.zeros(n)
     reference, external, further = inputs
     t_position, dt, steps_ipo = clock
     substeps = round(t_position / dt)
@@ -219,10 +223,12 @@ def _play(chain: Chain, drives: Drives, friction: Friction, cascade: Cascade, in
     for step in range(span[0], span[1]):
         cycle = step // steps_ipo
         r = reference[step]
+        added = sheet_torque(cascade, q_m, v_m)
         for i in range(n):
             rate = (r[i] - state.reference[i]) / t_position
-            v_ref[i] = cascade.k_v[i] * (r[i] - q_m[i]) + cascade.k_ff[i] * rate
-            helped[i] = compensated(cascade, i, rate)
+            position[i] = cascade.k_v[i] * (r[i] - q_m[i])
+            v_ref[i] = position[i] + cascade.k_ff[i] * rate
+            helped[i] = compensated(cascade, i, rate) + added[i]
             state.reference[i] = r[i]
         follows = scheduled(cascade, q_m)
         joint_frames(chain, q_a, R, p)
@@ -237,7 +243,7 @@ def _play(chain: Chain, drives: Drives, friction: Friction, cascade: Cascade, in
                 joint_frames(chain, q_a, R, p)
             torque_at(chain, R, p, v_a, zero, 1.0, bias)
             for i in range(n):
-                tau = _velocity_loop(cascade, state, v_ref[i], (follows[i], helped[i]), dt, i)
+                tau = _velocity_loop(cascade, state, v_ref[i], (follows[i], helped[i], position[i]), dt, i)
                 mesh, slope = _gear(drives, state, i)
                 net = ((tau - further[i]) / drives.gain[i] - drives.offset[i] - slope * load[i]
                        - ripple_torque(drives.ripple, i, q_m[i]))
@@ -257,21 +263,23 @@ def _play(chain: Chain, drives: Drives, friction: Friction, cascade: Cascade, in
 
 
 @jit(inline="always")
-def _velocity_loop(cascade: Cascade, state: _Motion, v_ref: float, here: tuple[float, float], dt: float,
+def _velocity_loop(cascade: Cascade, state: _Motion, v_ref: float, here: tuple[float, float, float], dt: float,
                    i: int) -> float:
     """Motor torque [N m] of a joint's velocity loop, [G] (17) at its own cycle, with the low-pass differentiator.
 
-    What holds ``here`` is how large gains are over those of the record, and what the drive adds [N m].
+    What holds ``here`` is how large gains are over those of the record, what the drive adds [N m], and what of
+    ``v_ref`` is of the position [rad/s].
     """
-    follows, helped = here
+    follows, helped, position = here
     speed = (state.q_m[i] - state.previous[i]) / dt
     state.previous[i] = state.q_m[i]
     state.filtered[i] += dt / (dt + cascade.t_filter[i]) * (speed - state.filtered[i])
     u = v_ref - state.filtered[i]
-    wanted = follows * (cascade.k_p[i] * u + cascade.k_i[i] * u * dt) + state.integral[i] + helped
+    summed = cascade.integrated * u + (1.0 - cascade.integrated) * position
+    wanted = follows * (cascade.k_p[i] * u + cascade.k_i[i] * summed * dt) + state.integral[i] + helped
     state.tau[i] = min(max(wanted, -cascade.tau_max[i]), cascade.tau_max[i])
     if wanted == state.tau[i]:
-        state.integral[i] += follows * cascade.k_i[i] * u * dt
+        state.integral[i] += follows * cascade.k_i[i] * summed * dt
     return state.tau[i]
 
 

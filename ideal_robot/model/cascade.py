@@ -148,7 +148,10 @@ def per_joint(value: object, n: int, file: str | Path | None, field: str) -> Arr
 
 def helped(controller: ControllerModel) -> str:
     """What drives do beside the loops of a P/PI cascade, in the field's words; empty where nothing was found."""
-    parts = []
+    parts = [] if controller.integrated else ["PID control of the position"]
+    if controller.bodies is not None:
+        shares = ", ".join(f"{100.0 * share:.0f}" for share in controller.bodies)
+        parts.append(f"gravity and Coriolis torques of the data sheet are added by {shares} %")
     if controller.compensation is not None:
         sizes = ", ".join(f"{size:.3g}" for size in controller.compensation)
         parts.append(f"drives compensate friction by {sizes} N m")

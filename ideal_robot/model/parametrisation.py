@@ -154,11 +154,13 @@ class ControllerModel:
         filter_time: time constant of the low-pass the controller puts on commands [s]; 0 where none was found.
         filter_order: number of equal first-order stages of that low-pass.
         delay: dead time from the hand-over of a command to its effect, beyond the filter [s].
+        integrated: share of all but ``k_p e`` that the integrator gets: 1 of [G]'s, 0 of PID control of the position.
         compensation, v_compensation: friction that the drives compensate by themselves: τ_c tanh(ṙ / v_c) is added to
             the torque, with ṙ of the command behind its low-pass [N m, rad/s]; None for none.
         schedule: share g in which all gains but ``k_i`` follow the inertia J that a joint moves by the data sheet, its
             rotor's included, as ``1 + g (J / J_0 - 1)``.
         scheduled_at: J_0 [kg m²]; None where gains are the same everywhere.
+        bodies: share of the data sheet's gravity and Coriolis torques that is added to the torque; None for none.
         std: standard deviations by field name, where known.
         spread: of a controller that was not identified, how far its cascade's numbers may be from these
             (``ideal_robot.model.cascade``), by name.
@@ -173,10 +175,12 @@ class ControllerModel:
     filter_time: Array
     filter_order: int = 1
     delay: float = 0.0
+    integrated: float = 1.0
     compensation: Array | None = None
     v_compensation: Array | None = None
     schedule: float = 0.0
     scheduled_at: Array | None = None
+    bodies: Array | None = None
     std: dict[str, list[float]] = field(default_factory=dict)
     spread: dict[str, list[float]] = field(default_factory=dict)
 

@@ -166,9 +166,10 @@ def test_what_is_learned_is_used_in_the_adapted_joints_alone():
     some = np.arange(loop.n) % 2 == 0
     none, all_, mixed = (AdaptedIdeal(Inverse(loop), adaptation, known, curve, adapted=joints)
                          for joints in (~some & some, None, some))
-    after = [law.step(law.init(q_d[0])._replace(curve=inertia), q_d[60:90])[1].ideal for law in (none, all_, mixed)]
+    after = [law.step(law.init(q_d[0])._replace(curve=inertia), q_d[60:90])[1].ideal.planned
+             for law in (none, all_, mixed)]
     plain = Inverse(loop)
-    np.testing.assert_array_equal(after[0].tau, plain.step(plain.init(q_d[0]), q_d[60:90])[1].tau)
+    np.testing.assert_array_equal(after[0].tau, plain.step(plain.init(q_d[0]), q_d[60:90])[1].planned.tau)
     np.testing.assert_array_equal(after[2].tau, np.where(some, after[1].tau, after[0].tau))
     assert np.all(after[1].tau != after[0].tau)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -58,6 +60,16 @@ def test_what_drives_do_by_themselves_is_inverted_with_the_loop(options: Options
     left, without = (off(known, Inverse(loop, options=options), q_d) for loop in (known, plain))
     assert left < 2.0 * usual
     assert without > times * left
+
+
+@pytest.mark.parametrize(("keys", "share"), [
+    ({"integrated": 0.0, "k_ff": np.ones(6)}, 0.02), ({"integrated": 0.4}, 0.02),
+    ({"k_i": np.zeros(6), "k_ff": np.zeros(6), "bodies": np.ones(6)}, 0.02),
+    ({"k_i": np.zeros(6), "bodies": np.full(6, 0.8)}, 0.05)])
+def test_controllers_beside_the_cascade_are_inverted(keys: dict[str, Any], share: float) -> None:
+    """PID control of the position, one between it and a cascade, impedance control, and such that sags."""
+    loop, q_d = checked(plant().changed(**keys)), motion(lead=60)
+    assert off(loop, Inverse(loop), q_d, 60) < share * off(loop, PassThrough(T), q_d, 60)
 
 
 

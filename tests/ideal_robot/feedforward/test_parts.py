@@ -137,8 +137,8 @@ def test_precorrection_is_the_equations_of_the_paper():
             continue
         qd, qdd = np.full(6, 0.4 * t[k]), np.full(6, 0.4)
         tau = model.inverse_dynamics(q_d[k], qd, qdd)[0]
-        np.testing.assert_allclose(state.tau, tau, rtol=1e-5, atol=1e-6)
-        u = (state.tau - before.tau + before.u) / (1 + k_i)
+        np.testing.assert_allclose(state.planned.tau, tau, rtol=1e-5, atol=1e-6)
+        u = (state.planned.tau - before.planned.tau + before.planned.u) / (1 + k_i)
         dq = (u + k_d * (before.q_c[-1] - before.q_m) / T - k_1 * qd - k_2 * qdd) / (k_p + k_d / T)
         np.testing.assert_allclose(q_c, q_d[k] + dq, atol=1e-8)
 
@@ -154,7 +154,7 @@ def test_friction_of_load_that_is_driven_counts_from_the_least_power_on(speed):
         state = feedforward.init(q_d[0])
         for k in range(60):
             _, state = feedforward.step(state, q_d[k : k + 10])
-        torques.append(state.tau[1])
+        torques.append(state.planned.tau[1])
     load = float(pin.computeGeneralizedGravity(ROBOT.pinocchio, ROBOT.pinocchio.createData(), q_d[59])[1])
     expected = 0.05 * abs(load) * np.sign(speed) if load * speed > 0.0 else 0.0
     assert torques[1] - torques[0] == pytest.approx(expected, rel=0.15, abs=1e-9)

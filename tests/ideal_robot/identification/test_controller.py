@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ideal_robot.errors import InputError
-from ideal_robot.identification.closed_loop_fit import _JointCascade, fit_controller, identify_linear_loop
+from ideal_robot.identification.closed_loop_fit import _Channel, _JointCascade, fit_controller, identify_linear_loop
 from ideal_robot.identification.controller import identify_controller
 from ideal_robot.loop.from_model import cascade_gains
 from ideal_robot.robots.robot import Robot
@@ -171,10 +171,8 @@ def test_friction_that_the_drive_compensates_is_found_beside_the_cascade() -> No
     assert fit_controller(recorded(1), ROBOT).controller.compensation is None
 
 
-@pytest.mark.slow
-def test_gains_that_follow_the_inertia_are_found_beside_the_cascade() -> None:
-    """All joints move, so that the inertia of the first two changes by tens of per cent."""
-    world = dataclasses.replace(World.default("kr15"), gain_schedule=0.6)
+def all_joints(world: World) -> Recording:
+    """Twelve seconds in which all joints move, so that the inertia of the first two changes by tens of per cent."""
     t = world.t_ipo * np.arange(round(12.0 / world.t_ipo))
     fade = np.clip(np.minimum(t, 12.0 - t), 0, 1) ** 2
     rates = np.array([0.9, 0.7, 1.1, 2.1, 1.7, 2.9])
@@ -182,11 +180,30 @@ def test_gains_that_follow_the_inertia_are_found_beside_the_cascade() -> None:
     with SimulatedArm(ROBOT, world, np.random.default_rng(4)) as arm:
         for row in ROBOT.home + fade[:, None] * wave:
             arm.cycle(row)
-        whole = arm.recording()
+        return arm.recording()
+
+
+@pytest.mark.slow
+def test_gains_that_follow_the_inertia_are_found_beside_the_cascade() -> None:
+    """Of the first two joints, whose inertia changes most."""
+    whole = all_joints(dataclasses.replace(World.default("kr15"), gain_schedule=0.6))
     with_inertia, without = (fit_controller(whole, ROBOT, rotors) for rotors in (ROBOT.rotor_inertia, None))
     assert with_inertia.controller.schedule == pytest.approx(0.6, abs=0.15)
     assert with_inertia.controller.compensation is None
     assert np.all(with_inertia.error_percent[:2] < 0.5 * without.error_percent[:2])
+
+
+@pytest.mark.slow
+def test_impedance_control_that_compensates_bodies_is_found() -> None:
+    """Without an integrator, and with gravity and Coriolis torques of the data sheet."""
+    world = dataclasses.replace(World.default("kr15"), controller="impedance")
+    fit = fit_controller(all_joints(world), ROBOT, ROBOT.rotor_inertia)
+    assert fit.controller.bodies is not None
+    np.testing.assert_allclose(fit.controller.bodies[:3], 1.0, atol=0.05)
+    k_v, _, k_p, k_i = cascade_gains(fit.controller)
+    np.testing.assert_allclose(k_v, world.per_joint("position_gain", 6), rtol=0.1)
+    np.testing.assert_allclose(k_p, world.per_joint("velocity_gain", 6), rtol=0.1)
+    np.testing.assert_array_equal(k_i, 0.0)
 
 
 def test_torques_that_are_logged_as_they_are_tell_the_same_gains() -> None:
@@ -214,7 +231,7 @@ def test_commands_that_reach_the_cascade_late_are_told_from_its_feedforward(late
     k_v, k_ff, k_p, k_i = 18.0, 0.92, 500.0, 9000.0
     blank = _JointCascade(q_c, q, np.zeros(len(t)), cycle, 0.0005)
     blank._smoothed = np.asarray  # type: ignore[method-assign]
-    tau = blank.columns(np.array([0.002, 0.001]), late=late) @ np.outer([k_p, k_i], [k_v, k_ff, 1.0]).ravel()
+    tau = blank.columns(np.array([0.002, 0.001]), _Channel(late=late)) @ np.outer([k_p, k_i], [k_v, k_ff, 1.0]).ravel()
     recording = Recording.from_arrays(t, q_c=q_c[:, None], q=q[:, None], tau=tau[:, None])
     fit = fit_controller(recording, ROBOT)
     found = [float(values[0]) for values in cascade_gains(fit.controller)]
