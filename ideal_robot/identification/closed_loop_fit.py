@@ -93,15 +93,15 @@ def fit_controller(recording: Recording, robot: Robot, rotors: Array | None = No
     # How a drive logs is the same for all of its joints.
     inertia = None if rotors is None else _inertia(robot, rotors, np.concatenate([part.joints("q") for part in parts]))
     joints = [_joints(parts, robot, averaged, inertia) for averaged in (False, True)]
-    plain = min((_with_channel(each, _Channel()) for each in joints), key=lambda fit: fit.squares)
-    fits = [plain]
-    if (channel := _sought(joints[0], plain)) is not None:
-        fits.append(min((_with_channel(each, channel) for each in joints), key=lambda fit: fit.squares))
-    fits = [one for fit in fits for one in (fit, *(_with_channel(*more) for more in _helped(joints, fit)))]
-    best = fits[0]
-    for fit in fits[1:]:
-        # What asks for more has to leave clearly less.
-        best = fit if fit.squares < _SEEN * best.squares else best
+    plain = _fitted(joints, _Channel())
+    before = _sought(joints[0], plain[0])
+    best = None
+    for fit, each in (plain, *([] if before is None else [_fitted(joints, before)])):
+        more = _helped(each, fit)
+        for other in (fit, *([] if more is None else [_fitted(joints, more)[0]])):
+            # What asks for more has to leave clearly less.
+            best = other if best is None or other.squares < _SEEN * best.squares else best
+    assert best is not None
     k_v, k_ff, k_p, k_i, t_low, t_filter, compensation, bodies, turns = best.values.T
     controller = ControllerModel(
         t_cycle=robot.t_position, k_p=k_p * k_v, k_d=k_p * k_ff, k_1=k_p * (k_ff - 1.0), k_2=k_p * t_filter,
@@ -196,45 +196,46 @@ _SCHEDULES = (0.25, 0.5, 0.75, 1.0)
 """Shares in which gains may follow the inertia: the search begins with them."""
 
 
-def _helped(joints: Sequence[Sequence[_Stretches]], plain: _Fitted) -> list[tuple[Sequence[_Stretches], _Channel]]:
-    """Joints as they log, and the channel with what drives do by themselves; none where that explains no more.
+def _helped(joints: Sequence[_Stretches], plain: _Fitted) -> _Channel | None:
+    """The channel with what drives do by themselves, or another kind of controller; None where that explains no more.
 
-    All joints tell, each by the logarithm of what is left of its torque; the one kind is taken and then the other where
-    it leaves less by ``_SEEN``.
+    All joints tell, each by the logarithm of what is left of its torque; one kind after the other is taken where it
+    leaves less by ``_SEEN``.
 
     Args:
-        joints: of the arm, for each way of logging.
+        joints: of the arm.
         plain: their cascades without.
     """
-    def left(each: Sequence[_Stretches], channel: _Channel) -> float:
-        return float(np.mean([np.log(min(joint.least(one) for one in _turning(channel))) for joint in each]))
+    def left(channel: _Channel) -> float:
+        return float(np.mean([np.log(min(joint.least(one) for one in _turning(channel))) for joint in joints]))
 
-    best = least = min((left(each, plain.channel), index) for index, each in enumerate(joints))
-    channel, follow = plain.channel, _SCHEDULES if joints[0][0].follows else ()
+    least, channel, follow = left(plain.channel), plain.channel, _SCHEDULES if joints[0].follows else ()
     while more := [*([channel._replace(bodies=True)] if follow and not channel.bodies else []),
                    *([channel._replace(integrated=0.0)] if channel.integrated else []),
                    *(channel._replace(turns=turns) for turns in _TURNS[:1] if not channel.turns),
                    *(channel._replace(schedule=share) for share in follow if not channel.schedule)]:
-        found, changed = min((((left(each, one), index), one) for index, each in enumerate(joints) for one in more),
-                             key=lambda tried: tried[0])
-        if found[0] >= least[0] + np.log(_SEEN):
+        found = [left(one) for one in more]
+        if min(found) >= least + np.log(_SEEN):
             break
-        least, channel = found, changed
-    if least is best:
-        return []
-    each = joints[least[1]]
+        least, channel = min(found), more[int(np.argmin(found))]
     if channel.schedule:
         near = _SCHEDULES[0]
-        share = minimize_scalar(lambda g: left(each, channel._replace(schedule=float(g))), method="bounded",
+        share = minimize_scalar(lambda g: left(channel._replace(schedule=float(g))), method="bounded",
                                 bounds=(max(channel.schedule - near, 0.0), channel.schedule + near),
                                 options={"xatol": 0.02}).x
         channel = channel._replace(schedule=float(share))
-    return [(each, channel)]
+    return None if channel == plain.channel else channel
 
 
 def _turning(channel: _Channel) -> list[_Channel]:
     """The channel with each speed over which compensated friction may turn round; as it is where none is."""
     return [channel._replace(turns=turns) for turns in _TURNS] if channel.turns else [channel]
+
+
+def _fitted(joints: Sequence[Sequence[_Stretches]], channel: _Channel) -> tuple[_Fitted, Sequence[_Stretches]]:
+    """The cascades of the joints as they log, of ``joints`` for each way of logging, where commands pass a channel."""
+    fits = [(_with_channel(each, channel), each) for each in joints]
+    return min(fits, key=lambda fit: fit[0].squares)
 
 
 def _with_channel(joints: Sequence[_Stretches], channel: _Channel) -> _Fitted:
