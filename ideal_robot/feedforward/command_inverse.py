@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ideal_robot.arrays import Array, held
+from ideal_robot.arrays import Array, eased, held
 from ideal_robot.command.law import CommandLaw
 from ideal_robot.command.motion import Bodies, Motion
 from ideal_robot.command.response import uncorrected
@@ -237,8 +237,7 @@ def _spread_over(rows: Array, kernel: Array) -> Array:
 
 def _settled(t: Array, t_ipo: float) -> Array:
     """Share of the start's offset that is removed at instants ``(N,)`` [s]: it rises smoothly from 0 to 1."""
-    share = np.clip(t / max(SETTLE, t_ipo), 0.0, 1.0)
-    return np.asarray(share**3 * (10.0 - 15.0 * share + 6.0 * share**2))
+    return eased(np.clip(t / max(SETTLE, t_ipo), 0.0, 1.0))
 
 
 def _extended(before: Array, q_d: Array, rows: int) -> Array:

@@ -34,7 +34,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ideal_robot.arrays import Array, interpolated
+from ideal_robot.arrays import Array, eased, interpolated
 from ideal_robot.dynamics.newton_euler import inverse_dynamics, inverse_dynamics_with_point
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import SETTLE, CommandLimits, Feedforward
@@ -316,7 +316,7 @@ class Inverse(Feedforward):
             signal, planned = _position_loop_signal(loop.drives, self._cascade(motors), motors, acting, further,
                                                     self._lag, path.t_position, loop.steps_ipo, state.planned)
             if self._sags:
-                signal -= state.sag * self._to_come(state)
+                signal -= state.sag * eased(self._remaining(state))
             q_c = _command(self._inverse.wanted, signal, self._inverse.past, state.q_c, self._limits)
             return q_c, planned
         gains = _printed_gains(self._cascade(motors), self.t_ipo) if loop.cascade.schedule else self._printed
@@ -347,16 +347,14 @@ class Inverse(Feedforward):
 
     def _take_up(self, state: InverseState, q_m: Array, v_m: Array) -> None:
         """Takes the deflection at the start up smoothly, from nothing to all, in the motors' motion ``(N, n)``."""
-        begun = (state.cycle * self.t_ipo + self._grid.fine) / SETTLE
-        if begun[0] < 1.0:
-            remaining = 1.0 - np.minimum(begun, 1.0)[:, None]
-            q_m -= state.deflection * self._to_come(state)
+        if state.cycle * self.t_ipo + self._grid.fine[0] < SETTLE:
+            remaining = self._remaining(state)
+            q_m -= state.deflection * eased(remaining)
             v_m += state.deflection * 30.0 * remaining**2 * (1.0 - remaining) ** 2 / SETTLE
 
-    def _to_come(self, state: InverseState) -> Array:
-        """Share of what is taken up at the start that is still to come ``(f, 1)``."""
-        remaining = 1.0 - np.minimum((state.cycle * self.t_ipo + self._grid.fine) / SETTLE, 1.0)[:, None]
-        return np.asarray(remaining**3 * (10.0 - 15.0 * remaining + 6.0 * remaining**2))
+    def _remaining(self, state: InverseState) -> Array:
+        """Share of the time of taking up at the start that is still to come, at the fine instants ``(f, 1)``."""
+        return 1.0 - np.minimum((state.cycle * self.t_ipo + self._grid.fine) / SETTLE, 1.0)[:, None]
 
     def _load(self, q: Array, qd: Array, qdd: Array, carried: Carried | None) -> tuple[Array, Array | None]:
         """Torques of the model's bodies and of what is carried beyond them, each ``(N, n)`` [N m]."""

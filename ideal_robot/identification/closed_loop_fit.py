@@ -32,7 +32,7 @@ from ideal_robot.command.fit import LATE
 from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics
 from ideal_robot.errors import InputError
 from ideal_robot.loop.impulse_response import LinearLoop
-from ideal_robot.loop.loop import moved_inertia
+from ideal_robot.loop.loop import inertia_at
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
@@ -91,8 +91,8 @@ def fit_controller(recording: Recording, robot: Robot, rotors: Array | None = No
         raise InputError(f"too short: {2 * _EDGE + 2} samples without a gap are needed", file=recording.source,
                          field="t")
     # How a drive logs is the same for all of its joints.
-    inertia = None if rotors is None else _inertia(robot, rotors, np.concatenate([part.joints("q") for part in parts]))
-    joints = [_joints(parts, robot, averaged, inertia) for averaged in (False, True)]
+    sheets, moved = ([], None) if rotors is None else _sheets(parts, robot, rotors)
+    joints = [_joints(parts, robot, averaged, sheets) for averaged in (False, True)]
     plain = _fitted(joints, _Channel())
     before = _sought(joints[0], plain[0])
     best = None
@@ -103,14 +103,13 @@ def fit_controller(recording: Recording, robot: Robot, rotors: Array | None = No
             best = other if best is None or other.squares < _SEEN * best.squares else best
     assert best is not None
     k_v, k_ff, k_p, k_i, t_low, t_filter, compensation, bodies, turns = best.values.T
+    channel = best.channel
     controller = ControllerModel(
         t_cycle=robot.t_position, k_p=k_p * k_v, k_d=k_p * k_ff, k_1=k_p * (k_ff - 1.0), k_2=k_p * t_filter,
-        k_i=k_i / k_p * robot.t_position, filter_time=t_low, filter_order=best.channel.order, delay=best.channel.late,
-        integrated=best.channel.integrated,
-        **({"compensation": compensation, "v_compensation": turns} if best.channel.turns else {}),
-        **({"bodies": bodies} if best.channel.bodies else {}),
-        **({"scheduled_at": inertia.mean(axis=0), "schedule": best.channel.schedule}
-           if inertia is not None and best.channel.schedule else {}))
+        k_i=k_i / k_p * robot.t_position, filter_time=t_low, filter_order=channel.order, delay=channel.late,
+        integrated=channel.integrated, compensation=compensation if channel.turns else None,
+        v_compensation=turns if channel.turns else None, bodies=bodies if channel.bodies else None,
+        schedule=channel.schedule, scheduled_at=moved if channel.schedule else None)
     return ControllerFit(controller, best.error)
 
 
@@ -150,28 +149,48 @@ class _Fitted(NamedTuple):
         return float(np.sum(self.error**2))
 
 
-def _inertia(robot: Robot, rotors: Array, q: Array) -> Array:
-    """Inertia that each joint moves by the data sheet at postures ``(N, n)``, those of its rotors ``(n,)`` [kg m²]."""
-    chain, every = chain_of(robot.pinocchio), np.arange(0, len(q), _EDGE)
-    known = np.array([moved_inertia(chain, rotors, q[k]) for k in every])
-    return interpolated(np.arange(float(len(q))), every.astype(float), known)
+class _Sheet(NamedTuple):
+    """What the data sheet says of the joints at the rows ``(N, n)`` of a stretch.
+
+    Attributes:
+        more: inertia that each joint moves, its rotor's included, over the mean of all stretches, less 1.
+        torque: of gravity and velocities [N m].
+    """
+
+    more: Array
+    torque: Array
 
 
-def _joints(parts: Sequence[Recording], robot: Robot, averaged: bool, inertia: Array | None) -> list[_Stretches]:
-    """Every joint over stretches without a gap; ``averaged``: as of ``_JointCascade``, ``inertia (N, n)`` of all."""
-    ends = np.cumsum([len(part.t) for part in parts])[:-1]
-    steps = [float(np.median(np.diff(part.t))) for part in parts]
-    sheet: list[tuple[Array, Array] | None] = [None] * len(parts)
-    if inertia is not None:
-        chain = chain_of(robot.pinocchio)
-        sheet = [(more, inverse_dynamics(chain, q, np.gradient(q, step, axis=0), np.zeros_like(q)))
-                 for more, step, q in zip(np.split(inertia / inertia.mean(axis=0) - 1.0, ends), steps,
-                                          (np.ascontiguousarray(part.joints("q")) for part in parts), strict=True)]
-    return [_Stretches([_JointCascade(part.columns[f"q_c_{i}"], part.columns[f"q_{i}"], part.columns[f"tau_{i}"], step,
-                                      robot.t_velocity, averaged,
-                                      None if known is None else (known[0][:, i - 1], known[1][:, i - 1]))
-                        for part, step, known in zip(parts, steps, sheet, strict=True)])
-            for i in range(1, parts[0].n + 1)]
+def _sheets(parts: Sequence[Recording], robot: Robot, rotors: Array) -> tuple[list[_Sheet], Array]:
+    """What the data sheet says of each stretch, and the mean inertia that each joint moves ``(n,)`` [kg m²]."""
+    chain, inertia, torque = chain_of(robot.pinocchio), list[Array](), list[Array]()
+    for part in parts:
+        q = np.ascontiguousarray(part.joints("q"))
+        torque.append(inverse_dynamics(chain, q, np.gradient(q, _step(part), axis=0), np.zeros_like(q)))
+        every = np.arange(0, len(q), _EDGE)
+        inertia.append(interpolated(np.arange(float(len(q))), every.astype(float),
+                                    np.array([inertia_at(chain, rotors, q[k]) for k in every])))
+    mean = np.concatenate(inertia).mean(axis=0)
+    return [_Sheet(moved / mean - 1.0, added) for moved, added in zip(inertia, torque, strict=True)], mean
+
+
+def _step(part: Recording) -> float:
+    return float(np.median(np.diff(part.t)))
+
+
+def _joints(parts: Sequence[Recording], robot: Robot, averaged: bool, sheets: Sequence[_Sheet]) -> list[_Stretches]:
+    """Every joint over stretches without a gap.
+
+    Args:
+        parts: stretches of the recording.
+        robot: cycles.
+        averaged: as of ``_JointCascade``.
+        sheets: what the data sheet says of each stretch; empty where that is not looked at.
+    """
+    return [_Stretches([_JointCascade(part.columns[f"q_c_{i + 1}"], part.columns[f"q_{i + 1}"],
+                                      part.columns[f"tau_{i + 1}"], _step(part), robot.t_velocity, averaged,
+                                      _Sheet(sheets[k].more[:, i], sheets[k].torque[:, i]) if sheets else None)
+                        for k, part in enumerate(parts)]) for i in range(parts[0].n)]
 
 
 def _sought(joints: Sequence[_Stretches], plain: _Fitted) -> _Channel | None:
@@ -256,12 +275,11 @@ class _JointCascade:
         cycle, t_velocity: cycles of the recording and of the velocity loop [s].
         every: steps of the velocity loop in a cycle of the recording.
         averaged: whether a torque is the mean since the last sample.
-        sheet: of the data sheet the inertia that the joint moves, over its mean, less 1, and its torque of gravity and
-            velocities [N m], ``(N,)`` each; None where they are not known.
+        sheet: what the data sheet says of the joint, ``(N,)`` each; None where that is not looked at.
     """
 
     def __init__(self, q_c: Array, q: Array, tau: Array, cycle: float, t_velocity: float,
-                 averaged: bool = False, sheet: tuple[Array, Array] | None = None) -> None:
+                 averaged: bool = False, sheet: _Sheet | None = None) -> None:
         self.averaged, self.sheet = averaged, sheet
         # A logged cycle is measured, and rarely a whole number of the controller's: its steps are fitted into it.
         self.every = max(round(cycle / t_velocity), 1)
@@ -294,13 +312,13 @@ class _JointCascade:
         held = np.repeat(np.column_stack([r - self.q, rate]), self.every, axis=0)[: len(self.angle)]
         acting = np.column_stack([held, -_differentiated(self.angle, self.t_velocity, velocity)])
         if schedule and self.sheet is not None:
-            acting = acting * np.repeat(1.0 + schedule * self.sheet[0], self.every)[: len(self.angle), None]
+            acting = acting * np.repeat(1.0 + schedule * self.sheet.more, self.every)[: len(self.angle), None]
         summed = acting * [1.0, channel.integrated, channel.integrated]
         acting = np.hstack([acting, np.cumsum(summed, axis=0) * self.t_velocity])
         if turns:
             acting = np.column_stack([acting, np.tanh(held[:, 1] / turns)])
         if channel.bodies and self.sheet is not None:
-            acting = np.column_stack([acting, np.repeat(self.sheet[1], self.every)[: len(self.angle)]])
+            acting = np.column_stack([acting, np.repeat(self.sheet.torque, self.every)[: len(self.angle)]])
         if self.averaged:
             logged = acting[1:].reshape(-1, self.every, acting.shape[1]).mean(axis=1)
             return self._smoothed(np.concatenate([acting[:1], logged]))

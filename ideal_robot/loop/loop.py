@@ -207,7 +207,7 @@ def ripple_torque(ripple: Array, i: int, q: float) -> float:
 
 
 @jit()
-def moved_inertia(chain: Chain, rotor_inertia: Array, q: Array) -> Array:
+def inertia_at(chain: Chain, rotor_inertia: Array, q: Array) -> Array:
     """Inertia that each joint moves at a posture, its rotor's included ``(n,)`` [kg m²].
 
     Args:
@@ -226,7 +226,7 @@ def scheduled(cascade: Cascade, q: Array) -> Array:
     """Gains of the velocity loops at a posture ``q (n,)`` [rad] over those of the record ``(n,)``."""
     if cascade.schedule == 0.0:
         return np.ones(len(q))
-    inertia = moved_inertia(cascade.sheet, cascade.sheet_rotors, q)
+    inertia = inertia_at(cascade.sheet, cascade.sheet_rotors, q)
     return 1.0 + cascade.schedule * (inertia / cascade.scheduled_at - 1.0)
 
 

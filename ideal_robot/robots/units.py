@@ -96,11 +96,7 @@ def _limits(joints: list[ET.Element], size: float, notes: list[str]) -> None:
         notes.append(f"limits of {_names(converted)} up to {max(turning[joint] for joint in converted):.4g} rad: they "
                      "are degrees, times 0.01745")
     endless = [joint for joint, span in turning.items() if MOST_TURNED < span < math.inf]
-    for joint in endless:
-        limit = joint.find("limit")
-        if limit is not None:
-            limit.set("lower", f"{-TURNS:.12g}")
-            limit.set("upper", f"{TURNS:.12g}")
+    _bound(endless, TURNS)
     if endless:
         notes.append(f"limits of {_names(endless)} stand for none: one turn to either side is used")
     far = [joint for joint in joints if joint.get("type") == "prismatic" and FARTHEST < _span(joint) < math.inf]
@@ -111,14 +107,19 @@ def _limits(joints: list[ET.Element], size: float, notes: list[str]) -> None:
     if written:
         notes.append(f"limits of {_names(written)} are millimetres, times 0.001")
     boundless = [joint for joint in far if joint not in written]
-    for joint in boundless:
+    _bound(boundless, size)
+    if boundless:
+        notes.append(f"limits of {_names(boundless)} stand for none: the arm's reach, {size:.2g} m, is used to either "
+                     "side")
+
+
+def _bound(joints: list[ET.Element], size: float) -> None:
+    """Gives joints a position limit of a size [rad, m] to either side, where they have any."""
+    for joint in joints:
         limit = joint.find("limit")
         if limit is not None:
             limit.set("lower", f"{-size:.12g}")
             limit.set("upper", f"{size:.12g}")
-    if boundless:
-        notes.append(f"limits of {_names(boundless)} stand for none: the arm's reach, {size:.2g} m, is used to either "
-                     "side")
 
 
 def _speeds(joints: list[ET.Element], size: float, notes: list[str]) -> None:

@@ -16,7 +16,7 @@ from ideal_robot.feedforward.corrected_arm import CorrectedArm, ForCorrectedArm
 from ideal_robot.feedforward.inverse import AHEAD, COMPLETE, Inverse, Options
 from ideal_robot.feedforward.learning import LearningLaw, Playback, learn, learn_on_model
 from ideal_robot.loop.impulse_response import LinearLoop
-from ideal_robot.loop.loop import checked, moved_inertia
+from ideal_robot.loop.loop import checked, inertia_at
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
@@ -55,7 +55,7 @@ def test_what_drives_do_by_themselves_is_inverted_with_the_loop(options: Options
     plain, q_d = plant(), motion()
     half = 0.5 * plain.friction.dry
     known = checked(plain.changed(compensation=half, v_compensation=np.full(6, 0.05), schedule=0.6,
-                                  scheduled_at=1.4 * moved_inertia(plain.chain, ROBOT.rotor_inertia, ROBOT.home)))
+                                  scheduled_at=1.4 * inertia_at(plain.chain, ROBOT.rotor_inertia, ROBOT.home)))
     usual = off(plain, Inverse(plain, options=options), q_d)
     left, without = (off(known, Inverse(loop, options=options), q_d) for loop in (known, plain))
     assert left < 2.0 * usual
